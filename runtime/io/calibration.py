@@ -188,10 +188,10 @@ class Calibration:
         numbers = NumbersFile(path)
         if "" in numbers:
             return cls(numbers.matrix("", 3, 3), np.eye(4))
-        is_odometry = "Tr" in numbers
+        projection, is_odometry = numbers.matrix(f"P{camera}", 3, 4), "Tr" in numbers
         rectify = np.eye(3) if is_odometry else numbers.matrix("R0_rect", 3, 3)
         to_camera = numbers.matrix("Tr" if is_odometry else "Tr_velo_to_cam", 3, 4)
-        return cls(*chain(numbers.matrix(f"P{camera}", 3, 4), rectify, to_camera))
+        return cls(*chain(projection, rectify, to_camera))
 
     @classmethod
     def _from_kitti_raw(cls, folder: Path, camera: str, *, rectified: bool) -> "Calibration":
@@ -319,7 +319,8 @@ class FrameCalibrations:
     def __init__(self, path: Path, *, camera: int = 2, rectified: bool = True) -> None:
         self._path, self._files = path, dict[str, Path]()
         self._read = partial(Calibration.from_file, camera=camera, rectified=rectified)
-        if os.path.isdir(path) and find_raw_calibration(path) != path:
+        is_raw = any(os.path.lexists(path / name) for name in (RAW_CAMERAS, RAW_SCANNER))
+        if os.path.isdir(path) and not is_raw:
             self._files = list_files(path, (".txt", ".toml"))
             path = self._files[min(self._files, key=natural_order)]
         self.first = self._read(path)

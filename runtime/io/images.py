@@ -157,7 +157,7 @@ def list_files(folder: Path, suffixes: tuple[str, ...] = RGB_SUFFIXES) -> dict[s
     if not files:
         found = sorted({path.suffix for path in paths if path.suffix and path.name[0] != "."})
         remedy = (
-            f"it has {', '.join(found[:5])}, convert them or give another folder"
+            f"it has {', '.join(found[:5])}: give another folder or option, or convert them"
             if found
             else "give the folder that holds the frames themselves"
         )

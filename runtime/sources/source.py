@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.sources.frames import Frame
-from runtime.sync.matching import Pair
 
 
 @dataclass(frozen=True)
@@ -42,16 +41,6 @@ class ListedFrame:
     complete: bool = True
     reused: bool = False
     scan_time_ns: int | None = None
-
-    @classmethod
-    def of_pair(cls, sequence: int, name: str, pair: Pair, *, alone: bool = False) -> "ListedFrame":
-        """List two matched messages; alone: an image without depth is complete."""
-        image, depth, reused = pair
-        if depth is None:
-            return cls(sequence, name, image.data, None, image.stamp_ns, complete=alone)
-        stamps = image.stamp_ns, depth.stamp_ns
-        complete = alone or not reused
-        return cls(sequence, name, image.data, depth.data, *stamps, complete, reused)
 
 
 class Source(ABC):

@@ -40,13 +40,6 @@ def _read_text(text: str) -> str:
     return text
 
 
-def _read_topics(text: str) -> str:
-    topics = text.split("+")
-    if "" in topics or len(set(topics)) < len(topics):
-        raise ValueError
-    return text
-
-
 def _read_path(text: str) -> Path:
     return Path(os.path.expanduser(_read_text(text)))  # the shell does not expand KEY=~/FILE
 
@@ -60,7 +53,7 @@ SOURCE_KEYS = {
     "pose_frame": SourceKey(" or ".join(PoseFrame), PoseFrame),
     "scan_stamp": SourceKey(" or ".join(MIDDLE_AFTER), check_scan_stamp),
     "point_time_column": _whole("the number of a column after x, y, z", 3, 10**6),
-    "image_topic": SourceKey("a topic, or those of several cameras joined by +", _read_topics),
+    "image_topic": SourceKey("a topic, or those of several cameras joined by +", _read_text),
     "depth_topic": SourceKey("a topic or none", _read_text),
     "info_topic": SourceKey("a topic", _read_text),
     "pose_topic": SourceKey("a topic or none", _read_text),

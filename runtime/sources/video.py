@@ -60,10 +60,8 @@ class VideoSource(Source):
             self.calibration = Calibration.from_file(calibration)
         self._video = _open(path)
         self._next = 0  # index of the next frame that the video decodes
-        height, width = (
-            int(self._video.get(side))
-            for side in (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH)
-        )
+        sides = (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH)
+        height, width = (int(self._video.get(side)) for side in sides)
         require_pixels((height, width), name=str(path))
 
     @staticmethod
@@ -73,24 +71,25 @@ class VideoSource(Source):
 
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`. A frame without a depth map is listed too, and the reverse."""
-        count = self._count()
+        count = int(self._video.get(cv2.CAP_PROP_FRAME_COUNT))
+        if not 0 < count <= self._path.stat().st_size:
+            raise InputError(
+                f"{self._path} states no number of frames: it is empty, truncated or damaged, or a "
+                "stream, which ffmpeg -i FILE -c copy NEW.mp4 makes a file"
+            )
         maps = {}
         if self._depth is not None:
             maps = by_number(list_files(self._depth, DEPTH_SUFFIXES))
-        if maps and count in maps and 0 not in maps:
+        if count in maps and 0 not in maps:
             raise InputError(
                 f"{maps[count]} has the number {count}, but {self._path} has {count} frames, which "
                 "are numbered from 0: number the depth maps from 0 (ffmpeg -start_number 0)"
             )
         numbers = sorted(set(range(count)) | maps.keys())
         digits = max(6, len(str(numbers[-1])))
-        return pair_up(
-            numbers,
-            {number: number for number in range(count)},
-            None if self._depth is None else maps,
-            limit=limit,
-            name=lambda number: f"{number:0{digits}d}",
-        )
+        images = dict(zip(range(count), range(count), strict=True))
+        depths = None if self._depth is None else maps
+        return pair_up(numbers, images, depths, limit=limit, name=lambda n: f"{n:0{digits}d}")
 
     def read(self, frame: ListedFrame) -> Frame:
         """See `Source.read`. Raises InputError also where the image or depth map is missing."""
@@ -99,52 +98,31 @@ class VideoSource(Source):
         if frame.depth is None and self._depth is not None:
             raise InputError(f"{frame.name} is in the video, but has no depth map")
         rgb, stamp_ns = self._decode(frame.image)
-        has_map = frame.depth is not None
-        rgb, calibration = self._rectified(rgb, self.calibration, has_map=has_map)
-        if frame.depth is None:
-            sparse_depth = no_depth(rgb)
-        else:
+        rgb, calibration = self._rectified(rgb, self.calibration, has_map=frame.depth is not None)
+        sparse_depth = no_depth(rgb)
+        if frame.depth is not None:
             sparse_depth = read_sparse_depth(frame.depth, depth_scale=self._depth_scale)
         return Frame(rgb, sparse_depth, stamp_ns, None, calibration)
 
     def _decode(self, number: int) -> tuple[NDArray[np.uint8], int | None]:
         """A frame, uint8 (H, W, 3), RGB, and its time [ns]."""
         if number < self._next:
-            self._rewind()
-        grabbed = False
-        while self._next <= number:
-            grabbed = self._video.grab()
-            if not grabbed:
-                break
+            self._video.release()
+            self._video, self._next = _open(self._path), 0
+        while self._next < number and self._video.grab():
             self._next += 1
-        done, image = self._video.retrieve() if grabbed else (False, None)
-        if not done or image is None:
+        done, image = self._video.read()
+        if not done or self._next < number:
             raise InputError(
                 f"{self._path} ends or is damaged before its frame {number}: earlier frames were "
                 "read"
             )
+        self._next += 1
         if image.dtype != np.uint8 or image.ndim != 3:
             raise InputError(f"{self._path} holds {image.dtype} images, expected 8-bit RGB")
         rgb = np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
         milliseconds = self._video.get(cv2.CAP_PROP_POS_MSEC)
         return rgb, round(milliseconds * 1e6) if math.isfinite(milliseconds) else None
-
-    def _count(self) -> int:
-        """Number of frames: from the video's header, or counted."""
-        stated = self._video.get(cv2.CAP_PROP_FRAME_COUNT)
-        count = int(stated) if 0 < stated <= self._path.stat().st_size else 0
-        if count == 0:
-            self._rewind()
-            while self._video.grab():
-                count += 1
-            self._rewind()
-        if count == 0:
-            raise InputError(f"{self._path} has no frames: it is empty, truncated or damaged")
-        return count
-
-    def _rewind(self) -> None:
-        self._video.release()
-        self._video, self._next = _open(self._path), 0
 
     @property
     def inputs(self) -> dict[str, Any]:

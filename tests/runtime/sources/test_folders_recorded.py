@@ -1,14 +1,11 @@
 """The reader and the command on a real camera + LiDAR stream."""
 
-import csv
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from runtime.run.cli import app
 from runtime.sources.folders import FolderSource
 
 DATA = os.environ.get("SSDNET_DATA")
@@ -49,16 +46,3 @@ def test_the_depth_maps_are_the_lidar_in_metres(kitti):
         expected = projected(points.reshape(-1, 4), calibration, (375, 1242))
         assert np.array_equal(frame.sparse_depth > 0, expected > 0)
         assert abs(frame.sparse_depth - expected).max() < 0.51 / 256  # the file's rounding
-
-
-def test_the_command_runs_the_stream(kitti, tmp_path, model_file):
-    model = model_file(heads=("semantic",))  # by hand black has no boundary, and far is too far
-    arguments = ["--rgb", kitti / "image_02", "--depth", kitti / "sparse_depth_02"]
-    arguments += ["--model", model, "--out", tmp_path / "out", "--limit", 4]
-    arguments += ["--save", "semantic,overlay"]
-    result = CliRunner().invoke(app, [str(a) for a in arguments])
-    assert result.exit_code == 0, result.output
-    with (tmp_path / "out/frames.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert [row["name"] for row in rows] == [f"{index:010d}" for index in range(4)]
-    assert all(15_000 < int(row["depth_returns"]) < 18_000 for row in rows)

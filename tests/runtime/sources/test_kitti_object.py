@@ -50,15 +50,6 @@ def test_each_frame_has_its_calibration(training, run, make_scan):
     assert inputs["focal_length_px"] == 60, "of the first frame"
 
 
-def test_the_parts_may_be_named(training, run, make_scan):
-    """As folders, of which the calibration is one."""
-    given = ["--points", training / "velodyne", "--calibration", training / "calib"]
-    for rgb in (["--rgb", training / "image_2"], [training / "image_2"], [training]):
-        answers = run(*rgb, *given, "--overwrite")
-        assert answers.exit_code == 0, answers.text
-        assert abs(answers.fed_depth("000004") - projected(make_scan(4), focal_px=64)).max() < 0.01
-
-
 @pytest.mark.parametrize(
     "given", ["--source kitti-object:{},camera=3", "--rgb {}/image_3", "{}/image_3"]
 )
@@ -115,7 +106,7 @@ def test_what_is_missing_is_named(training, run):
     assert answers.exit_code == 3
     assert answers.column("status") == ["ok", "ok", "skipped", "skipped", "ok"]
     assert "000002 has no calibration in" in answers.column("reason")[2]
-    assert "'P2' has 3 numbers, expected 12" in answers.column("reason")[3]
+    assert "'P2' must be 12 finite numbers" in answers.column("reason")[3]
 
 
 @pytest.mark.skipif(not DATA, reason="SSDNET_DATA names no folder of recordings")
@@ -151,15 +142,3 @@ def test_scans_without_a_return_in_any_image_are_reported(training, run, make_sc
     assert "warning: no scan or depth map of the first frames has a return in" in answers.text
     assert "the extrinsics" in answers.report["frames"]["implausible_depth"]
     assert set(answers.column("degraded")) == {"no_depth"}
-
-
-def test_a_lidar_that_starts_later_is_no_fault(training, run, make_frame, make_scan, write_rgb):
-    write_rgb(training / "image_2/000005.png", make_frame(*SIZE, seed=5)[0])
-    make_scan(5).tofile(training / "velodyne/000005.bin")
-    (training / "calib/000005.txt").write_text(calibration(65))
-    for number in range(5):
-        (training / f"velodyne/{number:06d}.bin").write_bytes(b"")
-    answers = run(training)
-    assert answers.exit_code == 0, answers.text
-    assert answers.report["frames"]["implausible_depth"] is None
-    assert answers.column("degraded") == ["no_depth"] * 5 + [""]

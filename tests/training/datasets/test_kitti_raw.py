@@ -230,9 +230,9 @@ def test_missing_parts_are_named(raw, lost, text):
     ("name", "old", "new", "text"),
     [
         ("cam_to_cam", "P_rect_02", "P_02", r"has no line 'P_rect_02:'; expected 12 numbers"),
-        ("cam_to_cam", "R_rect_00: 1 0", "R_rect_00: 1", "'R_rect_00' has 8 numbers, expected 9"),
-        ("velo_to_cam", "T: 0 0", "T: left right", "'T' contains a value that is not a number"),
-        ("velo_to_cam", "R: 0", "R: ", "'R' has 8 numbers, expected 9"),
+        ("cam_to_cam", "R_rect_00: 1 0", "R_rect_00: 1", "'R_rect_00' must be 9 finite numbers"),
+        ("velo_to_cam", "T: 0 0", "T: left right", "'T' must be 3 finite numbers"),
+        ("velo_to_cam", "R: 0", "R: ", "'R' must be 9 finite numbers"),
     ],
 )
 def test_broken_calibrations_are_named(raw, name, old, new, text):

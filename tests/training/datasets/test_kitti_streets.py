@@ -147,9 +147,9 @@ def test_missing_parts_are_named(streets, lost, text):
     [
         ("fb_disp: 40", "", "no line 'fb_disp:'"),
         ("fb_disp: 40", "fb_disp: 0", "fb_disp is 0.0, expected a positive"),
-        ("fb_disp: 40", "fb_disp: nan", "'fb_disp' holds NaN"),
-        ("P2: 10", "P2: ", "'P2' has 11 numbers, expected 12"),
-        ("R0_rect: 1", "R0_rect: one", "'R0_rect' contains a value that is not a number"),
+        ("fb_disp: 40", "fb_disp: nan", "'fb_disp' must be 1 finite"),
+        ("P2: 10", "P2: ", "'P2' must be 12 finite"),
+        ("R0_rect: 1", "R0_rect: one", "'R0_rect' must be 9 finite numbers"),
     ],
 )
 def test_broken_calibrations_are_named(streets, old, new, text):
