@@ -155,13 +155,11 @@ def list_files(folder: Path, suffixes: tuple[str, ...] = RGB_SUFFIXES) -> dict[s
             raise InputError(f"{files[stem]} and {path} have the same stem: remove one")
         files[stem] = path
     if not files:
-        found = sorted({path.suffix for path in paths if path.suffix and path.name[0] != "."})
-        remedy = (
-            f"it has {', '.join(found[:5])}: give another folder or option, or convert them"
-            if found
-            else "give the folder that holds the frames themselves"
+        found = {path.suffix for path in paths if path.suffix and path.name[0] != "."}
+        raise InputError(
+            f"the folder {folder} has no {' or '.join(suffixes)} files, it has "
+            f"{', '.join(sorted(found)[:5]) or 'other'} files: give another folder or option"
         )
-        raise InputError(f"the folder {folder} has no {' or '.join(suffixes)} files: {remedy}")
     return files
 
 

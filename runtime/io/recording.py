@@ -252,16 +252,11 @@ def _parse(folder: Path, document: Any) -> Recording:
     for key, expected in (("format", RECORDING_FORMAT), ("version", RECORDING_VERSION)):
         if document[key] != expected:
             raise ValueError(f"{key} is {shown(document[key])}, expected {expected!r}")
-    settings = document["settings"]
-    size, focal_px = settings["size"], settings["focal_length_px"]
+    settings, size = document["settings"], document["settings"]["size"]
+    size = tuple(size) if isinstance(size, list) else size
     return Recording(
         folder=folder,
-        settings=Settings(
-            made_by=str(settings["made_by"]),
-            size=tuple(size) if isinstance(size, list) else size,
-            focal_length_px=None if focal_px is None else float(focal_px),
-            provider=str(settings["provider"]),
-        ),
+        settings=Settings(**{**settings, "size": size}),
         model_name=str(document["model"]["name"]),
         model_sha256=str(document["model"]["sha256"]),
         limits={head: _limits(head, entry) for head, entry in document["limits"].items()},

@@ -7,6 +7,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from runtime.errors import InputError
 from runtime.io.calibration import FrameCalibrations
 from runtime.io.images import (
@@ -193,13 +196,13 @@ class FolderSource(Source):
             camera_only=self._depth is None,
         )
 
-    def _list_images(self) -> dict[str, Path]:
+    def _list_images(self) -> Mapping[str, Any]:
         return list_files(self._rgb)
 
     def _list_depths(self, folder: Path) -> dict[str, Path]:
         return list_files(folder, SCAN_SUFFIXES if self._has_scans else DEPTH_SUFFIXES)
 
-    def _pair(self, images: dict[str, Path], depths: dict[str, Path]) -> dict[str, Path]:
+    def _pair(self, images: Mapping[str, Path], depths: dict[str, Path]) -> dict[str, Path]:
         """The depth maps or scans by the stems of their images. Raises InputError."""
         if images.keys() & depths.keys():
             return depths
@@ -219,13 +222,16 @@ class FolderSource(Source):
         )
         return {stems.get(n, path.stem): path for n, path in numbered.items()}
 
+    def _read_image(self, image: Any) -> NDArray[np.uint8]:
+        return read_rgb(image)
+
     def read(self, frame: ListedFrame) -> Frame:
         """See `Source.read`. Raises InputError also where one of the two files is missing."""
         if frame.image is None:
             raise InputError(f"{frame.name} has a {self._what}, but no image")
         if frame.depth is None and self._depth is not None and not self.camera_alone:
             raise InputError(f"{frame.name} has an image, but no {self._what}")
-        rgb = read_rgb(frame.image)
+        rgb = self._read_image(frame.image)
         found = None if self._calibrations is None else self._calibrations.of(frame.name)
         has_map = frame.depth is not None and not self._has_scans
         rgb, calibration = self._rectified(rgb, found, has_map=has_map)
@@ -290,6 +296,6 @@ def _numbers(stem: str) -> tuple[str, ...]:
     return tuple(re.findall("[0-9]+", stem))
 
 
-def _few(names: dict[str, Path]) -> str:
-    shown = ", ".join(sorted(names, key=natural_order)[:3])
-    return f"{shown} …" if len(names) > 3 else shown
+def _few(names: Iterable[str]) -> str:
+    first = sorted(names, key=natural_order)[:4]
+    return ", ".join(first[:3]) + (" …" if len(first) > 3 else "")

@@ -1,6 +1,7 @@
 """One folder that holds images and depth maps or scans, which are found by their names."""
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +61,7 @@ class OneFolderSource(FolderSource):
         """See `Source.accepts`."""
         return _find_folders(path) is not None or _holds_both(path)
 
-    def _list_images(self) -> dict[str, Path]:
+    def _list_images(self) -> Mapping[str, Any]:
         if not self._is_beside or self._has_scans:
             return super()._list_images()
         images = list_files(self._rgb, _JPEG if _holds(self._rgb, _JPEG) else RGB_SUFFIXES)

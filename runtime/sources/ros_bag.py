@@ -118,29 +118,22 @@ def _open(path: Path) -> "tuple[AnyReader, Typestore]":
         # Bags before ROS 2 Iron hold no definitions.
         reader = AnyReader([path], default_typestore=definitions)
         reader.open()
-        _check_declared_sizes(reader)
-    return reader, definitions
-
-
-def _check_declared_sizes(reader: "AnyReader") -> None:
-    """Raise InputError for a compressed part that would have more than `MAX_CHUNK_BYTES`."""
-    bag: Any
-    (bag,) = reader.readers
-    for size in _sizes_in_mcap(bag.storage) if reader.is2 else _sizes_in_ros1(bag):
-        if size > MAX_CHUNK_BYTES:
+        if (size := max(_declared_sizes(reader), default=0)) > MAX_CHUNK_BYTES:
             raise InputError(
                 f"a compressed part has {size:,} bytes, expected at most {MAX_CHUNK_BYTES:,}"
             )
+    return reader, definitions
 
 
-def _sizes_in_mcap(storage: Any) -> Iterator[int]:
-    for part in getattr(storage, "storages", [storage]):  # of a folder, or the only file
-        for chunk in getattr(part, "chunks", ()):  # of an MCAP file
-            if chunk.compression:
-                yield chunk.uncompressed_size
-
-
-def _sizes_in_ros1(bag: Any) -> Iterator[int]:
+def _declared_sizes(reader: "AnyReader") -> Iterator[int]:
+    """The decompressed sizes that the index of a bag declares for its compressed parts."""
+    bag: Any
+    (bag,) = reader.readers
+    if reader.is2:
+        storages = getattr(bag.storage, "storages", [bag.storage])  # of a folder, or the only file
+        chunks = [chunk for each in storages for chunk in getattr(each, "chunks", ())]  # of MCAP
+        yield from (chunk.uncompressed_size for chunk in chunks if chunk.compression)
+        return
     from rosbags.rosbag1.reader import Header
 
     for chunk in bag.chunk_infos:

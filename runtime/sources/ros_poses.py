@@ -66,26 +66,24 @@ def point_times_ns(message: Any, stamp_ns: int) -> NDArray[np.int64] | None:
 
 def _to_ns(times: NDArray[Any], stamp_ns: int, name: str) -> NDArray[np.int64]:
     """Convert the times of points by the table of `point_times_ns`."""
+    if times.dtype.kind in "iu":
+        return stamp_ns + times.astype(np.int64)
     values = times.astype(np.float64)
     lowest, highest = values.min(), values.max()
     largest, span = max(abs(lowest), abs(highest)), highest - lowest
-    if times.dtype.kind in "iu":
-        return stamp_ns + times.astype(np.int64)
     if largest <= _LONGEST_SCAN_S:
         return stamp_ns + np.rint(values * 1e9).astype(np.int64)
     if times.dtype.itemsize == 8 and span <= _LONGEST_SCAN_S:
-        # float64 cannot hold nanoseconds since 1970 exactly.
-        whole = np.floor(values).astype(np.int64)
-        in_ns: NDArray[np.int64] = whole * 10**9
-        return in_ns + np.rint((values - whole) * 1e9).astype(np.int64)
+        whole = np.floor(values)  # float64 cannot hold nanoseconds since 1970 exactly
+        seconds = whole.astype(np.int64)
+        return seconds * 10**9 + np.rint((values - whole) * 1e9).astype(np.int64)
     if lowest >= _LEAST_EPOCH_NS and span <= _LONGEST_SCAN_S * 1e9:
         return np.rint(values).astype(np.int64)
     if largest <= _LONGEST_SCAN_S * 1e6 and span > _LEAST_SPAN_US:
         return stamp_ns + np.rint(values * 1e3).astype(np.int64)
     raise InputError(
         f"the field {name} of a PointCloud2 has values from {lowest:g} to {highest:g}, expected "
-        "seconds or microseconds after the stamp, or seconds or nanoseconds of the clock: have "
-        "the driver write one of these, or leave the field out"
+        "seconds or microseconds after the stamp, or seconds or nanoseconds of the clock"
     )
 
 

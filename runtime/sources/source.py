@@ -3,10 +3,10 @@
 import inspect
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,27 +177,24 @@ def up_to(frames: Iterable[ListedFrame], limit: int | None) -> tuple[ListedFrame
     return tuple(listed)
 
 
-_Key = TypeVar("_Key")
-
-
 def pair_up(
-    keys: Iterable[_Key],
-    images: Mapping[_Key, Any],
-    depths: Mapping[_Key, Any] | None,
+    names: Iterable[str],
+    images: Mapping[str, Any],
+    depths: Mapping[str, Any] | None,
     *,
     limit: int | None,
-    name: Callable[[_Key], str] = str,
 ) -> tuple[ListedFrame, ...]:
-    """List a frame for each key, complete with an image and, unless `depths` is None, depth."""
+    """List a frame for each name, complete with an image and, unless `depths` is None, depth."""
+    found = depths or {}
     frames = (
         ListedFrame(
             sequence,
-            name(key),
-            images.get(key),
-            (depths or {}).get(key),
-            complete=key in images and (depths is None or key in depths),
+            name,
+            images.get(name),
+            found.get(name),
+            complete=name in images and (depths is None or name in depths),
         )
-        for sequence, key in enumerate(keys)
+        for sequence, name in enumerate(names)
     )
     return up_to(frames, limit)
 

@@ -2,6 +2,8 @@
 
 import math
 import os
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,22 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
-from runtime.io.calibration import Calibration
-from runtime.io.images import (
-    DEPTH_SUFFIXES,
-    KITTI_DEPTH_SCALE,
-    list_files,
-    read_sparse_depth,
-    require_pixels,
-)
+from runtime.io.images import DEPTH_SUFFIXES, KITTI_DEPTH_SCALE, list_files, require_pixels
 from runtime.read_input import require_regular
+from runtime.sources.folders import FolderSource
 from runtime.sources.frames import Frame
-from runtime.sources.source import ListedFrame, Source, by_number, no_depth, pair_up
+from runtime.sources.source import ListedFrame, by_number
 
 _SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm")
 
 
-class VideoSource(Source):
+class VideoSource(FolderSource):
     """The frames of a video, numbered from 0, and the depth maps with those numbers.
 
     A frame's time stamp is its presentation time in the video.
@@ -52,87 +48,74 @@ class VideoSource(Source):
         calibration: Path | None = None,
     ) -> None:
         require_regular(path)
-        self._path, self._depth, self._depth_scale = path, depth, depth_scale
-        folder = Path(os.path.realpath(path)).parent
-        self.folders = (folder,) if depth is None else (folder, depth)
+        super().__init__(path, depth=depth, depth_scale=depth_scale, calibration=calibration)
         self.recordings = (path,)
-        if calibration is not None:
-            self.calibration = Calibration.from_file(calibration)
         self._video = _open(path)
         self._next = 0  # index of the next frame that the video decodes
         sides = (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH)
         height, width = (int(self._video.get(side)) for side in sides)
         require_pixels((height, width), name=str(path))
+        self._count = int(self._video.get(cv2.CAP_PROP_FRAME_COUNT))
+        if not 0 < self._count <= path.stat().st_size:
+            raise InputError(
+                f"{path} states no number of frames: it is empty, truncated or damaged, or a "
+                "stream, which ffmpeg -i FILE -c copy NEW.mp4 makes a file"
+            )
 
     @staticmethod
     def accepts(path: Path) -> bool:
         """See `Source.accepts`."""
         return path.suffix.lower() in _SUFFIXES and os.path.isfile(path)
 
-    def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
-        """See `Source.list_frames`. A frame without a depth map is listed too, and the reverse."""
-        count = int(self._video.get(cv2.CAP_PROP_FRAME_COUNT))
-        if not 0 < count <= self._path.stat().st_size:
+    def _list_images(self) -> Mapping[str, Any]:
+        return {_name(number): number for number in range(self._count)}
+
+    def _list_depths(self, folder: Path) -> dict[str, Path]:
+        maps = by_number(list_files(folder, DEPTH_SUFFIXES))
+        if self._count in maps and 0 not in maps:
             raise InputError(
-                f"{self._path} states no number of frames: it is empty, truncated or damaged, or a "
-                "stream, which ffmpeg -i FILE -c copy NEW.mp4 makes a file"
+                f"{maps[self._count]} has the number {self._count}, but {self._rgb} has "
+                f"{self._count} frames, which are numbered from 0: number the depth maps from 0 "
+                "(ffmpeg -start_number 0)"
             )
-        maps = {}
-        if self._depth is not None:
-            maps = by_number(list_files(self._depth, DEPTH_SUFFIXES))
-        if count in maps and 0 not in maps:
-            raise InputError(
-                f"{maps[count]} has the number {count}, but {self._path} has {count} frames, which "
-                "are numbered from 0: number the depth maps from 0 (ffmpeg -start_number 0)"
-            )
-        numbers = sorted(set(range(count)) | maps.keys())
-        digits = max(6, len(str(numbers[-1])))
-        images = dict(zip(range(count), range(count), strict=True))
-        depths = None if self._depth is None else maps
-        return pair_up(numbers, images, depths, limit=limit, name=lambda n: f"{n:0{digits}d}")
+        return {_name(number): path for number, path in maps.items()}
 
     def read(self, frame: ListedFrame) -> Frame:
         """See `Source.read`. Raises InputError also where the image or depth map is missing."""
-        if frame.image is None:
-            raise InputError(f"{frame.name} has a depth map, but the video has no such frame")
-        if frame.depth is None and self._depth is not None:
-            raise InputError(f"{frame.name} is in the video, but has no depth map")
-        rgb, stamp_ns = self._decode(frame.image)
-        rgb, calibration = self._rectified(rgb, self.calibration, has_map=frame.depth is not None)
-        sparse_depth = no_depth(rgb)
-        if frame.depth is not None:
-            sparse_depth = read_sparse_depth(frame.depth, depth_scale=self._depth_scale)
-        return Frame(rgb, sparse_depth, stamp_ns, None, calibration)
+        read = super().read(frame)
+        milliseconds = self._video.get(cv2.CAP_PROP_POS_MSEC)
+        stamp_ns = round(milliseconds * 1e6) if math.isfinite(milliseconds) else None
+        return replace(read, image_stamp_ns=stamp_ns)
 
-    def _decode(self, number: int) -> tuple[NDArray[np.uint8], int | None]:
-        """A frame, uint8 (H, W, 3), RGB, and its time [ns]."""
-        if number < self._next:
+    def _read_image(self, image: Any) -> NDArray[np.uint8]:
+        """Frame number `image` of the video; one before the last is read from the beginning."""
+        if image < self._next:
             self._video.release()
-            self._video, self._next = _open(self._path), 0
-        while self._next < number and self._video.grab():
+            self._video, self._next = _open(self._rgb), 0
+        while self._next < image and self._video.grab():
             self._next += 1
-        done, image = self._video.read()
-        if not done or self._next < number:
+        done, decoded = self._video.read()
+        if not done or self._next < image:
             raise InputError(
-                f"{self._path} ends or is damaged before its frame {number}: earlier frames were "
-                "read"
+                f"{self._rgb} ends or is damaged before its frame {image}: earlier frames were read"
             )
         self._next += 1
-        if image.dtype != np.uint8 or image.ndim != 3:
-            raise InputError(f"{self._path} holds {image.dtype} images, expected 8-bit RGB")
-        rgb = np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
-        milliseconds = self._video.get(cv2.CAP_PROP_POS_MSEC)
-        return rgb, round(milliseconds * 1e6) if math.isfinite(milliseconds) else None
+        if decoded.dtype != np.uint8 or decoded.ndim != 3:
+            raise InputError(f"{self._rgb} holds {decoded.dtype} images, expected 8-bit RGB")
+        return np.ascontiguousarray(decoded[..., ::-1], dtype=np.uint8)
 
     @property
     def inputs(self) -> dict[str, Any]:
         """See `Source.inputs`."""
-        depth = None if self._depth is None else str(self._depth)
-        return {"video": str(self._path), "depth": depth, "depth_scale": self._depth_scale}
+        return {"video": str(self._rgb), **super().inputs}
 
     def close(self) -> None:
         """See `Source.close`."""
         self._video.release()
+
+
+def _name(number: int) -> str:
+    return f"{number:06d}"
 
 
 def _open(path: Path) -> cv2.VideoCapture:

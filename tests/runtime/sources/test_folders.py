@@ -223,7 +223,7 @@ def test_scans_take_the_place_of_depth_maps(folders, scans, run, tmp_path):
     assert (video.exit_code, "not --points" in video.text) == (2, True)
     maps = run("--rgb", rgb, "--points", depth, "--calibration", scans[1])
     assert maps.exit_code == 1
-    assert "it has .png: give another folder or option" in maps.text.replace("\n", " ")
+    assert "it has .png files: give another folder or option" in maps.text.replace("\n", " ")
 
 
 # --- listing ----------------------------------------------------------------------------------

@@ -78,17 +78,6 @@ def test_an_image_without_its_scan_is_the_camera_alone(training, run):
     assert "left out: depth: no_image 1" in answers.text
 
 
-def test_other_folders_of_scans_are_named_or_the_only_one(training, run):
-    (training / "velodyne").rename(training / "velodyne_fov")
-    assert run(training).report["inputs"]["points"] == str(training / "velodyne_fov")
-    (training / "velodyne_reduced").mkdir()
-    several = run(training, "--overwrite")
-    assert several.exit_code == 1
-    assert "holds velodyne_fov, velodyne_reduced: choose" in several.text
-    named = run(training, "--points", training / "velodyne_fov", "--overwrite")
-    assert (named.exit_code, set(named.column("degraded"))) == (0, {""})
-
-
 def test_without_scans_the_camera_alone_is_answered(training, run):
     (training / "velodyne").rename(training / "scans")
     answers = run(training)

@@ -76,9 +76,9 @@ def test_frames_and_depth_maps_without_a_partner_are_counted(video, depth_maps, 
     answers = run("--source", f"video:{video}", "--depth", depth_maps)
     assert answers.exit_code == 3
     reasons = dict(zip(answers.names, answers.column("reason"), strict=True))
-    assert reasons.pop("000000") == "000000 is in the video, but has no depth map"
-    assert reasons.pop("000003") == "000003 is in the video, but has no depth map"
-    assert reasons.pop(f"{N + 3:06d}").endswith("has a depth map, but the video has no such frame")
+    assert reasons.pop("000000") == "000000 has an image, but no depth map"
+    assert reasons.pop("000003") == "000003 has an image, but no depth map"
+    assert reasons.pop(f"{N + 3:06d}").endswith("has a depth map, but no image")
     assert not any(reasons.values())
 
 
