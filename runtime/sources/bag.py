@@ -118,14 +118,6 @@ class BagSource(Source):
         except BaseException:
             self.close()
             raise
-        asked = image_topic, depth_topic, info_topic, pose_topic
-        guessed = [
-            f"{name.replace('_', ' ')} {topic}"
-            for (name, topic), given in zip(self._topics.items(), asked, strict=True)
-            if topic is not None and given is None
-        ]
-        if guessed:
-            self._notes.insert(0, f"guessed: {', '.join(guessed)}")
         # Position of a message in the bag -> its last frame; messages read ahead of their frame.
         self._owners: dict[int, int] = {}
         self._kept: dict[int, RecordedMessage] = {}
@@ -385,7 +377,8 @@ class BagSource(Source):
     @property
     def notes(self) -> tuple[str, ...]:
         """See `Source.notes`."""
-        return (*self._notes, *left_out_note(self._left_out))
+        topics = ", ".join(f"{name}={topic}" for name, topic in self._topics.items() if topic)
+        return (f"topics: {topics}", *self._notes, *left_out_note(self._left_out))
 
     def close(self) -> None:
         """See `Source.close`."""

@@ -109,7 +109,7 @@ class FolderSource(Source):
         self._scan_stamp, self._point_time_column = scan_stamp, point_time_column
         self._is_one, self._what = _is_image(rgb), "scan" if self._has_scans else "depth map"
         self._left_out: Counter[str] = Counter()
-        self._guessed: list[str] = []
+        self._notes: list[str] = []
         paths = (rgb,) if self._depth is None else (rgb, self._depth)
         self.folders = tuple(path.parent if os.path.isfile(path) else path for path in paths)
         self._is_timed = any(each is not None for each in (timestamps, poses, reuse_depth_ms))
@@ -139,7 +139,6 @@ class FolderSource(Source):
                 or if no two files make a pair.
         """
         self._left_out.clear()
-        self._guessed.clear()
         images = {self._rgb.stem: self._rgb} if self._is_one else self._list_images()
         depths: dict[str, Path] = {}
         if self._depth is not None:
@@ -162,9 +161,7 @@ class FolderSource(Source):
         """The frames with their times; an image without depth takes an older one."""
         if self._timestamps is None:
             stamps_ns = [number * _APART_NS for number in range(len(images))]
-            self._guessed.append(
-                "guessed: the images are 100 ms apart; timestamps= in --source says when"
-            )
+            self._note("guessed: the images are 100 ms apart; timestamps= in --source says when")
         else:
             stamps_ns = read_timestamps(self._timestamps)
             if len(stamps_ns) != len(images):
@@ -216,7 +213,7 @@ class FolderSource(Source):
                 "stem, or the same numbers in it, as image_7 and depth_7"
             )
         first = min(both)
-        self._guessed.append(
+        self._note(
             f"guessed: pairs by the numbers in their names, as {images[stems[first]].name} with "
             f"{numbered[first].name}"
         )
@@ -274,10 +271,14 @@ class FolderSource(Source):
         }
         return inputs | ({"left_out": dict(self._left_out)} if self.camera_alone else {})
 
+    def _note(self, line: str) -> None:
+        if line not in self._notes:  # the frames may be listed again
+            self._notes.append(line)
+
     @property
     def notes(self) -> tuple[str, ...]:
         """See `Source.notes`."""
-        return (*self._guessed, *left_out_note(self._left_out))
+        return (*self._notes, *left_out_note(self._left_out))
 
 
 def list_entries(path: Path) -> list[Path]:

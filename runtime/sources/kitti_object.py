@@ -50,14 +50,10 @@ class KittiObjectSource(FolderSource):
             point_columns=point_columns,
             calibration=calibration or path / "calib",
         )
+        if self._depth is None:
+            self._note("no velodyne folder, so only the camera is used; --points names the scans")
 
     @staticmethod
     def accepts(path: Path) -> bool:
         """See `Source.accepts`."""
         return os.path.isdir(path / "image_2") and os.path.isdir(path / "calib")
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """See `Source.notes`."""
-        alone = ("no velodyne folder, so only the camera is used; give --points to name the scans",)
-        return super().notes + (alone if self._depth is None else ())

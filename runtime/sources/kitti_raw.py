@@ -88,7 +88,6 @@ class KittiRawSource(FolderSource):
             if pictures and returns:
                 self._stamped = sorted(pictures + returns, key=lambda message: message[1])
         self._max_skew_ms = max_skew_ms if self._stamped else None
-        self._unused_poses = ""
         if self._stamped:
             self._read_oxts(drive / "oxts", calibration / RAW_IMU)
 
@@ -108,7 +107,7 @@ class KittiRawSource(FolderSource):
         """Read the poses of the car, where there are any. Raises InputError if they are damaged."""
         missing = [each for each in (folder / "data", folder / _STAMPS, mount) if not each.exists()]
         if missing:
-            self._unused_poses = f"no poses: {missing[0]} is missing"
+            self._note(f"no poses: {missing[0]} is missing")
             return
         numbers, lidar_from_body = NumbersFile(mount), np.eye(4)
         lidar_from_body[:3] = np.hstack([numbers.matrix("R", 3, 3), numbers.matrix("T", 3, 1)])
@@ -116,12 +115,8 @@ class KittiRawSource(FolderSource):
         stamped = sorted(_read_stamps(Sensor.POSE, folder, (".txt",)), key=lambda each: each[1])
         poses = read_oxts_poses(path for _, _, path in stamped)
         track = track_of(zip((stamp_ns for _, stamp_ns, _ in stamped), poses, strict=True))
+        self._poses_file = folder
         self._poses = RecordedPoses(track, PoseFrame.BODY, body_from_lidar.astype(np.float64))
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """See `Source.notes`."""
-        return super().notes + ((self._unused_poses,) if self._unused_poses else ())
 
     def _list_depths(self, folder: Path) -> dict[str, Path]:
         return list_files(folder, _SCANS)
@@ -129,14 +124,11 @@ class KittiRawSource(FolderSource):
     @property
     def inputs(self) -> dict[str, Any]:
         """See `Source.inputs`."""
-        return {
+        return super().inputs | {
             "drive": str(self._drive),
             "camera": self._camera,
-            "calibration": str(self._calibration),
             "max_skew_ms": self._max_skew_ms,
             "reuse_depth_ms": self._reuse_depth_ms,
-            "poses": None if self._poses is None else str(self._drive / "oxts"),
-            "left_out": dict(self._left_out),
         }
 
 

@@ -60,7 +60,7 @@ def test_a_bag_from_end_to_end(recorded, run, make_scan):
         expected = projected(make_scan(index), ahead_m=0.5)
         assert np.count_nonzero(expected) > 100
         assert abs(answers.fed_depth(name_of(index)) - expected).max() < 0.01
-    assert "guessed: image topic /cam/image_rect, depth topic /lidar/points" in answers.text
+    assert "topics: image_topic=/cam/image_rect, depth_topic=/lidar/points" in answers.text
     for row, index in zip(answers.rows, range(N), strict=True):
         assert int(row["image_stamp_ns"]) == START_NS + 100 * MS * index
         assert int(row["depth_stamp_ns"]) == START_NS + (100 * index + 7) * MS

@@ -82,7 +82,7 @@ def test_without_scans_the_camera_alone_is_answered(training, run):
     (training / "velodyne").rename(training / "scans")
     answers = run(training)
     assert (answers.exit_code, set(answers.column("degraded"))) == (0, {"no_depth"})
-    assert "no velodyne folder, so only the camera is used; give --points" in answers.text
+    assert "no velodyne folder, so only the camera is used; --points" in answers.text
     assert answers.report["inputs"]["focal_length_px"] == 60
 
 
