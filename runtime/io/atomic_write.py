@@ -2,7 +2,7 @@
 
 They are written into a hidden, locked folder beside their target, and renamed when they are
 whole. A killed process loses its lock: a hidden folder that can be locked is a leftover, and the
-next write of the same target empties it.
+next write of the same target removes it.
 """
 
 import contextlib
@@ -152,12 +152,10 @@ def _temporary(path: Path, *, make_parents: bool = False) -> Iterator[Path]:
         folder = _hidden_folder(path)
         handle = _lock(folder)
         try:
-            _empty(folder)
             yield folder / path.name
         finally:
             with contextlib.suppress(OSError):  # the first error is the one to report
-                _empty(folder)
-                folder.rmdir()
+                shutil.rmtree(folder)
             os.close(handle)
     except OSError as error:
         raise OutputError(
@@ -183,18 +181,12 @@ def _lock(folder: Path) -> int:
             raise BlockingIOError(error.errno, reason) from error
         except OSError:  # a file system without locks
             pass
-        with contextlib.suppress(FileNotFoundError):
+        with contextlib.suppress(FileNotFoundError):  # another writer removed it before the lock
             if os.path.samestat(os.fstat(handle), os.lstat(folder)):
-                return handle
-        os.close(handle)  # another writer removed it before it was locked
-
-
-def _empty(folder: Path) -> None:
-    for entry in folder.iterdir():
-        if entry.is_dir() and not entry.is_symlink():
-            shutil.rmtree(entry)
-        else:
-            entry.unlink()
+                if not any(folder.iterdir()):
+                    return handle
+                shutil.rmtree(folder)  # a leftover
+        os.close(handle)
 
 
 def _require_replaceable(path: Path) -> None:

@@ -95,14 +95,15 @@ def _lens(entries: list[_Entry]) -> list[str]:
 
 
 def _size(entries: list[_Entry]) -> list[str]:
-    for prefix in ("image_", ""):
-        height, width = (_number(entries, prefix + side) for side in ("height", "width"))
-        if height and width:
-            return [f"size = [{height:.0f}, {width:.0f}]"]
-    for entry in entries:
-        if entry.name in _SIZES and entry.numbers.size == 2:
-            return [f"size = [{entry.numbers[1]:.0f}, {entry.numbers[0]:.0f}]  # {entry.path}"]
-    return []
+    single = {
+        each.name.removeprefix("image_"): each
+        for each in reversed(entries)  # the first of a name counts
+        if each.numbers.size == 1
+    }
+    pairs = [each.numbers for each in entries if each.name in _SIZES and each.numbers.size == 2]
+    if {"height", "width"} <= single.keys():
+        pairs = [np.append(single["width"].numbers, single["height"].numbers)]
+    return [f"size = [{height:.0f}, {width:.0f}]" for width, height in pairs[:1]]
 
 
 def _extrinsics(entries: list[_Entry]) -> str:
@@ -115,11 +116,6 @@ def _extrinsics(entries: list[_Entry]) -> str:
                 return _row("extrinsics", np.linalg.inv(matrix), f"{entry.path}, inverted")
             return _row("extrinsics", matrix, f"{entry.path}: {_CHECK}")
     return "extrinsics = ...  # not found: 4 x 4, from the LiDAR's frame to the camera's"
-
-
-def _number(entries: list[_Entry], name: str) -> float | None:
-    found = (each.numbers[0] for each in entries if each.name == name and each.numbers.size == 1)
-    return next(found, None)
 
 
 def _row(key: str, numbers: NDArray[np.floating[Any]], source: str) -> str:

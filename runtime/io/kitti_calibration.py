@@ -45,14 +45,13 @@ class NumbersFile:
                 f"{', '.join(self._entries) or 'no lines'}"
             )
         try:
-            numbers = np.array(self._entries[name].split(), dtype=np.float64)
+            text = self._entries[name].strip()
+            numbers = np.array(text.split(), dtype=np.float64)
         except ValueError:
             numbers = np.full(count, np.nan)
         if numbers.size != count or not np.isfinite(numbers).all():
-            raise InputError(
-                f"{self.path}: '{name}' must be {count} finite numbers, got "
-                f"{shown(self._entries[name].strip())}"
-            )
+            fault = f"must be {count} finite numbers, got {shown(text)}"
+            raise InputError(f"{self.path}: '{name}' {fault}")
         return numbers.reshape(rows, columns)
 
 

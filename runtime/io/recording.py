@@ -122,10 +122,8 @@ class Recording:
         except InputError:
             raise
         except Exception as error:  # zipfile and numpy raise anything
-            raise InputError(
-                f"cannot read {path} ({cut(str(error), 200)}): the recording is damaged, get it "
-                "again"
-            ) from error
+            reason = f"cannot read {path} ({cut(str(error), 200)})"
+            raise InputError(f"{reason}: the recording is damaged, get it again") from error
 
 
 class Recorder:

@@ -241,9 +241,8 @@ class FolderSource(Source):
         column = self._point_time_column
         if column is not None and column >= points.shape[1]:
             raise InputError(
-                f"{frame.depth} has {points.shape[1]} columns, counted from 0, and "
-                f"point_time_column is {column}: columns beyond x, y and z are read of .bin and "
-                ".npy alone"
+                f"{frame.depth} has the columns 0 to {points.shape[1] - 1}, and point_time_column "
+                f"is {column}: beyond x, y and z only those of .bin and .npy are read"
             )
         if column is not None and frame.depth_stamp_ns is not None:
             times, _, _ = point_times(points[:, column], len(points), frame.depth_stamp_ns)

@@ -74,8 +74,7 @@ class KittiRawSource(FolderSource):
         if calibration is None:
             raise InputError(
                 f"neither {drive} nor {Path(os.path.realpath(drive)).parent} has KITTI's "
-                f"{RAW_CAMERAS} and {RAW_SCANNER}: copy the calibration files of that day "
-                "there, or give --calibration"
+                f"{RAW_CAMERAS} and {RAW_SCANNER} of that day: copy them, or give --calibration"
             )
         self._kitti_rectified = not os.path.realpath(drive).endswith("_extract")
         super().__init__(images / "data", points=scans / "data", calibration=calibration)

@@ -100,10 +100,8 @@ def _open(path: Path) -> "tuple[AnyReader, Typestore]":
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError as error:
-        raise InputError(
-            f"rosbags, which reads bags, cannot be imported ({error}): "
-            f"{import_remedy(error, 'bag')}"
-        ) from error
+        remedy = import_remedy(error, "bag")
+        raise InputError(f"rosbags cannot be imported to read bags ({error}): {remedy}") from error
     files = [path]
     if os.path.isdir(path):
         files = [file for file in path.iterdir() if file.suffix in _BAG_SUFFIXES]

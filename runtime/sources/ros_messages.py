@@ -95,8 +95,7 @@ def decode_depth_image(message: Any) -> NDArray[np.float32]:
     encoding = message.encoding
     if encoding not in _DEPTHS:
         raise InputError(
-            f"a depth Image has the encoding {shown(encoding)}: expected 16UC1 (millimetres) or "
-            "32FC1 (metres)"
+            f"a depth Image has the encoding {shown(encoding)}: expected 16UC1 [mm] or 32FC1 [m]"
         )
     kind, units_a_metre = _DEPTHS[encoding]
     order = ">" if message.is_bigendian else "<"

@@ -139,10 +139,7 @@ class Source(ABC):
         if not self._rectify or calibration is None:
             return rgb, calibration
         if has_map:
-            raise InputError(
-                "a depth map lies on the pixels of the distorted image: leave out --rectify, or "
-                "give scans"
-            )
+            raise InputError("a depth map lies on the pixels of the distorted image: no --rectify")
         return calibration.rectify(rgb), calibration.rectified
 
     @property

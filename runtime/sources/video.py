@@ -74,9 +74,8 @@ class VideoSource(FolderSource):
         maps = by_number(list_files(folder, DEPTH_SUFFIXES))
         if self._count in maps and 0 not in maps:
             raise InputError(
-                f"{maps[self._count]} has the number {self._count}, but {self._rgb} has "
-                f"{self._count} frames, which are numbered from 0: number the depth maps from 0 "
-                "(ffmpeg -start_number 0)"
+                f"{maps[self._count]} is the depth of a frame beyond the {self._count} frames of "
+                f"{self._rgb}, which are numbered from 0: so should be the maps (-start_number 0)"
             )
         return {_name(number): path for number, path in maps.items()}
 
@@ -123,10 +122,7 @@ def _open(path: Path) -> cv2.VideoCapture:
     # Decode in the calling thread, whose priority is lower than that of inference.
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
     if not video.isOpened():
-        raise InputError(
-            f"cannot read the video {path}: it is truncated, damaged, or of a format that OpenCV "
-            "does not decode"
-        )
+        raise InputError(f"cannot read the video {path}: it is damaged, or OpenCV lacks its codec")
     # As with images, pixels stay where the sensor has them.
     video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     return video
