@@ -103,11 +103,6 @@ class VideoSource(FolderSource):
             raise InputError(f"{self._rgb} holds {decoded.dtype} images, expected 8-bit RGB")
         return np.ascontiguousarray(decoded[..., ::-1], dtype=np.uint8)
 
-    @property
-    def inputs(self) -> dict[str, Any]:
-        """See `Source.inputs`."""
-        return {"video": str(self._rgb), **super().inputs}
-
     def close(self) -> None:
         """See `Source.close`."""
         self._video.release()

@@ -50,7 +50,7 @@ def test_a_video_from_end_to_end(video, depth_maps, run, make_frame):
         assert abs(answers.fed_depth(f"{index:06d}") - expected).max() < 0.01
     stamps = [int(ns) for ns in answers.column("image_stamp_ns")]
     assert np.allclose(np.diff(stamps), 1e9 / RATE_HZ, atol=1e6)
-    assert answers.report["inputs"]["video"] == str(video)
+    assert answers.report["inputs"]["rgb"] == str(video)
 
 
 def test_frames_may_be_read_in_any_order(video):
