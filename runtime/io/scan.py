@@ -6,6 +6,7 @@ Polygon File Format", 1994.
 
 import contextlib
 import io
+import math
 import re
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,6 +32,13 @@ _ASCII, _COMPRESSED = "ascii", "binary_compressed"
 #: Encoding of the points -> order of the bytes.
 _OF_PCD = {_ASCII: "", "binary": "<", _COMPRESSED: "<"}
 _OF_PLY = {_ASCII: "", "binary_little_endian": "<", "binary_big_endian": ">"}
+# A raw file does not state how many columns a point has. They are judged by the angle between
+# successive points of a rotating scanner: 0.2 degrees along a ring, up to 21 between lasers; with a
+# wrong number of columns the median is 80 or more.
+_COLUMNS = (3, 4, 5, 6)
+_MAX_TURN_DEGREES = 40
+_MAX_DISTANCE_M = 250
+_JUDGED_POINTS, _LEAST_JUDGED = 2000, 50
 
 
 class _Header(NamedTuple):
@@ -52,7 +60,8 @@ def read_scan(path: Path, *, columns: int | None = None) -> NDArray[np.float32]:
         other columns of a .npy or raw file, such as KITTI's reflectance.
 
     Raises:
-        InputError: if the file cannot be read, is truncated or damaged, or lacks x, y or z.
+        InputError: if the file cannot be read, is truncated or damaged, lacks x, y or z, or is a
+            raw file whose points are those of a scanner only with another number of columns.
     """
     name = path.name.lower()
     try:
@@ -74,12 +83,33 @@ def _check_array(array: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
-    if len(content) % (4 * columns) or columns < 3:
-        raise ValueError(
-            f"its {len(content)} bytes are not whole points of {columns} float32: it is truncated, "
-            "of another format, or has other columns, see point_columns= in --source"
-        )
-    return np.frombuffer(content, "<f4").astype(np.float32).reshape(-1, columns)
+    values = np.frombuffer(content, "<f4", len(content) // 4)
+    scans = {n: values.reshape(-1, n) for n in {columns, *_COLUMNS} if len(content) % (4 * n) == 0}
+    ordered = {n: _is_of_a_scanner(points) for n, points in scans.items()}
+    others = " or ".join(str(n) for n in _COLUMNS if n != columns and ordered.get(n))
+    if columns in scans and (ordered[columns] is not False or not others):
+        return scans[columns].astype(np.float32)
+    fault = "do not follow scan lines as" if columns in scans else "are not whole"
+    remedy = f": give point_columns={others} in --source" if others else ""
+    raise ValueError(
+        f"its {len(content)} bytes {fault} points of {columns} float32: it is truncated, of "
+        f"another format, or has other columns{remedy}"
+    )
+
+
+def _is_of_a_scanner(points: NDArray[np.float32]) -> bool | None:
+    """Whether points in the middle lie near and in rings or sweeps; None: there are too few."""
+    start = max(0, (len(points) - _JUDGED_POINTS) // 2)  # the first points may be sky
+    with np.errstate(over="ignore", invalid="ignore"):  # of NaN and infinity
+        judged = points[start : start + _JUDGED_POINTS, :3].astype(np.float64)
+        distances = np.sqrt(np.einsum("ij,ij->i", judged, judged))
+    is_return = np.isfinite(distances) & (distances > 0)
+    if np.count_nonzero(is_return) < _LEAST_JUDGED:
+        return None
+    directions = judged[is_return] / distances[is_return, None]
+    cosines = np.einsum("ij,ij->i", directions[1:], directions[:-1])
+    is_ordered = np.median(cosines) > math.cos(math.radians(_MAX_TURN_DEGREES))
+    return bool(is_ordered and np.median(distances[is_return]) < _MAX_DISTANCE_M)
 
 
 def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:

@@ -1,7 +1,9 @@
 """Files of scans to float32 points."""
 
 import io
+import os
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -186,3 +188,76 @@ def test_a_damaged_scan_is_an_input_error_and_takes_no_memory(tmp_path, name):
     finally:
         tracemalloc.stop()
     assert str(tmp_path / name) in str(raised.value)
+
+
+# --- the number of columns of raw files --------------------------------------------------------
+
+
+def sweep(columns: int, *, lasers: int = 16, points: int = 3200) -> np.ndarray:
+    """A scanner that turns: laser after laser of each direction, as they fire."""
+    random = np.random.default_rng(0)
+    turn = np.repeat(np.linspace(-3, 3, points // lasers), lasers)
+    elevation = np.tile(np.radians([*range(-15, 1, 2), *range(1, 17, 2)]), points // lasers)
+    elevation[::2], elevation[1::2] = elevation[1::2].copy(), elevation[::2].copy()
+    distance = random.uniform(5, 60, points)
+    scan = random.uniform(0, 255, (points, columns)).astype(np.float32)
+    scan[:, 0] = distance * np.cos(elevation) * np.cos(turn)
+    scan[:, 1] = distance * np.cos(elevation) * np.sin(turn)
+    scan[:, 2] = distance * np.sin(elevation)
+    return scan
+
+
+@pytest.mark.parametrize("right", [3, 4, 5, 6])
+@pytest.mark.parametrize("given", [None, 5, 6])
+def test_another_number_of_columns_is_an_error_that_names_the_right_one(tmp_path, right, given):
+    scan = sweep(right, points=15 * 16 * 16)
+    scan.tofile(tmp_path / "a.bin")
+    if (given or 4) == right or (right, given) == (3, 6):  # each second point is a scan, too
+        assert read_scan(tmp_path / "a.bin", columns=given).size == scan.size
+        return
+    with pytest.raises(InputError, match=f"{given or 4} float32.*: give point_columns={right}"):
+        read_scan(tmp_path / "a.bin", columns=given)
+
+
+def test_several_numbers_of_columns_that_fit_are_all_named(tmp_path):
+    sweep(3).tofile(tmp_path / "a.bin")
+    with pytest.raises(InputError, match="give point_columns=3 or 6 in --source"):
+        read_scan(tmp_path / "a.bin")
+
+
+def test_rings_without_returns_at_the_start_hide_nothing(tmp_path):
+    scan = sweep(6, points=6400)
+    scan[:2400] = 0
+    scan.tofile(tmp_path / "a.bin")
+    with pytest.raises(InputError, match="give point_columns=6"):
+        read_scan(tmp_path / "a.bin")
+
+
+def test_points_in_no_order_are_read_as_asked(tmp_path):
+    shuffled = np.random.default_rng(1).permutation(sweep(4))
+    shuffled[::7] = np.nan
+    shuffled.tofile(tmp_path / "a.bin")
+    np.testing.assert_array_equal(read_scan(tmp_path / "a.bin"), shuffled)
+
+
+DATA = os.environ.get("SSDNET_DATA")
+
+
+@pytest.mark.skipif(not DATA, reason="SSDNET_DATA names no folder of recordings")
+@pytest.mark.parametrize(
+    ("folder", "columns"),
+    [
+        ("kitti_stream/velodyne_fov", 4),
+        ("kitti_streets/velodyne_fov", 4),
+        ("kitti_object/velodyne_fov", 4),
+        ("kitti_drive_0009/velodyne_fov", 4),
+        ("pandaset_front/points", 6),
+    ],
+)
+def test_recorded_scans_have_one_number_of_columns(folder, columns):
+    for path in sorted((Path(DATA) / folder).iterdir()):
+        points = read_scan(path, columns=columns)
+        assert points.shape[1] == columns
+        for other in {4, 5, 6} - {columns}:
+            with pytest.raises(InputError, match=f"give point_columns={columns} in --source$"):
+                read_scan(path, columns=other)
