@@ -285,6 +285,9 @@ class BagSource(Source):
                     self._left_out[f"{sensor}: {Outcome.BAD_STAMP}"] += 1
                 else:
                     yield sensor, stamp_ns or message.recorded_ns, place
+            for topic, count in self._bag.lost.items():
+                sensor = Sensor.IMAGE if topic == self._image_topic else Sensor.DEPTH
+                self._left_out[f"{sensor}: listed in the index, but missing"] += count
 
         def name(image: Message) -> str:
             stamp = str(image.stamp_ns)

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import struct
+from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -38,13 +39,14 @@ class RosBag:
 
     Attributes:
         types: topic -> message type, by the names of ROS 2.
+        lost: topic -> messages that the bag's index has and the last complete reading did not.
 
     Raises:
         InputError: if `rosbags` cannot be imported, or the bag is damaged; so does every method.
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.path, self.lost = path, Counter[str]()
         self._reader, self._definitions = _open(path)
         with _reading(self.path):
             self.types = {
@@ -57,8 +59,11 @@ class RosBag:
         with _reading(self.path):
             connections = [c for c in self._reader.connections if c.topic in topics]
             if connections:  # rosbags reads all topics if this is empty
+                left = Counter({topic: self._reader.topics[topic].msgcount for topic in topics})
                 for connection, recorded_ns, raw in self._reader.messages(connections):
+                    left[connection.topic] -= 1
                     yield RecordedMessage(connection.topic, recorded_ns, raw)
+                self.lost = +left  # only topics with messages left
 
     def decoded(self, topic: str) -> Iterator[Any]:
         """Yield the messages of a topic with their fields."""

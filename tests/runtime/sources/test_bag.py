@@ -3,6 +3,7 @@
 import builtins
 import os
 import re
+import struct
 
 import cv2
 import numpy as np
@@ -455,3 +456,22 @@ def test_a_compressed_bag_is_read_up_to_a_declared_size(
     monkeypatch.setattr(runtime.sources.ros_bag, "MAX_CHUNK_BYTES", 1000)
     with pytest.raises(InputError, match=r"a compressed part has .* bytes, expected at most 1,"):
         BagSource(path)
+
+
+def test_messages_that_the_index_promises_and_the_bag_has_lost_are_counted(make_bag, make_frame):
+    """A part of the data is zeroed, as a failing disk leaves it."""
+    bag = make_bag("mcap")
+    for index in range(200):  # several chunks
+        rgb, _ = make_frame(*SIZE, seed=index)
+        bag.image("/cam/image_rect", rgb, "rgb8", START_NS + 100 * MS * index)
+    path = bag.write()
+    content = bytearray(path.read_bytes())
+    size = 22 + len(bag.messages[0][2])
+    start = content.index(struct.pack("<BQ", 5, size))
+    length = 9 * (9 + size)  # nine messages: also a whole number of empty records
+    content[start : start + length] = bytes(length)
+    path.write_bytes(content)
+    with BagSource(path, depth_topic="none") as source:
+        assert len(source.list_frames()) == 191
+        assert source.inputs["left_out"] == {"image: listed in the index, but missing": 9}
+        assert "left out: image: listed in the index, but missing 9" in source.notes
