@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from runtime.checks import cut
 from runtime.contract import MAX_PIXELS
 from runtime.errors import InputError
+from runtime.io.image_header import image_size
 from runtime.read_input import read_input
 
 RGB_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -113,6 +114,8 @@ def decode(path: Path, flags: int) -> NDArray[Any]:
 
 
 def _decode_content(content: bytes, flags: int, *, name: str) -> NDArray[Any]:
+    if (size := image_size(content)) is not None:
+        require_pixels(size, name=name)  # before its pixels take memory
     try:
         image: NDArray[Any] | None = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
     except cv2.error:

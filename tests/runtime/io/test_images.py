@@ -1,5 +1,8 @@
 """Files to arrays."""
 
+import resource
+import sys
+import zlib
 from pathlib import Path
 
 import cv2
@@ -125,6 +128,20 @@ def test_an_exif_orientation_is_not_followed(tmp_path):
         np.testing.assert_array_equal(read_rgb(turned), read_rgb(upright))
 
 
+def bomb(path: Path, height: int = 30_000, width: int = 30_000) -> Path:
+    """A JPEG or PNG of a few hundred bytes whose header asks for gigabytes."""
+    content = cv2.imencode(path.suffix, np.zeros((16, 16, 3), np.uint8))[1].tobytes()
+    if path.suffix == ".jpg":
+        frame = content.index(b"\xff\xc0") + 5
+        size = height.to_bytes(2, "big") + width.to_bytes(2, "big")
+        content = content[:frame] + size + content[frame + 4 :]
+    else:
+        header = b"IHDR" + width.to_bytes(4, "big") + height.to_bytes(4, "big") + content[24:29]
+        content = content[:12] + header + zlib.crc32(header).to_bytes(4, "big") + content[33:]
+    path.write_bytes(content)
+    return path
+
+
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
 def test_a_picture_may_have_so_many_pixels(tmp_path, monkeypatch, suffix):
     path = write(tmp_path / f"a{suffix}", np.zeros((40, 50, 3), np.uint8))
@@ -133,3 +150,14 @@ def test_a_picture_may_have_so_many_pixels(tmp_path, monkeypatch, suffix):
     monkeypatch.setattr(runtime.io.images, "MAX_PIXELS", 40 * 50 - 1)
     with pytest.raises(InputError, match=r"has 40 x 50 pixels, expected at most 1,999"):
         read_rgb(path)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss has another unit")
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_a_damaged_size_takes_no_memory(tmp_path, suffix):
+    """Decoded, the JPEG of 631 bytes takes 5 GB and 23 s."""
+    path = bomb(tmp_path / f"bomb{suffix}")
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(InputError, match="has 30000 x 30000 pixels, expected at most 64,000,000"):
+        read_rgb(path)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < before + 100_000  # kB

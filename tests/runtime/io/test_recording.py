@@ -194,23 +194,6 @@ def test_a_recording_with_a_foreign_file_is_not_replaced(recording, model_file, 
     assert before == {path: path.read_bytes() for path in recording.rglob("*") if path.is_file()}
 
 
-@pytest.mark.parametrize("content", ["{}", "", "[1]"])
-def test_a_folder_with_another_document_of_that_name_is_not_replaced(tmp_path, model_file, content):
-    folder = tmp_path / "results"
-    folder.mkdir()
-    (folder / "recording.json").write_text(content)
-    with pytest.raises(OutputError, match="not a recording"):
-        overwrite(folder, model_file())
-    assert (folder / "recording.json").read_text() == content
-
-
-def test_a_link_to_a_recording_is_not_replaced(recording, tmp_path, model_file):
-    (tmp_path / "link").symlink_to(recording)
-    with pytest.raises(OutputError, match="is a link"):
-        overwrite(tmp_path / "link", model_file())
-    assert len(read_recording(recording).frames) == 2
-
-
 @pytest.mark.parametrize("killed_after", [1, 3, 5])
 def test_a_removal_that_was_killed_is_finished_by_the_next(
     recording, model_file, monkeypatch, killed_after

@@ -83,14 +83,6 @@ def test_a_calibration_sets_the_focal_length_unless_one_is_given(folders, run, t
     assert run(*given).report["inputs"]["focal_length_px"] == 70
 
 
-def test_frames_are_not_read_from_where_answers_go(folders, run, tmp_path):
-    (tmp_path / "out").mkdir()
-    folders[0].rename(tmp_path / "out/depth")
-    answers = run("--source", f"folders:{tmp_path / 'out/depth'}")
-    assert answers.exit_code == 1
-    assert "writes its own pictures" in answers.text.replace("\n", " ")
-
-
 # --- depth in other formats, and scans --------------------------------------------------------
 
 

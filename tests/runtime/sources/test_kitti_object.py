@@ -109,25 +109,3 @@ def test_recorded_frames_have_returns_where_there_are_scans():
     assert with_scan == [f"{number:06d}" for number in (4, 5, 6, 7, 9)]
     assert all(returns[name] > 15_000 for name in with_scan)
     assert len({frame.calibration.focal_length_px for frame in frames.values()}) > 1
-
-
-def faulty(scan, fault):
-    scan = scan.copy()
-    if fault == "millimetres":
-        scan[:, :3] *= 1000
-    elif fault == "behind":  # as of extrinsics that lead from the camera to the LiDAR
-        scan[:, 0] *= -1
-    elif fault == "not finite":
-        scan[:] = np.nan
-    return scan[:0] if fault == "empty" else scan
-
-
-@pytest.mark.parametrize("fault", ["millimetres", "behind", "not finite", "empty"])
-def test_scans_without_a_return_in_any_image_are_reported(training, run, make_scan, fault):
-    for number in range(5):
-        faulty(make_scan(number), fault).tofile(training / f"velodyne/{number:06d}.bin")
-    answers = run(training)
-    assert answers.exit_code == 3, answers.text
-    assert "warning: no scan or depth map of the first frames has a return in" in answers.text
-    assert "the extrinsics" in answers.report["frames"]["implausible_depth"]
-    assert set(answers.column("degraded")) == {"no_depth"}

@@ -58,14 +58,6 @@ def test_pairs_by_numbers_are_said_to_be_guessed(frames, run):
     assert "guessed: pairs by the numbers in their names, as left_0.png with depth_0.png" in text
 
 
-def test_numbers_that_occur_twice_pair_nothing(frames, run, tmp_path):
-    data, _ = frames("image/left_{}.png", "depth/depth_{}.png")
-    (data / "depth/other_1.png").touch()
-    answers = run(data)
-    assert answers.exit_code == 1
-    assert "no name occurs in both folders" in answers.text
-
-
 # --- scans ------------------------------------------------------------------------------------
 
 
