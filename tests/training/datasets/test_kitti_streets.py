@@ -124,7 +124,7 @@ def test_missing_parts_are_named(streets, lost, text):
     [
         ("fb_disp: 40", "", "no line 'fb_disp:'"),
         ("fb_disp: 40", "fb_disp: 0", "fb_disp is 0.0, expected a positive"),
-        ("fb_disp: 40", "fb_disp: nan", "'fb_disp' holds NaN"),
+        ("fb_disp: 40", "fb_disp: nan", "'fb_disp' must be 1 finite"),
     ],
 )
 def test_broken_calibrations_are_named(streets, old, new, text):
