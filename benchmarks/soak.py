@@ -407,8 +407,8 @@ def main() -> None:
             f"{dict(counts.errors)} + {counts.pending} pending"
         )
     print(
-        f"camera only {soaked.counts.camera_only}, out of order {soaked.counts.out_of_order}, "
-        f"jumps back {soaked.counts.jumps_back}, not valid {soaked.invalid}"
+        f"camera only {soaked.counts.camera_only}, jumps back {soaked.counts.jumps_back}, "
+        f"not valid {soaked.invalid}"
     )
     print(f"faults: {dict(soaked.faults)}\nwatchdog: {dict(soaked.levels)}")
     print(soaked.statistics.table())

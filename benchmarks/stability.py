@@ -53,8 +53,7 @@ from training.evaluation.evaluate import short_names
 from training.evaluation.metrics import SemanticScores
 from training.evaluation.scored_model import ScoredModel, open_model
 from training.evaluation.scoring import HeadMaps, Predict
-from training.lidar.simulate import SENSOR_LINES, scan_lines
-from training.lidar.split import frame_generator
+from training.lidar.split import SENSOR_LINES, frame_generator, scan_lines
 from training.loading.open_dataset import open_dataset
 
 STREETS = (70, 98)

@@ -35,6 +35,9 @@ def camera_scale(
 ) -> CameraScale:
     """Return the scale for a frame.
 
+    The focal length follows the frame to the network's size; where both sides are magnified
+    differently it is the geometric mean of both.
+
     Args:
         max_depth_m: range of the model, canonical metres.
         canonical_focal_px: of the model; None = it works in plain metres.
@@ -44,16 +47,6 @@ def camera_scale(
     """
     if canonical_focal_px is None or focal_length_px is None:
         return CameraScale(1.0, max_depth_m, None)
-    factor = canonical_focal_px / focal_length_at(network_size, focal_length_px, frame_size)
+    magnified = math.sqrt(math.prod(network_size) / math.prod(frame_size))
+    factor = canonical_focal_px / (focal_length_px * magnified)
     return CameraScale(factor, max_depth_m / factor, focal_length_px)
-
-
-def focal_length_at(
-    network_size: tuple[int, int], focal_length_px: float, frame_size: tuple[int, int]
-) -> float:
-    """Return the focal length [px] of a frame resized to another (height, width).
-
-    Where the axes are magnified differently it is the geometric mean of both.
-    """
-    magnified = math.prod(network_size) / math.prod(frame_size)
-    return focal_length_px * math.sqrt(magnified)

@@ -35,7 +35,12 @@ _RESIZE = {"rgb": "bilinear", "sparse_depth": "nearest"} | {
     head.name: head.resize for head in HEADS.values()
 }
 _DIGEST_KEY = "document_sha256"
-_JSON_TYPES: dict[type, str] = {dict: "an object", list: "a list", str: "text"}
+_JSON_TYPES: dict[Any, str] = {
+    dict: "an object",
+    dict | None: "an object or null",
+    list: "a list",
+    str: "text",
+}
 _Checked = TypeVar("_Checked")
 
 
@@ -135,7 +140,7 @@ class Contract:
                 "export the model again with ssdnet-export"
             ) from error
         if not isinstance(document, dict):
-            raise _wrong("the document", "an object", document)
+            raise _wrong("the document", _JSON_TYPES[dict], document)
         version = _take(document, "schema_version", str)
         if version != SCHEMA_VERSION:
             raise ContractError(
@@ -158,9 +163,13 @@ class Contract:
                 checkpoint_sha256=_take(document, "checkpoint_sha256", str),
                 trained_height=_optional(document, "trained_height", check_side),
                 canonical_focal_px=_optional(document, "canonical_focal_px", check_focal_length),
-                giga_macs=_optional(document, "giga_macs", _check_giga_macs),
-                accuracy=_optional(document, "accuracy", _check_object),
-                quantization=_optional(document, "quantization", _check_object),
+                giga_macs=_optional(
+                    document,
+                    "giga_macs",
+                    lambda value, name: check_number(name, value, 0, MAX_GIGA_MACS, "billions"),
+                ),
+                accuracy=_take(document, "accuracy", dict | None),
+                quantization=_take(document, "quantization", dict | None),
                 content=_content(document, text),
             )
             # Infinite numbers and lone surrogates are invalid anywhere in the document.
@@ -253,7 +262,7 @@ def _wrong(name: str, expected: str, found: object) -> ContractError:
     )
 
 
-def _take(document: Mapping[str, Any], key: str, kind: type = object, name: str = "") -> Any:
+def _take(document: Mapping[str, Any], key: str, kind: Any = object, name: str = "") -> Any:
     """Return the value of a key; ContractError where it is missing or of another type."""
     if key not in document:
         raise ContractError(
@@ -271,16 +280,6 @@ def _optional(
     """Return the checked value of a key, None where it is null."""
     value = _take(document, key)
     return None if value is None else check(value, key)
-
-
-def _check_giga_macs(value: object, name: str) -> float:
-    return check_number(name, value, 0, MAX_GIGA_MACS, "billions")
-
-
-def _check_object(value: object, name: str) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise _wrong(name, _JSON_TYPES[dict], value)
-    return value
 
 
 def _text_mapping(document: Mapping[str, Any], key: str) -> dict[str, str]:
@@ -309,13 +308,11 @@ def _with_digest(before: str) -> str:
 
 
 def _classes(document: Mapping[str, Any]) -> list[ClassInfo]:
-    entries = _take(document, "classes", list)
-    return [_class(entry, f"classes[{index}]") for index, entry in enumerate(entries)]
-
-
-def _class(entry: object, name: str) -> ClassInfo:
-    if not isinstance(entry, dict):
-        raise _wrong(name, "an object", entry)
-    return ClassInfo(
-        name=_take(entry, "name"), color=tuple(_take(entry, "color", list, f"{name}.color"))
-    )
+    found = []
+    for index, entry in enumerate(_take(document, "classes", list)):
+        name = f"classes[{index}]"
+        if not isinstance(entry, dict):
+            raise _wrong(name, _JSON_TYPES[dict], entry)
+        color = tuple(_take(entry, "color", list, f"{name}.color"))
+        found.append(ClassInfo(_take(entry, "name"), color))
+    return found

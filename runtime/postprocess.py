@@ -7,11 +7,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.contract import NO_CLASS, Contract
+from runtime.errors import InferenceError
 from runtime.heads import HEADS, Head, Unit
 from runtime.preprocess import NetworkInput
 from runtime.resize import resize_answer
 
 _ROUNDING = 1e-3  # of a head's range: how far arithmetic may leave it
+
+
+def check_outputs(
+    outputs: Mapping[str, NDArray[Any]], *, frames: int, size: tuple[int, int], num_classes: int
+) -> None:
+    """Raise InferenceError unless each output, head -> array, has the shape for these frames."""
+    for head, values in outputs.items():
+        expected = (frames, *((num_classes,) if HEADS[head].per_class else ()), *size)
+        if values.shape != expected:
+            raise InferenceError(
+                f"the model gave {head} of the shape {values.shape}, expected {expected}: "
+                "export it again with ssdnet-export"
+            )
 
 
 def to_frame(outputs: Mapping[str, NDArray[Any]], frame: NetworkInput) -> dict[str, NDArray[Any]]:

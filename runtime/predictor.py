@@ -18,12 +18,12 @@ from runtime.cores import available_cores
 from runtime.errors import ContractError, InferenceError, InputError
 from runtime.model_file import load_model_file
 from runtime.network_size import NetworkSize, check_network_size, network_size
-from runtime.postprocess import faults, to_frame
-from runtime.prediction import Cleaned, Latency, Prediction
+from runtime.postprocess import check_outputs, faults, to_frame
+from runtime.prediction import Latency, Prediction
 from runtime.preprocess import NetworkInput, preprocess
 from runtime.process_guard import ProcessGuard
 from runtime.session import explain, node_counts, open_session
-from runtime.signature import check_outputs, read_signature
+from runtime.signature import read_signature
 
 _MOST_THREADS = 1024
 _SMALL_SIZE = (64, 64)  # frame of the check of a model of free size
@@ -94,7 +94,9 @@ class Predictor:
             threads = check_integer("threads", threads, 1, _MOST_THREADS, error=InputError)
         warmup = check_integer("warmup", warmup, 0, error=InputError)
         device_id = check_integer("device_id", device_id, 0, error=InputError)
-        self.focal_length_px = _check_focal_length(focal_length_px)
+        self.focal_length_px = (
+            None if focal_length_px is None else _check_focal_length(focal_length_px)
+        )
         self._guard = ProcessGuard("Predictor")
         started = time.perf_counter()
         path = find_model(model)
@@ -103,7 +105,6 @@ class Predictor:
         self.provider = provider
         self.threads = threads or available_cores()
         self._device_id = device_id
-        self._cold_ms: float | None = None  # first run of a fixed model, by its check
         session = self._open_session(file.content)
         signature = read_signature(session, num_classes=len(self.contract.classes))
         self.heads = signature.heads
@@ -261,7 +262,7 @@ class Predictor:
             (prediction,) = self._predict([frame], [_ms_since(started)], [None], started)
             _check_finite(prediction.degraded)
             if self.first_inference_ms is None:
-                self.first_inference_ms = self._cold_ms or prediction.latency.total_ms
+                self.first_inference_ms = prediction.latency.total_ms
 
     def reset(self) -> None:
         """Open the session again from the model file, on the same provider and device.
@@ -302,18 +303,14 @@ class Predictor:
 
     def _require_finite(self, size: tuple[int, int]) -> None:
         """Raise ContractError unless the network's answer to an empty frame of `size` is finite."""
-        started = time.perf_counter()
-        rgb, sparse_depth = _empty_frame(size)
-        scale = CameraScale(1.0, self.contract.max_depth_m, None)
-        (outputs,) = self._run([NetworkInput(rgb, sparse_depth, size, Cleaned(), 0, (), scale)])
-        if not self.free_size:
-            self._cold_ms = _ms_since(started)
+        max_depth_m = self.contract.max_depth_m
+        frame = preprocess(*_empty_frame(size), max_depth_m=max_depth_m, size_for=lambda own: own)
+        (outputs,) = self._run([frame])
         _check_finite(faults(outputs, self.contract))
 
     def _focal_length(self, of_frame: Any) -> float | None:
         """The focal length of a frame, else the predictor's. Raises InputError."""
-        checked = _check_focal_length(of_frame)
-        return self.focal_length_px if checked is None else checked
+        return self.focal_length_px if of_frame is None else _check_focal_length(of_frame)
 
     def _preprocess(self, rgb: Any, sparse_depth: Any, focal_length_px: Any) -> NetworkInput:
         return preprocess(
@@ -424,19 +421,13 @@ def _one_each(name: str, values: Any, frames: Any) -> list[Any]:
         )
     if values is None:
         return [None] * len(frames)
-    try:
-        given = list(values)
-    except TypeError:
-        given = []
-    if len(given) != len(frames):
+    if not hasattr(values, "__len__") or len(values) != len(frames):
         raise InputError(f"{name} must hold one entry for each of {len(frames)} frames")
-    return given
+    return list(values)
 
 
-def _check_focal_length(focal_px: Any) -> float | None:
-    """Return a checked focal length, None as it is. Raises InputError."""
-    if focal_px is None:
-        return None
+def _check_focal_length(focal_px: Any) -> float:
+    """Return a checked focal length. Raises InputError."""
     try:
         return check_focal_length(focal_px, "focal_length_px")
     except ValueError as error:

@@ -130,14 +130,9 @@ def project_with_rows(
     occlusion: OcclusionFilter | None = None,
 ) -> ProjectedPoints:
     """Project as `project_points`, and also return the point of each pixel; ties keep the first."""
-    _check_points(points)
+    check_points(points)
     check_intrinsics(intrinsics)
-    _check_matrix("extrinsics", extrinsics, 4)
-    if not np.array_equal(extrinsics[3], (0, 0, 0, 1)):
-        raise InputError(
-            f"the last row of extrinsics must be 0, 0, 0, 1, got {extrinsics[3].tolist()}: is the "
-            "matrix transposed?"
-        )
+    check_transform("extrinsics", extrinsics)
     height, width = _check_sides("size", size, MAX_SIDE)
     with np.errstate(over="ignore", invalid="ignore"):
         product = intrinsics.astype(np.float64) @ extrinsics[:3].astype(np.float64)
@@ -222,29 +217,41 @@ def check_intrinsics(matrix: Any, name: str = "intrinsics") -> None:
         )
 
 
-def _check_points(points: Any) -> None:
-    if not _is_plain(points) or points.dtype != np.float32:
-        got = points.dtype if _is_plain(points) else type(points).__name__
+def check_transform(name: str, matrix: Any) -> None:
+    """Raise InputError unless `matrix` is float (4, 4), finite, with the last row 0, 0, 0, 1."""
+    _check_matrix(name, matrix, 4)
+    if not np.array_equal(matrix[3], (0, 0, 0, 1)):
         raise InputError(
-            f"points must be a plain float32 array [m], got {got}: use points.astype(np.float32)"
+            f"the last row of {name} must be 0, 0, 0, 1, got {matrix[3].tolist()}: is the matrix "
+            "transposed?"
+        )
+
+
+def check_points(points: Any) -> None:
+    """Raise InputError unless `points` is a scan, float32 (N, 3) or wider."""
+    if (kind := _kind(points)) != np.float32:
+        raise InputError(
+            f"points must be a plain float32 array [m], got {kind}: use points.astype(np.float32)"
         )
     if points.ndim != 2 or points.shape[1] < 3:
         raise InputError(f"points must have the shape (N, 3) or wider, got {points.shape}")
 
 
 def _check_matrix(name: str, matrix: Any, side: int) -> None:
-    if not _is_plain(matrix) or matrix.dtype.kind != "f":
-        got = matrix.dtype if _is_plain(matrix) else type(matrix).__name__
-        raise InputError(f"{name} must be an array of floats, got {got}")
+    kind = _kind(matrix)
+    if not (isinstance(kind, np.dtype) and kind.kind == "f"):
+        raise InputError(f"{name} must be an array of floats, got {kind}")
     if matrix.shape != (side, side):
         raise InputError(f"{name} must have the shape ({side}, {side}), got {matrix.shape}")
     if not np.isfinite(matrix).all():
         raise InputError(f"{name} must be finite: check the calibration")
 
 
-def _is_plain(array: Any) -> bool:
-    """Whether the array is a plain numpy array, not of a subclass."""
-    return isinstance(array, np.ndarray) and not isinstance(array, np.ma.MaskedArray | np.matrix)
+def _kind(array: Any) -> Any:
+    """The dtype of a plain numpy array, the name of any other type."""
+    if isinstance(array, np.ndarray) and not isinstance(array, np.ma.MaskedArray | np.matrix):
+        return array.dtype
+    return type(array).__name__
 
 
 def _check_sides(name: str, sides: Any, most: int) -> tuple[int, int]:

@@ -1,13 +1,10 @@
 """Checks that a graph has the inputs and outputs of the contract."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from numpy.typing import NDArray
-
 from runtime.contract import check_size
-from runtime.errors import ContractError, InferenceError
+from runtime.errors import ContractError
 from runtime.heads import HEADS, Unit
 
 _INPUTS = {"rgb": ("tensor(uint8)", 4), "sparse_depth": ("tensor(float)", 3)}
@@ -84,19 +81,6 @@ def _read(session: Any, num_classes: int) -> Signature:
     except ValueError as error:
         raise _foreign("inputs of the size of images", str(error)) from error
     return Signature(size, names, free_batch)
-
-
-def check_outputs(
-    outputs: Mapping[str, NDArray[Any]], *, frames: int, size: tuple[int, int], num_classes: int
-) -> None:
-    """Raise InferenceError unless each output, head -> array, has the shape for these frames."""
-    for head, values in outputs.items():
-        expected = (frames, *((num_classes,) if HEADS[head].per_class else ()), *size)
-        if values.shape != expected:
-            raise InferenceError(
-                f"the model gave {head} of the shape {values.shape}, expected {expected}: "
-                "export it again with ssdnet-export"
-            )
 
 
 def _check_tensor(tensor: Any, dtype: str, rank: int) -> None:

@@ -1,15 +1,26 @@
-"""The recipe that a command names: one of the package, or a TOML file."""
+"""The recipe that a command names: one of the package, or a TOML file.
 
-from collections.abc import Sequence
+What a file leaves out comes from the training of the weights that it begins with.
+"""
+
+import sys
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
+from tqdm import tqdm
+
+from models import NetworkConfig
+from models.registry import NETWORKS
+from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.read_input import read_toml
-from training.fine_tuning import fine_tune
-from training.initial_weights import Weights
-from training.recipe import build_recipe
+from training.initial_weights import Weights, weights_folder
+from training.losses import LossConfig
+from training.losses.total import PAIR_TERMS, TERMS
+from training.recipe import LoopRecipe, OptimizerRecipe, build_recipe, merge, parse_changes
 from training.recipes.registry import RECIPES
 from training.stages import Stage
 
@@ -23,7 +34,7 @@ def read_stages(
         text: a path if it ends in .toml or holds a slash, else the name of a recipe.
         changes: of every stage, see `build_recipe`.
         init: a checkpoint that the first stage starts from. What a TOML file leaves out comes from
-            its training, see `training.fine_tuning`, and is reported on stderr.
+            its training, see `training.chosen_recipe`, and is reported on stderr.
 
     Raises:
         InputError: for an unknown name, and as in `build_recipe`.
@@ -36,7 +47,129 @@ def read_stages(
             f"unknown recipe {text!r}; known: {', '.join(RECIPES)}. For a recipe of your own give "
             "a path that ends in .toml or holds a slash."
         )
+    stages = RECIPES[text].stages
+    for key in _below(_below(parse_changes(changes), "model"), "config"):
+        if len({str(stage.recipe.model.config.get(key)) for stage in stages}) > 1:
+            raise InputError(
+                f"{text}: model.config.{key} is not the same in all stages, so that it cannot be "
+                "set. Leave it out, or train by a TOML file."
+            )
     return tuple(
-        replace(stage, recipe=build_recipe(asdict(stage.recipe), text, changes))
-        for stage in RECIPES[text].stages
+        replace(stage, recipe=build_recipe(asdict(stage.recipe), text, changes)) for stage in stages
     )
+
+
+#: Learning rates, as a share of those of the earlier training.
+RATE_SHARE = 0.25
+#: The warm-up takes at most this share of the steps.
+_WARMUP_SHARE = 0.1
+#: The keys that are taken, by table.
+_TAKEN: Mapping[str, tuple[str, ...]] = {
+    "loss": tuple(LossConfig.__dataclass_fields__),
+    "optimizer": ("name", "learning_rate", "encoder_rate", "weight_decay", "momentum", "frozen"),
+    "loop": ("clip_norm",),
+}
+#: Settings of the network that `training.network` takes itself.
+_COLORS = ("rgb_mean", "rgb_std")
+_DEFAULTS = {
+    "loss": asdict(LossConfig()),
+    "optimizer": asdict(OptimizerRecipe()),
+    "loop": asdict(LoopRecipe()),
+    "schedule": {"warmup_steps": 0},
+}
+
+
+def fine_tune(table: Mapping[str, Any], init: Weights | None) -> Mapping[str, Any]:
+    """Return a recipe's table with the settings of the earlier training where it has none.
+
+    What is added, unless it is the default, is reported on stderr. For weights of the package the
+    recipe of their first stage is taken: it trains all heads.
+
+    Args:
+        table: the recipe, as TOML has it.
+        init: the checkpoint that the training begins with; None = there is none.
+    """
+    if init is None:
+        return table
+    earlier, source = init.facts.recipe, str(init.path)
+    classes = _below(earlier, "model").get("classes")
+    name = init.path.stem.removeprefix("ssdnet-")
+    if init.path.parent == weights_folder() and name in RECIPES:
+        earlier, source = asdict(RECIPES[name].stages[0].recipe), name
+    settings = _settings(table, earlier, init.network.config, classes)
+    if added := ", ".join(_added(settings, table, _DEFAULTS)):
+        tqdm.write(f"from the recipe of {source}: {added}", file=sys.stderr)
+    return merge(settings, table)
+
+
+def _settings(
+    table: Mapping[str, Any], earlier: Mapping[str, Any], config: NetworkConfig, classes: Any
+) -> dict[str, Any]:
+    """Return what fits a recipe's table of the earlier recipe; nothing for another network."""
+    model = _below(table, "model")
+    if model.get("name", config.name) != config.name:
+        return {}
+    settings: dict[str, Any] = {
+        name: {key: value for key, value in _below(earlier, name).items() if key in keys}
+        for name, keys in _TAKEN.items()
+    }
+    settings["model"] = {"name": config.name, "config": _changes(config)}
+    if classes is not None:
+        settings["model"]["classes"] = classes
+    _fit_loss(settings["loss"], table, model.get("classes", classes))
+    _fit_rates(settings["optimizer"], _below(table, "optimizer"))
+    steps = _below(table, "schedule").get("steps")
+    warmup = _below(earlier, "schedule").get("warmup_steps", 0)
+    if isinstance(steps, int):
+        settings["schedule"] = {"warmup_steps": min(warmup, int(steps * _WARMUP_SHARE))}
+    return settings
+
+
+def _below(table: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    """Return a table of a table; an empty one where there is none."""
+    value = table.get(key)
+    return value if isinstance(value, Mapping) else {}
+
+
+def _changes(config: NetworkConfig) -> dict[str, Any]:
+    """Return what differs from the configuration of the network's name."""
+    values, default = config.to_dict(), NETWORKS[config.name].config.to_dict()
+    own = {key: value for key, value in values.items() if value != default.get(key)}
+    return {key: value for key, value in own.items() if key not in ("classes", *_COLORS)}
+
+
+def _fit_loss(loss: dict[str, Any], table: Mapping[str, Any], classes: object) -> None:
+    """Drop the terms that need a second view, a teacher or a class that the recipe lacks."""
+    augment = _below(_below(table, "data"), "augment")
+    # A named table has the road; another value is refused with the recipe.
+    own = classes if isinstance(classes, list | tuple) else ({"name": "road"},)
+    has_road = any(
+        isinstance(info, Mapping) and str(info.get("name")).lower() == "road" for info in own
+    )
+    left_out = set() if augment.get("pair_shift") else set(PAIR_TERMS)
+    left_out |= {name for name in TERMS if name.startswith("distilled_")}
+    left_out |= set() if has_road else {"road"}
+    for term in left_out:
+        loss.pop(f"{term}_weight", None)
+
+
+def _fit_rates(optimizer: dict[str, Any], wanted: Mapping[str, Any]) -> None:
+    """Lower the rates to those of fine-tuning; another optimiser has none of them."""
+    for key in ("learning_rate", "encoder_rate"):
+        if optimizer.get(key) is not None:
+            optimizer[key] *= RATE_SHARE
+    if wanted.get("name", optimizer.get("name")) != optimizer.get("name"):
+        for key in set(optimizer) - {"frozen"}:
+            del optimizer[key]
+
+
+def _added(
+    settings: Mapping[str, Any], table: Mapping[str, Any], defaults: Mapping[str, Any]
+) -> Iterator[str]:
+    """Yield "key = value" of each setting that a table lacks, unless it is the default."""
+    for key, value in settings.items():
+        if isinstance(value, Mapping):
+            below = _added(value, _below(table, key), _below(defaults, key))
+            yield from (f"{key}.{text}" for text in below)
+        elif key not in table and value != defaults.get(key):
+            yield f"{key} = {shown(value)}"

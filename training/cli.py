@@ -122,9 +122,8 @@ def train(
         # Heavy imports here, so that --help is quick.
         import torch
 
-        from training.chosen_recipe import read_stages
+        from training.chosen_recipe import fine_tune, read_stages
         from training.dry_run import dry_run as draw_first_batch
-        from training.fine_tuning import fine_tune
         from training.initial_weights import find_weights, read_weights
         from training.own_folders import RECIPE_TEXT, OwnFolders, keep_recipe
         from training.recipe import build_recipe

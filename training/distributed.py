@@ -164,8 +164,6 @@ class _SharedBatchNorm(nn.BatchNorm2d):
     @classmethod
     def of(cls, norm: nn.BatchNorm2d) -> "_SharedBatchNorm":
         """Copy a batch normalisation with its parameters and buffers."""
-        if norm.momentum is None or not (norm.affine and norm.track_running_stats):
-            raise ValueError("expected a batch normalisation with momentum, scale and statistics")
         shared = cls(norm.num_features, eps=norm.eps, momentum=norm.momentum)
         shared.load_state_dict(norm.state_dict())
         return shared.train(norm.training)

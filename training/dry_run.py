@@ -16,7 +16,6 @@ from training.evaluation.pictures import draw_batch
 from training.initial_weights import Weights
 from training.loading.augment import AugmentConfig
 from training.loading.batches import read_batches
-from training.loading.crop import padding_share
 from training.loading.open_dataset import spread_indices
 from training.recipe import Recipe
 from training.run_folder import BATCH, folder_errors
@@ -85,7 +84,7 @@ def _describe_set(
         counts += np.bincount(sample.semantic.ravel(), minlength=256)
         depths.append(sample.depth[sample.depth > 0])
         pixels += sample.semantic.size
-        padding.append(padding_share(sample.size, augment))
+        padding.append(_padding_share(sample.size, augment))
     yield f"{title}: {len(source)} frames, {np.mean(padding):.0%} of a crop is padding"
     labelled = counts.sum() - counts[IGNORE]
     if labelled:
@@ -96,3 +95,11 @@ def _describe_set(
         metres = zip(_PERCENTILES, np.percentile(depth, _PERCENTILES), strict=True)
         text = ", ".join(f"{share} % {value:.1f} m" for share, value in metres)
         yield f"  depth ({depth.size / pixels:.1%} of the pixels), percentiles: {text}"
+
+
+def _padding_share(size: tuple[int, int], config: AugmentConfig) -> float:
+    """Return the mean share of a crop that is beyond a frame of (height, width), 0..1."""
+    scale = np.geomspace(*config.scale, num=101)
+    height, width = (side / scale for side in config.size)
+    inside = np.minimum(1, size[0] / height) * np.minimum(1, size[1] / width)
+    return float(1 - inside.mean())

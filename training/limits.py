@@ -15,11 +15,6 @@ STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 
 #: Most pixels of a batch: 5 GiB of loaded tensors.
 MAX_BATCH_PIXELS = 2**28
-#: Most pixels of the window of a frame before it is resized to the crop: 1.6 GiB.
-MAX_WINDOW_PIXELS = 2**27
-#: Of a training; their order takes 16 bytes each.
-MAX_SAMPLES = 10**8
-
 Index = Annotated[int, Field(ge=0, le=10**9)]
 Seed = Annotated[int, Field(ge=0, le=2**32 - 1)]
 Steps = Annotated[int, Field(ge=1, le=10**8)]
@@ -54,13 +49,3 @@ PairShift = Annotated[int, Field(ge=0, le=128, multiple_of=PAIR_STEP_PX)]
 #: (low, high) of a value that is drawn at random.
 ShareRange = Annotated[tuple[_PositiveShare, _PositiveShare], AfterValidator(_require_order)]
 FactorRange = Annotated[tuple[_Factor, _Factor], AfterValidator(_require_order)]
-
-
-def require_window(key: str, crop: tuple[int, int], scale: tuple[float, float]) -> None:
-    """Raise ValueError, naming the key, if the window of the crop at this scale is too large."""
-    pixels = crop[0] * crop[1] / scale[0] ** 2
-    if pixels > MAX_WINDOW_PIXELS:
-        raise ValueError(
-            f"{key} = {list(scale)}: a crop of {crop[0]}x{crop[1]} needs a window of "
-            f"{pixels:.0f} pixels; expected at most {MAX_WINDOW_PIXELS}"
-        )

@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -11,10 +11,9 @@ from tqdm import tqdm
 
 from models import Network, save_checkpoint
 from models.training_facts import TrainingFacts
-from training.distributed import Processes, join_processes
+from training.distributed import join_processes
 from training.initial_weights import Weights
 from training.loading.batches import read_batches
-from training.progress import Progress
 from training.provenance import state_provenance
 from training.recipe import Recipe
 from training.release import adjust_logits
@@ -74,90 +73,83 @@ def train(
         NonFiniteLossError: if the loss or its gradient is NaN or infinite.
     """
     with join_processes(device) as processes, ExitStack() as held:
-        return _train(recipe, processes, held, data, out, init, teacher, stop_after, stop)
+        task = open_task(recipe, processes, data, init, teacher, resumed=(out / LAST).is_file())
+        resolved: dict[str, Any] = {
+            "recipe": asdict(recipe),
+            "crop": task.data.augment.crop,
+            "init": None if init is None else init.name,
+            "teacher": None if teacher is None else teacher.name,
+            "processes": processes.count,
+        }
+        if processes.is_first:
+            # Made last: a training that cannot start leaves no folder.
+            held.enter_context(lock_folder(out))
+            sets = (*recipe.data.source, *recipe.validation.source)
+            prepare_folder(out, resolved, list_data(data, [item.path for item in sets]))
+        processes.wait()
+        known_data, terms = state_provenance(recipe, init, teacher)
+        state = TrainingState(recipe, task, processes, out)
+        state.resume(out / LAST, resolved)
+        steps = recipe.schedule.steps
+        if state.step == steps and (out / FINAL).is_file():
+            return out / FINAL
+        if state.step and processes.is_first:
+            tqdm.write(f"resumed at step {state.step} of {steps}", file=sys.stderr)
 
+        def facts() -> dict[str, Any]:
+            return TrainingFacts(
+                data=known_data,
+                terms=terms,
+                trained_height=recipe.model.trained_height,
+                step=state.step,
+                **resolved,
+            ).to_dict()
 
-def _train(
-    recipe: Recipe,
-    processes: Processes,
-    held: ExitStack,
-    data: Sequence[Path],
-    out: Path,
-    init: Weights | None,
-    teacher: Weights | None,
-    stop_after: int | None,
-    stop: Callable[[], bool],
-) -> Path:
-    task = open_task(recipe, processes, data, init, teacher, resumed=(out / LAST).is_file())
-    resolved: dict[str, Any] = {
-        "recipe": asdict(recipe),
-        "crop": task.data.augment.crop,
-        "init": None if init is None else init.name,
-        "teacher": None if teacher is None else teacher.name,
-        "processes": processes.count,
-    }
-    if processes.is_first:
-        sets = (*recipe.data.source, *recipe.validation.source)
-        files = list_data(data, [item.path for item in sets])
-        # Made last: a training that cannot start leaves no folder.
-        held.enter_context(lock_folder(out))
-        prepare_folder(out, resolved, files)
-    processes.wait()
-    known_data, terms = state_provenance(recipe, init, teacher)
-    state = TrainingState(recipe, task, processes, out)
-    state.resume(out / LAST, resolved)
-    steps = recipe.schedule.steps
-    if state.step == steps and (out / FINAL).is_file():
-        return out / FINAL
-    if state.step and processes.is_first:
-        tqdm.write(f"resumed at step {state.step} of {steps}", file=sys.stderr)
+        def released() -> Network:
+            share = recipe.release.logit_adjustment
+            return adjust_logits(state.averaged, task.class_weights, share)
 
-    def facts() -> dict[str, Any]:
-        return TrainingFacts(
-            data=known_data,
-            terms=terms,
-            trained_height=recipe.model.trained_height,
-            step=state.step,
-            **resolved,
-        ).to_dict()
+        scores = ScoreTable(out / SCORES, state.step) if processes.is_first else None
+        last_step = steps if stop_after is None else min(steps, stop_after)
+        board = Board(out / TENSORBOARD if processes.is_first else None, state.step)
+        with (
+            tqdm(
+                total=steps,
+                initial=state.step,
+                desc="train",
+                unit="step",
+                mininterval=1.0 if sys.stderr.isatty() else 30.0,  # a line of a log file
+                disable=not processes.is_first,
+            ) as bar,
+            read_batches(recipe, task, processes, state.step) as batches,
+        ):
 
-    def released() -> Network:
-        share = recipe.release.logit_adjustment
-        return adjust_logits(state.averaged, task.class_weights, share)
+            def score(network: Network) -> None:
+                """Validate; the first process alone writes the table and the best weights."""
+                figures = validate(
+                    network, task.validation, recipe.validation, processes, board, state.step
+                )
+                if scores and scores.add(state.step, figures, recipe.validation.best):
+                    save_checkpoint(out / BEST, network, training=facts())
 
-    scores = ScoreTable(out / SCORES, state.step) if processes.is_first else None
-    last_step = steps if stop_after is None else min(steps, stop_after)
-    board = Board(out / TENSORBOARD if processes.is_first else None, state.step)
-    with (
-        closing(Progress(steps, state.step, shown=processes.is_first)) as progress,
-        read_batches(recipe, task, processes, state.step) as batches,
-    ):
-
-        def score(network: Network) -> None:
-            """Validate; the table and the best weights are written by the first process alone."""
-            figures = validate(
-                network, task.validation, recipe.validation, processes, board, state.step
-            )
-            if scores and scores.add(state.step, figures, recipe.validation.best):
-                save_checkpoint(out / BEST, network, training=facts())
-
-        if task.validation and state.step == 0 and init is not None:
-            score(state.averaged)
-        while state.step < last_step and not processes.any(stop()):
-            done = state.advance(batches)
-            progress.update(state.step, done.terms["total"], done.rate)
-            if state.step % recipe.log_every == 0:
-                board.add_step(done, dict(state.criterion.log_variances.items()), state.step)
-            # Before the checkpoint: a run killed in between validates again after it resumes.
-            if task.validation and recipe.validates_at(state.step):
-                score(released())
-            if state.step % recipe.checkpoint_every == 0:
-                state.save(out / LAST, facts())
-    state.save(out / LAST, facts())
-    if state.step == steps and processes.is_first:
-        save_checkpoint(out / FINAL, released(), training=facts())
-        for line in scores.compare() if scores else ():
-            tqdm.write(line, file=sys.stderr)
-    processes.wait()  # until the file is written
-    # A run that was stopped early releases no weights.
-    return out / (FINAL if state.step == steps else LAST)
+            if task.validation and state.step == 0 and init is not None:
+                score(state.averaged)
+            while state.step < last_step and not processes.any(stop()):
+                done = state.advance(batches)
+                if bar.update():  # the loss is read from its device only when it is shown
+                    bar.set_postfix(loss=f"{done.terms['total'].item():.3f}", refresh=False)
+                if state.step % recipe.log_every == 0:
+                    board.add_step(done, dict(state.criterion.log_variances.items()), state.step)
+                # Before the checkpoint: a run killed in between validates again after it resumes.
+                if task.validation and recipe.validates_at(state.step):
+                    score(released())
+                if state.step % recipe.checkpoint_every == 0:
+                    state.save(out / LAST, facts())
+        state.save(out / LAST, facts())
+        if state.step == steps and processes.is_first:
+            save_checkpoint(out / FINAL, released(), training=facts())
+            for line in scores.compare() if scores else ():
+                tqdm.write(line, file=sys.stderr)
+        processes.wait()  # until the file is written
+        # A run that was stopped early releases no weights.
+        return out / (FINAL if state.step == steps else LAST)

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
-from torch import Tensor
+from torch import Tensor, nn
 
 from models import Network, SSDNetLite, create_model
 from models.efficientnet_lite import RGB_MEAN, RGB_STD, WIDTHS
@@ -124,3 +124,14 @@ def train_parts(network: Network, only: tuple[str, ...], frozen: tuple[str, ...]
             )
         for layer in layers:
             layer.requires_grad_(False).eval()
+
+
+def require_encoder(network: Network) -> nn.Module:
+    """Return the network's encoder; InputError if it has none."""
+    encoder = dict(network.named_children()).get("encoder")
+    if encoder is None:
+        raise InputError(
+            f"optimizer.encoder_rate: '{network.config.name}' has no part called 'encoder'. Leave "
+            "it out, or take ssdnet-lite or ssdnet-nano."
+        )
+    return encoder

@@ -4,7 +4,7 @@ import json
 import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field, fields, replace
+from dataclasses import field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union
 
@@ -23,7 +23,6 @@ from training.datasets.source_recipe import SourceRecipe
 from training.lidar.split import LidarInput
 from training.limits import (
     MAX_BATCH_PIXELS,
-    MAX_SAMPLES,
     STRICT,
     BatchSize,
     NotNegative,
@@ -32,7 +31,6 @@ from training.limits import (
     Side,
     Steps,
     Workers,
-    require_window,
 )
 from training.loading.augment import AugmentConfig
 from training.losses import LossConfig
@@ -162,9 +160,6 @@ class DataRecipe:
                 f"batch_size = {self.batch_size}: with crops of {crop[0]}x{crop[1]} a batch has "
                 f"more than {MAX_BATCH_PIXELS} pixels"
             )
-        for index, item in enumerate(self.source):
-            if item.scale is not None:
-                require_window(f"source[{index}].scale", crop, item.scale)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -210,9 +205,8 @@ class ScheduleRecipe:
 class LoopRecipe:
     """Arithmetic, averaging and output of the training loop."""
 
-    #: Type of the network's arithmetic. fp16 scales the loss; a step whose gradients overflow is
-    #: skipped and the scale is halved.
-    autocast: Literal["none", "bf16", "fp16"] = "none"
+    #: Type of the network's arithmetic; "none" is float32.
+    autocast: Literal["none", "bf16"] = "none"
     #: Decay of the averaged weights in model.pt; 0 = no averaging.
     ema_decay: Share = 0.999
     #: Largest norm of the gradient; 0 = no clipping.
@@ -292,7 +286,7 @@ class Recipe:
     terms: Annotated[str, Field(max_length=10_000)] = ""
 
     def __post_init__(self) -> None:
-        """Check the classes that the loss needs and the number of samples."""
+        """Check the classes and the views that the loss needs."""
         for name in self.data.rare_classes:
             if self.model.class_id(name.lower()) is None:
                 raise ValueError(f"data.rare_classes: {name!r} is not a class of model.classes")
@@ -305,12 +299,6 @@ class Recipe:
             raise ValueError(
                 f"loss.{min(pair_terms)}_weight compares two views of a frame: set "
                 "data.augment.pair_shift"
-            )
-        samples = self.schedule.steps * self.data.batch_size * self.loop.accumulate
-        if samples > MAX_SAMPLES:
-            raise ValueError(
-                f"schedule.steps = {self.schedule.steps}: with data.batch_size and "
-                f"loop.accumulate this draws {samples} samples; expected at most {MAX_SAMPLES}"
             )
 
     @property
@@ -340,6 +328,23 @@ class Recipe:
 
     def _share_of_steps(self, parts: int, most: int) -> int:
         return max(1, min(most, self.schedule.steps // parts))
+
+
+def derive(recipe: T, **changes: Any) -> T:
+    """Return a recipe with other keys; a mapping changes keys of a table."""
+    values = {key: getattr(recipe, key) for key in changes}
+    return replace(  # type: ignore[type-var]
+        recipe,
+        **{
+            key: derive(values[key], **change) if _is_table(values[key], change) else change
+            for key, change in changes.items()
+        },
+    )
+
+
+def _is_table(value: object, change: object) -> bool:
+    """Whether a change is of keys of a value, instead of another value."""
+    return is_dataclass(value) and isinstance(change, Mapping)
 
 
 def read_recipe(path: Path | str, changes: Sequence[str] = ()) -> Recipe:
@@ -451,8 +456,6 @@ def _describe(error: Mapping[str, Any], kind: Any) -> str:
             return f"missing key {key + '.' * bool(key)}kind."
         case "union_tag_invalid":
             tag, known = context["tag"], context["expected_tags"]
-            if (right := tag.replace("_", "-")) in DATASETS:
-                return f"{key + '.' * bool(key)}kind = {tag!r} is written {right!r}."
             return f"{key + '.' * bool(key)}kind = {tag!r}; choose one of {known}."
         case "literal_error":
             return f"{key} = {text}; choose one of {context['expected']}."

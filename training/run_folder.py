@@ -13,13 +13,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import torch
-from torch import Tensor
 from tqdm import tqdm
 
-from runtime.errors import InputError, SSDNetError
+from runtime.errors import InputError
 from runtime.io.atomic_write import atomic_write
-from training.distributed import Processes
 from training.recipe import Recipe, build
 
 RECIPE = "recipe.json"
@@ -27,13 +24,11 @@ LAST = "last.pt"
 FINAL = "model.pt"
 BEST = "best.pt"
 SCORES = "scores.csv"
-NON_FINITE = "non_finite.json"
 TENSORBOARD = "tensorboard"
 BATCH = "batch.png"
 LOCK = "lock"
 #: The key of the data's files in recipe.json.
 _DATA = "data_files"
-
 #: Keys that may change when a run is resumed: they affect neither the weights nor the choice of
 #: best.pt.
 _WITHOUT_EFFECT = (
@@ -47,10 +42,6 @@ _WITHOUT_EFFECT = (
 )
 
 
-class NonFiniteLossError(SSDNetError):
-    """The loss is NaN or infinite; the message names the step and the file with the frames."""
-
-
 def prepare_folder(
     out: Path, resolved: Mapping[str, Any], files: Mapping[str, Mapping[str, Any]]
 ) -> None:
@@ -61,43 +52,35 @@ def prepare_folder(
     """
     path = out / RECIPE
     with folder_errors(out):
-        before: Mapping[str, Any] = {}
+        first = files
         if path.is_file():
             before = _read_json(path)
             require_same(before, resolved, path)
-            _warn_of_other_data(before.get(_DATA) or files, files)
+            first = before.get(_DATA) or files
+            for name in (name for name in files if files[name] != first.get(name)):
+                was, now = first.get(name, {}).get("files", 0), files[name]["files"]
+                text = f"{was} files when the run began, now {now}"
+                if was == now:
+                    text = f"the {now} files have other names than when the run began"
+                text = f"warning: {name}: {text}; the run resumes with other data"
+                tqdm.write(text, file=sys.stderr)
         out.mkdir(parents=True, exist_ok=True)
-        document = {**resolved, _DATA: before.get(_DATA) or files}
-        atomic_write(path, json.dumps(document, indent=2, default=str).encode())
-
-
-def _warn_of_other_data(
-    before: Mapping[str, Mapping[str, Any]], now: Mapping[str, Mapping[str, Any]]
-) -> None:
-    for name, found in now.items():
-        first = before.get(name, {"files": 0})
-        if first == found:
-            continue
-        text = f"{first['files']} files when the run began, now {found['files']}"
-        if first["files"] == found["files"]:
-            text = f"the {found['files']} files have other names than when the run began"
-        tqdm.write(f"warning: {name}: {text}; the run resumes with other data", file=sys.stderr)
+        atomic_write(path, json.dumps({**resolved, _DATA: first}, indent=2).encode())
 
 
 def list_data(roots: Sequence[Path], paths: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Describe the files of each path, in the first root that has it: number, SHA-256 of names."""
-    folders = {
-        path: root / path for path in paths for root in reversed(roots) if (root / path).is_dir()
-    }
     described = {}
-    for name, folder in folders.items():
-        names = sorted(
-            os.path.relpath(os.path.join(place, file), folder)
-            for place, _, files in os.walk(folder, followlinks=True)
-            for file in files
-        )
-        digest = hashlib.sha256("\n".join(names).encode(errors="surrogateescape")).hexdigest()
-        described[name] = {"files": len(names), "sha256": digest}
+    for path in paths:
+        folder = next((root / path for root in roots if (root / path).is_dir()), None)
+        if folder is not None:
+            places = os.walk(folder, followlinks=True)
+            names = sorted(
+                os.path.join(place, name) for place, _, files in places for name in files
+            )
+            names = [os.path.relpath(name, folder) for name in names]
+            digest = hashlib.sha256("\n".join(names).encode(errors="surrogateescape"))
+            described[path] = {"files": len(names), "sha256": digest.hexdigest()}
     return described
 
 
@@ -188,33 +171,3 @@ def _read_json(path: Path) -> Mapping[str, Any]:
     if not isinstance(document, dict):
         raise InputError(f"{path}: contains no recipe. Choose another --out.")
     return document
-
-
-def require_finite(
-    terms: Mapping[str, Tensor],
-    value: Tensor,
-    step: int,
-    names: Sequence[str],
-    out: Path,
-    processes: Processes,
-) -> None:
-    """Raise NonFiniteLossError if ``value``, the loss or the gradient's norm, is not finite.
-
-    The terms and the frames of the batch are written to ``out``. The value is the same in all
-    processes, so all of them stop.
-    """
-    if torch.isfinite(value):
-        return
-    path = out / NON_FINITE
-    # Text: JSON has no NaN.
-    values = {name: str(term.item()) for name, term in terms.items()}
-    frames = [name for part in processes.gather(list(names)) for name in part]
-    if processes.is_first:
-        document = {"step": step, "terms": values, "frames": frames}
-        atomic_write(path, json.dumps(document, indent=2).encode())
-    last = f" with --init {out / LAST}" if (out / LAST).is_file() else ""
-    raise NonFiniteLossError(
-        f"step {step}: the loss ({values['total']}) or its gradient is not finite; the terms and "
-        f"the {len(frames)} frames of the batch are in {path}. Check them, or start a new --out"
-        f"{last} and a lower learning rate."
-    )

@@ -50,6 +50,11 @@ class Stage:
     recipe: Recipe
     then: Callable[[Trained], Network] | None = None
 
+    @property
+    def result(self) -> str:
+        """The file in its folder with the weights that the next stage begins with."""
+        return FINAL if self.then is None else RESULT
+
 
 def train_stages(
     stages: Sequence[Stage],
@@ -105,7 +110,7 @@ def train_stages(
             if processes.is_first:
                 _make_result(stage, folder, init, data)
             processes.wait()  # until the file is written
-            result = _make_result(stage, folder, init, data)
+            result = folder / stage.result
             if stage is stages[-1]:
                 break
             init = read_weights(result)
@@ -120,17 +125,13 @@ def train_stages(
     return out / FINAL
 
 
-def _make_result(stage: Stage, folder: Path, init: Weights | None, data: Sequence[Path]) -> Path:
-    """Return the file of a finished stage's result; that of its call is made once."""
-    if stage.then is None:
-        return folder / FINAL
-    path = folder / RESULT
-    if not path.is_file():
+def _make_result(stage: Stage, folder: Path, init: Weights | None, data: Sequence[Path]) -> None:
+    """Call what a finished stage has to call, unless its result is there."""
+    if stage.then is not None and not (folder / stage.result).is_file():
         before = None if init is None else init.network
         trained = load_checkpoint(folder / FINAL)
         network = stage.then(Trained(before, trained.model, _read_pictures(stage.recipe, data)))
-        save_checkpoint(path, network, training=trained.training)
-    return path
+        save_checkpoint(folder / stage.result, network, training=trained.training)
 
 
 def _read_pictures(recipe: Recipe, data: Sequence[Path]) -> Iterator[Tensor]:
@@ -150,7 +151,8 @@ def next_stage(
         folder = out / stage.folder
         if not (folder / FINAL).is_file() or stage is stages[-1]:
             break
-        init = read_weights(_make_result(stage, folder, init, data))
+        _make_result(stage, folder, init, data)
+        init = read_weights(folder / stage.result)
     return stage, folder, init
 
 

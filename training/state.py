@@ -1,5 +1,7 @@
-"""The state of a training: all that a step changes, and that last.pt keeps."""
+"""The state of a training, as last.pt keeps it: network, optimiser and averaged weights."""
 
+import json
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -11,21 +13,28 @@ from torch.optim.swa_utils import AveragedModel
 
 from models import Network, NetworkOutput, load_checkpoint, save_checkpoint
 from runtime.checks import shown
-from runtime.errors import CheckpointError, InputError
-from training.batch import Batch
+from runtime.errors import CheckpointError, InputError, SSDNetError
+from runtime.io.atomic_write import atomic_write
 from training.distributed import Processes, share_gradients
+from training.loading.mixture import Batch
 from training.losses import SSDNetLoss
-from training.network import train_parts
-from training.optimizer import build_optimizer, exponential_average, learning_rate
-from training.recipe import LoopRecipe, Recipe
-from training.run_folder import require_finite, require_same
+from training.network import require_encoder, train_parts
+from training.recipe import OptimizerRecipe, Recipe, ScheduleRecipe
+from training.run_folder import LAST, require_same
 from training.task import Task
 
 #: `Network.forward`, or its distributed wrapper.
 Forward = Callable[..., NetworkOutput]
 
-#: Name in recipes -> dtype, besides float32.
-_AUTOCAST = {"bf16": torch.bfloat16, "fp16": torch.float16}
+_NON_FINITE = "non_finite.json"
+
+
+#: Arguments of AveragedModel's update rule.
+Tensors = tuple[Tensor, ...] | list[Tensor]
+
+
+class NonFiniteLossError(SSDNetError):
+    """The loss is NaN or infinite; the message names the step and the file with the frames."""
 
 
 class Step(NamedTuple):
@@ -49,10 +58,9 @@ class TrainingState:
         self.step = 0
         self._recipe, self._processes, self._out = recipe, processes, out
         self._network, self.criterion, self._teacher = task.network, task.criterion, task.teacher
+        train_parts(task.network, recipe.optimizer.only, recipe.optimizer.frozen)
         self._optimizer = build_optimizer(recipe.optimizer, task.network, task.criterion)
         self._peaks = [group["lr"] for group in self._optimizer.param_groups]
-        is_fp16 = recipe.loop.autocast == "fp16"
-        self._scaler = torch.amp.GradScaler(processes.device.type, enabled=is_fp16)
         # Buffers are averaged too: batch statistics must fit the averaged weights.
         update = exponential_average(recipe.loop.ema_decay)
         self._average = AveragedModel(task.network, multi_avg_fn=update, use_buffers=True)
@@ -71,7 +79,6 @@ class TrainingState:
             "optimizer": self._optimizer,
             "average": self._average,
             "criterion": self.criterion,
-            "scaler": self._scaler,
         }
 
     def resume(self, path: Path, resolved: Mapping[str, Any]) -> None:
@@ -104,11 +111,9 @@ class TrainingState:
 
     def advance(self, batches: Iterator[Batch]) -> Step:
         """Train one step on the next batches."""
-        loop, scaler = self._recipe.loop, self._scaler
-        optimizer = self._recipe.optimizer
+        loop = self._recipe.loop
         for group, peak in zip(self._optimizer.param_groups, self._peaks, strict=True):
             group["lr"] = learning_rate(self._recipe.schedule, peak, self.step)
-        train_parts(self._network, optimizer.only, optimizer.frozen)
         self._optimizer.zero_grad(set_to_none=True)
         sums: dict[str, Tensor] = {}
         names: list[str] = []
@@ -117,44 +122,101 @@ class TrainingState:
             names += batch.names
             if self._teacher is not None:
                 with torch.no_grad():
-                    taught = _answer(self._teacher, self.criterion, batch, loop)
-                batch = replace(batch, teacher=taught)
-            terms = _compute_loss(self._forward, self.criterion, batch, loop)
+                    batch = replace(batch, teacher=self._answer(self._teacher, batch))
+            terms: dict[str, Tensor] = self.criterion(self._answer(self._forward, batch), batch)
             self._require_finite(terms, terms["total"], names)
-            scaler.scale(terms["total"] / loop.accumulate).backward()  # type: ignore[no-untyped-call]
+            (terms["total"] / loop.accumulate).backward()  # type: ignore[no-untyped-call]
             for name, term in terms.items():
                 sums[name] = sums.get(name, 0.0) + term.detach() / loop.accumulate
-        scaler.unscale_(self._optimizer)
         parameters = list(self._network.parameters())
         norm = torch.nn.utils.get_total_norm([p.grad for p in parameters if p.grad is not None])
-        if not scaler.is_enabled():  # the scaler skips a step that overflows
-            self._require_finite(sums, norm, names)
+        self._require_finite(sums, norm, names)
         if loop.clip_norm:
             torch.nn.utils.clip_grads_with_norm_(parameters, loop.clip_norm, norm)
-        scaler.step(self._optimizer)
-        scaler.update()
+        self._optimizer.step()
         self._average.update_parameters(self._network)
         self.step += 1
         return Step(sums, self._optimizer.param_groups[0]["lr"])
 
+    def _answer(self, network: Forward, batch: Batch) -> NetworkOutput:
+        """Run a network in the recipe's arithmetic."""
+        is_bf16 = self._recipe.loop.autocast == "bf16"
+        with torch.autocast(batch.rgb.device.type, torch.bfloat16, enabled=is_bf16):
+            return network(
+                batch.rgb.float().to(memory_format=torch.channels_last),
+                batch.sparse_depth,
+                upsample_semantic=self.criterion.config.semantic_grid == "image",
+            )
+
     def _require_finite(self, terms: Mapping[str, Tensor], value: Tensor, names: list[str]) -> None:
-        require_finite(terms, value, self.step, names, self._out, self._processes)
+        """Raise NonFiniteLossError for the loss or the gradient's norm, the same in all processes.
 
-
-def _compute_loss(
-    forward: Forward, criterion: SSDNetLoss, batch: Batch, loop: LoopRecipe
-) -> dict[str, Tensor]:
-    terms: dict[str, Tensor] = criterion(_answer(forward, criterion, batch, loop), batch)
-    return terms
-
-
-def _answer(
-    network: Forward, criterion: SSDNetLoss, batch: Batch, loop: LoopRecipe
-) -> NetworkOutput:
-    kind = _AUTOCAST.get(loop.autocast)
-    with torch.autocast(batch.rgb.device.type, dtype=kind, enabled=kind is not None):
-        return network(
-            batch.rgb.float().to(memory_format=torch.channels_last),
-            batch.sparse_depth,
-            upsample_semantic=criterion.config.semantic_grid == "image",
+        The terms and the frames of the batch are written to a file.
+        """
+        if torch.isfinite(value):
+            return
+        path, last = self._out / _NON_FINITE, self._out / LAST
+        # Text: JSON has no NaN.
+        values = {name: str(term.item()) for name, term in terms.items()}
+        frames = [name for part in self._processes.gather(names) for name in part]
+        if self._processes.is_first:
+            document = {"step": self.step, "terms": values, "frames": frames}
+            atomic_write(path, json.dumps(document, indent=2).encode())
+        init = f" with --init {last}" if last.is_file() else ""
+        raise NonFiniteLossError(
+            f"step {self.step}: the loss ({values['total']}) or its gradient is not finite; the "
+            f"terms and the {len(frames)} frames of the batch are in {path}. Check them, or start "
+            f"a new --out{init} and a lower learning rate."
         )
+
+
+def build_optimizer(
+    recipe: OptimizerRecipe, network: Network, criterion: SSDNetLoss
+) -> torch.optim.Optimizer:
+    """Return AdamW or SGD over the parameters of the network and of the loss.
+
+    Biases, normalisation and the parameters of the loss do not decay. The encoder may have a rate
+    of its own.
+    """
+    separate = recipe.encoder_rate is not None
+    encoder = set(require_encoder(network).parameters()) if separate else set()
+    groups: list[dict[str, Any]] = []
+    for of_encoder, rate in ((False, recipe.learning_rate), (True, recipe.encoder_rate)):
+        chosen = [p for p in network.parameters() if (p in encoder) == of_encoder]
+        others = [] if of_encoder else list(criterion.parameters())
+        kernels, vectors = ([p for p in chosen if (p.ndim > 1) == many] for many in (True, False))
+        if chosen:
+            groups.append({"params": kernels, "lr": rate, "weight_decay": recipe.weight_decay})
+            groups.append({"params": [*vectors, *others], "lr": rate, "weight_decay": 0.0})
+    if recipe.name == "sgd":
+        return torch.optim.SGD(groups, momentum=recipe.momentum)
+    return torch.optim.AdamW(groups)
+
+
+def learning_rate(schedule: ScheduleRecipe, peak: float, step: int) -> float:
+    """Return the rate of a step: linear warm-up from peak / warmup_steps, then the schedule."""
+    if step < schedule.warmup_steps:
+        return peak * (step + 1) / schedule.warmup_steps
+    if schedule.shape == "constant":
+        return peak
+    progress = (step - schedule.warmup_steps) / max(1, schedule.steps - schedule.warmup_steps)
+    share = 0.5 * (1 + math.cos(math.pi * min(1.0, progress)))
+    return peak * share
+
+
+def exponential_average(decay: float) -> Callable[[Tensors, Tensors, Tensor | int], None]:
+    """Return AveragedModel's update rule: an exponential average.
+
+    The decay grows as (1 + n) / (10 + n) up to ``decay``, so that the random initial weights do not
+    remain in the average of a short run.
+    """
+
+    @torch.no_grad()
+    def update(average: Tensors, current: Tensors, count: Tensor | int) -> None:
+        share = 1.0 - min(decay, (1.0 + int(count)) / (10.0 + int(count)))
+        if average[0].is_floating_point():
+            torch._foreach_lerp_(average, current, share)
+        else:  # counters
+            torch._foreach_copy_(average, current)
+
+    return update

@@ -23,18 +23,16 @@ from training.evaluation.scoring import figure_names, require_lidar
 from training.initial_weights import Weights
 from training.lidar.split import LidarInput
 from training.limits import PAIR_STEP_PX
-from training.loading.crop import with_crop
+from training.loading.augment import with_crop
 from training.loading.mixture import DepthTarget
 from training.loading.open_dataset import (
     FREQUENCY_SAMPLES,
-    count_pixels,
     open_dataset,
     spread_indices,
     spread_pictures,
 )
 from training.losses import SSDNetLoss, class_weights
-from training.network import build_network, train_parts
-from training.optimizer import require_encoder
+from training.network import build_network, require_encoder, train_parts
 from training.recipe import DataRecipe, Recipe
 from training.teacher import prepare_teacher
 
@@ -179,7 +177,7 @@ def _require_learning(recipe: Recipe, network: Network, sources: Sequence[Sample
 def _learning_heads(network: Network) -> set[str]:
     """Return the heads whose answers depend on a parameter that is trained."""
     size = (1, 1, MIN_SIDE, MIN_SIDE)
-    # Batch statistics must not change; each step chooses anew what is in training mode.
+    # Batch statistics must not change; `TrainingState` chooses what is in training mode.
     output = network.eval()(torch.zeros(size).expand(-1, 3, -1, -1), torch.zeros(size))
     answers: dict[str, Sequence[Tensor | None]] = {
         "semantic": [output.semantic_logits],
@@ -215,8 +213,22 @@ def _require_figure(
 def _weigh_classes(
     recipe: Recipe, sources: Sequence[SampleSource], num_classes: int
 ) -> Tensor | None:
-    """Return the weights of the classes; None without labels, whose terms then never apply."""
-    counts = count_pixels(recipe.data, sources, num_classes)
+    """Return the weights of the classes; None without labels, whose terms then never apply.
+
+    Pixels are counted in about `FREQUENCY_SAMPLES` frames without augmentation, by the weights of
+    the sets; labels made by a network count by their weight.
+    """
+    counts = np.zeros(num_classes, dtype=np.float64)
+    total = sum(item.weight for item in recipe.data.source)
+    for item, source in zip(recipe.data.source, sources, strict=True):
+        wanted = max(1, round(FREQUENCY_SAMPLES * item.weight / total))
+        frames = spread_indices(source, wanted)
+        for index in frames:
+            sample = source[index]
+            seen = np.bincount(sample.semantic.ravel(), minlength=256)[:num_classes]
+            weight = sample.weights.get("semantic", 1.0) * wanted / len(frames)
+            counts += seen * weight / sample.semantic.size
+    counts = np.round(counts * 1_000_000)
     if not counts.any():
         tqdm.write(
             f"no pixel of {_titles(recipe)} is labelled: classes and boundaries are not trained",

@@ -42,7 +42,8 @@ def prepare_teacher(weights: Weights | None, loss: LossConfig, network: Network)
             f"{given}: has no head {missing[0]!r}. Set "
             f"loss.distilled_{missing[0]}_weight = 0, or give a teacher with it."
         )
-    for key, wanted, found in _meanings(network, teacher):
+    for key in ("classes", "max_depth_m", "canonical_focal_px"):
+        wanted, found = (_meaning(item, key) for item in (network, teacher))
         if wanted != found:
             raise InputError(
                 f"{given}: its {key} is {found}, that of the recipe {wanted}. Give a "
@@ -51,14 +52,7 @@ def prepare_teacher(weights: Weights | None, loss: LossConfig, network: Network)
     return teacher.eval().requires_grad_(False)
 
 
-def _meanings(network: Network, teacher: Network) -> list[tuple[str, object, object]]:
-    """What the answers of two networks mean: key, and the value of each."""
-    configs = network.config, teacher.config
-    classes, others = ([info.name for info in config.classes] for config in configs)
-    return [
-        ("classes", classes, others),
-        *(
-            (key, *(getattr(config, key) for config in configs))
-            for key in ("max_depth_m", "canonical_focal_px")
-        ),
-    ]
+def _meaning(network: Network, key: str) -> object:
+    """Return a setting of a network that its answers depend on; of classes the names."""
+    value = getattr(network.config, key)
+    return [info.name for info in value] if key == "classes" else value

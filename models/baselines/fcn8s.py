@@ -5,6 +5,7 @@ Paper: Long, Shelhamer, Darrell, "Fully Convolutional Networks for Semantic Segm
 upsampled bilinearly, as the paper's deconvolutions are initialised.
 """
 
+import torch
 from torch import Tensor, nn
 
 from models.baselines.vgg16 import VGG16
@@ -42,7 +43,11 @@ class FCN8s(Network):
 
     def score(self, pooled: list[Tensor]) -> Tensor:
         """Scores (N, C, ceil(H / 8), ceil(W / 8)) of VGG16's pooled features."""
-        scores: Tensor = self.semantic_head(self.classify(pooled[4]))
+        classified = self.classify(pooled[4])
+        with torch.autocast("cpu", enabled=False):
+            # In bfloat16 PyTorch 2.13 damages the memory of a CPU with the gradient of so few
+            # channels of so many.
+            scores: Tensor = self.semantic_head(classified.float())
         for head, features in ((self.score_16, pooled[3]), (self.score_8, pooled[2])):
             height, width = features.shape[2], features.shape[3]
             # Pooling rounded up: of an odd grid the last row and column have one child.

@@ -1,12 +1,11 @@
 """Files and folders that are whole or not there.
 
-They are written as a hidden temporary beside their target, under a lock, and renamed when they are
-whole. A killed process loses its lock: a temporary that can be locked is a leftover, and the
+They are written into a hidden, locked folder beside their target, and renamed when they are
+whole. A killed process loses its lock: a hidden folder that can be locked is a leftover, and the
 next write of the same target removes it.
 """
 
 import contextlib
-import errno
 import fcntl
 import os
 import shutil
@@ -18,7 +17,7 @@ from typing import BinaryIO
 
 from runtime.errors import OutputError
 
-_NAME_LENGTH = 40  # characters of the target's name in the name of the temporary
+_NAME_LENGTH = 40  # characters of the target's name in the name of its hidden folder
 
 
 def atomic_write(
@@ -49,12 +48,13 @@ def atomic_file(path: Path, *, overwrite: bool = True, durable: bool = False) ->
         OutputError: if the file cannot be written (also for an OSError of the block), if it exists
             and may not be replaced, or if another process is writing it at this moment.
     """
-    with _temporary(path, folder=False) as (temporary, handle):
-        with open(temporary, "r+b") as file:
+    with _temporary(path) as made:
+        with open(made, "x+b") as file:
             yield file
-        if durable:
-            os.fsync(handle)
-        _publish(temporary, path, overwrite=overwrite)
+            if durable:
+                file.flush()
+                os.fsync(file.fileno())
+        _publish(made, path, overwrite=overwrite)
 
 
 @contextlib.contextmanager
@@ -68,21 +68,22 @@ def atomic_folder(path: Path, *, own: Callable[[], Iterable[Path]] | None = None
             folder that exists is not replaced.
 
     Yields:
-        The temporary folder to fill.
+        The folder to fill, until then of a hidden path.
 
     Raises:
         OutputError: as `atomic_file`, and for a file at `path` that is not of an earlier result;
             what is there is then untouched.
     """
-    with _temporary(path, folder=True) as (temporary, _):
+    with _temporary(path, make_parents=True) as made:
         if os.path.lexists(path):
             _earlier_entries(path, own)
-        yield temporary
+        made.mkdir()
+        yield made
         if os.path.lexists(path):
             for entry in reversed(_earlier_entries(path, own)):
                 entry.rmdir() if entry.is_dir() else entry.unlink()
             path.rmdir()
-        temporary.rename(path)
+        made.rename(path)
 
 
 @contextlib.contextmanager
@@ -103,8 +104,7 @@ def atomic_path(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
     Raises:
         OutputError: as `atomic_file`.
     """
-    with _temporary(path, folder=True) as (temporary, _):
-        made = temporary / path.name
+    with _temporary(path, make_parents=True) as made:
         yield made
         if made.exists():
             _publish(made, path, overwrite=overwrite)
@@ -115,47 +115,47 @@ def atomic_path(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
 
 def require_writable(path: Path) -> None:
     """Raise the OutputError of `atomic_file` for a file that cannot be written; nothing is left."""
-    with _temporary(path, folder=False):
+    with _temporary(path):
         if path.is_dir():
             raise OutputError(f"{path} is a folder: name a file to write")
 
 
 def require_folder_free(path: Path, *, own: Callable[[], Iterable[Path]] | None = None) -> None:
     """Raise the OutputError of `atomic_folder` for a folder that cannot be made or replaced."""
-    with _temporary(path, folder=True):
+    with _temporary(path, make_parents=True):
         if os.path.lexists(path):
             _earlier_entries(path, own)
 
 
 def remove_leftover(path: Path) -> None:
-    """Remove the temporary of `path` that a killed process left; keep it if it is locked."""
-    with contextlib.suppress(OSError):
-        _remove_leftover(_temporary_name(path))
+    """Remove the hidden folder of `path` that a killed process left; keep it if it is locked."""
+    if os.path.isdir(_hidden_folder(path)):
+        with contextlib.suppress(OutputError), _temporary(path):
+            pass
 
 
-def _temporary_name(path: Path) -> Path:
-    """Path of the temporary; equal for all writers of `path`, so that each finds leftovers."""
+def _hidden_folder(path: Path) -> Path:
+    """Equal for all writers of `path`, so that each finds leftovers."""
     name = path.name
     return path.with_name(f".{name[:_NAME_LENGTH]}.{zlib.crc32(os.fsencode(name)):08x}.part")
 
 
 @contextlib.contextmanager
-def _temporary(path: Path, *, folder: bool) -> Iterator[tuple[Path, int]]:
-    """The temporary of `path` and its locked handle; removed if it is still there afterwards."""
+def _temporary(path: Path, *, make_parents: bool = False) -> Iterator[Path]:
+    """A path of the same name in the hidden folder of `path`, which is removed afterwards."""
     if path.name in ("", ".."):  # of ".", ".." and "/"
         raise OutputError(f"{path} has no name that could be given to a result: name a new one")
-    temporary = _temporary_name(path)
     try:
         _require_replaceable(path)
-        if folder:
+        if make_parents:
             path.parent.mkdir(parents=True, exist_ok=True)
-        handle = _create(temporary, folder=folder)
+        folder = _hidden_folder(path)
+        handle = _lock(folder)
         try:
-            yield temporary, handle
+            yield folder / path.name
         finally:
             with contextlib.suppress(OSError):  # the first error is the one to report
-                if _is_at(handle, temporary):
-                    _remove(temporary)
+                shutil.rmtree(folder)
             os.close(handle)
     except OSError as error:
         raise OutputError(
@@ -164,72 +164,29 @@ def _temporary(path: Path, *, folder: bool) -> Iterator[tuple[Path, int]]:
         ) from error
 
 
-def _create(temporary: Path, *, folder: bool) -> int:
-    """Make the temporary and lock it. Raises OSError, BlockingIOError if another holds it."""
+def _lock(folder: Path) -> int:
+    """Make a folder and lock it. Raises OSError, BlockingIOError if another process holds it."""
     while True:
+        with contextlib.suppress(FileExistsError):
+            folder.mkdir()
         try:
-            handle = _make(temporary, folder=folder)
-        except FileExistsError:
-            try:
-                _remove_leftover(temporary)
-            except OSError as error:
-                reason = f"the temporary file {temporary} cannot be replaced: {error.strerror}"
-                raise OSError(error.errno, reason) from error
+            handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        except FileNotFoundError:  # another writer has just ended
             continue
-        if _lock(handle) and _is_at(handle, temporary):
-            return handle
-        os.close(handle)  # another writer removed it as a leftover before it was locked
-
-
-def _make(temporary: Path, *, folder: bool) -> int:
-    if folder:
-        temporary.mkdir()
-        return _open(temporary)
-    return os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
-
-
-def _open(temporary: Path) -> int:
-    return os.open(temporary, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)  # waits for no pipe
-
-
-def _lock(handle: int) -> bool:
-    """Whether this process holds the lock now; also True where the file system has no locks."""
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:
-        return True
-    return True
-
-
-def _is_at(handle: int, path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(handle), os.lstat(path))
-    except FileNotFoundError:
-        return False
-
-
-def _remove_leftover(temporary: Path) -> None:
-    """Remove it. Raises OSError, BlockingIOError if it is still being written."""
-    try:
-        handle = _open(temporary)
-    except FileNotFoundError:
-        return
-    try:
-        if not _lock(handle):
-            raise BlockingIOError(errno.EWOULDBLOCK, "another process is writing it at this moment")
-        if _is_at(handle, temporary):
-            _remove(temporary)
-    finally:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            os.close(handle)
+            reason = "another process is writing it at this moment"
+            raise BlockingIOError(error.errno, reason) from error
+        except OSError:  # a file system without locks
+            pass
+        with contextlib.suppress(FileNotFoundError):  # another writer removed it before the lock
+            if os.path.samestat(os.fstat(handle), os.lstat(folder)):
+                if not any(folder.iterdir()):
+                    return handle
+                shutil.rmtree(folder)  # a leftover
         os.close(handle)
-
-
-def _remove(path: Path) -> None:
-    if stat.S_ISDIR(path.lstat().st_mode):
-        shutil.rmtree(path)
-    else:
-        path.unlink()
 
 
 def _require_replaceable(path: Path) -> None:
@@ -242,20 +199,20 @@ def _require_replaceable(path: Path) -> None:
         raise OutputError(f"{path} exists and is no regular file: choose another name")
 
 
-def _publish(temporary: Path, path: Path, *, overwrite: bool) -> None:
-    """Rename the temporary to `path`. Raises OutputError if it exists, without `overwrite`."""
+def _publish(made: Path, path: Path, *, overwrite: bool) -> None:
+    """Rename `made` to `path`. Raises OutputError if it exists, without `overwrite`."""
     if overwrite:
         _require_replaceable(path)
-        os.replace(temporary, path)
+        os.replace(made, path)
         return
     try:
         try:
-            os.link(temporary, path)
+            os.link(made, path)
         except FileExistsError:
             raise
         except OSError:  # no hard links: an empty file takes the name, or fails
             os.close(os.open(path, os.O_CREAT | os.O_EXCL))
-            os.replace(temporary, path)
+            os.replace(made, path)
     except FileExistsError as error:
         raise _taken(path) from error
 

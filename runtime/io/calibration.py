@@ -3,7 +3,6 @@
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from runtime.checks import shown
 from runtime.errors import InputError
-from runtime.io.foreign_calibration import FOREIGN_SUFFIXES, refuse
+from runtime.io.foreign_calibration import refuse
 from runtime.io.images import list_files, natural_order
 from runtime.io.kitti_calibration import NumbersFile, chain, is_kitti
 from runtime.lens import EQUIDISTANT, PLUMB_BOB, Lens, rectifying_maps
@@ -135,12 +134,13 @@ class Calibration:
 
     def check(self, points: Any) -> None:
         """Raise InputError unless `points` is a scan, float32 (N, 3) or wider [m]."""
-        sliced = points[:0] if isinstance(points, np.ndarray) and points.ndim else points
+        is_scan = isinstance(points, np.ndarray) and points.ndim == 2 and points.shape[1] >= 3
+        sliced = points[:0] if is_scan else points
         project_points(sliced, self.intrinsics, self.extrinsics, (1, 1))
 
     @classmethod
     def from_file(
-        cls, path: Path | str, *, camera: int = 2, rectified: bool = True
+        cls, path: Path | str, *, camera: int = 2, rectified: bool = True, for_scans: bool = False
     ) -> "Calibration":
         """Read a .toml file with `from_toml`, anything else with `from_kitti`.
 
@@ -148,18 +148,23 @@ class Calibration:
             path: TOML file, or KITTI's file or folder.
             camera: whose images, 0 to 3; for KITTI only.
             rectified: as of `from_kitti`.
+            for_scans: refuse a file that holds the intrinsics alone.
 
         Raises:
             InputError: if the calibration cannot be read; of a file of another tool with its
                 content as TOML, to copy.
         """
         path = Path(path)
-        suffix = path.suffix.lower()
-        if suffix == ".toml":
+        if path.suffix.lower() == ".toml":
             return cls.from_toml(path)
-        may_be_foreign = os.path.isfile(path) and path.name not in (RAW_CAMERAS, RAW_SCANNER)
-        if may_be_foreign and (suffix in FOREIGN_SUFFIXES or not is_kitti(path)):
+        is_one_of_two = path.name in (RAW_CAMERAS, RAW_SCANNER)
+        if os.path.isfile(path) and not is_one_of_two and not is_kitti(path):
             raise refuse(path)
+        if for_scans and os.path.isfile(path) and "" in NumbersFile(path):
+            raise InputError(
+                f"{path} holds the intrinsics alone: scans need a .toml file with intrinsics and "
+                'extrinsics, or with points_in = "camera" where they are in the camera\'s frame'
+            )
         return cls.from_kitti(path, camera=camera, rectified=rectified)
 
     @classmethod
@@ -179,48 +184,40 @@ class Calibration:
             InputError: for a missing file, a missing name or a wrong count of numbers.
         """
         path = Path(path)
-        size, rectify = None, np.eye(3)
-        if os.path.isdir(path):
-            cameras = NumbersFile(path / RAW_CAMERAS)
-            scanner = NumbersFile(path / RAW_SCANNER)
-            to_camera = np.hstack([scanner.matrix("R", 3, 3), scanner.matrix("T", 3, 1)])
-            if not rectified:
-                return cls._from_unrectified_kitti(cameras, to_camera, camera)
-            projection = cameras.matrix(f"P_rect_{camera:02d}", 3, 4)
-            rectify = cameras.matrix("R_rect_00", 3, 3)
-            width, height = cameras.matrix(f"S_rect_{camera:02d}", 2, 1)[:, 0]
-            size = (int(height), int(width))
-        elif path.name in (RAW_CAMERAS, RAW_SCANNER):
+        if path.name in (RAW_CAMERAS, RAW_SCANNER):
             raise InputError(
                 f"{path} is one of the two files {RAW_CAMERAS} and {RAW_SCANNER}: give the folder "
                 "that contains both"
             )
-        else:
-            numbers = NumbersFile(path)
-            if "" in numbers:
-                return cls(numbers.matrix("", 3, 3), np.eye(4))
-            projection = numbers.matrix(f"P{camera}", 3, 4)
-            odometry = "Tr" in numbers
-            if not odometry:
-                rectify = numbers.matrix("R0_rect", 3, 3)
-            to_camera = numbers.matrix("Tr" if odometry else "Tr_velo_to_cam", 3, 4)
-        return cls(*chain(projection, rectify, to_camera), size)
+        if os.path.isdir(path):
+            return cls._from_kitti_raw(path, f"{camera:02d}", rectified=rectified)
+        numbers = NumbersFile(path)
+        if "" in numbers:
+            return cls(numbers.matrix("", 3, 3), np.eye(4))
+        projection, is_odometry = numbers.matrix(f"P{camera}", 3, 4), "Tr" in numbers
+        rectify = np.eye(3) if is_odometry else numbers.matrix("R0_rect", 3, 3)
+        to_camera = numbers.matrix("Tr" if is_odometry else "Tr_velo_to_cam", 3, 4)
+        return cls(*chain(projection, rectify, to_camera))
 
     @classmethod
-    def _from_unrectified_kitti(
-        cls, cameras: NumbersFile, to_camera: NDArray[np.float64], camera: int
-    ) -> "Calibration":
-        width, height = cameras.matrix(f"S_{camera:02d}", 2, 1)[:, 0]
-        to_first, beside = np.eye(4), np.eye(4)
-        to_first[:3] = to_camera
-        beside[:3, :3] = cameras.matrix(f"R_{camera:02d}", 3, 3)
-        beside[:3, 3] = cameras.matrix(f"T_{camera:02d}", 3, 1)[:, 0]
+    def _from_kitti_raw(cls, folder: Path, camera: str, *, rectified: bool) -> "Calibration":
+        cameras, scanner = NumbersFile(folder / RAW_CAMERAS), NumbersFile(folder / RAW_SCANNER)
+        to_camera = np.hstack([scanner.matrix("R", 3, 3), scanner.matrix("T", 3, 1)])
+        name = f"S_rect_{camera}" if rectified else f"S_{camera}"
+        width, height = cameras.matrix(name, 1, 2)[0].astype(int).tolist()
+        if rectified:
+            projection = cameras.matrix(f"P_rect_{camera}", 3, 4)
+            rectify = cameras.matrix("R_rect_00", 3, 3)
+            return cls(*chain(projection, rectify, to_camera), (height, width))
+        beside = np.eye(4)
+        beside[:3, :3] = cameras.matrix(f"R_{camera}", 3, 3)
+        beside[:3, 3] = cameras.matrix(f"T_{camera}", 1, 3)[0]
         return cls(
-            cameras.matrix(f"K_{camera:02d}", 3, 3),
-            beside @ to_first,
-            (int(height), int(width)),
+            cameras.matrix(f"K_{camera}", 3, 3),
+            beside @ np.vstack([to_camera, np.eye(4)[3]]),
+            (height, width),
             lens=PLUMB_BOB,
-            distortion=cameras.matrix(f"D_{camera:02d}", 1, 5)[0].tolist(),
+            distortion=cameras.matrix(f"D_{camera}", 1, 5)[0].tolist(),
         )
 
     @classmethod
@@ -298,9 +295,7 @@ class Calibration:
             _matrix(f"intrinsics of {path}", keys["intrinsics"], 3, 3),
             _matrix(f"extrinsics of {path}", keys.get("extrinsics", np.eye(4)), 4, 4),
             tuple(size) if isinstance(size, list) else size,
-            body_from_lidar=(
-                None if body is None else _matrix(f"body_from_lidar of {path}", body, 4, 4)
-            ),
+            body_from_lidar=None if body is None else _matrix(f"body of {path}", body, 4, 4),
             lens=keys.get("lens"),
             distortion=keys.get("distortion"),
         )
@@ -317,8 +312,7 @@ class FrameCalibrations:
 
     Args:
         path: as `Calibration.from_file`, or a folder with a file of the name of each frame.
-        camera: as `Calibration.from_file`.
-        rectified: as `Calibration.from_file`.
+        **options: as of `Calibration.from_file`.
 
     Attributes:
         first: calibration of all frames, or of the first file of the folder.
@@ -327,14 +321,14 @@ class FrameCalibrations:
         InputError: if `first` cannot be read. Other files are read by `of`.
     """
 
-    def __init__(self, path: Path, *, camera: int = 2, rectified: bool = True) -> None:
+    def __init__(self, path: Path, **options: Any) -> None:
         self._path, self._files = path, dict[str, Path]()
-        self._read = partial(Calibration.from_file, camera=camera, rectified=rectified)
-        of_raw = (path / RAW_CAMERAS, path / RAW_SCANNER)
-        if os.path.isdir(path) and not any(map(os.path.lexists, of_raw)):
+        self._options = options
+        is_raw = any(os.path.lexists(path / name) for name in (RAW_CAMERAS, RAW_SCANNER))
+        if os.path.isdir(path) and not is_raw:
             self._files = list_files(path, (".txt", ".toml"))
             path = self._files[min(self._files, key=natural_order)]
-        self.first = self._read(path)
+        self.first = Calibration.from_file(path, **options)
 
     def of(self, name: str) -> Calibration:
         """Return the calibration of a frame. Raises InputError."""
@@ -342,7 +336,7 @@ class FrameCalibrations:
             return self.first
         if name not in self._files:
             raise InputError(f"{name} has no calibration in {self._path}")
-        return self._read(self._files[name])
+        return Calibration.from_file(self._files[name], **self._options)
 
 
 def _matrix(name: str, numbers: Any, rows: int, columns: int) -> NDArray[np.float64]:

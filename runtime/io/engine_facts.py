@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 _CPU_INFO = Path("/proc/cpuinfo")
 #: Instruction sets that decide how fast a network runs -> Linux' flags, of which any counts.
-_INSTRUCTION_SETS = {
+_SETS = {
     "AVX2": {"avx2"},
     "AVX-512": {"avx512f"},
     "VNNI": {"avx_vnni", "avx512_vnni"},
@@ -138,24 +138,22 @@ def engine_facts(predictor: "Predictor") -> EngineFacts:
 
 def machine_facts() -> MachineFacts:
     """Return the facts of this machine."""
-    flags = set(_cpu_info("flags").split())
-    sets = tuple(name for name, any_of in _INSTRUCTION_SETS.items() if flags & any_of)
+    info = _cpu_info()
+    flags = set(info.get("flags", "").split())
     return MachineFacts(
-        cpu=_cpu_info("model name") or platform.processor() or platform.machine(),
-        instruction_sets=sets,
+        cpu=info.get("model name") or platform.processor() or platform.machine(),
+        instruction_sets=tuple(name for name, any_of in _SETS.items() if flags & any_of),
         logical_cores=os.cpu_count(),
         system=platform.platform(),
         python=platform.python_version(),
     )
 
 
-def _cpu_info(key: str) -> str:
-    """A value of the first processor in /proc/cpuinfo; empty where there is none."""
+def _cpu_info() -> dict[str, str]:
+    """The values of the first processor in /proc/cpuinfo; empty where there is none."""
     try:
-        for line in _CPU_INFO.read_text().splitlines():
-            name, _, value = line.partition(":")
-            if name.strip() == key:
-                return value.strip()
+        first = _CPU_INFO.read_text().partition("\n\n")[0]
     except OSError:
-        pass
-    return ""
+        return {}
+    pairs = (line.partition(":") for line in first.splitlines())
+    return {name.strip(): value.strip() for name, _, value in pairs}

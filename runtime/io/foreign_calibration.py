@@ -20,7 +20,6 @@ from runtime.errors import InputError
 from runtime.lens import EQUIDISTANT, PLUMB_BOB, RATIONAL_POLYNOMIAL
 from runtime.read_input import read_text
 
-FOREIGN_SUFFIXES = (".yaml", ".yml", ".json")
 _EXAMPLE = """\
 intrinsics = [[721.5, 0.0, 609.6], [0.0, 721.5, 172.9], [0.0, 0.0, 1.0]]  # pixels
 # From the LiDAR's frame to the camera's, metres; points_in = "camera" where they are the same.
@@ -36,8 +35,11 @@ _COLMAP = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OP
 _PAIR = re.compile(
     r"\b(fx|fy|cx|cy|k[1-3]|p[12]|width|height)[ \t]*[:= \t][ \t]*([-+.\d][-+.\de]*)", re.IGNORECASE
 )
-_FROM_CAMERA = "cameraextrinsicmat"  # Autoware's, from the camera's frame to the LiDAR's
-_CHECK = "must be from the LiDAR's frame to the camera's: if it is the other way, invert it"
+#: Names of a 4 x 4 from the camera's frame to the LiDAR's: Autoware's, and as Kalibr names frames.
+_FROM_CAMERA = re.compile(r"cameraextrinsicmat|t_(lidar|velo\w*|laser)_cam\w*")
+#: Names of a 4 x 4 of other frames: an IMU's, another camera's, the vehicle's.
+_OTHER_FRAMES = re.compile(r"imu|t_cn_cnm1|cam\w*_cam|body|base|world|rect|project")
+_CHECK = "check that it leads from the LiDAR's frame to the camera's, else invert it"
 
 
 class _Entry:
@@ -101,18 +103,22 @@ def _intrinsics(entries: list[_Entry]) -> str | None:
 
 def _lens(entries: list[_Entry]) -> list[str]:
     for entry in entries:
-        is_named = "dist" in entry.name or entry.name in ("d", "coeffs")
+        is_named = "dist" in entry.name or re.fullmatch(r"d\d?|coeffs", entry.name)
         if is_named and entry.numbers.size in (4, 5, 8):
             model = RATIONAL_POLYNOMIAL if entry.numbers.size == 8 else PLUMB_BOB
             stated = [each.text.lower() for each in entries if each.name == "distortion_model"]
+            lens = f'lens = "{model}"  # assumed: a fisheye is "{EQUIDISTANT}"'
             if stated:
-                model = _MODELS.get(stated[0], stated[0])
-            return [f'lens = "{model}"', _row("distortion", entry.numbers, entry.path)]
+                lens = f'lens = "{_MODELS.get(stated[0], stated[0])}"'
+            return [lens, _row("distortion", entry.numbers, entry.path)]
+        if is_named and entry.numbers.size > 1:
+            count = entry.numbers.size
+            return [f"# {entry.path} holds {count} numbers, of no lens here: rectify the images"]
     named = [_number(entries, name) for name in ("k1", "k2", "p1", "p2", "k3")]
     if None not in named[:4]:
         numbers = np.array([number or 0.0 for number in named])
         return [f'lens = "{PLUMB_BOB}"', _row("distortion", numbers, "k1, k2, p1, p2, k3")]
-    return ["# no distortion was found: the images must be rectified"]
+    return ["# no distortion was found: give lens and distortion unless the images are rectified"]
 
 
 def _size(entries: list[_Entry]) -> list[str]:
@@ -127,15 +133,17 @@ def _size(entries: list[_Entry]) -> list[str]:
 
 
 def _extrinsics(entries: list[_Entry]) -> str:
-    for entry in entries:
-        if entry.numbers.size == 16:
-            matrix = entry.numbers.reshape(4, 4)
-            if not np.array_equal(matrix[3], (0, 0, 0, 1)):
-                continue
-            if entry.name == _FROM_CAMERA and np.linalg.det(matrix):
-                return _row("extrinsics", np.linalg.inv(matrix), f"{entry.path}, inverted")
-            return _row("extrinsics", matrix, f"{entry.path}: {_CHECK}")
-    return "extrinsics = ...  # not found: 4 x 4, from the LiDAR's frame to the camera's"
+    matrices = [entry for entry in entries if entry.numbers.size == 16]
+    named = [entry for entry in matrices if not entry.name.startswith("from line ")]
+    for entry in named or matrices:
+        matrix = entry.numbers.reshape(4, 4)
+        if not np.array_equal(matrix[3], (0, 0, 0, 1)):
+            continue
+        if _FROM_CAMERA.fullmatch(entry.name) and np.linalg.det(matrix):
+            return _row("extrinsics", np.linalg.inv(matrix), f"{entry.path}, inverted")
+        if not _OTHER_FRAMES.search(entry.name):
+            return f"# {_CHECK}:\n{_row('extrinsics', matrix, entry.path)}"
+    return "# extrinsics = ... not found: 4 x 4, from the LiDAR's frame to the camera's"
 
 
 def _number(entries: list[_Entry], name: str) -> float | None:

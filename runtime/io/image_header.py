@@ -5,9 +5,6 @@ import struct
 
 _PNG_START = b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR"
 _JPEG_START = b"\xff\xd8"
-_TIFF_STARTS = {b"II*\0": "<", b"MM\0*": ">"}
-_TIFF_WIDTH, _TIFF_HEIGHT = 256, 257
-_TIFF_TYPES = {3: "H", 4: "I"}  # type codes of width and height
 # Codes of JPEG markers (ITU-T T.81, table B.1); a marker is 0xFF and its code.
 _MARKER = re.compile(rb"\xff([^\x00\xff])")
 _START_OF_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
@@ -16,9 +13,9 @@ _MAX_SEGMENTS = 1000  # before the size; a colour profile takes up to 255
 
 
 def image_size(content: bytes) -> tuple[int, int] | None:
-    """(height, width) from the header of a PNG, JPEG or TIFF file; None for any other content.
+    """(height, width) from the header of a PNG or JPEG file; None for any other content.
 
-    It is read where OpenCV's decoders (libpng, libjpeg, libtiff) read it.
+    It is read where OpenCV's decoders (libpng, libjpeg) read it.
     """
     try:
         if content.startswith(_PNG_START):
@@ -26,8 +23,6 @@ def image_size(content: bytes) -> tuple[int, int] | None:
             return height, width
         if content.startswith(_JPEG_START):
             return _jpeg_size(content)
-        if content[:4] in _TIFF_STARTS:
-            return _tiff_size(content, _TIFF_STARTS[content[:4]])
     except struct.error:  # truncated
         pass
     return None
@@ -46,17 +41,3 @@ def _jpeg_size(content: bytes) -> tuple[int, int] | None:
         if marker[1][0] not in _NO_SEGMENT:
             position += struct.unpack_from(">H", content, position)[0]
     return None
-
-
-def _tiff_size(content: bytes, order: str) -> tuple[int, int] | None:
-    """The size of the first picture; the first entry of a tag counts."""
-    (directory,) = struct.unpack_from(f"{order}I", content, 4)
-    (entries,) = struct.unpack_from(f"{order}H", content, directory)
-    sides: dict[int, int] = {}
-    for position in range(directory + 2, directory + 2 + 12 * entries, 12):
-        tag, kind = struct.unpack_from(f"{order}HH", content, position)
-        if tag in (_TIFF_WIDTH, _TIFF_HEIGHT) and tag not in sides:
-            if kind not in _TIFF_TYPES:
-                return None
-            (sides[tag],) = struct.unpack_from(order + _TIFF_TYPES[kind], content, position + 8)
-    return (sides[_TIFF_HEIGHT], sides[_TIFF_WIDTH]) if len(sides) == 2 else None

@@ -1,5 +1,6 @@
 """Read images and depth maps from files of bounded size."""
 
+import io
 import re
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,6 @@ from runtime.checks import cut
 from runtime.contract import MAX_PIXELS
 from runtime.errors import InputError
 from runtime.io.image_header import image_size
-from runtime.io.npy import read_npy
 from runtime.read_input import read_input
 
 RGB_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -43,7 +43,7 @@ def read_rgb(path: Path) -> NDArray[np.uint8]:
 def decode_rgb(content: bytes, *, name: str) -> NDArray[np.uint8]:
     """Decode the content of such a file as `read_rgb` does; `name` is for the errors."""
     flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-    image = decode_content(content, flags, name=name)
+    image = _decode_content(content, flags, name=name)
     if image.dtype != np.uint8:
         raise InputError(
             f"{name} must hold 8 bits a channel, got {image.dtype.itemsize * 8} bits: "
@@ -92,26 +92,37 @@ def _read_map(path: Path) -> NDArray[Any]:
     return decode(path, cv2.IMREAD_UNCHANGED)
 
 
+def read_npy(path: Path) -> NDArray[Any]:
+    """Read a .npy file of at most `MAX_FILE_BYTES`.
+
+    Raises:
+        InputError: if it cannot be read, is truncated or damaged, or holds Python objects.
+    """
+    file = io.BytesIO(read_input(path))
+    try:
+        array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
+    except Exception as error:  # the header is a Python expression: parsing may raise any type
+        raise InputError(
+            f"{path} is not a .npy file of numbers, or is truncated ({cut(str(error), 200)})"
+        ) from error
+    return array
+
+
 def decode(path: Path, flags: int) -> NDArray[Any]:
     """Decode a PNG, JPEG or TIFF file with OpenCV's IMREAD_* `flags`. Raises InputError."""
-    return decode_content(read_input(path), flags, name=str(path))
+    return _decode_content(read_input(path), flags, name=str(path))
 
 
-def decode_content(content: bytes, flags: int, *, name: str) -> NDArray[Any]:
-    """Decode the content of such a file as `decode` does; `name` is for the errors."""
-    damaged = (
-        f"{name} is empty, truncated or damaged, or not a PNG, JPEG or TIFF ({len(content)} bytes)"
-    )
-    size = image_size(content)
-    if size is None:
-        raise InputError(damaged)
-    require_pixels(size, name=name)
+def _decode_content(content: bytes, flags: int, *, name: str) -> NDArray[Any]:
+    if (size := image_size(content)) is not None:
+        require_pixels(size, name=name)  # before its pixels take memory
     try:
         image: NDArray[Any] | None = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
     except cv2.error:
         image = None
     if image is None:
-        raise InputError(damaged)
+        raise InputError(f"{name} is empty, truncated or damaged, or not a PNG, JPEG or TIFF")
+    require_pixels((image.shape[0], image.shape[1]), name=name)
     return image
 
 
@@ -119,8 +130,7 @@ def require_pixels(size: tuple[int, int], *, name: str) -> None:
     """Raise InputError for an image of (height, width) that has more than `MAX_PIXELS`."""
     if size[0] * size[1] > MAX_PIXELS:
         raise InputError(
-            f"{name} has {size[0]} x {size[1]} pixels, expected at most "
-            f"{MAX_PIXELS:,}: is it damaged?"
+            f"{name} has {size[0]} x {size[1]} pixels, expected at most {MAX_PIXELS:,}"
         )
 
 
@@ -144,13 +154,11 @@ def list_files(folder: Path, suffixes: tuple[str, ...] = RGB_SUFFIXES) -> dict[s
             raise InputError(f"{files[stem]} and {path} have the same stem: remove one")
         files[stem] = path
     if not files:
-        found = sorted({path.suffix for path in paths if path.suffix and path.name[0] != "."})
-        remedy = (
-            f"it has {', '.join(found[:5])}, convert them or give another folder"
-            if found
-            else "give the folder that holds the frames themselves"
+        found = {path.suffix for path in paths if path.suffix and path.name[0] != "."}
+        raise InputError(
+            f"the folder {folder} has no {' or '.join(suffixes)} files, it has "
+            f"{', '.join(sorted(found)[:5]) or 'other'} files: give another folder or option"
         )
-        raise InputError(f"the folder {folder} has no {' or '.join(suffixes)} files: {remedy}")
     return files
 
 

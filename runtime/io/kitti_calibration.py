@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.projection import check_intrinsics
 from runtime.read_input import read_text
@@ -44,24 +45,21 @@ class NumbersFile:
                 f"{', '.join(self._entries) or 'no lines'}"
             )
         try:
-            numbers = np.array(self._entries[name].split(), dtype=np.float64)
-        except ValueError as error:
-            raise InputError(
-                f"{self.path}: '{name}' contains a value that is not a number"
-            ) from error
-        if numbers.size != count:
-            raise InputError(f"{self.path}: '{name}' has {numbers.size} numbers, expected {count}")
-        if not np.isfinite(numbers).all():
-            raise InputError(f"{self.path}: '{name}' holds NaN or infinity")
+            text = self._entries[name].strip()
+            numbers = np.array(text.split(), dtype=np.float64)
+        except ValueError:
+            numbers = np.full(count, np.nan)
+        if numbers.size != count or not np.isfinite(numbers).all():
+            fault = f"must be {count} finite numbers, got {shown(text)}"
+            raise InputError(f"{self.path}: '{name}' {fault}")
         return numbers.reshape(rows, columns)
 
 
 def is_kitti(path: Path) -> bool:
     """Whether a text has a name of KITTI's, or is nine numbers; InputError if it is no text."""
     numbers = NumbersFile(path)
-    if "" in numbers:
-        with contextlib.suppress(InputError):
-            return numbers.matrix("", 3, 3).size == 9
+    with contextlib.suppress(InputError):
+        return numbers.matrix("", 3, 3).size == 9
     return any(name in numbers for name in _NAMES)
 
 

@@ -7,6 +7,7 @@ J. Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems", 2012.
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,15 +45,12 @@ def read_tum_poses(path: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         InputError: if the file cannot be read, or a line is no time [s] or no pose.
     """
     rows = _numbers(path, _TUM)
-    if len(rows) and not (np.abs(rows[:, 0]) < 2**63 / 1e9).all():
-        raise InputError(f"{path} must begin its lines with seconds, got {rows[:, 0].max():g}")
+    names = [f"line {number} of {path}" for number in range(1, len(rows) + 1)]
     # float64 has a resolution of 0.2 µs at 1.6e9 s.
-    stamps = [parse_seconds(line.split()[0]) for line in _lines(path)]
-    poses = [
-        pose_of(row[1:4], row[4:8], f"line {number + 1} of {path}")
-        for number, row in enumerate(rows)
-    ]
-    return np.array(stamps, np.int64), np.array(poses).reshape(-1, 4, 4)
+    times = [line.split()[0] for line in _lines(path)]
+    stamps_ns = [parse_seconds(*each) for each in zip(times, names, strict=True)]
+    poses = [pose_of(row[1:4], row[4:8], name) for row, name in zip(rows, names, strict=True)]
+    return np.array(stamps_ns, np.int64), np.array(poses).reshape(-1, 4, 4)
 
 
 def read_oxts_poses(paths: Iterable[Path]) -> NDArray[np.float64]:
@@ -69,27 +67,26 @@ def read_oxts_poses(paths: Iterable[Path]) -> NDArray[np.float64]:
         InputError: if a file cannot be read.
     """
     poses: list[NDArray[np.float64]] = []
-    scale, origin = 0.0, np.zeros(3)
+    scale = 0.0
     for path in paths:
         row = _numbers(path, _OXTS)
         if len(row) != 1:
             raise InputError(f"{path} must have one line of {_OXTS} numbers, it has {len(row)}")
-        latitude, longitude, altitude, roll, pitch, yaw = row[0, :6]
+        latitude, longitude, altitude, *angles = row[0, :6]
         if not (abs(latitude) < 89 and abs(longitude) <= 360):
             raise InputError(f"{path} must begin with latitude and longitude in degrees")
-        scale = scale or np.cos(np.radians(latitude))
-        pose = np.eye(4)
-        pose[:3, :3] = _about(2, yaw) @ _about(1, pitch) @ _about(0, roll)
-        pose[:3, 3] = (
-            scale * _EARTH_RADIUS_M * np.radians(longitude),
-            scale * _EARTH_RADIUS_M * np.log(np.tan(np.radians(90 + latitude) / 2)),
-            altitude,
+        scale = scale or _EARTH_RADIUS_M * np.cos(np.radians(latitude))
+        roll, pitch, yaw = (
+            cv2.Rodrigues(axis * angle)[0] for axis, angle in zip(np.eye(3), angles, strict=True)
         )
-        if not poses:
-            origin = pose[:3, 3].copy()
-        pose[:3, 3] -= origin
+        pose = np.eye(4)
+        pose[:3, :3] = yaw @ pitch @ roll
+        north = np.log(np.tan(np.radians(90 + latitude) / 2))
+        pose[:3, 3] = scale * np.radians(longitude), scale * north, altitude
         poses.append(pose)
-    return np.array(poses).reshape(-1, 4, 4)
+    moved = np.array(poses).reshape(-1, 4, 4)
+    moved[:, :3, 3] -= moved[:1, :3, 3]
+    return moved
 
 
 def read_poses(
@@ -166,12 +163,3 @@ def _numbers(path: Path, count: int) -> NDArray[np.float64]:
             )
         rows.append(row)
     return np.array(rows).reshape(-1, count)
-
-
-def _about(axis: int, angle: float) -> NDArray[np.float64]:
-    """The rotation (3, 3) about an axis, 0 = x."""
-    rotation, first, second = np.eye(3), (axis + 1) % 3, (axis + 2) % 3
-    rotation[first, first] = rotation[second, second] = np.cos(angle)
-    rotation[second, first] = np.sin(angle)
-    rotation[first, second] = -np.sin(angle)
-    return rotation

@@ -15,8 +15,7 @@ run keeps its pace, and numpy's archive has a checksum of every array.
 import contextlib
 import json
 import sys
-import zipfile
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -40,7 +39,6 @@ _FRAMES = "frames"
 
 MAX_FRAME_BYTES = 2**32  # of the largest cameras with all heads
 
-_INPUTS = ("rgb", "sparse_depth")
 #: A limit or a time.
 _check = partial(check_number, least=0, most=sys.float_info.max)
 
@@ -107,24 +105,25 @@ class Recording:
     def arrays(self, index: int) -> dict[str, NDArray[Any]]:
         """Read "rgb", "sparse_depth" and the answers of one frame. Raises InputError."""
         path = _frame_path(self.folder, index)
-        names = {*_INPUTS, *(self.limits if self.frames[index].valid else ())}
+        names = ["rgb", "sparse_depth", *(self.limits if self.frames[index].valid else ())]
         try:
-            with open_input(path, max_bytes=MAX_FRAME_BYTES) as file:
-                with zipfile.ZipFile(file) as members:
-                    _check_members(members.infolist(), names)
-                file.seek(0)
-                with np.load(file, allow_pickle=False) as archive:
-                    arrays = {name: archive[name] for name in names}
-            if no_arrays := [name for name in names if not isinstance(arrays[name], np.ndarray)]:
-                raise ValueError(f"{no_arrays[0]} is not an array")
+            with (
+                open_input(path, max_bytes=MAX_FRAME_BYTES) as file,
+                np.load(file, allow_pickle=False) as archive,
+            ):
+                if sorted(archive.files) != sorted(names):
+                    raise ValueError(f"it holds {shown(archive.files, 200)}, expected {names}")
+                if any(member.compress_type for member in archive.zip.infolist()):
+                    raise ValueError("its arrays are compressed")  # to any size
+                arrays = {name: archive[name] for name in names}
+            if not all(isinstance(each, np.ndarray) for each in arrays.values()):
+                raise ValueError("it holds what is no array")  # numpy returns the bytes
             return arrays
         except InputError:
             raise
         except Exception as error:  # zipfile and numpy raise anything
-            raise InputError(
-                f"cannot read {path} ({cut(str(error), 200)}): the recording is damaged, get it "
-                "again"
-            ) from error
+            reason = f"cannot read {path} ({cut(str(error), 200)})"
+            raise InputError(f"{reason}: the recording is damaged, get it again") from error
 
 
 class Recorder:
@@ -234,7 +233,8 @@ def read_recording(folder: Path) -> Recording:
         document = json.loads(read_text(path))
     except InputError as error:
         raise InputError(
-            f"{error}: give a folder made by ssdnet-run --record or ssdnet-export --record"
+            f"{error}: give a folder made by ssdnet-run --record (of several cameras, that of one) "
+            "or ssdnet-export --record"
         ) from error
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} is not JSON ({error}): get the recording again") from error
@@ -247,35 +247,18 @@ def read_recording(folder: Path) -> Recording:
         ) from error
 
 
-def _check_members(members: Sequence[zipfile.ZipInfo], names: Collection[str]) -> None:
-    """Raise ValueError unless these are the arrays, as `Recorder` writes them: not compressed."""
-    found = sorted(member.filename for member in members)
-    if found != sorted(f"{name}.npy" for name in names):
-        raise ValueError(f"it holds {shown(found, 200)}, expected {sorted(names)}")
-    if any(member.compress_type != zipfile.ZIP_STORED for member in members):
-        raise ValueError("its arrays are compressed")
-    if (size := sum(member.file_size for member in members)) > MAX_FRAME_BYTES:
-        raise ValueError(f"{size:,} bytes in a frame, at most {MAX_FRAME_BYTES:,}")
-
-
 def _parse(folder: Path, document: Any) -> Recording:
-    if document["format"] != RECORDING_FORMAT:
-        raise ValueError(f"format is {shown(document['format'])}, expected {RECORDING_FORMAT!r}")
-    if document["version"] != RECORDING_VERSION:
-        raise ValueError(f"version is {shown(document['version'])}, expected {RECORDING_VERSION!r}")
-    settings = document["settings"]
-    size, focal_px = settings["size"], settings["focal_length_px"]
+    for key, expected in (("format", RECORDING_FORMAT), ("version", RECORDING_VERSION)):
+        if document[key] != expected:
+            raise ValueError(f"{key} is {shown(document[key])}, expected {expected!r}")
+    settings, size = document["settings"], document["settings"]["size"]
+    size = tuple(size) if isinstance(size, list) else size
     return Recording(
         folder=folder,
-        settings=Settings(
-            made_by=str(settings["made_by"]),
-            size=tuple(size) if isinstance(size, list) else size,
-            focal_length_px=None if focal_px is None else float(focal_px),
-            provider=str(settings["provider"]),
-        ),
+        settings=Settings(**{**settings, "size": size}),
         model_name=str(document["model"]["name"]),
         model_sha256=str(document["model"]["sha256"]),
-        limits={name: _limits(name, entry) for name, entry in document["limits"].items()},
+        limits={head: _limits(head, entry) for head, entry in document["limits"].items()},
         frames=tuple(_frame(entry) for entry in document["frames"]),
     )
 
@@ -291,16 +274,10 @@ def _frame(entry: Any) -> RecordedFrame:
 
 
 def _limits(head: str, entry: Mapping[str, Any]) -> dict[str, float]:
-    known = compare(_head(head), np.ones(1), np.ones(1)).keys()
+    known = compare(head, np.ones(1), np.ones(1)).keys()
     if not entry or entry.keys() - known:
         raise ValueError(f"the limits of {head} are {shown(entry)}, expected some of {[*known]}")
     return {name: _check(name, value) for name, value in entry.items()}
-
-
-def _head(name: str) -> str:
-    if name not in HEADS:
-        raise ValueError(f"unknown head {shown(name)}")
-    return name
 
 
 def _frame_path(folder: Path, index: int) -> Path:

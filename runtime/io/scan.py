@@ -6,7 +6,6 @@ Polygon File Format", 1994.
 
 import contextlib
 import io
-import itertools
 import math
 import re
 from pathlib import Path
@@ -18,21 +17,17 @@ from numpy.typing import NDArray
 
 from runtime.checks import cut, shown
 from runtime.errors import InputError
-from runtime.io.npy import read_npy
+from runtime.io.images import read_npy
 from runtime.read_input import MAX_FILE_BYTES, read_input
 
 SCAN_SUFFIXES = (".pcd.bin", ".bin", ".pcd", ".ply", ".npy")  # .pcd.bin before .bin
 _MAX_HEADER_BYTES = 100_000
 _LAST_LINE = re.compile(rb"^(DATA\s|end_header)[^\n]*\n", re.MULTILINE)
 _CODES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
-_NAMES = (
-    ("char", "uchar", "short", "ushort", "int", "uint", "float", "double"),
-    ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64"),
-    _CODES,
-)
+_WORDS = ("char", "uchar", "short", "ushort", "int", "uint", "float", "double")
 #: Type of a field in a PLY or PCD file -> NumPy's.
-_TYPES = {name: code for names in _NAMES for name, code in zip(names, _CODES, strict=True)}
-_TYPES |= {"i8": "i8", "u8": "u8"}
+_TYPES = {np.dtype(code).name: code for code in _CODES} | dict(zip(_WORDS, _CODES, strict=True))
+_TYPES |= {code: code for code in (*_CODES, "i8", "u8")}
 _ASCII, _COMPRESSED = "ascii", "binary_compressed"
 #: Encoding of the points -> order of the bytes.
 _OF_PCD = {_ASCII: "", "binary": "<", _COMPRESSED: "<"}
@@ -52,7 +47,7 @@ class _Header(NamedTuple):
     encoding: str
 
 
-def read_scan(path: Path, *, columns: int | None = None) -> NDArray[np.float32]:
+def read_scan(path: Path | str, *, columns: int | None = None) -> NDArray[np.float32]:
     """Read a scan; the ending of its name decides on the format.
 
     Args:
@@ -68,6 +63,7 @@ def read_scan(path: Path, *, columns: int | None = None) -> NDArray[np.float32]:
         InputError: if the file cannot be read, is truncated or damaged, lacks x, y or z, or is a
             raw file whose points are those of a scanner only with another number of columns.
     """
+    path = Path(path)
     name = path.name.lower()
     try:
         if name.endswith(".npy"):
@@ -88,27 +84,16 @@ def _check_array(array: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
-    values: NDArray[np.float32] = np.frombuffer(content, "<f4", len(content) // 4)
-    fits = columns >= 3 and len(content) % (4 * columns) == 0
-    if fits:
-        points = values.astype(np.float32).reshape(-1, columns)
-        if _is_of_a_scanner(points) is not False:
-            return points
-    others = [
-        str(count)
-        for count in _COLUMNS
-        if len(content) % (4 * count) == 0 and _is_of_a_scanner(values.reshape(-1, count))
-    ]
-    if fits and not others:
-        return points  # unordered points: the number of columns cannot be judged
-    remedy = f": give point_columns={' or '.join(others)} in --source" if others else ""
-    if fits:
-        raise ValueError(
-            f"with {columns} float32 per point, its points do not follow scan lines, but they "
-            f"do with {' or '.join(others)}{remedy}"
-        )
+    values = np.frombuffer(content, "<f4", len(content) // 4)
+    scans = {n: values.reshape(-1, n) for n in {columns, *_COLUMNS} if len(content) % (4 * n) == 0}
+    ordered = {n: _is_of_a_scanner(points) for n, points in scans.items()}
+    others = " or ".join(str(n) for n in _COLUMNS if n != columns and ordered.get(n))
+    if columns in scans and (ordered[columns] is not False or not others):
+        return scans[columns].astype(np.float32)
+    fault = "do not follow scan lines as" if columns in scans else "are not whole"
+    remedy = f": give point_columns={others} in --source" if others else ""
     raise ValueError(
-        f"its {len(content)} bytes are not whole points of {columns} float32: it is truncated, of "
+        f"its {len(content)} bytes {fault} points of {columns} float32: it is truncated, of "
         f"another format, or has other columns{remedy}"
     )
 
@@ -153,13 +138,12 @@ def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:
     if points == 0:
         return np.zeros((0, 3), np.float32)
     if encoding == _ASCII:
-        text = itertools.filterfalse(str.isspace, io.TextIOWrapper(io.BytesIO(body), "ascii"))
-        first = next(text, None)
-        if first is None:
-            raise ValueError(f"it has 0 of {points} points: is it truncated?")
-        table = itertools.islice(itertools.chain([first], text), points)
         columns = [column for column, _, _ in places]
-        rows = np.loadtxt(table, np.float32, comments=None, usecols=columns, ndmin=2)
+        if body.isspace():
+            raise ValueError(f"it has 0 of {points} points: is it truncated?")
+        rows = np.loadtxt(
+            io.BytesIO(body), np.float32, comments=None, usecols=columns, ndmin=2, max_rows=points
+        )
         if len(rows) < points:
             raise ValueError(f"it has {len(rows)} of {points} points: is it truncated?")
         return rows
@@ -177,10 +161,10 @@ def _parse_pcd(lines: list[list[str]]) -> _Header:
     if missing := {"FIELDS", "SIZE", "TYPE", "POINTS"} - header.keys():
         raise ValueError(f"its header lacks {', '.join(sorted(missing))}")
     names = header["FIELDS"]
-    counts = map(_count, header.get("COUNT", ["1"] * len(names)))
+    counts = map(int, header.get("COUNT", ["1"] * len(names)))
     types = map("".join, zip(header["TYPE"], header["SIZE"], strict=True))
     fields = [(name, t.lower(), n) for name, t, n in zip(names, types, counts, strict=True)]
-    return _Header(fields, _count(" ".join(header["POINTS"])), " ".join(header["DATA"]))
+    return _Header(fields, int(" ".join(header["POINTS"])), " ".join(header["DATA"]))
 
 
 def _parse_ply(lines: list[list[str]]) -> _Header:
@@ -195,14 +179,7 @@ def _parse_ply(lines: list[list[str]]) -> _Header:
                 fields.append((name, " ".join(types), 1))
     if not elements or elements[0][:1] != ["vertex"]:
         raise ValueError("its header does not have vertex as its first element")
-    return _Header(fields, _count(" ".join(elements[0][1:])), encoding)
-
-
-def _count(text: str) -> int:
-    """A number of a header; int() also takes underscores."""
-    if not re.fullmatch("-?[0-9]+", text):
-        raise ValueError(f"invalid literal for a count: {shown(text)}")
-    return int(text)
+    return _Header(fields, int(" ".join(elements[0][1:])), encoding)
 
 
 def _place(fields: list[tuple[str, str, int]]) -> tuple[list[tuple[int, int, str]], int, int]:

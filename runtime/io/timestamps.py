@@ -1,7 +1,10 @@
 """Files with a time a line, as of the frames of a recording."""
 
-from datetime import UTC, datetime
+import warnings
+from decimal import Decimal
 from pathlib import Path
+
+import numpy as np
 
 from runtime.errors import InputError
 from runtime.read_input import read_text
@@ -22,7 +25,7 @@ def read_timestamps(path: Path) -> list[int]:
     stamps_ns: list[int] = []
     for number, line in enumerate(read_text(path).rstrip().splitlines(), 1):
         where = f"line {number} of {path}"
-        stamps_ns.append(parse_date(line, where) if ":" in line else _parse_s(line, where))
+        stamps_ns.append((parse_date if ":" in line else parse_seconds)(line, where))
         if number > 1 and stamps_ns[-1] <= stamps_ns[-2]:
             raise InputError(f"{where} is {line!r:.60}, expected a later time than the line before")
     return stamps_ns
@@ -34,37 +37,22 @@ def parse_date(text: str, where: str) -> int:
     Raises:
         InputError: if it is none; it begins with `where`.
     """
-    whole, _, fraction = text.strip().partition(".")
     try:
-        if not (fraction or "0").isdecimal():  # int() takes signs and underscores
-            raise ValueError(fraction)
-        seconds = datetime.strptime(whole, "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC).timestamp()
-        return int(seconds) * 10**9 + int(fraction[:9].ljust(9, "0"))
-    except ValueError as error:
-        raise InputError(f"{where} is {text!r:.60}, expected a time like {_DATE}") from error
+        with warnings.catch_warnings(action="error"):  # of a time zone
+            date: np.datetime64 = np.datetime64(text.strip(), "ns")
+    except (ValueError, UserWarning):
+        date = np.datetime64("NaT")
+    if np.isnat(date):  # also of an empty line
+        raise InputError(f"{where} is {text!r:.60}, expected a time like {_DATE}")
+    return int(date.astype(np.int64))
 
 
-def parse_seconds(text: str) -> int:
-    """Nanoseconds of a number of seconds, not rounded where it has no exponent.
-
-    Raises:
-        ValueError: if it is none.
-    """
-    whole, _, fraction = text.strip().partition(".")
-    digits = whole.removeprefix("-").removeprefix("+")
-    if not (digits.isdecimal() and (fraction or "0").isdecimal()):
-        if "_" in text:  # float() takes them
-            raise ValueError(text)
-        return round(float(text) * 1e9)
-    rest = int(fraction[:9].ljust(9, "0"))
-    return int(whole) * 10**9 + (-rest if whole.startswith("-") else rest)
-
-
-def _parse_s(text: str, where: str) -> int:
+def parse_seconds(text: str, where: str) -> int:
+    """Nanoseconds of a number of seconds, exact to the last digit; errors as `parse_date`."""
     try:
-        stamp_ns = parse_seconds(text)
+        stamp_ns = Decimal(text.strip()) * 10**9
         if abs(stamp_ns) < 2**63:
-            return stamp_ns
-    except (OverflowError, ValueError):
+            return int(stamp_ns)
+    except ArithmeticError:  # no number, or a NaN
         pass
     raise InputError(f"{where} is {text!r:.60}, expected seconds, or a time like {_DATE}")

@@ -13,10 +13,10 @@ from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.health.frame_health import FrameHealth
 from runtime.io.calibration import Calibration
 from runtime.live.frame_result import FrameResult
-from runtime.live.payload import Points
+from runtime.live.sensor_input import Points
 from runtime.prediction import IMPLAUSIBLE_DEPTH, Prediction
-from runtime.sync.depth_in_time import DepthMotion, keep_map, project_in_time
 from runtime.sync.matching import Pair
+from runtime.sync.motion import DepthMotion, keep_map, project_in_time
 from runtime.sync.poses import PoseTrack
 
 _CHECK_EVERY = 100  # frames with depth, after the first FIRST_FRAMES
@@ -143,13 +143,9 @@ class Answerer:
     def _predict(
         self, rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], pair: Pair
     ) -> Prediction:
+        focal_px = None
+        if self._calibration is not None and self._predictor.focal_length_px is None:
+            focal_px = self._calibration.focal_length_px
         return self._predictor.predict(
-            rgb, sparse_depth, focal_length_px=self._own_focal_px, stamp=pair.image.stamp
+            rgb, sparse_depth, focal_length_px=focal_px, stamp=pair.image.stamp
         )
-
-    @property
-    def _own_focal_px(self) -> float | None:
-        """The focal length of the calibration, if the predictor has none."""
-        if self._calibration is None or self._predictor.focal_length_px is not None:
-            return None
-        return self._calibration.focal_length_px

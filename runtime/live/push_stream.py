@@ -1,8 +1,7 @@
 """A stream that sensors push into: images and depth maps in from any thread, results out.
 
-One worker thread predicts. One lock guards all state. Threads that wait for a result wait on
-`_answered`, to avoid spurious wake-ups; all others wait on `_changed`, which is notified at every
-other change. Invariants:
+One worker thread predicts. One lock guards all state. All threads wait on `_changed`, which is
+notified at every change. Invariants:
 
 1. An accepted message is in exactly one place: with the synchronizer, in `_ready`, with the worker
    (`_step` to `_answer`), or counted with its outcome. It is moved only with the lock held.
@@ -20,10 +19,10 @@ other change. Invariants:
 
 import contextlib
 import threading
+import time
 import weakref
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -33,17 +32,14 @@ from runtime.checks import check_number, shown
 from runtime.errors import InferenceError, InputError, SSDNetError
 from runtime.io.calibration import Calibration
 from runtime.live.answerer import Answerer, FramePredictor
-from runtime.live.clock import MonotonicClock
 from runtime.live.frame_result import FrameResult
-from runtime.live.payload import check_depth, check_points
-from runtime.live.pose_feed import PoseFeed
+from runtime.live.sensor_input import SENSORS, Kind, SensorInput
 from runtime.live.stream_counter import StreamCounter, StreamCounts
 from runtime.live.watchdog import WatchdogLimits, WatchdogState
-from runtime.preprocess import check_rgb
 from runtime.process_guard import ProcessGuard
-from runtime.sync.depth_in_time import ScanStamp
 from runtime.sync.latency import Jitter, StreamStatistics
-from runtime.sync.matching import Decided, Message, Pair
+from runtime.sync.matching import Decided, Message, Pair, Synchronizer
+from runtime.sync.motion import ScanStamp
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.poses import PoseTrack
 from runtime.sync.stamp import (
@@ -53,11 +49,21 @@ from runtime.sync.stamp import (
     Stamp,
     stamp_ns,
 )
-from runtime.sync.synchronizer import Synchronizer
 
 _WAITING = 16  # messages of a sensor that wait for their partner
 _EXIT_S = 10.0  # time that the exit of the interpreter waits for a prediction
-_check_ms = partial(check_number, most=1e9, unit="milliseconds", error=InputError)
+
+
+class MonotonicClock:
+    """The clock of a stream, which tests replace: time that never goes back."""
+
+    def now_ns(self) -> int:
+        """Nanoseconds since an arbitrary start."""
+        return time.monotonic_ns()
+
+    def wait(self, changed: threading.Condition, timeout_ns: int | None) -> None:
+        """Wait until `changed`, whose lock is held, is notified; None = without a limit."""
+        changed.wait(None if timeout_ns is None else max(timeout_ns, 0) / 1e9)
 
 
 class PushStream:
@@ -141,25 +147,24 @@ class PushStream:
         _check_type("on_error", on_error, Callable)
         _check_type("on_state", on_state, Callable)
         _check_type("sensor_clock", sensor_clock, Callable)
-        self.deadline_ms = (
-            None if deadline_ms is None else _check_ms("deadline_ms", deadline_ms, 1e-6)
-        )
-        self._calibration = calibration
+        if deadline_ms is not None:
+            limits = 1e-6, 1e9
+            deadline_ms = check_number("deadline_ms", deadline_ms, *limits, "ms", error=InputError)
+        self.deadline_ms = deadline_ms
         # The worker's alone.
         self._answerer = Answerer(predictor, calibration, consistency, check_depth=check_depth)
         self._on_result, self._on_error, self._on_state = on_result, on_error, on_state
         self._sensor_clock = sensor_clock
         self._clock = clock or MonotonicClock()
 
-        lock = threading.RLock()
-        self._changed, self._answered = threading.Condition(lock), threading.Condition(lock)
+        self._changed = threading.Condition(threading.RLock())
         self._synchronizer = Synchronizer(
-            max_skew_ns=round(_check_ms("max_skew_ms", max_skew_ms, 0) * NS_PER_MS),
-            max_wait_ns=round(_check_ms("max_wait_ms", max_wait_ms, 0) * NS_PER_MS),
+            max_skew_ms=max_skew_ms,
+            max_wait_ms=max_wait_ms,
+            reuse_depth_ms=reuse_depth_ms,
             capacity=_WAITING,
-            reuse_ns=round(_check_ms("reuse_depth_ms", reuse_depth_ms, 0) * NS_PER_MS),
         )
-        self._poses = PoseFeed(pose_frame, scan_stamp, calibration)
+        self._sensors = SensorInput(pose_frame, scan_stamp, calibration)
         self._counter, self._jitter = StreamCounter(self.deadline_ms, watchdog), Jitter()
         self._reported_state = self._counter.state(0)
         self._ready: Pair | None = None  # waits for its prediction
@@ -191,7 +196,7 @@ class PushStream:
             InputError: if the array or the stamp is not valid; that is counted, too.
             InferenceError: if the stream was ended by an unexpected error.
         """
-        self._push(Sensor.IMAGE, check_rgb, rgb, stamp)
+        self._push("image", rgb, stamp)
 
     def push_depth(self, sparse_depth: NDArray[np.float32], stamp: Stamp) -> None:
         """Push a sparse depth map, as `push_image`.
@@ -205,7 +210,7 @@ class PushStream:
             InputError: as `push_image`.
             InferenceError: as `push_image`.
         """
-        self._push(Sensor.DEPTH, check_depth, sparse_depth, stamp)
+        self._push("depth", sparse_depth, stamp)
 
     def push_points(
         self,
@@ -226,13 +231,7 @@ class PushStream:
                 more than a second from the stamp.
             InferenceError: as `push_image`.
         """
-
-        def check(points: Any) -> Any:
-            return check_points(
-                points, times=times, stamp_ns=stamp_ns(stamp), calibration=self._calibration
-            )
-
-        self._push(Sensor.DEPTH, check, points, stamp)
+        self._push("points", points, stamp, times)
 
     def push_pose(self, pose: NDArray[np.floating[Any]], stamp: Stamp) -> None:
         """Push where the car is, in rising order of the stamps; needs `pose_frame`.
@@ -246,15 +245,16 @@ class PushStream:
             InputError: as `push_image`, if the pose is not rigid or the stream has no `pose_frame`.
             InferenceError: as `push_image`.
         """
-        self._push(Sensor.POSE, self._poses.check, pose, stamp)
+        self._push("pose", pose, stamp)
 
-    def _push(self, sensor: Sensor, check: Callable[[Any], Any], data: Any, stamp: Any) -> None:
+    def _push(self, kind: Kind, data: Any, stamp: Any, times: Any = None) -> None:
         self._guard.check()
+        sensor = SENSORS[kind]
         outcome = Outcome.BAD_STAMP
         try:
             nanoseconds = stamp_ns(stamp)
             outcome = Outcome.BAD_MESSAGE
-            data = check(data).copy()  # drivers reuse their buffers
+            data = self._sensors.check(kind, data, nanoseconds, times)
         except InputError:
             with self._changed:
                 self._counter.push(sensor)
@@ -273,9 +273,9 @@ class PushStream:
             now_ns = self._clock.now_ns()
             self._counter.start(now_ns)
             if sensor is Sensor.POSE:
-                self._counter.record(sensor, self._poses.buffer.add(data, nanoseconds))
+                self._counter.record(sensor, self._sensors.poses.add(data, nanoseconds))
             else:
-                data = self._poses.timed(data, nanoseconds)
+                data = self._sensors.timed(data, nanoseconds)
                 message = Message(stamp, nanoseconds, data, now_ns)
                 self._queue(self._synchronizer.add(sensor, message))
             self._changed.notify_all()
@@ -340,7 +340,7 @@ class PushStream:
         self._guard.check()
         with self._changed:
             while self._unread is None and not self._ended:
-                self._clock.wait(self._answered, None)
+                self._clock.wait(self._changed, None)
             if self._unread is not None:
                 (_, result), self._unread = self._unread, None
                 return result
@@ -373,7 +373,7 @@ class PushStream:
                 self._queue(self._synchronizer.advance(now_ns))
             pair, self._ready = self._ready, None
             if pair is not None:
-                poses = self._poses.track(pair)
+                poses = self._sensors.track(pair)
             elif self._closed:
                 self._end()
                 return False
@@ -417,7 +417,7 @@ class PushStream:
                 if self._unread is not None:
                     self._counter.record_unread(self._unread[0])
                 self._unread = pair, result
-                self._answered.notify_all()
+                self._changed.notify_all()
         if self._on_result is not None:
             self._on_result(result)
 
@@ -470,7 +470,6 @@ class PushStream:
     def _end(self) -> None:
         self._closed = self._ended = True
         self._changed.notify_all()
-        self._answered.notify_all()
 
 
 def _work(

@@ -6,7 +6,6 @@ The messages are matched as `ssdnet-run` matches those of a bag, moved and flagg
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from typing import Any, Literal
 
 from numpy.typing import NDArray
@@ -16,28 +15,18 @@ from runtime.errors import InputError, SSDNetError
 from runtime.io.calibration import Calibration
 from runtime.live.answerer import Answerer, FramePredictor
 from runtime.live.frame_result import FrameResult
-from runtime.live.payload import check_depth as checked_depth
-from runtime.live.payload import check_points
-from runtime.live.pose_feed import PoseFeed
+from runtime.live.sensor_input import SENSORS, Kind, SensorInput
 from runtime.live.stream_counter import StreamCounter
-from runtime.preprocess import check_rgb
-from runtime.sync.depth_in_time import ScanStamp
-from runtime.sync.matching import Message, Pair
+from runtime.sync.matching import Message, Pair, match_by_stamp
+from runtime.sync.motion import ScanStamp
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS, Stamp, stamp_ns
-from runtime.sync.stamp_matching import match_by_stamp
 
 _WAITING = 16  # messages of a sensor that wait for their partner, and frames that wait for poses
-_SENSORS = {
-    "image": Sensor.IMAGE,
-    "depth": Sensor.DEPTH,
-    "points": Sensor.DEPTH,
-    "pose": Sensor.POSE,
-}
 
 #: (kind, array, stamp), as the arguments of the `PushStream.push_` method of this kind.
 ReplayMessage = (
-    tuple[Literal["image", "depth", "points", "pose"], NDArray[Any], Stamp]
+    tuple[Kind, NDArray[Any], Stamp]
     | tuple[Literal["points"], NDArray[Any], Stamp, NDArray[Any] | None]
 )
 
@@ -98,94 +87,73 @@ def replay(
     """
     counter = StreamCounter() if counter is None else counter
     answerer = Answerer(predictor, calibration, consistency, check_depth=check_depth)
-    poses = PoseFeed(pose_frame, scan_stamp, calibration)
-    recording = _Recording(answerer, poses, calibration, counter, on_error)
+    sensors = SensorInput(pose_frame, scan_stamp, calibration)
+
+    def report(error: SSDNetError) -> None:
+        if on_error is None:
+            raise error
+        on_error(error)
+
+    def matched() -> Iterator[tuple[Sensor, Message]]:
+        """Check the messages and yield those to be matched; poses are taken."""
+        for message in messages:
+            kind, data, stamp, times = _parts(message)
+            sensor = SENSORS[kind]
+            counter.push(sensor)
+            outcome = Outcome.BAD_STAMP
+            try:
+                nanoseconds = stamp_ns(stamp)
+                outcome = Outcome.BAD_MESSAGE
+                data = sensors.check(kind, data, nanoseconds, times)
+            except InputError as error:
+                counter.record(sensor, outcome)
+                report(error)
+                continue
+            if sensor is Sensor.POSE:
+                counter.record(sensor, sensors.poses.add(data, nanoseconds))
+            else:
+                yield sensor, Message(stamp, nanoseconds, sensors.timed(data, nanoseconds))
+
     pairs = match_by_stamp(
-        recording.matched(messages),
+        matched(),
         max_skew_ms=max_skew_ms,
         reuse_depth_ms=reuse_depth_ms,
         waiting=_WAITING,
         on_decided=counter.record_decided,
     )
-    return recording.answers(pairs)
 
+    def answered(pair: Pair) -> Iterator[FrameResult]:
+        """Yield the answer to a frame, or nothing after an error."""
+        try:
+            answer = answerer.answer(pair, sensors.track(pair))
+        except SSDNetError as error:
+            counter.record_failed(pair, error)
+            report(error)
+            return
+        counter.record_answer(pair, answer)
+        yield answer
+        answerer.check_last(idle=True)
 
-@dataclass(frozen=True, eq=False)
-class _Recording:
-    """The messages and the frames of a recording."""
-
-    answerer: Answerer
-    poses: PoseFeed
-    calibration: Calibration | None
-    counter: StreamCounter
-    on_error: Callable[[SSDNetError], object] | None
-
-    def matched(self, messages: Iterable[ReplayMessage]) -> Iterator[tuple[Sensor, Message]]:
-        """Check the messages and yield those to be matched; poses are taken."""
-        for message in messages:
-            kind, data, stamp, times = _parts(message)
-            sensor = _SENSORS[kind]
-            self.counter.push(sensor)
-            outcome = Outcome.BAD_STAMP
-            try:
-                nanoseconds = stamp_ns(stamp)
-                outcome = Outcome.BAD_MESSAGE
-                data = self._check(kind, data, nanoseconds, times).copy()
-            except InputError as error:
-                self.counter.record(sensor, outcome)
-                self._report(error)
-                continue
-            if sensor is Sensor.POSE:
-                self.counter.record(sensor, self.poses.buffer.add(data, nanoseconds))
-            else:
-                data = self.poses.timed(data, nanoseconds)
-                yield sensor, Message(stamp, nanoseconds, data)
-
-    def _check(self, kind: str, data: Any, nanoseconds: int, times: Any) -> Any:
-        match kind:
-            case "image":
-                return check_rgb(data)
-            case "depth":
-                return checked_depth(data)
-            case "pose":
-                return self.poses.check(data)
-        return check_points(data, times=times, stamp_ns=nanoseconds, calibration=self.calibration)
-
-    def answers(self, pairs: Iterable[Pair]) -> Iterator[FrameResult]:
+    def answers() -> Iterator[FrameResult]:
         """Answer the frames as soon as poses reach them."""
         waiting: deque[Pair] = deque()
         for pair in pairs:
             waiting.append(pair)
-            while waiting and (len(waiting) > _WAITING or self.poses.reach(waiting[0])):
-                yield from self._answer(waiting.popleft())
+            while waiting and (len(waiting) > _WAITING or sensors.reaches(waiting[0])):
+                yield from answered(waiting.popleft())
         for pair in waiting:
-            yield from self._answer(pair)
+            yield from answered(pair)
 
-    def _answer(self, pair: Pair) -> Iterator[FrameResult]:
-        """Yield the answer to a frame, or nothing after an error."""
-        try:
-            answer = self.answerer.answer(pair, self.poses.track(pair))
-        except SSDNetError as error:
-            self.counter.record_failed(pair, error)
-            self._report(error)
-            return
-        self.counter.record_answer(pair, answer)
-        yield answer
-        self.answerer.check_last(idle=True)
-
-    def _report(self, error: SSDNetError) -> None:
-        if self.on_error is None:
-            raise error
-        self.on_error(error)
+    return answers()
 
 
-def _parts(message: Any) -> tuple[str, Any, Any, Any]:
+def _parts(message: Any) -> tuple[Kind, Any, Any, Any]:
     """The kind, array, stamp and times of a message; InputError if it is not a message."""
     if isinstance(message, tuple) and len(message) in (3, 4):
         kind, data, stamp, *times = message
-        if isinstance(kind, str) and kind in _SENSORS and (not times or kind == "points"):
-            return kind, data, stamp, times[0] if times else None
+        if isinstance(kind, str) and kind in SENSORS and (not times or kind == "points"):
+            return kind, data, stamp, times[0] if times else None  # type: ignore[return-value]
     raise InputError(
-        f"a message must be a tuple (kind, array, stamp), the kind one of {', '.join(_SENSORS)}; "
+        f"a message must be a tuple (kind, array, stamp), the kind one of {', '.join(SENSORS)}; "
         f"of points times may follow; got {shown(message)}"
     )

@@ -9,8 +9,7 @@ from runtime.live.frame_result import FrameResult
 from runtime.live.watchdog import Level, WatchdogLimits, WatchdogState
 from runtime.prediction import DEPTH_REUSED
 from runtime.sync.frame_outcome import FIGURES
-from runtime.sync.histogram import DurationHistogram
-from runtime.sync.latency import MissCounter, StreamStatistics
+from runtime.sync.latency import DurationHistogram, MissCounter, StreamStatistics
 from runtime.sync.matching import Decided, Pair
 from runtime.sync.outcome import DROPPED, ERRORS, UNMATCHED, Outcome, Sensor
 from runtime.sync.stamp import NS_PER_MS
@@ -52,8 +51,6 @@ class StreamCounts(MessageCounts):
         camera_only: answers without depth.
         reused: answers with the depth of an older scan. The scan is counted once, as part of the
             answer with its own image, or as "reused" if it has no image.
-        out_of_order: messages that were older than the newest of their sensor. They have an
-            outcome, too.
         jumps_back: how often the stamps of a sensor jumped back by more than a second.
     """
 
@@ -62,7 +59,6 @@ class StreamCounts(MessageCounts):
     poses: MessageCounts
     camera_only: int
     reused: int
-    out_of_order: int
     jumps_back: int
 
 
@@ -82,7 +78,7 @@ class StreamCounter:
         self._deadline_ms, self._limits = deadline_ms, limits or WatchdogLimits()
         self._pushed: Counter[Sensor] = Counter()
         self._outcomes: dict[Sensor, Counter[Outcome]] = {sensor: Counter() for sensor in Sensor}
-        self._camera_only = self._reused = self._out_of_order = self._jumps_back = 0
+        self._camera_only = self._reused = self._jumps_back = 0
         self._histograms = {name: DurationHistogram() for name in FIGURES if name not in _OF_A_RUN}
         self._faults = {name: MissCounter() for name in _FAULTS}
         self._last_ns: int | None = None  # the last answer, or else the first message
@@ -104,7 +100,6 @@ class StreamCounter:
         """Count what a step of the matching discarded."""
         for discarded in decided.discarded:
             self.record(discarded.sensor, discarded.outcome)
-        self._out_of_order += decided.out_of_order
         self._jumps_back += decided.jumped_back
 
     def record_pair(self, pair: Pair, outcome: Outcome, times: int = 1) -> None:
@@ -151,7 +146,6 @@ class StreamCounter:
             poses=_counts(self._pushed[Sensor.POSE], self._outcomes[Sensor.POSE]),
             camera_only=self._camera_only,
             reused=self._reused,
-            out_of_order=self._out_of_order,
             jumps_back=self._jumps_back,
         )
 

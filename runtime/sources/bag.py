@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,6 @@ from runtime.sources.recorded_motion import (
     frame_of,
     left_out_note,
     match_frames,
-    project_listed,
     track_of,
 )
 from runtime.sources.ros_bag import RecordedMessage, RosBag
@@ -30,11 +30,15 @@ from runtime.sources.ros_messages import (
     decode_points,
     is_depth_encoding,
 )
-from runtime.sources.ros_poses import odometry_poses, point_times_ns, transform_poses
-from runtime.sources.ros_transforms import TransformTree
+from runtime.sources.ros_poses import (
+    TransformTree,
+    odometry_poses,
+    point_times_ns,
+    transform_poses,
+)
 from runtime.sources.source import ListedFrame, Source
-from runtime.sync.depth_in_time import ScanStamp
-from runtime.sync.matching import Pair
+from runtime.sync.matching import Message
+from runtime.sync.motion import ScanStamp
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.poses import PoseFrame
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
@@ -97,26 +101,27 @@ class BagSource(Source):
     ) -> None:
         self._max_skew_ms, self._calibration_path = max_skew_ms, calibration
         self._reuse_depth_ms, self._scan_stamp = reuse_depth_ms, scan_stamp
-        self._pose_topic: str | None = None
-        self._unused_poses = ""
         self._bag = path if isinstance(path, RosBag) else RosBag(path)
         path = self._bag.path
         self.folders = (path if os.path.isdir(path) else Path(os.path.realpath(path)).parent,)
         self.recordings = (path,)
         self._left_out: Counter[str] = Counter()
-        self._guessed: list[str] = []
+        self._notes: list[str] = []
         try:
             self._image_topic, self._depth_topic = self._find_topics(image_topic, depth_topic)
-            self._info_topic = self._find_info(info_topic)
+            self._has_clouds = self._depth_topic in self._of_kind(POINT_CLOUD)
+            infos = self._of_kind(CAMERA_INFO)
+            beside = [topic for topic in _beside(self._image_topic) if topic in infos]
+            self._info_topic = self._choose("info_topic", info_topic, infos, beside[:1])
             self.calibration = self._calibrate()
-            self._poses = self._find_poses(pose_topic)
+            self._pose_topic, self._poses = self._find_poses(pose_topic)
         except BaseException:
             self.close()
             raise
-        # Position of a message in the bag -> its frame; messages read ahead of their frame.
+        # Position of a message in the bag -> its last frame; messages read ahead of their frame.
         self._owners: dict[int, int] = {}
         self._kept: dict[int, RecordedMessage] = {}
-        self._messages: Iterator[RecordedMessage] = iter(())
+        self._messages: Iterator[tuple[int, RecordedMessage]] = iter(())
         self._next_place = 0
 
     @classmethod
@@ -138,71 +143,52 @@ class BagSource(Source):
             for topic in topics
         }
 
-    # --- what is in the bag ----------------------------------------------------------------------
+    def _of_kind(self, *kinds: str) -> list[str]:
+        return sorted(topic for topic, kind in self._bag.types.items() if kind in kinds)
 
     def _find_topics(
         self, image_topic: str | None, depth_topic: str | None
     ) -> tuple[str, str | None]:
         """The topics of images and of depth, as requested or guessed."""
-        images, depths = [], []
-        for topic, kind in self._bag.types.items():
-            if kind == POINT_CLOUD:
-                depths.append(topic)
-            elif kind == COMPRESSED_IMAGE and not topic.endswith("/compressedDepth"):
-                images.append(topic)
-            elif kind == IMAGE:
-                for message in self._bag.decoded(topic):
-                    (depths if is_depth_encoding(message.encoding) else images).append(topic)
-                    break
+        images, depths = self._of_kind(COMPRESSED_IMAGE), self._of_kind(POINT_CLOUD)
+        images = [topic for topic in images if not topic.endswith("/compressedDepth")]
+        for topic in self._of_kind(IMAGE):
+            for message in self._bag.decoded(topic):
+                (depths if is_depth_encoding(message.encoding) else images).append(topic)
+                break
         twice = {f"{topic}/compressed" for topic in images}  # compressed copies of the same images
-        image = self._choose(
-            "image_topic", image_topic, images, [t for t in images if t not in twice]
-        )
+        single = [topic for topic in images if topic not in twice]
+        image = self._choose("image_topic", image_topic, images, single)
+        if image is None:
+            raise self._undecided("images", single, "image_topic=TOPIC, or TOPIC+TOPIC for several")
         if depth_topic == NO_TOPIC:
             return image, None
-        return image, self._choose("depth_topic", depth_topic, depths, depths)
+        depth = self._choose("depth_topic", depth_topic, depths, depths)
+        if depth is None:
+            ways = f"depth_topic=TOPIC, or depth_topic={NO_TOPIC} for the camera alone"
+            raise self._undecided("point clouds or depth images", depths, ways)
+        return image, depth
 
     def _choose(
-        self, name: str, requested: str | None, fitting: list[str], candidates: list[str]
-    ) -> str:
-        """The requested topic, or the only candidate. Raises InputError."""
-        if requested is not None and requested in fitting:
-            return requested
-        if requested is None and len(candidates) == 1:
-            self._guessed.append(f"{name.replace('_', ' ')} {candidates[0]}")
-            return candidates[0]
-        what = "images" if name == "image_topic" else "point clouds or depth images"
-        path = self._bag.path
-        remedy = f"--source bag:{path},{name}="
-        if requested is not None:
-            problem = f"{name}={requested} is not a topic of {what} in {path}"
-        elif candidates:
-            problem = f"{path} has {len(candidates)} topics of {what}, choose one by {remedy}TOPIC"
-            if name == "image_topic":
-                problem += ", or several, TOPIC+TOPIC"
-        else:
-            problem = f"{path} has no topic of {what}"
-            if name == "depth_topic":
-                problem += f"; for the camera alone give {remedy}{NO_TOPIC}"
-        topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(self._bag.types.items()))
-        raise InputError(f"{problem}. It has the topics {topics or '(none)'}")
+        self, name: str, requested: str | None, fitting: list[str], guesses: list[str]
+    ) -> str | None:
+        """The requested topic, or the only guess; None without one. Raises InputError."""
+        if requested is None:
+            return guesses[0] if len(guesses) == 1 else None
+        if requested not in fitting:
+            raise InputError(
+                f"{name}={requested} is not a topic of its kind in {self._bag.path}, which has "
+                f"{', '.join(fitting) or 'none'}"
+            )
+        return requested
 
-    def _find_info(self, requested: str | None) -> str | None:
-        """The topic of the camera's CameraInfo; None if there is none beside the images."""
-        infos = [topic for topic, kind in self._bag.types.items() if kind == CAMERA_INFO]
-        if requested is not None:
-            if requested not in infos:
-                raise InputError(
-                    f"info_topic={requested} is not a topic of CameraInfo in {self._bag.path}, "
-                    f"it has {', '.join(infos) or 'none'}"
-                )
-            return requested
-        namespace = self._image_topic
-        while namespace:
-            namespace = namespace.rpartition("/")[0]
-            if f"{namespace}/camera_info" in infos:
-                return f"{namespace}/camera_info"
-        return None
+    def _undecided(self, what: str, found: list[str], ways: str) -> InputError:
+        path = self._bag.path
+        topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(self._bag.types.items()))
+        return InputError(
+            f"{path} has {len(found) or 'no'} topics of {what}, give --source bag:{path},{ways}. "
+            f"It has the topics {topics or '(none)'}"
+        )
 
     def _calibrate(self) -> Calibration | None:
         """The given calibration, or that of CameraInfo and /tf_static."""
@@ -210,12 +196,13 @@ class BagSource(Source):
             return Calibration.from_file(self._calibration_path)
         info = None if self._info_topic is None else self._first(self._info_topic)
         rectified = not _RECTIFIED.isdisjoint(re.split("[/_]", self._image_topic.lower()))
-        if self._depth_topic is None or self._bag.types[self._depth_topic] != POINT_CLOUD:
+        if not self._has_clouds:
             # Depth images need no projection: only the focal length and clouds need a calibration.
             with contextlib.suppress(InputError):
                 if info is not None:
-                    fields = _fields(info)
-                    return Calibration.from_camera_info(fields, _EYE, rectified=rectified)
+                    return Calibration.from_camera_info(
+                        _fields(info), np.eye(4), rectified=rectified
+                    )
             return None
         if info is None:
             raise InputError(
@@ -223,8 +210,7 @@ class BagSource(Source):
                 f"{self._depth_topic} with: give info_topic= in --source, or --calibration"
             )
         camera = self._first(self._image_topic).header.frame_id or info.header.frame_id
-        lidar = self._first(self._depth_topic).header.frame_id
-        extrinsics = self._tree.between(lidar, camera)
+        extrinsics = self._tree.between(self._lidar, camera)
         try:
             found = Calibration.from_camera_info(_fields(info), extrinsics, rectified=rectified)
         except InputError as error:
@@ -232,64 +218,46 @@ class BagSource(Source):
                 f"the CameraInfo of {self._info_topic}: {error}; or give --calibration"
             ) from error
         if found.lens is not None:
-            self._guessed.append(f"{self._image_topic} is not rectified, by its name")
+            self._notes.append(f"guessed: {self._image_topic} is not rectified, by its name")
         return found
 
     @cached_property
-    def _tree(self) -> TransformTree:
-        return TransformTree(
-            message
-            for topic, kind in self._bag.types.items()
-            if kind in TRANSFORMS and topic.endswith("tf_static")
-            for message in self._bag.decoded(topic)
-        )
+    def _lidar(self) -> str:
+        """The frame of the clouds."""
+        return str(self._first(self._depth_topic or "").header.frame_id)
 
-    def _find_poses(self, requested: str | None) -> RecordedPoses | None:
-        """The poses of the car, where clouds can be moved by them. Raises InputError."""
-        is_cloud = self._depth_topic and self._bag.types[self._depth_topic] == POINT_CLOUD
-        if not is_cloud or requested == NO_TOPIC:
-            return None
-        types = self._bag.types.items()
-        odometry = [topic for topic, kind in types if kind == ODOMETRY]
-        moving = [t for t, kind in types if kind in TRANSFORMS and not t.endswith("tf_static")]
-        if requested is not None and requested not in odometry + moving:
-            topics = ", ".join(sorted(odometry + moving)) or "none"
-            raise InputError(
-                f"pose_topic={requested} is no topic of Odometry or transforms in "
-                f"{self._bag.path}, it has {topics}"
-            )
-        if requested is None and len(odometry) > 1:
-            names = ", ".join(sorted(odometry))
-            self._unused_poses = (
-                f"poses are not used: choose one of {names} by pose_topic= in --source"
-            )
-            return None
-        topic = requested or next(iter(odometry + moving), None)
+    @cached_property
+    def _tree(self) -> TransformTree:
+        topics = (topic for topic in self._of_kind(*TRANSFORMS) if topic.endswith("tf_static"))
+        return TransformTree(chain.from_iterable(map(self._bag.decoded, topics)))
+
+    def _find_poses(self, requested: str | None) -> tuple[str | None, RecordedPoses | None]:
+        """Topic and poses of the car, where clouds can be moved by them. Raises InputError."""
+        odometry = self._of_kind(ODOMETRY)
+        moving = [t for t in self._of_kind(*TRANSFORMS) if not t.endswith("tf_static")]
+        if requested == NO_TOPIC or not self._has_clouds:
+            return None, None
+        topic = self._choose("pose_topic", requested, odometry + moving, odometry or moving[:1])
         if topic is None:
-            return None
+            if odometry:
+                names = ", ".join(odometry)
+                self._notes.append(f"no poses: choose one of {names} by pose_topic= in --source")
+            return None, None
         try:
-            poses = self._read_poses(topic, is_odometry=topic in odometry)
+            if topic in odometry:
+                body, stamped = odometry_poses(self._bag.decoded(topic))
+            else:
+                carriers = self._tree.carriers(self._lidar)
+                body, stamped = transform_poses(self._bag.decoded(topic), carriers)
+            mount = None
+            if self.calibration is None or self.calibration.body_from_lidar is None:
+                mount = self._tree.between(self._lidar, body)
+            return topic, RecordedPoses(track_of(stamped), PoseFrame.BODY, mount)
         except InputError as error:
             if requested is not None:
                 raise
-            self._unused_poses = f"the poses of {topic} are not used: {error}"
-            return None
-        if requested is None:
-            self._guessed.append(f"pose topic {topic}")
-        self._pose_topic = topic
-        return poses
-
-    def _read_poses(self, topic: str, *, is_odometry: bool) -> RecordedPoses:
-        assert self._depth_topic is not None
-        lidar = self._first(self._depth_topic).header.frame_id
-        if is_odometry:
-            body, stamped = odometry_poses(self._bag.decoded(topic))
-        else:
-            body, stamped = transform_poses(self._bag.decoded(topic), self._tree.carriers(lidar))
-        mount = None
-        if self.calibration is None or self.calibration.body_from_lidar is None:
-            mount = self._tree.between(lidar, body)
-        return RecordedPoses(track_of(stamped), PoseFrame.BODY, mount)
+            self._notes.append(f"the poses of {topic} are not used: {error}")
+            return None, None
 
     def _first(self, topic: str) -> Any:
         """The first message of a topic. Raises InputError if there is none."""
@@ -303,29 +271,14 @@ class BagSource(Source):
         is_file = path.suffix in _SUFFIXES and os.path.isfile(path)
         return is_file or os.path.isfile(path / "metadata.yaml")
 
-    # --- its frames ------------------------------------------------------------------------------
-
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`."""
         self._left_out.clear()
-        frames = self._match(limit)
-        if not frames:
-            raise InputError(
-                f"the topic {self._image_topic} of {self._bag.path} has no messages with a stamp"
-            )
-        self._owners = {
-            place: frame.sequence
-            for frame in frames
-            for place in (frame.image, frame.depth)
-            if place is not None
-        }
-        return frames
-
-    def _match(self, limit: int | None) -> tuple[ListedFrame, ...]:
-        """The frames, with the positions of their two messages among those of both topics."""
+        names: Counter[str] = Counter()
 
         def stamped() -> Iterator[tuple[Sensor, int, int]]:
-            for place, message in enumerate(self._recorded()):
+            """The messages, with their positions among those of both topics."""
+            for place, message in self._recorded():
                 sensor = Sensor.IMAGE if message.topic == self._image_topic else Sensor.DEPTH
                 stamp_ns = self._bag.stamp_ns(message)
                 if stamp_ns is None:
@@ -336,28 +289,34 @@ class BagSource(Source):
                 sensor = Sensor.IMAGE if topic == self._image_topic else Sensor.DEPTH
                 self._left_out[f"{sensor}: listed in the index, but missing"] += count
 
-        names: Counter[str] = Counter()
-
-        def name(pair: Pair) -> str:
-            stamp = str(pair.image.stamp_ns)
+        def name(image: Message) -> str:
+            stamp = str(image.stamp_ns)
             names[stamp] += 1
             return stamp if names[stamp] == 1 else f"{stamp}-{names[stamp]}"  # looped recording
 
-        return match_frames(
+        frames = match_frames(
             stamped(),
             max_skew_ms=self._max_skew_ms,
             reuse_depth_ms=self._reuse_depth_ms,
             scan_stamp=self._scan_stamp,
             left_out=self._left_out,
-            name=name,
             limit=limit,
+            name=name,
             camera_only=self._depth_topic is None,
         )
+        if not frames:
+            raise InputError(
+                f"the topic {self._image_topic} of {self._bag.path} has no messages with a stamp"
+            )
+        self._owners = {
+            place: frame.sequence for frame in frames for place in (frame.image, frame.depth)
+        }
+        return frames
 
-    def _recorded(self) -> Iterator[RecordedMessage]:
-        """The messages of both topics, in the same order each time."""
+    def _recorded(self) -> Iterator[tuple[int, RecordedMessage]]:
+        """The messages of both topics with their positions, in the same order each time."""
         topics = (self._image_topic, self._depth_topic)
-        return self._bag.messages([topic for topic in topics if topic is not None])
+        return enumerate(self._bag.messages([topic for topic in topics if topic is not None]))
 
     def read(self, frame: ListedFrame) -> Frame:
         """See `Source.read`."""
@@ -365,48 +324,45 @@ class BagSource(Source):
         image = self._bag.decode(messages[frame.image])
         is_compressed = self._bag.types[self._image_topic] == COMPRESSED_IMAGE
         rgb = decode_compressed_image(image) if is_compressed else decode_image(image)
-        recorded = None if frame.depth is None else messages[frame.depth]
-        has_map = recorded is not None and self._bag.types[recorded.topic] != POINT_CLOUD
+        has_map = frame.depth is not None and not self._has_clouds
         rgb, calibration = self._rectified(rgb, self.calibration, has_map=has_map)
-        if recorded is None:
-            return frame_of(frame, rgb, None, calibration)
-        message, size = self._bag.decode(recorded), (rgb.shape[0], rgb.shape[1])
+        if frame.depth is None:
+            return frame_of(frame, rgb, calibration)
+        message = self._bag.decode(messages[frame.depth])
         if has_map:
-            return frame_of(frame, rgb, decode_depth_image(message), calibration)
-        assert calibration is not None  # see `_calibrate`
-        times = None
+            return frame_of(frame, rgb, calibration, sparse_depth=decode_depth_image(message))
+        points, times = decode_points(message), None
         if self._poses is not None and frame.depth_stamp_ns is not None:
             times = point_times_ns(message, frame.depth_stamp_ns)
-        points = decode_points(message)
-        moved = project_listed(frame, calibration, points, times, self._poses, size)
-        return frame_of(frame, rgb, moved, calibration)
+        return frame_of(frame, rgb, calibration, points=points, times=times, poses=self._poses)
 
     def _take(self, frame: ListedFrame) -> dict[int, RecordedMessage]:
         """The messages of a frame by position; messages of later frames are read ahead and kept."""
-
-        def is_wanted(place: int) -> bool:
-            return self._owners.get(place, -1) >= frame.sequence
-
         places = {place for place in (frame.image, frame.depth) if place is not None}
-        self._kept = {place: kept for place, kept in self._kept.items() if is_wanted(place)}
         missing = places - self._kept.keys()
-        if missing and min(missing) < self._next_place:
-            self._next_place = 0
-        if self._next_place == 0:
-            self._messages = self._recorded()
-        while missing:
-            message = next(self._messages, None)
+        if self._next_place == 0 or (missing and min(missing) < self._next_place):
+            self._messages, self._next_place = self._recorded(), 0
+        while not places <= self._kept.keys():
+            place, message = next(self._messages, (-1, None))
             if message is None:
                 raise InputError(f"{self._bag.path} ends before {frame.name}: was it replaced?")
-            if is_wanted(self._next_place):
-                self._kept[self._next_place] = message
-            missing.discard(self._next_place)
-            self._next_place += 1
+            self._next_place = place + 1
+            if self._owners.get(place, -1) >= frame.sequence:
+                self._kept[place] = message
         taken = {place: self._kept[place] for place in places}
-        for place in places:
-            if self._owners[place] <= frame.sequence:  # a scan may serve later images, too
-                del self._kept[place]
+        # A scan may serve later images, too.
+        kept = self._kept.items()
+        self._kept = {place: each for place, each in kept if self._owners[place] > frame.sequence}
         return taken
+
+    @property
+    def _topics(self) -> dict[str, str | None]:
+        return {
+            "image_topic": self._image_topic,
+            "depth_topic": self._depth_topic,
+            "info_topic": self._info_topic,
+            "pose_topic": self._pose_topic,
+        }
 
     @property
     def inputs(self) -> dict[str, Any]:
@@ -414,32 +370,31 @@ class BagSource(Source):
         calibration = self._calibration_path
         return {
             "bag": str(self._bag.path),
-            "image_topic": self._image_topic,
-            "depth_topic": self._depth_topic,
-            "info_topic": self._info_topic,
+            **self._topics,
             "calibration": None if calibration is None else str(calibration),
             "max_skew_ms": self._max_skew_ms,
             "reuse_depth_ms": self._reuse_depth_ms,
-            "pose_topic": self._pose_topic,
             "left_out": dict(self._left_out),
         }
 
     @property
     def notes(self) -> tuple[str, ...]:
         """See `Source.notes`."""
-        guessed = (f"guessed: {', '.join(self._guessed)}",) if self._guessed else ()
-        unused = (self._unused_poses,) if self._unused_poses else ()
-        return guessed + unused + left_out_note(self._left_out)
+        topics = ", ".join(f"{name}={topic}" for name, topic in self._topics.items() if topic)
+        return (f"topics: {topics}", *self._notes, *left_out_note(self._left_out))
 
     def close(self) -> None:
         """See `Source.close`."""
         self._bag.close()
 
 
-_EYE = np.eye(4)
-
-
 def _fields(info: Any) -> Mapping[str, Any]:
     """The fields of a CameraInfo; ROS 1 has them in capitals."""
     names = ("height", "width", "distortion_model", "D", "K", "P", "d", "k", "p")
     return {name.lower(): getattr(info, name) for name in names if hasattr(info, name)}
+
+
+def _beside(topic: str) -> list[str]:
+    """Where the CameraInfo of a topic of images may be, the nearest first."""
+    parts = topic.split("/")
+    return ["/".join([*parts[:end], "camera_info"]) for end in reversed(range(len(parts)))]

@@ -15,10 +15,7 @@ def bundled_stream() -> tuple[Path, Path]:
     """Return the folders of its images and of its sparse depth maps. Raises InputError."""
     stream = Path(str(resources.files("runtime"))) / "assets" / "stream"
     if not stream.is_dir():
-        raise InputError(
-            f"the bundled stream {stream} is missing: install ssdnet again, or give --rgb and "
-            "--depth"
-        )
+        raise InputError(f"the bundled stream {stream} is missing: install ssdnet again")
     return stream / "rgb", stream / "depth"
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.io.calibration import Calibration
-from runtime.sync.depth_in_time import DepthMotion
+from runtime.sync.motion import DepthMotion
 
 
 @dataclass(frozen=True, eq=False)

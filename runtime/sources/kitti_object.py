@@ -17,13 +17,12 @@ class KittiObjectSource(FolderSource):
     Args:
         path: folder like training.
         camera: 2 = left, 3 = right.
-        points: folder of the scans; None: velodyne, or the only velodyne* folder.
+        points: folder of the scans; None: velodyne.
         point_columns: numbers per point of .bin scans; None: as `read_scan`.
         calibration: see `FolderSource`; None: calib.
 
     Raises:
-        InputError: if the images are missing, if there are several velodyne* folders, and if a
-            calibration cannot be read.
+        InputError: if the images are missing, and if a calibration cannot be read.
     """
 
     accepted = "KITTI's object layout (holds image_2/, velodyne/ and calib/)"
@@ -44,31 +43,17 @@ class KittiObjectSource(FolderSource):
                 f"{path} is not in KITTI's object layout: {images} is missing; give a folder like "
                 "training, or another camera= in --source"
             )
+        scans = path / "velodyne"
         super().__init__(
             images,
-            points=points or _find_scans(path),
+            points=points or (scans if os.path.isdir(scans) else None),
             point_columns=point_columns,
             calibration=calibration or path / "calib",
         )
+        if self._depth is None:
+            self._note("no velodyne folder, so only the camera is used; --points names the scans")
 
     @staticmethod
     def accepts(path: Path) -> bool:
         """See `Source.accepts`."""
         return os.path.isdir(path / "image_2") and os.path.isdir(path / "calib")
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """See `Source.notes`."""
-        alone = ("no velodyne folder, so only the camera is used; give --points to name the scans",)
-        return super().notes + (alone if self._depth is None else ())
-
-
-def _find_scans(path: Path) -> Path | None:
-    """The folder of scans; None if there is none. Raises InputError of several."""
-    if os.path.isdir(path / "velodyne"):
-        return path / "velodyne"
-    folders = sorted(folder for folder in path.glob("velodyne*") if os.path.isdir(folder))
-    if len(folders) > 1:
-        names = ", ".join(folder.name for folder in folders)
-        raise InputError(f"{path} holds {names}: choose the folder of the scans by --points")
-    return folders[0] if folders else None

@@ -14,15 +14,16 @@ from runtime.io.poses import read_oxts_poses
 from runtime.io.timestamps import parse_date
 from runtime.read_input import read_text
 from runtime.sources.folders import FolderSource
-from runtime.sources.recorded_motion import RecordedPoses, match_frames, track_of
+from runtime.sources.recorded_motion import RecordedPoses, track_of
 from runtime.sources.source import ListedFrame, by_number
-from runtime.sync.depth_in_time import ScanStamp
+from runtime.sync.motion import ScanStamp
 from runtime.sync.outcome import Sensor
 from runtime.sync.poses import PoseFrame, check_pose
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 
 RAW_IMU = "calib_imu_to_velo.txt"
 _SCANS = (".bin",)
+_STAMPS = "timestamps.txt"
 
 
 class KittiRawSource(FolderSource):
@@ -69,17 +70,16 @@ class KittiRawSource(FolderSource):
                     f"{drive} is not a drive of KITTI raw data: {folder} is missing; give a folder "
                     "like 2011_09_26/2011_09_26_drive_0001_sync, or another camera= in --source"
                 )
+        calibration = calibration or find_raw_calibration(drive)
         if calibration is None:
-            calibration = find_raw_calibration(drive)
-            if calibration is None:
-                raise InputError(
-                    f"neither {drive} nor {Path(os.path.realpath(drive)).parent} has KITTI's "
-                    f"{RAW_CAMERAS} and {RAW_SCANNER}: copy the calibration files of that day "
-                    "there, or give --calibration"
-                )
+            raise InputError(
+                f"neither {drive} nor {Path(os.path.realpath(drive)).parent} has KITTI's "
+                f"{RAW_CAMERAS} and {RAW_SCANNER} of that day: copy them, or give --calibration"
+            )
         self._kitti_rectified = not os.path.realpath(drive).endswith("_extract")
         super().__init__(images / "data", points=scans / "data", calibration=calibration)
-        self._drive, self._camera, self._drive_calibration = drive, camera, calibration
+        self._drive, self._camera = drive, camera
+        self._reuse_depth_ms, self._scan_stamp = reuse_depth_ms, scan_stamp
         self._stamped: list[tuple[Sensor, int, Path]] = []
         if max_skew_ms is not None:
             pictures = _read_stamps(Sensor.IMAGE, images, RGB_SUFFIXES)
@@ -87,10 +87,8 @@ class KittiRawSource(FolderSource):
             if pictures and returns:
                 self._stamped = sorted(pictures + returns, key=lambda message: message[1])
         self._max_skew_ms = max_skew_ms if self._stamped else None
-        self._reuse_depth_ms, self._scan_stamp = reuse_depth_ms, scan_stamp
-        self._unused_poses = ""
         if self._stamped:
-            self._read_oxts(drive / "oxts")
+            self._read_oxts(drive / "oxts", calibration / RAW_IMU)
 
     @staticmethod
     def accepts(path: Path) -> bool:
@@ -102,43 +100,22 @@ class KittiRawSource(FolderSource):
         if self._max_skew_ms is None:
             return super().list_frames(limit=limit)
         self._left_out.clear()
-        return match_frames(
-            self._stamped,
-            max_skew_ms=self._max_skew_ms,
-            reuse_depth_ms=self._reuse_depth_ms,
-            scan_stamp=self._scan_stamp,
-            left_out=self._left_out,
-            name=lambda pair: str(pair.image.data.stem),
-            limit=limit,
-        )
+        return self._match(self._stamped, max_skew_ms=self._max_skew_ms, limit=limit)
 
-    def _read_oxts(self, folder: Path) -> None:
+    def _read_oxts(self, folder: Path, mount: Path) -> None:
         """Read the poses of the car, where there are any. Raises InputError if they are damaged."""
-        if not os.path.isdir(folder / "data"):
-            self._unused_poses = f"no poses: {folder} is missing"
+        missing = [each for each in (folder / "data", folder / _STAMPS, mount) if not each.exists()]
+        if missing:
+            self._note(f"no poses: {missing[0]} is missing")
             return
-        mount = self._drive_calibration / RAW_IMU
-        if not os.path.exists(mount):
-            self._unused_poses = f"the poses in {folder} are not used: {mount} is missing"
-            return
-        numbers = NumbersFile(mount)
-        lidar_from_body = np.eye(4)
-        lidar_from_body[:3, :3] = numbers.matrix("R", 3, 3)
-        lidar_from_body[:3, 3] = numbers.matrix("T", 3, 1)[:, 0]
-        lidar_from_body = check_pose(lidar_from_body, str(mount))
+        numbers, lidar_from_body = NumbersFile(mount), np.eye(4)
+        lidar_from_body[:3] = np.hstack([numbers.matrix("R", 3, 3), numbers.matrix("T", 3, 1)])
+        body_from_lidar = np.linalg.inv(check_pose(lidar_from_body, str(mount)))
         stamped = sorted(_read_stamps(Sensor.POSE, folder, (".txt",)), key=lambda each: each[1])
-        if not stamped:
-            self._unused_poses = f"the poses in {folder} are not used: they have no timestamps.txt"
-            return
         poses = read_oxts_poses(path for _, _, path in stamped)
         track = track_of(zip((stamp_ns for _, stamp_ns, _ in stamped), poses, strict=True))
-        body_from_lidar = np.linalg.inv(lidar_from_body).astype(np.float64)
-        self._poses = RecordedPoses(track, PoseFrame.BODY, body_from_lidar)
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """See `Source.notes`."""
-        return super().notes + ((self._unused_poses,) if self._unused_poses else ())
+        self._poses_file = folder
+        self._poses = RecordedPoses(track, PoseFrame.BODY, body_from_lidar.astype(np.float64))
 
     def _list_depths(self, folder: Path) -> dict[str, Path]:
         return list_files(folder, _SCANS)
@@ -146,14 +123,11 @@ class KittiRawSource(FolderSource):
     @property
     def inputs(self) -> dict[str, Any]:
         """See `Source.inputs`."""
-        return {
+        return super().inputs | {
             "drive": str(self._drive),
             "camera": self._camera,
-            "calibration": str(self._calibration),
             "max_skew_ms": self._max_skew_ms,
             "reuse_depth_ms": self._reuse_depth_ms,
-            "poses": None if self._poses is None else str(self._drive / "oxts"),
-            "left_out": dict(self._left_out),
         }
 
 
@@ -166,7 +140,7 @@ def _read_stamps(
     one.
     """
     numbers = by_number(list_files(folder / "data", suffixes))
-    path = folder / "timestamps.txt"
+    path = folder / _STAMPS
     if not os.path.lexists(path):
         return []
     lines = read_text(path).splitlines()

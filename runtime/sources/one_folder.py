@@ -1,6 +1,7 @@
 """One folder that holds images and depth maps or scans, which are found by their names."""
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +35,7 @@ class OneFolderSource(FolderSource):
         **options: see `FolderSource`; with `depth` or `points`, `path` is the folder of images.
 
     Raises:
-        InputError: if the folder holds several folders of a kind, or images beside such folders;
-            and as `FolderSource`.
+        InputError: if the folder holds several folders of a kind; and as `FolderSource`.
     """
 
     accepted = (
@@ -47,13 +47,13 @@ class OneFolderSource(FolderSource):
         rgb, found = path, None
         if options.get("depth") is None and options.get("points") is None:
             rgb, found = _find_folders(path) or (path, path)
+        self._is_beside = found == path
         if found is not None:
-            scans = _holds(path, _FILES_OF_SCANS) if found == path else _have_scans(found)
+            is_map = found.name.lower().startswith(_MAPS) or _holds(found, _IMAGES_OF_DEPTH)
+            scans = _holds(found, _FILES_OF_SCANS) if self._is_beside else not is_map
+            options["points" if scans else "depth"] = found
             if options.get("calibration") is None:
                 options["calibration"] = _find_calibration(path, of_scans=scans)
-            if not scans or found != path or options["calibration"] is not None:
-                options["points" if scans else "depth"] = found
-        self._is_beside = found == path
         super().__init__(rgb, **options)
 
     @staticmethod
@@ -61,7 +61,7 @@ class OneFolderSource(FolderSource):
         """See `Source.accepts`."""
         return _find_folders(path) is not None or _holds_both(path)
 
-    def _list_images(self) -> dict[str, Path]:
+    def _list_images(self) -> Mapping[str, Any]:
         if not self._is_beside or self._has_scans:
             return super()._list_images()
         images = list_files(self._rgb, _JPEG if _holds(self._rgb, _JPEG) else RGB_SUFFIXES)
@@ -79,27 +79,18 @@ def _find_folders(path: Path) -> tuple[Path, Path] | None:
 
     Raises InputError if the choice is ambiguous.
     """
+    folders = sorted(entry for entry in list_entries(path) if os.path.isdir(entry))
     images, maps, scans = (
-        sorted(
-            e for e in list_entries(path) if e.name.lower().startswith(kind) and os.path.isdir(e)
-        )
+        [folder for folder in folders if folder.name.lower().startswith(kind)]
         for kind in (_IMAGES, _MAPS, _SCANS)
     )
     others = maps or scans
-    if not (images and others):
-        return None
-    if len(images) + len(others) > 2:
+    if len(images) + len(others) > 2 and images and others:
         names = ", ".join(folder.name for folder in images + others)
         raise InputError(
             f"{path} holds {names}: choose two folders by --rgb and --depth or --points"
         )
-    if _holds(path, RGB_SUFFIXES):
-        raise InputError(
-            f"{path} holds images, and the folders {images[0].name} and {others[0].name}: give "
-            f"--rgb {path} for its own images, or --rgb {images[0]} with --depth or --points "
-            f"{others[0]}"
-        )
-    return images[0], others[0]
+    return (images[0], others[0]) if images and others else None
 
 
 def _holds_both(path: Path) -> bool:
@@ -118,13 +109,6 @@ def _holds_both(path: Path) -> bool:
 
 def _holds(folder: Path, suffixes: tuple[str, ...]) -> bool:
     return any(entry.name.lower().endswith(suffixes) for entry in list_entries(folder))
-
-
-def _have_scans(folder: Path) -> bool:
-    """Whether a folder of this name holds scans rather than depth maps."""
-    if folder.name.lower().startswith(_MAPS):
-        return False
-    return _holds(folder, _FILES_OF_SCANS) or not _holds(folder, _IMAGES_OF_DEPTH)
 
 
 def _find_calibration(path: Path, *, of_scans: bool) -> Path | None:

@@ -1,7 +1,7 @@
 """What the sources of moving cars share: frames matched by stamps, and poses of the recording."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,20 +11,19 @@ from numpy.typing import NDArray
 from runtime.io.calibration import Calibration
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, no_depth, up_to
-from runtime.sync.depth_in_time import (
+from runtime.sync.matching import Decided, Message, match_by_stamp
+from runtime.sync.motion import (
     FIRST_SCAN_NS,
     MIDDLE_AFTER,
     DepthInTime,
     ScanStamp,
     check_scan_stamp,
     keep_map,
+    lidar_mount,
     project_in_time,
 )
-from runtime.sync.matching import Decided, Message, Pair
-from runtime.sync.motion import lidar_mount
 from runtime.sync.outcome import Sensor
 from runtime.sync.poses import PoseFrame, PoseTrack
-from runtime.sync.stamp_matching import match_by_stamp
 
 _WAITING = 64  # messages of a sensor that wait for the other one, which may be recorded later
 
@@ -59,6 +58,10 @@ def track_of(stamped: Iterable[tuple[int, NDArray[np.float64]]]) -> PoseTrack:
     return PoseTrack.of([first[stamp_ns] for stamp_ns in stamps_ns], stamps_ns)
 
 
+def _stem(image: Message) -> str:
+    return str(image.data.stem)
+
+
 def match_frames(
     messages: Iterable[tuple[Sensor, int, Any]],
     *,
@@ -66,8 +69,8 @@ def match_frames(
     reuse_depth_ms: float,
     scan_stamp: ScanStamp,
     left_out: Counter[str],
-    name: Callable[[Pair], str],
     limit: int | None,
+    name: Callable[[Message], str] = _stem,
     camera_only: bool = False,
 ) -> tuple[ListedFrame, ...]:
     """List the frames of messages, see `match_by_stamp`.
@@ -79,8 +82,8 @@ def match_frames(
         reuse_depth_ms: as of `match_by_stamp`.
         scan_stamp: what instant of a scan its stamp is.
         left_out: counts each message that is in no frame: "image: duplicate", and so on.
-        name: of a frame.
         limit: as of `Source.list_frames`.
+        name: of the frame of an image; the default is for data that are paths.
         camera_only: whether the recording has no depth, so that images alone are complete.
 
     Raises:
@@ -91,20 +94,23 @@ def match_frames(
     def count(decided: Decided) -> None:
         left_out.update(f"{gone.sensor}: {gone.outcome}" for gone in decided.discarded)
 
-    pairs = match_by_stamp(
-        ((sensor, Message(stamp_ns, stamp_ns, data)) for sensor, stamp_ns, data in messages),
-        max_skew_ms=max_skew_ms,
-        reuse_depth_ms=reuse_depth_ms,
-        waiting=_WAITING,
-        on_decided=count,
-    )
-    frames = up_to(
-        (
-            ListedFrame.of_pair(sequence, name(pair), pair, alone=camera_only)
-            for sequence, pair in enumerate(pairs)
-        ),
-        limit,
-    )
+    def listed() -> Iterator[ListedFrame]:
+        pairs = match_by_stamp(
+            ((sensor, Message(stamp_ns, stamp_ns, data)) for sensor, stamp_ns, data in messages),
+            max_skew_ms=max_skew_ms,
+            reuse_depth_ms=reuse_depth_ms,
+            waiting=_WAITING,
+            on_decided=count,
+        )
+        for sequence, (image, depth, reused) in enumerate(pairs):
+            of_image = sequence, name(image), image.data
+            if depth is None:
+                yield ListedFrame(*of_image, None, image.stamp_ns, complete=camera_only)
+            else:
+                stamps_ns = image.stamp_ns, depth.stamp_ns
+                yield ListedFrame(*of_image, depth.data, *stamps_ns, not reused, reused)
+
+    frames = up_to(listed(), limit)
     scans_ns = sorted({each.depth_stamp_ns for each in frames if each.depth_stamp_ns is not None})
     period_ns = np.median(np.diff(scans_ns)) if len(scans_ns) > 1 else FIRST_SCAN_NS
     later_ns = round(MIDDLE_AFTER[scan_stamp] * float(period_ns))
@@ -124,48 +130,47 @@ def left_out_note(left_out: Counter[str]) -> tuple[str, ...]:
     return (f"left out: {counts}",)
 
 
-def project_listed(
-    listed: ListedFrame,
-    calibration: Calibration,
-    points: NDArray[np.float32],
-    times: NDArray[np.int64] | None,
-    poses: RecordedPoses | None,
-    size: tuple[int, int],
-) -> DepthInTime:
-    """Project the scan of a frame into its image, see `project_in_time`.
-
-    Args:
-        listed: the frame.
-        calibration: of camera and LiDAR.
-        points: as of `move_points`.
-        times: of the points, None = not known.
-        poses: of the recording, None = it has none.
-        size: (height, width) of the image.
-    """
-    to_ns, at_ns = listed.image_stamp_ns, listed.scan_time_ns
-    if poses is None or to_ns is None or at_ns is None:
-        return project_in_time(calibration, points, 0, None, 0, size, reused=listed.reused)
-    track, times_ns = poses.of_lidar(calibration), at_ns if times is None else times
-    return project_in_time(calibration, points, times_ns, track, to_ns, size, reused=listed.reused)
-
-
 def frame_of(
     listed: ListedFrame,
     rgb: NDArray[np.uint8],
-    depth: DepthInTime | NDArray[np.float32] | None,
     calibration: Calibration | None,
+    *,
+    sparse_depth: NDArray[np.float32] | None = None,
+    points: NDArray[np.float32] | None = None,
+    times: NDArray[np.int64] | None = None,
+    poses: RecordedPoses | None = None,
 ) -> Frame:
-    """The frame that was read; `depth` is a scan in the image, a depth map as recorded, or None."""
-    if isinstance(depth, np.ndarray):
-        depth = keep_map(depth, apart=False, has_poses=False, reused=listed.reused)
-    sparse_depth, motion, degraded = depth or (no_depth(rgb), None, ())
+    """Make the frame of an image with a depth map, with a scan, or with neither.
+
+    Args:
+        listed: the frame in the list.
+        rgb: its image.
+        calibration: of the camera, for `points` also of the LiDAR.
+        sparse_depth: the depth map as recorded.
+        points: the scan, as of `move_points`.
+        times: of the points, None = not known.
+        poses: of the recording, None = it has none.
+    """
+    reused = listed.reused
+    depth = DepthInTime(no_depth(rgb), "none", ())
+    if sparse_depth is not None:
+        depth = keep_map(sparse_depth, apart=False, has_poses=False, reused=reused)
+    elif points is not None:
+        assert calibration is not None  # each source requires one for scans
+        size, to_ns, at_ns = rgb.shape[:2], listed.image_stamp_ns, listed.scan_time_ns
+        track, times_ns = None, times if times is not None else at_ns or 0
+        if poses is not None and to_ns is not None and at_ns is not None:
+            track = poses.of_lidar(calibration)
+        depth = project_in_time(
+            calibration, points, times_ns, track, to_ns or 0, size, reused=reused
+        )
     return Frame(
         rgb,
-        sparse_depth,
+        depth.sparse_depth,
         listed.image_stamp_ns,
         listed.depth_stamp_ns,
         calibration,
-        depth_reused=listed.reused,
-        depth_motion=motion,
-        degraded=degraded,
+        depth_reused=reused,
+        depth_motion=None if listed.depth is None else depth.motion,
+        degraded=depth.degraded,
     )

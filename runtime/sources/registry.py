@@ -1,6 +1,5 @@
 """The kinds of sources. A new one: its file and a line here."""
 
-import contextlib
 import os
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
@@ -11,7 +10,7 @@ from typing import Any, NamedTuple
 from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.sources.bag import BagSource
-from runtime.sources.folders import FolderSource, list_entries
+from runtime.sources.folders import FolderSource
 from runtime.sources.kitti_object import KittiObjectSource
 from runtime.sources.kitti_raw import KittiRawSource
 from runtime.sources.one_folder import OneFolderSource
@@ -29,7 +28,7 @@ SOURCES: dict[str, type[Source]] = {
 }
 
 
-_LOOKED_AT = 100  # most entries that are searched in an unknown folder
+_PATHS = ("depth", "points", "calibration", "timestamps", "poses")  # options that are paths
 
 
 class SourcePath(NamedTuple):
@@ -45,26 +44,9 @@ def detect_source(path: Path) -> SourcePath:
     for kind, source in SOURCES.items():
         if source.accepts(path):
             return SourcePath(kind, path)
-    try:
-        os.stat(path)
-        if (near := _source_near(path)) is not None:
-            raise InputError(f"{path} is not a recording, but {near} is: use that path")
-        fault = "is none of these"
-    except FileNotFoundError:
-        fault = "does not exist; give one of these"
-    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
-        fault = f"cannot be read ({getattr(error, 'strerror', None) or error}); give one of these"
+    fault = "is none of these" if os.path.exists(path) else "does not exist; give one of these"
     accepted = "; ".join(source.accepted for source in SOURCES.values())
     raise InputError(f"{path} {fault}: {accepted}. --source KIND:PATH names the kind")
-
-
-def _source_near(path: Path) -> Path | None:
-    """Find a recording in a folder, or the recording that contains the path; None if none."""
-    for near in (*sorted(list_entries(path))[:_LOOKED_AT], path.absolute().parent):
-        with contextlib.suppress(InputError):
-            if os.path.isdir(near) and any(source.accepts(near) for source in SOURCES.values()):
-                return near
-    return None
 
 
 def parse_source(text: str) -> SourcePath:
@@ -73,9 +55,11 @@ def parse_source(text: str) -> SourcePath:
     Raises InputError for another form, an unknown kind or key, and a wrong value.
     """
     kind, _, rest = text.partition(":")
-    if not rest or rest.startswith(","):
-        raise InputError(f"a source is KIND:PATH[,KEY=VALUE...] with {_kinds()}, got {shown(text)}")
-    _require_kind(kind)
+    if kind not in SOURCES or not rest or rest.startswith(","):
+        raise InputError(
+            f"a source is KIND:PATH[,KEY=VALUE...] with one of the kinds {', '.join(SOURCES)}, got "
+            f"{shown(text)}"
+        )
     path, keys = read_keys(kind, keys_of(kind), rest)
     # The shell does not expand the home in KIND:~/PATH.
     return SourcePath(kind, Path(os.path.expanduser(path)), keys)
@@ -92,7 +76,7 @@ def choose_source(kind: str, path: str | Path, **options: Any) -> Callable[[], S
     Args:
         kind: of SOURCES.
         path: of the recording.
-        **options: those of the kind, see its class; None: not given.
+        **options: those of the kind, see its class, paths as text, too; None: not given.
 
     Returns:
         The function; it raises InputError for a path that is no recording of this kind.
@@ -110,37 +94,31 @@ def choose_cameras(kind: str, path: str | Path, **options: Any) -> Callable[[], 
     return partial(SOURCES[kind].open_cameras, Path(path), **given)
 
 
-def _checked(kind: str, options: Mapping[str, Any]) -> dict[str, Any]:
-    """The options that are given. Raises InputError as `choose_source`."""
-    _require_kind(kind)
-    source = SOURCES[kind]
-    given = {name: value for name, value in options.items() if value is not None}
-    foreign = [name for name in given if name not in source.options]
-    if foreign:
-        raise InputError(
-            f"a source of the kind {kind} takes {_as_options(source.options)}, not "
-            f"{_as_options(foreign)}"
-        )
-    return given
-
-
 def open_source(kind: str, path: str | Path, **options: Any) -> Source:
     """Open a source; arguments and errors as in `choose_source`."""
     return choose_source(kind, path, **options)()
 
 
-def _require_kind(kind: str) -> None:
-    """Raise InputError for an unknown kind, with the right spelling where there is one."""
+def _checked(kind: str, options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options that are given. Raises InputError as `choose_source`."""
     if kind not in SOURCES:
-        right = kind.lower().replace("_", "-")
-        remedy = f"write {right}" if right in SOURCES else f"give {_kinds()}"
-        raise InputError(f"unknown kind of source {shown(kind)}: {remedy}")
-
-
-def _kinds() -> str:
-    return f"one of the kinds {', '.join(SOURCES)}"
+        raise InputError(
+            f"unknown kind of source {shown(kind)}: give one of the kinds {', '.join(SOURCES)}"
+        )
+    takes = SOURCES[kind].options
+    given = {
+        name: Path(value) if name in _PATHS and isinstance(value, str) else value
+        for name, value in options.items()
+        if value is not None
+    }
+    if foreign := [name for name in given if name not in takes]:
+        raise InputError(
+            f"a source of the kind {kind} takes {_as_options(takes)}, not {_as_options(foreign)}"
+        )
+    return given
 
 
 def _as_options(names: Iterable[str]) -> str:
-    flags = {name: f"--{name.replace('_', '-')}" for name in names}
-    return ", ".join(f"{name}=" if name in SOURCE_KEYS else flags[name] for name in flags)
+    return ", ".join(
+        f"{name}=" if name in SOURCE_KEYS else f"--{name.replace('_', '-')}" for name in names
+    )

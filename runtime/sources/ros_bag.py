@@ -46,10 +46,9 @@ class RosBag:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.lost: Counter[str] = Counter()
+        self.path, self.lost = path, Counter[str]()
         self._reader, self._definitions = _open(path)
-        with reading(self.path):
+        with _reading(self.path):
             self.types = {
                 topic: info.msgtype or "several types"
                 for topic, info in self._reader.topics.items()
@@ -57,7 +56,7 @@ class RosBag:
 
     def messages(self, topics: Collection[str]) -> Iterator[RecordedMessage]:
         """Yield the messages of the topics in the order in which they were recorded."""
-        with reading(self.path):
+        with _reading(self.path):
             connections = [c for c in self._reader.connections if c.topic in topics]
             if connections:  # rosbags reads all topics if this is empty
                 left = Counter({topic: self._reader.topics[topic].msgcount for topic in topics})
@@ -72,10 +71,10 @@ class RosBag:
 
     def decode(self, message: RecordedMessage) -> Any:
         """Return a message of a type of ROS itself, with its fields. Raises InputError."""
+        store = self._definitions
+        deserialize = store.deserialize_cdr if self._reader.is2 else store.deserialize_ros1
         try:
-            if self._reader.is2:
-                return self._definitions.deserialize_cdr(message.raw, self.types[message.topic])
-            return self._definitions.deserialize_ros1(message.raw, self.types[message.topic])
+            return deserialize(message.raw, self.types[message.topic])
         except Exception as error:  # the parser of definitions may raise any type
             raise InputError(
                 f"a message of {message.topic} in {self.path} is damaged ({_describe(error)})"
@@ -88,13 +87,11 @@ class RosBag:
         at byte 4 in both formats, after `seq` in ROS 1, after the byte order in CDR.
         """
         is_cdr = self._reader.is2
-        try:
-            order = ">" if is_cdr and not message.raw[1] & 1 else "<"
-            stamp = struct.unpack_from(f"{order}{'i' if is_cdr else 'I'}I", message.raw, 4)
-        except (IndexError, struct.error):
+        if len(message.raw) < 12:
             return None
-        seconds, nanoseconds = stamp
-        return int(seconds) * 10**9 + int(nanoseconds)
+        order = ">" if is_cdr and not message.raw[1] & 1 else "<"
+        stamp = struct.unpack_from(f"{order}{'i' if is_cdr else 'I'}I", message.raw, 4)
+        return int(stamp[0]) * 10**9 + int(stamp[1])
 
     def close(self) -> None:
         """Close the files. May be called again."""
@@ -104,9 +101,12 @@ class RosBag:
 
 def _open(path: Path) -> "tuple[AnyReader, Typestore]":
     """The open bag, and ROS's own message definitions: those in the bag may be damaged."""
-    with _importing():
+    try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    except ImportError as error:
+        remedy = import_remedy(error, "bag")
+        raise InputError(f"rosbags cannot be imported to read bags ({error}): {remedy}") from error
     files = [path]
     if os.path.isdir(path):
         files = [file for file in path.iterdir() if file.suffix in _BAG_SUFFIXES]
@@ -117,33 +117,26 @@ def _open(path: Path) -> "tuple[AnyReader, Typestore]":
     if is_ros1:
         for name in ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"):
             definitions.register(get_types_from_msg(_TRANSFORMS, name))
-    with reading(path):
+    with _reading(path):
         # Bags before ROS 2 Iron hold no definitions.
         reader = AnyReader([path], default_typestore=definitions)
         reader.open()
-        _check_declared_sizes(reader)
-    return reader, definitions
-
-
-def _check_declared_sizes(reader: "AnyReader") -> None:
-    """Raise InputError for a compressed part that would have more than `MAX_CHUNK_BYTES`."""
-    bag: Any
-    (bag,) = reader.readers
-    for size in _sizes_in_mcap(bag.storage) if reader.is2 else _sizes_in_ros1(bag):
-        if size > MAX_CHUNK_BYTES:
+        if (size := max(_declared_sizes(reader), default=0)) > MAX_CHUNK_BYTES:
             raise InputError(
                 f"a compressed part has {size:,} bytes, expected at most {MAX_CHUNK_BYTES:,}"
             )
+    return reader, definitions
 
 
-def _sizes_in_mcap(storage: Any) -> Iterator[int]:
-    for part in getattr(storage, "storages", [storage]):  # of a folder, or the only file
-        for chunk in getattr(part, "chunks", ()):  # of an MCAP file
-            if chunk.compression:
-                yield chunk.uncompressed_size
-
-
-def _sizes_in_ros1(bag: Any) -> Iterator[int]:
+def _declared_sizes(reader: "AnyReader") -> Iterator[int]:
+    """The decompressed sizes that the index of a bag declares for its compressed parts."""
+    bag: Any
+    (bag,) = reader.readers
+    if reader.is2:
+        storages = getattr(bag.storage, "storages", [bag.storage])  # of a folder, or the only file
+        chunks = [chunk for each in storages for chunk in getattr(each, "chunks", ())]  # of MCAP
+        yield from (chunk.uncompressed_size for chunk in chunks if chunk.compression)
+        return
     from rosbags.rosbag1.reader import Header
 
     for chunk in bag.chunk_infos:
@@ -154,7 +147,7 @@ def _sizes_in_ros1(bag: Any) -> Iterator[int]:
 
 
 @contextlib.contextmanager
-def reading(path: Path) -> Iterator[None]:
+def _reading(path: Path) -> Iterator[None]:
     """Raise as InputError whatever a damaged bag makes the libraries raise."""
     try:
         yield
@@ -164,18 +157,6 @@ def reading(path: Path) -> Iterator[None]:
         raise InputError(
             f"cannot read the bag {path} ({_describe(error)}): it is truncated, damaged or no bag. "
             "rosbag reindex, ros2 bag reindex or mcap recover may repair it"
-        ) from error
-
-
-@contextlib.contextmanager
-def _importing() -> Iterator[None]:
-    """Raise as InputError that a package of the extra cannot be imported."""
-    try:
-        yield
-    except ImportError as error:
-        raise InputError(
-            f"rosbags, which reads bags, cannot be imported ({error}): "
-            f"{import_remedy(error, 'bag')}"
         ) from error
 
 

@@ -4,6 +4,7 @@ Every function takes a message with the fields of its type and raises InputError
 fields before it allocates memory.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import cv2
@@ -26,7 +27,6 @@ _PICTURES: dict[str, tuple[int, int | None]] = {
 _DEPTHS: dict[str, tuple[str, float]] = {"16UC1": ("u2", 1000.0), "32FC1": ("f4", 1.0)}
 #: Datatypes of a PointField that a coordinate may have.
 _FLOATS = {7: "f4", 8: "f8"}
-_DATATYPE_NAMES = {1: "int8", 2: "uint8", 3: "int16", 4: "uint16", 5: "int32", 6: "uint32"}
 
 
 def is_depth_encoding(encoding: str) -> bool:
@@ -55,13 +55,8 @@ def decode_image(message: Any) -> NDArray[np.uint8]:
             hint = "that is a depth map: name it by depth_topic= in --source"
         raise InputError(f"an Image has the encoding {shown(encoding)}: {hint}")
     channels, conversion = _PICTURES[encoding]
-    pixels = _pixels(message, np.dtype("u1"), channels)
-    if conversion is None:
-        return np.ascontiguousarray(pixels)
-    rgb: NDArray[np.uint8] = np.asarray(
-        cv2.cvtColor(np.ascontiguousarray(pixels), conversion), np.uint8
-    )
-    return rgb
+    pixels = np.ascontiguousarray(_pixels(message, np.dtype("u1"), channels))
+    return pixels if conversion is None else np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
 
 
 def decode_compressed_image(message: Any) -> NDArray[np.uint8]:
@@ -100,8 +95,7 @@ def decode_depth_image(message: Any) -> NDArray[np.float32]:
     encoding = message.encoding
     if encoding not in _DEPTHS:
         raise InputError(
-            f"a depth Image has the encoding {shown(encoding)}: expected 16UC1 (millimetres) or "
-            "32FC1 (metres)"
+            f"a depth Image has the encoding {shown(encoding)}: expected 16UC1 [mm] or 32FC1 [m]"
         )
     kind, units_a_metre = _DEPTHS[encoding]
     order = ">" if message.is_bigendian else "<"
@@ -123,9 +117,7 @@ def decode_points(message: Any) -> NDArray[np.float32]:
         InputError: if x, y or z is missing, doubled or of another type, and for inconsistent
             offsets, steps and length of the data.
     """
-    height, width, point_step = message_counts(message, "height", "width", "point_step")
-    order = ">" if message.is_bigendian else "<"
-    offsets, formats = [], []
+    fields = []
     for axis in "xyz":
         found = [field for field in message.fields if field.name == axis]
         if len(found) != 1:
@@ -133,34 +125,52 @@ def decode_points(message: Any) -> NDArray[np.float32]:
             raise InputError(
                 f"a PointCloud2 must have one field {axis}, it has {cut(names, 200) or 'none'}"
             )
-        (field,) = found
-        if field.datatype not in _FLOATS or field.count not in (0, 1):  # some drivers write 0
-            name = _DATATYPE_NAMES.get(field.datatype, field.datatype)
-            raise InputError(
-                f"the field {axis} of a PointCloud2 is {field.count} of the datatype {name}, "
-                "expected one float32 or float64"
-            )
-        (offset,), size = message_counts(field, "offset"), int(_FLOATS[field.datatype][1])
-        if offset + size > point_step:
-            raise InputError(
-                f"the field {axis} of a PointCloud2 ends at byte {offset + size} of a point, which "
-                f"has point_step {point_step}"
-            )
-        offsets.append(offset)
-        formats.append(order + _FLOATS[field.datatype])
-    if height == 0 or width == 0:
-        return np.zeros((0, 3), np.float32)
-    what = f"a PointCloud2 of {height} x {width} points"
-    data, row_step = message_rows(message, what, height, width * point_step, "row_step")
-    layout = np.dtype(
-        {"names": list("xyz"), "formats": formats, "offsets": offsets, "itemsize": point_step}
-    )
-    cloud: NDArray[Any] = np.ndarray((height, width), layout, data, strides=(row_step, point_step))
-    points = np.empty((height, width, 3), np.float32)
+        fields += found
+    cloud = view_fields(message, fields, _FLOATS)
     with np.errstate(over="ignore", invalid="ignore"):  # beyond float32: Inf, no return
-        for column, axis in enumerate("xyz"):
-            points[..., column] = cloud[axis]
-    return points.reshape(-1, 3)
+        columns = [cloud[axis].astype(np.float32) for axis in "xyz"]
+    return np.stack(columns, axis=-1).reshape(-1, 3)
+
+
+def view_fields(message: Any, fields: list[Any], types: Mapping[int, str]) -> NDArray[Any]:
+    """View fields of a PointCloud2 by their names.
+
+    Args:
+        message: sensor_msgs/PointCloud2.
+        fields: some of its fields.
+        types: the datatypes that they may have, and NumPy's type of each.
+
+    Returns:
+        A structured array (height, width).
+
+    Raises:
+        InputError: for another datatype, several numbers in a field, a field beyond the point, and
+            truncated data.
+    """
+    height, width, point_step = message_counts(message, "height", "width", "point_step")
+    what = f"a PointCloud2 of {height} x {width} points"
+    formats, offsets = list[str](), list[int]()
+    for field in fields:
+        if field.datatype not in types or field.count not in (0, 1):  # some drivers write 0
+            raise InputError(
+                f"the field {field.name} of a PointCloud2 is {field.count} of the datatype "
+                f"{field.datatype}, expected one of {', '.join(types.values())}"
+            )
+        formats.append((">" if message.is_bigendian else "<") + types[field.datatype])
+        offsets += message_counts(field, "offset")
+        if offsets[-1] + np.dtype(formats[-1]).itemsize > point_step:
+            raise InputError(
+                f"the field {field.name} of {what} begins at byte {offsets[-1]} of {point_step}: "
+                "the message is truncated or inconsistent"
+            )
+    names = [field.name for field in fields]
+    if height == 0 or width == 0:
+        return np.zeros((0, 0), list(zip(names, formats, strict=True)))
+    data, row_step = _rows(message, what, height, width * point_step, "row_step")
+    layout: np.dtype[Any] = np.dtype(
+        {"names": names, "formats": formats, "offsets": offsets, "itemsize": point_step}
+    )
+    return np.ndarray((height, width), layout, data, strides=(row_step, point_step))
 
 
 def _pixels(message: Any, dtype: np.dtype[Any], channels: int) -> NDArray[Any]:
@@ -171,24 +181,20 @@ def _pixels(message: Any, dtype: np.dtype[Any], channels: int) -> NDArray[Any]:
         raise InputError(f"{what} is empty")
     require_pixels((height, width), name=what)
     pixel = dtype.itemsize * channels
-    data, step = message_rows(message, what, height, width * pixel, "step")
+    data, step = _rows(message, what, height, width * pixel, "step")
     shape, strides = (height, width, channels), (step, pixel, dtype.itemsize)
     rank = 2 if channels == 1 else 3
     return np.ndarray(shape[:rank], dtype, data, strides=strides[:rank])
 
 
-def message_rows(
+def _rows(
     message: Any, what: str, height: int, row_bytes: int, step: str
 ) -> tuple[NDArray[np.uint8], int]:
     """The data of a message, not copied, and the bytes from one row to the next."""
     (stride,) = message_counts(message, step) if height > 1 else (row_bytes,)
     if stride < row_bytes:
         raise InputError(f"{what} has {step} {stride}, expected at least {row_bytes}")
-    data = message.data
-    if isinstance(data, np.ndarray):
-        content = np.ascontiguousarray(data).reshape(-1).view(np.uint8)
-    else:
-        content = np.frombuffer(data, np.uint8)
+    content = np.frombuffer(message.data, np.uint8)
     needed = stride * (height - 1) + row_bytes
     if len(content) < needed:
         raise InputError(f"{what} has {len(content)} bytes, expected {needed}: it is truncated")
@@ -203,8 +209,3 @@ def message_counts(message: Any, *names: str) -> tuple[int, ...]:
         )
         for name in names
     )
-
-
-def frame_name(frame: Any) -> str:
-    """The name of a frame without the leading slash that some ROS 1 drivers add."""
-    return str(frame).removeprefix("/")

@@ -1,4 +1,4 @@
-"""Poses and times of points from deserialised ROS messages."""
+"""Poses, transforms between frames and times of points from deserialised ROS messages."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks import cut, shown
 from runtime.errors import InputError
 from runtime.io.poses import pose_of
-from runtime.sources.ros_messages import frame_name, message_counts, message_rows
+from runtime.sources.ros_messages import view_fields
 
 #: Field of a PointCloud2 with the time of each point, as drivers name it; the first that is there.
 TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")
@@ -27,19 +28,6 @@ def odometry_pose(message: Any) -> NDArray[np.float64]:
         InputError: if the quaternion is not of unit length, or a number is not finite.
     """
     return _pose(message.pose.pose.position, message.pose.pose.orientation, "an Odometry")
-
-
-def transform_pose(stamped: Any) -> NDArray[np.float64]:
-    """Return the pose float64 (4, 4) of a geometry_msgs/TransformStamped of /tf.
-
-    It is that of `child_frame_id` in the frame of its header.
-
-    Raises:
-        InputError: as `odometry_pose`.
-    """
-    transform = stamped.transform
-    name = f"the transform from {stamped.header.frame_id} to {stamped.child_frame_id}"
-    return _pose(transform.translation, transform.rotation, name)
 
 
 def point_times_ns(message: Any, stamp_ns: int) -> NDArray[np.int64] | None:
@@ -68,53 +56,34 @@ def point_times_ns(message: Any, stamp_ns: int) -> NDArray[np.int64] | None:
     field = next((f for name in TIME_FIELDS for f in message.fields if f.name == name), None)
     if field is None:
         return None
-    height, width, step = message_counts(message, "height", "width", "point_step")
-    if field.datatype not in _TIMES or field.count not in (0, 1):
-        raise InputError(
-            f"the field {field.name} of a PointCloud2 has the datatype {field.datatype}, expected "
-            "int32, uint32, float32 or float64"
-        )
-    dtype = np.dtype(("<", ">")[bool(message.is_bigendian)] + _TIMES[field.datatype])
-    (offset,) = message_counts(field, "offset")
-    if not height * width:
-        return None
-    what = f"a PointCloud2 of {height} x {width} points"
-    if offset + dtype.itemsize > step:
-        raise InputError(
-            f"the field {field.name} of {what} begins at byte {offset} of {step}: the message is "
-            "truncated or inconsistent"
-        )
-    data, row_step = message_rows(message, what, height, width * step, "row_step")
-    times = np.ndarray((height, width), dtype, data, offset, (row_step, step)).ravel()
+    times = view_fields(message, [field], _TIMES)[field.name].ravel()
     if not np.isfinite(times).all():
         raise InputError(f"the field {field.name} of a PointCloud2 holds NaN or infinity")
-    if times.min() == times.max():
+    if not times.size or times.min() == times.max():
         return None  # drivers that do not fill it
     return _to_ns(times, stamp_ns, field.name)
 
 
 def _to_ns(times: NDArray[Any], stamp_ns: int, name: str) -> NDArray[np.int64]:
     """Convert the times of points by the table of `point_times_ns`."""
+    if times.dtype.kind in "iu":
+        return stamp_ns + times.astype(np.int64)
     values = times.astype(np.float64)
     lowest, highest = values.min(), values.max()
     largest, span = max(abs(lowest), abs(highest)), highest - lowest
-    if times.dtype.kind in "iu":
-        return stamp_ns + times.astype(np.int64)
     if largest <= _LONGEST_SCAN_S:
         return stamp_ns + np.rint(values * 1e9).astype(np.int64)
     if times.dtype.itemsize == 8 and span <= _LONGEST_SCAN_S:
-        # float64 cannot hold nanoseconds since 1970 exactly.
-        whole = np.floor(values).astype(np.int64)
-        in_ns: NDArray[np.int64] = whole * 10**9
-        return in_ns + np.rint((values - whole) * 1e9).astype(np.int64)
+        whole = np.floor(values)  # float64 cannot hold nanoseconds since 1970 exactly
+        seconds = whole.astype(np.int64)
+        return seconds * 10**9 + np.rint((values - whole) * 1e9).astype(np.int64)
     if lowest >= _LEAST_EPOCH_NS and span <= _LONGEST_SCAN_S * 1e9:
         return np.rint(values).astype(np.int64)
     if largest <= _LONGEST_SCAN_S * 1e6 and span > _LEAST_SPAN_US:
         return stamp_ns + np.rint(values * 1e3).astype(np.int64)
     raise InputError(
         f"the field {name} of a PointCloud2 has values from {lowest:g} to {highest:g}, expected "
-        "seconds or microseconds after the stamp, or seconds or nanoseconds of the clock: have "
-        "the driver write one of these, or leave the field out"
+        "seconds or microseconds after the stamp, or seconds or nanoseconds of the clock"
     )
 
 
@@ -146,7 +115,7 @@ def transform_poses(
         carriers: the LiDAR's frame and those that it is fixed to.
 
     Raises:
-        InputError: as `transform_pose`; if none of the carriers moves, and if it moves in a frame
+        InputError: as `odometry_pose`; if none of the carriers moves, and if it moves in a frame
             that moves itself: odom, map and earth (REP 105) are fixed.
     """
     moving: dict[str, list[tuple[int, NDArray[np.float64]]]] = {}
@@ -156,7 +125,7 @@ def transform_poses(
             child = frame_name(stamped.child_frame_id)
             parents[child] = frame_name(stamped.header.frame_id)
             if child in carriers:
-                pose = transform_pose(stamped)
+                pose = _transform_pose(stamped)
                 moving.setdefault(child, []).append((_stamp_ns(stamped.header), pose))
     carrier = next((frame for frame in carriers if frame in moving), None)
     if carrier is None:
@@ -168,6 +137,69 @@ def transform_poses(
             f"{parents[fixed]!r:.80}: expected one of {', '.join(_FIXED)}"
         )
     return carrier, moving[carrier]
+
+
+class TransformTree:
+    """The transforms of /tf_static between frames; the last one of a child counts.
+
+    Args:
+        messages: tf2_msgs/TFMessage.
+
+    Raises:
+        InputError: for an invalid rotation and for numbers that are not finite.
+    """
+
+    def __init__(self, messages: Iterable[Any]) -> None:
+        self._parents: dict[str, tuple[str, NDArray[np.float64]]] = {}
+        for message in messages:
+            for stamped in message.transforms:
+                parent = frame_name(stamped.header.frame_id)
+                self._parents[frame_name(stamped.child_frame_id)] = parent, _transform_pose(stamped)
+
+    def between(self, source: str, target: str) -> NDArray[np.float64]:
+        """Return the matrix, float64 (4, 4), from the frame `source` to the frame `target` [m].
+
+        Raises:
+            InputError: if the two are not connected.
+        """
+        from_source = self._ancestors(frame_name(source))
+        from_target = self._ancestors(frame_name(target))
+        common = next((frame for frame in from_source if frame in from_target), None)
+        if common is None:
+            frames = {*self._parents, *(parent for parent, _ in self._parents.values())}
+            raise InputError(
+                f"/tf_static does not connect the frame {shown(source)} to {shown(target)}, it has "
+                f"{cut(', '.join(sorted(frames)), 300) or 'no frames'}: give --calibration"
+            )
+        matrix: NDArray[np.float64] = np.linalg.inv(from_target[common]) @ from_source[common]
+        matrix[3] = (0, 0, 0, 1)  # to the last bit
+        return matrix
+
+    def carriers(self, frame: str) -> list[str]:
+        """A frame and the frames that it is fixed to, the nearest first."""
+        return list(self._ancestors(frame_name(frame)))
+
+    def _ancestors(self, frame: str) -> dict[str, NDArray[np.float64]]:
+        """Each ancestor and the matrix from `frame` to it, the nearest first."""
+        matrices = {frame: np.eye(4)}
+        while frame in self._parents:
+            parent, to_parent = self._parents[frame]
+            if parent in matrices:
+                raise InputError(f"/tf_static has a cycle at the frame {shown(parent)}")
+            matrices[parent] = to_parent @ matrices[frame]
+            frame = parent
+        return matrices
+
+
+def frame_name(frame: Any) -> str:
+    """The name of a frame without the leading slash that some ROS 1 drivers add."""
+    return str(frame).removeprefix("/")
+
+
+def _transform_pose(stamped: Any) -> NDArray[np.float64]:
+    """The pose of `child_frame_id` in the frame of the header of a TransformStamped."""
+    name = f"the transform from {stamped.header.frame_id} to {stamped.child_frame_id}"
+    return _pose(stamped.transform.translation, stamped.transform.rotation, name)
 
 
 def _stamp_ns(header: Any) -> int:

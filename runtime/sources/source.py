@@ -3,10 +3,10 @@
 import inspect
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.sources.frames import Frame
-from runtime.sync.matching import Pair
 
 
 @dataclass(frozen=True)
@@ -42,16 +41,6 @@ class ListedFrame:
     complete: bool = True
     reused: bool = False
     scan_time_ns: int | None = None
-
-    @classmethod
-    def of_pair(cls, sequence: int, name: str, pair: Pair, *, alone: bool = False) -> "ListedFrame":
-        """List two matched messages; alone: an image without depth is complete."""
-        image, depth, reused = pair
-        if depth is None:
-            return cls(sequence, name, image.data, None, image.stamp_ns, complete=alone)
-        stamps = image.stamp_ns, depth.stamp_ns
-        complete = alone or not reused
-        return cls(sequence, name, image.data, depth.data, *stamps, complete, reused)
 
 
 class Source(ABC):
@@ -150,10 +139,7 @@ class Source(ABC):
         if not self._rectify or calibration is None:
             return rgb, calibration
         if has_map:
-            raise InputError(
-                "a depth map lies on the pixels of the distorted image: leave out --rectify, or "
-                "give scans"
-            )
+            raise InputError("a depth map lies on the pixels of the distorted image: no --rectify")
         return calibration.rectify(rgb), calibration.rectified
 
     @property
@@ -188,27 +174,24 @@ def up_to(frames: Iterable[ListedFrame], limit: int | None) -> tuple[ListedFrame
     return tuple(listed)
 
 
-_Key = TypeVar("_Key")
-
-
 def pair_up(
-    keys: Iterable[_Key],
-    images: Mapping[_Key, Any],
-    depths: Mapping[_Key, Any] | None,
+    names: Iterable[str],
+    images: Mapping[str, Any],
+    depths: Mapping[str, Any] | None,
     *,
     limit: int | None,
-    name: Callable[[_Key], str] = str,
 ) -> tuple[ListedFrame, ...]:
-    """List a frame for each key, complete with an image and, unless `depths` is None, depth."""
+    """List a frame for each name, complete with an image and, unless `depths` is None, depth."""
+    found = depths or {}
     frames = (
         ListedFrame(
             sequence,
-            name(key),
-            images.get(key),
-            (depths or {}).get(key),
-            complete=key in images and (depths is None or key in depths),
+            name,
+            images.get(name),
+            found.get(name),
+            complete=name in images and (depths is None or name in depths),
         )
-        for sequence, key in enumerate(keys)
+        for sequence, name in enumerate(names)
     )
     return up_to(frames, limit)
 

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from runtime.checks import check_integer, check_number, shown
+from runtime.checks import check_number, shown
 from runtime.errors import InputError
-from runtime.sync.depth_in_time import MIDDLE_AFTER, check_scan_stamp
+from runtime.sync.motion import MIDDLE_AFTER, check_scan_stamp
 from runtime.sync.poses import PoseFrame
 
 
@@ -24,25 +24,13 @@ class SourceKey(NamedTuple):
     read: Callable[[str], Any]
 
 
-def _number(what: str, least: float, most: float) -> SourceKey:
+def _number(what: str, least: float, most: float, kind: type[float] = float) -> SourceKey:
     expected = f"{what}, {least:g} to {most:g}"
-    return SourceKey(expected, lambda text: check_number("", float(text), least, most))
-
-
-def _whole(what: str, least: int, most: int) -> SourceKey:
-    expected = f"{what}, {least} to {most}"
-    return SourceKey(expected, lambda text: check_integer("", int(text), least, most))
+    return SourceKey(expected, lambda text: kind(check_number("", kind(text), least, most)))
 
 
 def _read_text(text: str) -> str:
     if not text:
-        raise ValueError
-    return text
-
-
-def _read_topics(text: str) -> str:
-    topics = text.split("+")
-    if "" in topics or len(set(topics)) < len(topics):
         raise ValueError
     return text
 
@@ -53,14 +41,14 @@ def _read_path(text: str) -> Path:
 
 #: Keyword of the class of a source -> what --source takes for it. The other keywords are flags.
 SOURCE_KEYS = {
-    "camera": _whole("the number of a camera of KITTI", 0, 3),
+    "camera": _number("the number of a camera of KITTI", 0, 3, int),
     "depth_scale": _number("units per metre", 1e-3, 1e6),
-    "point_columns": _whole("the number of float32 per point", 3, 10**6),
+    "point_columns": _number("the number of float32 per point", 3, 10**6, int),
     "timestamps": SourceKey("a file", _read_path),
     "pose_frame": SourceKey(" or ".join(PoseFrame), PoseFrame),
     "scan_stamp": SourceKey(" or ".join(MIDDLE_AFTER), check_scan_stamp),
-    "point_time_column": _whole("the number of a column after x, y, z", 3, 10**6),
-    "image_topic": SourceKey("a topic, or those of several cameras joined by +", _read_topics),
+    "point_time_column": _number("the number of a column after x, y, z", 3, 10**6, int),
+    "image_topic": SourceKey("a topic, or those of several cameras joined by +", _read_text),
     "depth_topic": SourceKey("a topic or none", _read_text),
     "info_topic": SourceKey("a topic", _read_text),
     "pose_topic": SourceKey("a topic or none", _read_text),

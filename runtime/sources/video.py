@@ -2,6 +2,8 @@
 
 import math
 import os
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,22 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
-from runtime.io.calibration import Calibration
-from runtime.io.images import (
-    DEPTH_SUFFIXES,
-    KITTI_DEPTH_SCALE,
-    list_files,
-    read_sparse_depth,
-    require_pixels,
-)
+from runtime.io.images import DEPTH_SUFFIXES, KITTI_DEPTH_SCALE, list_files, require_pixels
 from runtime.read_input import require_regular
+from runtime.sources.folders import FolderSource
 from runtime.sources.frames import Frame
-from runtime.sources.source import ListedFrame, Source, by_number, no_depth, pair_up
+from runtime.sources.source import ListedFrame, by_number
 
 _SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm")
 
 
-class VideoSource(Source):
+class VideoSource(FolderSource):
     """The frames of a video, numbered from 0, and the depth maps with those numbers.
 
     A frame's time stamp is its presentation time in the video.
@@ -52,109 +48,68 @@ class VideoSource(Source):
         calibration: Path | None = None,
     ) -> None:
         require_regular(path)
-        self._path, self._depth, self._depth_scale = path, depth, depth_scale
-        folder = Path(os.path.realpath(path)).parent
-        self.folders = (folder,) if depth is None else (folder, depth)
+        super().__init__(path, depth=depth, depth_scale=depth_scale, calibration=calibration)
         self.recordings = (path,)
-        if calibration is not None:
-            self.calibration = Calibration.from_file(calibration)
         self._video = _open(path)
         self._next = 0  # index of the next frame that the video decodes
-        height, width = (
-            int(self._video.get(side))
-            for side in (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH)
-        )
+        sides = (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH)
+        height, width = (int(self._video.get(side)) for side in sides)
         require_pixels((height, width), name=str(path))
+        self._count = int(self._video.get(cv2.CAP_PROP_FRAME_COUNT))
+        if not 0 < self._count <= path.stat().st_size:
+            raise InputError(
+                f"{path} states no number of frames: it is empty, truncated or damaged, or a "
+                "stream, which ffmpeg -i FILE -c copy NEW.mp4 makes a file"
+            )
 
     @staticmethod
     def accepts(path: Path) -> bool:
         """See `Source.accepts`."""
         return path.suffix.lower() in _SUFFIXES and os.path.isfile(path)
 
-    def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
-        """See `Source.list_frames`. A frame without a depth map is listed too, and the reverse."""
-        count = self._count()
-        maps = {}
-        if self._depth is not None:
-            maps = by_number(list_files(self._depth, DEPTH_SUFFIXES))
-        if maps and count in maps and 0 not in maps:
+    def _list_images(self) -> Mapping[str, Any]:
+        return {_name(number): number for number in range(self._count)}
+
+    def _list_depths(self, folder: Path) -> dict[str, Path]:
+        maps = by_number(list_files(folder, DEPTH_SUFFIXES))
+        if self._count in maps and 0 not in maps:
             raise InputError(
-                f"{maps[count]} has the number {count}, but {self._path} has {count} frames, which "
-                "are numbered from 0: number the depth maps from 0 (ffmpeg -start_number 0)"
+                f"{maps[self._count]} is the depth of a frame beyond the {self._count} frames of "
+                f"{self._rgb}, which are numbered from 0: so should be the maps (-start_number 0)"
             )
-        numbers = sorted(set(range(count)) | maps.keys())
-        digits = max(6, len(str(numbers[-1])))
-        return pair_up(
-            numbers,
-            {number: number for number in range(count)},
-            None if self._depth is None else maps,
-            limit=limit,
-            name=lambda number: f"{number:0{digits}d}",
-        )
+        return {_name(number): path for number, path in maps.items()}
 
     def read(self, frame: ListedFrame) -> Frame:
         """See `Source.read`. Raises InputError also where the image or depth map is missing."""
-        if frame.image is None:
-            raise InputError(f"{frame.name} has a depth map, but the video has no such frame")
-        if frame.depth is None and self._depth is not None:
-            raise InputError(f"{frame.name} is in the video, but has no depth map")
-        rgb, stamp_ns = self._decode(frame.image)
-        has_map = frame.depth is not None
-        rgb, calibration = self._rectified(rgb, self.calibration, has_map=has_map)
-        if frame.depth is None:
-            sparse_depth = no_depth(rgb)
-        else:
-            sparse_depth = read_sparse_depth(frame.depth, depth_scale=self._depth_scale)
-        return Frame(rgb, sparse_depth, stamp_ns, None, calibration)
-
-    def _decode(self, number: int) -> tuple[NDArray[np.uint8], int | None]:
-        """A frame, uint8 (H, W, 3), RGB, and its time [ns]."""
-        if number < self._next:
-            self._rewind()
-        grabbed = False
-        while self._next <= number:
-            grabbed = self._video.grab()
-            if not grabbed:
-                break
-            self._next += 1
-        done, image = self._video.retrieve() if grabbed else (False, None)
-        if not done or image is None:
-            raise InputError(
-                f"{self._path} ends or is damaged before its frame {number}: earlier frames were "
-                "read"
-            )
-        if image.dtype != np.uint8 or image.ndim != 3:
-            raise InputError(f"{self._path} holds {image.dtype} images, expected 8-bit RGB")
-        rgb = np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
+        read = super().read(frame)
         milliseconds = self._video.get(cv2.CAP_PROP_POS_MSEC)
-        return rgb, round(milliseconds * 1e6) if math.isfinite(milliseconds) else None
+        stamp_ns = round(milliseconds * 1e6) if math.isfinite(milliseconds) else None
+        return replace(read, image_stamp_ns=stamp_ns)
 
-    def _count(self) -> int:
-        """Number of frames: from the video's header, or counted."""
-        stated = self._video.get(cv2.CAP_PROP_FRAME_COUNT)
-        count = int(stated) if 0 < stated <= self._path.stat().st_size else 0
-        if count == 0:
-            self._rewind()
-            while self._video.grab():
-                count += 1
-            self._rewind()
-        if count == 0:
-            raise InputError(f"{self._path} has no frames: it is empty, truncated or damaged")
-        return count
-
-    def _rewind(self) -> None:
-        self._video.release()
-        self._video, self._next = _open(self._path), 0
-
-    @property
-    def inputs(self) -> dict[str, Any]:
-        """See `Source.inputs`."""
-        depth = None if self._depth is None else str(self._depth)
-        return {"video": str(self._path), "depth": depth, "depth_scale": self._depth_scale}
+    def _read_image(self, image: Any) -> NDArray[np.uint8]:
+        """Frame number `image` of the video; one before the last is read from the beginning."""
+        if image < self._next:
+            self._video.release()
+            self._video, self._next = _open(self._rgb), 0
+        while self._next < image and self._video.grab():
+            self._next += 1
+        done, decoded = self._video.read()
+        if not done or self._next < image:
+            raise InputError(
+                f"{self._rgb} ends or is damaged before its frame {image}: earlier frames were read"
+            )
+        self._next += 1
+        if decoded.dtype != np.uint8 or decoded.ndim != 3:
+            raise InputError(f"{self._rgb} holds {decoded.dtype} images, expected 8-bit RGB")
+        return np.ascontiguousarray(decoded[..., ::-1], dtype=np.uint8)
 
     def close(self) -> None:
         """See `Source.close`."""
         self._video.release()
+
+
+def _name(number: int) -> str:
+    return f"{number:06d}"
 
 
 def _open(path: Path) -> cv2.VideoCapture:
@@ -162,10 +117,7 @@ def _open(path: Path) -> cv2.VideoCapture:
     # Decode in the calling thread, whose priority is lower than that of inference.
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
     if not video.isOpened():
-        raise InputError(
-            f"cannot read the video {path}: it is truncated, damaged, or of a format that OpenCV "
-            "does not decode"
-        )
+        raise InputError(f"cannot read the video {path}: it is damaged, or OpenCV lacks its codec")
     # As with images, pixels stay where the sensor has them.
     video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     return video

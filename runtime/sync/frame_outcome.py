@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from runtime.prediction import Prediction
-from runtime.sync.depth_in_time import DepthMotion
+from runtime.sync.motion import DepthMotion
 from runtime.sync.stamp import NS_PER_MS, Stamp, stamp_ns
 
 OK, SKIPPED, INVALID = "ok", "skipped", "invalid"

@@ -1,10 +1,17 @@
 """Latency statistics: percentiles, deadline misses, jitter."""
 
+import math
+from bisect import bisect_left
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, astuple, dataclass
+from itertools import accumulate
 from typing import Any
 
 from runtime.sync.stamp import NS_PER_MS
+
+_GROWTH = math.log1p(1 / 1024)  # of a bucket to the next one
+_LEAST_MS = 1e-4
 
 
 @dataclass(frozen=True)
@@ -68,6 +75,36 @@ def statistics_by_rank(
         p99_9_ms=percentile(999),
         max_ms=at_rank(n),
     )
+
+
+class DurationHistogram:
+    """Counts durations [ms] in buckets that grow by 1/1024; nothing is clipped.
+
+    Memory is constant. A percentile is at most 0.1 % too high, and at least 0.1 µs; number, mean
+    and maximum are exact.
+    """
+
+    def __init__(self) -> None:
+        self._counts: Counter[int] = Counter()  # exponent of a bucket's upper end -> durations
+        self._n, self._sum_ms, self._max_ms = 0, 0.0, -math.inf
+
+    def record(self, duration_ms: float) -> None:
+        """Count one more duration."""
+        self._counts[math.ceil(math.log(max(duration_ms, _LEAST_MS)) / _GROWTH)] += 1
+        self._n += 1
+        self._sum_ms += duration_ms
+        self._max_ms = max(self._max_ms, duration_ms)
+
+    def statistics(self) -> LatencyStatistics | None:
+        """Statistics as in `latency_statistics`; None if nothing was recorded."""
+        buckets = sorted(self._counts)
+        cumulative = list(accumulate(self._counts[bucket] for bucket in buckets))
+
+        def at_rank(rank: int) -> float:
+            upper_ms = math.exp(_GROWTH * buckets[bisect_left(cumulative, rank)])
+            return self._max_ms if rank == self._n else min(upper_ms, self._max_ms)
+
+        return statistics_by_rank(self._n, self._sum_ms, at_rank)
 
 
 class MissCounter:

@@ -6,21 +6,27 @@ message can be nearer; the stamps of a sensor are assumed to rise. An image with
 the newest depth map before it that is at most `reuse_ns` old ("reused"). One depth map may serve
 several images, beside the one that it was matched with.
 
-What differs is how long a message waits for its partner: `synchronizer.py` has the rules of a live
-stream, `stamp_matching.py` those of a recording.
+What differs is how long a message waits for its partner: `Synchronizer` has the rules of a live
+stream, `StampMatching` those of a recording.
 """
 
 from abc import ABC, abstractmethod
 from bisect import insort
 from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from statistics import median_low
 from typing import Any, NamedTuple
 
-from runtime.sync.intervals import Intervals
+from runtime.checks import check_number
+from runtime.errors import InputError
 from runtime.sync.outcome import MATCHED, Outcome, Sensor
-from runtime.sync.stamp import JUMP_BACK_NS, Stamp
+from runtime.sync.stamp import JUMP_BACK_NS, NS_PER_MS, Stamp
 
-_REMEMBERED = 64  # latest stamps of a sensor, to detect duplicates
+_REMEMBERED_STAMPS = 64  # latest of a sensor, to detect duplicates
+_REMEMBERED_INTERVALS = 16
+_KNOWN_INTERVALS = 5  # from which the period is known
+_MAX_WAIT_NS = 50 * NS_PER_MS  # of a recording: how far a sensor's messages may be out of order
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,13 +70,12 @@ class Discarded(NamedTuple):
 class Decided:
     """What one step decided.
 
-    pairs: in the order of their images. out_of_order, jumped_back: whether the message of the step
-    was older than the newest of its sensor, and by more than a second.
+    pairs: in the order of their images. jumped_back: whether the message of the step was older than
+    the newest of its sensor by more than a second.
     """
 
     pairs: list[Pair] = field(default_factory=list)
     discarded: list[Discarded] = field(default_factory=list)
-    out_of_order: bool = False
     jumped_back: bool = False
 
 
@@ -82,12 +87,52 @@ class _Kept:
     outcome: Outcome | None
 
 
+class Intervals:
+    """The latest intervals of a sensor; they start anew where its stamps jump back.
+
+    Attributes:
+        newest_ns: the newest stamp; None before the first one.
+    """
+
+    def __init__(self) -> None:
+        self.newest_ns: int | None = None
+        self._intervals: deque[int] = deque(maxlen=_REMEMBERED_INTERVALS)
+
+    def add(self, stamp_ns: int) -> None:
+        """Take the stamp of a message, of any order."""
+        newest_ns = self.newest_ns
+        if newest_ns is None or stamp_ns < newest_ns - JUMP_BACK_NS:
+            self._intervals.clear()
+        elif stamp_ns > newest_ns:
+            self._intervals.append(stamp_ns - newest_ns)
+        else:
+            return
+        self.newest_ns = stamp_ns
+
+    @property
+    def shortest_ns(self) -> int:
+        """The shortest interval; 0 before the first one."""
+        return min(self._intervals, default=0)
+
+    def period_ns(self) -> int | None:
+        """The median interval; None before `_KNOWN_INTERVALS` intervals."""
+        return median_low(self._intervals) if len(self._intervals) >= _KNOWN_INTERVALS else None
+
+    def spread_ns(self) -> int:
+        """Mean distance from the period of the intervals that are one period long."""
+        period_ns = self.period_ns()
+        if period_ns is None:
+            return 0
+        single = [each for each in self._intervals if each < 1.5 * period_ns]
+        return sum(abs(each - period_ns) for each in single) // len(single)
+
+
 class _Waiting:
     """Waiting messages of one sensor, and its recent intervals."""
 
     def __init__(self) -> None:
         self.messages: list[Message] = []  # by stamp
-        self.remembered: deque[int] = deque(maxlen=_REMEMBERED)
+        self.remembered: deque[int] = deque(maxlen=_REMEMBERED_STAMPS)
         self.intervals = Intervals()
 
     def add(self, message: Message) -> None:
@@ -97,13 +142,22 @@ class _Waiting:
 
 
 class Matching(ABC):
-    """Holds messages that wait for a partner, at most `capacity` of each sensor.
+    """Holds messages that wait for a partner.
 
-    reuse_ns: largest age of a depth map that an image without one of its own takes; 0 = none.
+    Args:
+        max_skew_ms: largest difference between the stamps of a pair.
+        reuse_depth_ms: largest age of a depth map that an image without one of its own takes; 0 =
+            none.
+        capacity: most messages of a sensor that wait.
+
+    Raises:
+        InputError: if the skew or the age is out of range.
     """
 
-    def __init__(self, *, max_skew_ns: int, reuse_ns: int, capacity: int) -> None:
-        self._max_skew_ns, self._reuse_ns, self._capacity = max_skew_ns, reuse_ns, capacity
+    def __init__(self, *, max_skew_ms: float, reuse_depth_ms: float, capacity: int) -> None:
+        self._max_skew_ns = _checked_ns("max_skew_ms", max_skew_ms)
+        self._reuse_ns = _checked_ns("reuse_depth_ms", reuse_depth_ms)
+        self._capacity = capacity
         self._sensors = {sensor: _Waiting() for sensor in MATCHED}
         self._kept: list[_Kept] = []  # by stamp
         self._decided_ns: int | None = None  # the newest image that was decided
@@ -149,13 +203,11 @@ class Matching(ABC):
             decided.discarded.append(Discarded(sensor, message, Outcome.DUPLICATE))
             return False
         newest_ns = waiting.intervals.newest_ns
-        if newest_ns is not None and message.stamp_ns < newest_ns:
-            decided.out_of_order = True
-            if message.stamp_ns < newest_ns - JUMP_BACK_NS:
-                decided.jumped_back = True
-                self._flush(decided, Outcome.CLOCK_JUMP)
-                self._sensors = {each: _Waiting() for each in MATCHED}
-                self._decided_ns = None
+        if newest_ns is not None and message.stamp_ns < newest_ns - JUMP_BACK_NS:
+            decided.jumped_back = True
+            self._flush(decided, Outcome.CLOCK_JUMP)
+            self._sensors = {each: _Waiting() for each in MATCHED}
+            self._decided_ns = None
         decided_ns = self._decided_ns
         if sensor is Sensor.IMAGE and decided_ns is not None and message.stamp_ns <= decided_ns:
             decided.discarded.append(Discarded(sensor, message, Outcome.LATE))
@@ -267,6 +319,179 @@ class Matching(ABC):
             self._kept.remove(kept)
             if kept.outcome is not None:
                 decided.discarded.append(Discarded(Sensor.DEPTH, kept.depth, kept.outcome))
+
+
+class Synchronizer(Matching):
+    """Matches messages as they arrive; deciding an image discards all older images."""
+
+    def __init__(
+        self, *, max_skew_ms: float, max_wait_ms: float, reuse_depth_ms: float, capacity: int
+    ) -> None:
+        super().__init__(max_skew_ms=max_skew_ms, reuse_depth_ms=reuse_depth_ms, capacity=capacity)
+        self._max_wait_ns = _checked_ns("max_wait_ms", max_wait_ms)
+        self._now_ns = 0
+
+    def add(self, sensor: Sensor, message: Message) -> Decided:
+        """Take a message that has just arrived, and decide what is certain with it."""
+        decided = Decided()
+        self._now_ns = message.arrived_ns
+        if self._admit(decided, sensor, message):
+            self._decide(decided)
+            waiting = self._sensors[sensor].messages
+            if len(waiting) > self._capacity:
+                decided.discarded.append(Discarded(sensor, waiting.pop(0), Outcome.OVERFLOW))
+        return decided
+
+    def advance(self, now_ns: int) -> Decided:
+        """Decide what has waited long enough."""
+        decided = Decided()
+        self._now_ns = now_ns
+        self._decide(decided)
+        return decided
+
+    def due_ns(self) -> int | None:
+        """When to call `advance` next; None = only after another message."""
+        # A depth map near a waiting image is decided together with this image.
+        waiting = [*self._images, *(depth for depth in self._depths if not self._near(depth))]
+        arrived_ns = min((message.arrived_ns for message in waiting), default=None)
+        return None if arrived_ns is None else arrived_ns + self._max_wait_ns
+
+    def _next_decidable(self) -> Message | None:
+        """The newest of the images that can be decided."""
+        for image in reversed(self._images):
+            depth = self._partner(image)
+            if depth is not None and self._is_certain(image, depth):
+                return image
+            if self._is_over(image, Sensor.DEPTH):
+                return image
+        # The oldest image, if no depth map is expected for it. A newer image has to wait, because
+        # deciding it would discard the oldest.
+        oldest = next(iter(self._images), None)
+        if oldest is None or self._partner(oldest) is not None or self._is_due(oldest):
+            return None
+        return oldest
+
+    def _is_due(self, image: Message) -> bool:
+        """Whether a depth map may still arrive whose nearest image is this image."""
+        depths = self._sensors[Sensor.DEPTH].intervals
+        images = self._sensors[Sensor.IMAGE].intervals
+        period_ns, image_period_ns = depths.period_ns(), images.period_ns()
+        if period_ns is None or image_period_ns is None or depths.newest_ns is None:
+            return True
+        silent_ns = image.stamp_ns - depths.newest_ns
+        if silent_ns > self._max_wait_ns + 2 * period_ns:
+            return False  # a LiDAR that stopped
+        # The stamps that are expected next: newest + n * period, n = 1, 2, ...
+        slack_ns = depths.spread_ns() + images.spread_ns()
+        ahead = max(silent_ns // period_ns, 0)
+        return any(
+            abs(depths.newest_ns + n * period_ns - image.stamp_ns)
+            <= min(self._max_skew_ns, image_period_ns // 2) + slack_ns
+            for n in (ahead, ahead + 1)
+            if n > 0
+        )
+
+    def _is_over(self, message: Message, other: Sensor) -> bool:
+        return self._now_ns - message.arrived_ns >= self._max_wait_ns
+
+    def _next_ns(self, sensor: Sensor) -> int:
+        intervals = self._sensors[sensor].intervals
+        assert intervals.newest_ns is not None
+        return intervals.newest_ns + intervals.shortest_ns
+
+    def _decide_images(self, decided: Decided) -> None:
+        complete = [image for image in self._images if self._partner(image) is not None]
+        for image in complete[-1:]:
+            self._decide_image(decided, image)
+        for image in self._images[-1:]:
+            self._decide_image(decided, image)
+
+
+class StampMatching(Matching):
+    """Matches messages in the order of a recording."""
+
+    def add(self, sensor: Sensor, message: Message) -> Decided:
+        """Take the next message, and decide what is certain with it."""
+        decided = Decided()
+        waiting = self._sensors[sensor].messages
+        if len(waiting) >= self._capacity:
+            if sensor is Sensor.IMAGE:
+                self._decide_image(decided, waiting[0])
+            else:
+                self._discard_depth(decided, waiting[0], Outcome.NO_IMAGE)
+            self._decide(decided)
+        if self._admit(decided, sensor, message):
+            self._decide(decided)
+        return decided
+
+    def _next_decidable(self) -> Message | None:
+        """The oldest image, if no later message can change its answer."""
+        for oldest in self._images[:1]:
+            depth = self._partner(oldest)
+            # An image with a partner waits for the images that might be nearer to it.
+            if depth is None:
+                is_final = self._is_over(oldest, Sensor.DEPTH)
+            else:
+                is_final = self._is_certain(oldest, depth)
+            return oldest if is_final else None
+        return None
+
+    def _is_over(self, message: Message, other: Sensor) -> bool:
+        newest_ns = self._sensors[other].intervals.newest_ns
+        over_ns = message.stamp_ns + self._max_skew_ns + _MAX_WAIT_NS
+        return newest_ns is not None and newest_ns > over_ns
+
+    def _next_ns(self, sensor: Sensor) -> int:
+        newest_ns = self._sensors[sensor].intervals.newest_ns
+        assert newest_ns is not None
+        return newest_ns
+
+    def _decide_images(self, decided: Decided) -> None:
+        while self._images:
+            self._decide_image(decided, self._images[0])
+
+
+def match_by_stamp(
+    messages: Iterable[tuple[Sensor, Message]],
+    *,
+    max_skew_ms: float,
+    reuse_depth_ms: float,
+    waiting: int,
+    on_decided: Callable[[Decided], object],
+) -> Iterator[Pair]:
+    """Return an iterator over each image with its depth map or None, by the images' stamps.
+
+    Args:
+        messages: in the order of the recording.
+        max_skew_ms: largest difference between the stamps of a pair.
+        reuse_depth_ms: largest age of a depth map that an image without one of its own takes.
+        waiting: most messages of a sensor that wait. More wait only if the sensor is far ahead of
+            the other sensor, or the other sensor is silent.
+        on_decided: called with the outcomes of each step.
+
+    Raises:
+        InputError: if the skew or the age is out of range.
+    """
+    matching = StampMatching(
+        max_skew_ms=max_skew_ms, reuse_depth_ms=reuse_depth_ms, capacity=waiting
+    )
+
+    def steps() -> Iterator[Decided]:
+        for sensor, message in messages:
+            yield matching.add(sensor, message)
+        yield matching.flush()
+
+    def pairs() -> Iterator[Pair]:
+        for decided in steps():
+            on_decided(decided)
+            yield from decided.pairs
+
+    return pairs()
+
+
+def _checked_ns(name: str, value_ms: float) -> int:
+    value_ms = check_number(name, value_ms, 0, 1e6, "milliseconds", error=InputError)
+    return round(value_ms * NS_PER_MS)
 
 
 def _distance(one: Message, other: Message) -> int:

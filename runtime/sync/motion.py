@@ -1,15 +1,27 @@
-"""Move the returns of a LiDAR on a moving car to one time."""
+"""The depth of an image of a moving car: its returns, moved to the time of the image."""
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
-from runtime.sync.poses import PoseFrame, PoseTrack, check_pose
+from runtime.prediction import DEPTH_REUSED, DEPTH_UNCOMPENSATED
+from runtime.projection import check_points
+from runtime.sync.poses import NoPoseError, PoseFrame, PoseTrack, check_pose
+from runtime.sync.stamp import NS_PER_MS
 
+DepthMotion = Literal["each", "scan", "none"]
+#: The instant of a scan that its stamp marks.
+ScanStamp = Literal["start", "middle", "end"]
+#: Instant of the stamp -> time from the stamp to the middle of the scan, in scan durations.
+MIDDLE_AFTER: dict[ScanStamp, float] = {"start": 0.5, "middle": 0.0, "end": -0.5}
+#: Duration of a scan until the LiDAR's period is known: that of 10 Hz.
+FIRST_SCAN_NS = 100 * NS_PER_MS
+_LONGEST_SCAN_NS = 1_000 * NS_PER_MS
 #: Poses are computed at so many times of a scan; between them, in 1.6 ms of 100, matrices are
 #: linear: off by 0.01 mm at 100 m in a turn of 0.5 rad/s.
 _KNOTS = 65
@@ -17,11 +29,112 @@ _KNOTS = 65
 _STEPS = 64
 
 
-def move_points(
+class DepthInTime(NamedTuple):
+    """A sparse depth map.
+
+    Attributes:
+        sparse_depth: float32 (H, W), metres, 0 = no return.
+        motion: "each" where each return was moved by its own time, "scan" where the scan was moved
+            as one, "none" where it is as it was measured.
+        degraded: reasons as in `Prediction.degraded`.
+    """
+
+    sparse_depth: NDArray[np.float32]
+    motion: DepthMotion
+    degraded: tuple[str, ...]
+
+
+def project_in_time(
+    calibration: Calibration,
     points: NDArray[np.float32],
     times: NDArray[np.int64] | int,
-    poses: PoseTrack,
+    poses: PoseTrack | None,
     to: int,
+    size: tuple[int, int],
+    *,
+    reused: bool,
+) -> DepthInTime:
+    """Project a scan into an image, as `project_moved` where there are poses.
+
+    Args:
+        calibration: of camera and LiDAR.
+        points: see `move_points`.
+        times: see `move_points`.
+        poses: of the LiDAR; None = of a car without poses.
+        to: nanoseconds, the time of the image.
+        size: its (height, width).
+        reused: whether it is an older scan than the image's own.
+
+    Raises:
+        InputError: if the size is not the calibration's, and for invalid arrays.
+    """
+    reasons: tuple[str, ...] = (DEPTH_REUSED,) if reused else ()
+    if poses is not None:
+        try:
+            moved = project_moved(calibration, points, times, poses, to, size)
+            return DepthInTime(moved, "scan" if isinstance(times, int) else "each", reasons)
+        except NoPoseError as error:
+            reasons += (DEPTH_UNCOMPENSATED, error.reason)
+    elif reused:
+        reasons += (DEPTH_UNCOMPENSATED,)
+    return DepthInTime(calibration.project(points, size), "none", reasons)
+
+
+def keep_map(
+    sparse_depth: NDArray[np.float32], *, apart: bool, has_poses: bool, reused: bool
+) -> DepthInTime:
+    """Take a depth map, which cannot be moved.
+
+    Args:
+        sparse_depth: float32 (H, W), metres.
+        apart: whether its stamp is not the image's.
+        has_poses: whether the car has poses, so that returns ought to be moved.
+        reused: whether it is an older map than the image's own.
+    """
+    reasons: tuple[str, ...] = (DEPTH_REUSED,) if reused else ()
+    if reused or (has_poses and apart):
+        reasons += (DEPTH_UNCOMPENSATED,)
+    return DepthInTime(sparse_depth, "none", reasons)
+
+
+def check_scan_stamp(value: Any) -> ScanStamp:
+    """Return the instant of a scan that its stamp is; InputError for another word."""
+    if value not in MIDDLE_AFTER:
+        raise InputError(f"scan_stamp must be one of {', '.join(MIDDLE_AFTER)}, got {shown(value)}")
+    known: ScanStamp = value
+    return known
+
+
+def point_times(times: Any, count: int, stamp_ns: int) -> NDArray[np.int64]:
+    """Return when the points of a scan were measured, int64 (N,), nanoseconds.
+
+    Args:
+        times: (N,), seconds after the stamp as floats, or nanoseconds of its clock as integers.
+        count: N.
+        stamp_ns: of the scan.
+
+    Raises:
+        InputError: for another type or shape, and for times that are more than 1 s from the stamp.
+    """
+    kind = times.dtype.kind if isinstance(times, np.ndarray) else None
+    if kind not in ("f", "i", "u") or times.shape != (count,):
+        got = f"{times.dtype} {times.shape}" if kind else type(times).__name__
+        raise InputError(
+            f"times must have the shape ({count},), seconds after the stamp as floats or "
+            f"nanoseconds of its clock as integers, got {got}"
+        )
+    after_ns = times.astype(np.float64) * 1e9 if kind == "f" else times.astype(np.int64) - stamp_ns
+    farthest_ns = np.abs(after_ns.astype(np.float64)).max(initial=0)
+    if not farthest_ns <= _LONGEST_SCAN_NS:  # nor NaN
+        raise InputError(
+            f"times must be within {_LONGEST_SCAN_NS / 1e9:g} s of the stamp, got "
+            f"{farthest_ns / 1e9:g} s: are they of another unit or clock?"
+        )
+    return np.asarray(stamp_ns + np.rint(after_ns).astype(np.int64))
+
+
+def move_points(
+    points: NDArray[np.float32], times: NDArray[np.int64] | int, poses: PoseTrack, to: int
 ) -> NDArray[np.float32]:
     """Move each return from where the LiDAR was at its own time to where it is at another one.
 
@@ -31,7 +144,7 @@ def move_points(
         points: float32 (N, 3) or wider, x, y, z first, metres, in the LiDAR's frame.
         times: int64 (N,), nanoseconds, when each was measured; or one time for all.
         poses: of the LiDAR, by the same clock.
-        to: nanoseconds, the time to move to, as that of a picture.
+        to: nanoseconds, the time to move to, as that of an image.
 
     Returns:
         float32 as `points`, a new array; the other columns as they are.
@@ -40,18 +153,51 @@ def move_points(
         NoPoseError: if there is no pose for one of the times.
         InputError: for arrays of another type or shape.
     """
-    _check_points(points)
-    xyz = np.ascontiguousarray(points[:, :3].T)
+    check_points(points)
     moved = points.copy()
-    if isinstance(times, np.ndarray) and times.ndim:
-        _check_times(times, len(points))
-        if len(points):
-            _move(xyz, times, _table(times, poses, to), moved)
-    else:
-        (matrix,) = relative_poses(poses, np.array([times], np.int64), to)
-        table = _Table(matrix[:3].reshape(12, 1).astype(np.float32), int(times), 0.0)
-        _move(xyz, None, table, moved)
+    if len(points):
+        each = np.broadcast_to(np.int64(times), len(points))
+        _move(np.ascontiguousarray(points[:, :3].T), each, _table(each, poses, to), moved)
     return moved
+
+
+def project_moved(
+    calibration: Calibration,
+    points: NDArray[np.float32],
+    times: NDArray[np.int64] | int,
+    poses: PoseTrack,
+    to: int,
+    size: tuple[int, int],
+) -> NDArray[np.float32]:
+    """Project a scan into an image of the time `to`, see `move_points` and `project_points`.
+
+    Args:
+        calibration: of camera and LiDAR.
+        points: see `move_points`.
+        times: see `move_points`.
+        poses: see `move_points`.
+        to: nanoseconds, the time of the image.
+        size: its (height, width).
+
+    Returns:
+        float32 (height, width), metres along the optical axis, 0 where there is no return.
+
+    Raises:
+        NoPoseError: if there is no pose for one of the times.
+        InputError: if the size is not the calibration's, and for invalid arrays.
+    """
+    check_points(points)
+    calibration.require_size(size)
+    extrinsics = calibration.extrinsics
+    if isinstance(times, int):
+        (moved,) = relative_poses(poses, np.array([times], np.int64), to)
+        extrinsics = extrinsics @ moved
+    elif len(points):
+        table, xyz = _table(times, poses, to), np.ascontiguousarray(points[:, :3].T)
+        rows = _in_front(xyz, table, extrinsics)
+        points = np.empty((3, len(rows)), np.float32).T  # read fastest by the projection
+        _move(xyz.take(rows, axis=1), times.take(rows), table, points)
+    return replace(calibration, extrinsics=extrinsics).project(points, size)
 
 
 class _Table(NamedTuple):
@@ -60,53 +206,6 @@ class _Table(NamedTuple):
     entries: NDArray[np.float32]
     first_ns: int
     steps_a_ns: float
-
-
-def _check_points(points: Any) -> None:
-    if not isinstance(points, np.ndarray) or points.dtype != np.float32 or points.ndim != 2:
-        got = getattr(points, "dtype", type(points).__name__)
-        raise InputError(f"points must be float32 (N, 3) or wider, got {got}")
-    if points.shape[1] < 3:
-        raise InputError(f"points must have the shape (N, 3) or wider, got {points.shape}")
-
-
-def _check_times(times: NDArray[Any], count: int) -> None:
-    if times.dtype != np.int64 or times.shape != (count,):
-        raise InputError(
-            f"times must be int64 ({count},), nanoseconds, got {times.dtype} {times.shape}"
-        )
-
-
-def _move(
-    xyz: NDArray[np.float32],
-    times: NDArray[np.int64] | None,
-    table: _Table,
-    moved: NDArray[np.float32],
-) -> None:
-    """Move points, float32 (3, N), into (N, 3): each by its time's matrix; None = all by the first.
-
-    Columns after the third are left as they are.
-    """
-    index: Any = None
-    if times is not None:
-        place = (times - table.first_ns).astype(np.float32)
-        place *= np.float32(table.steps_a_ns)
-        place += np.float32(0.5)
-        index = place.astype(np.intp)
-    total, factor = np.empty_like(xyz[0]), np.empty_like(xyz[0])
-    with np.errstate(over="ignore", invalid="ignore"):  # returns that are not finite stay so
-        for row in range(3):
-            for column, axis in enumerate((None, *xyz)):
-                entry = table.entries[4 * row + (column - 1) % 4]
-                into = total if axis is None else factor
-                if index is None:
-                    into[:] = entry[0]
-                else:
-                    entry.take(index, out=into, mode="clip")
-                if axis is not None:
-                    factor *= axis
-                    total += factor
-            moved[:, row] = total
 
 
 def _table(times: NDArray[np.int64], poses: PoseTrack, to_ns: int) -> _Table:
@@ -121,6 +220,29 @@ def _table(times: NDArray[np.int64], poses: PoseTrack, to_ns: int) -> _Table:
     entries[:, :-1] = between.reshape(12, -1)
     entries[:, -1] = knots[:, -1]
     return _Table(entries, first_ns, (entries.shape[1] - 1) / max(last_ns - first_ns, 1))
+
+
+def _move(
+    xyz: NDArray[np.float32],
+    times: NDArray[np.int64],
+    table: _Table,
+    moved: NDArray[np.float32],
+) -> None:
+    """Move points, float32 (3, N), into the first columns of (N, 3), each by its time's matrix."""
+    place = (times - table.first_ns).astype(np.float32)
+    place *= np.float32(table.steps_a_ns)
+    place += np.float32(0.5)
+    index = place.astype(np.intp)
+    total, factor = np.empty_like(xyz[0]), np.empty_like(xyz[0])
+    with np.errstate(over="ignore", invalid="ignore"):  # returns that are not finite stay so
+        for row in range(3):
+            *of_axes, shift = table.entries[4 * row : 4 * row + 4]
+            shift.take(index, out=total, mode="clip")
+            for entry, axis in zip(of_axes, xyz, strict=True):
+                entry.take(index, out=factor, mode="clip")
+                factor *= axis
+                total += factor
+            moved[:, row] = total
 
 
 def _in_front(
@@ -142,47 +264,6 @@ def _in_front(
         if not np.isfinite(nearest):  # a return is not finite: keep all points
             return np.arange(len(depth))
         return np.flatnonzero(depth >= np.float32(nearest))
-
-
-def project_moved(
-    calibration: Calibration,
-    points: NDArray[np.float32],
-    times: NDArray[np.int64] | int,
-    poses: PoseTrack,
-    to: int,
-    size: tuple[int, int],
-) -> NDArray[np.float32]:
-    """Project a scan into a picture of the time `to`, see `move_points` and `project_points`.
-
-    Args:
-        calibration: of camera and LiDAR.
-        points: see `move_points`.
-        times: see `move_points`.
-        poses: see `move_points`.
-        to: nanoseconds, the time of the picture.
-        size: its (height, width).
-
-    Returns:
-        float32 (height, width), metres along the optical axis, 0 where there is no return.
-
-    Raises:
-        NoPoseError: if there is no pose for one of the times.
-        InputError: if the size is not the calibration's, and for invalid arrays.
-    """
-    calibration.require_size(size)
-    extrinsics = calibration.extrinsics
-    if isinstance(times, np.ndarray):
-        _check_points(points)
-        _check_times(times, len(points))
-        if len(points):
-            table, xyz = _table(times, poses, to), np.ascontiguousarray(points[:, :3].T)
-            rows = _in_front(xyz, table, extrinsics)
-            points = np.empty((3, len(rows)), np.float32).T  # read fastest by the projection
-            _move(xyz.take(rows, axis=1), times.take(rows), table, points)
-    else:
-        (moved,) = relative_poses(poses, np.array([times], np.int64), to)
-        extrinsics = extrinsics @ moved
-    return replace(calibration, extrinsics=extrinsics).project(points, size)
 
 
 def lidar_mount(pose_frame: PoseFrame, calibration: Calibration) -> NDArray[np.float64]:

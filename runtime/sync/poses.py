@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from runtime.checks import check_integer, shown
 from runtime.errors import InputError
 from runtime.prediction import NO_POSE, POSE_CLOCK, POSE_GAP, POSE_JUMP
+from runtime.projection import check_transform
 from runtime.sync.outcome import Outcome
 from runtime.sync.stamp import JUMP_BACK_NS, NS_PER_MS
 
@@ -28,6 +29,7 @@ MAX_GAP_MS = 250.0
 CAPACITY = 8192
 _OTHER_CLOCK_NS = 10_000 * NS_PER_MS  # no pose within this time of a picture
 _MOST_NS = 2**62  # largest stamp: differences of two stamps fit into int64
+_MAX_GAP_NS = round(MAX_GAP_MS * NS_PER_MS)
 _REACH_NS = round(MAX_EXTRAPOLATION_MS * NS_PER_MS)
 _VELOCITY_NS = 100 * NS_PER_MS  # velocities are averaged over this time
 _RIGID_TOLERANCE = 1e-3  # float32 poses that were multiplied often
@@ -68,7 +70,6 @@ class PoseTrack:
         positions: float64 (N, 3), metres.
         jumped: bool (N,): whether the pose does not continue the motion of the one before it.
         mount: float64 (4, 4) from the frame to be moved to the frame of the poses.
-        max_gap_ns: longest time to interpolate over.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -76,7 +77,6 @@ class PoseTrack:
     positions: NDArray[np.float64]
     jumped: NDArray[np.bool_]
     mount: NDArray[np.float64]
-    max_gap_ns: int
 
     @classmethod
     def of(cls, poses: Any, stamps_ns: Any) -> "PoseTrack":
@@ -96,10 +96,11 @@ class PoseTrack:
         buffer = PoseBuffer(capacity=max(1, len(poses)))
         for pose, stamp in zip(poses, stamps_ns, strict=True):
             stamp_ns = check_integer("a stamp", stamp, -_MOST_NS, _MOST_NS, "ns", error=InputError)
-            if buffer.add(pose, stamp_ns) is not Outcome.ANSWERED or buffer.resets:
+            if buffer.newest_ns is not None and stamp_ns <= buffer.newest_ns:
                 raise InputError(
                     f"the stamps of poses must increase, got {stamp_ns} after a later one"
                 )
+            buffer.add(check_pose(pose), stamp_ns)
         return buffer.whole()
 
     def mounted(self, mount: NDArray[np.float64]) -> "PoseTrack":
@@ -137,11 +138,11 @@ class PoseTrack:
         if self.jumped[start.min() + 1 : end.max() + 1].any():
             raise NoPoseError(POSE_JUMP, "the poses jump between the returns and the picture")
         lengths_ns = stamps_ns[end] - stamps_ns[start]
-        if (lengths_ns > self.max_gap_ns).any():
+        if (lengths_ns > _MAX_GAP_NS).any():
             raise NoPoseError(
                 POSE_GAP,
-                f"{lengths_ns.max() / NS_PER_MS:g} ms without a pose, at most "
-                f"{self.max_gap_ns / NS_PER_MS:g} ms are interpolated",
+                f"{lengths_ns.max() / NS_PER_MS:g} ms without a pose, at most {MAX_GAP_MS:g} ms "
+                "are interpolated",
             )
         weights = (times_ns - stamps_ns[start]) / np.maximum(lengths_ns, 1)
         poses = np.zeros((len(times_ns), 4, 4))
@@ -162,60 +163,32 @@ class _Pose(NamedTuple):
 
 
 class PoseBuffer:
-    """Keeps the newest poses of one moving frame.
+    """Keeps the newest poses of one moving frame, at least `capacity`.
 
     A pose that is older than the newest one is not taken: poses are used as they come. Stamps that
     go back by more than a second are of a new clock; all older poses are then forgotten.
-
-    Args:
-        capacity: poses that are kept.
-        max_gap_ms: longest time between two poses to interpolate over.
-
-    Attributes:
-        out_of_order: poses that were older than the newest one.
-        resets: how often the stamps went back by more than a second.
-        jumps: how often the motion was none that a car can do.
     """
 
-    def __init__(self, *, capacity: int = CAPACITY, max_gap_ms: float = MAX_GAP_MS) -> None:
-        self._capacity, self._max_gap_ns = capacity, round(max_gap_ms * NS_PER_MS)
+    def __init__(self, capacity: int = CAPACITY) -> None:
+        self._capacity = capacity
         self._poses: list[_Pose] = []
-        self.out_of_order = self.resets = self.jumps = 0
-
-    def __len__(self) -> int:
-        return len(self._poses)
 
     @property
     def newest_ns(self) -> int | None:
         """The stamp of the newest pose."""
         return self._poses[-1].stamp_ns if self._poses else None
 
-    def add(self, pose: Any, stamp_ns: int) -> Outcome:
-        """Take a pose.
-
-        Args:
-            pose: float (4, 4), rigid, from the moving frame to a fixed one [m].
-            stamp_ns: its time.
-
-        Returns:
-            ANSWERED where it was taken; DUPLICATE and LATE where it was not.
-
-        Raises:
-            InputError: if it is not rigid.
-        """
-        pose = check_pose(pose)
+    def add(self, pose: NDArray[np.float64], stamp_ns: int) -> Outcome:
+        """Take a pose as `check_pose` returns it: ANSWERED; or DUPLICATE or LATE: not taken."""
         newest_ns = self.newest_ns
         if newest_ns is not None and stamp_ns <= newest_ns:
             if stamp_ns == newest_ns:
                 return Outcome.DUPLICATE
-            self.out_of_order += 1
             if stamp_ns >= newest_ns - JUMP_BACK_NS:
                 return Outcome.LATE
-            self.resets += 1
             self._poses.clear()
         taken = _Pose(stamp_ns, _quaternion(pose[:3, :3]), pose[:3, 3].copy())
         jumped = bool(self._poses) and self._is_jump(taken)
-        self.jumps += jumped
         self._poses.append(taken._replace(jumped=jumped))
         if len(self._poses) >= 2 * self._capacity:  # rarely, because it copies the list
             del self._poses[: -self._capacity]
@@ -248,7 +221,6 @@ class PoseBuffer:
             np.array([pose.position for pose in poses], np.float64).reshape(-1, 3),
             np.array([pose.jumped for pose in poses], bool),
             np.eye(4),
-            self._max_gap_ns,
         )
 
     def _base(self, end: int, step: int) -> int | None:
@@ -265,7 +237,7 @@ class PoseBuffer:
             if base != end and apart_ns(base + step) > _VELOCITY_NS:
                 break
             base += step
-        return base if 0 < apart_ns(base) <= max(self._max_gap_ns, _VELOCITY_NS) else None
+        return base if 0 < apart_ns(base) <= _MAX_GAP_NS else None
 
     def _extrapolated(self, end: int, step: int, stamp_ns: int) -> list[_Pose]:
         """The pose at a time beyond pose `end`, at most `_REACH_NS`; none without a velocity."""
@@ -310,19 +282,11 @@ def check_pose(pose: Any, name: str = "pose") -> NDArray[np.float64]:
         InputError: if it is not rigid: a rotation without scale or mirror, finite metres, and the
             last row 0, 0, 0, 1.
     """
-    plain = isinstance(pose, np.ndarray) and not isinstance(pose, np.ma.MaskedArray | np.matrix)
-    if not plain or pose.dtype.kind != "f" or pose.shape != (4, 4):
-        got = f"{pose.dtype} {pose.shape}" if plain else type(pose).__name__
-        raise InputError(f"{name} must be an array of floats (4, 4), got {got}")
+    check_transform(name, pose)
     matrix: NDArray[np.float64] = pose.astype(np.float64)
-    if not np.isfinite(matrix).all() or np.abs(matrix[:3, 3]).max() > _LARGEST_M:
-        raise InputError(f"{name} must be finite, with a position in metres, got {pose.tolist()}")
     rotation = matrix[:3, :3]
-    if not np.array_equal(matrix[3], (0, 0, 0, 1)):
-        raise InputError(
-            f"the last row of {name} must be 0, 0, 0, 1, got {matrix[3].tolist()}: is the matrix "
-            "transposed?"
-        )
+    if np.abs(matrix[:3, 3]).max() > _LARGEST_M:
+        raise InputError(f"{name} must have a position in metres, got {matrix[:3, 3].tolist()}")
     with np.errstate(over="ignore", invalid="ignore"):
         error = np.abs(rotation.T @ rotation - np.eye(3)).max()
     if not error <= _RIGID_TOLERANCE or np.linalg.det(rotation) < 0:

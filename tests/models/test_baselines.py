@@ -272,3 +272,15 @@ def test_boundaries_gate_every_block_of_bacnn(monkeypatch):
             found["logits"] = output.semantic_logits
     assert not torch.allclose(open_["logits"][0], open_["logits"][1])
     torch.testing.assert_close(shut["logits"][0], shut["logits"][1])
+
+
+def test_few_scores_of_many_channels_are_computed_in_single_precision(monkeypatch):
+    """Their gradient in bfloat16 ends the process, see `FCN8s.score`."""
+    monkeypatch.setattr(fcn8s, "_WIDE", 16)
+    model = create_model("fcn8s", num_classes=4)
+    dtypes = []
+    model.semantic_head.register_forward_hook(lambda *call: dtypes.append(call[-1].dtype))
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        output = model(torch.rand(2, 3, 33, 47), torch.zeros(2, 1, 33, 47))
+    output.semantic_logits.sum().backward()
+    assert dtypes == [torch.float32]

@@ -5,10 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from runtime import Predictor, list_bundled_models
-from runtime.run.cli import app
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 
 pytest.importorskip("onnxruntime")
@@ -60,10 +58,3 @@ def test_it_sees_the_street(model):
     measured = frame.sparse_depth > 0
     error = np.abs(prediction.depth - frame.sparse_depth)[measured]
     assert np.median(error / frame.sparse_depth[measured]) < 0.05
-
-
-def test_demo_runs(tmp_path):
-    result = CliRunner().invoke(app, ["--demo", "--out", str(tmp_path / "out")])
-    assert result.exit_code == 0
-    assert "20 (20 ok)" in result.output
-    assert len(list((tmp_path / "out" / "overlay").iterdir())) == 20

@@ -2,27 +2,23 @@
 
 import pytest
 
-from runtime.canonical_focal import camera_scale, focal_length_at
+from runtime.canonical_focal import camera_scale
 
 
-def factor_of(canonical_focal_px, focal_length_px):
-    size = (400, 600)
+@pytest.mark.parametrize(
+    ("canonical_px", "focal_px", "network_size", "factor"),
+    [
+        (700.0, 1400.0, (400, 600), 0.5),
+        (700.0, 350.0, (400, 600), 2.0),
+        (None, 700.0, (400, 600), 1.0),
+        (700.0, None, (400, 600), 1.0),
+        (700.0, 700.0, (200, 300), 2.0),
+        (700.0, 700.0, (800, 300), 1.0),  # twice as high, half as wide: sqrt(2 f * f / 2)
+    ],
+)
+def test_metres_times_the_factor_are_canonical(canonical_px, focal_px, network_size, factor):
     scale = camera_scale(
-        80.0, canonical_focal_px, focal_length_px, frame_size=size, network_size=size
+        80.0, canonical_px, focal_px, frame_size=(400, 600), network_size=network_size
     )
-    return scale.factor
-
-
-def test_metres_times_the_factor_are_canonical():
-    assert factor_of(700.0, 1400.0) == 0.5
-    assert factor_of(700.0, 350.0) == 2.0
-
-
-def test_without_either_focal_length_depth_stays_in_metres():
-    assert factor_of(None, 700.0) == factor_of(700.0, None) == 1.0
-
-
-def test_the_focal_length_follows_the_picture():
-    assert focal_length_at((200, 300), 800.0, (400, 600)) == pytest.approx(400.0)
-    # Twice as high, half as wide: sqrt(2 f * f / 2).
-    assert focal_length_at((800, 300), 800.0, (400, 600)) == pytest.approx(800.0)
+    assert scale.factor == pytest.approx(factor)
+    assert scale.range_m == pytest.approx(80 / factor)

@@ -9,28 +9,18 @@ from runtime import InputError
 from runtime.checks import check_integer, check_number, shown
 
 
-@pytest.mark.parametrize("value", [1, 1.5, np.float32(1.5), np.int64(10), np.uint8(3)])
+@pytest.mark.parametrize("value", [1, np.int64(10), np.uint8(3)])
 def test_a_number_of_any_library(value):
-    found = check_number("n", value, 1, 10)
-    assert type(found) is float
-    assert found == value
+    for check, kind in ((check_number, float), (check_integer, int)):
+        found = check("n", value, 1, 10)
+        assert (type(found), found) == (kind, value)
+    assert check_number("n", np.float32(1.5), 1, 10) == 1.5
 
 
-@pytest.mark.parametrize("value", [0.999, 10.1, math.nan, math.inf, True, "3", None, [3], 1j])
+@pytest.mark.parametrize("value", [0, 0.9, 10.1, math.nan, math.inf, True, "3", None, [3], 1j])
 def test_what_is_no_number_in_its_range(value):
     with pytest.raises(InputError, match=r"n must be 1 to 10 metres, got "):
         check_number("n", value, 1, 10, "metres", error=InputError)
-
-
-@pytest.mark.parametrize("value", [1, np.int64(10), np.uint8(3)])
-def test_a_whole_number_of_any_library(value):
-    found = check_integer("n", value, 1, 10)
-    assert type(found) is int
-    assert found == value
-
-
-@pytest.mark.parametrize("value", [0, 11, 3.0, True, "3", None, [3]])
-def test_what_is_no_whole_number_in_its_range(value):
     with pytest.raises(ValueError, match=r"n must be a whole number of 1 to 10, got "):
         check_integer("n", value, 1, 10)
 

@@ -46,42 +46,26 @@ def test_the_leaves_of_files_and_errors_need_nothing_but_python():
     assert loaded_after(statement) - {"runtime"} <= sys.stdlib_module_names | loaded_after("pass")
 
 
-def test_the_predictor_loads_neither_torch_nor_onnx_nor_a_command_line():
-    loaded = loaded_after("from runtime import Predictor; Predictor")
-    assert {"numpy", "cv2"} <= loaded
-    heavy = {"torch", "onnx", "typer", "models", "training", "export", "scipy"}
-    assert not loaded & heavy
+HEAVY = {"torch", "onnx", "models", "training", "export", "scipy"}
 
 
-def test_the_engine_loads_nothing_of_streams_until_one_is_asked_for():
-    loaded = words_printed_by("import sys; from runtime import Predictor; print(*sys.modules)")
-    assert "runtime.predictor" in loaded
-    assert not [name for name in loaded if name.startswith("runtime.run")]
-
-
-def test_the_command_loads_neither_torch_nor_onnx_nor_onnxruntime():
-    loaded = loaded_after("import runtime.run.cli")
-    assert {"runtime", "numpy", "cv2", "typer"} <= loaded
-    assert not loaded & {"torch", "onnx", "onnxruntime", "models", "training", "export", "scipy"}
-    assert not loaded & {"rosbags", "ruamel", "apsw"}
-
-
-def test_the_command_loads_no_output_that_was_not_asked_for():
-    loaded = words_printed_by("import sys; import runtime.run.cli; print(*sys.modules)")
-    assert "runtime.run.outputs.output" in loaded
-    assert not {"rosbags", "jinja2"} & set(loaded)
-
-
-def test_the_doctor_loads_nothing_that_it_looks_at():
-    loaded = loaded_after("import runtime.tools.doctor")
-    assert {"runtime", "typer"} <= loaded
-    assert not loaded & {*ENGINE, "numpy", "torch", "onnx"}
-
-
-def test_the_bench_loads_neither_opencv_nor_torch_nor_onnx():
-    loaded = loaded_after("import runtime.tools.bench")
-    assert {"runtime", "numpy", "typer"} <= loaded
-    assert not loaded & {*ENGINE, "torch", "onnx", "models", "training", "export", "psutil"}
+@pytest.mark.parametrize(
+    ("statement", "needed", "unwanted"),
+    [
+        ("from runtime import Predictor; Predictor", {"numpy", "cv2"}, {"typer"}),
+        (
+            "import runtime.run.cli",
+            {"numpy", "cv2", "typer"},
+            {"onnxruntime", "rosbags", "ruamel", "apsw", "jinja2"},
+        ),
+        ("import runtime.tools.doctor", {"typer"}, {*ENGINE, "numpy"}),
+        ("import runtime.tools.bench", {"numpy", "typer"}, {*ENGINE, "psutil"}),
+    ],
+)
+def test_a_command_loads_nothing_that_it_does_not_need(statement, needed, unwanted):
+    loaded = loaded_after(statement)
+    assert {"runtime", *needed} <= loaded
+    assert not loaded & (HEAVY | unwanted)
 
 
 def test_the_public_names_are_there():
@@ -91,10 +75,3 @@ def test_the_public_names_are_there():
     everything: dict[str, object] = {}
     exec("from runtime import *", everything)
     assert set(runtime.__all__) <= set(everything)
-
-
-def test_a_name_that_is_not_there_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="module 'runtime' has no attribute 'Predictr'"):
-        _ = runtime.Predictr
-    with pytest.raises(ImportError, match="cannot import name 'Predictr'"):
-        exec("from runtime import Predictr")

@@ -31,13 +31,6 @@ def test_points_fall_back_into_their_pixels():
     np.testing.assert_array_equal(cloud.points[:, 2], depth[cloud.rows, cloud.columns])
 
 
-def test_a_point_by_hand():
-    depth = np.zeros(SIZE, np.float32)
-    depth[30, 40] = 10
-    (point,) = to_points(depth, np.array([[50.0, 0, 32], [0, 25, 24], [0, 0, 1]])).points
-    np.testing.assert_allclose(point, [(40 - 32) / 50 * 10, (30 - 24) / 25 * 10, 10], rtol=1e-6)
-
-
 def test_colours_and_labels_are_those_of_the_pixels_and_edges_have_no_point():
     rng = np.random.default_rng(1)
     rgb = rng.integers(0, 256, (*SIZE, 3), dtype=np.uint8)
@@ -88,32 +81,6 @@ def test_the_boundary_of_a_model_without_classes_is_not_halved(model_file, make_
     kept = prediction.boundary <= 0.5
     assert (prediction.boundary[kept] > 0.25).any()
     assert len(prediction.points(K).points) == kept.sum()
-
-
-def test_without_depth_there_is_no_cloud(model_file, make_frame):
-    with Predictor(model_file(heads=("semantic",)), threads=1) as predictor:
-        prediction = predictor.predict(*make_frame())
-    with pytest.raises(InputError, match="no such head"):
-        prediction.points(K)
-
-
-@pytest.mark.parametrize(
-    "intrinsics", [None, K.tolist(), K.T, -K, K[:2], np.full((3, 3), np.nan), K.astype(int)]
-)
-def test_what_are_no_intrinsics(intrinsics):
-    with pytest.raises(InputError, match="intrinsics"):
-        to_points(depth_map(), intrinsics)
-
-
-def test_arrays_of_another_size():
-    with pytest.raises(InputError, match="rgb must have the size"):
-        to_points(depth_map(), K, rgb=np.zeros((48, 60, 3), np.uint8))
-
-
-@pytest.mark.parametrize("rgb", [np.zeros(SIZE, np.uint8), np.zeros((*SIZE, 3), np.float32)])
-def test_a_picture_of_another_kind(rgb):
-    with pytest.raises(InputError, match="rgb must be uint8"):
-        to_points(depth_map(), K, rgb=rgb)
 
 
 def test_the_sky_has_no_points_unless_asked_for(model_file, make_frame, contract):

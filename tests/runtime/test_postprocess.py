@@ -4,21 +4,6 @@ import numpy as np
 import pytest
 
 from runtime.postprocess import faults
-from runtime.resize import resize_answer
-
-
-def test_boundary_is_bilinear_between_pixel_centres():
-    boundary = np.array([[0, 1], [0, 1]], np.float32)
-    expected = [0, 0.25, 0.75, 1]  # centres at 1/4 and 3/4 of the width
-    assert resize_answer("boundary", boundary, (2, 4))[0].tolist() == expected
-
-
-def test_a_boundary_shrunk_far_skips_no_line():
-    boundary = np.zeros((40, 400), np.float32)
-    boundary[:, 203] = 1
-    assert resize_answer("boundary", boundary, (40, 70)).max() > 0.1
-    logits = np.stack([boundary, -boundary])
-    assert resize_answer("semantic_logits", logits, (60, 70))[1].min() < -0.1
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

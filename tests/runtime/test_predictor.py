@@ -8,7 +8,6 @@ import pickle
 import subprocess
 import sys
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -61,20 +60,6 @@ def test_what_the_predictor_tells_about_itself(model_file, contract):
     assert Predictor(model_file("free.onnx")).free_size
 
 
-def test_the_session_is_set_up_for_an_embedded_engine(model_file, monkeypatch):
-    opened, run = [], InferenceSession.run
-    monkeypatch.setattr(
-        InferenceSession,
-        "run",
-        lambda session, *given: opened.append(session) or run(session, *given),
-    )
-    Predictor(model_file(), threads=1)
-    options = opened[0].get_session_options()
-    assert options.get_session_config_entry("session.intra_op.allow_spinning") == "0"
-    assert options.get_session_config_entry("session.inter_op.allow_spinning") == "0"
-    assert options.intra_op_num_threads == 1
-
-
 def test_two_frames_in_a_row_do_not_mix(model_file, make_frame):
     with Predictor(model_file()) as predictor:
         first_frame, second_frame = make_frame(seed=1), make_frame(seed=2)
@@ -86,15 +71,6 @@ def test_two_frames_in_a_row_do_not_mix(model_file, make_frame):
             values[:] = 9  # the arrays are the caller's: writable, and nobody else's
         assert_right(second, *second_frame)
         assert_right(predictor.predict(*first_frame), *first_frame)
-
-
-def test_the_same_buffers_refilled_give_the_new_answer(model_file, make_frame):
-    rgb, depth = make_frame(seed=1)
-    new_rgb, new_depth = make_frame(seed=2)
-    with Predictor(model_file(size=(48, 64))) as predictor:
-        predictor.predict(rgb, depth)
-        rgb[:], depth[:] = new_rgb, new_depth
-        assert_right(predictor.predict(rgb, depth), new_rgb, new_depth)
 
 
 def test_no_depth_map_is_the_camera_alone(model_file, make_frame):
@@ -162,33 +138,6 @@ def assert_right_after_whole_factor(prediction, rgb, depth):
     assert np.allclose(prediction.boundary, 1)
 
 
-def test_a_large_frame_keeps_every_return_that_has_a_pixel(model_file):
-    rgb = np.full((375, 1242, 3), 60, np.uint8)
-    depth = np.zeros((375, 1242), np.float32)
-    places = [(0, 0), (10, 33), (374, 1241), (200, 601)]
-    for metres, (row, column) in enumerate(places, start=5):
-        depth[row, column] = metres
-    prediction = Predictor(model_file(size=(125, 414))).predict(rgb, depth)
-    assert prediction.depth.shape == (375, 1242)
-    assert prediction.depth_returns == 4
-    for metres, (row, column) in enumerate(places, start=5):
-        assert prediction.depth[row, column] == metres + DEPTH_OFFSET_M
-
-
-def test_boundaries_are_resized_smoothly_and_classes_are_not(model_file):
-    rgb = np.full((64, 64, 3), 100, np.uint8)
-    rgb[:, 32:, 0] = 200
-    rgb[:, 32:, 1] = 50  # boundary 1 to the left, 1/2 to the right
-    depth = np.ones((64, 64), np.float32)
-    prediction = Predictor(model_file(size=(32, 32))).predict(rgb, depth)
-    assert set(np.unique(prediction.semantic)) == {0, 1}
-    assert (prediction.semantic[:, 32:] == 1).all()
-    assert (prediction.semantic[:, :32] == 0).all()
-    assert len(np.unique(prediction.boundary)) > 2
-    assert prediction.boundary[0, 0] == pytest.approx(1)
-    assert prediction.boundary[0, -1] == pytest.approx(0.5)
-
-
 @pytest.mark.parametrize(
     ("size", "trained", "frame", "runs_at"),
     [
@@ -222,24 +171,6 @@ def test_a_model_of_free_size_runs_at_the_size_asked_for(
     assert prediction.semantic_logits.shape == (2, *frame)
 
 
-def test_a_model_of_fixed_size_takes_no_other(model_file, make_frame):
-    path = model_file(size=(48, 64))
-    for size in ("frame", 48, (48, 64)):
-        with pytest.raises(InputError, match="a fixed size"):
-            Predictor(path, size=size)
-    with Predictor(path) as predictor:
-        assert predictor.network_size((375, 1242)) == (48, 64)
-        assert predictor.predict(*make_frame(96, 128)).network_size == (48, 64)
-
-
-def test_a_size_that_makes_no_sense_is_refused(model_file, make_frame):
-    with pytest.raises(InputError, match="number of rows"):
-        Predictor(model_file(), size=True)
-    predictor = Predictor(model_file(), size=16_000, warmup=0)
-    with pytest.raises(InputError, match="use fewer rows"):
-        predictor.predict(*make_frame(48, 640))
-
-
 # --- bad input ---------------------------------------------------------------------------------
 
 
@@ -259,26 +190,6 @@ def test_impossible_depth_is_no_measurement(model_file, make_frame):
     assert prediction.depth_returns == np.count_nonzero(clean)
 
 
-@pytest.mark.parametrize("fill", [0.0, np.nan, -1.0, np.inf, 1000.0])
-def test_without_any_depth_the_answer_is_flagged(model_file, make_frame, fill):
-    rgb, depth = make_frame()
-    depth[:] = fill
-    with Predictor(model_file()) as predictor:
-        prediction = predictor.predict(rgb, depth)
-    assert prediction.valid
-    assert prediction.degraded == ("no_depth",)
-    assert prediction.depth_returns == 0
-    assert_right(prediction, rgb, np.zeros_like(depth))
-
-
-def test_a_dead_camera_is_flagged(model_file, make_frame):
-    rgb, depth = make_frame()
-    rgb[:] = 17
-    prediction = Predictor(model_file()).predict(rgb, depth)
-    assert prediction.degraded == ("image_constant",)
-    assert prediction.valid
-
-
 @pytest.mark.parametrize("size", [None, (40, 40)])
 def test_nan_and_inf_in_an_answer_are_never_passed_on_silently(model_file, make_frame, size):
     rgb, depth = make_frame()
@@ -296,17 +207,6 @@ def test_reasons_of_the_frame_stay_beside_those_of_the_answer(model_file, make_f
     prediction = Predictor(model_file()).predict(rgb, depth)
     assert prediction.degraded == ("no_depth", "image_constant", "boundary_not_finite")
     assert not prediction.valid
-
-
-def test_a_class_without_a_name_is_not_valid(model_file, make_frame, contract):
-    one_class = dataclasses.replace(contract, classes=contract.classes[:1])
-    predictor = Predictor(model_file(contract=one_class))
-    rgb, depth = make_frame()
-    prediction = predictor.predict(rgb, depth)
-    assert not prediction.valid
-    assert prediction.degraded == ("semantic_unknown_class",)
-    rgb[..., 0] = 0
-    assert predictor.predict(rgb, depth).valid
 
 
 def test_after_bad_input_the_predictor_is_as_good_as_new(model_file, make_frame):
@@ -338,49 +238,26 @@ def test_after_a_failed_session_the_predictor_is_usable(model_file, make_frame):
 def test_a_closed_predictor_says_so(model_file, make_frame):
     with Predictor(model_file()) as predictor:
         predictor.predict(*make_frame())
-    with pytest.raises(InferenceError, match="closed"):
-        predictor.predict(*make_frame())
+    for call in (lambda: predictor.predict(*make_frame()), predictor.reset):
+        with pytest.raises(InferenceError, match="the predictor is closed: make a new one"):
+            call()
     predictor.close()  # twice does no harm
 
 
-def test_counts_may_be_numpy_s(model_file):
-    predictor = Predictor(model_file(), threads=np.int64(1), warmup=np.uint8(0))
-    assert type(predictor.threads) is int
-    predictor.warm_up((np.int64(40), np.int32(50)), runs=np.int8(1))
-    assert predictor.first_inference_ms > 0
-
-
-def test_the_first_inference_of_a_fixed_model_is_its_very_first(model_file, change_run):
-    runs = []
-
-    def run_cold(run, feed):
-        time.sleep(0 if runs else 0.2)
-        runs.append(feed)
-        return run()
-
-    change_run(run_cold)
-    predictor = Predictor(model_file(size=(48, 64)), warmup=0)  # runs an empty frame to check it
-    predictor.warm_up((48, 64))
-    assert predictor.first_inference_ms > 200
-
-
 @pytest.mark.parametrize(
-    ("size", "runs"),
-    [((-1, 40), 1), (5, 1), ((40.0, 40.0), 1), ((40, 40, 3), 1), ((40, 40), -3), ((40, 10**6), 1)],
+    "options",
+    [{"threads": 0}, {"threads": 2**31}, {"threads": 1.0}, {"warmup": -1}, {"device_id": -1}],
 )
-def test_warm_up_refuses_what_cannot_be(model_file, size, runs):
-    with pytest.raises(InputError, match=r"must be"):
-        Predictor(model_file()).warm_up(size, runs=runs)
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [{"threads": 0}, {"threads": -1}, {"threads": 2**31}, {"warmup": -1}, {"threads": 1.0}],
-)
-def test_arguments_out_of_range_are_refused(model_file, arguments):
-    (name,) = arguments
+def test_arguments_out_of_range_are_refused(model_file, options):
+    (name,) = options
     with pytest.raises(InputError, match=f"{name} must be a whole number of "):
-        Predictor(model_file(), **arguments)
+        Predictor(model_file(), **options)
+
+
+@pytest.mark.parametrize("size", [(-1, 40), 5, (40.0, 40.0), (40, 40, 3), (40, 10**6)])
+def test_warm_up_refuses_an_invalid_size(model_file, size):
+    with pytest.raises(InputError, match="must be"):
+        Predictor(model_file()).warm_up(size)
 
 
 FORKED = """
@@ -427,14 +304,6 @@ def test_a_predictor_that_is_pickled_names_what_to_do(model_file, copy_it):
         copy_it(Predictor(model_file(), warmup=0))
 
 
-def test_a_frame_without_depth_may_leave_it_out(model_file, make_frame):
-    rgb, _ = make_frame()
-    predictor = Predictor(model_file())
-    alone, none = predictor.predict(rgb), predictor.predict(rgb, None)
-    np.testing.assert_array_equal(alone.depth, none.depth)
-    assert alone.degraded == none.degraded == ("no_depth",)
-
-
 def test_a_session_without_memory_says_so(model_file, make_frame, change_run):
     def fail(run, feed):
         raise RuntimeError("Failed to allocate memory for requested buffer of size 96256000")
@@ -452,31 +321,6 @@ def test_a_prediction_names_its_classes_and_is_short(model_file, make_frame):
     assert shown.startswith("Prediction(semantic, depth, boundary; ")
     assert shown.endswith(" ms; valid, no_depth)")
     assert dataclasses.replace(prediction, contract=None).class_names == ()
-
-
-def test_memory_does_not_grow(model_file, make_frame):
-    """A program of its own, so that what other tests left behind does not count."""
-    program = """
-import resource, sys, numpy as np
-from runtime import Predictor
-rgb = np.random.default_rng(0).integers(1, 256, (200, 300, 3), dtype=np.uint8)
-depth = np.ones((200, 300), np.float32)
-predictor = Predictor(sys.argv[1], threads=1)
-def peak_after(frames):
-    for _ in range(frames):
-        predictor.predict(rgb, depth)
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-before = peak_after(50)
-print(peak_after(150) - before)
-"""
-    grown = subprocess.run(
-        [sys.executable, "-c", program, str(model_file(size=(48, 64)))],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    # A leak of one answer a frame would be 150 x 540 kB.
-    assert int(grown.stdout) < 20_000, "kB over 150 frames"
 
 
 @pytest.fixture
@@ -506,13 +350,6 @@ def test_reset_recovers_from_a_provider_that_failed(model_file, make_frame, lose
         predictor.reset()
         np.testing.assert_array_equal(predictor.predict(*frame).depth, expected.depth)
         assert predictor.providers == providers
-
-
-def test_reset_opens_no_predictor_that_was_closed(model_file):
-    with Predictor(model_file(), threads=1) as predictor:
-        pass
-    with pytest.raises(InferenceError, match="the predictor is closed: make a new one"):
-        predictor.reset()
 
 
 def test_reset_runs_no_other_model_than_before(model_file, make_frame):

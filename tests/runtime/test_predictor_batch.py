@@ -37,53 +37,31 @@ def only_one_frame(graph):
         tensor.type.tensor_type.shape.dim[0].dim_value = 1
 
 
-def test_frames_of_one_size_are_one_run(model_file, make_frame, counted):
-    frames = [make_frame(seed=seed) for seed in range(4)]
-    frames[2][1][:] = 0
-    frames[3][1][0, :3] = np.nan, np.inf, -1
-    with Predictor(model_file(heads=HEADS)) as predictor:
+@pytest.mark.parametrize(
+    ("sizes", "options", "edit", "runs"),
+    [
+        ([(48, 64)] * 4, {}, None, [(4, 48, 64)]),
+        ([(48, 64), (40, 80), (48, 64)], {}, None, [(2, 48, 64), (1, 40, 80)]),
+        ([(48, 64), (96, 128)], {"size": (40, 56)}, None, [(2, 40, 56)]),
+        ([(48, 64)] * 3, {}, only_one_frame, [(1, 48, 64)] * 3),
+        ([], {}, None, []),
+    ],
+    ids=["one size", "two sizes", "resized to one", "a file of one frame", "no frames"],
+)
+def test_frames_that_the_network_sees_at_one_size_are_one_run(
+    model_file, make_frame, counted, sizes, options, edit, runs
+):
+    frames = [make_frame(*size, seed=seed) for seed, size in enumerate(sizes)]
+    for rgb_and_depth in frames[2:]:
+        rgb_and_depth[1][:] = 0
+        rgb_and_depth[1][0, :3] = np.nan, np.inf, -1
+    given = {} if edit is None else {"edit": edit}
+    with Predictor(model_file(heads=HEADS, **given), **options) as predictor:
         expected = [predictor.predict(rgb, depth) for rgb, depth in frames]
         batches = counted()
-        predictions = predictor.predict_batch(frames, stamps=[3, 2, 1, 0])
-    assert batches == [(4, 48, 64)]
-    assert [item.stamp for item in predictions] == [3, 2, 1, 0]
-    for prediction, alone in zip(predictions, expected, strict=True):
-        assert_same(prediction, alone)
-    assert predictions[2].degraded == ("no_depth",)
-    assert predictions[3].cleaned.total == 3
-
-
-def test_frames_of_other_sizes_are_batches_of_their_own(model_file, make_frame, counted):
-    sizes = [(48, 64), (40, 80), (48, 64), (96, 128), (40, 80)]
-    frames = [make_frame(*size, seed=seed) for seed, size in enumerate(sizes)]
-    with Predictor(model_file(heads=HEADS)) as predictor:
-        expected = [predictor.predict(*frame) for frame in frames]
-        batches = counted()
-        predictions = predictor.predict_batch(tuple(frames))
-    assert batches == [(2, 48, 64), (2, 40, 80), (1, 96, 128)]
-    for prediction, alone in zip(predictions, expected, strict=True):
-        assert_same(prediction, alone)
-
-
-def test_cameras_that_the_network_sees_alike_are_one_batch(model_file, make_frame, counted):
-    frames = [make_frame(48, 64), make_frame(96, 128, seed=1)]
-    with Predictor(model_file(heads=HEADS), size=(40, 56)) as predictor:
-        expected = [predictor.predict(*frame) for frame in frames]
-        batches = counted()
-        predictions = predictor.predict_batch(frames)
-    assert batches == [(2, 40, 56)]
-    assert [item.frame_size for item in predictions] == [(48, 64), (96, 128)]
-    for prediction, alone in zip(predictions, expected, strict=True):
-        assert_same(prediction, alone)
-
-
-def test_a_file_of_one_frame_runs_them_one_by_one(model_file, make_frame, counted):
-    frames = [make_frame(seed=seed) for seed in range(3)]
-    with Predictor(model_file(heads=HEADS, edit=only_one_frame)) as predictor:
-        expected = [predictor.predict(*frame) for frame in frames]
-        batches = counted()
-        predictions = predictor.predict_batch(frames)
-    assert batches == [(1, 48, 64)] * 3
+        predictions = predictor.predict_batch(frames, stamps=range(len(frames)))
+    assert batches == runs
+    assert [item.stamp for item in predictions] == list(range(len(frames)))
     for prediction, alone in zip(predictions, expected, strict=True):
         assert_same(prediction, alone)
 
@@ -110,20 +88,6 @@ def test_a_bundled_model_answers_a_batch_as_it_does_single_frames(model):
             assert (prediction.semantic == alone.semantic).mean() > 0.999
             np.testing.assert_allclose(prediction.depth, alone.depth, atol=5e-3)
             np.testing.assert_allclose(prediction.boundary, alone.boundary, atol=4e-4)
-
-
-def test_the_latency_of_a_batch(model_file, make_frame):
-    with Predictor(model_file()) as predictor:
-        first, second = predictor.predict_batch([make_frame(), make_frame(seed=1)])
-    assert first.latency.inference_ms == second.latency.inference_ms > 0
-    assert first.latency.total_ms == second.latency.total_ms
-    spent = [item.latency.preprocess_ms + item.latency.postprocess_ms for item in (first, second)]
-    assert first.latency.total_ms >= sum(spent) + first.latency.inference_ms
-
-
-def test_no_frames_are_no_answers(model_file):
-    with Predictor(model_file()) as predictor:
-        assert predictor.predict_batch([]) == []
 
 
 def test_a_bad_frame_is_named_before_any_runs(model_file, make_frame, counted):
@@ -181,20 +145,6 @@ def test_threads_that_share_a_predictor_get_their_own_answers(model_file, make_f
 
         with ThreadPoolExecutor(8) as pool:
             assert list(pool.map(work, range(8))) == [40] * 8
-
-
-def test_threads_that_share_a_bundled_model():
-    """The arithmetic of a real network, whose buffers ONNX Runtime plans for each run."""
-    frames = bundled_frames()[:6]
-    pairs = [(frame.rgb[:96, :160], frame.sparse_depth[:96, :160]) for frame in frames]
-    with Predictor() as predictor, ThreadPoolExecutor(4) as pool:
-        expected = [predictor.predict(*pair) for pair in pairs]
-        answers = pool.map(lambda index: predictor.predict(*pairs[index % 6]), range(24))
-        for index, answer in enumerate(answers):
-            alone = expected[index % 6]
-            np.testing.assert_array_equal(answer.semantic, alone.semantic)
-            np.testing.assert_array_equal(answer.depth, alone.depth)
-            np.testing.assert_array_equal(answer.boundary, alone.boundary)
 
 
 def test_closing_lets_a_call_that_is_under_way_end(model_file, make_frame, change_run):

@@ -53,42 +53,10 @@ def test_the_focal_length_of_a_frame_goes_before_that_of_the_predictor(canonical
     np.testing.assert_allclose(own.depth - frame[1], OFFSET_M / 2, rtol=1e-4)
 
 
-def test_the_focal_length_follows_the_picture_to_the_networks_size(model_file, contract, frame):
-    """A frame of 96 rows run at 48 has half the focal length there."""
-    rgb, depth = (np.repeat(np.repeat(item, 2, axis=0), 2, axis=1) for item in frame)
-    path = model_file(
-        contract=dataclasses.replace(contract, canonical_focal_px=CANONICAL_PX), heads=HEADS
-    )
-    with Predictor(path, size=48, focal_length_px=400.0) as predictor:
-        prediction = predictor.predict(rgb, depth)
-    assert prediction.network_size == (48, 64)
-    where_none = depth == 0
-    assert prediction.depth[where_none].min() == pytest.approx(OFFSET_M * 2)
-
-
 def test_without_a_focal_length_the_picture_counts_as_the_canonical_cameras(canonical, frame):
     with Predictor(canonical) as predictor:
         prediction = predictor.predict(*frame)
     np.testing.assert_array_equal(prediction.depth, frame[1] + np.float32(OFFSET_M))
-
-
-def test_a_model_of_plain_metres_ignores_it(model_file, frame):
-    with Predictor(model_file(), focal_length_px=731.0) as predictor:
-        prediction = predictor.predict(*frame, focal_length_px=22.0)
-    np.testing.assert_array_equal(prediction.depth, frame[1] + np.float32(OFFSET_M))
-
-
-def test_the_range_is_that_of_the_canonical_camera(canonical, make_frame):
-    """400 canonical metres are 800 m behind a lens twice as long, and 200 m behind half of it."""
-    rgb, depth = make_frame()
-    depth[:] = 0
-    depth[0, :6] = 199, 201, 799, 801, np.nan, 5
-    with Predictor(canonical) as predictor:
-        for focal, too_far, returns in ((200.0, 1, 4), (50.0, 3, 3)):
-            prediction = predictor.predict(rgb, depth, focal_length_px=focal)
-            assert prediction.cleaned.too_far == too_far
-            assert prediction.cleaned.nan == 1
-            assert prediction.depth_returns == returns
 
 
 def test_the_farthest_return_is_not_lost_by_rounding(canonical, make_frame, change_run):
@@ -106,16 +74,6 @@ def test_the_farthest_return_is_not_lost_by_rounding(canonical, make_frame, chan
             assert fed[-1].max() <= RANGE_M
 
 
-def test_an_answer_beyond_the_canonical_range_is_not_valid(canonical, make_frame):
-    rgb, depth = make_frame()
-    depth[:] = 0
-    depth[3, 3] = 799  # and 1.5 canonical metres: 401 of 400
-    with Predictor(canonical, focal_length_px=200.0) as predictor:
-        prediction = predictor.predict(rgb, depth)
-    assert not prediction.valid
-    assert prediction.degraded[-1] == "depth_out_of_range"
-
-
 @pytest.mark.parametrize(
     "focal", [0, -1.0, 0.99, 1e7, float("nan"), float("inf"), "721", True, (700, 700), 3 + 4j]
 )
@@ -126,12 +84,6 @@ def test_what_no_camera_has_is_refused(canonical, make_frame, focal):
         with pytest.raises(InputError, match="focal_length_px"):
             predictor.predict(*make_frame(), focal_length_px=focal)
         assert predictor.predict(*make_frame()).valid
-
-
-@pytest.mark.parametrize("kind", [np.float32, np.float64, np.int32, int])
-def test_numbers_of_numpy_are_numbers(canonical, frame, kind):
-    with Predictor(canonical, focal_length_px=kind(200)) as predictor:
-        np.testing.assert_allclose(predictor.predict(*frame).depth.min(), 2 * OFFSET_M)
 
 
 def test_a_wide_cameras_far_returns_are_fed_as_at_the_end_of_the_range(
@@ -150,11 +102,3 @@ def test_a_wide_cameras_far_returns_are_fed_as_at_the_end_of_the_range(
     assert fed[0][0, :3].tolist() == [60, 80, 0]
     assert (prediction.cleaned.too_far, prediction.depth_returns) == (2, 2)
     assert prediction.range_m == 40
-
-
-def test_the_range_counts_at_the_networks_size(model_file, contract):
-    """A frame run at half its size has half the focal length there."""
-    path = model_file(contract=dataclasses.replace(contract, canonical_focal_px=CANONICAL_PX))
-    with Predictor(path, size=48, focal_length_px=140.0) as predictor:
-        assert predictor.camera_scale((96, 128)).range_m == pytest.approx(56.0)
-        assert predictor.camera_scale((48, 64)).range_m == pytest.approx(112.0)

@@ -9,7 +9,6 @@ import pytest
 
 import runtime.read_input
 from runtime import InputError
-from runtime.io.calibration import Calibration
 from runtime.read_input import read_input, read_text, read_toml
 
 #: Every reader of a path gets what it cannot read, where 400 MB are left, and prints its error.
@@ -110,33 +109,9 @@ def test_what_is_no_text_is_an_input_error(tmp_path):
         read_text(tmp_path / "a")
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "a = " + "[" * 900 + "]" * 900,
-        "a" + ".a" * 5000 + " = 1",
-        "a = " + "9" * 5000,
-        "a = ",
-    ],
-    ids=["nested arrays", "nested keys", "digits", "no value"],
-)
+@pytest.mark.parametrize("text", ["a = " + "[" * 900, "a = " + "9" * 5000, "a = "])
 def test_toml_is_read_or_an_input_error(tmp_path, text):
     path = tmp_path / "a.toml"
     path.write_text(text)
-    with pytest.raises(InputError):
-        Calibration.from_file(path)
-    with pytest.raises(InputError):
-        Calibration.from_file(path, camera=3)
-
-
-@pytest.mark.parametrize("number", ["9" * 400, "-" + "9" * 400, "1e400", "[1]"])
-def test_numbers_beyond_a_float_are_an_input_error(tmp_path, number):
-    path = tmp_path / "a.toml"
-    unit = "[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]"
-    path.write_text(f"intrinsics = [[{number}, 0, 1], [0, 9, 1], [0, 0, 1]]\nextrinsics = {unit}\n")
-    with pytest.raises(InputError, match="intrinsics"):
-        Calibration.from_file(path)
-    intrinsics = "[[9, 0, 1], [0, 9, 1], [0, 0, 1]]"
-    path.write_text(f"intrinsics = {intrinsics}\nextrinsics = {unit}\nsize = [{number}, 4]\n")
-    with pytest.raises(InputError):
-        Calibration.from_file(path)
+    with pytest.raises(InputError, match="not valid TOML"):
+        read_toml(path)

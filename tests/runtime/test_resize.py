@@ -8,7 +8,6 @@ import pytest
 from runtime.resize import (
     move_returns,
     move_scan_lines,
-    resize_answer,
     resize_image,
     resize_nearest,
     resize_surface,
@@ -54,43 +53,6 @@ def test_returns_move_to_the_pixel_of_their_centre_and_the_nearest_stays(size):
     np.testing.assert_array_equal(with_lines[0], expected)
     np.testing.assert_array_equal(with_lines[1], expected_line)
     assert with_lines[1].dtype == np.int16
-
-
-@pytest.mark.parametrize("size", [(60, 94), (31, 47), (91, 200)], ids=str)
-def test_growing_neither_doubles_nor_loses_a_return(size):
-    depth, _ = scan()
-    assert sorted(move_returns(depth, size)[move_returns(depth, size) > 0]) == sorted(
-        depth[depth > 0]
-    )
-
-
-def test_a_moved_return_lies_where_its_projection_does():
-    """The rint of the projected coordinates, before and after, for points off the half pixels."""
-    random = np.random.default_rng(0)
-    for old, new in ((375, 400), (1242, 414), (1216, 400), (47, 94)):
-        for u in random.integers(0, old, 40):
-            depth = np.zeros((1, old), np.float32)
-            depth[0, u] = 7
-            moved = np.flatnonzero(move_returns(depth, (1, new)))
-            assert moved.tolist() == [np.rint((int(u) + 0.5) * (new / old) - 0.5)]
-
-
-def test_the_farthest_corners_stay_inside():
-    for old in (32, 375, 16_384):
-        for new in (32, 33, 375, 16_383):
-            depth = np.zeros((1, old), np.float32)
-            depth[0, [0, -1]] = 5, 6
-            columns = np.flatnonzero(move_returns(depth, (1, new)))
-            assert columns.tolist() == [moved_pixel(0, old, new), moved_pixel(old - 1, old, new)]
-
-
-def test_the_input_is_not_written_to_and_nothing_stays_nothing():
-    depth, line = scan()
-    before = depth.copy(), line.copy()
-    move_scan_lines(depth, line, (11, 90))
-    np.testing.assert_array_equal(depth, before[0])
-    np.testing.assert_array_equal(line, before[1])
-    assert not move_returns(np.zeros((100, 100), np.float32), (40, 140)).any()
 
 
 def test_what_is_no_measurement_is_not_moved_and_hides_no_return():
@@ -143,27 +105,6 @@ def test_pictures_go_by_area_along_what_shrinks_and_by_lines_along_what_grows(si
     assert resized.dtype == np.uint8
     # OpenCV rounds after each side.
     assert np.abs(resized - by_hand(picture, size)).max() < 1.6
-
-
-def test_probabilities_go_by_the_same_rule():
-    boundary = np.random.default_rng(0).random(SIZE, dtype=np.float32)
-    np.testing.assert_allclose(resize_image(boundary, (20, 60)), by_hand(boundary, (20, 60)), 1e-4)
-
-
-def test_the_same_size_is_not_copied():
-    picture = np.zeros((*SIZE, 3), np.uint8)
-    assert resize_image(picture, SIZE) is picture
-
-
-@pytest.mark.parametrize("size", [(50, 70), (50, 400), (40, 70)])
-def test_a_side_that_shrinks_far_skips_nothing_while_the_other_grows(size):
-    for column in range(400):
-        rgb = np.zeros((40, 400, 3), np.uint8)
-        rgb[:, column] = 255
-        assert resize_image(rgb, size).any(), column
-        turned = resize_image(rgb.transpose(1, 0, 2), size[::-1])
-        assert turned.shape == (*size[::-1], 3)
-        assert turned.any(), column
 
 
 # --- labels and dense depth --------------------------------------------------------------------
@@ -227,18 +168,3 @@ def test_predicted_depth_is_smooth_within_a_surface_and_never_mixed(size):
     assert answer.dtype == np.float32
     np.testing.assert_allclose(answer, enlarged_by_loops(depth, size), rtol=1e-4)
     assert not ((answer > 9) & (answer < 4 * 5)).any()
-
-
-def test_a_plane_stays_one_when_it_grows():
-    v, u = np.mgrid[:30, :40]
-    inverse = 0.05 + 0.001 * v + 0.0002 * u
-    grown = 1 / resize_answer("depth", (1 / inverse).astype(np.float32), (90, 120))
-    v, u = (np.mgrid[:90, :120] + 0.5) / 3 - 0.5
-    wanted = 0.05 + 0.001 * v + 0.0002 * u
-    np.testing.assert_allclose(grown[2:-2, 2:-2], wanted[2:-2, 2:-2], rtol=1e-5)
-
-
-@pytest.mark.parametrize("size", [(5, 40), (20, 6), (5, 6)])
-def test_predicted_depth_that_shrinks_takes_the_nearest_centre(size):
-    depth = np.linspace(10, 10.5, 9 * 13, dtype=np.float32).reshape(9, 13)
-    np.testing.assert_array_equal(resize_surface(depth, size), resize_nearest(depth, size))

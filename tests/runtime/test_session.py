@@ -127,25 +127,17 @@ def test_a_silent_fall_back_to_the_cpu_is_an_error(fake_runtime, capsys):
     assert capsys.readouterr().out == "", "the library printed"
 
 
-def test_a_convolution_left_on_the_cpu_is_an_error(fake_runtime):
-    fake_runtime({CUDA: FakeSession([CUDA, CPU], [(CUDA, "Relu"), (CPU, "Conv")])})
-    with pytest.raises(ProviderError, match="Conv on CPUExecutionProvider"):
+@pytest.mark.parametrize(
+    ("cuda", "cpu", "error", "text"),
+    [
+        (FakeSession([CUDA, CPU], [(CPU, "Conv")]), None, ProviderError, "Conv on CPUExecution"),
+        (RuntimeError("no CUDA device"), FakeSession([CPU], []), ProviderError, "no CUDA device"),
+        # A damaged model is not blamed on the GPU.
+        (*[RuntimeError("Protobuf parsing failed")] * 2, ContractError, "Protobuf parsing failed"),
+    ],
+    ids=["a convolution on the CPU", "no GPU", "a damaged model"],
+)
+def test_cuda_that_cannot_run_the_model(fake_runtime, cuda, cpu, error, text):
+    fake_runtime({CUDA: cuda, CPU: cpu})
+    with pytest.raises(error, match=text):
         open_cuda()
-
-
-def test_a_gpu_that_cannot_be_started(fake_runtime):
-    cpu = FakeSession([CPU], [(CPU, "Conv")])
-    fake_runtime({CUDA: RuntimeError("no CUDA-capable device is detected"), CPU: cpu})
-    with pytest.raises(ProviderError, match="no CUDA-capable device"):
-        open_cuda()
-
-
-def test_a_damaged_model_is_not_blamed_on_the_gpu(fake_runtime):
-    error = RuntimeError("Protobuf parsing failed")
-    fake_runtime({CUDA: error, CPU: error})
-    with pytest.raises(ContractError, match="Protobuf parsing failed"):
-        open_cuda()
-
-
-def test_a_runtime_that_cannot_count_nodes():
-    assert node_counts(object()) is None

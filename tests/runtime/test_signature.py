@@ -48,25 +48,15 @@ def repeated(head: str, *times: int) -> Callable[..., None]:
     ("head", "times"),
     [
         ("depth", (2, 1, 1)),
-        ("depth_uncertainty", (1, 2, 1)),
         ("semantic", (0, 1, 1)),
-        ("boundary", (1, 0, 1)),
         ("boundary", (1, 1, 2)),
         ("semantic_logits", (1, 2, 1, 1)),
-        ("semantic_logits", (1, 0, 1, 1)),
     ],
 )
-def test_an_answer_of_another_shape_is_an_inference_error(
-    model_file, make_frame, monkeypatch, head, times
-):
+def test_an_answer_of_another_shape_is_an_inference_error(model_file, head, times):
     path = model_file(edit=repeated(head, *times), heads=HEADS)
     with pytest.raises(InferenceError, match=rf"gave {head} of the shape"):
         Predictor(path, warmup=0)
-    monkeypatch.setattr(Predictor, "_require_finite", lambda predictor, size: None)
-    with Predictor(path, warmup=0) as predictor:
-        for _ in range(2):
-            with pytest.raises(InferenceError, match=rf"gave {head} of the shape"):
-                predictor.predict(*make_frame())
 
 
 @pytest.mark.parametrize("head", ["depth", "depth_uncertainty"])
@@ -86,8 +76,6 @@ def test_an_uncertainty_of_no_depth_is_refused_at_load(model_file):
     ("head", "offset"),
     [
         ("depth", -500.0),
-        ("depth", 500.0),
-        ("boundary", -500.0),
         ("boundary", 500.0),
         ("depth_uncertainty", -500.0),
     ],

@@ -1,10 +1,8 @@
 """`ssdnet-train`: what a run shows, names and refuses."""
 
 import csv
-import io
 import json
 import re
-import sys
 
 import cv2
 import numpy as np
@@ -17,9 +15,7 @@ from layouts import camvid
 from layouts.virtual_kitti import write_second_edition
 from models import SSDNetLite, SSDNetLiteConfig, load_checkpoint
 from models.registry import NETWORKS, Entry
-from training import progress
 from training.cli import app
-from training.datasets.camvid import CamVid
 
 RECIPE = """
 [model]
@@ -80,43 +76,6 @@ def test_a_short_run_is_logged_and_validated_by_its_own_length(run, tmp_path):
     assert read_curves(tmp_path / "run")["loss/total"] == list(range(1, 6))
 
 
-def test_without_a_terminal_progress_is_a_line_by_time(run, monkeypatch):
-    assert "step 1 of" not in run("--set", "schedule.steps = 2").stderr  # sooner than the first
-    monkeypatch.setattr(progress, "LINE_INTERVAL_S", 0.0)
-    result = run("--set", "schedule.steps = 3", out="lines")
-    assert result.exit_code == 0, result.output
-    pattern = (
-        r"step (\d) of 3, loss \d+\.\d{3}, learning rate 0\.\d+, [\d.]+ steps/s, \d\d:\d\d left"
-    )
-    assert re.findall(pattern, result.stderr) == ["1", "2", "3"]
-
-
-def test_a_terminal_shows_a_bar_with_the_loss(monkeypatch):
-    terminal = io.StringIO()
-    terminal.isatty = lambda: True
-    monkeypatch.setattr(sys, "stderr", terminal)
-    monkeypatch.setattr(progress, "_BAR_INTERVAL_S", 0.0)
-    monkeypatch.setattr(progress, "LINE_INTERVAL_S", 0.0)
-    for shown in (False, True):
-        assert not terminal.getvalue()
-        bar = progress.Progress(3, 1, shown=shown)
-        bar.update(2, torch.tensor(0.25), 1e-3)
-        bar.close()
-    assert "2/3" in terminal.getvalue()
-    assert "loss=0.250" in terminal.getvalue()
-    assert "step 2 of" not in terminal.getvalue()
-
-
-def test_with_first_weights_the_scores_begin_before_the_first_step(run, tmp_path):
-    assert run("--set", "schedule.steps = 1", out="first").exit_code == 0
-    init = ("--init", str(tmp_path / "first/model.pt"), "--set", "schedule.steps = 2")
-    result = run(*init, recipe=RECIPE + VALIDATION)
-    assert result.exit_code == 0, result.output
-    assert read_scores(tmp_path / "run") == [(step, "camvid") for step in (0, 1, 2)]
-    assert "step 0: camvid/miou" in result.stderr
-    assert re.search(r"before +after\ncamvid/miou +[\d.]+ +[\d.]+\n", result.stderr)
-
-
 def test_a_resumed_run_names_its_step_and_not_its_first_weights(run, tmp_path, monkeypatch):
     threads = []
     monkeypatch.setattr(torch, "set_num_threads", threads.append)
@@ -141,20 +100,6 @@ def test_a_resumed_run_names_its_step_and_not_its_first_weights(run, tmp_path, m
     assert document["recipe"]["data"]["workers"] == 500  # no more were started than cores
 
 
-def test_a_crop_that_the_data_decide_is_stated_beside_the_recipe(run, tmp_path):
-    recipe = RECIPE.replace("crop = [32, 32], ", "")
-    result = run("--stop-after", "1", recipe=recipe)
-    assert result.exit_code == 0, result.output
-    document = json.loads((tmp_path / "run/recipe.json").read_text())
-    assert document["crop"] == [32, 32]
-    assert document["recipe"]["data"]["augment"]["crop"] is None
-    assert load_checkpoint(tmp_path / "run/last.pt").facts.crop == (32, 32)
-    for path in (tmp_path / "camvid").glob("*/*.png"):
-        assert cv2.imwrite(str(path), cv2.imread(str(path), -1).repeat(2, 0).repeat(2, 1))
-    assert run("--dry-run", recipe=recipe, out="other").stdout.startswith("crops of 64 x 96 px")
-    assert "crop[0] was 32, now it is 64" in run(recipe=recipe).stderr
-
-
 def test_validation_sets_are_scored_under_their_names(run, tmp_path):
     """One folder twice, with names of its own; the default is the path."""
     both = VALIDATION + 'name = "town"\n' + VALIDATION
@@ -171,45 +116,6 @@ def test_validation_sets_are_scored_under_their_names(run, tmp_path):
         title = "a" if "name" in twice else "camvid"
         assert f"source has two sets with the title '{title}'" in result.output
         assert "`name`" in result.output
-
-
-@pytest.mark.parametrize(
-    ("spoil", "found"),
-    [
-        (lambda labels: None, "NoneType"),
-        (lambda labels: labels[1:], r"uint8 \(39, 48\)"),
-        (lambda labels: labels.astype(np.int64), r"int64 \(40, 48\)"),
-    ],
-)
-def test_a_reader_without_labels_is_named_with_its_frame(run, monkeypatch, spoil, found):
-    read = CamVid.__getitem__
-
-    def spoilt(self, index):
-        sample = read(self, index)
-        return sample.with_targets(semantic=spoil(sample.semantic))
-
-    monkeypatch.setattr(CamVid, "__getitem__", spoilt)
-    for weighting in ("none", "median"):
-        result = run("--set", f"loss.class_weighting = '{weighting}'")
-        assert result.exit_code == 1
-        assert re.search(
-            rf"camvid/\d: the reader CamVid returned semantic = {found}; expected uint8 \(40, 48\)",
-            result.output,
-        )
-
-
-def test_a_split_without_frames_says_what_is_there(run, tmp_path):
-    write_second_edition(tmp_path / "vkitti", "Scene02", "rain")
-    source = "data.source = [{kind = 'virtual-kitti', path = 'vkitti', split = '%s'}]"
-    for split, scenes in (("test", "scene 1"), ("val", "the frames of scene 20 from 547 on")):
-        result = run("--set", source % split)
-        assert result.exit_code == 1
-        assert f"no frames of the split '{split}'. Wanted: {scenes}; variants: " in result.output
-        assert "overcast, rain, sunset. Found: Scene02/rain." in result.output
-    result = run("--set", "data.source = [{kind = 'camvid', path = 'camvid', split = 'night'}]")
-    assert result.exit_code == 1
-    assert "camvid/night: no such folder; " in result.output
-    assert "Folders there: train, trainannot." in result.output
 
 
 def test_a_dry_run_draws_the_first_batch_and_writes_nothing_else(run, tmp_path):

@@ -15,13 +15,11 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from torch import nn
 
 from models import load_checkpoint
-from training.batch import Pair
 from training.distributed import (
     Processes,
-    join_processes,
-    share_gradients,
     synchronise_batch_norm,
 )
+from training.loading.mixture import Pair
 from training.losses.consistency import depth_consistency_loss, semantic_consistency_loss
 
 # Every term of the loss, on a set whose frames differ in how much of them is known. PyTorch is
@@ -198,18 +196,6 @@ def test_shares_of_the_processes_make_up_one_process_s_batches():
     for batch in range(4):
         joined = [index for part in parts for index in part[2 * batch : 2 * batch + 2]]
         assert joined == alone[6 * batch : 6 * batch + 6]
-
-
-def test_a_single_process_needs_no_launcher(monkeypatch):
-    monkeypatch.delenv("WORLD_SIZE", raising=False)
-    with join_processes("cpu") as processes:
-        assert processes.is_first
-        assert processes.gather("x") == ["x"]
-        processes.wait()
-        norm = nn.Sequential(nn.BatchNorm2d(2))
-        synchronise_batch_norm(norm, processes)
-        assert type(norm[0]) is nn.BatchNorm2d
-        assert share_gradients(norm, processes) is norm
 
 
 def test_shared_batch_norm_is_batch_norm(tmp_path):

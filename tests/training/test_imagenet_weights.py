@@ -1,14 +1,10 @@
 """ImageNet's weights in our trunk, against the network of their own package."""
 
-from copy import deepcopy
-from importlib.metadata import PackageNotFoundError
-
 import pytest
 import torch
 
 from models.efficientnet_lite import RGB_MEAN, RGB_STD, WIDTHS, EfficientNetLite
-from runtime.errors import CheckpointError, install_command
-from training import imagenet_weights
+from runtime.errors import CheckpointError
 from training.imagenet_weights import PACKAGE, load_imagenet
 
 REFERENCE = "efficientnet_lite_pytorch"
@@ -59,78 +55,6 @@ def test_features_are_those_of_the_packages_own_network(trunk, reference, size):
     assert all((a - b).abs().max() < 1e-5 for a, b in zip(ours, theirs, strict=True))
 
 
-def test_in_training_the_batch_statistics_move_alike(trunk, reference):
-    trunk, reference = deepcopy(trunk).train(), deepcopy(reference).train()
-    x = torch.randn(4, 3, 64, 64, generator=torch.manual_seed(0))
-    with torch.no_grad():
-        all_features(trunk, x), reference_features(reference, x)
-    last = reference._blocks[15]
-    ours = [trunk.stem[0][1], trunk.stride32[-1].project[1]]
-    for a, b in zip(ours, (reference._bn0, last._bn2), strict=True):
-        torch.testing.assert_close(a.running_mean, b.running_mean)
-        torch.testing.assert_close(a.running_var, b.running_var)
-
-
-def test_the_normalisation_is_the_one_the_weights_were_trained_with(trunk, reference):
-    """A cup of coffee (967, 968) is seen best by it."""
-    cv2 = pytest.importorskip("cv2")
-    data = pytest.importorskip("skimage.data")
-    image = cv2.resize(data.coffee()[:, 100:500], (224, 224), interpolation=cv2.INTER_AREA)
-    pixels = torch.from_numpy(image).permute(2, 0, 1)[None].float()
-
-    def probability(mean, std):
-        with torch.no_grad():
-            return float(reference((pixels - mean) / std).softmax(dim=1)[0, [967, 968]].sum())
-
-    best = probability(RGB_MEAN, RGB_STD)
-    assert best > 0.9
-    assert best > probability(116.28, 57.12)
-    assert best > probability(0, 255)
-
-
-def test_a_missing_package_is_named(monkeypatch):
-    def absent(name):
-        raise PackageNotFoundError(name)
-
-    monkeypatch.setattr(imagenet_weights, "distribution", absent)
-    with pytest.raises(CheckpointError, match="which is not installed: ") as error:
-        load_imagenet(EfficientNetLite())
-    assert str(error.value).endswith(f"{install_command('train')}.")
-
-
-class Elsewhere:
-    """An installed package whose file is another one, or none."""
-
-    def __init__(self, folder):
-        self.folder = folder
-
-    def locate_file(self, path):
-        return self.folder / path.rpartition("/")[2]
-
-
-def test_other_weights_are_refused_before_they_are_unpacked(monkeypatch, tmp_path):
-    monkeypatch.setattr(imagenet_weights, "distribution", lambda name: Elsewhere(tmp_path))
-    with pytest.raises(CheckpointError, match="is not installed"):
-        load_imagenet(EfficientNetLite())
-    (tmp_path / "efficientnet-lite0-57934424.pth").write_bytes(b"no zip archive")
-    with pytest.raises(
-        CheckpointError, match="expected the weights with the SHA-256 5793"
-    ) as error:
-        load_imagenet(EfficientNetLite())
-    assert install_command("train") in str(error.value)
-
-
 def test_a_pruned_trunk_does_not_take_them(trunk):
     with pytest.raises(CheckpointError, match="Prune it after"):
         load_imagenet(EfficientNetLite((32, 64, *WIDTHS[2:])))
-
-
-def test_every_tensor_is_filled(trunk):
-    fresh = EfficientNetLite()
-    with torch.no_grad():
-        for tensor in fresh.state_dict().values():
-            tensor.fill_(-7 if tensor.is_floating_point() else 0)
-    load_imagenet(fresh)
-    for name, tensor in fresh.state_dict().items():
-        if tensor.is_floating_point():
-            assert not (tensor == -7).any(), name

@@ -8,7 +8,6 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
-import training.initial_weights
 from export.parity import reference
 from export.probe_frames import ProbeFrame
 from layouts import camvid
@@ -72,14 +71,6 @@ def test_a_name_is_neither_a_slash_nor_an_ending():
         InputError, match=rf"unknown weights 'ssdnet'; known: {', '.join(list_weights())}\."
     ):
         find_weights("ssdnet")
-
-
-def test_a_file_in_the_folder_is_a_name(tmp_path, monkeypatch):
-    monkeypatch.setattr(training.initial_weights.resources, "files", lambda package: tmp_path)
-    (tmp_path / "weights").mkdir()
-    (tmp_path / "weights/ssdnet-nano.pt").touch()
-    assert list_weights() == ["ssdnet-nano"]
-    assert find_weights("ssdnet-nano") == tmp_path / "weights/ssdnet-nano.pt"
 
 
 @installed

@@ -5,13 +5,15 @@ from dataclasses import replace
 import pytest
 import torch
 
-from models import CLASS_TABLES, SSDNetLiteConfig, create_model, load_checkpoint, save_checkpoint
+from models import CLASS_TABLES, create_model, save_checkpoint
 from models.efficientnet_lite import WIDTHS as EFFICIENTNET_WIDTHS
+from models.efficientnet_lite import EfficientNetLite
 from runtime.errors import CheckpointError, InputError
+from training.imagenet_weights import PACKAGE, load_imagenet
 from training.initial_weights import read_weights
 from training.network import build_network, train_parts
 from training.prune import prune_trunk
-from training.recipe import ModelRecipe, build
+from training.recipe import ModelRecipe
 
 
 def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
@@ -50,35 +52,6 @@ def test_init_reports_settings_that_change_what_weights_mean(tmp_path, capsys, n
     assert text in capsys.readouterr().err
 
 
-def test_images_are_normalised_as_init_does_unless_the_recipe_says_otherwise(tmp_path, capsys):
-    other = tmp_path / "other.pt"
-    save_checkpoint(other, create_model("ssdnet-lite", rgb_mean=(1.0, 2.0, 3.0)))
-    built = build_network(ModelRecipe("ssdnet-lite"), read_weights(other))
-    assert built.config.rgb_mean == (1.0, 2.0, 3.0)
-    assert built.rgb_mean.flatten().tolist() == [1.0, 2.0, 3.0]
-    assert capsys.readouterr().err == ""
-    stated = ModelRecipe("ssdnet-lite", config={"rgb_mean": [4.0, 5.0, 6.0]})
-    built = build_network(stated, read_weights(other))
-    assert built.config.rgb_mean == (4.0, 5.0, 6.0)
-    assert built.rgb_mean.flatten().tolist() == [4.0, 5.0, 6.0]
-    text = "the mean of RGB changed from (1.0, 2.0, 3.0) to (4.0, 5.0, 6.0)"
-    assert text in capsys.readouterr().err
-
-
-def test_only_some_parts_are_trained():
-    network = create_model("ssdnet-lite")
-    train_parts(network, ("depth_", "surface_"))
-    trained = {name.split(".")[0] for name, p in network.named_parameters() if p.requires_grad}
-    assert trained == {"depth_decoder", "surface_depth"}
-    assert not network.encoder.training
-    assert network.depth_decoder.training
-    train_parts(network, ())
-    assert all(p.requires_grad for p in network.parameters())
-    assert all(module.training for module in network.modules())
-    with pytest.raises(InputError, match=r"begins with 'deep'; it has encoder, .*depth_decoder"):
-        train_parts(network, ("depth_", "deep"))
-
-
 def test_frozen_layers_keep_weights_and_statistics_and_have_no_backward_pass():
     network = create_model("ssdnet-lite")
     early = ("encoder.stem", "encoder.stride2", "encoder.stride4")
@@ -101,25 +74,6 @@ def test_frozen_layers_keep_weights_and_statistics_and_have_no_backward_pass():
         train_parts(network, (), ("encoder.steam",))
 
 
-def test_canonical_focal_length_goes_from_the_recipe_into_the_checkpoint(tmp_path):
-    recipe = ModelRecipe("ssdnet-lite", config={"canonical_focal_px": 721.5})
-    network = build_network(recipe, None)
-    assert network.config.canonical_focal_px == 721.5
-    save_checkpoint(tmp_path / "a.pt", network)
-    assert load_checkpoint(tmp_path / "a.pt").model.config == network.config
-    plain = build_network(ModelRecipe("nconv"), None)
-    assert plain.config.canonical_focal_px is None
-    save_checkpoint(tmp_path / "b.pt", plain)
-    assert load_checkpoint(tmp_path / "b.pt").model.config == plain.config
-
-
-@pytest.mark.parametrize("focal", [0, -1.0, float("nan"), float("inf"), "721", True])
-def test_a_network_refuses_a_focal_length_that_no_camera_has(focal):
-    config = {**create_model("ssdnet-lite").config.to_dict(), "canonical_focal_px": focal}
-    with pytest.raises(ValueError, match="canonical_focal_px"):
-        SSDNetLiteConfig.from_dict(config)
-
-
 def test_a_recipe_changes_fields_of_the_networks_configuration():
     config = {"decoder_channels": [8, 8, 8], "depth_refine_channels": 4}
     network = build_network(ModelRecipe("ssdnet-nano", config=config), None)
@@ -133,88 +87,26 @@ def test_a_recipe_changes_fields_of_the_networks_configuration():
     assert alone.config.classes == ()
 
 
-@pytest.mark.parametrize(
-    ("name", "config", "text"),
-    [
-        ("ssdnet-lite", {"semantic_head": [1]}, "semantic_head has the wrong type"),
-        ("ssdnet-lite", {"decoder_channels": "8"}, "decoder_channels has the wrong type"),
-        (
-            "ssdnet-lite",
-            {"layers": 3},
-            "not configuration fields of the network 'ssdnet-lite': layers",
-        ),
-        (
-            "ssdnet-nano",
-            {"decoder_channels": [8, 8]},
-            "decoder_channels must have one entry per skip",
-        ),
-        (
-            "fast-scnn",
-            {"boundary_channels": 8},
-            "fields of the network 'fast-scnn': boundary_channels",
-        ),
-        ("ssdnet-lite", {"max_depth_m": -1.0}, "max_depth_m"),
-        ("ssdnet-lite", {"max_depth_m": 1e39}, "max_depth_m"),
-        *(
-            ("ssdnet-lite", {"canonical_focal_px": focal}, "canonical_focal_px")
-            for focal in (0, 0.5, -700.0, float("inf"), float("nan"), "721", 2e6)
-        ),
-    ],
-)
-def test_an_invalid_configuration_is_refused(name, config, text):
-    with pytest.raises(InputError, match=text):
-        build(ModelRecipe, {"name": name, "config": config})
-
-
 IMAGENET = ModelRecipe("ssdnet-lite", pretrained="imagenet", config={"encoder_widths": []})
 
 
-@pytest.fixture
-def loaded(monkeypatch):
-    """The trunks that ImageNet's weights were loaded into: ones instead."""
-    trunks = []
-
-    def load(trunk):
-        trunks.append(trunk)
-        with torch.no_grad():
-            for value in trunk.parameters():
-                value.fill_(1.0)
-
-    monkeypatch.setattr("training.network.load_imagenet", load)
-    return trunks
-
-
-def test_a_pretrained_encoder_is_loaded_with_its_normalisation(loaded):
-    network = build_network(IMAGENET, None)
-    assert loaded == [network.encoder]
+def test_a_pretrained_encoder_is_loaded_with_its_normalisation():
+    pytest.importorskip(PACKAGE.replace("-", "_"))
+    network, trunk = build_network(IMAGENET, None), EfficientNetLite()
+    load_imagenet(trunk)
+    assert torch.equal(network.encoder.stem[0][0].weight, trunk.stem[0][0].weight)
     assert network.config.rgb_mean == (127.0,) * 3
     assert network.rgb_std.flatten().tolist() == [128.0] * 3
-    assert (network.encoder.stem[0][0].weight == 1).all()
+    resumed = build_network(IMAGENET, None, resumed=True)  # does not read them again
+    assert not torch.equal(resumed.encoder.stem[0][0].weight, trunk.stem[0][0].weight)
 
 
-def test_pretrained_weights_are_pruned_for_a_narrower_trunk(loaded, capsys):
-    config = {**IMAGENET.config, "encoder_widths": list(WIDTHS)}
-    recipe = replace(IMAGENET, config=config)
-    network = build_network(recipe, None, pictures=PICTURES)
-    assert network.config.encoder_widths == WIDTHS
-    assert network.config.rgb_mean == (127.0,) * 3
-    assert loaded[0] is not network.encoder
-    assert capsys.readouterr().err == "the trunk was pruned from 8960 to 8904 channels\n"
-    assert (network.encoder.stride32[-1].expand[0].weight == 1).all()
-
-
-def test_a_resumed_run_does_not_read_pretrained_weights_again(loaded):
-    build_network(IMAGENET, None, resumed=True)
-    assert loaded == []
-
-
-def test_init_comes_after_the_pretrained_weights(loaded, tmp_path, capsys):
-    """A trunk of --init replaces them."""
-    save_checkpoint(tmp_path / "same.pt", build_network(IMAGENET, None))
-    loaded.clear()
-    built = build_network(IMAGENET, read_weights(tmp_path / "same.pt"))
-    assert loaded == []
-    assert built.config.rgb_mean == (127.0,) * 3
+def test_images_are_normalised_as_init_does_unless_the_recipe_says_otherwise(tmp_path):
+    other = tmp_path / "other.pt"
+    save_checkpoint(other, create_model("ssdnet-lite", rgb_mean=(1.0, 2.0, 3.0)))
+    stated = ModelRecipe("ssdnet-lite", config={"rgb_mean": [4.0, 5.0, 6.0]})
+    for recipe, mean in ((ModelRecipe("ssdnet-lite"), (1, 2, 3)), (stated, (4, 5, 6))):
+        assert build_network(recipe, read_weights(other)).config.rgb_mean == mean
 
 
 @pytest.mark.parametrize(
@@ -228,10 +120,9 @@ def test_init_comes_after_the_pretrained_weights(loaded, tmp_path, capsys):
         ),
     ],
 )
-def test_pretrained_weights_that_a_network_cannot_take_are_refused(loaded, name, config, text):
+def test_pretrained_weights_that_a_network_cannot_take_are_refused(name, config, text):
     with pytest.raises(InputError, match=text):
         build_network(ModelRecipe(name, pretrained="imagenet", config=config), None)
-    assert loaded == []
 
 
 PICTURES = [torch.full((1, 3, 64, 96), 100.0)]

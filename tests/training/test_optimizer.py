@@ -8,8 +8,8 @@ import torch
 from models import create_model
 from runtime.errors import InputError
 from training.losses import LossConfig, SSDNetLoss
-from training.optimizer import build_optimizer, exponential_average, learning_rate
 from training.recipe import OptimizerRecipe, ScheduleRecipe
+from training.state import build_optimizer, learning_rate
 
 
 @pytest.mark.parametrize("name", ["adamw", "sgd"])
@@ -58,15 +58,3 @@ def test_learning_rate_by_hand():
     constant = ScheduleRecipe(steps=110, shape="constant")
     assert {learning_rate(constant, 0.3, step) for step in range(110)} == {0.3}
     assert math.isclose(learning_rate(schedule, 2.0, 35), 2 * 0.853553, rel_tol=1e-5)
-
-
-def test_average_discards_its_initial_weights():
-    """After n steps at a constant value nothing of a far-off start is left."""
-    update = exponential_average(0.999)
-    average, current = [torch.full((3,), 1000.0)], [torch.ones(3)]
-    for count in range(200):
-        update(average, current, count)
-    torch.testing.assert_close(average[0], current[0], rtol=0, atol=1e-3)
-    long_run = [torch.zeros(1)]
-    update(long_run, [torch.ones(1)], 10**6)
-    torch.testing.assert_close(long_run[0], torch.tensor([1e-3]))

@@ -55,8 +55,3 @@ def test_weights_of_imagenet_are_named(recipe):
     )
     assert data == ("camvid", "ImageNet")
     assert terms == f"{recipe.terms}; {IMAGENET_TERMS}"
-
-
-def test_a_checkpoint_that_says_nothing_adds_nothing(recipe, tmp_path):
-    save_checkpoint(tmp_path / "a.pt", create_model("fast-scnn", num_classes=11))
-    assert state_provenance(recipe, read_weights(tmp_path / "a.pt")) == (("camvid",), recipe.terms)

@@ -3,11 +3,8 @@
 import pytest
 
 from runtime.errors import InputError
-from training.datasets.camvid import CamVidRecipe
 from training.datasets.cityscapes import CityscapesRecipe
-from training.datasets.virtual_kitti import RenderedRecipe
-from training.recipe import AnySource, ValidationRecipe, build, read_recipe
-from training.recipes.registry import RECIPES
+from training.recipe import AnySource, build, read_recipe
 
 MINIMAL = """
 [model]
@@ -38,15 +35,6 @@ def test_defaults_and_conversions(tmp_path):
     assert recipe.validation.lidar == "own"
 
 
-def test_fields_of_the_networks_configuration(tmp_path):
-    text = MINIMAL.replace("[data]", "[model.config]\ndecoder_channels = [64, 48, 16]\n[data]", 1)
-    assert read(tmp_path, text).model.config == {"decoder_channels": [64, 48, 16]}
-    changed = read_recipe(tmp_path / "r.toml", ["model.config.depth_refine_channels = 8"])
-    assert changed.model.config == {"decoder_channels": [64, 48, 16], "depth_refine_channels": 8}
-    with pytest.raises(InputError, match=r"model\.config has 'classes', which is a separate key"):
-        read_recipe(tmp_path / "r.toml", ["model.config.classes = []"])
-
-
 @pytest.mark.parametrize(
     ("change", "text"),
     [
@@ -60,10 +48,7 @@ def test_fields_of_the_networks_configuration(tmp_path):
             (f"config.canonical_focal_px = {focal}", "model.config: canonical_focal_px .*pixels.*")
             for focal in ("0", "0.5", "-700.0", "2e6")
         ),
-        ("config.canonical_focal_px = inf", "model.config: canonical_focal_px .*"),
         ("config.canonical_focal_px = nan", "model.config: canonical_focal_px .*"),
-        ("config.canonical_focal_px = '721'", "model.config: canonical_focal_px .*"),
-        ("config.canonical_focal_px = true", "model.config: canonical_focal_px .*"),
     ],
 )
 def test_a_network_that_cannot_be_built_is_refused_as_it_is_read(tmp_path, change, text):
@@ -79,7 +64,6 @@ def test_a_network_that_cannot_be_built_is_refused_as_it_is_read(tmp_path, chang
     [
         ("batch_size = 4", "batchsize = 4", "unknown key data.batchsize"),
         ("batch_size = 4", 'batch_size = "4"', "data.batch_size = '4': .*valid integer"),
-        ("batch_size = 4", "batch_size = true", "data.batch_size = True: .*valid integer"),
         ("steps = 10", "", "missing key schedule.steps"),
         ("steps = 10", "steps = 10\n[loss]\nunknown = 1", "unknown key loss.unknown"),
         (
@@ -91,19 +75,11 @@ def test_a_network_that_cannot_be_built_is_refused_as_it_is_read(tmp_path, chang
         ("scale = [1, 2]", "scale = [1, 2, 3]", r"scale = \[1, 2, 3\]: .* at most 2 items"),
         ("scale = [1, 2]", "scale = [2, 1]", r"scale = \[2, 1\]: expected low <= high"),
         ("scale = [1, 2]", "size = [1.5, 64]", r"size\[0\] = 1.5: .*valid integer"),
-        (
-            'kind = "camvid"',
-            'kind = "kitti_streets"',
-            r"data.source\[0\].kind = 'kitti_streets' is written 'kitti-streets'",
-        ),
         ('kind = "camvid"', "", r"missing key data\.source\[0\]\.kind"),
         ('path = "camvid"', "", r"missing key data\.source\[0\]\.path"),
         ('path = "camvid"', 'path = ""', r"data\.source\[0\]\.path = '': "),
         ('path = "camvid"', "path = 1999-12-31", "expected text, numbers, true or false"),
         ("scale = [1, 2]", "scale = [1,", "not valid TOML"),
-        ("steps = 10", "steps = -5", "schedule.steps = -5"),
-        ("batch_size = 4", "batch_size = 0", "data.batch_size = 0"),
-        ("scale = [1, 2]", "weight = -0.7", r"weight = -0.7: .*greater than 0"),
         ("steps = 10", "steps = 10\n[loop]\ncheckpoint_every = 0", "loop.checkpoint_every = 0"),
         ("steps = 10", "steps = 10\n[optimizer]\nlearning_rate = -1", "optimizer.learning_rate"),
     ],
@@ -111,17 +87,6 @@ def test_a_network_that_cannot_be_built_is_refused_as_it_is_read(tmp_path, chang
 def test_mistakes_are_named(tmp_path, old, new, text):
     with pytest.raises(InputError, match=text):
         read(tmp_path, MINIMAL.replace(old, new))
-
-
-def test_file_that_is_not_text(tmp_path):
-    (tmp_path / "r.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="it is not UTF-8 text"):
-        read_recipe(tmp_path / "r.toml")
-
-
-def test_missing_file(tmp_path):
-    with pytest.raises(InputError, match="cannot read"):
-        read_recipe(tmp_path / "none.toml")
 
 
 BASE = """
@@ -189,16 +154,8 @@ def test_mistaken_changes_are_named(tmp_path, change, text):
     [
         ("camvid", {"first": 1}),
         ("camvid", {"scenes": ("Scene01",)}),
-        ("cityscapes", {"frames": "list.txt"}),
-        ("cityscapes", {"semantic_weight": 0.5}),
-        ("kitti-depth", {"drives": ("2011_09_26_drive_0001_sync",)}),
-        ("kitti-raw", {"split": "val"}),
-        ("kitti-raw", {"last": 9}),
         ("kitti-stream", {"cameras": (3,)}),
         ("rendered", {"split": "val"}),
-        ("rendered", {"num_scenes": 3}),
-        ("virtual-kitti", {"withhold_hidden": True}),
-        ("virtual-kitti-1", {"cameras": (1,)}),
     ],
 )
 def test_keys_that_mean_nothing_to_a_kind_are_refused(kind, keys):
@@ -207,60 +164,10 @@ def test_keys_that_mean_nothing_to_a_kind_are_refused(kind, keys):
         build(AnySource, {"kind": kind, "path": "folder", **keys})
 
 
-@pytest.mark.parametrize(
-    ("kind", "keys"),
-    [
-        ("camvid", {"split": "test"}),
-        ("cityscapes", {"split": "val"}),
-        ("kitti-depth", {"split": "selection", "cameras": (2, 3)}),
-        ("kitti-raw", {"drives": ("d",), "cameras": (3,), "withhold_hidden": True}),
-        ("kitti-stream", {"first": 1, "last": 2, "semantic_weight": 0.2}),
-        ("rendered", {"scenes": ("s",), "variants": ("v",), "frames": "f.txt"}),
-        (
-            "virtual-kitti",
-            {"split": "all", "scenes": ("s",), "variants": ("v",), "frames": "f", "cameras": (1,)},
-        ),
-        ("virtual-kitti-1", {"split": "all", "scenes": ("s",), "variants": ("v",), "frames": "f"}),
-    ],
-)
-def test_every_kind_takes_its_own_keys(kind, keys):
-    common = {"weight": 2.0, "size": (64, 96), "scale": (1.0, 2.0)}
-    source = build(AnySource, {"kind": kind, "path": "folder", **keys, **common})
-    assert source.kind == kind
-    assert all(getattr(source, key) == value for key, value in {**keys, **common}.items())
-
-
-def test_a_source_needs_a_path():
-    assert RenderedRecipe(path="rendered/val").title == "rendered/val"
-    with pytest.raises(InputError, match="missing key path"):
-        build(AnySource, {"kind": "rendered"})
-
-
-def test_mistaken_sources_are_named_with_their_file(tmp_path):
-    with pytest.raises(InputError, match=r"r\.toml: unknown key data\.source\[0\]\.last; known"):
-        read(tmp_path, MINIMAL.replace("scale = [1, 2]", "last = 3"))
-    second = MINIMAL + '[[validation.source]]\nkind = "camvid"\npath = "camvid"\nlast = 3\n'
-    with pytest.raises(InputError, match=r"unknown key validation\.source\[0\]\.last; known"):
-        read(tmp_path, second)
-    with pytest.raises(InputError, match=r"r\.toml: data\.cache_gib = -1"):
-        read(tmp_path, MINIMAL.replace("batch_size = 4", "cache_gib = -1"))
-    with pytest.raises(InputError, match=r"model\.classes = 'coco'; choose one of 'camvid'"):
-        read(tmp_path, MINIMAL.replace("[data]\n", "classes = 'coco'\n[data]\n"))
-
-
 def test_validation_names_its_lidar(tmp_path):
     assert read(tmp_path, MINIMAL + '[validation]\nlidar = "random:0.05"\n').validation.lidar
     with pytest.raises(InputError, match=r"validation\.lidar = '63': .*divides 64, random:SHARE"):
         read(tmp_path, MINIMAL + '[validation]\nlidar = "63"\n')
-
-
-@pytest.mark.parametrize(
-    "name", ["paper-vkitti", "paper-cityscapes", "vkitti", "ablation-ssdnet", "ablation-ungated"]
-)
-def test_what_is_trained_on_a_random_share_is_validated_so(name):
-    recipe = RECIPES[name].stages[0].recipe
-    assert recipe.data.augment.random_share == (0.05, 0.05)
-    assert recipe.validation.lidar == "random:0.05"
 
 
 @pytest.mark.parametrize(
@@ -275,14 +182,6 @@ def test_output_follows_the_number_of_steps_unless_stated(tmp_path, steps, every
     assert (stated.log_every, stated.checkpoint_every, stated.validate_every) == (7, 9000, 8000)
 
 
-def test_two_validation_sets_of_one_path_are_refused():
-    source = CamVidRecipe(path="camvid", split="val")
-    with pytest.raises(ValueError, match="two sets with the title 'camvid'"):
-        ValidationRecipe(source=(source, source))
-    with pytest.raises(ValueError, match="every"):
-        ValidationRecipe(every=0)
-
-
 @pytest.mark.parametrize(
     ("change", "text"),
     [
@@ -291,36 +190,14 @@ def test_two_validation_sets_of_one_path_are_refused():
             "data.augment = {crop = [9000, 9000], scale = [1.0, 1.0]}",
             "batch_size = 4: .* 9000x9000",
         ),
-        ("data.batch_size = 1000000000", "data.batch_size = 1000000000: "),
         ("data.batch_size = 60000", "batch_size = 60000: .* more than 268435456 pixels"),
         ("data.augment.crop = [100000, 320]", r"augment.crop\[0\] = 100000: "),
-        ("data.augment.crop = [16000, 16000]", "augment.scale = .* a crop of 16000x16000"),
-        ("data.seed = 1" + "0" * 30, "data.seed = 10+: "),
-        ("data.cache_gib = 1e300", "data.cache_gib = 1e"),
         ("data.augment.scale = [1e-9, 1.0]", r"augment.scale\[0\] = 1e-09: "),
-        ("data.augment.scale = [0.02, 1.0]", "augment.scale = .* needs a window of 384000000"),
-        ("data.augment.hue_deg = 1e9", "augment.hue_deg"),
         ("data.augment.brightness = nan", "augment.brightness = nan: .*finite"),
         ("schedule.steps = 1000000000000", "schedule.steps = 1000000000000: "),
-        ("schedule.steps = 99000000", "schedule.steps = 99000000: .* 396000000 samples"),
-        ("schedule.warmup_steps = 1000000000000", "schedule.warmup_steps"),
-        ("loop.accumulate = 1000000000", "loop.accumulate"),
-        ("loop.log_every = 1000000000000", "loop.log_every"),
-        ("loop.clip_norm = 1e300", "loop.clip_norm"),
-        ("optimizer.learning_rate = 1e300", "optimizer.learning_rate"),
         ("loss.depth_weight = inf", "loss.depth_weight = inf: .*finite"),
-        ("validation.pictures = 1000000000", "validation.pictures"),
-        ("model.trained_height = 1000000", "model.trained_height"),
         (f"terms = '{'x' * 20_000}'", r"terms = 'x{199}…: "),
         ("data.source = [{kind = 'camvid', path = 'a', size = [100000, 64]}]", r"size\[0\] = 1000"),
-        (
-            "data.source = [{kind = 'camvid', path = 'a', scale = [0.02, 1.0]}]",
-            r"data\.source\[0\]\.scale = .* needs a window",
-        ),
-        (
-            "data.source = [{kind = 'kitti-stream', path = 'a', last = 1000000000000}]",
-            r"source\[0\]\.last",
-        ),
     ],
     ids=lambda text: text[:40],
 )
@@ -351,20 +228,11 @@ def test_losses_of_consistency_need_two_views(base):
 @pytest.mark.parametrize(
     "change",
     [
-        "data.seed = -1",
-        "model.trained_height = 3",
         "optimizer.learning_rate = inf",
-        "optimizer.momentum = -1.0",
-        "loop.clip_norm = -1.0",
         "loop.ema_decay = 3.0",
-        "release.logit_adjustment = -3.0",
-        "data.augment.flip = 7.0",
         "data.augment.scale = [0.0, 1.0]",
-        "data.augment.scale = [2.0, 1.0]",
         "data.augment.random_share = [2.0, 2.0]",
         "data.augment.lines = [5]",
-        "data.augment.lines = []",
-        "data.augment.brightness = -0.1",
         "data.augment.pair_shift = 5",
         "data.augment.pair_lidar_false = 1.5",
     ],
@@ -375,24 +243,15 @@ def test_values_out_of_range_are_refused_by_name(base, change):
         read_recipe(base / "base.toml", [change])
 
 
-def test_sky_needs_a_class_of_that_name(tmp_path):
-    text = MINIMAL.replace("batch_size = 4", "batch_size = 4\nsky_depth_m = 100.0")
-    assert read(tmp_path, text).data.sky_depth_m == 100
-    vkitti = text.replace('"ssdnet-lite"', '"ssdnet-lite"\nclasses = "virtual_kitti"', 1)
-    recipe = read(tmp_path, vkitti)  # there it is written "Sky"
-    assert recipe.model.class_table == "virtual_kitti"
-    assert recipe.model.class_id("sky") == 1
-    own = text.replace('"ssdnet-lite"', '"ssdnet-lite"\nclasses = [{name = "a", color = [0,0,0]}]')
-    with pytest.raises(InputError, match=r"data\.sky_depth_m needs a class called 'sky'"):
-        read(tmp_path, own)
-
-
-def test_a_mask_of_the_road_needs_a_class_of_that_name(tmp_path):
-    text = MINIMAL + "[loss]\nroad_weight = 0.5"
-    assert read(tmp_path, text).loss.road_weight == 0.5
-    own = text.replace('"ssdnet-lite"', '"ssdnet-lite"\nclasses = [{name = "a", color = [0,0,0]}]')
-    with pytest.raises(InputError, match=r"loss\.road_weight needs a class called 'road'"):
-        read(tmp_path, own)
+@pytest.mark.parametrize(
+    ("key", "name"), [("data.sky_depth_m", "sky"), ("loss.road_weight", "road")]
+)
+def test_what_is_of_a_class_needs_a_class_of_that_name(base, key, name):
+    named = read_recipe(base / "base.toml", [f"{key} = 1.0", "model.classes = 'virtual_kitti'"])
+    assert named.model.class_id(name) is not None  # there it is written "Sky"
+    own = "model.classes = [{name = 'a', color = [0, 0, 0]}]"
+    with pytest.raises(InputError, match=rf"{key} needs a class called '{name}'"):
+        read_recipe(base / "base.toml", [f"{key} = 1.0", own])
 
 
 def test_rare_classes_are_classes_of_the_model(tmp_path):

@@ -49,7 +49,7 @@ def data(tmp_path_factory):
         camvid.write_frame(root / "camvid", rgb, label, split=split)
         cityscapes.write_frame(root / "cityscapes", split=split, magnify=6)
         cityscapes.write_stereo(root / "cityscapes", split=split, magnify=6)
-    kitti_depth.write_drive(root / "kitti_depth", images="raw", magnify=8)
+    kitti_depth.write_drive(root / "kitti_depth", magnify=8)
     kitti_depth.write_selection(root / "kitti_depth", magnify=8)
     # The recipes validate on frames 50 to 59.
     kitti_stream.write_stream(root / "kitti_stream", frames=52, labelled=52, magnify=5)

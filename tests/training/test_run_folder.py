@@ -19,14 +19,6 @@ def resolved(recipe=FIRST, **changes):
     return {"recipe": asdict(recipe), "init": None, "processes": 1, **changes}
 
 
-def test_recipe_json_is_readable(tmp_path):
-    prepare_folder(tmp_path / "run", resolved(), FILES)
-    document = json.loads((tmp_path / "run" / RECIPE).read_text())
-    assert document["recipe"]["data"]["source"][0]["path"] == "camvid"
-    assert document["recipe"]["schedule"]["steps"] == 9
-    assert document["processes"] == 1
-
-
 def test_what_does_not_change_the_weights_may_change(tmp_path):
     prepare_folder(tmp_path, resolved(), FILES)
     other = replace(

@@ -58,13 +58,6 @@ def test_the_best_is_the_highest_score_or_the_smallest_error(
     assert shown == expected
 
 
-def test_the_default_is_the_first_set(tmp_path):
-    table = ScoreTable(tmp_path / "scores.csv", 0)
-    first = [{"mae_m": 2.0, "miou": 0.1}, {"mae_m": 1.0, "miou": 0.1}, {"mae_m": 3.0, "miou": 0.2}]
-    scores = [{"a": figures, "b": {"miou": 0.9 - index}} for index, figures in enumerate(first)]
-    assert [table.add(step, item, "") for step, item in enumerate(scores)] == [True, False, True]
-
-
 def test_before_and_after_name_what_became_worse(tmp_path):
     table = ScoreTable(tmp_path / "scores.csv", 0)
     figures = {"miou": 0.5, "mae_m": 0.5, "rmse_m": 2.0, "iou_car": 0.5}

@@ -147,19 +147,3 @@ def test_two_signals_of_one_key_do_not_cut_torchrun_s_processes_short(monkeypatc
         for _ in range(2):
             signal.raise_signal(signal.SIGINT)
         assert stop()
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_each_signal_stops(monkeypatch, number):
-    monkeypatch.delenv("WORLD_SIZE", raising=False)
-    with StopSignal() as stop:
-        assert not stop()
-        signal.raise_signal(number)
-        assert stop()
-
-
-def test_handlers_are_restored():
-    before = signal.getsignal(signal.SIGINT)
-    with StopSignal():
-        assert signal.getsignal(signal.SIGINT) is not before
-    assert signal.getsignal(signal.SIGINT) is before

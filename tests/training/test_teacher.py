@@ -1,7 +1,5 @@
 """Which teacher a training takes, and what it says to one that it cannot learn from."""
 
-from dataclasses import replace
-
 import pytest
 
 from models import create_model, save_checkpoint
@@ -30,10 +28,6 @@ def test_it_answers_as_it_was_released_and_does_not_learn(student, tmp_path):
     assert not any(parameter.requires_grad for parameter in teacher.parameters())
 
 
-def test_without_such_losses_there_is_none(student):
-    assert prepare_teacher(None, LossConfig(), student) is None
-
-
 def test_losses_without_a_teacher_and_a_teacher_without_losses_are_refused(student, tmp_path):
     with pytest.raises(InputError, match=r"distilled_semantic_weight .* --teacher ssdnet-lite"):
         prepare_teacher(None, TAUGHT, student)
@@ -53,8 +47,3 @@ def test_losses_without_a_teacher_and_a_teacher_without_losses_are_refused(stude
 def test_a_teacher_whose_answers_mean_something_else_is_refused(student, tmp_path, changes, text):
     with pytest.raises(InputError, match=text):
         prepare_teacher(teacher_weights(tmp_path, **changes), TAUGHT, student)
-
-
-def test_a_head_that_is_not_taught_may_be_missing(student, tmp_path):
-    loss = replace(TAUGHT, distilled_depth_weight=0.0)
-    assert prepare_teacher(teacher_weights(tmp_path, depth_head=False), loss, student) is not None

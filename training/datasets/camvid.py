@@ -10,7 +10,7 @@ from pydantic.dataclasses import dataclass
 from models import CLASS_TABLES
 from runtime.errors import DatasetError
 from training.datasets.class_mapping import ClassTable, id_lookup
-from training.datasets.files import read_gray, read_rgb, require_folder
+from training.datasets.files import list_images, read_gray, read_rgb, require_folder
 from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
@@ -54,7 +54,7 @@ class CamVidRecipe(SourceRecipe):
 
     def open(self, folder: Path, classes: ClassTable) -> "CamVid":
         """See `SourceRecipe.open`."""
-        return CamVid(folder, split=self.split, classes=classes)
+        return CamVid(folder, self, classes)
 
 
 class CamVid(FrameList):
@@ -62,25 +62,15 @@ class CamVid(FrameList):
 
     It has no depth and no calibration.
 
-    Args:
-        root: the folder.
-        split: train, val or test.
-        classes: table of the class ids.
-
     Raises:
         DatasetError: for a missing folder, an image without a label file, and unreadable or wrongly
             sized files.
     """
 
-    def __init__(
-        self, root: Path | str, *, split: str = "train", classes: ClassTable = "camvid"
-    ) -> None:
+    def __init__(self, root: Path, recipe: CamVidRecipe, classes: ClassTable) -> None:
         self._labels = CamVidLabels(classes)
-        folder = require_folder(Path(root) / split, "CamVid's images")
-        annotations = Path(root) / f"{split}annot"
-        images = sorted(p for p in folder.iterdir() if p.suffix in {".png", ".jpg"})
-        if not images:
-            raise DatasetError(f"{folder}: no .png or .jpg images in it; expected CamVid's frames.")
+        images = list_images(root / recipe.split, "CamVid's images")
+        annotations = root / f"{recipe.split}annot"
         labels = [f"{image.stem}.png" for image in images]
         require_folder(annotations, "CamVid's label images", files=labels)
         self._frames = [(image, annotations / f"{image.stem}.png") for image in images]

@@ -42,7 +42,7 @@ class CityscapesRecipe(SourceRecipe):
 
     def open(self, folder: Path, classes: ClassTable) -> "Cityscapes":
         """See `SourceRecipe.open`."""
-        return Cityscapes(folder, split=self.split, classes=classes)
+        return Cityscapes(folder, self, classes)
 
 
 class Cityscapes(FrameList):
@@ -52,22 +52,15 @@ class Cityscapes(FrameList):
     ``camera`` depth is baseline * fx / d with the disparity d = (p - 1) / 256 px of a 16-bit pixel
     p > 0; without them it is unknown.
 
-    Args:
-        root: the folder.
-        split: train, val or test.
-        classes: table of the class ids.
-
     Raises:
         DatasetError: for missing folders or partners, unknown ids, wrong sizes and incomplete
             camera files.
     """
 
-    def __init__(
-        self, root: Path | str, *, split: str = "train", classes: ClassTable = "cityscapes"
-    ) -> None:
-        self._root, self._split = Path(root), split
+    def __init__(self, root: Path, recipe: CityscapesRecipe, classes: ClassTable) -> None:
+        self._root, self._split = root, recipe.split
         images = require_folder(
-            self._root / "leftImg8bit" / split, "Cityscapes' images, one folder per city"
+            root / "leftImg8bit" / self._split, "Cityscapes' images, one folder per city"
         )
         self._lookup = id_lookup("cityscapes", classes, _LABELS)
         self._with_depth = (self._root / "disparity").is_dir()
@@ -78,7 +71,7 @@ class Cityscapes(FrameList):
             if self._with_depth:
                 partners |= {"disparity": "_disparity.png", "camera": "_camera.json"}
             for kind, suffix in partners.items():
-                folder = self._root / kind / split / city.name
+                folder = root / kind / self._split / city.name
                 require_folder(folder, f"{kind}'s files", files=[s + suffix for s in stems])
             self._frames += [(city.name, stem) for stem in stems]
         if not self._frames:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from runtime.errors import DatasetError, InputError
 from runtime.io import images, scan
-from runtime.sources.source import ListedFrame
 
 
 @contextmanager
@@ -24,6 +23,7 @@ def dataset_errors() -> Iterator[None]:
         raise DatasetError(str(error)) from error
 
 
+_SUFFIXES = {".png", ".jpg"}
 #: The engine's readers, see there.
 read_rgb = dataset_errors()(images.read_rgb)
 read_points = dataset_errors()(scan.read_scan)
@@ -80,18 +80,18 @@ def require_folder(path: Path, purpose: str, *, files: Sequence[str] = ()) -> Pa
     return path
 
 
+def list_images(folder: Path, purpose: str) -> list[Path]:
+    """Return the .png and .jpg images of a folder in order; DatasetError without any."""
+    images = sorted(
+        path for path in require_folder(folder, purpose).iterdir() if path.suffix in _SUFFIXES
+    )
+    if not images:
+        raise DatasetError(f"{folder}: no .png or .jpg images in it; expected {purpose}.")
+    return images
+
+
 def list_names(names: Sequence[str]) -> str:
     """Return the first names in order, for a message."""
     shown = sorted(names)[:10]
     more = f" and {len(names) - len(shown)} more" if len(names) > len(shown) else ""
     return f"{', '.join(shown) or 'none'}{more}"
-
-
-def require_complete(frames: Sequence[ListedFrame], folder: Path) -> None:
-    """Raise DatasetError if a frame has no file in `folder`, which holds their depth."""
-    missing = [frame.name for frame in frames if frame.depth is None]
-    if missing:
-        raise DatasetError(
-            f"{folder}: has no file of the frame {missing[0]} ({len(missing)} of {len(frames)} "
-            "frames lack it)."
-        )

@@ -23,14 +23,14 @@ from training.datasets.files import (
     require_size,
 )
 from training.datasets.sample import IGNORE, FrameList, Sample, nothing_known
-from training.datasets.source_recipe import SourceRecipe
-from training.limits import STRICT, Index, Positive, Share
+from training.datasets.source_recipe import RangeRecipe
+from training.limits import STRICT, Positive, Share
 
 _Folder = Annotated[str, Field(min_length=1)]
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class FoldersRecipe(SourceRecipe):
+class FoldersRecipe(RangeRecipe):
     """Options of a user's data in a recipe; folders are relative to ``path``."""
 
     kind: Literal["folders"] = "folders"
@@ -46,9 +46,6 @@ class FoldersRecipe(SourceRecipe):
     label_classes: Literal["cityscapes"] | None = None
     #: Name in ``model.classes`` of each id, or "ignore"; instead of the order of the classes.
     label_ids: Mapping[Annotated[int, Field(ge=0, le=255)], str] | None = None
-    #: First and last image in the order of their names, from 0, inclusive.
-    first: Index = 0
-    last: Index | None = None
     #: "skip-target": a frame without its depth or labels has no such target, one without its
     #: sparse depth no LiDAR. Otherwise it is an error.
     missing: Literal["error", "skip-target"] = "error"
@@ -92,8 +89,8 @@ class Folders(FrameList):
     """
 
     @dataset_errors()
-    def __init__(self, root: Path | str, recipe: FoldersRecipe, classes: ClassTable) -> None:
-        self._root, self._recipe = Path(root), recipe
+    def __init__(self, root: Path, recipe: FoldersRecipe, classes: ClassTable) -> None:
+        self._root, self._recipe = root, recipe
         self._num_classes = len(list_classes(recipe.label_classes or classes))
         self._lookup = np.arange(256, dtype=np.uint8)
         if recipe.label_classes is not None:
@@ -115,14 +112,7 @@ class Folders(FrameList):
         )
         images = [frame for frame in self._source.list_frames() if frame.image is not None]
         images.sort(key=lambda frame: str(frame.image))
-        end = None if recipe.last is None else recipe.last + 1
-        self._frames = images[recipe.first : end]
-        if not self._frames:
-            raise DatasetError(
-                f"{self._root / recipe.rgb}: {len(images)} images, none of them in "
-                f"{recipe.first}..{'' if recipe.last is None else recipe.last}. Correct `first` "
-                "and `last`."
-            )
+        self._frames = recipe.take(images, self._root / recipe.rgb)
         self._source.camera_alone = recipe.missing == "skip-target"
         if depth is not None:
             self._require_files(depth, [frame.name for frame in self._frames if not frame.depth])

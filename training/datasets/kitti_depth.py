@@ -32,7 +32,7 @@ class KittiDepthRecipe(SourceRecipe):
 
     def open(self, folder: Path, classes: ClassTable) -> "KittiDepth":
         """See `SourceRecipe.open`; there are no classes."""
-        return KittiDepth(folder, split=self.split, cameras=self.cameras)
+        return KittiDepth(folder, self)
 
 
 @dataclass(frozen=True)
@@ -49,30 +49,21 @@ class _Frame:
 class KittiDepth(FrameList):
     """LiDAR scans with semi-dense ground truth from eleven of them; no classes.
 
-    Args:
-        root: the folder.
-        split: "train" and "val": ``root/<split>/<drive>/proj_depth/{velodyne_raw,groundtruth}/
-            image_0<c>/<number>.png``, as the archives unpack, with the images of the raw data, at
-            ``root/<split>/<drive>/image_0<c>/data`` or ``root/raw/<date>/<drive>/image_0<c>/data``;
-            the benchmark leaves out each drive's first and last five frames. "selection": the
-            selected validation set, ``root/[depth_selection/]val_selection_cropped/{image,
-            velodyne_raw,groundtruth_depth,intrinsics}``.
-        cameras: 2 = left, 3 = right.
+    Splits "train" and "val": ``root/<split>/<drive>/proj_depth/{velodyne_raw,groundtruth}/
+    image_0<c>/<number>.png``, with the images of the raw data, at
+    ``root/raw/<date>/<drive>/image_0<c>/data``; the benchmark leaves out each drive's first and
+    last five frames. "selection": the selected validation set,
+    ``root/val_selection_cropped/{image,velodyne_raw,groundtruth_depth,intrinsics}``.
 
     Raises:
         DatasetError: for missing folders or partners, files of another kind and wrong sizes.
     """
 
-    def __init__(
-        self, root: Path | str, *, split: str = "train", cameras: Sequence[int] = (2, 3)
-    ) -> None:
-        root = Path(root)
-        if split == "selection":
+    def __init__(self, root: Path, recipe: KittiDepthRecipe) -> None:
+        if recipe.split == "selection":
             self._frames = _list_selection(root)
-        elif split in ("train", "val"):
-            self._frames = _list_drives(root, split, cameras)
         else:
-            raise DatasetError(f"KITTI depth has no split {split!r}; known: train, val, selection.")
+            self._frames = _list_drives(root, recipe.split, recipe.cameras)
 
     def __getitem__(self, index: int) -> Sample:
         frame = self._frames[index]
@@ -96,16 +87,10 @@ def _list_drives(root: Path, split: str, cameras: Sequence[int]) -> list[_Frame]
             side = f"image_{camera:02d}"
             truth = require_folder(drive / "proj_depth" / "groundtruth" / side, "ground truth")
             velodyne = drive / "proj_depth" / "velodyne_raw" / side
-            candidates = (drive / side / "data", root / "raw" / date / drive.name / side / "data")
-            images = next((path for path in candidates if path.is_dir()), None)
-            if images is None:
-                raise DatasetError(
-                    f"{candidates[0]}: no such folder, nor {candidates[1]}; expected the images "
-                    "of KITTI's raw data for this drive."
-                )
+            images = root / "raw" / date / drive.name / side / "data"
             names = sorted(path.name for path in truth.glob("*.png"))
             require_folder(velodyne, "LiDAR maps", files=names)
-            require_folder(images, "images", files=names)
+            require_folder(images, "images of the raw data", files=names)
             calibration = root / "raw" / date / "calib_cam_to_cam.txt"
             frames += [
                 _Frame(
@@ -124,15 +109,7 @@ def _list_drives(root: Path, split: str, cameras: Sequence[int]) -> list[_Frame]
 
 
 def _list_selection(root: Path) -> list[_Frame]:
-    below = "val_selection_cropped"
-    folder = next(
-        (path for path in (root / "depth_selection" / below, root / below) if path.is_dir()), None
-    )
-    if folder is None:
-        raise DatasetError(
-            f"{root / below}: no such folder, nor below depth_selection; expected KITTI's selected "
-            "validation set."
-        )
+    folder = require_folder(root / "val_selection_cropped", "KITTI's selected validation set")
     images = require_folder(folder / "image", "the selection's images")
     stems = sorted(path.stem for path in images.glob("*_image_0[23].png"))
     if not stems:

@@ -1,6 +1,6 @@
 """KITTI raw data (Geiger et al. 2013): synced drives whose LiDAR is projected here."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -17,7 +17,6 @@ from training.datasets.files import (
     dataset_errors,
     read_points,
     read_rgb,
-    require_complete,
     require_folder,
     require_size,
 )
@@ -37,7 +36,7 @@ class KittiRawRecipe(SourceRecipe):
     """Options of KITTI raw data in a recipe."""
 
     kind: Literal["kitti-raw"] = "kitti-raw"
-    #: All by default.
+    #: Names like "2011_09_26_drive_0001_sync"; all by default.
     drives: Names | None = None
     #: 2 = left, 3 = right.
     cameras: Annotated[tuple[Literal[2, 3], ...], Field(min_length=1, max_length=2)] = (2,)
@@ -46,9 +45,7 @@ class KittiRawRecipe(SourceRecipe):
 
     def open(self, folder: Path, classes: ClassTable) -> "KittiRaw":
         """See `SourceRecipe.open`; there are no classes."""
-        return KittiRaw(
-            folder, drives=self.drives, cameras=self.cameras, withhold_hidden=self.withhold_hidden
-        )
+        return KittiRaw(folder, self)
 
 
 class KittiRaw(FrameList):
@@ -58,38 +55,25 @@ class KittiRaw(FrameList):
     ``<date>/calib_cam_to_cam.txt`` and ``calib_velo_to_cam.txt``. The depth is every return in view
     (the nearest of those in one pixel), with its scan line; there are no classes.
 
-    Args:
-        root: the folder.
-        drives: names like "2011_09_26_drive_0001_sync"; None: all.
-        cameras: 2 = left, 3 = right.
-        withhold_hidden: leave out the returns that the camera cannot see behind nearer ones.
-
     Raises:
         DatasetError: for missing folders, frames without a scan, truncated scans, incomplete
             calibrations and images of another size than the calibration's.
     """
 
-    def __init__(
-        self,
-        root: Path | str,
-        *,
-        drives: Sequence[str] | None = None,
-        cameras: Sequence[int] = (2,),
-        withhold_hidden: bool = False,
-    ) -> None:
-        root = require_folder(Path(root), "dates of KITTI raw data, each with its drives")
-        self._withhold_hidden = withhold_hidden
+    def __init__(self, root: Path, recipe: KittiRawRecipe) -> None:
+        require_folder(root, "dates of KITTI raw data, each with its drives")
+        self._withhold_hidden = recipe.withhold_hidden
         self._frames: list[tuple[KittiRawSource, ListedFrame, str]] = []
         found = {path.name: path for path in sorted(root.glob("*/*_sync")) if path.is_dir()}
-        unknown = sorted(set(drives or ()) - set(found))
+        unknown = sorted(set(recipe.drives or ()) - set(found))
         if unknown or not found:
             raise DatasetError(
                 f"{root}: no drive {unknown[0] if unknown else '<date>/<date>_drive_*_sync'}; "
                 f"found {len(found)} drives."
             )
         for name, drive in found.items():
-            if drives is None or name in drives:
-                for camera in cameras:
+            if recipe.drives is None or name in recipe.drives:
+                for camera in recipe.cameras:
                     self._add(drive, camera)
 
     @dataset_errors()
@@ -97,7 +81,8 @@ class KittiRaw(FrameList):
         source = KittiRawSource(drive, camera=camera, calibration=drive.parent, max_skew_ms=None)
         without = _WITHOUT_SCAN.get(drive.name, frozenset())
         frames = [frame for frame in source.list_frames() if frame.name not in without]
-        require_complete(frames, drive / "velodyne_points" / "data")
+        scans = [f"{frame.name}.bin" for frame in frames]
+        require_folder(drive / "velodyne_points" / "data", "scans", files=scans)
         self._frames += [(source, frame, f"{drive.name}/{camera}/{frame.name}") for frame in frames]
 
     def __getitem__(self, index: int) -> Sample:

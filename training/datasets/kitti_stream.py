@@ -7,25 +7,28 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
-from runtime.errors import DatasetError
 from runtime.io.calibration import Calibration
 from training.datasets.cityscapes import TRAIN_LABELS
 from training.datasets.class_mapping import ClassTable, id_lookup
-from training.datasets.files import dataset_errors, read_gray, read_points, read_rgb, require_folder
+from training.datasets.files import (
+    dataset_errors,
+    list_images,
+    read_gray,
+    read_points,
+    read_rgb,
+    require_folder,
+)
 from training.datasets.sample import FrameList, Sample
-from training.datasets.source_recipe import SourceRecipe
+from training.datasets.source_recipe import RangeRecipe
 from training.lidar.scan import project_lines
-from training.limits import STRICT, Index, Share
+from training.limits import STRICT, Share
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class KittiStreamRecipe(SourceRecipe):
+class KittiStreamRecipe(RangeRecipe):
     """Options of a recorded KITTI stream in a recipe."""
 
     kind: Literal["kitti-stream"] = "kitti-stream"
-    #: First and last frame, inclusive.
-    first: Index = 0
-    last: Index | None = None
     #: Weight of the labels, which were made by a network.
     semantic_weight: Share = 1.0
 
@@ -36,17 +39,11 @@ class KittiStreamRecipe(SourceRecipe):
 
     def open(self, folder: Path, classes: ClassTable) -> "KittiStream":
         """See `SourceRecipe.open`."""
-        return KittiStream(
-            folder,
-            first=self.first,
-            last=self.last,
-            semantic_weight=self.semantic_weight,
-            classes=classes,
-        )
+        return KittiStream(folder, self, classes)
 
 
 class KittiStream(FrameList):
-    """Frames ``first`` .. ``last`` (inclusive) of a stream folder.
+    """Frames of a stream folder.
 
     It has ``image_02`` (PNG or JPEG), ``velodyne_fov``, ``calib_cam_to_cam.txt`` and
     ``calib_velo_to_cam.txt`` as in KITTI raw and, optionally, ``pseudo_semantic`` (Cityscapes
@@ -55,41 +52,21 @@ class KittiStream(FrameList):
     every return in view, with its scan line, so that some lines can be the input and the others the
     target.
 
-    Args:
-        root: the folder.
-        first: first frame.
-        last: last frame; None: the stream's last.
-        semantic_weight: weight of the labels in the loss.
-        classes: table of the class ids.
-
     Raises:
         DatasetError: for missing folders or files, and damaged ones.
     """
 
-    def __init__(
-        self,
-        root: Path | str,
-        *,
-        first: int = 0,
-        last: int | None = None,
-        semantic_weight: float = 1.0,
-        classes: ClassTable = "camvid",
-    ) -> None:
+    def __init__(self, root: Path, recipe: KittiStreamRecipe, classes: ClassTable) -> None:
         self._lookup = id_lookup("cityscapes", classes, TRAIN_LABELS)
-        self._root = Path(root)
+        self._root = root
         self._calibration = None  # one file per frame
         if not (self._root / "calib").is_dir():
-            images = require_folder(self._root / "image_02", "the stream's images")
             require_folder(self._root / "velodyne_fov", "the stream's .bin LiDAR returns")
             self._calibration = _read_calibration(self._root)
-        else:
-            images = require_folder(self._root / "image_2", "the object data's images")
         self._name = "kitti_object" if self._calibration is None else "kitti_stream"
-        found = sorted(path for path in images.iterdir() if path.suffix in {".jpg", ".png"})
-        self._frames = found[first : None if last is None else last + 1]
-        if not self._frames:
-            raise DatasetError(f"{images}: {len(found)} frames, none of them in {first}..{last}.")
-        self._semantic_weight = semantic_weight
+        images = root / ("image_2" if self._calibration is None else "image_02")
+        self._frames = recipe.take(list_images(images, "the recording's images"), images)
+        self._weights = {"semantic": recipe.semantic_weight}
 
     def __getitem__(self, index: int) -> Sample:
         path = self._frames[index]
@@ -111,7 +88,7 @@ class KittiStream(FrameList):
             intrinsics=camera.intrinsics,
             name=f"{self._name}/{path.stem}",
             scan_line=scan_line,
-            weights={"semantic": self._semantic_weight},
+            weights=self._weights,
         )
 
 

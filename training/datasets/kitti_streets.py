@@ -15,25 +15,31 @@ from runtime.io.kitti_calibration import NumbersFile
 from training.datasets.camvid import CamVidLabels
 from training.datasets.cityscapes import disparity_to_depth
 from training.datasets.class_mapping import ClassTable
-from training.datasets.files import dataset_errors, read_gray, read_points, read_rgb, require_folder
+from training.datasets.files import (
+    dataset_errors,
+    list_images,
+    read_gray,
+    read_points,
+    read_rgb,
+    require_folder,
+)
 from training.datasets.sample import IGNORE, FrameList, Sample
-from training.datasets.source_recipe import SourceRecipe
+from training.datasets.source_recipe import RangeRecipe
 from training.lidar.scan import project_lines
-from training.limits import STRICT, Index
+from training.limits import STRICT
 
 #: Validation frames by place: the first number of each, up to the next one.
 _PLACES = (70, 71, 72, 83, 84, 85, 88, 89, 99)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class KittiStreetsRecipe(SourceRecipe):
-    """Options of KITTI's streets in a recipe."""
+class KittiStreetsRecipe(RangeRecipe):
+    """Options of KITTI's streets in a recipe; ``first`` and ``last`` are numbers of frames.
+
+    Neighbours often show one place: validate on another block of numbers than the one trained on.
+    """
 
     kind: Literal["kitti-streets"] = "kitti-streets"
-    #: First and last number of the frames taken, inclusive. Neighbours often show one place:
-    #: validate on another block of numbers than the one trained on.
-    first: Index = 0
-    last: Index | None = None
 
     @property
     def label_table(self) -> ClassTable:
@@ -42,11 +48,11 @@ class KittiStreetsRecipe(SourceRecipe):
 
     def open(self, folder: Path, classes: ClassTable) -> "KittiStreets":
         """See `SourceRecipe.open`."""
-        return KittiStreets(folder, first=self.first, last=self.last, classes=classes)
+        return KittiStreets(folder, self, classes)
 
 
 class KittiStreets(FrameList):
-    """Frames numbered ``first`` .. ``last`` (inclusive) of ``root/image_02/<number>.jpg`` or .png.
+    """Frames ``root/image_02/<number>.jpg`` or .png.
 
     The input is the scan of the frame, ``velodyne_fov/<number>.bin``, with its scan lines. The
     target is ``disp_occ_0/<number>.png``: a stereo disparity of d = p / 256 px for a 16-bit pixel
@@ -56,43 +62,17 @@ class KittiStreets(FrameList):
     road, 1 = road, 255 = unknown, and ``semantic``, for some of them, with hand-made labels in
     CamVid's ids, 11 = unknown, which a table that they are not mapped to leaves unread.
 
-    Args:
-        root: the folder.
-        first: first number.
-        last: last number; None: the largest.
-        classes: table of the class ids.
-
     Raises:
         DatasetError: for missing folders, files or calibrations, no frame of these numbers, files
             of another kind or size, other values in a mask or in labels, and a folder of labels
             without any.
     """
 
-    def __init__(
-        self,
-        root: Path | str,
-        *,
-        first: int = 0,
-        last: int | None = None,
-        classes: ClassTable = "camvid",
-    ) -> None:
-        self._root = Path(root)
-        images = require_folder(self._root / "image_02", "the streets' images")
-        found = sorted(
-            path
-            for path in images.iterdir()
-            if path.suffix in {".jpg", ".png"} and path.stem.isdecimal()
-        )
-        self._frames = [
-            path
-            for path in found
-            if first <= int(path.stem) and (last is None or int(path.stem) <= last)
-        ]
-        if not self._frames:
-            raise DatasetError(
-                f"{images}: {len(found)} frames, none of them numbered {first} to "
-                f"{'the last' if last is None else last}. Correct `first` and `last`."
-            )
+    def __init__(self, root: Path, recipe: KittiStreetsRecipe, classes: ClassTable) -> None:
+        self._root = root
+        images = root / "image_02"
+        found = [p for p in list_images(images, "the streets' images") if p.stem.isdecimal()]
+        self._frames = recipe.take(found, images, lambda path: int(path.stem))
         self._has_masks = (self._root / "road_mask").is_dir()
         folders = {"velodyne_fov": ".bin", "disp_occ_0": ".png"}
         if self._has_masks:

@@ -1,15 +1,19 @@
 """Options of a data set in a recipe: the keys of every kind."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.contract import MAX_NAME_LENGTH
+from runtime.errors import DatasetError
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import SampleSource
-from training.limits import STRICT, FactorRange, Positive, Side
+from training.limits import STRICT, FactorRange, Index, Positive, Side
+
+T = TypeVar("T")
 
 SetName = Annotated[str, Field(min_length=1, max_length=MAX_NAME_LENGTH)]
 #: Names of scenes, variants or drives.
@@ -60,3 +64,33 @@ class SourceRecipe:
             DatasetError: if the folder does not have its layout.
         """
         raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class RangeRecipe(SourceRecipe):
+    """A set of which a range of frames may be taken."""
+
+    #: First and last frame, from 0, inclusive.
+    first: Index = 0
+    last: Index | None = None
+
+    def take(
+        self, frames: Sequence[T], folder: Path, number: Callable[[T], int] | None = None
+    ) -> list[T]:
+        """Return the frames of the range, by their place or by ``number``.
+
+        Raises:
+            DatasetError: if there is none.
+        """
+        last = float("inf") if self.last is None else self.last
+        taken = [
+            frame
+            for place, frame in enumerate(frames)
+            if self.first <= (number(frame) if number else place) <= last
+        ]
+        if not taken:
+            raise DatasetError(
+                f"{folder}: {len(frames)} images, none of them in {self.first}.."
+                f"{'' if self.last is None else self.last}. Correct `first` and `last`."
+            )
+        return taken

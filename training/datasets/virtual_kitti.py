@@ -3,43 +3,46 @@
 `ssdnet-render` writes its scenes in the layout of edition 2.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from runtime.checks import shown
 from runtime.errors import DatasetError
+from runtime.io.images import RGB_SUFFIXES
 from runtime.io.kitti_calibration import NumbersFile
-from runtime.sources.source import ListedFrame
-from training.datasets.class_mapping import ClassTable
+from runtime.read_input import read_text
+from training.datasets.class_mapping import ClassTable, class_ids
 from training.datasets.files import (
     dataset_errors,
+    read_depth,
     read_points,
     read_rgb,
-    require_complete,
     require_folder,
     require_size,
 )
 from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import Names, SourceRecipe
-from training.datasets.virtual_kitti_labels import ColorTable, read_classes, read_colors
 from training.datasets.virtual_kitti_split import (
     Selection,
     Split,
-    read_frame_list,
-    require_every_frame,
+    require_frames,
 )
-from training.datasets.virtual_kitti_variant import VirtualKittiVariant, read_depth
 from training.lidar.scan import project_lines
 from training.limits import STRICT
 
 _RGB_1, _DEPTH_1, _CLASSES_1 = (f"vkitti_1.3.1_{kind}" for kind in ("rgb", "depthgt", "scenegt"))
 #: Of every frame of edition 1.3.1, from the set's description.
 _INTRINSICS_1 = np.array([[725.0, 0.0, 620.5], [0.0, 725.0, 187.0], [0.0, 0.0, 1.0]])
+_UNITS_A_METRE = 100.0
+_SKY_M = np.float32(65535) / np.float32(_UNITS_A_METRE)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -49,17 +52,15 @@ class _SelectionRecipe(SourceRecipe):
     #: All by default, or those of the split.
     scenes: Names | None = None
     variants: Names | None = None
-    #: File below ``path`` that lists the frames, rows of "scene/variant/number".
-    frames: str | None = None
 
     @property
     def label_table(self) -> ClassTable:
         """See `SourceRecipe.label_table`."""
         return "virtual_kitti"
 
-    def select(self, folder: Path, split: Split = "all") -> Selection:
-        frames = None if self.frames is None else read_frame_list(folder / self.frames)
-        return Selection(split, self.scenes, self.variants, frames)
+    def select(self, split: Split = "all") -> Selection:
+        """Return which frames the keys choose."""
+        return Selection(split, self.scenes, self.variants)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -73,8 +74,8 @@ class VirtualKittiRecipe(_SelectionRecipe):
 
     def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti":
         """See `SourceRecipe.open`."""
-        selection = self.select(folder, self.split)
-        return VirtualKitti(folder, selection=selection, cameras=self.cameras, classes=classes)
+        selection = self.select(self.split)
+        return VirtualKitti(_list_second_edition(folder, selection, self.cameras), classes)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -88,8 +89,8 @@ class RenderedRecipe(_SelectionRecipe):
 
     def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti":
         """See `SourceRecipe.open`."""
-        selection = self.select(folder)
-        return VirtualKitti(folder, selection=selection, classes=classes, scans=self.scans)
+        frames = _list_second_edition(folder, self.select(), scans=self.scans)
+        return VirtualKitti(frames, classes)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -99,176 +100,215 @@ class VirtualKitti1Recipe(_SelectionRecipe):
     kind: Literal["virtual-kitti-1"] = "virtual-kitti-1"
     split: Split = "train"
 
-    def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti1":
+    def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti":
         """See `SourceRecipe.open`."""
-        return VirtualKitti1(folder, selection=self.select(folder, self.split), classes=classes)
+        return VirtualKitti(_list_first_edition(folder, self.select(self.split)), classes)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Frame:
+    """The files of a frame; ``scan`` is a rendered LiDAR's, with the matrix to the camera."""
+
+    name: str
+    rgb: Path
+    depth: Path
+    labels: Path
+    colors: Path
+    intrinsics: NDArray[np.float64]
+    scan: Path | None = None
+    to_camera: NDArray[np.float64] | None = None
 
 
 class VirtualKitti(FrameList):
-    """Frames of ``root/<scene>/<variant>/frames/{rgb,depth,classSegmentation}/Camera_<n>``.
-
-    Args:
-        root: the folder.
-        selection: which frames; None: all.
-        cameras: 0 = left, 1 = right.
-        classes: table of the class ids.
-        scans: whether the input is the rendered LiDAR's, ``frames/lidar/Camera_<n>`` and
-            ``calib.txt``, with its scan lines.
+    """Frames of either edition.
 
     Raises:
-        DatasetError: for missing folders, files without their partners, unknown colours and wrong
-            sizes.
+        DatasetError: for unreadable files, unknown colours and wrong sizes.
     """
 
-    def __init__(
-        self,
-        root: Path | str,
-        *,
-        selection: Selection | None = None,
-        cameras: Sequence[int] = (0,),
-        classes: ClassTable = "camvid",
-        scans: bool = False,
-    ) -> None:
-        root = require_folder(Path(root), "scenes in the Virtual KITTI 2 layout")
-        selection = selection or Selection()
-        self._scans = scans
-        #: From the LiDAR to the camera, of each variant.
-        self._extrinsics: dict[Path, NDArray[np.float64]] = {}
-        self._colors: dict[Path, ColorTable] = {}
-        self._frames: list[tuple[Path, int, VirtualKittiVariant, ListedFrame]] = []
-        variants = [variant for scene in _folders(root) for variant in _folders(scene)]
-        for variant in variants:
-            if selection.takes_variant(variant.parent.name, variant.name):
-                for camera in cameras:
-                    self._add(variant, camera, selection)
-                self._colors[variant] = read_colors(variant / "colors.txt", classes)
-        names = [f"{v.parent.name}/{v.name}/{listed.name}" for v, _, _, listed in self._frames]
-        there = [f"{variant.parent.name}/{variant.name}" for variant in variants]
-        require_every_frame(selection, names, there, root)
+    def __init__(self, frames: Sequence[_Frame], classes: ClassTable) -> None:
+        self._frames = frames
+        self._colors = {path: _read_colors(path, classes) for path in {f.colors for f in frames}}
 
-    @dataset_errors()
-    def _add(self, variant: Path, camera: int, selection: Selection) -> None:
-        reader = VirtualKittiVariant(variant, camera=camera)
-        frames = [
-            frame
-            for frame in reader.list_frames()
-            if frame.image is not None
-            and selection.takes(variant.parent.name, variant.name, frame.name)
-        ]
-        for frame in frames:
-            if int(frame.name) not in reader.calibrations:
-                raise DatasetError(
-                    f"{variant / 'intrinsic.txt'}: no row for frame {int(frame.name)} of camera "
-                    f"{camera}."
-                )
-        folder = f"Camera_{camera}"
-        require_complete(frames, variant / "frames" / "depth" / folder)
-        labels = variant / "frames" / "classSegmentation" / folder
-        files = [f"classgt_{frame.name}.png" for frame in frames]
-        require_folder(labels, "classgt_*.png", files=files)
-        if self._scans:
-            lidar = variant / "frames" / "lidar" / folder
-            files = [f"lidar_{frame.name}.bin" for frame in frames]
-            require_folder(lidar, "the LiDAR's scans, which ssdnet-render writes", files=files)
-            to_camera = NumbersFile(variant / "calib.txt").matrix("Tr_velo_to_cam", 3, 4)
-            self._extrinsics[variant] = np.vstack([to_camera, np.eye(4)[3]])
-        self._frames += [(variant, camera, reader, frame) for frame in frames]
-
-    @dataset_errors()
     def __getitem__(self, index: int) -> Sample:
-        variant, camera, reader, listed = self._frames[index]
-        rgb, depth = read_rgb(listed.image), read_depth(listed.depth)
+        frame = self._frames[index]
+        rgb = read_rgb(frame.rgb)
         size = (rgb.shape[0], rgb.shape[1])
-        require_size(listed.depth, depth.shape, size)
-        intrinsics = reader.calibrations[int(listed.name)].intrinsics
-        frames, folder = variant / "frames", f"Camera_{camera}"
+        depth = read_depth(frame.depth, size, depth_scale=_UNITS_A_METRE)
         sparse_depth = scan_line = None
-        if self._scans:
-            points = read_points(frames / "lidar" / folder / f"lidar_{listed.name}.bin")
-            sparse_depth, scan_line = project_lines(
-                points, intrinsics, self._extrinsics[variant], size
-            )
-        label = frames / "classSegmentation" / folder / f"classgt_{listed.name}.png"
-        name = f"{variant.parent.name}/{variant.name}/{listed.name}"
-        return Sample(
-            rgb=rgb,
-            targets={"depth": depth, "semantic": read_classes(label, self._colors[variant], size)},
-            sparse_depth=sparse_depth,
-            scan_line=scan_line,
-            intrinsics=intrinsics,
-            name=f"{name}/{camera}" if camera else name,
-        )
-
-
-class VirtualKitti1(FrameList):
-    """Frames of ``root/vkitti_1.3.1_{rgb,depthgt,scenegt}/<scene>/<variant>/<number>.png``.
-
-    Colours of the classes are listed in ``vkitti_1.3.1_scenegt/<scene>_<variant>_scenegt_rgb_
-    encoding.txt``.
-
-    Args:
-        root: the folder.
-        selection: which frames (scenes are called "0001" here); None: all.
-        classes: table of the class ids.
-
-    Raises:
-        DatasetError: for missing folders, files without their partners, unknown colours and wrong
-            sizes.
-    """
-
-    def __init__(
-        self,
-        root: Path | str,
-        *,
-        selection: Selection | None = None,
-        classes: ClassTable = "camvid",
-    ) -> None:
-        self._root = Path(root)
-        selection = selection or Selection()
-        images = require_folder(self._root / _RGB_1, "Virtual KITTI 1.3.1's images")
-        require_folder(self._root / _DEPTH_1, "its depth maps")
-        labels = require_folder(self._root / _CLASSES_1, "its class images")
-        self._frames: list[tuple[str, str, str]] = []
-        self._colors: dict[tuple[str, str], ColorTable] = {}
-        folders = sorted(path for path in images.glob("*/*") if path.is_dir())
-        for folder in folders:
-            scene, variant = folder.parent.name, folder.name
-            if not selection.takes_variant(scene, variant):
-                continue
-            numbers = [
-                number
-                for number in sorted(path.stem for path in folder.glob("*.png"))
-                if selection.takes(scene, variant, number)
-            ]
-            for kind in (_DEPTH_1, _CLASSES_1):
-                other, files = self._root / kind / scene / variant, [f"{n}.png" for n in numbers]
-                require_folder(other, f"{kind}'s frames", files=files)
-            colors = labels / f"{scene}_{variant}_scenegt_rgb_encoding.txt"
-            self._colors[scene, variant] = read_colors(colors, classes)
-            self._frames += [(scene, variant, number) for number in numbers]
-        names = ["/".join(frame) for frame in self._frames]
-        there = [f"{folder.parent.name}/{folder.name}" for folder in folders]
-        require_every_frame(selection, names, there, images)
-
-    @dataset_errors()
-    def __getitem__(self, index: int) -> Sample:
-        scene, variant, number = self._frames[index]
-        file = Path(scene) / variant / f"{number}.png"
-        rgb, depth = read_rgb(self._root / _RGB_1 / file), read_depth(self._root / _DEPTH_1 / file)
-        size = (rgb.shape[0], rgb.shape[1])
-        require_size(self._root / _DEPTH_1 / file, depth.shape, size)
-        colors = self._colors[scene, variant]
+        if frame.scan is not None and frame.to_camera is not None:
+            points = read_points(frame.scan)
+            sparse_depth, scan_line = project_lines(points, frame.intrinsics, frame.to_camera, size)
         return Sample(
             rgb=rgb,
             targets={
-                "depth": depth,
-                "semantic": read_classes(self._root / _CLASSES_1 / file, colors, size),
+                "depth": np.where(depth < _SKY_M, depth, np.float32(0)),
+                "semantic": _read_classes(frame.labels, self._colors[frame.colors], size),
             },
-            intrinsics=_INTRINSICS_1,
-            name=f"{scene}/{variant}/{number}",
+            sparse_depth=sparse_depth,
+            scan_line=scan_line,
+            intrinsics=frame.intrinsics,
+            name=frame.name,
         )
+
+
+@dataset_errors()
+def _list_second_edition(
+    root: Path, selection: Selection, cameras: Sequence[int] = (0,), *, scans: bool = False
+) -> list[_Frame]:
+    """List ``root/<scene>/<variant>/frames/{rgb,depth,classSegmentation}/Camera_<n>``.
+
+    With ``scans`` also ``frames/lidar/Camera_<n>`` and ``calib.txt``, which ssdnet-render writes.
+    """
+    require_folder(root, "scenes in the Virtual KITTI 2 layout")
+    frames: list[_Frame] = []
+    variants = [variant for scene in _folders(root) for variant in _folders(scene)]
+    for variant in variants:
+        scene = variant.parent.name
+        for camera in cameras if selection.takes_variant(scene, variant.name) else ():
+            folders = {
+                kind: variant / "frames" / kind / f"Camera_{camera}"
+                for kind in ("rgb", "depth", "classSegmentation", "lidar")
+            }
+            images = {
+                path.stem.removeprefix("rgb_"): path
+                for path in sorted(require_folder(folders["rgb"], "the images").glob("rgb_*"))
+                if path.name.lower().endswith(RGB_SUFFIXES)
+            }
+            numbers = [n for n in images if selection.takes(scene, n)]
+            parts = {"depth": "depth_{}.png", "classSegmentation": "classgt_{}.png"}
+            if scans:
+                parts["lidar"] = "lidar_{}.bin"
+                to_camera = NumbersFile(variant / "calib.txt").matrix("Tr_velo_to_cam", 3, 4)
+                to_camera = np.vstack([to_camera, np.eye(4)[3]])
+            for kind, name in parts.items():
+                require_folder(folders[kind], name, files=[name.format(n) for n in numbers])
+            intrinsics = _read_intrinsics(variant / "intrinsic.txt", camera)
+            for number in numbers:
+                if int(number) not in intrinsics:
+                    raise DatasetError(
+                        f"{variant / 'intrinsic.txt'}: no row 'frame cameraID fx fy cx cy' of "
+                        f"frame {int(number)}, camera {camera}. Restore the file."
+                    )
+                frames.append(
+                    _Frame(
+                        f"{scene}/{variant.name}/{number}" + (f"/{camera}" if camera else ""),
+                        images[number],
+                        folders["depth"] / f"depth_{number}.png",
+                        folders["classSegmentation"] / f"classgt_{number}.png",
+                        variant / "colors.txt",
+                        intrinsics[int(number)],
+                        folders["lidar"] / f"lidar_{number}.bin" if scans else None,
+                        to_camera if scans else None,
+                    )
+                )
+    require_frames(selection, frames, variants, root)
+    return frames
+
+
+@dataset_errors()
+def _list_first_edition(root: Path, selection: Selection) -> list[_Frame]:
+    """List ``root/vkitti_1.3.1_{rgb,depthgt,scenegt}/<scene>/<variant>/<number>.png``.
+
+    Colours are in ``vkitti_1.3.1_scenegt/<scene>_<variant>_scenegt_rgb_encoding.txt``; scenes are
+    called "0001".
+    """
+    for kind in (_RGB_1, _DEPTH_1, _CLASSES_1):
+        require_folder(root / kind, "a folder of Virtual KITTI 1.3.1")
+    frames: list[_Frame] = []
+    variants = sorted(path for path in (root / _RGB_1).glob("*/*") if path.is_dir())
+    for variant in variants:
+        scene = variant.parent.name
+        if not selection.takes_variant(scene, variant.name):
+            continue
+        numbers = sorted(path.stem for path in variant.glob("*.png"))
+        numbers = [n for n in numbers if selection.takes(scene, n)]
+        depth, labels = (root / kind / scene / variant.name for kind in (_DEPTH_1, _CLASSES_1))
+        for folder in (depth, labels):
+            require_folder(folder, "its frames", files=[f"{n}.png" for n in numbers])
+        colors = root / _CLASSES_1 / f"{scene}_{variant.name}_scenegt_rgb_encoding.txt"
+        for number in numbers:
+            name = f"{scene}/{variant.name}/{number}"
+            rgb, *others = (folder / f"{number}.png" for folder in (variant, depth, labels))
+            frames.append(_Frame(name, rgb, others[0], others[1], colors, _INTRINSICS_1))
+    require_frames(selection, frames, variants, root / _RGB_1)
+    return frames
 
 
 def _folders(path: Path) -> list[Path]:
     """Sorted folders, without hidden folders, which are still being rendered."""
     return sorted(p for p in path.iterdir() if p.is_dir() and not p.name.startswith("."))
+
+
+def _read_intrinsics(path: Path, camera: int) -> dict[int, NDArray[np.float64]]:
+    """Frame -> K, from rows 'frame cameraID fx fy cx cy' under a header."""
+    intrinsics: dict[int, NDArray[np.float64]] = {}
+    for row in filter(None, map(str.split, read_text(path).splitlines()[1:])):
+        try:
+            number, row_camera = int(row[0]), int(row[1])
+            fx, fy, cx, cy = map(float, row[2:])
+        except (IndexError, ValueError) as error:
+            raise DatasetError(
+                f"{path}: {shown(' '.join(row))} is not 'frame cameraID fx fy cx cy'. Restore the "
+                "file."
+            ) from error
+        if row_camera == camera:
+            intrinsics[number] = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
+    return intrinsics
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Colors:
+    """Colours of a file, int32 (n,), ascending, r << 16 | g << 8 | b, and their ids, uint8 (n,)."""
+
+    path: Path
+    colors: NDArray[np.int32]
+    ids: NDArray[np.uint8]
+
+
+@dataset_errors()
+def _read_colors(path: Path, classes: ClassTable) -> _Colors:
+    """Read the colours of a file and their ids in a class table.
+
+    Rows are 'Category r g b', as in Virtual KITTI 2, or 'Category:instance r g b', as in 1.3.1.
+    """
+    known = class_ids("virtual_kitti", classes)
+    found: dict[int, int] = {}
+    for row in filter(None, map(str.split, read_text(path).splitlines()[1:])):
+        name = row[0].split(":")[0]
+        if name not in known:
+            raise DatasetError(f"{path}: unknown category {name!r}; known: {', '.join(known)}.")
+        try:
+            red, green, blue = (int(value) for value in row[-3:])
+            color = int.from_bytes((red, green, blue), "big")
+        except ValueError as error:
+            raise DatasetError(f"{path}: {' '.join(row)!r} is not 'Category r g b'.") from error
+        found[color] = known[name]
+    if not found:
+        raise DatasetError(f"{path}: no rows under its header.")
+    colors = sorted(found)
+    ids = np.array([found[color] for color in colors], dtype=np.uint8)
+    return _Colors(path, np.array(colors, dtype=np.int32), ids)
+
+
+def _read_classes(path: Path, table: _Colors, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Class ids uint8 (H, W) of a colour image; an unlisted colour is a DatasetError."""
+    label = read_rgb(path)
+    require_size(path, label.shape, size)
+    # Bytes blue, green, red and 0: r << 16 | g << 8 | b as a little-endian integer.
+    packed = cv2.cvtColor(label, cv2.COLOR_RGB2BGRA)
+    packed[..., 3] = 0
+    color = packed.view("<i4").ravel()
+    # Neighbouring pixels mostly have one colour: look up each run of equal pixels once.
+    starts = np.flatnonzero(np.diff(color, prepend=-1))
+    run = color[starts]
+    index = np.searchsorted(table.colors, run).clip(max=len(table.colors) - 1)
+    unlisted = table.colors[index] != run
+    if unlisted.any():
+        red, green, blue = label.reshape(-1, 3)[starts[unlisted][0]]
+        raise DatasetError(
+            f"{path}: colour ({red}, {green}, {blue}) is not in {table.path.name}. "
+            "Restore the original file (JPEG compression changes colours)."
+        )
+    ids: NDArray[np.uint8] = np.repeat(table.ids[index], np.diff(starts, append=color.size))
+    return ids.reshape(size)

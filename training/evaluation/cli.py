@@ -61,9 +61,6 @@ def evaluate(
         bool, typer.Option("--all", help="Print all metrics instead of the main ones.")
     ] = False,
     json: Annotated[Path | None, typer.Option(help="Write all metrics to this file.")] = None,
-    plot: Annotated[
-        Path | None, typer.Option(help="Plot accuracy over LiDAR density to this file (PNG).")
-    ] = None,
     save: Annotated[
         Path | None,
         typer.Option(
@@ -84,7 +81,6 @@ def evaluate(
         from training.evaluation.evaluate import evaluate as run
         from training.evaluation.score_report import (
             check_output,
-            draw_lidar_quality,
             format_table,
             write_json,
         )
@@ -93,8 +89,6 @@ def evaluate(
 
         if json is not None:
             check_output(json, "--json")
-        if plot is not None:
-            check_output(plot, "--plot", suffix=".png")
         folder = None if save is None else DepthFolder(save, overwrite)
         if folder is not None:
             folder.require_free()
@@ -115,8 +109,6 @@ def evaluate(
             typer.echo(format_table(rows, all_columns=all_columns))
             if json is not None:
                 write_json(rows, json)
-            if plot is not None:
-                draw_lidar_quality(rows, plot)
 
 
 def _parse_faults(text: str) -> list[Any]:

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.metrics import Accumulator, Errors, ErrorSums, require_same_shape, scored
+from training.evaluation.metrics import Accumulator, Errors, ErrorSums, scored
 
 RETURN_REACH_PX = 12
 EDGE_REACH_PX = 3
@@ -63,11 +63,7 @@ class DepthRegionScores(Accumulator):
             prediction: float (H, W) [m].
             depth: the true depth, float (H, W) [m]; 0, negative or not finite = unknown.
             fed: the depth that was fed, float (H, W) [m]; 0 = no return.
-
-        Raises:
-            ValueError: if the shapes differ.
         """
-        require_same_shape(prediction=prediction, depth=depth, fed=fed)
         known = scored(depth)
         error = np.abs(prediction[known].astype(np.float64) - depth[known])
         to_return_px = distance_px(fed > 0)

@@ -24,20 +24,23 @@ FARTHEST_M = 100.0
 RANGES_M = ((0.0, 20.0), (0.0, 50.0), (0.0, 10.0), (10.0, 20.0), (20.0, 40.0), (40.0, 100.0))
 #: Bins of the errors' histogram, equal in the logarithm [m]: neighbours differ by 0.3 %.
 _ERROR_BINS_M = np.geomspace(1e-3, 1e3, 4097)
+#: The boundary's F-score is reported at the best of these thresholds over the whole set.
+BOUNDARY_THRESHOLDS = tuple(threshold / 20 for threshold in range(6, 20))
+#: Largest distance between predicted and true boundary pixels that match, and the pixels within it.
+TOLERANCE_PX = 2
+_REACH = np.arange(-TOLERANCE_PX, TOLERANCE_PX + 1)
+_DISK = (_REACH[:, None] ** 2 + _REACH[None, :] ** 2 <= TOLERANCE_PX**2).astype(np.uint8)
 #: Smaller predictions are clipped to this value before depth is inverted [m].
 _NEAREST_M = 0.1
 
 
 class Accumulator:
-    """Sums over frames. Array attributes are sums; other attributes are settings."""
+    """Sums over frames: arrays, and accumulators by name or in a dictionary."""
 
     def merge(self, other: Self) -> None:
-        """Add another's sums. Raises ValueError for other settings."""
-        pairs = [(name, ours, vars(other)[name]) for name, ours in vars(self).items()]
-        for name, ours, theirs in pairs:
-            if not isinstance(ours, np.ndarray | Accumulator | dict) and ours != theirs:
-                raise ValueError(f"cannot merge scores of another {name}: {ours} and {theirs}")
-        for _, ours, theirs in pairs:
+        """Add another's sums."""
+        for name, ours in vars(self).items():
+            theirs = vars(other)[name]
             match ours:
                 case np.ndarray():
                     ours += theirs
@@ -85,18 +88,8 @@ class SemanticScores(Accumulator):
         Args:
             prediction: class ids of any integer type (H, W).
             semantic: the labels, class ids (H, W); 255 = ignore.
-
-        Raises:
-            ValueError: if the shapes differ or an id is not a class.
         """
-        require_same_shape(prediction=prediction, semantic=semantic)
         known = semantic != IGNORE
-        for name, ids in (("prediction", prediction[known]), ("semantic", semantic[known])):
-            if ids.size and not (ids.min() >= 0 and ids.max() < self.num_classes):
-                raise ValueError(
-                    f"{name} holds class ids {ids.min()}..{ids.max()}, expected 0.."
-                    f"{self.num_classes - 1}"
-                )
         counts = multiclass_confusion_matrix(
             torch.from_numpy(prediction[known].astype(np.int64)),
             torch.from_numpy(semantic[known].astype(np.int64)),
@@ -168,20 +161,10 @@ class RoadScores(Accumulator):
         Args:
             prediction: class ids (H, W).
             road_mask: (H, W), 0 = not road, 1 = road, anything else = unknown.
-
-        Raises:
-            ValueError: if the shapes differ or an id is not a class.
         """
-        require_same_shape(prediction=prediction, road_mask=road_mask)
         for row, value in enumerate((self.NO_ROAD, self.ROAD)):
             ids = prediction[road_mask == value].astype(np.int64)
-            counted = np.bincount(ids, minlength=self.num_classes)
-            if len(counted) > self.num_classes:
-                raise ValueError(
-                    f"prediction holds the class id {len(counted) - 1}, expected 0.."
-                    f"{self.num_classes - 1}"
-                )
-            self.counts[row] += counted
+            self.counts[row] += np.bincount(ids, minlength=self.num_classes)
 
     def compute(self, road: int) -> float:
         """Return the IoU of the class `road`, 0..1; NaN without any pixel of either."""
@@ -260,10 +243,9 @@ class DepthScores(Accumulator):
     is beyond `FARTHEST_M` are not scored.
     """
 
-    def __init__(self, ranges_m: Sequence[tuple[float, float]] = RANGES_M) -> None:
-        self.ranges_m = tuple(ranges_m)
+    def __init__(self) -> None:
         self._metres, self._per_km, self._median = ErrorSums(), ErrorSums(), ErrorMedian()
-        self._ranges = {item: ErrorSums() for item in self.ranges_m}
+        self._ranges = {item: ErrorSums() for item in RANGES_M}
 
     def update(self, prediction: NDArray[np.floating], depth: NDArray[np.floating]) -> None:
         """Count a frame.
@@ -272,20 +254,10 @@ class DepthScores(Accumulator):
             prediction: float (H, W) [m]; 0, "no answer", is scored as a depth. Where depth is
                 inverted, below 0.1 m counts as 0.1 m.
             depth: the true depth, float (H, W) [m]; 0, negative or not finite = unknown.
-
-        Raises:
-            ValueError: if the shapes differ, or a prediction is not finite where the true depth is
-                known.
         """
-        require_same_shape(prediction=prediction, depth=depth)
         known = scored(depth)
         truth = depth[known].astype(np.float64)
         answer = prediction[known].astype(np.float64)
-        if not np.isfinite(answer).all():
-            raise ValueError(
-                f"{int((~np.isfinite(answer)).sum())} of {answer.size} predicted depths are NaN or "
-                "infinite where there is ground truth; expected metres"
-            )
         error = answer - truth
         self._metres.add(error)
         self._median.add(error)
@@ -329,13 +301,7 @@ class DisparityScores(ErrorSums):
             prediction: float (H, W) [m]; below 0.1 m counts as 0.1 m.
             depth: the true depth, float (H, W) [m]; 0 = unknown.
             focal_baseline_px_m: focal length times baseline [px m].
-
-        Raises:
-            ValueError: if the shapes differ or the focal length times baseline is not positive.
         """
-        require_same_shape(prediction=prediction, depth=depth)
-        if not focal_baseline_px_m > 0:
-            raise ValueError(f"focal_baseline_px_m must be positive, not {focal_baseline_px_m}")
         known = scored(depth)
         answer = np.maximum(prediction[known].astype(np.float64), _NEAREST_M)
         self.add(focal_baseline_px_m * (1 / answer - 1 / depth[known].astype(np.float64)))
@@ -346,17 +312,15 @@ class BoundaryScores(Accumulator):
 
     Predicted boundary is where the probability exceeds a threshold; true boundary where the label
     changes, see `training.losses.boundary.boundary_target`. A predicted pixel is right if a true
-    pixel lies within `tolerance_px` of it (Euclidean), and the reverse is a found pixel; that is
+    pixel lies within `TOLERANCE_PX` of it (Euclidean), and the reverse is a found pixel; that is
     dilation, not one-to-one matching. Predictions are not thinned: a line that is thick, but within
     the tolerance of the truth, is right. Pixels whose truth is unknown are left out. Of several
     thresholds `compute` takes that of the best F-score over the whole set (ODS).
     """
 
-    def __init__(self, thresholds: Sequence[float] = (0.5,), *, tolerance_px: int = 2) -> None:
-        self.thresholds = tuple(thresholds)
-        self.tolerance_px = tolerance_px
+    def __init__(self) -> None:
         # A row a threshold: predicted, right, true, found pixels.
-        self._counts = np.zeros((len(self.thresholds), 4), dtype=np.int64)
+        self._counts = np.zeros((len(BOUNDARY_THRESHOLDS), 4), dtype=np.int64)
 
     def update(self, probability: NDArray[np.floating], semantic: NDArray[np.integer]) -> None:
         """Count a frame.
@@ -364,22 +328,19 @@ class BoundaryScores(Accumulator):
         Args:
             probability: of a boundary, float (H, W), 0..1.
             semantic: the labels, class ids (H, W); 255 = ignore.
-
-        Raises:
-            ValueError: if the shapes differ.
         """
-        require_same_shape(probability=probability, semantic=semantic)
         target, valid = boundary_target(torch.from_numpy(semantic.astype(np.int64))[None])
         known = valid[0, 0].numpy()
         true = target[0, 0].numpy() & known
-        near_true = self._dilate(true)
-        for row, threshold in enumerate(self.thresholds):
+        near_true = cv2.dilate(true.astype(np.uint8), _DISK) > 0
+        for row, threshold in enumerate(BOUNDARY_THRESHOLDS):
             predicted = (probability > threshold) & known
+            near = cv2.dilate(predicted.astype(np.uint8), _DISK) > 0
             self._counts[row] += (
                 np.count_nonzero(predicted),
                 np.count_nonzero(predicted & near_true),
                 np.count_nonzero(true),
-                np.count_nonzero(true & self._dilate(predicted)),
+                np.count_nonzero(true & near),
             )
 
     def compute(self, threshold: float | None = None) -> BoundaryMetrics:
@@ -389,14 +350,14 @@ class BoundaryScores(Accumulator):
         F-score is then 0, or NaN if both are missing.
         """
         if threshold is not None:
-            return self._metrics()[self.thresholds.index(threshold)]
+            return self._metrics()[BOUNDARY_THRESHOLDS.index(threshold)]
         return max(self._metrics(), key=lambda item: item.f_score)
 
     def _metrics(self) -> list[BoundaryMetrics]:
         """Return the metrics at each threshold."""
         metrics = []
         for threshold, (predicted, right, true, found) in zip(
-            self.thresholds, self._counts.tolist(), strict=True
+            BOUNDARY_THRESHOLDS, self._counts.tolist(), strict=True
         ):
             precision = right / predicted if predicted else float("nan")
             recall = found / true if true else float("nan")
@@ -405,11 +366,6 @@ class BoundaryScores(Accumulator):
                 f_score = float("nan")
             metrics.append(BoundaryMetrics(threshold, precision, recall, f_score))
         return metrics
-
-    def _dilate(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        reach = np.arange(-self.tolerance_px, self.tolerance_px + 1)
-        disk = (reach[:, None] ** 2 + reach[None, :] ** 2 <= self.tolerance_px**2).astype(np.uint8)
-        return cv2.dilate(mask.astype(np.uint8), disk) > 0
 
 
 def scored(depth: NDArray[np.floating]) -> NDArray[np.bool_]:
@@ -425,11 +381,3 @@ def _ratio(numerator: Any, denominator: Any) -> NDArray[np.float64]:
 
 def _mean(values: NDArray[np.float64]) -> float:
     return float(values.mean()) if values.size else float("nan")
-
-
-def require_same_shape(**arrays: NDArray[np.generic]) -> None:
-    """Raise a ValueError that names the arrays if their shapes differ."""
-    shapes = {name: array.shape for name, array in arrays.items()}
-    if len(set(shapes.values())) > 1:
-        text = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
-        raise ValueError(f"shapes differ: {text}; expected one (height, width)")

@@ -12,10 +12,10 @@ from models import Network
 from runtime.drawing.color_scale import NO_VALUE_COLOR
 from runtime.drawing.overlay import Overlay
 from runtime.drawing.picture_text import write_text
-from training.batch import Batch
 from training.datasets.sample import IGNORE, SampleSource, target_kind
 from training.evaluation.scoring import HeadMaps, Predict, split_frames
 from training.lidar.split import LidarInput
+from training.loading.mixture import Batch
 
 #: Largest width of a panel of a validation [px]: a long run has hundreds of them.
 _WIDEST = 320

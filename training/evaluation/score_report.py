@@ -1,4 +1,4 @@
-"""Evaluation rows as a table, JSON and a plot."""
+"""Evaluation rows as a table and JSON."""
 
 import json
 import math
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from runtime.errors import OutputError
-from runtime.io.atomic_write import atomic_file, atomic_write, require_writable
+from runtime.io.atomic_write import atomic_write, require_writable
 from training.evaluation.depth_regions import REGIONS, RETURN_DISTANCES
 from training.evaluation.metrics import RANGES_M
 
@@ -64,13 +64,8 @@ _COLUMNS = (
     ("boundary_recall", "boundary R %", 100.0),
     ("boundary_f", "boundary F %", 100.0),
 )
-_PLOTTED = (("miou", "mIoU [%]", 100.0), ("mae_m", "MAE [m]", 1.0), ("rmse_m", "RMSE [m]", 1.0))
-
 #: Head -> a figure of every set with its ground truth, and the key of that truth in `folders`.
 _TRUTH = {"semantic": ("miou", "labels"), "depth": ("mae_m", "depth")}
-
-_MARKERS = "os^Dv*"
-_LINE_STYLES = ("-", "--", ":", "-.")
 
 
 @dataclass(frozen=True)
@@ -155,10 +150,8 @@ def format_table(rows: Sequence[Row], *, all_columns: bool = False) -> str:
     return "\n".join([*table, *notes])
 
 
-def check_output(path: Path, option: str, *, suffix: str = "") -> None:
+def check_output(path: Path, option: str) -> None:
     """Raise an OutputError for a path that cannot be written, before any work is done."""
-    if not path.name.endswith(suffix):
-        raise OutputError(f"{path}: {option} writes a {suffix} file; give a path with that suffix")
     if not path.parent.is_dir():
         raise OutputError(f"{path}: there is no folder {path.parent}; make it, for {option}")
     require_writable(path)
@@ -179,61 +172,3 @@ def _without_nan(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _without_nan(item) for key, item in value.items()}
     return None if isinstance(value, float) and math.isnan(value) else value
-
-
-def draw_lidar_quality(rows: Sequence[Row], path: Path) -> None:
-    """Draw accuracy against the LiDAR as a PNG, one line per model, set and fault.
-
-    Colours are models, markers sets and dashes faults, the same in every panel.
-
-    Raises:
-        OutputError: if the file cannot be written.
-    """
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    plotted = [item for item in _PLOTTED if any(item[0] in row.figures for row in rows)]
-    lines: dict[tuple[str, str, str, str], list[Row]] = {}
-    for row in rows:
-        lines.setdefault((row.model, row.engine, row.data, row.fault), []).append(row)
-    models = list(dict.fromkeys((row.model, row.engine) for row in rows))
-    lidars, sets, faults = (
-        list(dict.fromkeys(getattr(row, key) for row in rows)) for key in ("lidar", "data", "fault")
-    )
-    shown: dict[str, Any] = {}
-    figure, panels = plt.subplots(
-        1, max(1, len(plotted)), figsize=(5 * max(1, len(plotted)), 4), squeeze=False
-    )
-    for panel, (key, title, factor) in zip(panels[0], plotted, strict=False):
-        for (model, engine, data, fault), drawn in lines.items():
-            points = [
-                (lidars.index(row.lidar), row.figures[key] * factor)
-                for row in drawn
-                if key in row.figures
-            ]
-            label = f"{model} ({engine}), {data}" + (f", {fault}" if fault != "none" else "")
-            if points:
-                (line,) = panel.plot(
-                    *zip(*points, strict=True),
-                    label=label,
-                    color=f"C{models.index((model, engine)) % 10}",
-                    marker=_MARKERS[sets.index(data) % len(_MARKERS)],
-                    linestyle=_LINE_STYLES[faults.index(fault) % len(_LINE_STYLES)],
-                )
-                shown.setdefault(label, line)
-        panel.set_xticks(range(len(lidars)), lidars)
-        panel.set_xlabel("LiDAR: lines, random share, none")
-        panel.set_title(title)
-        panel.grid(alpha=0.3)
-        panel.set_ylim(bottom=0)
-    figure.tight_layout()
-    figure.legend(
-        list(shown.values()), list(shown), fontsize=7, loc="upper left", bbox_to_anchor=(1, 1)
-    )
-    try:
-        with atomic_file(path) as file:
-            figure.savefig(file, format="png", dpi=110, bbox_inches="tight")
-    finally:
-        plt.close(figure)

@@ -31,9 +31,6 @@ from training.evaluation.metrics import (
 from training.evaluation.uncertainty import UncertaintyScores
 from training.lidar.split import LidarInput, LidarSplit, frame_generator, split_lidar
 
-#: The boundary's F-score is reported at the best of these thresholds over the whole set.
-BOUNDARY_THRESHOLDS = tuple(threshold / 20 for threshold in range(6, 20))
-
 
 class HeadMaps(NamedTuple):
     """The maps of the heads for one frame; a head that the predictor lacks is None.
@@ -111,7 +108,7 @@ class Scores:
         self.heads: set[str] = set()  # heads that were answered
         self.semantic = SemanticScores(num_classes + 1)
         self.depth = DepthScores()
-        self.boundary = BoundaryScores(BOUNDARY_THRESHOLDS)
+        self.boundary = BoundaryScores()
         self.disparity = DisparityScores()
         self.regions = DepthRegionScores()
         self.uncertainty = UncertaintyScores()

@@ -1,15 +1,18 @@
 """How well an uncertainty of depth ranks the errors, and how well it covers them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.metrics import Accumulator, require_same_shape, scored
+from training.evaluation.metrics import Accumulator, scored
 
 #: Shares of a Laplace distribution within one and two of its scales b: 1 - exp(-1), 1 - exp(-2).
 LAPLACE_COVERAGE = (0.632, 0.865)
+
+#: Shares of the pixels, the most confident, whose error is reported.
+SHARES = (0.5, 0.8, 1.0)
 
 # Bins of the uncertainty, equal in its logarithm: neighbours differ by 0.3 %.
 _LOWEST_M, _HIGHEST_M, _BINS = 1e-3, 1e3, 4096
@@ -40,8 +43,7 @@ class UncertaintyScores(Accumulator):
     the bin in which a share ends, a part is taken, as if its pixels had equal errors.
     """
 
-    def __init__(self, shares: Sequence[float] = (0.5, 0.8, 1.0)) -> None:
-        self.shares = tuple(shares)
+    def __init__(self) -> None:
         # Columns: pixels, sum |e|.
         self._bins = np.zeros((_BINS, 2))
         self._within = np.zeros(2)  # pixels whose error is at most one and two scales
@@ -58,20 +60,9 @@ class UncertaintyScores(Accumulator):
             uncertainty: scale of a Laplace distribution around the prediction, float (H, W) [m].
             prediction: float (H, W) [m].
             depth: the true depth, float (H, W) [m]; 0, negative or not finite = unknown.
-
-        Raises:
-            ValueError: if the shapes differ, or an uncertainty is negative or not finite where the
-                true depth is known.
         """
-        require_same_shape(uncertainty=uncertainty, prediction=prediction, depth=depth)
         known = scored(depth)
         scale = uncertainty[known].astype(np.float64)
-        bad = ~(np.isfinite(scale) & (scale >= 0))
-        if bad.any():
-            raise ValueError(
-                f"{int(bad.sum())} of {scale.size} uncertainties are negative, NaN or infinite "
-                "where there is ground truth; expected metres"
-            )
         error = np.abs(prediction[known].astype(np.float64) - depth[known])
         place = np.log(np.clip(scale, _LOWEST_M, _HIGHEST_M) / _LOWEST_M)
         index = (place / np.log(_HIGHEST_M / _LOWEST_M) * (_BINS - 1)).astype(np.intp)
@@ -84,10 +75,10 @@ class UncertaintyScores(Accumulator):
         pixels = float(self._bins[:, 0].sum())
         if not pixels:
             nan = float("nan")
-            return UncertaintyMetrics(0, dict.fromkeys(self.shares, nan), nan, nan)
+            return UncertaintyMetrics(0, dict.fromkeys(SHARES, nan), nan, nan)
         counts, errors = np.vstack([np.zeros(2), self._bins.cumsum(axis=0)]).T
         confident = {
             share: float(np.interp(share * pixels, counts, errors) / (share * pixels))
-            for share in self.shares
+            for share in SHARES
         }
         return UncertaintyMetrics(int(pixels), confident, *(self._within / pixels).tolist())

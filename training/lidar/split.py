@@ -1,4 +1,4 @@
-"""Splits the depth of a frame into LiDAR input and target: one rule for training and evaluation.
+"""The LiDAR input of a frame: simulated, or a part of what was recorded; the rest is the target.
 
 Training and evaluation split a frame by the same function, `split_lidar`.
 """
@@ -13,9 +13,134 @@ from numpy.typing import NDArray
 from runtime.errors import InputError
 from runtime.projection import OcclusionFilter
 from training.datasets.sample import Sample, nothing_known
-from training.lidar.simulate import SENSOR_LINES, is_kept, random_share, scan_lines
 
 Depth = NDArray[np.float32]
+
+#: Elevations of the 64 beams of a Velodyne HDL-64E (deg, highest first): an upper block a third
+#: of a degree apart and a lower block half a degree apart (data sheet; Geiger et al. 2013).
+HDL64_ELEVATIONS_DEG: NDArray[np.float64] = np.concatenate(
+    [2.0 - np.arange(32) / 3.0, -8.83 - np.arange(32) / 2.0]
+)
+
+SENSOR_LINES = len(HDL64_ELEVATIONS_DEG)
+#: The line of a sensor with a single line.
+_HORIZON_LINE = 8
+
+
+def random_share(depth: Depth, share: float, rng: Generator) -> Depth:
+    """Keep a random share of the measured pixels (the paper trains with 0.05).
+
+    depth: (H, W) float32 metres, 0 = none. share: 0..1. Returns (H, W) float32.
+    """
+    kept = rng.random(depth.shape) < share
+    return np.where(kept, depth, np.float32(0))
+
+
+def beam_elevations(lines: int) -> NDArray[np.float64]:
+    """Elevation of every beam in rad, highest first; fewer than 64 lines are a thinned HDL-64E.
+
+    128 have one more beam between every two, and one below.
+    """
+    if lines == 2 * SENSOR_LINES:
+        last = 2 * HDL64_ELEVATIONS_DEG[-1] - HDL64_ELEVATIONS_DEG[-2]
+        above = np.append(HDL64_ELEVATIONS_DEG, last)
+        between = (above[:-1] + above[1:]) / 2
+        degrees = np.stack([HDL64_ELEVATIONS_DEG, between], axis=1).ravel()
+        return np.asarray(np.deg2rad(degrees))
+    return np.deg2rad(HDL64_ELEVATIONS_DEG[is_kept(np.arange(SENSOR_LINES), lines)])
+
+
+def is_kept(scan_line: NDArray[np.integer], lines: int) -> NDArray[np.bool_]:
+    """Whether a sensor of so many lines has each of these of the 64, bool of the same shape.
+
+    The lines are at equal distances over the field of view, those of a sensor with fewer lines are
+    a subset of those with more, and a single line is 0.7 degrees below the horizon.
+    """
+    return np.asarray((scan_line - _HORIZON_LINE) % (SENSOR_LINES // lines) == 0)
+
+
+def scan_line_index(
+    size: tuple[int, int],
+    intrinsics: NDArray[np.float64],
+    lines: int,
+    *,
+    azimuth_step_deg: float = 0.17,
+    pitch_deg: float = 0.0,
+    phase: float = 0.0,
+) -> NDArray[np.int16]:
+    """Index of the beam that looks through each pixel, -1 where none does.
+
+    The LiDAR is at the camera's position, so a beam keeps its elevation angle and its trace in the
+    image is a slightly bent line: v = cy - fy tan(elevation) / cos(azimuth).
+
+    size: (height, width). intrinsics: (3, 3). lines: a divisor of 64, or 128.
+    azimuth_step_deg: angle between two firings (0.17 is an HDL-64E at 10 Hz). pitch_deg: tilt of
+    the LiDAR, up is positive. phase: 0..1 of a step, the azimuth of the first firing. Returns
+    (H, W) int16.
+    """
+    height, width = size
+    fx, fy = intrinsics[0, 0], intrinsics[1, 1]
+    cx, cy = intrinsics[0, 2], intrinsics[1, 2]
+    step = np.deg2rad(azimuth_step_deg)
+    first = np.floor(np.arctan2(-cx, fx) / step)
+    last = np.ceil(np.arctan2(width - cx, fx) / step)
+    azimuth = (np.arange(first, last + 1) + phase) * step
+    elevation = beam_elevations(lines) + np.deg2rad(pitch_deg)
+    u = np.broadcast_to(cx + fx * np.tan(azimuth), (lines, len(azimuth)))
+    v = cy - fy * np.tan(elevation)[:, None] / np.cos(azimuth)
+    column, row = np.rint(u).astype(int), np.rint(v).astype(int)
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    index = np.full(size, -1, dtype=np.int16)
+    beam = np.broadcast_to(np.arange(lines)[:, None], inside.shape)
+    index[row[inside], column[inside]] = beam[inside]
+    return index
+
+
+def scan_lines(
+    depth: Depth,
+    intrinsics: NDArray[np.float64],
+    lines: int,
+    rng: Generator,
+    *,
+    max_range_m: float = 85.0,
+    range_noise_m: float = 0.02,
+    drop_share: float = 0.08,
+    far_drop_share: float = 0.35,
+    pitch_jitter_deg: float = 0.4,
+    azimuth_step_deg: float = 0.17,
+) -> Depth:
+    """Simulate a LiDAR with this number of lines, a divisor of 64 or 128, on dense depth.
+
+    depth: (H, W) float32 metres along the optical axis, 0 = no surface (sky: no return).
+    intrinsics: (3, 3). max_range_m: longest range, along the ray. range_noise_m: standard
+    deviation along the ray. drop_share: returns lost at any range; far_drop_share: additional
+    share lost at max_range_m, growing with the square of the range. pitch_jitter_deg: standard
+    deviation of the tilt of the whole scan, so that lines do not fall on the same rows in every
+    frame. Returns (H, W) float32, 0 = no return. At 375 x 1242 and 64 lines about 4 % of the pixels
+    have a return, as in KITTI.
+    """
+    height, width = depth.shape
+    beam = scan_line_index(
+        (height, width),
+        intrinsics,
+        lines,
+        azimuth_step_deg=azimuth_step_deg,
+        pitch_deg=pitch_jitter_deg * float(rng.standard_normal()),
+        phase=float(rng.random()),
+    )
+    row, column = np.nonzero((beam >= 0) & (depth > 0))
+    z = depth[row, column].astype(np.float64)
+    x = (column - intrinsics[0, 2]) / intrinsics[0, 0]
+    y = (row - intrinsics[1, 2]) / intrinsics[1, 1]
+    ray_length = np.sqrt(x * x + y * y + 1.0)
+    distance = z * ray_length
+    lost = drop_share + far_drop_share * np.square(distance / max_range_m)
+    returned = (rng.random(len(z)) >= lost) & (distance <= max_range_m)
+    measured = distance + range_noise_m * rng.standard_normal(len(z))
+    sparse = np.zeros_like(depth, dtype=np.float32)
+    keep = returned & (measured > 0)
+    sparse[row[keep], column[keep]] = (measured / ray_length)[keep]
+    return sparse
 
 
 @dataclass(frozen=True)

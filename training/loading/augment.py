@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from runtime.contract import MAX_RETURN_M, farthest_return
+from runtime.contract import MAX_RETURN_M, MIN_SIDE, farthest_return
+from runtime.errors import InputError
 from runtime.resize import move_returns, move_scan_lines, resize_by, resize_image, resize_nearest
-from training.datasets.sample import IGNORE, Sample, nothing_known, target_kind
+from training.datasets.sample import IGNORE, Sample, SampleSource, nothing_known, target_kind
 from training.lidar.faults import absorb, add_false_returns, drop_sectors, misalign
-from training.lidar.simulate import SENSOR_LINES
-from training.lidar.split import LidarInput, masked, split_lidar
+from training.lidar.split import SENSOR_LINES, LidarInput, masked, split_lidar
 from training.limits import (
     PAIR_BORDER_PX,
     PAIR_STEP_PX,
@@ -28,9 +28,7 @@ from training.limits import (
     Share,
     ShareRange,
     Strength,
-    require_window,
 )
-from training.loading.crop_choice import choose_crop
 
 Depth = NDArray[np.float32]
 
@@ -46,10 +44,14 @@ _RECORDED_SHARE = (0.05, 0.8)
 MISALIGNMENT_DEG, MISALIGNMENT_M = 0.5, 0.05
 #: Range of the share of the image's width of a missing sector.
 SECTOR_SHARE = (0.05, 0.3)
-#: Default crop. Smaller data has a smaller crop, see `training.loading.crop`.
+#: Default crop. Smaller data has a smaller crop, see `training.loading.augment`.
 LARGEST_CROP = (320, 480)
 #: RGB of padding: the mean colour by which networks normalise.
 _FILL_RGB = (124, 116, 104)
+
+
+#: A crop's rows are a multiple of this: the stride of most networks.
+_CROP_STEP = 32
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -57,7 +59,7 @@ class AugmentConfig:
     """Ranges and probabilities of the random changes."""
 
     #: (height, width) of the result; None = by the height of the data, see
-    #: `training.loading.crop`.
+    #: `training.loading.augment`.
     crop: tuple[CropSide, CropSide] | None = None
     #: Range of the random magnification of the image.
     scale: FactorRange = (0.7, 1.8)
@@ -103,8 +105,7 @@ class AugmentConfig:
     pair_lidar_false: Share = 0.0
 
     def __post_init__(self) -> None:
-        """Check the range of scales, and that two views overlap."""
-        require_window("scale", self.size, self.scale)
+        """Check that two views overlap."""
         if self.pair_shift and min(self.size) <= self.pair_shift + 2 * PAIR_BORDER_PX:
             raise ValueError(
                 f"pair_shift = {self.pair_shift}: two views of {self.size[0]}x{self.size[1]} would "
@@ -485,3 +486,55 @@ def _take_window(
     row, column = max(-top, 0), max(-left, 0)
     out[row : row + inner.shape[0], column : column + inner.shape[1]] = inner
     return out
+
+
+def choose_crop(
+    semantic: NDArray[np.uint8],
+    window: tuple[int, int],
+    offsets: Sequence[tuple[int, int]],
+    classes: Sequence[int],
+) -> tuple[int, int]:
+    """Return the offset (top, left) whose window has most pixels of the classes.
+
+    Ties keep the first, so that frames without labels are cut at random.
+
+    Args:
+        semantic: uint8 (H, W), class ids.
+        window: (height, width) [px]; larger than the image, it covers it.
+        offsets: the candidates.
+        classes: ids of the rare classes.
+    """
+    if len(offsets) == 1:
+        return offsets[0]
+    is_rare = np.zeros(256, np.bool_)
+    is_rare[list(classes)] = True
+    rare = is_rare[semantic]
+    height, width = window
+
+    def count(offset: tuple[int, int]) -> int:
+        top, left = offset
+        return int(rare[max(top, 0) : top + height, max(left, 0) : left + width].sum())
+
+    return max(offsets, key=count)
+
+
+def with_crop(augment: AugmentConfig, sources: Sequence[SampleSource]) -> AugmentConfig:
+    """Return the ranges with a crop: as high as the first frame of each set, to `LARGEST_CROP`.
+
+    Raises:
+        InputError: if that is too small for second views.
+    """
+    if augment.crop is not None:
+        return augment
+    smallest = np.min([source[0].size for source in sources], axis=0)
+    sides = np.minimum(smallest, LARGEST_CROP) // _CROP_STEP * _CROP_STEP
+    height, width = (max(MIN_SIDE, int(side)) for side in sides)
+    crop = (height, min(width, height * LARGEST_CROP[1] // LARGEST_CROP[0]))
+    try:
+        return replace(augment, crop=crop)
+    except ValueError as error:
+        raise InputError(
+            f"data.augment.crop was set to {list(crop)} from the size of the data; with "
+            f"pair_shift = {augment.pair_shift} the two views would not overlap. Set it to a "
+            "larger size."
+        ) from error

@@ -1,18 +1,19 @@
 """The batches of a training, decoded and augmented by worker processes."""
 
 import traceback
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 
 import cv2
 from torch.utils.data import DataLoader
 
 from runtime.errors import DatasetError
-from training.batch import Batch
+from training.datasets.sample import SampleSource
 from training.distributed import Processes
-from training.loading.open_dataset import open_mixture
-from training.recipe import Recipe
+from training.loading.mixture import Batch, CachedSource, Mixture, MixturePart
+from training.recipe import DataRecipe, Recipe
 from training.stop_signal import leave_signals_to_parent
 from training.task import Task
 
@@ -29,10 +30,10 @@ def read_batches(
     steps, batch = recipe.schedule.steps, task.data.batch_size
     per_step = recipe.loop.accumulate * batch * processes.count
     loader = DataLoader(
-        open_mixture(
-            task.data,
-            task.sources,
+        Mixture(
+            _list_parts(task.data, task.sources),
             length=steps * per_step,
+            seed=task.data.seed,
             depth=task.depth_target,
             pair_step=task.pair_step,
             rare=recipe.rare_ids,
@@ -53,6 +54,19 @@ def read_batches(
         raise
     finally:
         batches.close()  # the last reference to the loader's iterator, which ends its workers
+
+
+def _list_parts(recipe: DataRecipe, sources: Sequence[SampleSource]) -> list[MixturePart]:
+    """Return the sets with their weights and augmentation, each with its share of the cache."""
+    share = recipe.cache_gib / (max(1, recipe.workers) * len(sources))
+    return [
+        MixturePart(
+            CachedSource(source, limit_bytes=int(share * 2**30)) if share else source,
+            item.weight,
+            replace(recipe.augment, scale=item.scale) if item.scale else recipe.augment,
+        )
+        for item, source in zip(recipe.source, sources, strict=True)
+    ]
 
 
 def _start_worker(_: int) -> None:

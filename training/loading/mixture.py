@@ -1,23 +1,183 @@
-"""An endless, reproducible mixture of data sets with a weight each."""
+"""From data sets to batches: frames are checked, cached, drawn from a mixture and collated."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+import torch
+from torch import Tensor
 from torch.utils.data import Dataset
 
+from models import NetworkOutput
 from runtime.contract import MAX_RETURN_M
-from training.batch import Drawn
-from training.datasets.sample import Sample, SampleSource
+from runtime.errors import DatasetError
+from training.datasets.sample import Sample, SampleSource, target_kind
 from training.limits import PAIR_STEP_PX
 from training.loading.augment import (
     AugmentConfig,
     augment,
     far_sky,
+    resize,
     scale_world,
     take_views,
     with_margin,
 )
+
+
+class CheckedSource:
+    """A data set whose targets have their type and size.
+
+    The frames are resized to ``size`` by `augment.resize` if given.
+
+    DatasetError names the reader and the frame of another.
+    """
+
+    def __init__(self, source: SampleSource, size: tuple[int, int] | None) -> None:
+        self._source = source
+        self._size = size
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def __getitem__(self, index: int) -> Sample:
+        sample = self._source[index]
+        for target, values in sample.targets.items():
+            try:
+                dtype, unlabelled, _ = target_kind(target)
+            except ValueError as error:
+                raise self._error(sample, f"a target {target!r}; {error}") from error
+            found = type(values).__name__
+            if isinstance(values, np.ndarray):
+                found = f"{values.dtype} {values.shape}"
+            expected = f"{dtype} {sample.size}"
+            if found != expected:
+                text = f"{target} = {found}; expected {expected}, {unlabelled:g} = unknown"
+                raise self._error(sample, f"{text}. A set without this target must omit it")
+        return sample if self._size is None else resize(sample, self._size)
+
+    def _error(self, sample: Sample, text: str) -> DatasetError:
+        reader = type(self._source).__name__
+        return DatasetError(f"{sample.name}: the reader {reader} returned {text}.")
+
+
+class CachedSource:
+    """A data set that keeps decoded frames in memory, up to ``limit_bytes``.
+
+    No frame is replaced by another: passes over a shuffled set would drop each frame just before it
+    is used again. Each worker process has its own cache.
+    """
+
+    def __init__(self, source: SampleSource, *, limit_bytes: int) -> None:
+        self._source = source
+        self._free = limit_bytes
+        self._kept: dict[int, Sample] = {}
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def __getitem__(self, index: int) -> Sample:
+        if index in self._kept:
+            return self._kept[index]
+        sample = self._source[index]
+        size = _bytes_of(sample)
+        if size <= self._free:
+            self._free -= size
+            self._kept[index] = sample
+        return sample
+
+
+def _bytes_of(sample: Sample) -> int:
+    arrays = (sample.rgb, sample.sparse_depth, sample.scan_line, *sample.targets.values())
+    return sum({id(array): array.nbytes for array in arrays if array is not None}.values())
+
+
+class Pair(NamedTuple):
+    """How the second view of each frame differs from the first."""
+
+    #: int64 (N, 2): row and column of the second view's upper left corner in the first view.
+    offset: Tensor
+    #: float32 (N, 1, H, W), metres: LiDAR input of the views, 0 = no return.
+    first_lidar: Tensor
+    second_lidar: Tensor
+
+
+class Drawn(NamedTuple):
+    """A frame that was drawn from the mixture of data sets, as one view or as two shifted views."""
+
+    views: tuple[Sample, ...]
+    #: (row, column) of the second view's upper left corner in the first view.
+    offset: tuple[int, int] = (0, 0)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Frames of one size; with two views, the first views of all frames, then the second views."""
+
+    #: uint8 (N, 3, H, W), RGB.
+    rgb: Tensor
+    #: float32 (N, 1, H, W), metres; 0 = no measurement.
+    sparse_depth: Tensor
+    #: Target -> (N, H, W), see `training.datasets.sample.target_kind`.
+    targets: Mapping[str, Tensor]
+    #: Target -> float32 (N,), weight of each frame's labels in the loss.
+    weights: Mapping[str, Tensor]
+    #: Data set and name of each frame, for messages.
+    names: Sequence[str]
+    #: None = no frame has two views.
+    pair: Pair | None = None
+    #: Output of the teacher, None = no teacher.
+    teacher: NetworkOutput | None = None
+
+    @classmethod
+    def collate(cls, drawn: Sequence[Drawn], targets: Collection[str]) -> Self:
+        """Make a batch of drawn frames with these targets.
+
+        A target that a frame lacks is unlabelled in all its pixels.
+        """
+        # The first views of all frames, then the second views.
+        samples = [
+            view for part in zip(*(item.views for item in drawn), strict=True) for view in part
+        ]
+        sparse_depth = torch.from_numpy(np.stack([view.sparse_depth for view in samples])[:, None])
+        pair = None
+        if len(samples) > len(drawn):
+            pair = Pair(torch.tensor([item.offset for item in drawn]), *sparse_depth.chunk(2))
+        return cls(
+            rgb=torch.from_numpy(np.stack([view.rgb for view in samples]).transpose(0, 3, 1, 2)),
+            sparse_depth=sparse_depth,
+            targets={
+                name: torch.from_numpy(np.stack([view.target(name) for view in samples]))
+                for name in targets
+            },
+            weights={
+                name: torch.tensor([view.weights.get(name, 1.0) for view in samples])
+                for name in targets
+            },
+            names=[item.views[0].name for item in drawn],
+            pair=pair,
+        )
+
+    def pin_memory(self) -> Self:
+        """Return the batch in page-locked memory. The DataLoader calls this for a GPU."""
+        return self._map(Tensor.pin_memory)
+
+    def to(self, device: torch.device) -> Self:
+        """Return the batch on a device."""
+        return self._map(lambda tensor: tensor.to(device, non_blocking=True))
+
+    def _map(self, change: Any) -> Self:
+        def changed(value: Any) -> Any:
+            if isinstance(value, Tensor):
+                return change(value)
+            if isinstance(value, Pair):
+                return Pair(*map(change, value))
+            if isinstance(value, Mapping):
+                return {name: change(tensor) for name, tensor in value.items()}
+            return value
+
+        values = {item.name: changed(getattr(self, item.name)) for item in fields(self)}
+        return replace(self, **values)
 
 
 @dataclass(frozen=True)
@@ -60,8 +220,6 @@ class Mixture(Dataset[Drawn]):
         pair_step: int = PAIR_STEP_PX,
         rare: Sequence[int] = (),
     ) -> None:
-        if not parts or any(part.weight <= 0 for part in parts):
-            raise ValueError("a mixture needs at least one data set, each with a positive weight")
         self._parts = list(parts)
         self._seed = seed
         self._depth = depth or DepthTarget()

@@ -5,9 +5,9 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from models.pooling import maxima_around
-from training.batch import Pair
 from training.distributed import sum_over_processes
 from training.limits import PAIR_BORDER_PX
+from training.loading.mixture import Pair
 from training.losses.depth import log_ratio
 
 #: Weights of the depth's log ratio at pixels farther than NEAR_PX from a return, and nearer.
@@ -27,16 +27,9 @@ def overlap(
     first, second: (C, h, w), maps of cells of ``side`` pixels. offset: rows and columns [px] of the
     second view's upper left corner in the first view, multiples of ``side``.
     """
-    if any(part % side for part in offset):
-        raise ValueError(f"views {offset} px apart have no cells of {side} px in common")
     border = -(-PAIR_BORDER_PX // side)
     rows, columns = (part // side for part in offset)
     height, width = first.shape[-2] - rows - 2 * border, first.shape[-1] - columns - 2 * border
-    if height <= 0 or width <= 0:
-        raise ValueError(
-            f"views of {tuple(first.shape[-2:])} cells of {side} px, {offset} px apart, do "
-            f"not overlap inside their borders of {PAIR_BORDER_PX} px"
-        )
     top, left = rows + border, columns + border
     return (
         first[:, top : top + height, left : left + width],

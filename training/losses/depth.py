@@ -1,4 +1,4 @@
-"""Depth loss over all scales, Eq. 4."""
+"""Losses of depth: Eq. 2-4, errors in metres, and the likelihood of the uncertainty."""
 
 from collections.abc import Callable
 
@@ -7,7 +7,6 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from training.losses.masked import masked_mean, split_into_blocks
-from training.losses.ssim import ssim_loss
 
 #: Smaller normalised depths are clipped to this value before a ratio is taken.
 _NEAREST = 1e-3
@@ -112,3 +111,71 @@ def multi_scale_depth_loss(
         for prediction in predictions
     ]
     return torch.stack(losses).mean()
+
+
+C1 = 1e-4
+C2 = 9e-4
+WINDOW = 11
+
+
+def ssim(a: Tensor, b: Tensor, valid: Tensor, *, window: int = WINDOW) -> tuple[Tensor, Tensor]:
+    """SSIM of every window, float (N, 1, H', W') in -1..1, and a bool mask of known windows.
+
+    `a`, `b` float (N, 1, H, W) in 0..1, finite; `valid` bool of the same shape. Eq. 3 of every
+    `window` x `window` square that lies inside the image (H' = H - window + 1), every pixel of it
+    weighing the same; a smaller image gets a window of its own size.
+
+    Our reading: E is taken over the valid pixels of the window, and windows without any are
+    marked. The printed sigma is meant as a standard deviation and the printed s as
+    (sigma_ab + C3) / (sigma_a sigma_b + C3), as in Wang et al. 2004; with C3 = C2 / 2 the product
+    c * s is then (2 sigma_ab + C2) / (sigma_a^2 + sigma_b^2 + C2), without a root whose gradient
+    is infinite on flat surfaces.
+    """
+    height, width = min(window, a.shape[-2]), min(window, a.shape[-1])
+
+    def window_means(*maps: Tensor) -> tuple[Tensor, ...]:
+        # A column, then a row: a tenth of the additions of the whole square.
+        columns = F.avg_pool2d(torch.cat(maps, dim=1), (height, 1), stride=1)
+        return F.avg_pool2d(columns, (1, width), stride=1).chunk(len(maps), dim=1)
+
+    known = valid.to(a.dtype)
+    a, b = a * known, b * known
+    share, *b_means = window_means(known, b, b * b)
+    known_windows = share > 0.5 / (height * width)  # smaller shares are rounding errors
+    share = share.clamp(min=0.5 / (height * width))
+    mean_b, bb = (mean / share for mean in b_means)
+    mean_a, aa, ab = (mean / share for mean in window_means(a, a * a, a * b))
+    product = mean_a * mean_b
+    squares = mean_a * mean_a + mean_b * mean_b
+    variances = (aa + bb - squares).clamp(min=0)
+    luminance = (2 * product + C1) / (squares + C1)
+    contrast_structure = (2 * (ab - product) + C2) / (variances + C2)
+    return luminance * contrast_structure, known_windows
+
+
+def ssim_loss(prediction: Tensor, target: Tensor, valid: Tensor) -> Tensor:
+    """Eq. 2 as a loss: 1 - mean SSIM over the windows that hold ground truth, ().
+
+    Shapes as `ssim`, depth normalised to 0..1. The paper adds the mean SSIM itself, which training
+    would minimise; the loss is 1 - SSIM. 0 without ground truth.
+    """
+    similarity, known = ssim(prediction, target, valid)
+    return masked_mean(1 - similarity, known)
+
+
+#: Smallest scale b [m]: the precision of a LiDAR.
+_LEAST_SCALE_M = 0.01
+
+
+def laplace_loss(
+    scale: Tensor, prediction: Tensor, target: Tensor, valid: Tensor, *, max_depth_m: float
+) -> Tensor:
+    """Negative log-likelihood of the depth's errors under Laplace distributions, ().
+
+    Mean of |e| / b + log b, e and b in metres (Kendall and Gal 2017). All (N, 1, H, W), normalised;
+    `valid` bool, see `normalise_depth`. The errors are detached: the gradient goes to the scale
+    only, so that the depth of difficult pixels is still learned.
+    """
+    error = (prediction.detach() - target).abs() * max_depth_m
+    metres = (scale * max_depth_m).clamp(min=_LEAST_SCALE_M)
+    return masked_mean(error / metres + metres.log(), valid)

@@ -1,4 +1,4 @@
-"""Class-weighted cross-entropy, Eq. 5, the weights of the classes, and soft IoU."""
+"""Losses of classes: Eq. 5, the weights of the classes, soft IoU, Lovász-Softmax, road masks."""
 
 from typing import Literal
 
@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from training.distributed import sum_over_processes
-from training.losses.masked import cell_side
+from training.losses.masked import cell_side, split_into_blocks
 
 IGNORE = 255
 
@@ -26,14 +26,9 @@ def class_weights(pixel_counts: Tensor, weighting: ClassWeighting = "median") ->
     Returns:
         float32 (C,); a class without pixels has the largest weight of the others, or 0 with
         "paper".
-
-    Raises:
-        ValueError: if no pixel was counted.
     """
     counts = pixel_counts.double()
     seen = counts > 0
-    if not seen.any():
-        raise ValueError("no labelled pixel was counted, so there are no class frequencies")
     if weighting == "none":
         return torch.ones(len(counts))
     frequency = counts / counts.sum()
@@ -66,14 +61,21 @@ def class_shares(semantic: Tensor, classes: int, grid: tuple[int, int]) -> Tenso
     return shares.scatter_add_(1, pixels, one)[:, :classes]
 
 
-def cross_entropy_sums(log_probabilities: Tensor, shares: Tensor, weights: Tensor) -> Tensor:
-    """Eq. 5 summed over each sample, -beta log p of every known pixel's class: (N,), in cells.
+def weighted_cross_entropy(
+    log_probabilities: Tensor,
+    shares: Tensor,
+    weights: Tensor | None = None,
+    sample_weight: Tensor | None = None,
+) -> Tensor:
+    """Eq. 5: the mean of -beta log p of every known pixel's class, ().
 
     `log_probabilities` float (N, C, h, w); `shares` of that shape, see `class_shares`; `weights`
-    float (C,). Our reading of the printed beta_j: the weight of the class that pixel j is of.
+    float (C,), None = all 1; `sample_weight` float (N,), see `labelled_mean`. Our reading of the
+    printed beta_j: the weight of the class that pixel j is of.
     """
     of_class = (log_probabilities * shares).sum(dim=(2, 3))
-    return -(of_class * weights).sum(dim=1)
+    sums = of_class.sum(dim=1) if weights is None else (of_class * weights).sum(dim=1)
+    return labelled_mean(-sums, shares.sum(), sample_weight)
 
 
 def labelled_mean(sums: Tensor, known: Tensor, sample_weight: Tensor | None = None) -> Tensor:
@@ -89,33 +91,86 @@ def labelled_mean(sums: Tensor, known: Tensor, sample_weight: Tensor | None = No
     return sum_over_processes(sums.sum()) / sum_over_processes(known).clamp(min=1e-6)
 
 
-def soft_overlap(
+def soft_iou_loss(
     probabilities: Tensor, shares: Tensor, sample_weight: Tensor | None = None
 ) -> Tensor:
-    """The parts of soft IoU, summed over all labelled pixels: float (3, C), in cells.
+    """1 - mean soft IoU over the classes that the batch shows, ().
 
     `probabilities` float (N, C, h, w) that sum to 1 over C; `shares` of that shape, see
-    `class_shares`; `sample_weight` float (N,). Rows: probability on pixels of the class
-    (intersection), probability on all labelled pixels, pixels of the class. Rows of parts of a
-    batch add up.
+    `class_shares`; `sample_weight` float (N,). A differentiable IoU (Rahman and Wang 2016,
+    "Optimizing intersection-over-union in deep neural networks"): thin and rare classes have the
+    weight of the others, and are not predicted too often as with class weights. 0, with a gradient
+    of 0, if nothing is labelled. Pixels of all processes count.
     """
     if sample_weight is not None:
         shares = shares * sample_weight[:, None, None, None]
-    intersection = (probabilities * shares).sum(dim=(0, 2, 3))
+    overlap = (probabilities * shares).sum(dim=(0, 2, 3))
     predicted = (probabilities * shares.sum(dim=1, keepdim=True)).sum(dim=(0, 2, 3))
-    return torch.stack((intersection, predicted, shares.sum(dim=(0, 2, 3))))
-
-
-def soft_iou_loss(overlap: Tensor) -> Tensor:
-    """1 - mean soft IoU over the classes that the batch shows, ().
-
-    `overlap` (3, C), see `soft_overlap`. A differentiable IoU (Rahman and Wang 2016, "Optimizing
-    intersection-over-union in deep neural networks"): thin and rare classes have the weight of the
-    others, and are not predicted too often as with class weights. 0, with a gradient of 0, if
-    nothing is labelled. Pixels of all processes count.
-    """
-    intersection, predicted, labelled = sum_over_processes(overlap)
+    sums = torch.stack((overlap, predicted, shares.sum(dim=(0, 2, 3))))
+    overlap, predicted, labelled = sum_over_processes(sums)
     shown = labelled > 0
-    iou = intersection / (predicted + labelled - intersection).clamp(min=1e-6)
+    iou = overlap / (predicted + labelled - overlap).clamp(min=1e-6)
     loss: Tensor = ((1 - iou) * shown).sum() / shown.sum().clamp(min=1)
     return loss
+
+
+def lovasz_softmax_loss(probabilities: Tensor, semantic: Tensor) -> Tensor:
+    """Lovász-Softmax of one picture, averaged over the classes that it shows, ().
+
+    Paper: Berman, Rannen Triki, Blaschko, "The Lovász-Softmax loss: A tractable surrogate for the
+    optimization of the intersection-over-union measure in neural networks", CVPR 2018, Eq. 12: each
+    pixel's error times what it adds to the Jaccard loss of the class, the largest error first.
+
+    `probabilities` float (C, H, W) that sum to 1 over C; `semantic` int64 (H, W), 255 = ignore.
+    0, with a gradient of 0, if nothing is labelled.
+    """
+    known = semantic != IGNORE
+    of_class = F.one_hot(semantic[known], len(probabilities)).T.to(probabilities.dtype)  # (C, P)
+    errors = (of_class - probabilities[:, known]).abs()
+    errors, order = errors.sort(dim=1, descending=True)
+    of_class = of_class.gather(1, order)
+    area = of_class.sum(dim=1, keepdim=True)
+    intersection = area - of_class.cumsum(dim=1)
+    union = area + (1 - of_class).cumsum(dim=1)
+    jaccard = 1 - intersection / union  # loss of the class with the first i pixels wrong; union > 0
+    gain = jaccard.diff(dim=1, prepend=jaccard.new_zeros(len(jaccard), 1))
+    shown = (area > 0).squeeze(1)
+    loss: Tensor = ((errors * gain).sum(dim=1) * shown).sum() / shown.sum().clamp(min=1)
+    return loss
+
+
+def picture_mean(losses: Tensor, known: Tensor, sample_weight: Tensor | None = None) -> Tensor:
+    """Mean over the pictures of the batch that have a label, ().
+
+    `losses` float (N,); `known` bool (N, H, W), the labelled pixels; `sample_weight` float (N,)
+    scales each without changing what is divided by. 0, with a gradient of 0, if nothing is known.
+    Pictures of all processes count.
+    """
+    if sample_weight is not None:
+        losses = losses * sample_weight
+    labelled = known.flatten(1).any(dim=1).sum()
+    return sum_over_processes(losses.sum()) / sum_over_processes(labelled).clamp(min=1)
+
+
+#: Values of a mask, see `training.datasets.sample.Sample`; any other is unknown.
+NO_ROAD, ROAD = 0, 1
+
+
+def road_loss(logits: Tensor, road_mask: Tensor, road: int) -> Tensor:
+    """Binary cross-entropy of one class, a mean over the known pixels, ().
+
+    -log p of the class `road` where the mask is `ROAD`, -log(1 - p) where it is `NO_ROAD`; the
+    ratios among the other classes have no gradient.
+
+    `logits` float (N, C, h, w) of all classes, C > 1, at the image's size or on a coarser grid, on
+    which every pixel counts in its cell; `road_mask` uint8 (N, H, W). 0, with a gradient of 0, if
+    no pixel is known. Pixels of all processes count.
+    """
+    masks = torch.stack((road_mask == ROAD, road_mask == NO_ROAD), dim=1).to(logits.dtype)
+    blocks, side = split_into_blocks(masks, (logits.shape[-2], logits.shape[-1]))
+    is_road, no_road = (F.avg_pool2d(blocks, side) if side > 1 else blocks).unbind(1)
+    others = torch.cat((logits[:, :road], logits[:, road + 1 :]), dim=1)
+    odds = logits[:, road] - others.logsumexp(dim=1)  # log p / (1 - p)
+    total = (is_road * F.softplus(-odds) + no_road * F.softplus(odds)).sum()
+    known = (is_road + no_road).sum()
+    return sum_over_processes(total) / sum_over_processes(known).clamp(min=1e-6)

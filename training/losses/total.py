@@ -11,9 +11,17 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
 from models import NetworkOutput
-from training.batch import Batch, Pair
 from training.limits import STRICT, NotNegative
-from training.losses.boundary import balanced_cross_entropy, boundary_at_scale, boundary_target
+from training.loading.mixture import Batch, Pair
+from training.losses.boundary import (
+    balanced_cross_entropy,
+    boundary_at_scale,
+    boundary_target,
+    hard_disagreement,
+    semantic_boundary_loss,
+    semantic_depth_loss,
+    soft_disagreement,
+)
 from training.losses.consistency import (
     depth_consistency_loss,
     depth_seam_loss,
@@ -21,6 +29,7 @@ from training.losses.consistency import (
 )
 from training.losses.depth import (
     DepthCriterion,
+    laplace_loss,
     metric_depth_loss,
     multi_scale_depth_loss,
     normalise_depth,
@@ -32,26 +41,17 @@ from training.losses.distillation import (
     distilled_semantic_loss,
 )
 from training.losses.heads import HEAD_LOSSES
-from training.losses.joint import (
-    NeighbourMaps,
-    hard_disagreement,
-    semantic_boundary_loss,
-    semantic_depth_loss,
-    soft_disagreement,
-)
-from training.losses.lovasz import lovasz_softmax_loss, picture_mean
 from training.losses.masked import cell_side, on_grid
-from training.losses.road import road_loss
 from training.losses.semantic import (
     IGNORE,
     ClassWeighting,
     class_shares,
-    cross_entropy_sums,
-    labelled_mean,
+    lovasz_softmax_loss,
+    picture_mean,
+    road_loss,
     soft_iou_loss,
-    soft_overlap,
+    weighted_cross_entropy,
 )
-from training.losses.uncertainty import laplace_loss
 
 
 class Term(NamedTuple):
@@ -97,27 +97,27 @@ class LossConfig:
     #: One weight a term of Eq. 12: Eq. 4, 5, 6, 8, 11.
     #: 1 is Eq. 12 as printed; with the soft form of Eq. 8 and 11 training then often collapses to
     #: one class, and 0.03 is used instead (docs/results.md).
-    depth_weight: float = 1.0
-    semantic_weight: float = 1.0
-    boundary_weight: float = 1.0
-    semantic_boundary_weight: float = 1.0
-    semantic_depth_weight: float = 1.0
+    depth_weight: NotNegative = 1.0
+    semantic_weight: NotNegative = 1.0
+    boundary_weight: NotNegative = 1.0
+    semantic_boundary_weight: NotNegative = 1.0
+    semantic_depth_weight: NotNegative = 1.0
     #: Soft IoU of the classes beside Eq. 5; not the paper's.
-    semantic_iou_weight: float = 0.0
+    semantic_iou_weight: NotNegative = 0.0
     #: Lovász-Softmax of each picture (Berman et al. 2018); ENet with it is the paper's ENet_LSloss.
-    lovasz_weight: float = 0.0
+    lovasz_weight: NotNegative = 0.0
     #: The class "road" against road masks, of sets without other labels; not the paper's.
-    road_weight: float = 0.0
+    road_weight: NotNegative = 0.0
     #: Likelihood of the depth's errors under the predicted uncertainty.
-    depth_uncertainty_weight: float = 0.1
+    depth_uncertainty_weight: NotNegative = 0.1
     #: Agreement of two shifted views of each frame, see `training.losses.consistency`.
-    depth_consistency_weight: float = 0.0
-    depth_seam_weight: float = 0.0
-    semantic_consistency_weight: float = 0.0
+    depth_consistency_weight: NotNegative = 0.0
+    depth_seam_weight: NotNegative = 0.0
+    semantic_consistency_weight: NotNegative = 0.0
     #: Agreement with the answers of a teacher, see `training.losses.distillation`.
-    distilled_semantic_weight: float = 0.0
-    distilled_depth_weight: float = 0.0
-    distilled_boundary_weight: float = 0.0
+    distilled_semantic_weight: NotNegative = 0.0
+    distilled_depth_weight: NotNegative = 0.0
+    distilled_boundary_weight: NotNegative = 0.0
 
     #: Weight of the loss of each head in `training.losses.heads`; 1 where none is here.
     head_weights: Mapping[str, NotNegative] = field(default_factory=dict)
@@ -137,9 +137,9 @@ class LossConfig:
 
     #: "paper": Eq. 4 on normalised depth. "metric": L1 + metric_l2 * L2 in metres, and ratios.
     depth_form: Literal["paper", "metric"] = "paper"
-    metric_l2: float = 0.02
+    metric_l2: NotNegative = 0.02
     #: Weight of the mean |log(prediction / target)| beside them [m].
-    metric_log: float = 0.0
+    metric_log: NotNegative = 0.0
     #: Mean over all scales, or the finest alone.
     depth_scales: Literal["mean", "finest"] = "mean"
 
@@ -187,13 +187,7 @@ class LossConfig:
         return weight
 
     def __post_init__(self) -> None:
-        """Check that no number is negative and at least one weight is positive."""
-        numbers = {
-            key: value for key, value in vars(self).items() if isinstance(value, int | float)
-        }
-        for key, value in numbers.items():
-            if not 0 <= value < float("inf"):
-                raise ValueError(f"{key} = {value}; it must be 0 or a positive number")
+        """Check the heads that are named, and that at least one weight is positive."""
         if unknown := sorted(self.head_weights.keys() - HEAD_LOSSES.keys()):
             known = ", ".join(sorted(HEAD_LOSSES)) or "none"
             raise ValueError(
@@ -257,19 +251,8 @@ class SSDNetLoss(nn.Module):
         Returns:
             Terms by their names in `TERMS` or `HEAD_LOSSES`, without those of weight 0, of missing
             heads and of targets that the batch does not have.
-
-        Raises:
-            ValueError: if the answer has another size than the batch.
         """
-        answer = _any_answer(output)
         height, width = batch.rgb.shape[-2:]
-        side = cell_side((height, width), (answer.shape[-2], answer.shape[-1]))
-        expected = (-(-height // side), -(-width // side))
-        if answer.shape[-2:] != expected:
-            raise ValueError(
-                f"the network's answer is {tuple(answer.shape[-2:])} and the batch "
-                f"{(height, width)}; expected one size (height, width), up to a power of two"
-            )
         terms: dict[str, Tensor] = {}
         if "semantic" in batch.targets:
             semantic, weights = batch.targets["semantic"].long(), batch.weights["semantic"]
@@ -288,7 +271,7 @@ class SSDNetLoss(nn.Module):
                 terms[head] = HEAD_LOSSES[head](answers, batch.targets[head], batch.weights[head])
         weighted = [self._weigh(name, term) for name, term in terms.items()]
         # Without any term the total is 0, with a gradient of 0.
-        anchor = torch.nan_to_num(answer[0, 0, 0, 0].float(), posinf=0, neginf=0)
+        anchor = torch.nan_to_num(_any_answer(output)[0, 0, 0, 0].float(), posinf=0, neginf=0)
         terms["total"] = sum(weighted, start=0.0 * anchor)
         return terms
 
@@ -384,80 +367,44 @@ class SSDNetLoss(nn.Module):
         return {"road": road_loss(logits.float(), road_mask, self.road)}
 
     def _semantic_terms(
-        self, output: NetworkOutput, semantic: Tensor, semantic_weight: Tensor | None
+        self, output: NetworkOutput, semantic: Tensor, sample_weight: Tensor
     ) -> dict[str, Tensor]:
         config, logits = self.config, output.semantic_logits
         if logits is None:
             return {}
-        with_depth = bool(config.semantic_depth_weight) and output.depths is not None
-        boundary_logits = output.boundary_logits if config.semantic_boundary_weight else None
-        joint = boundary_logits is not None or with_depth
-        alone = config.semantic_weight or config.semantic_iou_weight or config.lovasz_weight
-        if not (alone or joint):
-            return {}
-        classes = self._class_maps(logits, semantic, semantic_weight, joint=joint)
-        terms = {}
-        if classes.overlap is not None:
-            terms["semantic_iou"] = soft_iou_loss(classes.overlap)
-        if classes.lovasz is not None:
-            terms["lovasz"] = picture_mean(classes.lovasz, semantic != IGNORE, semantic_weight)
-        if config.semantic_weight:
-            terms["semantic"] = labelled_mean(classes.cross_entropy, classes.known, semantic_weight)
-        disagreement = classes.disagreement
-        if disagreement is None:
-            return terms
+        boundary = output.boundary_logits if config.semantic_boundary_weight else None
+        depths = output.depths if config.semantic_depth_weight else None
         grid = (logits.shape[-2], logits.shape[-1])
+        log_probabilities = F.log_softmax(logits.float(), dim=1)
+        probabilities = log_probabilities.exp()
+        shares = class_shares(semantic, logits.shape[1], grid)
+        terms = {}
+        if config.semantic_iou_weight:
+            terms["semantic_iou"] = soft_iou_loss(probabilities, shares, sample_weight)
+        if config.lovasz_weight:
+            pictures = zip(probabilities, semantic, strict=True)
+            losses = [lovasz_softmax_loss(_over_pixels(p, label), label) for p, label in pictures]
+            known = semantic != IGNORE
+            terms["lovasz"] = picture_mean(torch.stack(losses), known, sample_weight)
+        if config.semantic_weight:
+            terms["semantic"] = weighted_cross_entropy(
+                log_probabilities, shares, self.class_weights, sample_weight
+            )
+        if boundary is None and depths is None:
+            return terms
+        if config.disagreement == "soft":
+            disagreement = soft_disagreement(probabilities)
+        else:
+            disagreement = hard_disagreement(log_probabilities.argmax(dim=1))
         side = cell_side((semantic.shape[-2], semantic.shape[-1]), grid)
-        if boundary_logits is not None:
-            boundary = on_grid(torch.sigmoid(boundary_logits.float()), grid)
-            terms["semantic_boundary"] = semantic_boundary_loss(disagreement, boundary, side=side)
-        if with_depth and output.depths is not None:
-            depth = on_grid(output.depths[0].float(), grid)
+        if boundary is not None:
+            terms["semantic_boundary"] = semantic_boundary_loss(
+                disagreement, on_grid(torch.sigmoid(boundary.float()), grid), side=side
+            )
+        if depths is not None:
+            depth = on_grid(depths[0].float(), grid)
             terms["semantic_depth"] = semantic_depth_loss(disagreement, depth, side=side)
         return terms
-
-    def _class_maps(
-        self, logits: Tensor, semantic: Tensor, sample_weight: Tensor | None, *, joint: bool
-    ) -> "_ClassMaps":
-        """Compute what needs all classes of a pixel; ``joint``: for the joint terms, too.
-
-        Sample by sample: the class maps of a whole batch do not fit the cache, which takes a third
-        more time on a CPU.
-        """
-        config, weights = self.config, self.class_weights
-        count, grid = logits.shape[1], (logits.shape[-2], logits.shape[-1])
-        if weights is None:
-            weights = torch.ones(count, device=logits.device)
-        soft = joint and config.disagreement == "soft"
-        cross_entropy, known, overlaps, lovasz, disagreements = [], [], [], [], []
-        # unbind instead of slices: the gradient of a slice is as large as the whole batch.
-        for index, (sample, label) in enumerate(
-            zip(logits.unbind(0), semantic.unbind(0), strict=True)
-        ):
-            log_probabilities = F.log_softmax(sample[None].float(), dim=1)
-            shares = class_shares(label[None], count, grid)
-            cross_entropy.append(cross_entropy_sums(log_probabilities, shares, weights))
-            known.append(shares.sum())
-            if config.semantic_iou_weight or config.lovasz_weight or soft:
-                probabilities = log_probabilities.exp()
-            if config.semantic_iou_weight:
-                share = None if sample_weight is None else sample_weight[index : index + 1]
-                overlaps.append(soft_overlap(probabilities, shares, share))
-            if config.lovasz_weight:
-                lovasz.append(lovasz_softmax_loss(_over_pixels(probabilities[0], label), label))
-            if soft:
-                disagreements.append(soft_disagreement(probabilities))
-            elif joint:
-                disagreements.append(hard_disagreement(log_probabilities.argmax(dim=1)))
-        return _ClassMaps(
-            cross_entropy=torch.cat(cross_entropy),
-            known=torch.stack(known).sum(),
-            overlap=torch.stack(overlaps).sum(dim=0) if overlaps else None,
-            lovasz=torch.stack(lovasz) if lovasz else None,
-            disagreement=NeighbourMaps(*map(torch.cat, zip(*disagreements, strict=True)))
-            if disagreements
-            else None,
-        )
 
 
 def _any_answer(output: NetworkOutput) -> Tensor:
@@ -467,20 +414,6 @@ def _any_answer(output: NetworkOutput) -> Tensor:
         if answer is not None:
             return answer
     raise ValueError("the network has no head")
-
-
-class _ClassMaps(NamedTuple):
-    """The terms that need all classes of a pixel."""
-
-    #: Sums of Eq. 5, (N,), and the labelled part of all samples, (), in cells.
-    cross_entropy: Tensor
-    known: Tensor
-    #: See `soft_overlap`.
-    overlap: Tensor | None
-    #: Lovász-Softmax of each sample, (N,).
-    lovasz: Tensor | None
-    #: Eq. 7 on the grid of the logits.
-    disagreement: NeighbourMaps | None
 
 
 def _over_pixels(cells: Tensor, semantic: Tensor) -> Tensor:

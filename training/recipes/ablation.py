@@ -16,6 +16,7 @@ from training.recipe import (
     Recipe,
     ScheduleRecipe,
     ValidationRecipe,
+    derive,
 )
 from training.recipes.paper import VKITTI
 
@@ -40,13 +41,12 @@ SSDNET = Recipe(
 
 def _network(name: str, **config: Any) -> Recipe:
     """Return the recipe with another network or configuration."""
-    model = replace(SSDNET.model, name=name, config={**SSDNET.model.config, **config})
-    return replace(SSDNET, model=model)
+    return derive(SSDNET, model={"name": name, "config": {**SSDNET.model.config, **config}})
 
 
 def _loss(**changes: Any) -> Recipe:
     """Return the recipe with another loss."""
-    return replace(SSDNET, loss=replace(SSDNET.loss, **changes))
+    return derive(SSDNET, loss=changes)
 
 
 def _joint_weights(weight: float, **changes: Any) -> Recipe:

@@ -25,6 +25,7 @@ from training.recipe import (
     ReleaseRecipe,
     ScheduleRecipe,
     ValidationRecipe,
+    derive,
 )
 from training.release import add_offsets, mix_weights
 from training.stages import Stage, Trained
@@ -119,88 +120,73 @@ CROPS = Recipe(
     ),
 )
 
-PAIRS = replace(
+PAIRS = derive(
     CROPS,
-    data=replace(
-        CROPS.data,
-        batch_size=3,
-        seed=53,
-        augment=replace(
-            CROPS.data.augment, pair_shift=32, pair_lidar_missing=0.3, pair_lidar_false=0.15
-        ),
-    ),
-    loss=replace(
-        CROPS.loss,
-        depth_weight=0.3,
-        depth_consistency_weight=2.0,
-        depth_seam_weight=4.0,
-        semantic_consistency_weight=0.25,
-    ),
-    optimizer=replace(CROPS.optimizer, learning_rate=1.5e-3, encoder_rate=3e-4),
-    schedule=replace(CROPS.schedule, steps=5500),
-    validation=replace(CROPS.validation, every=2750),
-    release=ReleaseRecipe(logit_adjustment=0.75),
+    data={
+        "batch_size": 3,
+        "seed": 53,
+        "augment": {"pair_shift": 32, "pair_lidar_missing": 0.3, "pair_lidar_false": 0.15},
+    },
+    loss={
+        "depth_weight": 0.3,
+        "depth_consistency_weight": 2.0,
+        "depth_seam_weight": 4.0,
+        "semantic_consistency_weight": 0.25,
+    },
+    optimizer={"learning_rate": 1.5e-3, "encoder_rate": 3e-4},
+    schedule={"steps": 5500},
+    validation={"every": 2750},
+    release={"logit_adjustment": 0.75},
 )
 
 # Everything but the first layers of the pruned trunk is trained on.
-NARROW = replace(
+NARROW = derive(
     PAIRS,
-    model=replace(PAIRS.model, config={"canonical_focal_px": 721.5}),
-    data=replace(PAIRS.data, seed=54),
-    optimizer=replace(
-        PAIRS.optimizer, learning_rate=1.2e-3, frozen=("encoder.stem", "encoder.stride2")
-    ),
-    schedule=replace(PAIRS.schedule, steps=11000),
+    model={"config": {"canonical_focal_px": 721.5}},
+    data={"seed": 54},
+    optimizer={"learning_rate": 1.2e-3, "frozen": ("encoder.stem", "encoder.stride2")},
+    schedule={"steps": 11000},
 )
 
 # The same with more of the returns and a larger weight of depth.
-JOINT = replace(
+JOINT = derive(
     NARROW,
-    data=replace(
-        NARROW.data,
-        seed=71,
-        augment=replace(
-            NARROW.data.augment, lidar_missing=0.12, lidar_random=0.15, pair_lidar_missing=0.25
-        ),
-    ),
-    loss=replace(NARROW.loss, depth_weight=1.0, depth_consistency_weight=2.5, road_weight=0.6),
-    schedule=replace(NARROW.schedule, steps=8000),
+    data={
+        "seed": 71,
+        "augment": {"lidar_missing": 0.12, "lidar_random": 0.15, "pair_lidar_missing": 0.25},
+    },
+    loss={"depth_weight": 1.0, "depth_consistency_weight": 2.5, "road_weight": 0.6},
+    schedule={"steps": 8000},
 )
 
-
-def depth_alone(loss: LossConfig) -> LossConfig:
-    """Return a loss without the terms of classes and boundaries."""
-    return replace(
-        loss,
-        class_weighting="none",
-        semantic_weight=0.0,
-        semantic_iou_weight=0.0,
-        semantic_consistency_weight=0.0,
-        boundary_weight=0.0,
-        semantic_boundary_weight=0.0,
-        semantic_depth_weight=0.0,
-        road_weight=0.0,
-        depth_uncertainty_weight=0.2,
-    )
-
+#: Without the terms of classes and boundaries.
+DEPTH_ALONE = {
+    "class_weighting": "none",
+    "semantic_weight": 0.0,
+    "semantic_iou_weight": 0.0,
+    "semantic_consistency_weight": 0.0,
+    "boundary_weight": 0.0,
+    "semantic_boundary_weight": 0.0,
+    "semantic_depth_weight": 0.0,
+    "road_weight": 0.0,
+    "depth_uncertainty_weight": 0.2,
+}
 
 # The depth decoder alone; classes and boundaries do not change.
-DEPTH = replace(
+DEPTH = derive(
     JOINT,
-    data=replace(
-        JOINT.data,
-        batch_size=4,
-        seed=73,
-        rare_classes=(),
-        augment=replace(
-            JOINT.data.augment,
-            rare_crops=0.0,
-            lidar_absorbed=0.3,
-            pair_lidar_missing=0.2,
+    data={
+        "batch_size": 4,
+        "seed": 73,
+        "rare_classes": (),
+        "augment": {
+            "rare_crops": 0.0,
+            "lidar_absorbed": 0.3,
+            "pair_lidar_missing": 0.2,
             # Else the decoder knows the depth of the training streets from their pictures.
-            world_scale=(0.75, 1.33),
-        ),
-        source=(
+            "world_scale": (0.75, 1.33),
+        },
+        "source": (
             replace(_STREETS, weight=0.44),
             replace(_STREAM, weight=0.06, semantic_weight=1.0),
             replace(_DRIVE, weight=0.06, semantic_weight=1.0),
@@ -211,36 +197,30 @@ DEPTH = replace(
             replace(_VARIED, weight=0.16),
             replace(_VARIED, weight=0.06, scans=False, scale=None),
         ),
-    ),
-    loss=replace(depth_alone(JOINT.loss), depth_consistency_weight=1.0, depth_seam_weight=2.0),
-    optimizer=replace(
-        JOINT.optimizer,
-        learning_rate=1.5e-3,
-        encoder_rate=1e-3,
-        frozen=("encoder", "context", "boundary", "semantic", "surface_depth.embed"),
-    ),
+    },
+    loss={**DEPTH_ALONE, "depth_consistency_weight": 1.0, "depth_seam_weight": 2.0},
+    optimizer={
+        "learning_rate": 1.5e-3,
+        "encoder_rate": 1e-3,
+        "frozen": ("encoder", "context", "boundary", "semantic", "surface_depth.embed"),
+    },
     schedule=ScheduleRecipe(steps=1200, warmup_steps=50),
-    loop=replace(JOINT.loop, ema_decay=0.99),
+    loop={"ema_decay": 0.99},
     release=ReleaseRecipe(),
 )
 
-AGAIN = replace(
-    DEPTH, data=replace(DEPTH.data, seed=74), schedule=replace(DEPTH.schedule, steps=4000)
-)
+AGAIN = derive(DEPTH, data={"seed": 74}, schedule={"steps": 4000})
 
 # More surfaces without returns.
-ABSORBED = replace(
+ABSORBED = derive(
     DEPTH,
-    data=replace(
-        DEPTH.data,
-        seed=99,
-        augment=replace(
-            DEPTH.data.augment, lidar_absorbed=0.6, lines=(64, 64, 64, 64, 32, 16, 8, 4)
-        ),
-    ),
-    optimizer=replace(DEPTH.optimizer, learning_rate=1.2e-3),
-    schedule=replace(DEPTH.schedule, steps=700),
-    loop=replace(DEPTH.loop, ema_decay=0.995),
+    data={
+        "seed": 99,
+        "augment": {"lidar_absorbed": 0.6, "lines": (64, 64, 64, 64, 32, 16, 8, 4)},
+    },
+    optimizer={"learning_rate": 1.2e-3},
+    schedule={"steps": 700},
+    loop={"ema_decay": 0.995},
 )
 
 

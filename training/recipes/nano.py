@@ -3,79 +3,67 @@
 Crops, pairs of shifted views, the depth decoder alone.
 """
 
-from dataclasses import replace
-
-from training.recipe import ReleaseRecipe, ScheduleRecipe
+from training.recipe import ReleaseRecipe, ScheduleRecipe, derive
 from training.recipes import lite
 from training.release import add_offsets
 from training.stages import Stage
 
-_BASE = lite.CROPS
-CROPS = replace(
-    _BASE,
-    model=replace(_BASE.model, name="ssdnet-nano", config={"canonical_focal_px": 721.5}),
-    data=replace(
-        _BASE.data,
-        batch_size=6,
-        seed=61,
-        augment=replace(_BASE.data.augment, lidar_missing=0.12, lidar_random=0.15),
-    ),
-    loss=replace(
-        _BASE.loss,
-        depth_weight=0.6,
-        distilled_semantic_weight=1.0,
-        distilled_depth_weight=2.0,
-        distilled_boundary_weight=0.5,
-    ),
+CROPS = derive(
+    lite.CROPS,
+    model={"name": "ssdnet-nano", "config": {"canonical_focal_px": 721.5}},
+    data={
+        "batch_size": 6,
+        "seed": 61,
+        "augment": {"lidar_missing": 0.12, "lidar_random": 0.15},
+    },
+    loss={
+        "depth_weight": 0.6,
+        "distilled_semantic_weight": 1.0,
+        "distilled_depth_weight": 2.0,
+        "distilled_boundary_weight": 0.5,
+    },
     # Pruning took more than half of the channels: the others learn, too, and fast.
-    optimizer=replace(_BASE.optimizer, encoder_rate=1e-3, frozen=()),
-    schedule=replace(_BASE.schedule, steps=7000),
+    optimizer={"encoder_rate": 1e-3, "frozen": ()},
+    schedule={"steps": 7000},
 )
 
-PAIRS = replace(
+PAIRS = derive(
     CROPS,
-    data=replace(
-        CROPS.data,
-        batch_size=3,
-        seed=62,
-        augment=replace(
-            CROPS.data.augment, pair_shift=32, pair_lidar_missing=0.25, pair_lidar_false=0.15
-        ),
-    ),
-    loss=replace(
-        CROPS.loss,
-        depth_consistency_weight=2.5,
-        depth_seam_weight=4.0,
-        semantic_consistency_weight=0.25,
-    ),
-    optimizer=replace(CROPS.optimizer, learning_rate=1.5e-3, encoder_rate=7e-4),
-    validation=replace(CROPS.validation, every=3500),
-    release=ReleaseRecipe(logit_adjustment=0.75),
+    data={
+        "batch_size": 3,
+        "seed": 62,
+        "augment": {"pair_shift": 32, "pair_lidar_missing": 0.25, "pair_lidar_false": 0.15},
+    },
+    loss={
+        "depth_consistency_weight": 2.5,
+        "depth_seam_weight": 4.0,
+        "semantic_consistency_weight": 0.25,
+    },
+    optimizer={"learning_rate": 1.5e-3, "encoder_rate": 7e-4},
+    validation={"every": 3500},
+    release={"logit_adjustment": 0.75},
 )
 
 # Classes and boundaries do not change.
-DEPTH = replace(
+DEPTH = derive(
     PAIRS,
-    data=replace(
-        PAIRS.data,
-        batch_size=4,
-        seed=64,
-        rare_classes=(),
-        source=lite.DEPTH.data.source,
-        augment=replace(
-            PAIRS.data.augment, rare_crops=0.0, lidar_absorbed=0.3, world_scale=(0.75, 1.33)
-        ),
-    ),
-    loss=replace(
-        lite.depth_alone(PAIRS.loss),
-        depth_weight=1.0,
-        distilled_semantic_weight=0.0,
-        distilled_boundary_weight=0.0,
-    ),
-    optimizer=replace(PAIRS.optimizer, frozen=lite.DEPTH.optimizer.frozen),
+    data={
+        "batch_size": 4,
+        "seed": 64,
+        "rare_classes": (),
+        "source": lite.DEPTH.data.source,
+        "augment": {"rare_crops": 0.0, "lidar_absorbed": 0.3, "world_scale": (0.75, 1.33)},
+    },
+    loss={
+        **lite.DEPTH_ALONE,
+        "depth_weight": 1.0,
+        "distilled_semantic_weight": 0.0,
+        "distilled_boundary_weight": 0.0,
+    },
+    optimizer={"frozen": lite.DEPTH.optimizer.frozen},
     schedule=ScheduleRecipe(steps=4000, warmup_steps=50),
-    loop=replace(PAIRS.loop, ema_decay=0.99),
-    validation=replace(PAIRS.validation, every=900, source=(lite.VALIDATION_STREETS,)),
+    loop={"ema_decay": 0.99},
+    validation={"every": 900, "source": (lite.VALIDATION_STREETS,)},
     release=ReleaseRecipe(),
 )
 

@@ -20,6 +20,7 @@ from training.recipe import (
     Recipe,
     ScheduleRecipe,
     ValidationRecipe,
+    derive,
 )
 
 # A third of the size.
@@ -60,32 +61,23 @@ PAPER_VKITTI = Recipe(
 
 # Half the size.
 _CITYSCAPES = CityscapesRecipe(path="cityscapes", size=(512, 1024))
-PAPER_CITYSCAPES = replace(
+PAPER_CITYSCAPES = derive(
     PAPER_VKITTI,
     terms="Cityscapes: non-commercial research and teaching, see its licence",
-    model=replace(PAPER_VKITTI.model, classes="cityscapes", trained_height=512),
-    data=replace(
-        PAPER_VKITTI.data,
-        source=(_CITYSCAPES,),
-        augment=replace(PAPER_VKITTI.data.augment, crop=(512, 1024)),
-    ),
-    schedule=replace(PAPER_VKITTI.schedule, steps=74375),
-    validation=replace(
-        PAPER_VKITTI.validation, every=7500, source=(replace(_CITYSCAPES, split="val"),)
-    ),
+    model={"classes": "cityscapes", "trained_height": 512},
+    data={"source": (_CITYSCAPES,), "augment": {"crop": (512, 1024)}},
+    schedule={"steps": 74375},
+    validation={"every": 7500, "source": (replace(_CITYSCAPES, split="val"),)},
 )
 
 # AdamW at a scheduled rate, averaged weights, flips and colours, the soft form of Eq. 7. For
 # Virtual KITTI 2 set the source's kind to "virtual-kitti".
-VKITTI = replace(
+VKITTI = derive(
     PAPER_VKITTI,
-    data=replace(
-        PAPER_VKITTI.data,
-        batch_size=8,
-        augment=replace(
-            PAPER_VKITTI.data.augment, flip=0.5, brightness=0.2, contrast=0.1, saturation=0.2
-        ),
-    ),
+    data={
+        "batch_size": 8,
+        "augment": {"flip": 0.5, "brightness": 0.2, "contrast": 0.1, "saturation": 0.2},
+    },
     loss=LossConfig(
         class_weighting="median",
         # At the weight of the other terms the soft form favours one class everywhere
@@ -95,32 +87,30 @@ VKITTI = replace(
     ),
     optimizer=OptimizerRecipe(learning_rate=1e-3, momentum=0.0),
     schedule=ScheduleRecipe(steps=41670, warmup_steps=500),
-    loop=replace(PAPER_VKITTI.loop, autocast="bf16", ema_decay=0.999, clip_norm=10.0),
+    loop={"autocast": "bf16", "ema_decay": 0.999, "clip_norm": 10.0},
 )
 
 # Also windows cut from magnified and shrunk whole frames, LiDAR lines beside random depth.
-CITYSCAPES = replace(
+CITYSCAPES = derive(
     PAPER_CITYSCAPES,
-    data=replace(
-        PAPER_CITYSCAPES.data,
-        source=(replace(_CITYSCAPES, size=None),),
-        batch_size=8,
-        workers=8,
-        augment=replace(
-            PAPER_CITYSCAPES.data.augment,
-            scale=(0.4, 1.2),
-            flip=0.5,
-            brightness=0.3,
-            contrast=0.2,
-            saturation=0.3,
-            hue_deg=5.0,
-            blur=0.05,
-            noise=0.05,
-            lidar_missing=0.1,
-            lidar_random=0.3,
-            random_share=(0.01, 0.08),
-        ),
-    ),
+    data={
+        "source": (replace(_CITYSCAPES, size=None),),
+        "batch_size": 8,
+        "workers": 8,
+        "augment": {
+            "scale": (0.4, 1.2),
+            "flip": 0.5,
+            "brightness": 0.3,
+            "contrast": 0.2,
+            "saturation": 0.3,
+            "hue_deg": 5.0,
+            "blur": 0.05,
+            "noise": 0.05,
+            "lidar_missing": 0.1,
+            "lidar_random": 0.3,
+            "random_share": (0.01, 0.08),
+        },
+    },
     loss=replace(VKITTI.loss, class_weighting="sqrt_median"),
     optimizer=VKITTI.optimizer,
     schedule=ScheduleRecipe(steps=90000, warmup_steps=1000),

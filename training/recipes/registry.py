@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import ModuleType
 
 from training.recipes import ablation, comparison, kitti_depth, lite, nano, paper
 from training.stages import Stage
@@ -15,23 +16,19 @@ class PackageRecipe:
     stages: tuple[Stage, ...]
 
 
+def _described(recipe: ModuleType, stages: tuple[Stage, ...]) -> PackageRecipe:
+    """Describe a recipe by the first line of its file."""
+    return PackageRecipe(str(recipe.__doc__).splitlines()[0], stages)
+
+
 _SINGLE = {
     **paper.RECIPES,
     **{f"comparison-{task}": item for task, item in comparison.RECIPES.items()},
     **{f"ablation-{row}": item for row, item in ablation.ROWS.items()},
 }
 RECIPES: Mapping[str, PackageRecipe] = {
-    "lite": PackageRecipe(
-        "ssdnet-lite with an encoder that begins with weights of ImageNet, in seven stages.",
-        lite.STAGES,
-    ),
-    "nano": PackageRecipe(
-        "ssdnet-nano, which also learns the answers of --teacher ssdnet-lite, in three stages.",
-        nano.STAGES,
-    ),
-    "kitti-depth": PackageRecipe(
-        "ssdnet-lite on KITTI's depth completion benchmark, with classes from rendered streets.",
-        (Stage("", kitti_depth.RECIPE),),
-    ),
+    "lite": _described(lite, lite.STAGES),
+    "nano": _described(nano, nano.STAGES),
+    "kitti-depth": _described(kitti_depth, (Stage("", kitti_depth.RECIPE),)),
     **{name: PackageRecipe(text, (Stage("", recipe),)) for name, (text, recipe) in _SINGLE.items()},
 }

@@ -14,9 +14,8 @@ import typer
 from runtime.command import reported_errors
 from runtime.io.atomic_write import atomic_write
 from runtime.io.images import KITTI_DEPTH_SCALE
-from training.datasets.virtual_kitti import VirtualKitti
-from training.datasets.virtual_kitti_split import Selection
-from training.lidar.simulate import scan_lines
+from training.datasets.virtual_kitti import RenderedRecipe
+from training.lidar.split import scan_lines
 
 
 def write_lidar_stream(variant: Path, out: Path) -> int:
@@ -36,8 +35,9 @@ def write_lidar_stream(variant: Path, out: Path) -> int:
         OutputError: for files that cannot be written.
     """
     variant = variant.resolve()
-    selection = Selection(scenes=(variant.parent.name,), variants=(variant.name,))
-    source = VirtualKitti(variant.parent.parent, selection=selection)
+    root, scenes, variants = variant.parent.parent, (variant.parent.name,), (variant.name,)
+    recipe = RenderedRecipe(path=str(root), scenes=scenes, variants=variants)
+    source = recipe.open(root, "camvid")
     rng = np.random.default_rng(0)
     (out / "rgb").mkdir(parents=True, exist_ok=True)
     (out / "depth").mkdir(exist_ok=True)

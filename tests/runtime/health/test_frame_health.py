@@ -1,15 +1,119 @@
+"""A frozen, black or overexposed camera, and lost parts of a LiDAR, against the frames before."""
+
+import os
+from pathlib import Path
+
 import numpy as np
+import pytest
 
 from runtime.health.frame_health import FrameHealth
+from runtime.io.images import read_sparse_depth
+
+SIZE = (128, 416)
+NOTHING = np.zeros((60, 80), np.float32)
 
 
-def test_both_sensors_are_checked_against_the_frames_before():
-    random = np.random.default_rng(0)
+def noise(seed, low=0, high=256, size=(60, 80)):
+    return np.random.default_rng(seed).integers(low, high, (*size, 3), dtype=np.uint8)
+
+
+def check_image(rgb, health=None):
+    return (health or FrameHealth()).check(rgb, NOTHING)
+
+
+def scan(seed=0):
+    """64 lines in the lower two thirds, a return in every third column, a tenth missing."""
+    rng = np.random.default_rng(seed)
+    depth = np.zeros(SIZE, np.float32)
+    depth[44:128:2, ::3] = rng.uniform(2, 80, (42, 139))
+    depth[rng.random(SIZE) < 0.1] = 0
+    return depth
+
+
+@pytest.fixture
+def check_depth():
+    """Check depth maps of a LiDAR, each with another image."""
+    health, seeds = FrameHealth(), iter(range(1000))
+    return lambda depth, **options: health.check(
+        noise(next(seeds), size=depth.shape), depth, **options
+    )
+
+
+@pytest.fixture
+def check_learned(check_depth):
+    """The same after eight healthy scans."""
+    assert [check_depth(scan(seed)) for seed in range(8)] == [()] * 8
+    return check_depth
+
+
+def test_identical_bytes_are_frozen_and_one_other_byte_is_not():
     health = FrameHealth()
-    depth = random.uniform(1, 50, (60, 80)).astype(np.float32)
-    for _ in range(5):
-        rgb = random.integers(0, 256, (60, 80, 3), dtype=np.uint8)
-        assert health.check(rgb, depth) == ()
-    depth[:, :20] = 0
-    assert health.check(rgb, depth) == ("image_frozen", "lidar_sector_lost")
-    assert health.check(np.zeros_like(rgb), np.zeros_like(depth)) == ("image_black",)
+    rgb = noise(0)
+    other = rgb.copy()
+    other[33, 41, 1] ^= 1  # where not every pixel is looked at
+    assert check_image(rgb, health) == ()
+    assert check_image(rgb.copy(), health) == ("image_frozen",)
+    assert check_image(other, health) == ()
+    assert check_image(other.copy(), health) == ("image_frozen",)
+    assert check_image(other[:40].copy(), health) == (), "another size"
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [(0, 13, ("image_black",)), (0, 30, ()), (250, 256, ("image_overexposed",)), (200, 256, ())],
+)
+def test_dark_and_bright_images(low, high, expected):
+    assert check_image(noise(0, low, high)) == expected
+
+
+def test_half_a_bright_image_is_over_exposed_and_lights_at_night_are_not_black():
+    rgb = noise(0, 30, 200)
+    rgb[:24] = 255
+    assert check_image(rgb) == ()
+    rgb[:32] = 255
+    assert check_image(rgb) == ("image_overexposed",)
+    night = noise(0, 0, 10)
+    night[:8, :8] = 255
+    assert check_image(night) == ()
+
+
+@pytest.mark.parametrize("nothing_m", [0, 655.35, np.inf, np.nan, -1])
+def test_a_lost_sector(check_learned, nothing_m):
+    """Whatever stands for no return, as 65535 of a 16-bit PNG."""
+    depth = scan(9)
+    depth[:, 100:160] = nothing_m
+    assert [check_learned(depth) for _ in range(50)] == [("lidar_sector_lost",)] * 50, "not learned"
+    assert check_learned(scan(10)) == ()
+
+
+@pytest.mark.parametrize("range_m", [400, 80])
+def test_returns_count_up_to_the_farthest_one_of_the_range(check_depth, range_m):
+    far = np.where(scan() > 0, np.float32(300), np.float32(0))
+    assert [check_depth(far, range_m=range_m) for _ in range(8)] == [()] * 8
+    far[:, 100:160] = 0
+    lost = ("lidar_sector_lost",) if range_m == 400 else ()
+    assert check_depth(far, range_m=range_m) == lost
+
+
+@pytest.mark.parametrize("lost", [np.s_[100:], np.s_[44:128:4]], ids=["at an edge", "between"])
+def test_lost_lines(check_learned, lost):
+    depth = scan(9)
+    depth[lost] = 0
+    assert check_learned(depth) == ("lidar_lines_lost",)
+
+
+def test_no_failure(check_learned):
+    assert check_learned(np.zeros(SIZE, np.float32)) == (), "reported as no_depth by degraded"
+    depth = scan(9)
+    depth[60:100, 200:215] = 0  # a dark car
+    assert check_learned(depth) == ()
+
+
+@pytest.mark.skipif("SSDNET_DATA" not in os.environ, reason="needs SSDNET_DATA/kitti_stream")
+def test_a_recorded_drive_is_healthy_until_a_part_is_lost(check_depth):
+    folder = Path(os.environ["SSDNET_DATA"]) / "kitti_stream" / "sparse_depth_02"
+    depths = [read_sparse_depth(path) for path in sorted(folder.iterdir())]
+    assert [check_depth(depth) for depth in depths] == [()] * 60
+    blind = depths[-1].copy()
+    blind[:, 300:450] = 0
+    assert check_depth(blind) == ("lidar_sector_lost",)

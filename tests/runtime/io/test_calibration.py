@@ -66,7 +66,7 @@ def test_one_of_the_two_files_of_kitti_raw_is_refused(raw, name):
         Calibration.from_file(raw / name)
 
 
-def test_kitti_object_and_odometry(tmp_path):
+def test_kitti_object_odometry_and_depth_selection(tmp_path):
     to_camera = np.hstack([R, T[:, None]])
     (tmp_path / "object.txt").write_text(
         f"P2: {numbers(P2)}\nR0_rect: {numbers(RECTIFY)}\nTr_velo_to_cam: {numbers(to_camera)}\n"
@@ -74,6 +74,10 @@ def test_kitti_object_and_odometry(tmp_path):
     matches(Calibration.from_kitti(tmp_path / "object.txt"), by_hand())
     (tmp_path / "odometry.txt").write_text(f"P2: {numbers(P2)}\nTr: {numbers(to_camera)}\n")
     matches(Calibration.from_kitti(tmp_path / "odometry.txt"), by_hand(rectify=np.eye(3)))
+    (tmp_path / "depth.txt").write_text(f"{numbers(K)} \n")
+    selection = Calibration.from_file(tmp_path / "depth.txt")
+    np.testing.assert_array_equal(selection.intrinsics, K)
+    np.testing.assert_array_equal(selection.extrinsics, np.eye(4))
 
 
 def extrinsics():
@@ -128,53 +132,23 @@ def test_toml(tmp_path):
     calibration = Calibration.from_toml(path)
     matches(calibration, by_hand(rectify=np.eye(3), shift=(0, 0, 0)))
     assert calibration.size == SIZE
+    with pytest.raises(InputError, match=r"of \(240, 640\) .*image of \(640, 240\): swap"):
+        calibration.require_size(SIZE[::-1])
 
 
-def test_toml_of_a_lens(tmp_path):
+def test_toml_of_a_lens_and_of_points_in_the_camera_frame(tmp_path):
     path = tmp_path / "camera.toml"
-    path.write_text(
-        f'intrinsics = {K.tolist()}\npoints_in = "camera"\nlens = "equidistant"\n'
-        "distortion = [0.1, 0, 0, 0]\n"
-    )
-    assert Calibration.from_toml(path).lens_model == Lens("equidistant", (0.1, 0, 0, 0))
-    path.write_text(path.read_text().replace("equidistant", "plumb_bob").replace("0.1, ", ""))
+    common = f'intrinsics = {K.tolist()}\npoints_in = "camera"\n'
+    path.write_text(f'{common}lens = "equidistant"\ndistortion = [0.1, 0, 0, 0]\n')
+    calibration = Calibration.from_toml(path)
+    assert calibration.lens_model == Lens("equidistant", (0.1, 0, 0, 0))
+    np.testing.assert_array_equal(calibration.extrinsics, np.eye(4))
+    path.write_text(f'{common}lens = "plumb_bob"\ndistortion = [0, 0, 0]\n')
     with pytest.raises(InputError, match=r"5 finite numbers k1, k2, p1, p2\[, k3\] .* got \[0"):
         Calibration.from_toml(path)
-    path.write_text(f'intrinsics = {K.tolist()}\npoints_in = "camera"\nlens = "fisheye"\n')
+    path.write_text(f'{common}lens = "fisheye"\n')
     with pytest.raises(InputError, match="belong together"):
         Calibration.from_toml(path)
-
-
-def test_toml_with_a_byte_order_mark(tmp_path):
-    path = tmp_path / "camera.toml"
-    path.write_text(f'intrinsics = {K.tolist()}\npoints_in = "camera"\n', encoding="utf-8-sig")
-    np.testing.assert_array_equal(Calibration.from_toml(path).intrinsics, K)
-
-
-def test_a_size_of_width_and_height_is_to_be_swapped(tmp_path):
-    path = tmp_path / "camera.toml"
-    path.write_text(f'intrinsics = {K.tolist()}\npoints_in = "camera"\nsize = [640, 240]\n')
-    with pytest.raises(InputError, match=r"of \(640, 240\) .*, got an image of \(240, 640\): swap"):
-        Calibration.from_toml(path).require_size(SIZE)
-
-
-def test_toml_of_points_in_the_camera_frame(tmp_path):
-    path = tmp_path / "camera.toml"
-    path.write_text(f'intrinsics = {K.tolist()}\npoints_in = "camera"\n')
-    calibration = Calibration.from_toml(path)
-    np.testing.assert_array_equal(calibration.extrinsics, np.eye(4))
-    np.testing.assert_array_equal(calibration.intrinsics, K)
-
-
-def test_nine_numbers_are_the_intrinsics(tmp_path):
-    path = tmp_path / "0000000005_image_02.txt"
-    path.write_text(f"{numbers(K)} \n")
-    calibration = Calibration.from_file(path)
-    np.testing.assert_array_equal(calibration.intrinsics, K)
-    np.testing.assert_array_equal(calibration.extrinsics, np.eye(4))
-    path.write_text("1 2 3 " * 3)
-    with pytest.raises(InputError, match="must have positive focal lengths"):
-        Calibration.from_file(path)
 
 
 @pytest.mark.parametrize(
@@ -182,11 +156,9 @@ def test_nine_numbers_are_the_intrinsics(tmp_path):
     [
         ("", "has the keys none"),
         ('intrinsics = 1\npoints_in = "lidar"', r'expected .*points_in = "camera"'),
-        ('intrinsics = 1\nextrinsics = 2\npoints_in = "camera"', "has the keys extrinsics"),
         ("intrinsics = 1", "has the keys intrinsics"),
         ("intrinsics = 1\nextrinsics = 2\ncolour = 3", "has the keys colour"),
         ("intrinsics = 1\nextrinsics = 2", "3 x 3 finite numbers, got 1"),
-        ("intrinsics = [[nan]]", "has the keys intrinsics"),
         ("=", "is not valid TOML"),
     ],
 )
@@ -198,21 +170,19 @@ def test_damaged_toml(tmp_path, text, message):
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("content", "message"),
     [
-        (lambda raw: (raw / "calib_velo_to_cam.txt").unlink(), "cannot read"),
-        (lambda raw: (raw / "calib_velo_to_cam.txt").write_text("R: 1 2 3"), "'R' has 3 numbers"),
-        (lambda raw: (raw / "calib_velo_to_cam.txt").write_text("T: 1 2 3"), "no line 'R:'"),
-        (
-            lambda raw: (raw / "calib_velo_to_cam.txt").write_text("R: a"),
-            "contains a value that is not",
-        ),
-        (lambda raw: (raw / "calib_velo_to_cam.txt").write_text("R: nan" + " 0" * 8), "holds NaN"),
-        (lambda raw: (raw / "calib_velo_to_cam.txt").write_bytes(b"\xff"), "cannot read"),
+        (None, "cannot read"),
+        (b"R: 1 2 3", "'R' must be 9 finite numbers, got '1 2 3'"),
+        (b"T: 1 2 3", "no line 'R:'"),
+        (b"R: a", "finite numbers, got 'a'"),
+        (b"R: nan" + b" 0" * 8, "finite numbers, got 'nan 0"),
+        (b"\xff", "cannot read"),
     ],
 )
-def test_damaged_kitti(raw, change, message):
-    change(raw)
+def test_damaged_kitti(raw, content, message):
+    path = raw / "calib_velo_to_cam.txt"
+    path.unlink() if content is None else path.write_bytes(content)
     with pytest.raises(InputError, match=message):
         Calibration.from_kitti(raw)
 

@@ -105,24 +105,24 @@ BROWN = (-0.3, 0.1, 0.001, -0.002, 0)
 @pytest.mark.parametrize(
     ("name", "text", "lens", "coefficients", "note"),
     [
-        ("opencv.yml", OPENCV, "plumb_bob", BROWN, "extrinsics = ...  # not found"),
+        ("opencv.yml", OPENCV, "plumb_bob", BROWN, "# extrinsics = ... not found"),
         (
             "ros.yaml",
             ROS,
             "rational_polynomial",
             (0.6, -0.02, 0.001, 0.0002, 0.001, 0.95, 0.06, 0.002),
-            "extrinsics = ...  # not found",
+            "# extrinsics = ... not found",
         ),
         (
             "camchain.yaml",
             KALIBR,
             "equidistant",
             (-0.01, 0.02, -0.003, 0.0004),
-            "cam0/T_cam_lidar: must be from the LiDAR's frame",
+            "from the LiDAR's frame to the camera's, else invert it:\nextrinsics = [[0.0, -1.0",
         ),
         ("named.yaml", NAMED, "plumb_bob", BROWN, "# k1, k2, p1, p2, k3"),
         ("autoware.yaml", AUTOWARE, "plumb_bob", BROWN, "CameraExtrinsicMat/data, inverted"),
-        ("own.json", JSON, "plumb_bob", BROWN, "# T: must be from the LiDAR's frame"),
+        ("own.json", JSON, "plumb_bob", BROWN, "# check that it leads from the LiDAR's frame"),
     ],
 )
 def test_the_toml_of_other_tools(tmp_path, name, text, lens, coefficients, note):
@@ -133,7 +133,7 @@ def test_the_toml_of_other_tools(tmp_path, name, text, lens, coefficients, note)
     _, toml = str(caught.value).split(":\n", 1)
     assert note in toml
     copied = tmp_path / "copied.toml"
-    copied.write_text(toml.replace("extrinsics = ...", f"extrinsics = {EXTRINSICS}"))
+    copied.write_text(toml.replace("# extrinsics = ...", f"extrinsics = {EXTRINSICS} #"))
     calibration = Calibration.from_file(copied)
     np.testing.assert_array_equal(
         calibration.intrinsics, [[700, 0, 320], [0, 710, 240.5], [0, 0, 1]]
@@ -216,7 +216,7 @@ def test_the_toml_of_a_text(tmp_path, text, lens, coefficients):
         Calibration.from_file(path)
     _, toml = str(caught.value).split(":\n", 1)
     copied = tmp_path / "copied.toml"
-    copied.write_text(toml.replace("extrinsics = ...", f"extrinsics = {EXTRINSICS}"))
+    copied.write_text(toml.replace("# extrinsics = ...", f"extrinsics = {EXTRINSICS} #"))
     calibration = Calibration.from_file(copied)
     np.testing.assert_array_equal(
         calibration.intrinsics, [[700, 0, 320], [0, 710, 240.5], [0, 0, 1]]
@@ -267,3 +267,46 @@ def test_damaged_json(tmp_path):
         path.write_text(text)
         with pytest.raises(InputError, match="is not valid JSON"):
             Calibration.from_file(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "proposed"),
+    [
+        ("T_cam_lidar", EXTRINSICS),
+        ("T_lidar_cam", np.linalg.inv(EXTRINSICS).tolist()),
+        ("T_cam_imu", None),
+        ("T_cn_cnm1", None),
+    ],
+)
+def test_transforms_of_other_sensors_are_not_proposed(tmp_path, name, proposed):
+    """A file without the LiDAR's leaves the extrinsics to be filled in, and says so."""
+    path = tmp_path / "camchain.yaml"
+    path.write_text(KALIBR.replace("T_cam_lidar", name))
+    with pytest.raises(InputError) as caught:
+        Calibration.from_file(path)
+    _, toml = str(caught.value).split(":\n", 1)
+    copied = tmp_path / "copied.toml"
+    copied.write_text(toml)
+    if proposed is None:
+        assert "# extrinsics = ... not found" in toml
+        with pytest.raises(InputError, match="expected intrinsics, extrinsics"):
+            Calibration.from_file(copied)
+    else:
+        found = Calibration.from_file(copied).extrinsics
+        np.testing.assert_allclose(found, proposed, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (("distortion_coefficients", "D1"), "distortion = [-0.3, 0.1, 0.001, -0.002, 0.0]  # D1"),
+        (("-0.002, 0.", "-0.002, 0., 1, 2, 3, 4, 5, 6, 7, 8, 9"), "14 numbers, of no lens here"),
+        (("distortion_coefficients", "other"), "give lens and distortion unless the images are"),
+    ],
+)
+def test_distortion_that_a_file_holds_is_not_denied(tmp_path, change, text):
+    path = tmp_path / "opencv.yml"
+    path.write_text(OPENCV.replace(*change))
+    with pytest.raises(InputError) as caught:
+        Calibration.from_file(path)
+    assert text in str(caught.value)

@@ -119,11 +119,8 @@ def test_a_scan_may_be_empty(tmp_path, name, content):
 
 HEADERS = {
     "no x": "element vertex 1\nproperty float y\nproperty float z\n",
-    "two x": "element vertex 1\n" + 2 * "property float x\n",
-    "integers": "element vertex 1\nproperty int x\n",
     "list": "element vertex 1\nproperty list uchar float x\n",
     "face first": "element face 1\nproperty float x\n",
-    "no element": "comment\n",
 }
 
 
@@ -158,45 +155,23 @@ HOSTILE = {
     "cut-compressed.pcd": (FILES["compressed.pcd"][:-1], "truncated or damaged"),
     "cut.ply": (ply(records("<", *OF_PLY)[:-1], "binary_little_endian"), "take 850 bytes"),
     "huge.pcd": (pcd(OF_PCD, "binary", BILLION), "1000000000 points take"),
-    "huge-ascii.pcd": (pcd(lines("777yxz"), "ascii", BILLION), "1000000000 points take"),
     "huge-compressed.pcd": (pcd(compressed(), "binary_compressed", BILLION), "expected at most"),
-    "bomb.pcd": (pcd(compressed(), "binary_compressed", 10**7), "truncated or damaged"),
-    "huge-count.pcd": (pcd(OF_PCD, "binary", COUNT=f"{BILLION} 1 1 1"), "50 points take"),
     "digits.pcd": (pcd(OF_PCD, "binary", POINTS="9" * 5000), "digits"),
     "negative.pcd": (pcd(OF_PCD, "binary", -1), "-1 points"),
-    "back.pcd": (pcd(b"\x03\0\0\0\xee\x02\0\0\x20\xff\0", "binary_compressed"), "damaged"),
-    "big.pcd": (pcd(OF_PCD, "binary_big_endian"), "expected one of ascii, binary, binary_c"),
     "mixed.ply": (ply(OF_PCD, "binary_compressed"), "expected one of ascii, binary_little_endian"),
     "headless.ply": (FILES["little.ply"].removeprefix(b"ply\n"), "first line is not 'ply'"),
-    "underscore.pcd": (pcd(OF_PCD, "binary", POINTS="5_0"), "count: '5_0'"),
-    "plus.ply": (ply(records("<", *OF_PLY), "binary_little_endian", "+50"), "a count: '.50'"),
     "cut-literal.pcd": (cut_literal(), "truncated or damaged"),
-    "cut-packed.pcd": (pcd(compressed()[:-1], "binary_compressed"), "truncated or damaged"),
-    "other-size.pcd": (pcd(b"\0\0\0\0\0\0\0\0", "binary_compressed"), "truncated or damaged"),
     "longer.pcd": (pcd(longer(), "binary_compressed"), "truncated or damaged"),
-    "no-sizes.pcd": (pcd(b"\0", "binary_compressed"), "truncated or damaged"),
     "blank.pcd": (pcd(b" \n" * 400, "ascii"), "0 of 50 points"),
     "other.pcd": (pcd(OF_PCD, "zip"), "'zip', expected one of ascii, binary"),
     "short.pcd": (pcd(OF_PCD, "binary", SIZE="1 4"), "zip"),
     "lacks.pcd": (pcd(OF_PCD, "binary", TYPE="", POINTS=""), "header lacks POINTS, TYPE"),
-    "kind.pcd": (pcd(OF_PCD, "binary", TYPE="U F Q F"), "field x is 1 of q4"),
-    "three.pcd": (pcd(OF_PCD, "binary", COUNT="3 1 2 1"), "one float as the field x, got 2"),
     "word.pcd": (pcd(b"7 7 7 a b c\n" * 50, "ascii"), "could not convert"),
-    "word.ply": (ply(b"", "ascii", "many"), "invalid literal"),
     "no-x.ply": (ply(OF_PCD, "ascii", header=HEADERS["no x"]), "x, y and z, it has y, z"),
-    "two-x.ply": (ply(OF_PCD, "ascii", header=HEADERS["two x"]), "one float as the field x"),
-    "int.ply": (ply(OF_PCD, "ascii", header=HEADERS["integers"]), "the field x, got 1 of int"),
     "list.ply": (ply(OF_PCD, "ascii", header=HEADERS["list"]), "x is 1 of list uchar float"),
     "face.ply": (ply(OF_PCD, "ascii", header=HEADERS["face first"]), "vertex as its first"),
-    "none.ply": (ply(OF_PCD, "ascii", header=HEADERS["no element"]), "vertex as its first"),
     "flat.npy": (saved(POINTS.ravel()), r"\(N, 3\) or wider, got float32 \(150,\)"),
-    "narrow.npy": (saved(POINTS[:, :2]), r"\(N, 3\) or wider"),
     "int.npy": (saved(np.zeros((50, 3), np.int32)), "expected floats"),
-    "objects.npy": (saved(POINTS.astype(object)), "not a .npy file of numbers"),
-    "cut.npy": (saved(POINTS)[:-1], "truncated"),
-    "back.npy": (saved(POINTS).replace(b"(50, 3), ", b"(-1, 3), "), "its shape is .-1, 3"),
-    "huge.npy": (saved(POINTS).replace(b"(50, 3), ", b"(50000000000, 3), "), "truncated"),
-    "text.npy": (b"x y z", "not a .npy file of numbers"),
 }
 
 
@@ -213,12 +188,6 @@ def test_a_damaged_scan_is_an_input_error_and_takes_no_memory(tmp_path, name):
     finally:
         tracemalloc.stop()
     assert str(tmp_path / name) in str(raised.value)
-
-
-@pytest.mark.filterwarnings("error")
-def test_blank_lines_between_points_do_not_count(tmp_path):
-    (tmp_path / "a.pcd").write_bytes(FILES["ascii.pcd"].replace(b"ascii\n", b"ascii\n\n \n"))
-    np.testing.assert_array_equal(read_scan(tmp_path / "a.pcd"), POINTS)
 
 
 # --- the number of columns of raw files --------------------------------------------------------
@@ -239,7 +208,7 @@ def sweep(columns: int, *, lasers: int = 16, points: int = 3200) -> np.ndarray:
 
 
 @pytest.mark.parametrize("right", [3, 4, 5, 6])
-@pytest.mark.parametrize("given", [None, 4, 5, 6])
+@pytest.mark.parametrize("given", [None, 5, 6])
 def test_another_number_of_columns_is_an_error_that_names_the_right_one(tmp_path, right, given):
     scan = sweep(right, points=15 * 16 * 16)
     scan.tofile(tmp_path / "a.bin")
@@ -254,12 +223,6 @@ def test_several_numbers_of_columns_that_fit_are_all_named(tmp_path):
     sweep(3).tofile(tmp_path / "a.bin")
     with pytest.raises(InputError, match="give point_columns=3 or 6 in --source"):
         read_scan(tmp_path / "a.bin")
-
-
-def test_a_number_that_does_not_divide_the_file_names_the_one_that_fits(tmp_path):
-    sweep(5, points=16 * 17).tofile(tmp_path / "a.bin")
-    with pytest.raises(InputError, match=r"not whole points of 6 float32.*: give point_columns=5"):
-        read_scan(tmp_path / "a.bin", columns=6)
 
 
 def test_rings_without_returns_at_the_start_hide_nothing(tmp_path):

@@ -1,17 +1,12 @@
 """What an answer of the stream carries, and what its statistics and watchdog say."""
 
 import threading
-from dataclasses import replace
 
 import numpy as np
 
-from runtime.errors import InferenceError
 from runtime.io.calibration import Calibration
-from runtime.live.answerer import Answerer
 from runtime.live.push_stream import PushStream
-from runtime.prediction import Latency, Prediction
 from runtime.predictor import Predictor
-from runtime.sync.matching import Message, Pair
 from stream_messages import depth, image, push_pair
 
 MS = 1_000_000
@@ -48,17 +43,6 @@ def test_latency_age_and_deadline(setup):
     second = next(made.stream)
     assert (first.latency_ms, first.age_ms, first.deadline_met) == (30, 1000, True)
     assert (second.latency_ms, second.age_ms, second.deadline_met) == (30.001, 1500, False)
-
-
-def test_the_skew_of_a_frame_has_a_sign_and_that_of_the_statistics_none(setup):
-    made = setup()
-    for image_ms, depth_ms in ((0, 20), (100, 60)):
-        made.stream.push_image(image(), image_ms * MS)
-        made.stream.push_depth(depth(), depth_ms * MS)
-        made.clock.advance_ms(50)
-        assert next(made.stream).skew_ms == depth_ms - image_ms
-    skew = made.stream.statistics.stages["skew"]
-    assert (skew.n, skew.mean_ms, skew.max_ms) == (2, 30, 40)
 
 
 def test_pushed_arrays_may_be_reused_afterwards(setup):
@@ -121,20 +105,6 @@ def test_the_watchdog_reports_changes_and_its_present_state(setup):
     assert reported[:3] == [("OK", ()), ("WARN", ("late",)), ("WARN", ("late", "silence_ms"))]
 
 
-def test_errors_reach_the_watchdog(setup):
-    reported, heard = [], threading.Semaphore(0)
-
-    def hear(state):
-        reported.append(state.reasons)
-        heard.release()
-
-    made = setup(on_state=hear)
-    made.predictor.fail_with = InferenceError("the device was lost")
-    push_pair(made.stream, 0)
-    while ("failed",) not in reported:
-        assert heard.acquire(timeout=60)
-
-
 def test_stamps_that_jump_back_are_no_jitter(setup):
     made = setup()
     for number in (100, 0):
@@ -186,47 +156,3 @@ def test_returns_are_checked_after_their_result_and_in_no_latency(setup):
     made.stream.close()
     assert (seen, made.predictor.shares) == ([1], [1, 0])
     assert made.stream.statistics.stages["latency"].max_ms == 10
-
-
-def test_a_live_stream_checks_later_frames_when_none_waits():
-    asked = []
-
-    class Predictor:
-        focal_length_px = None
-
-        def predict(self, rgb, sparse_depth, **others):
-            asked.append(bool(sparse_depth.any()))
-            latency = Latency(0, 0, 0, 0)
-            return Prediction({"depth": sparse_depth + 1}, (32, 40), (32, 40), latency)
-
-    answerer = Answerer(Predictor(), None, None)
-    messages = (Message(0.0, 0, data) for data in (image(), depth()))
-    pair = Pair(*messages)
-
-    def frame(*, idle):
-        answerer.answer(pair, None)
-        answerer.check_last(idle=idle)
-        return asked.pop() is False
-
-    assert [frame(idle=False) for _ in range(6)] == [True] * 5 + [False]
-    assert not any(frame(idle=False) for _ in range(150))
-    assert frame(idle=True)
-    assert not any(frame(idle=True) for _ in range(99))
-    assert frame(idle=True)
-
-
-def test_the_checks_of_the_lidar_know_the_range(model_file, contract):
-    """Returns at 300 m, of a model of 400 m: a lost sector among them is found."""
-    model = model_file(contract=replace(contract, max_depth_m=400.0))
-    random = np.random.default_rng(0)
-    far = np.full((48, 64), 300, np.float32)
-    lost = far.copy()
-    lost[:, 16:32] = 0
-    found = []
-    with Predictor(model, threads=1) as predictor:
-        answerer = Answerer(predictor, None, None)
-        for sparse_depth in [far] * 8 + [lost]:
-            rgb = random.integers(1, 256, (48, 64, 3), dtype=np.uint8)
-            pair = Pair(Message(0.0, 0, rgb), Message(0.0, 0, sparse_depth))
-            found.append(answerer.answer(pair, None).health)
-    assert found == [()] * 8 + [("lidar_sector_lost",)]

@@ -106,25 +106,6 @@ def test_an_unexpected_error_ends_the_stream_and_reaches_on_error_the_pushes_and
     assert add_up(made.stream.counts).pending == 0
 
 
-def test_an_error_of_on_error_itself_comes_out_at_close(setup):
-    made = setup(on_error=lambda error: 1 / 0)
-    made.predictor.fail_with = InferenceError("the device was lost")
-    push_pair(made.stream, 0)
-    with pytest.raises(ZeroDivisionError):
-        made.stream.close()
-    assert add_up(made.stream.counts).errors == {"inference_error": 2}
-
-
-@pytest.mark.parametrize("part", ["advance", "due_ns"])
-def test_an_error_of_the_worker_outside_of_a_frame_ends_the_stream(setup, part):
-    made = setup()
-    setattr(made.stream._synchronizer, part, lambda *args: 1 / 0)
-    made.stream.push_image(image(), 0)
-    with pytest.raises(ZeroDivisionError):
-        next(made.stream)
-    assert add_up(made.stream.counts).pending == 0
-
-
 def push_until_it_raises(stream):
     def push():
         for number in range(10_000):
@@ -141,30 +122,6 @@ def test_an_error_of_the_callback_ends_the_stream_and_comes_out_at_close(setup):
         made.stream.close()
     made.stream.close()
     assert add_up(made.stream.counts).pending == 0
-
-
-def test_an_error_of_the_sensors_clock_ends_the_stream_and_its_frame_is_counted(setup):
-    made = setup(sensor_clock=lambda: 1 / 0)
-    push_until_it_raises(made.stream)
-    with pytest.raises(ZeroDivisionError):
-        made.stream.close()
-    counts = add_up(made.stream.counts)
-    assert (counts.pending, counts.answered) == (0, 0)
-    assert counts.errors == {"inference_error": 2}
-
-
-def test_an_invalid_time_of_the_sensors_clock_is_an_error_of_each_frame(setup):
-    reported, heard = [], threading.Semaphore(0)
-    made = setup(
-        sensor_clock=lambda: float("nan"),
-        on_error=lambda error: (reported.append(error), heard.release()),
-    )
-    for number in range(3):
-        push_pair(made.stream, number)
-        assert heard.acquire(timeout=60)
-    made.stream.close()
-    assert [str(error)[:13] for error in reported] == ["stamp must be"] * 3
-    assert add_up(made.stream.counts).errors == {"input_error": 6}
 
 
 def test_an_error_of_the_block_is_not_hidden_by_one_of_the_callback(setup):

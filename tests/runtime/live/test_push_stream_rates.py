@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from car_poses import pose
 from moving_car import CALIBRATION, MS, POINTS, car, expected, measured, messages, wall_scan
 from runtime.errors import InputError
-from runtime.live.watchdog import WatchdogLimits
 from stream_messages import add_up, image
 
 
@@ -41,55 +39,7 @@ def test_a_camera_of_20_hz_and_a_lidar_of_10_hz_have_depth_in_every_answer(setup
     assert (stages["skew"].n, stages["depth_age"].n, stages["depth_age"].max_ms) == (15, 30, 50)
 
 
-def test_an_answer_that_was_reused_and_not_fetched_is_counted(setup):
-    made = setup(calibration=CALIBRATION, max_wait_ms=0)
-    push(made.stream, "image", 0)
-    push(made.stream, "depth", 0)
-    made.clock.advance_ms(1)
-    next(made.stream)
-    push(made.stream, "image", 50)
-    push(made.stream, "image", 100)
-    made.stream.close()
-    counts = add_up(made.stream.counts)
-    assert counts.camera_only + counts.reused + counts.depths.answered == counts.images.answered
-
-
-def test_the_watchdog_counts_reused_results_apart(setup):
-    limits = WatchdogLimits(reused=(2, 3))
-    made = setup(calibration=CALIBRATION, pose_frame="lidar", watchdog=limits)
-    for time_ms, _, sensor in messages(until=200, lost={("depth", 100)}):
-        push(made.stream, sensor, time_ms)
-        if sensor == "image":
-            made.clock.advance_ms(50)
-            assert next(made.stream).depth_reused == (time_ms > 0)
-    assert made.stream.state.reasons == ("reused",)
-
-
 # --- poses ---------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("fault", ["no_pose", "pose_gap", "pose_jump", "pose_clock"])
-def test_a_pose_that_is_missing_is_a_flag_that_says_why(setup, fault):
-    made = setup(calibration=CALIBRATION, pose_frame="lidar")
-    far = pose((3, 0, 0))
-    for stamp in range(0, 1500, 10):
-        if fault == "pose_jump":
-            made.stream.push_pose(car(stamp) @ (far if stamp >= 960 else np.eye(4)), stamp * MS)
-        elif fault == "pose_clock":
-            made.stream.push_pose(car(stamp), (10**6 + stamp) * MS)
-        elif (fault == "no_pose" and stamp < 500) or (
-            fault == "pose_gap" and not 800 < stamp < 1200
-        ):
-            push(made.stream, "pose", stamp)
-    made.stream.push_points(wall_scan(940), 940 * MS)
-    made.stream.push_image(image(), 980 * MS)
-    made.clock.advance_ms(50)
-    result = next(made.stream)
-    assert result.prediction.degraded == ("depth_uncompensated", fault)
-    assert measured(result) == expected(940), "as it is, not moved wrongly"
-    assert result.depth_motion == "none"
-    made.stream.close()
-    assert made.stream.state.reasons == ("degraded",)
 
 
 def test_poses_that_arrive_late_are_extrapolated_live_for_100_ms(setup):
@@ -127,26 +77,6 @@ def test_poses_are_accounted_for(setup):
     assert poses.dropped == {"duplicate": 1, "late": 1, "closed": 1}
     assert poses.errors == {"bad_message": 4, "bad_stamp": 1}
     assert stream.counts.pushed == 0, "of the images and depth maps"
-
-
-@pytest.mark.parametrize(("options", "names"), [
-    ({"pose_frame": "wheel", "calibration": CALIBRATION}, "pose_frame"),
-    ({"pose_frame": 3, "calibration": CALIBRATION}, "pose_frame"),
-    ({"pose_frame": "lidar"}, "calibration="),
-    ({"pose_frame": "body", "calibration": CALIBRATION}, "body_from_lidar"),
-    ({"scan_stamp": "first"}, "scan_stamp"), ({"reuse_depth_ms": -1}, "reuse_depth_ms"),
-    ({"reuse_depth_ms": "x"}, "reuse_depth_ms"),
-])  # fmt: skip
-def test_options_out_of_range(setup, options, names):
-    with pytest.raises(InputError, match=names):
-        setup(**options)
-
-
-def test_poses_need_the_option_pose_frame(setup):
-    stream = setup().stream
-    with pytest.raises(InputError, match="pose_frame="):
-        stream.push_pose(np.eye(4), 0)
-    assert stream.counts.poses.errors == {"bad_message": 1}
 
 
 @pytest.mark.parametrize("times", [

@@ -20,7 +20,7 @@ from moving_car import (
     messages,
     wall_scan,
 )
-from runtime import InferenceError, InputError, Predictor, PushStream
+from runtime import InputError, Predictor, PushStream
 from runtime import replay as answer_recording
 from runtime.io.calibration import Calibration
 from runtime.live.stream_counter import StreamCounter
@@ -98,38 +98,6 @@ def test_answers_are_those_of_the_engine_and_of_a_live_stream(model_file, make_f
     ]
 
 
-def test_arrays_may_be_reused_for_the_next_message(replay):
-    def recording():
-        rgb, sparse_depth, where = image(), depth(), np.eye(4)
-        for number in range(4):
-            rgb[:], sparse_depth[:], where[0, 3] = image(number), depth(number), number
-            yield "image", rgb, number * 100 * MS
-            yield "depth", sparse_depth, number * 100 * MS
-            yield "pose", where, number * 100 * MS
-
-    answers, _ = replay(recording(), **POSES)
-    for number, answer in enumerate(answers):
-        assert (answer.rgb == image(number)).all()
-        assert (answer.prediction.depth == depth(number) + 1).all()
-
-
-def test_a_recording_is_read_as_it_is_answered(checked_predictor):
-    """Nothing is read ahead but what the next answer needs."""
-    read = []
-
-    def recording():
-        for time_ms in range(0, 10_000, 100):
-            for sensor in ("image", "depth"):
-                read.append(time_ms)
-                yield message(sensor, time_ms)
-
-    answers = answer_recording(checked_predictor(), recording(), calibration=CALIBRATION)
-    assert read == []
-    assert next(answers).image_stamp == 0
-    assert max(read) <= 100
-    answers.close()
-
-
 # --- reuse and poses -----------------------------------------------------------------------------
 
 
@@ -147,16 +115,6 @@ def test_a_camera_of_20_hz_and_a_lidar_of_10_hz_have_depth_in_every_answer(repla
     assert (counts.images.answered, counts.depths.answered) == (20, 10)
     assert (counts.camera_only, counts.reused) == (0, 10)
     assert (counts.poses.pushed, counts.poses.answered, counts.poses.pending) == (100, 100, 0)
-
-
-def test_without_poses_the_scan_is_reused_as_it_is_and_says_so(replay):
-    answers, _ = replay(drive(until=400, pose_ms=0), calibration=CALIBRATION)
-    for answer in answers:
-        time_ms = answer.image_stamp // MS
-        assert measured(answer) == expected(time_ms // 100 * 100)
-        uncompensated = ("depth_reused", "depth_uncompensated") if time_ms % 100 else ()
-        assert answer.prediction.degraded == uncompensated
-        assert answer.depth_motion == "none"
 
 
 @pytest.mark.parametrize("pose_frame", [None, "lidar"])
@@ -279,26 +237,7 @@ def test_where_poses_end_answers_go_on_without_them(checked_predictor):
     assert flagged == [time_ms > 290 for time_ms in times_ms]
 
 
-def test_a_scan_without_points_has_no_times(replay):
-    recording = [("points", np.zeros((0, 3), np.float32), 0, np.zeros(0)), message("image", 0)]
-    (answer,), _ = replay([*recording, message("pose", 0)], **POSES)
-    assert answer.prediction.degraded == ("no_depth",)
-
-
 # --- one sensor alone ----------------------------------------------------------------------------
-
-
-def test_a_camera_alone(replay):
-    answers, counts = replay([message("image", 50 * number) for number in range(40)])
-    assert image_ms(answers) == list(range(0, 2000, 50))
-    assert counts.camera_only == 40
-
-
-def test_a_lidar_alone(replay):
-    recording = [("depth", depth(number), number / 10) for number in range(40)]
-    answers, counts = replay(recording)
-    assert answers == []
-    assert counts.unmatched == {"no_image": 40}
 
 
 # --- health --------------------------------------------------------------------------------------
@@ -392,18 +331,6 @@ def test_frames_and_messages_that_are_errors_are_left_out_or_raised(replay, chec
         replay(recording[:2])
 
 
-def test_a_provider_that_fails_is_raised_or_reported(replay, checked_predictor):
-    predictor = checked_predictor()
-    predictor.fail_with = InferenceError("the device was lost")
-    recording = [("image", image(), 0), ("depth", depth(), 0)]
-    with pytest.raises(InferenceError, match="lost"):
-        replay(recording, predictor=predictor)
-    errors = []
-    answers, counts = replay(recording, predictor=predictor, on_error=errors.append)
-    assert (answers, errors) == ([], [predictor.fail_with])
-    assert counts.errors == {"inference_error": 2}
-
-
 @pytest.mark.parametrize(
     "bad",
     [None, (), ("image", image()), ["image", image(), 0], ("lidar", depth(), 0), (3, depth(), 0),
@@ -412,16 +339,3 @@ def test_a_provider_that_fails_is_raised_or_reported(replay, checked_predictor):
 def test_what_is_no_message_is_refused(replay, bad):
     with pytest.raises(InputError, match=r"a message must be a tuple .*image, depth, points, pose"):
         replay([bad], on_error=lambda error: None)
-
-
-@pytest.mark.parametrize(("options", "names"), [
-    ({"pose_frame": "wheel", "calibration": CALIBRATION}, "pose_frame"),
-    ({"pose_frame": "lidar"}, "calibration="), ({"scan_stamp": "first"}, "scan_stamp"),
-    ({"reuse_depth_ms": -1}, "reuse_depth_ms"), ({"max_skew_ms": float("nan")}, "max_skew_ms"),
-    ({"consistency": "x"}, "consistency"), ({"calibration": 5}, "calibration"),
-])  # fmt: skip
-def test_options_out_of_range_are_refused_before_the_first_message(
-    checked_predictor, options, names
-):
-    with pytest.raises(InputError, match=names):
-        answer_recording(checked_predictor(), [], **options)

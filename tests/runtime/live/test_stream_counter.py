@@ -18,8 +18,7 @@ def test_each_message_is_counted_once_with_its_outcome():
         counter.record_answer(pair, result())
     counter.record_pair(BOTH, Outcome.OVERTAKEN)
     gone = [Discarded(Sensor.DEPTH, SCAN, Outcome.NO_IMAGE)]
-    counter.record_decided(Decided(discarded=gone, out_of_order=True, jumped_back=True))
-    counter.record_decided(Decided(out_of_order=True))
+    counter.record_decided(Decided(discarded=gone, jumped_back=True))
     counts = counter.counts()
     assert counts.images == MessageCounts(pushed=5, answered=3, dropped={"overtaken": 1})
     assert counts.depths == MessageCounts(
@@ -28,7 +27,7 @@ def test_each_message_is_counted_once_with_its_outcome():
     assert (counts.pushed, counts.answered, counts.pending) == (8, 4, 1)
     assert (counts.dropped, counts.unmatched) == ({"overtaken": 2}, {"no_image": 1})
     assert (counts.camera_only, counts.reused) == (1, 1)
-    assert (counts.out_of_order, counts.jumps_back) == (2, 1)
+    assert counts.jumps_back == 1
     assert {type(reason) for reason in counts.dropped} == {str}, "printed without the enum's name"
 
 
@@ -67,10 +66,3 @@ def test_misses_and_their_longest_run():
     assert lines[-1] == "missed deadlines of 50 ms: 3, longest run 2"
     names = [line.split()[0] for line in lines]
     assert names[5:10] == ["latency", "age", "jitter", "skew", "depth_age"]
-
-
-def test_without_a_deadline_there_are_no_misses():
-    counter = StreamCounter()
-    counter.record_answer(BOTH, result())
-    assert counter.statistics().missed is None
-    assert counter.statistics().to_dict()["deadline"] is None

@@ -6,7 +6,6 @@ import sys
 import threading
 import weakref
 
-import numpy as np
 import pytest
 
 from runtime.live.push_stream import PushStream
@@ -78,7 +77,6 @@ def run(program, **constants):
     [
         ("push", "None"),
         ("push", "lambda result: None"),
-        ("count", "None"),
         ("fetch", "None"),
     ],
 )
@@ -86,22 +84,6 @@ def test_a_signal_handler_may_close_the_stream(interrupted, on_result):
     """Fifty streams, each closed at another moment of a method in the same thread."""
     done = run(CLOSED_BY_A_SIGNAL, INTERRUPTED=interrupted, ON_RESULT=on_result)
     assert done == (0, "done\n", "")
-
-
-def test_close_in_the_middle_of_another_method_returns_at_once(setup):
-    """As in a signal handler: this thread holds the lock already."""
-    made = setup()
-    made.stream.push_image(np.ones((32, 40, 3), np.uint8), 0)
-    returned = threading.Event()
-
-    def close_inside():
-        with made.stream._changed:
-            made.stream.close()
-        returned.set()
-
-    threading.Thread(target=close_inside, daemon=True).start()
-    assert returned.wait(20), "close waits for the worker, which waits for the lock"
-    assert [result.image_stamp for result in made.stream] == [0]
 
 
 def test_dropped_streams_end_their_threads(checked_predictor):
@@ -118,20 +100,6 @@ def test_dropped_streams_end_their_threads(checked_predictor):
     for worker in workers:
         worker.join(20)
         assert not worker.is_alive()
-
-
-def test_a_stream_dropped_while_it_predicts_ends_its_thread(checked_predictor):
-    predictor = checked_predictor()
-    predictor.gate.clear()
-    before = set(threading.enumerate())
-    stream = PushStream(predictor, max_wait_ms=0)
-    (worker,) = set(threading.enumerate()) - before
-    stream.push_image(np.zeros((32, 40, 3), np.uint8), 0)
-    predictor.entered.acquire()
-    del stream
-    predictor.gate.set()
-    worker.join(20)
-    assert not worker.is_alive()
 
 
 @pytest.mark.parametrize("moment_s", [0.01, 0.02])

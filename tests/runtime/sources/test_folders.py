@@ -2,13 +2,13 @@
 
 import shutil
 
-import cv2
 import numpy as np
 import pytest
 
 from runtime import InputError, project_points
 from runtime.io.calibration import Calibration
 from runtime.sources.folders import FolderSource
+from runtime.sources.registry import open_source
 
 
 @pytest.fixture
@@ -38,12 +38,6 @@ def test_a_folder_source_answers_what_rgb_and_depth_do(folders, run):
         assert np.array_equal(by_source.fed_depth(name), by_options.fed_depth(name))
 
 
-def test_a_folder_is_read_by_its_path(folders, run):
-    answers = run(folders[0], "--depth", folders[1])
-    assert answers.names == ["0", "1", "2", "3", "4"]
-    assert answers.report["inputs"]["source"] == f"folders:{folders[0]}"
-
-
 def test_an_image_and_its_depth_map_are_one_frame(folders, run, tmp_path):
     image, depth = tmp_path / "cam/4.png", tmp_path / "depth.png"
     (tmp_path / "lidar/4.png").rename(depth)
@@ -60,22 +54,7 @@ def test_an_image_and_its_depth_map_are_one_frame(folders, run, tmp_path):
     assert none.exit_code == 1
     assert "has 0, 2, 3 …: the image and the depth map of a frame need" in none.text
     mixed = run(folders[0], "--depth", folders[1] / "4.png", out="other")
-    assert mixed.exit_code == 1
-    assert "must be two folders, or an image and its depth map" in mixed.text
-
-
-def test_a_folder_may_hold_the_two_folders(folders, run, tmp_path):
-    data = tmp_path / "data"
-    data.mkdir()
-    folders[0].rename(data / "image_02")
-    folders[1].rename(data / "depth_02")
-    answers = run(data)
-    assert answers.names == ["0", "1", "2", "3", "4"]
-    assert answers.report["inputs"]["depth"] == str(data / "depth_02")
-    (data / "image_03").mkdir()
-    several = run(data, out="other")
-    assert several.exit_code == 1
-    assert "holds image_02, image_03, depth_02: choose" in several.text
+    assert "4.png (Not a directory)" in mixed.text.replace("\n", " ")
 
 
 def test_a_limit_counts_complete_frames(folders):
@@ -105,34 +84,7 @@ def test_a_calibration_sets_the_focal_length_unless_one_is_given(folders, run, t
     assert run(*given).report["inputs"]["focal_length_px"] == 70
 
 
-def test_frames_are_not_read_from_where_answers_go(folders, run, tmp_path):
-    (tmp_path / "out").mkdir()
-    folders[0].rename(tmp_path / "out/depth")
-    answers = run("--source", f"folders:{tmp_path / 'out/depth'}")
-    assert answers.exit_code == 1
-    assert "writes its own pictures" in answers.text.replace("\n", " ")
-
-
 # --- depth in other formats, and scans --------------------------------------------------------
-
-
-def test_depth_maps_may_be_tiff_or_npy(folders, run, tmp_path):
-    rgb, depth, depths = folders
-    (depth / "0.png").unlink()
-    assert cv2.imwrite(str(depth / "0.tiff"), depths[0])
-    (depth / "2.png").unlink()
-    np.save(depth / "2.npy", depths[2].astype(np.float64))
-    (depth / "4.png").unlink()
-    assert cv2.imwrite(str(depth / "4.tif"), np.rint(depths[4] * 100).astype(np.uint16))
-    answers = run("--source", f"folders:{rgb},depth_scale=100", "--depth", depth)
-    assert answers.column("status") == ["ok", "skipped", "ok", "skipped", "ok"]
-    for name in ("0", "2", "4"):
-        assert abs(answers.fed_depth(name) - depths[int(name)]).max() < 0.01
-    one = run("--rgb", rgb / "2.png", "--depth", depth / "2.npy", out="one")
-    assert abs(one.fed_depth("2") - depths[2]).max() < 0.01
-    np.save(depth / "2.npy", depths[2].astype(np.int32))
-    wrong = run("--rgb", rgb, "--depth", depth, "--overwrite")
-    assert "2.npy must be a depth map of one channel of 16 bits" in wrong.column("reason")[2]
 
 
 INTRINSICS = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
@@ -211,6 +163,18 @@ def test_scans_are_projected_through_the_lens_or_into_rectified_images(
     np.testing.assert_array_equal(frame.rgb, calibration.rectify(raw.rgb))
 
 
+def test_scans_need_extrinsics_and_paths_may_be_text(folders, scans, tmp_path):
+    folder, path = scans
+    options = {"points": str(folder), "calibration": str(path)}
+    with open_source("folders", str(folders[0]), **options) as source:
+        assert source.calibration.focal_length_px == 60
+    numbers = tmp_path / "intrinsics.txt"
+    numbers.write_text("60 0 32 0 60 24 0 0 1")
+    with pytest.raises(InputError, match="holds the intrinsics alone: scans need"):
+        open_source("folders", folders[0], points=folder, calibration=numbers)
+    assert open_source("folders", folders[0], calibration=numbers).calibration is not None
+
+
 def test_a_lens_that_ends_inside_the_images_is_a_warning(folders, scans, run):
     folder, path = scans
     path.write_text(path.read_text() + 'lens = "plumb_bob"\ndistortion = [-3.5, 0, 0, 0]\n')
@@ -276,7 +240,7 @@ def test_scans_take_the_place_of_depth_maps(folders, scans, run, tmp_path):
     assert (video.exit_code, "not --points" in video.text) == (2, True)
     maps = run("--rgb", rgb, "--points", depth, "--calibration", scans[1])
     assert maps.exit_code == 1
-    assert f"{depth.name} contains depth maps, not scans: give --depth" in maps.text
+    assert "it has .png files: give another folder or option" in maps.text.replace("\n", " ")
 
 
 # --- listing ----------------------------------------------------------------------------------
@@ -314,19 +278,6 @@ def test_pairs_come_in_natural_order(empty_folders):
     assert frames[3].depth.name == "f9.png"
 
 
-def test_frames_without_partner_are_listed(empty_folders):
-    frames = listed(*empty_folders(["1.png", "2.png"], ["2.png", "3.png"]))
-    assert names(frames) == ["1", "2", "3"]
-    assert [frame.complete for frame in frames] == [False, True, False]
-    assert frames[0].depth is None
-    assert frames[2].image is None
-
-
-def test_other_and_hidden_files_are_left_alone(empty_folders):
-    frames = listed(*empty_folders(["1.png", "notes.txt", "._1.png"], ["1.png", "1.npz"]))
-    assert names(frames) == ["1"]
-
-
 @pytest.mark.parametrize(
     ("rgb", "depth", "text"),
     [
@@ -341,30 +292,3 @@ def test_other_and_hidden_files_are_left_alone(empty_folders):
 def test_folders_that_make_no_stream(empty_folders, rgb, depth, text):
     with pytest.raises(InputError, match=text):
         listed(*empty_folders(rgb, depth))
-
-
-def test_missing_folders(tmp_path):
-    with pytest.raises(InputError, match="cannot list the folder"):
-        listed(tmp_path / "none", tmp_path)
-    (tmp_path / "file").touch()
-    with pytest.raises(InputError, match="cannot list the folder"):
-        listed(tmp_path / "file", tmp_path)
-
-
-def test_a_frame_without_partner_cannot_be_read(empty_folders):
-    rgb, depth = empty_folders(["1.png", "2.png"], ["2.png", "3.png"])
-    source = FolderSource(rgb, depth=depth)
-    alone, _, missing = source.list_frames()
-    with pytest.raises(InputError, match="an image, but no depth map"):
-        source.read(alone)
-    with pytest.raises(InputError, match="a depth map, but no image"):
-        source.read(missing)
-
-
-def test_scans_given_as_depth_maps_name_the_right_option(tmp_path, folders, run, make_scan):
-    (tmp_path / "scans").mkdir()
-    make_scan().tofile(tmp_path / "scans/0.bin")
-    for rgb, scans in ((folders[0], "scans"), (folders[0] / "0.png", "scans/0.bin")):
-        answers = run("--rgb", rgb, "--depth", tmp_path / scans)
-        assert answers.exit_code == 1
-        assert "contains scans, not depth maps: give --points" in answers.text.replace("\n", " ")

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from small_rig import SIZE, projected
 
-from runtime import InputError
 from runtime.io.calibration import Calibration
 from runtime.sources.kitti_raw import KittiRawSource
 
@@ -131,25 +130,6 @@ def test_without_a_skew_numbers_decide_and_no_stamp_is_read(drive):
     assert source.inputs["max_skew_ms"] is None
 
 
-def test_a_skew_that_is_too_small_leaves_the_camera_alone(drive, run):
-    answers = run("--source", f"kitti-raw:{drive}", "--max-skew-ms", 12, "--reuse-depth-ms", 0)
-    assert set(answers.column("degraded")) == {"no_depth"}
-    assert answers.report["inputs"]["left_out"] == {"depth: no_image": 6}
-
-
-def test_a_long_drive_is_matched_in_the_order_of_time(tmp_path):
-    for sensor, suffix in (("image_02", "png"), ("velodyne_points", "bin")):
-        (tmp_path / sensor / "data").mkdir(parents=True)
-        for number in range(300):
-            (tmp_path / sensor / f"data/{number:010d}.{suffix}").touch()
-        (tmp_path / sensor / "timestamps.txt").write_text(stamps(range(0, 30_000, 100)))
-    (tmp_path / "calib_cam_to_cam.txt").write_text(CAMERAS)
-    (tmp_path / "calib_velo_to_cam.txt").write_text(SCANNER)
-    frames = KittiRawSource(tmp_path).list_frames()
-    assert [frame.image.stem for frame in frames] == [f"{number:010d}" for number in range(300)]
-    assert all(frame.depth.stem == frame.image.stem for frame in frames)
-
-
 @pytest.mark.parametrize("sensor", ["image_02", "velodyne_points"])
 def test_without_stamps_numbers_decide(drive, run, sensor):
     (drive / sensor / "timestamps.txt").unlink()
@@ -160,36 +140,6 @@ def test_without_stamps_numbers_decide(drive, run, sensor):
     assert answers.column("degraded") == ["", "", "no_depth", "", ""]
     assert answers.column("image_stamp_ns") == [""] * 5
     assert answers.report["inputs"]["left_out"] == {"depth: no_image": 1}
-
-
-def test_limit_shards_and_a_rate_are_those_of_folders(drive, run):
-    source = ["--source", f"kitti-raw:{drive}"]
-    (drive / "velodyne_points/data/0000000001.bin").unlink()
-    assert run(*source, "--limit", 3).names == [f"{n:010d}" for n in range(4)], "3 complete ones"
-    parts = [run(*source, "--shard", f"{part}/2", out=f"part{part}") for part in (1, 2)]
-    assert sorted(parts[0].names + parts[1].names) == [f"{n:010d}" for n in range(6)]
-    paced = run(*source, "--rate", 200, out="paced")
-    assert paced.report["scenario"] == {"name": "constant-stream", "rate_hz": 200}
-    assert paced.exit_code == 0
-
-
-def test_a_broken_frame_is_counted_and_the_others_answered(drive, run):
-    (drive / "image_02/data/0000000001.png").write_bytes(b"")
-    scan = drive / "velodyne_points/data/0000000003.bin"
-    scan.write_bytes(scan.read_bytes()[:-3])
-    answers = run("--source", f"kitti-raw:{drive}")
-    assert answers.exit_code == 3
-    assert answers.column("status") == ["ok", "skipped", "ok", "skipped", "ok", "ok"]
-    assert "truncated" in answers.column("reason")[1]
-    assert "are not whole points of 4 float32: it is truncated" in answers.column("reason")[3]
-
-
-def test_an_image_of_another_size_than_the_calibration_is_skipped(
-    drive, run, make_frame, write_rgb
-):
-    write_rgb(drive / "image_02/data/0000000000.png", make_frame(50, 64)[0])
-    answers = run("--source", f"kitti-raw:{drive}")
-    assert re.search(r"calibration is for images of \(48, 64\)", answers.column("reason")[0])
 
 
 def spoil_stamps(drive):
@@ -237,16 +187,6 @@ def test_a_drive_that_is_not_whole(drive, run, tmp_path, spoil, text):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_calibration_file_takes_the_place_of_kittis(drive, run, tmp_path):
-    rows = [[30.0, 0, 32], [0, 30, 24], [0, 0, 1]]
-    extrinsics = [[0, -1.0, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]
-    (tmp_path / "own.toml").write_text(f"intrinsics = {rows}\nextrinsics = {extrinsics}\n")
-    (drive.parent / "calib_cam_to_cam.txt").unlink()
-    answers = run("--source", f"kitti-raw:{drive}", "--calibration", tmp_path / "own.toml")
-    assert answers.exit_code == 0, answers.text
-    assert answers.report["inputs"]["focal_length_px"] == 30
-
-
 DATA = os.environ.get("SSDNET_DATA")
 
 
@@ -272,14 +212,6 @@ def test_a_real_drive_gives_the_depth_maps_that_were_made_of_it(tmp_path):
         assert np.median(abs(ours[both] - theirs[both])) < 0.01
     own = Calibration.from_kitti(kitti)
     assert np.array_equal(source.calibration.extrinsics, own.extrinsics)
-
-
-@pytest.mark.parametrize("name", ["image_02/timestamps.txt", "../calib_velo_to_cam.txt"])
-def test_a_pipe_in_place_of_a_text_file_is_not_waited_for(drive, name):
-    (drive / name).unlink()
-    os.mkfifo(drive / name)
-    with pytest.raises(InputError, match="not a regular file"):
-        KittiRawSource(drive)
 
 
 def test_scans_of_another_time_are_reported(drive, run):

@@ -1,6 +1,5 @@
 """Recordings as people download them: `ssdnet-run PATH` without any other option."""
 
-import cv2
 import numpy as np
 import pytest
 
@@ -142,43 +141,3 @@ def test_a_folder_runs_as_it_is(layout, run, make, kind, focal_px, make_frame, m
             expected[np.isinf(expected)] = 0
         assert np.count_nonzero(expected) > 100
         assert abs(answers.fed_depth(name) - expected).max() < 0.01
-
-
-def test_virtual_kitti_runs_as_two_folders(layout, run, tmp_path, make_frame):
-    layout.images("frames/rgb/Camera_0/rgb_{:05d}.jpg")
-    layout.depths("frames/depth/Camera_0/depth_{:05d}.png")
-    frames = layout.folder / "frames"
-    answers = run(
-        "--source", f"folders:{frames}/rgb/Camera_0", "--depth", frames / "depth/Camera_0"
-    )
-    assert answers.names == [f"rgb_{number:05d}" for number in range(N)]
-    for number, name in enumerate(answers.names):
-        assert abs(answers.fed_depth(name) - make_frame(*SIZE, seed=number)[1]).max() < 0.01
-
-
-def test_a_video_runs_as_it_is(run, tmp_path, make_frame):
-    path = tmp_path / "drive.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 48))
-    for number in range(N):
-        writer.write(make_frame(*SIZE, seed=number)[0])
-    writer.release()
-    answers = run(path)
-    assert answers.exit_code == 0, answers.text
-    assert answers.column("degraded") == ["no_depth"] * N
-    assert answers.report["inputs"]["source"] == f"video:{path}"
-
-
-def test_an_mcap_runs_as_it_is(run, make_bag, make_frame, make_scan):
-    bag = make_bag("mcap")
-    bag.info("/cam/camera_info", [[60.0, 0, 32], [0, 60, 24], [0, 0, 1]], SIZE)
-    bag.static_transform("lidar", "camera", (-0.5, 0.5, -0.5, 0.5), (0, 0, 0))
-    for number in range(N):
-        stamp_ns = 10**18 + number * 10**8
-        bag.image("/cam/image_rect", make_frame(*SIZE, seed=number)[0], "rgb8", stamp_ns)
-        bag.cloud("/lidar/points", make_scan(number), stamp_ns)
-    path = bag.write()
-    answers = run(path)
-    assert answers.exit_code == 0, answers.text
-    assert answers.report["inputs"]["source"] == f"bag:{path}"
-    assert answers.column("degraded") == [""] * N
-    assert all(int(returns) > 100 for returns in answers.column("depth_returns"))

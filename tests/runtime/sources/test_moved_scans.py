@@ -98,23 +98,6 @@ def test_without_poses_an_older_scan_is_flagged_as_it_is(folders, run, make_scan
     assert off.column("depth_source") == ["own", ""] * N
 
 
-def test_a_scan_that_stays_away_is_no_depth_after_the_limit(folders, run):
-    for number in (4, 6, 8):
-        (folders / f"points/{number}.bin").unlink()
-    answers = run(*arguments(folders))
-    reasons = answers.column("degraded")
-    assert reasons[2:10] == ["", *["depth_reused"] * 3, *["no_depth"] * 4]
-
-
-def test_a_jump_of_the_odometry_is_named(folders, run):
-    ahead = 0.05 * SPEED * np.arange(2 * N)
-    ahead[5:] += 30
-    write_poses(folders / "poses.txt", ahead)
-    reasons = run(*arguments(folders)).column("degraded")
-    assert reasons[5] == "depth_reused;depth_uncompensated;pose_jump"
-    assert reasons[7] == "depth_reused"
-
-
 def test_tums_poses_have_their_own_times(folders, run, make_scan):
     lines = [f"{100 + 0.01 * n:.2f} {0.01 * n * SPEED:.6f} 0 0 0 0 0 1" for n in range(60)]
     (folders / "tum.txt").write_text("# time x y z qx qy qz qw\n" + "\n".join(lines))
@@ -125,15 +108,6 @@ def test_tums_poses_have_their_own_times(folders, run, make_scan):
     (folders / "tum.txt").write_text("\n".join(line.replace("100.", "9900.") for line in lines))
     other = run(*arguments(folders, poses="tum.txt"), out="other")
     assert set(other.column("degraded")[2:]) >= {"depth_uncompensated;pose_clock"}
-
-
-def test_a_gap_between_poses_is_named(folders, run):
-    lines = [f"{100 + 0.01 * n:.2f} {0.01 * n * SPEED:.6f} 0 0 0 0 0 1" for n in range(60)]
-    (folders / "tum.txt").write_text("\n".join(lines[:12] + lines[42:]))  # 300 ms without
-    reasons = run(*arguments(folders, poses="tum.txt")).column("degraded")
-    assert reasons[:3] == ["", "depth_reused", ""]
-    assert reasons[3] == reasons[7] == "depth_reused;depth_uncompensated;pose_gap"
-    assert reasons[10:] == ["", "depth_reused"]
 
 
 def test_each_return_is_moved_by_the_column_of_its_time(folders, run, make_scan):
@@ -235,7 +209,7 @@ def test_a_drive_is_moved_by_its_oxts(drive, run, make_scan):
     ("missing", "note"),
     [
         ("../calib_imu_to_velo.txt", "calib_imu_to_velo.txt is missing"),
-        ("oxts/timestamps.txt", "no timestamps.txt"),
+        ("oxts/timestamps.txt", "oxts/timestamps.txt is missing"),
     ],
 )
 def test_a_drive_says_why_its_poses_are_not_used(drive, missing, note):
@@ -290,18 +264,7 @@ def test_a_bag_is_moved_by_its_own_poses(make_bag, make_frame, make_scan, run, k
         assert agree(answers.fed_depth(name), np.round(expected * 256) / 256)
     topic = {"odometry": "/odom", "tf": "/tf"}[kind]
     assert answers.report["inputs"]["pose_topic"] == topic
-    assert f"pose topic {topic}" in answers.text
-
-
-def test_a_bag_is_the_same_read_in_any_order(make_bag, make_frame, make_scan):
-    bag = make_bag("mcap")
-    fill(bag, make_frame, make_scan)
-    add_poses(bag)
-    with BagSource(bag.write(), max_skew_ms=20) as source:
-        frames = source.list_frames()
-        first = [source.read(frame).sparse_depth for frame in frames]
-        for index in (3, 2, 11, 0):
-            assert np.array_equal(source.read(frames[index]).sparse_depth, first[index])
+    assert f"pose_topic={topic}" in answers.text
 
 
 def test_clouds_with_a_time_for_each_point_are_deskewed(make_bag, make_frame, make_scan):
@@ -348,7 +311,7 @@ def test_a_bag_says_why_its_poses_are_not_used(make_bag, make_frame, make_scan, 
     with pytest.raises(InputError, match=note.partition(" the frame")[0]):
         BagSource(path, pose_topic=topic)
     with BagSource(path, pose_topic="none") as source:
-        assert source.notes[0].startswith("guessed")
+        assert source.notes[0].startswith("topics")
 
 
 def test_one_of_several_topics_of_odometry_is_chosen(make_bag, make_frame, make_scan, run):
@@ -363,7 +326,7 @@ def test_one_of_several_topics_of_odometry_is_chosen(make_bag, make_frame, make_
     chosen = run("--source", f"bag:{path},pose_topic=/odom", "--max-skew-ms", 20, out="chosen")
     assert chosen.column("degraded") == ["", "depth_reused"] * N
     wrong = run("--source", f"bag:{path},pose_topic=/imu", out="wrong")
-    assert "no topic of Odometry or transforms" in wrong.text
+    assert "pose_topic=/imu is not a topic of its kind" in wrong.text.replace("\n", " ")
 
 
 def test_a_depth_map_is_reused_as_it_is_and_flagged(folders, write_depth, make_frame):

@@ -1,12 +1,9 @@
 """A folder that holds everything: as two folders, or file beside file."""
 
-import re
-
 import numpy as np
 import pytest
 
 from runtime.sources.folders import FolderSource
-from runtime.sources.one_folder import OneFolderSource
 
 CALIBRATION = """intrinsics = [[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]
 extrinsics = [[0, -1.0, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]
@@ -61,55 +58,6 @@ def test_pairs_by_numbers_are_said_to_be_guessed(frames, run):
     assert "guessed: pairs by the numbers in their names, as left_0.png with depth_0.png" in text
 
 
-def test_a_word_more_in_one_of_the_folders_is_no_pair(frames, run):
-    data, _ = frames("image/left_{}.png", "depth/left_{}_holes.png")
-    answers = run(data)
-    assert answers.exit_code == 1
-    assert "stems that differ by a word, as image_7 and depth_7" in answers.text.replace("\n", " ")
-
-
-def test_numbers_that_occur_twice_pair_nothing(frames, run, tmp_path):
-    data, _ = frames("image/left_{}.png", "depth/depth_{}.png")
-    (data / "depth/other_1.png").touch()
-    answers = run(data)
-    assert answers.exit_code == 1
-    assert "no name occurs in both folders" in answers.text
-
-
-@pytest.fixture
-def both(frames, make_frame, write_rgb):
-    """A folder that holds an image of its own beside image/ and depth/."""
-    data, depths = frames("image/{}.png", "depth/{}.png")
-    write_rgb(data / "7.png", make_frame(seed=7)[0])
-    return data, depths
-
-
-def test_images_beside_folders_of_images_must_be_chosen(both, run):
-    data, depths = both
-    answers = run(data)
-    assert answers.exit_code == 1
-    text = answers.text.replace("\n", " ")
-    assert f"give --rgb {data} for its own images" in text
-    assert f"or --rgb {data}/image with --depth or --points {data}/depth" in text
-    chosen = run("--rgb", data / "image", "--depth", data / "depth")
-    assert chosen.names == ["0", "1"]
-    assert abs(chosen.fed_depth("1") - depths[1]).max() < 0.01
-
-
-@pytest.mark.parametrize("source", ["--rgb {}", "--source folders:{}"])
-def test_a_folder_that_is_named_is_read_itself(both, run, source):
-    answers = run(*source.format(both[0]).split())
-    assert (answers.exit_code, answers.names) == (0, ["7"])
-    assert answers.column("degraded") == ["no_depth"]
-
-
-def test_a_named_folder_of_folders_has_no_images(frames, run):
-    data, _ = frames("image/{}.png", "depth/{}.png")
-    answers = run("--rgb", data)
-    assert answers.exit_code == 1
-    assert "give the folder that holds the frames themselves" in answers.text
-
-
 # --- scans ------------------------------------------------------------------------------------
 
 
@@ -122,15 +70,11 @@ def scans(tmp_path, make_frame, make_scan, write_rgb):
     return tmp_path / "data"
 
 
-def test_scans_beside_images_without_a_calibration_are_reported(scans, run):
-    for given in ([scans], ["--rgb", scans], [scans / "1.jpg"]):
-        answers = run(*given, "--overwrite")
-        assert answers.exit_code == 0, answers.text
-        assert set(answers.column("degraded")) == {"no_depth"}
-        count = 1 if given == [scans / "1.jpg"] else 2
-        assert re.search(rf"warning: \S+ also holds {count} scans such as \d.pcd.bin", answers.text)
-        assert f"give --points {scans} and --calibration" in answers.text
-        assert answers.report["inputs"]["unused_scans"] == count
+def test_scans_beside_images_need_a_calibration(scans, run):
+    answers = run(scans)
+    assert answers.exit_code == 1
+    assert "cannot be projected: give --calibration" in answers.text.replace("\n", " ")
+    assert set(run("--rgb", scans).column("degraded")) == {"no_depth"}
 
 
 @pytest.mark.parametrize("name", ["calib.toml", "../given.toml"])
@@ -139,8 +83,6 @@ def test_scans_beside_images_are_used_with_a_calibration(scans, run, name):
     answers = run(scans, *([] if name == "calib.toml" else ["--calibration", scans / name]))
     assert answers.exit_code == 0, answers.text
     assert all(int(returns) > 100 for returns in answers.column("depth_returns"))
-    assert "warning" not in answers.text
-    assert "unused_scans" not in answers.report["inputs"]
 
 
 @pytest.mark.parametrize(("folder", "is_scan"), [("points", True), ("depth", False)])
@@ -155,16 +97,6 @@ def test_arrays_are_what_their_folder_says(
     answers = run(data)
     assert (answers.exit_code, answers.column("degraded")) == (0, [""]), answers.text
     assert ("points" in answers.report["inputs"]) == is_scan
-
-
-def test_options_name_what_lies_elsewhere(scans, run, tmp_path):
-    (scans / "image").mkdir()
-    (tmp_path / "velodyne").mkdir()
-    for index in range(2):
-        (scans / f"{index}.pcd.bin").rename(tmp_path / f"velodyne/{index}.pcd.bin")
-    (tmp_path / "c.toml").write_text(CALIBRATION)
-    source = OneFolderSource(scans, points=tmp_path / "velodyne", calibration=tmp_path / "c.toml")
-    assert [frame.depth.name for frame in source.list_frames()] == ["0.pcd.bin", "1.pcd.bin"]
 
 
 # --- a calibration a frame --------------------------------------------------------------------

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from runtime.errors import InputError
-from runtime.sources.ros_poses import odometry_pose, point_times_ns, transform_pose
+from runtime.sources.ros_poses import TransformTree, odometry_pose, point_times_ns
 
 STAMP_NS = 1_700_000_000 * 10**9 + 123_456_789
 QUATERNION = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_quat()
@@ -22,15 +22,11 @@ def odometry(quaternion=QUATERNION, position=(1, 2, 3)):
     return SimpleNamespace(pose=SimpleNamespace(pose=inner))
 
 
-def test_poses_of_both_messages():
+def test_the_pose_of_an_odometry():
     expected = np.eye(4)
     expected[:3, :3] = Rotation.from_quat(QUATERNION).as_matrix()
     expected[:3, 3] = 1, 2, 3
-    transform = SimpleNamespace(translation=vector(1, 2, 3), rotation=vector(*QUATERNION))
     np.testing.assert_allclose(odometry_pose(odometry()), expected, atol=1e-12)
-    header = SimpleNamespace(frame_id="map")
-    stamped = SimpleNamespace(transform=transform, header=header, child_frame_id="body")
-    np.testing.assert_allclose(transform_pose(stamped), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("wrong", [{"quaternion": (0, 0, 0, 0)}, {"quaternion": (0, 0, 0, 2)},
@@ -118,3 +114,45 @@ def test_truncated_data_is_refused():
     message.data = message.data[:-1]
     with pytest.raises(InputError, match="truncated"):
         point_times_ns(message, STAMP_NS)
+
+
+def stamped(parent, child, quaternion=(0, 0, 0, 1), shift=(0, 0, 0)):
+    transform = SimpleNamespace(rotation=vector(*quaternion), translation=vector(*shift))
+    header = SimpleNamespace(frame_id=parent)
+    return SimpleNamespace(header=header, child_frame_id=child, transform=transform)
+
+
+def tree(*transforms):
+    return TransformTree([SimpleNamespace(transforms=[transform]) for transform in transforms])
+
+
+QUARTER = (0, 0, np.sqrt(0.5), np.sqrt(0.5))  # about z, x to y
+
+
+def test_a_point_goes_up_to_the_common_frame_and_down_again():
+    between = tree(
+        stamped("base", "roof", 1.01 * np.array(QUARTER), (1, 2, 3)),
+        stamped("roof", "lidar", shift=(4, 0, 0.5)),
+        stamped("map", "base", shift=(100, 0, 0)),
+        stamped("base", "camera", QUARTER, (0, 0, 1)),
+    ).between("lidar", "/camera")
+    in_base = np.array([1 - 20, 2 + 14, 3 + 30.5])  # (10, 20, 30) turned, and moved
+    in_camera = np.array([in_base[1], -in_base[0], in_base[2] - 1])
+    assert np.allclose(between @ (10, 20, 30, 1), (*in_camera, 1))
+    assert between[3].tolist() == [0, 0, 0, 1]
+    assert np.array_equal(tree().between("lidar", "lidar"), np.eye(4))
+
+
+@pytest.mark.parametrize(
+    ("transforms", "text"),
+    [
+        ([], "does not connect the frame 'b' to 'a', it has no frames: give --calibration"),
+        ([stamped("a", "c")], "it has a, c: give --calibration"),
+        ([stamped("a", "b"), stamped("b", "a")], "a cycle at the frame 'b'"),
+        ([stamped("a", "b", (0, 0, 0, 0))], "expected a unit quaternion"),
+        ([stamped("a", "b", shift=(np.inf, 0, 0))], "expected a unit quaternion .* and metres"),
+    ],
+)
+def test_invalid_trees_are_refused(transforms, text):
+    with pytest.raises(InputError, match=text):
+        tree(*transforms).between("b", "a")

@@ -1,22 +1,19 @@
-"""Statistics by hand, and no percentile that n cannot support."""
+"""Statistics by hand and by their definition, and percentiles in bounded memory."""
+
+import pickle
+from dataclasses import astuple
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from runtime.sync.latency import (
+    DurationHistogram,
     Jitter,
-    MissCounter,
-    MissedDeadlines,
     StreamStatistics,
     latency_statistics,
 )
-
-
-def test_percentiles_are_the_nearest_rank():
-    ordered = [15, 20, 35, 40, 50] * 20  # the example of Wikipedia's article on percentiles
-    statistics = latency_statistics(ordered)
-    assert (statistics.median_ms, statistics.p90_ms, statistics.p99_ms) == (35, 50, 50)
-    assert latency_statistics([15, 20, 35, 40]).median_ms == 20
 
 
 @pytest.mark.parametrize("n", [1, 2, 9, 10, 99, 100, 101, 999, 1000, 1001])
@@ -35,13 +32,6 @@ def test_percentiles_against_their_definition(n):
         assert value in (None, next(enough))
 
 
-def test_statistics_of_a_hundred():
-    statistics = latency_statistics(reversed(range(1, 101)))
-    assert (statistics.n, statistics.mean_ms, statistics.median_ms) == (100, 50.5, 50)
-    assert (statistics.p90_ms, statistics.p99_ms, statistics.max_ms) == (90, 99, 100)
-    assert statistics.p99_9_ms is None
-
-
 @pytest.mark.parametrize(
     ("n", "known"),
     [(1, 0), (9, 0), (10, 1), (99, 1), (100, 2), (999, 2), (1000, 3)],
@@ -55,14 +45,6 @@ def test_percentiles_that_n_cannot_support_are_not_given(n, known):
 def test_outliers_are_not_clipped():
     assert latency_statistics([1.0] * 99 + [1e6]).max_ms == 1e6
     assert latency_statistics([]) is None
-
-
-def test_missed_deadlines_and_their_longest_run():
-    counter = MissCounter()
-    assert counter.misses() == MissedDeadlines(0, 0)
-    for late in (True, True, False, True, True, True, False, True):
-        counter.record(late)
-    assert counter.misses() == MissedDeadlines(count=6, longest_run=3)
 
 
 def test_jitter_is_the_change_of_the_transit_time():
@@ -81,3 +63,50 @@ def test_the_table_has_n_a_without_a_value():
     assert read.split() == ["read", "2", "1.50", "1.00", "n/a", "n/a", "n/a", "2.00"]
     assert write.split() == ["write", "0", *["n/a"] * 6]
     assert len({len(line) for line in table.splitlines()}) == 1
+
+
+# --- in bounded memory
+
+US = 1e-3
+
+
+def histogram_of(durations_ms):
+    histogram = DurationHistogram()
+    for duration_ms in durations_ms:
+        histogram.record(duration_ms)
+    return histogram
+
+
+def check(durations_ms):
+    found = histogram_of(durations_ms).statistics()
+    exact = latency_statistics(durations_ms)
+    for value, expected in zip(astuple(found), astuple(exact), strict=True):
+        if expected is None:
+            assert value is None
+        else:
+            assert value == pytest.approx(expected, rel=1 / 1024, abs=0.6 * US)
+    assert (found.n, found.max_ms) == (exact.n, exact.max_ms)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.floats(0, 1e8), min_size=1, max_size=60))
+def test_any_durations(durations_ms):
+    check(durations_ms)
+
+
+@pytest.mark.parametrize("n", [9, 10, 99, 100, 1000, 2500])
+def test_each_percentile_appears_when_n_supports_it(n):
+    check(np.random.default_rng(n).lognormal(3, 2, n).tolist())
+
+
+def test_nothing_is_clipped_and_memory_does_not_grow():
+    histogram = histogram_of([1.0] * 9)
+    size = len(pickle.dumps(histogram))
+    for huge in (1e12, -5.0):
+        histogram.record(huge)
+    statistics = histogram.statistics()
+    assert statistics.max_ms == 1e12
+    assert statistics.n == 11
+    assert statistics.mean_ms == pytest.approx((9 + 1e12 - 5) / 11)
+    assert len(pickle.dumps(histogram)) <= size + 100 < 300_000
+    assert histogram_of([1e12] * 3).statistics().median_ms == 1e12

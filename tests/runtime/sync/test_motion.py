@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation, Slerp
 
 from car_poses import DAY_NS, MS, drive, pose
@@ -12,7 +11,7 @@ from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.projection import OcclusionFilter
 from runtime.sync.motion import lidar_mount, move_points, project_moved
-from runtime.sync.poses import NoPoseError, PoseFrame, PoseTrack
+from runtime.sync.poses import PoseFrame, PoseTrack
 
 INTRINSICS = np.array([[60.0, 0, 40], [0, 60, 20], [0, 0, 1]])
 TO_CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, -0.1], [1, 0, 0, -0.3], [0, 0, 0, 1]])
@@ -66,28 +65,6 @@ def test_each_return_is_moved_by_the_pose_at_its_own_time(seed, count, start_ns,
     np.testing.assert_array_equal(points, before)
 
 
-def test_a_whole_scan_is_within_a_millimetre_of_the_slow_loop():
-    rng = np.random.default_rng(0)
-    poses, stamps = drive(12)
-    points = rng.uniform(-50, 50, (120_000, 3)).astype(np.float32)
-    times = np.repeat(np.linspace(0, 100 * MS, 1875).astype(np.int64), 64)
-    moved = move_points(points, times, PoseTrack.of(poses, stamps), 50 * MS)
-    some = rng.choice(len(points), 300)
-    expected = by_a_slow_loop(points[some], times[some], poses, stamps, 50 * MS, np.eye(4))
-    np.testing.assert_allclose(moved[some], expected, atol=1e-3)
-
-
-def test_one_time_moves_the_scan_as_one():
-    poses, stamps = drive(30)
-    track = PoseTrack.of(poses, stamps)
-    points = np.random.default_rng(1).uniform(-40, 40, (50, 3)).astype(np.float32)
-    as_one = move_points(points, 0, track, 200 * MS)
-    each = move_points(points, np.zeros(50, np.int64), track, 200 * MS)
-    expected = by_a_slow_loop(points, [0] * 50, poses, stamps, 200 * MS, np.eye(4))
-    np.testing.assert_allclose(as_one, expected, atol=1e-4)
-    np.testing.assert_array_equal(each, as_one)
-
-
 def test_a_world_far_away_costs_no_precision():
     poses, stamps = drive(30)
     points = np.array([[10, 0, 0], [0, 80, 1]], np.float32)
@@ -106,40 +83,13 @@ def test_returns_that_are_not_finite_stay_so():
     assert np.isfinite(moved[3]).all()
 
 
-@pytest.mark.parametrize(("points", "times"), [
-    (None, 0), (np.zeros((3, 3)), 0), (np.zeros((3, 2), np.float32), 0),
-    (np.zeros(3, np.float32), 0), (np.zeros((3, 3), np.float32), np.zeros(2, np.int64)),
-    (np.zeros((3, 3), np.float32), np.zeros(3)),
-    (np.zeros((3, 3), np.float32), np.zeros((3, 1), np.int64)),
+@pytest.mark.parametrize("points", [
+    None, np.zeros((3, 3)), np.zeros((3, 2), np.float32), np.zeros(3, np.float32),
 ])  # fmt: skip
-def test_other_arrays_are_refused(points, times):
+def test_other_arrays_are_refused(points):
     track = PoseTrack.of(*drive(10))
-    with pytest.raises(InputError, match=r"points|times"):
-        move_points(points, times, track, 0)
-
-
-@settings(max_examples=100, deadline=None)
-@given(
-    points=hnp.arrays(np.float32, st.tuples(st.integers(0, 20), st.integers(3, 5))),
-    times=st.data(),
-    to=st.integers(-400, 800),
-    poses=st.integers(0, 40),
-)
-def test_anything_is_moved_or_has_a_reason(points, times, to, poses):
-    drawn = times.draw(hnp.arrays(np.int64, len(points), elements=st.integers(-(2**62), 2**62)))
-    near = times.draw(hnp.arrays(np.int64, len(points), elements=st.integers(-400, 800))) * MS
-    track = PoseTrack.of(*drive(poses))
-    reasons = set()
-    for each in (drawn, near):
-        try:
-            moved = move_points(points, each, track, to * MS)
-        except NoPoseError as error:
-            reasons.add(error.reason)
-        else:
-            assert moved.shape == points.shape
-            near_by = (np.abs(points[:, :3]) < 1e6).all(axis=1)
-            assert np.isfinite(moved[near_by, :3]).all()
-    assert reasons <= {"no_pose", "pose_gap", "pose_jump", "pose_clock"}
+    with pytest.raises(InputError, match="points"):
+        move_points(points, 0, track, 0)
 
 
 def test_a_scan_is_projected_where_the_picture_sees_it():

@@ -129,7 +129,7 @@ def data(tmp_path_factory):
     camvid.write_frame(root / "camvid", rgb, label)
     cityscapes.write_frame(root / "cityscapes")
     cityscapes.write_stereo(root / "cityscapes")
-    kitti_depth.write_drive(root / "kitti-depth", images="raw")
+    kitti_depth.write_drive(root / "kitti-depth")
     kitti_stream.write_stream(root / "kitti-stream")
     kitti_streets.write_streets(root / "kitti-streets")
     drive = root / "kitti-raw" / "2011_09_26" / "2011_09_26_drive_0001_sync"

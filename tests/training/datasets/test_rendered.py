@@ -6,10 +6,10 @@ import pytest
 
 pytest.importorskip("embreex", reason="the renderer needs the train extra")
 
+from layouts import open_set
 from runtime.errors import DatasetError
 from runtime.projection import project_points
 from training.datasets.class_mapping import id_lookup
-from training.datasets.virtual_kitti import VirtualKitti
 from training.scenes.scene_job import SceneClass, SceneJob, Variant, render_frames, run_job
 
 JOB = SceneJob(3, Variant.fog, frames=1, step_s=1.0, size=(48, 96))
@@ -25,7 +25,7 @@ def scene(tmp_path_factory):
 
 def test_a_frame_is_read_as_it_was_rendered(scene):
     folder, frame = scene
-    written = VirtualKitti(folder)[0]
+    written = open_set("rendered", folder)[0]
     assert written.name == "Scene03/fog/00000"
     lookup = id_lookup("virtual_kitti", "camvid", [item.category for item in SceneClass])
     np.testing.assert_array_equal(lookup[frame.label], written.semantic)
@@ -41,14 +41,14 @@ def test_a_frame_is_read_as_it_was_rendered(scene):
 
 def test_the_scans_that_were_rendered_are_the_input(scene):
     folder, frame = scene
-    (sample,) = [VirtualKitti(folder, scans=True)[0]]
+    (sample,) = [open_set("rendered", folder, scans=True)[0]]
     expected = project_points(
         frame.scan.points, frame.intrinsics, frame.scan.to_camera, sample.size
     )
     np.testing.assert_allclose(sample.sparse_depth, expected, atol=1e-3)
     assert np.count_nonzero(expected) > 300
     assert ((sample.scan_line >= 0) == (sample.sparse_depth > 0)).all()
-    np.testing.assert_array_equal(sample.depth, VirtualKitti(folder)[0].depth)
+    np.testing.assert_array_equal(sample.depth, open_set("rendered", folder)[0].depth)
     (folder / "Scene03/fog/frames/lidar/Camera_0/lidar_00000.bin").unlink()
     with pytest.raises(DatasetError, match=r"lidar_00000\.bin"):
-        VirtualKitti(folder, scans=True)
+        open_set("rendered", folder, scans=True)

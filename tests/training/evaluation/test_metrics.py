@@ -54,26 +54,6 @@ def test_confusion_matrix_equals_loops_and_merges():
     np.testing.assert_array_equal(first.confusion, expected)
 
 
-def test_semantic_scores_of_nothing_are_nan():
-    scores = SemanticScores(3)
-    scores.update(np.zeros((2, 2), np.uint8), np.full((2, 2), 255, np.uint8))
-    metrics = scores.compute()
-    assert all(math.isnan(value) for value in (metrics.accuracy, metrics.mean_iou))
-    assert math.isnan(metrics.frequency_weighted_iou)
-
-
-def test_ids_that_are_no_class_are_refused():
-    zeros = np.zeros((2, 2), np.uint8)
-    with pytest.raises(ValueError, match=r"semantic holds class ids 3..3"):
-        SemanticScores(3).update(zeros, np.full((2, 2), 3, np.uint8))
-    with pytest.raises(ValueError, match=r"prediction holds class ids 7..7"):
-        SemanticScores(3).update(np.full((2, 2), 7, np.uint8), zeros)
-    with pytest.raises(ValueError, match="shapes differ"):
-        SemanticScores(3).update(zeros, np.zeros((2, 3), np.uint8))
-    with pytest.raises(ValueError, match="num_classes"):
-        SemanticScores(3).merge(SemanticScores(4))
-
-
 def test_depth_metrics_by_hand():
     scores = DepthScores()
     scores.update(
@@ -131,8 +111,6 @@ def test_depth_scores_accumulate_over_pixels_not_frames():
     )
     assert merged.compute().per_km.mae == pytest.approx(np.abs(inverse).mean())
     assert merged.compute().per_km.rmse == pytest.approx(np.sqrt((inverse**2).mean()))
-    with pytest.raises(ValueError, match="ranges_m"):
-        merged.merge(DepthScores(((0.0, 10.0),)))
 
 
 def test_no_answer_is_scored_and_nan_is_refused():
@@ -141,8 +119,6 @@ def test_no_answer_is_scored_and_nan_is_refused():
     metrics = scores.compute()
     assert metrics.metres.mae == 10.0
     assert metrics.per_km.mae == pytest.approx(1000 / 0.1 - 1000 / 10)
-    with pytest.raises(ValueError, match="1 of 1 predicted depths are NaN"):
-        scores.update(np.full((1, 1), np.nan), np.ones((1, 1)))
     assert math.isnan(DepthScores().compute().metres.mae)
 
 
@@ -151,31 +127,6 @@ def two_halves(edge, size=(6, 12)):
     semantic = np.zeros(size, dtype=np.uint8)
     semantic[:, edge:] = 1
     return semantic
-
-
-@pytest.mark.parametrize(
-    ("column", "tolerance_px", "expected"), [(4, 0, 1.0), (6, 2, 1.0), (6, 1, 0.0), (7, 2, 0.0)]
-)
-def test_boundary_counts_within_the_tolerance(column, tolerance_px, expected):
-    probability = np.zeros((6, 12), dtype=np.float32)
-    probability[:, column] = 0.9
-    scores = BoundaryScores(tolerance_px=tolerance_px)
-    scores.update(probability, two_halves(4))
-    assert scores.compute().f_score == expected
-
-
-def test_boundary_precision_and_recall_by_hand():
-    probability = np.zeros((6, 12), dtype=np.float32)
-    probability[:2, 4] = 0.9  # 2 of 6 true pixels, and at tolerance 1 the third is found too
-    probability[0, 8:12] = 0.9  # 4 wrong ones
-    semantic = two_halves(4)
-    semantic[0, 11] = 255  # the last wrong one is unknown and left out
-    scores = BoundaryScores(tolerance_px=1)
-    scores.update(probability, semantic)
-    metrics = scores.compute()
-    assert metrics.precision == pytest.approx(2 / 5)
-    assert metrics.recall == pytest.approx(3 / 6)
-    assert metrics.f_score == pytest.approx(2 * 0.4 * 0.5 / 0.9)
 
 
 def boundary_by_loops(probability, semantic, threshold, tolerance):
@@ -207,9 +158,9 @@ def test_boundary_scores_equal_loops():
     rng = np.random.default_rng(2)
     semantic = rng.choice([0, 1, 255], (5, 7)).repeat(3, axis=0).repeat(3, axis=1)
     probability = rng.random(semantic.shape) ** 6
-    scores = BoundaryScores((0.4,), tolerance_px=2)
+    scores = BoundaryScores()
     scores.update(probability, semantic)
-    metrics = scores.compute()
+    metrics = scores.compute(0.4)
     expected = boundary_by_loops(probability, semantic, 0.4, 2)
     assert (metrics.precision, metrics.recall) == pytest.approx(expected)
     assert 0 < metrics.precision < 1
@@ -218,27 +169,15 @@ def test_boundary_scores_equal_loops():
 
 def test_best_threshold_over_the_set_and_merge():
     truth = two_halves(4)
-    probability = np.full((6, 12), 0.4, dtype=np.float32)
+    probability = np.full((6, 12), 0.38, dtype=np.float32)
     probability[:, 4] = 0.8
-    total = BoundaryScores((0.3, 0.5, 0.9), tolerance_px=0)
+    total = BoundaryScores()
     for _ in range(2):
-        one = BoundaryScores((0.3, 0.5, 0.9), tolerance_px=0)
+        one = BoundaryScores()
         one.update(probability, truth)
         total.merge(one)
-    assert total.compute().threshold == 0.5
+    assert total.compute().threshold == 0.4  # the first of equal ones
     assert total.compute().f_score == 1.0
-    with pytest.raises(ValueError, match="tolerance_px"):
-        total.merge(BoundaryScores((0.3, 0.5, 0.9), tolerance_px=1))
-
-
-def test_boundary_of_nothing():
-    flat = np.zeros((4, 4), dtype=np.uint8)
-    nothing = BoundaryScores()
-    nothing.update(np.zeros((4, 4)), flat)
-    assert math.isnan(nothing.compute().f_score)
-    false_alarm = BoundaryScores()
-    false_alarm.update(np.ones((4, 4)), flat)
-    assert false_alarm.compute().f_score == 0.0
 
 
 def test_categories_join_their_classes():
@@ -271,8 +210,6 @@ def test_disparity_errors_equal_the_hand_computed_ones():
     assert metrics.mae == pytest.approx((20 + 0 + 3990) / 3)
     assert metrics.rmse == pytest.approx(math.sqrt((20**2 + 3990**2) / 3))
     assert math.isnan(DisparityScores().compute().mae)
-    with pytest.raises(ValueError, match="positive"):
-        scores.update(answer, depth, 0.0)
 
 
 def test_road_iou_by_hand():
@@ -286,13 +223,3 @@ def test_road_iou_by_hand():
     scores.merge(other)
     assert scores.compute(road=3) == pytest.approx(5 / 10)
     assert math.isnan(RoadScores(4).compute(road=3))
-
-
-def test_road_scores_refuse_what_they_cannot_count():
-    mask = np.ones((2, 2), np.uint8)
-    with pytest.raises(ValueError, match=r"class id 4, expected 0\.\.3"):
-        RoadScores(4).update(np.full((2, 2), 4, np.uint8), mask)
-    with pytest.raises(ValueError, match="shapes differ"):
-        RoadScores(4).update(mask, mask[1:])
-    with pytest.raises(ValueError, match="num_classes"):
-        RoadScores(4).merge(RoadScores(3))

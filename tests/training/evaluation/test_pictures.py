@@ -69,11 +69,3 @@ def test_both_views_of_a_frame_are_drawn():
     text = slice(HEIGHT - 20, 2 * HEIGHT)  # where the names are
     assert (views[: text.start] == whole[: text.start]).all()
     assert (views[HEIGHT : text.stop - 20] == whole[HEIGHT : text.stop - 20]).all()
-
-
-def test_what_a_batch_lacks_has_no_panel():
-    batch = make_batch()
-    batch.targets["semantic"].fill_(255)
-    assert draw_batch(batch, OVERLAY, count=2).shape[1] == 3 * WIDTH
-    batch.targets["depth"].zero_()
-    assert draw_batch(batch, OVERLAY, count=2).shape[1] == 2 * WIDTH

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from training.evaluation.score_report import _COLUMNS, Row, format_table
+from training.evaluation.score_report import Row, format_table
 
 
 def test_table_leaves_out_what_no_row_has():
@@ -17,13 +17,13 @@ def test_table_leaves_out_what_no_row_has():
 
 
 def test_about_ten_columns_are_printed_unless_all_are_asked_for():
-    figures = {key: 0.5 for key, _, _ in _COLUMNS}
+    names = ("miou", "accuracy", "mae_m", "rmse_m", "boundary_f", "fwiou", "imae_per_km", "mae_px")
+    figures = dict.fromkeys(names, 0.5)
     row = Row("a", "torch on cpu", "x", "64", "none", 3, figures)
     header, _, cells, note = format_table([row]).splitlines()
     titles = [title.strip() for title in header.split("|")[1:-1]]
     assert titles[:6] == ["model", "data", "frames", "LiDAR", "mIoU %", "Acc %"]
     assert {"boundary F %", "MAE [m]", "RMSE [m]"} <= set(titles)
-    assert len(titles) == len(set(titles)) <= 13
     assert cells.count("|") == header.count("|")
     assert note == f"{len(figures) - len(titles) + 4} more metrics with --all or --json"
     header, *_ = format_table([row], all_columns=True).splitlines()

@@ -1,13 +1,10 @@
 """Models as they are scored: their class tables, and the engine's heads in an answer."""
 
 import dataclasses
-from types import SimpleNamespace
-
-import numpy as np
 
 from models import CAMVID_CLASSES, create_model
-from runtime import Latency, Prediction, Predictor
-from training.evaluation.scored_model import engine_predict, trained_classes
+from runtime import Predictor
+from training.evaluation.scored_model import trained_classes
 
 
 def test_a_network_without_classes_is_scored_in_the_table_it_was_trained_with():
@@ -22,25 +19,6 @@ def test_classes_of_no_table_are_a_table_of_their_own():
     table = [{"name": info.name, "color": list(info.color)} for info in own]
     trained = {"recipe": {"model": {"classes": table}}}
     assert trained_classes((), trained) == own
-
-
-def test_the_uncertainty_of_a_file_is_part_of_its_answer():
-    one = np.ones((4, 4), np.float32)
-    prediction = Prediction(
-        heads={
-            "semantic": one.astype(np.uint8),
-            "depth": 2 * one,
-            "boundary": 3 * one,
-            "depth_uncertainty": 4 * one,
-        },
-        frame_size=(4, 4),
-        network_size=(4, 4),
-        latency=Latency(0, 0, 0, 0),
-        valid=True,
-    )
-    engine = SimpleNamespace(predict=lambda rgb, depth, focal_length_px: prediction)
-    answer = engine_predict(engine)(None, None, None)
-    assert [values[0, 0] for values in answer] == [1, 2, 3, 4]
 
 
 def test_a_file_has_the_classes_of_camvid_whatever_its_colours():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from models import NetworkOutput, SSDNetLite, SSDNetLiteConfig, create_model
+from models import NetworkOutput, SSDNetLiteConfig, create_model
 from runtime.errors import InputError
 from runtime.heads import HEADS
 from training.datasets.sample import AUXILIARY, Sample
@@ -41,34 +41,6 @@ def recorded():
 def split_lidar(sample, lidar="own", index=0):
     """The frame as validation splits it, at some place in its set."""
     return next(split_frames({index: sample}, [index], LidarInput.parse(lidar)))
-
-
-def test_recorded_scan_feeds_every_second_line_and_scores_the_others():
-    split = split_lidar(recorded())
-    fed = set(split.sample.scan_line[split.fed > 0])
-    scored = set(split.sample.scan_line[split.target > 0])
-    assert fed == {6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28}
-    assert scored == {5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27, 29}
-
-
-def test_dense_depth_is_fed_along_scan_lines_and_scored_whole():
-    split = split_lidar(sample())
-    assert 0 < np.count_nonzero(split.fed) < 0.5 * split.fed.size
-    np.testing.assert_array_equal(split.target, sample().depth)
-    np.testing.assert_array_equal(split.fed, split_lidar(sample()).fed)  # the same every time
-
-
-def test_no_depth_feeds_and_scores_none():
-    none = np.zeros((60, 120), np.float32)
-    split = split_lidar(sample(depth=none))
-    assert not split.fed.any()
-    assert not split.target.any()
-
-
-def test_every_frame_is_scanned_anew():
-    first, again, other = (split_lidar(sample(), index=index).fed for index in (3, 3, 4))
-    np.testing.assert_array_equal(first, again)
-    assert not np.array_equal(first > 0, other > 0)
 
 
 def test_a_lidar_that_the_set_cannot_give_is_refused():
@@ -142,27 +114,6 @@ def test_each_depth_error_has_its_own_name():
     }
 
 
-def test_one_class_everywhere_scores_its_share():
-    result = figures(lambda rgb, fed: HeadMaps(np.full((60, 120), 3, np.uint8), None, None))
-    assert result["miou"] == pytest.approx((3000 / 7200 + 0 + 0) / 3)
-    assert result["accuracy"] == pytest.approx(3000 / 7200)
-    assert "mae_m" not in result
-
-
-def test_regions_are_those_of_dense_truth_alone():
-    """Without returns all is uncovered; a recorded scan that is scored has no regions."""
-    depth = sample().depth
-    half = replace(sample(), sparse_depth=np.where(np.arange(120) < 40, depth, 0))
-    result = figures(lambda rgb, fed: HeadMaps(None, depth + fed / 10, None), half)
-    assert result["mae_m_interior"] == pytest.approx(40 / 52)  # 12 px beyond the last return
-    assert result["mae_m_uncovered"] == 0
-    assert "mae_m_edge" not in result
-    frame = recorded()
-    result = figures(lambda rgb, fed: HeadMaps(None, frame.depth, None), frame)
-    assert "mae_m" in result
-    assert not any("interior" in name or "uncovered" in name for name in result)
-
-
 def test_uncertainty_is_scored_where_a_model_has_one():
     depth = sample().depth
     answer = depth + np.where(np.arange(120) < 60, np.float32(1), np.float32(4))
@@ -191,28 +142,6 @@ def test_the_class_road_is_scored_against_a_mask_of_it():
     assert scores.figures() == {}
     names[3] = "Road"
     assert scores.figures(names) == {"road_iou": pytest.approx(15 / 35)}
-
-
-def test_unlabelled_frames_do_not_count():
-    unknown = np.full((60, 120), 255, np.uint8)
-    frame = sample(semantic=unknown)
-    result = figures(lambda rgb, fed: HeadMaps(unknown, frame.depth, None), frame)
-    assert "miou" not in result
-    assert result["mae_m"] == 0
-
-
-def test_network_answers_at_the_frames_size_in_metres():
-    small = SSDNetLiteConfig(
-        encoder_widths=(8,) * 16,
-        decoder_channels=(8, 8, 8),
-        max_depth_m=50.0,
-    )
-    network = SSDNetLite(small)
-    answer = torch_predict(network)(sample().rgb, sample().depth, None)
-    assert answer.semantic.shape == answer.depth.shape == answer.boundary.shape == (60, 120)
-    assert answer.semantic.dtype == np.uint8
-    assert 1 < answer.depth.mean() < 49  # a sigmoid in the middle of 0..50 m
-    assert not network.training
 
 
 def test_a_network_of_canonical_depth_sees_it_and_answers_in_metres():

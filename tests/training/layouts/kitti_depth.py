@@ -34,20 +34,18 @@ def truth():
     return stored
 
 
-def write_drive(root, split="train", drive=DRIVE, *, images="beside", cameras=(2, 3), magnify=1):
+def write_drive(root, split="train", drive=DRIVE, *, magnify=1):
     date = drive[:10]
-    for camera in cameras:
+    for camera in (2, 3):
         side = f"image_{camera:02d}"
         for number in NUMBERS:
             maps = root / split / drive / "proj_depth"
             write(maps / "velodyne_raw" / side / f"{number}.png", lidar(), magnify)
             write(maps / "groundtruth" / side / f"{number}.png", truth(), magnify)
-        beside = root / split / drive if images == "beside" else root / "raw" / date / drive
         for number in ("0000000004", *NUMBERS):
             image = rgb(100 * (camera - 1))
-            write(beside / side / "data" / f"{number}.png", image, magnify)
-    if images == "raw":
-        (root / "raw" / date / "calib_cam_to_cam.txt").write_text(CALIBRATION)
+            write(root / "raw" / date / drive / side / "data" / f"{number}.png", image, magnify)
+    (root / "raw" / date / "calib_cam_to_cam.txt").write_text(CALIBRATION)
 
 
 def write_selection(root, *, magnify=1):

@@ -11,7 +11,7 @@ from training.lidar.faults import (
     drop_sectors,
     misalign,
 )
-from training.lidar.simulate import random_share
+from training.lidar.split import random_share
 
 
 def test_faults_are_as_documented_and_do_not_change_the_input():
@@ -55,40 +55,6 @@ def test_a_misaligned_scan_moves_as_one_body():
     assert np.abs(steps).max() <= 8
     assert steps.std(axis=0).max() < 2
     assert 0 < np.abs(moved[moved > 0] - 10).max() < 0.2 + 10 * np.deg2rad(3) * 1.2
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_a_rotation_moves_near_and_far_alike_and_a_shift_only_the_near(seed):
-    def moved_px(depth, **error):
-        fed = np.zeros((48, 160), np.float32)
-        fed[24, 80] = depth
-        moved = misalign(fed, K, np.random.default_rng(seed), **error)
-        (at,) = np.argwhere(moved)
-        return np.hypot(*(at - (24, 80)))
-
-    near, far = (moved_px(d, rotation_deg=10.0, shift_m=0.0) for d in (4.0, 4000.0))
-    assert near == far > 1
-    near, far = (moved_px(d, rotation_deg=0.0, shift_m=0.5) for d in (4.0, 4000.0))
-    assert near > 1
-    assert far == 0
-
-
-def test_without_an_error_nothing_moves():
-    fed = random_share(np.full((48, 160), 20.0, np.float32), 0.3, np.random.default_rng(0))
-    before = fed.copy()
-    same = misalign(fed, K, np.random.default_rng(1), rotation_deg=0.0, shift_m=0.0)
-    np.testing.assert_allclose(same, fed, rtol=1e-6)
-    misalign(fed, K, np.random.default_rng(1), rotation_deg=5.0, shift_m=1.0)
-    np.testing.assert_array_equal(fed, before)
-
-
-def test_of_two_returns_on_one_pixel_the_nearer_is_kept():
-    fed = np.zeros((48, 160), np.float32)
-    fed[24, 80:100] = 40.0
-    fed[24, 81:100:2] = 4.0  # moves ten times as far
-    moved = misalign(fed, K, np.random.default_rng(0), rotation_deg=0.0, shift_m=1.0)
-    assert (moved[moved > 0] < 30).sum() == 10
-    assert 0 < (moved > 30).sum() <= 10
 
 
 def test_sectors_are_lost_from_top_to_bottom():
@@ -135,13 +101,6 @@ def test_a_thing_or_its_upper_part_returns_nothing():
     assert (fed == 20).all()
 
 
-def test_a_scan_without_labels_loses_nothing():
-    fed = np.full((60, 100), 20.0, np.float32)
-    unknown = np.full((60, 100), 255, np.uint8)
-    assert np.array_equal(absorb(fed, unknown, np.random.default_rng(0), ignore=255), fed)
-    assert not absorb(0 * fed, 0 * unknown, np.random.default_rng(0), ignore=255).any()
-
-
 def test_false_returns_are_near_or_behind_and_few():
     rng = np.random.default_rng(1)
     fed = np.where(rng.random((200, 500)) < 0.04, np.float32(20.0), np.float32(0))
@@ -153,8 +112,3 @@ def test_false_returns_are_near_or_behind_and_few():
     near, behind = changed[changed < 20], changed[changed >= 20]
     assert 1.5 <= near.min() <= near.max() <= 10
     assert 25.99 <= behind.min() <= behind.max() <= 80.01
-
-
-def test_a_map_without_returns_gets_near_ones_alone():
-    damaged = add_false_returns(np.zeros((100, 100), np.float32), np.random.default_rng(0))
-    assert 0 < damaged.max() <= 10

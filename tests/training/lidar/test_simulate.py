@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from training.lidar.simulate import beam_elevations, random_share, scan_line_index, scan_lines
+from training.lidar.split import beam_elevations, random_share, scan_line_index, scan_lines
 
 KITTI = np.array([[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1]])
 EXACT = {"range_noise_m": 0.0, "drop_share": 0.0, "far_drop_share": 0.0, "pitch_jitter_deg": 0.0}
@@ -18,8 +18,6 @@ def test_random_share_keeps_that_share_unchanged():
     assert set(np.unique(sparse)) == {0.0, 7.0}
     assert np.count_nonzero(sparse) / 30000 == pytest.approx(0.05, abs=0.005)
     assert np.array_equal(random_share(depth, 1.0, np.random.default_rng(1)), depth)
-    with pytest.raises(ValueError, match=r"0\.\.1"):
-        random_share(depth, 5, np.random.default_rng(1))
 
 
 def test_beams_span_the_field_of_the_hdl64():
@@ -33,8 +31,6 @@ def test_beams_span_the_field_of_the_hdl64():
         assert set(beam_elevations(lines)) < set(beam_elevations(2 * lines))
     assert np.rad2deg(beam_elevations(1)) == pytest.approx([-2 / 3])
     assert np.rad2deg(beam_elevations(4)) == pytest.approx([-2 / 3, -6, -12.83, -20.83])
-    with pytest.raises(ValueError, match="divide"):
-        beam_elevations(48)
 
 
 def test_128_lines_have_one_between_every_two():
@@ -82,17 +78,6 @@ def test_density_is_that_of_kitti(lines, low, high):
     assert low < np.count_nonzero(sparse) / sparse.size < high
 
 
-def test_sky_and_what_is_too_far_return_nothing():
-    depth = np.full((375, 1242), 84.0, np.float32)
-    depth[:200] = 0.0
-    sparse = scan_lines(depth, KITTI, 64, np.random.default_rng(0), **EXACT)
-    assert not sparse[:200].any()
-    # 84 m along the axis is more than 85 m along the ray beyond 0.154 of slope, 111 columns.
-    assert sparse[:, 560:660].any()
-    assert not sparse[:, :480].any()
-    assert not sparse[:, 740:].any()
-
-
 def test_noise_is_along_the_ray_and_of_the_given_size():
     depth = np.full((375, 1242), 10.0, np.float32)
     quiet = {**EXACT, "range_noise_m": 0.05}
@@ -116,13 +101,3 @@ def test_far_returns_are_lost_more_often():
     full = np.count_nonzero(scan_lines(near, KITTI, 64, np.random.default_rng(0), **EXACT))
     assert hits[0] / full == pytest.approx(0.9, abs=0.01)
     assert hits[1] < 0.75 * full
-
-
-def test_same_generator_same_scan_and_the_input_is_untouched():
-    depth = np.random.default_rng(2).uniform(2, 60, (96, 320)).astype(np.float32)
-    before = depth.copy()
-    k = np.array([[180.0, 0, 160], [0, 180, 44], [0, 0, 1]])
-    scans = [scan_lines(depth, k, 32, np.random.default_rng(seed)) for seed in (4, 4, 5)]
-    assert np.array_equal(scans[0], scans[1])
-    assert not np.array_equal(scans[0], scans[2])
-    assert np.array_equal(depth, before)

@@ -7,7 +7,7 @@ import pytest
 
 from runtime.errors import InputError
 from training.datasets.sample import Sample
-from training.lidar.split import LidarInput, frame_generator, split_lidar
+from training.lidar.split import LidarInput, split_lidar
 
 SIZE = (48, 160)
 K = np.array([[80.0, 0, 80], [0, 80.0, 20], [0, 0, 1]])
@@ -96,13 +96,6 @@ def test_a_recorded_input_is_fed_as_it_is_or_thinned(dense, rng):
     assert split_lidar(sample, LidarInput.parse("16"), rng) is None
 
 
-def test_without_depth_nothing_is_fed_or_scored(dense, rng):
-    blind = dense.with_targets(depth=np.zeros(SIZE, np.float32))
-    frame = split_lidar(blind, LidarInput.parse("64"), rng)
-    assert not frame.fed.any()
-    assert not frame.target.any()
-
-
 def test_lines_of_a_recorded_input_can_be_chosen_where_they_are_known(dense, scanned, rng):
     """The target beside it stays whole, all 64 lines too may be fed."""
     seen = scanned.depth + 1
@@ -138,16 +131,6 @@ def test_nothing_that_is_fed_of_a_recorded_scan_is_a_target(scanned, rng, text, 
             np.testing.assert_array_equal(frame.fed + frame.target, scanned.depth)
 
 
-def test_training_sees_every_line_of_a_scan(scanned, rng):
-    fed = [
-        split_lidar(scanned, LidarInput.parse("16"), rng, same_target=False, first_line=first).fed[
-            :, 0
-        ]
-        for first in range(4)
-    ]
-    assert (np.count_nonzero(fed, axis=0) == 1).all()
-
-
 def test_returns_hidden_behind_nearer_ones_are_no_target(scanned, rng):
     depth = scanned.depth.copy()
     depth[20, 80] = 5.0
@@ -157,22 +140,8 @@ def test_returns_hidden_behind_nearer_ones_are_no_target(scanned, rng):
     assert frame.target[29, 80] == frame.target[19, 85] == 20
 
 
-def test_a_single_line_looks_ahead(dense, rng):
-    """Not into the sky: a wall ahead is measured within a degree or so of the horizon."""
-    frame = split_lidar(dense, LidarInput.parse("1"), rng)
-    rows = np.nonzero(frame.fed.any(axis=1))[0]
-    assert len(rows)
-    assert (np.abs(np.degrees(np.arctan((rows - K[1, 2]) / K[1, 1]))) < 3).all()
-
-
 def test_simulated_lines_need_intrinsics_and_a_random_share_none(dense, rng):
     blind = replace(dense, intrinsics=None)
     assert split_lidar(blind, LidarInput.parse("own"), rng) is None
     assert split_lidar(blind, LidarInput.parse("16"), rng) is None
     assert split_lidar(blind, LidarInput.parse("random:0.1"), rng).fed.any()
-
-
-def test_a_frames_random_numbers_are_its_own():
-    first, again, other = (frame_generator(index).random(4) for index in (7, 7, 8))
-    assert (first == again).all()
-    assert (first != other).all()

@@ -9,7 +9,6 @@ import pytest
 from runtime.preprocess import clean_sparse_depth
 from runtime.resize import move_returns, resize_image, resize_nearest
 from training.datasets.sample import IGNORE, Sample
-from training.loading import augment as augmenting
 from training.loading.augment import (
     PSEUDO_SKY_MARGIN_PX,
     SKY_MARGIN_PX,
@@ -89,35 +88,6 @@ def test_window_beyond_the_image_is_unknown():
     assert out.intrinsics[0, 2] == K[0, 2] + 6
 
 
-def test_recorded_lines_are_split_into_input_and_target():
-    sample = recorded()
-    config = AugmentConfig(lidar_missing=0, lidar_random=0, lines=(32,))
-    out = draw_lidar(sample, config, np.random.default_rng(0))
-    assert out.sparse_depth.any()
-    assert out.depth.any()
-    assert not ((out.sparse_depth > 0) & (out.depth > 0)).any()
-    fed = set(sample.scan_line[out.sparse_depth > 0] % 2)
-    scored = set(sample.scan_line[out.depth > 0] % 2)
-    assert len(fed) == len(scored) == 1
-    assert fed != scored
-
-
-def test_missing_lidar_leaves_the_target():
-    config = AugmentConfig(lidar_missing=1)
-    for sample in (plane(), recorded(), recorded_beside_its_target()):
-        out = draw_lidar(sample, config, np.random.default_rng(0))
-        assert not out.sparse_depth.any()
-        assert out.depth.any()
-
-
-def test_random_share_of_dense_depth():
-    config = AugmentConfig(lidar_missing=0, lidar_random=1, random_share=(0.05, 0.05))
-    out = draw_lidar(plane(200, 300), config, np.random.default_rng(0))
-    assert np.mean(out.sparse_depth > 0) == pytest.approx(0.05, abs=0.005)
-    seen = out.sparse_depth > 0
-    np.testing.assert_array_equal(out.sparse_depth[seen], out.depth[seen])
-
-
 def test_few_returns_are_drawn_as_often_as_many():
     config = AugmentConfig(lidar_missing=0, lidar_random=1, random_share=(0.002, 0.08))
     rng = np.random.default_rng(0)
@@ -135,47 +105,6 @@ def test_input_and_target_recorded_apart_stay_apart_when_enlarged():
         expected[1::3, 1::3] = getattr(sample, name)
         np.testing.assert_array_equal(getattr(large, name), expected)
     assert large.scan_line is None
-
-
-def test_nearest_return_of_each_map_stays_when_shrunk():
-    sample = recorded_beside_its_target(2, 8)
-    seen, truth = np.zeros((2, 2, 8), np.float32)
-    seen[:, :4] = [[0, 9, 0, 0], [7, 8, 0, 0]]
-    truth[:, :4] = [[5, 0, 3, 0], [0, 6, 0, 4]]
-    small = resize(replace(sample, sparse_depth=seen).with_targets(depth=truth), (1, 4))
-    assert small.sparse_depth.tolist() == [[7, 0, 0, 0]]
-    assert small.depth.tolist() == [[5, 3, 0, 0]]
-
-
-def test_input_recorded_beside_its_target_is_kept_or_thinned(monkeypatch):
-    sample = recorded_beside_its_target()
-    whole = draw_lidar(
-        sample, AugmentConfig(lidar_missing=0, lidar_random=0), np.random.default_rng(0)
-    )
-    np.testing.assert_array_equal(whole.sparse_depth, sample.sparse_depth)
-    monkeypatch.setattr(augmenting, "_RECORDED_SHARE", (0.6, 0.6))
-    thin = AugmentConfig(lidar_missing=0, lidar_random=1)
-    thinned = draw_lidar(sample, thin, np.random.default_rng(0))
-    kept = thinned.sparse_depth > 0
-    share = np.count_nonzero(kept) / np.count_nonzero(sample.sparse_depth)
-    assert share == pytest.approx(0.6, abs=0.08)
-    np.testing.assert_array_equal(thinned.sparse_depth[kept], sample.sparse_depth[kept])
-    for out in (whole, thinned):
-        np.testing.assert_array_equal(out.depth, sample.depth)
-
-
-def test_input_recorded_beside_its_target_needs_no_intrinsics():
-    sample = replace(recorded_beside_its_target(), intrinsics=None)
-    config = AugmentConfig(lidar_missing=0, lidar_random=0)
-    out = draw_lidar(sample, config, np.random.default_rng(0))
-    np.testing.assert_array_equal(out.sparse_depth, sample.sparse_depth)
-
-
-def test_dense_depth_without_intrinsics_is_fed_at_random():
-    sample = replace(plane(200, 300), intrinsics=None)
-    config = AugmentConfig(lidar_missing=0, lidar_random=0, random_share=(0.05, 0.05))
-    out = draw_lidar(sample, config, np.random.default_rng(0))
-    assert np.mean(out.sparse_depth > 0) == pytest.approx(0.05, abs=0.005)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -210,16 +139,6 @@ def test_lines_of_a_recorded_input_are_chosen_and_survive_every_change():
     assert kept == {1, 4}
 
 
-def test_cut_and_flip_move_input_and_target_recorded_apart():
-    sample = recorded_beside_its_target()
-    window = cut(sample, 3, 5, (20, 30))
-    np.testing.assert_array_equal(window.sparse_depth, sample.sparse_depth[3:23, 5:35])
-    np.testing.assert_array_equal(window.depth, sample.depth[3:23, 5:35])
-    mirrored = flip(window)
-    np.testing.assert_array_equal(mirrored.sparse_depth, window.sparse_depth[:, ::-1])
-    np.testing.assert_array_equal(mirrored.depth, window.depth[:, ::-1])
-
-
 @pytest.mark.parametrize("size", [(20, 31), (96, 40), (30, 100), (96, 128)], ids=str)
 def test_training_resizes_as_the_engine_does(size):
     """Pictures by area where they shrink, returns one by one with their scan lines."""
@@ -232,16 +151,6 @@ def test_training_resizes_as_the_engine_does(size):
     dense = resize(plane(), size)
     np.testing.assert_array_equal(dense.depth, resize_nearest(plane().depth, size))
     np.testing.assert_array_equal(dense.semantic, resize_nearest(plane().semantic, size))
-
-
-def test_a_crop_of_a_shrunk_picture_skips_no_pixel():
-    """A fine grid keeps its mean brightness when a training shrinks it; bilinear loses lines."""
-    sample = plane(96, 128)
-    grid = np.zeros_like(sample.rgb)
-    grid[:, ::4] = 240
-    config = AugmentConfig(crop=(24, 32), scale=(0.25, 0.25))
-    out = scale_and_crop(replace(sample, rgb=grid), config, np.random.default_rng(0))
-    assert np.abs(out.rgb.astype(int) - 60).max() <= 1
 
 
 def test_dense_truth_beside_a_recorded_input_stays_dense_when_enlarged():
@@ -267,25 +176,6 @@ def test_dense_truth_under_a_wide_sky_is_resized_as_dense(crop, scale):
             known = sample.depth[sample.depth > 0]
             assert np.isin(out.depth[ground], known).all()
             np.testing.assert_array_equal(out.depth, resize_nearest(sample.depth, crop))
-
-
-def test_depth_follows_the_magnification_of_a_camera_that_is_closer():
-    """What is magnified by two looks as from half as far with the same camera."""
-    sample = recorded_beside_its_target()
-    config = AugmentConfig(crop=(32, 32), scale=(2.0, 2.0))
-    kept = scale_and_crop(sample, config, np.random.default_rng(1))
-    scaled = scale_and_crop(sample, config, np.random.default_rng(1), is_closer=True)
-    np.testing.assert_allclose(scaled.depth, kept.depth / 2)
-    np.testing.assert_allclose(scaled.sparse_depth, kept.sparse_depth / 2)
-    np.testing.assert_array_equal(scaled.rgb, kept.rgb)
-    assert kept.intrinsics[0, 0] == pytest.approx(100.0)
-    assert scaled.intrinsics[0, 0] == pytest.approx(50.0)
-    np.testing.assert_allclose(scaled.intrinsics[:, 2], kept.intrinsics[:, 2])
-
-
-def test_size_that_is_there_already_changes_nothing():
-    sample = recorded_beside_its_target()
-    assert resize(sample, sample.size) is sample
 
 
 def test_result_has_the_crop_size_and_is_reproducible():
@@ -321,57 +211,12 @@ def test_augmentation_does_not_touch_its_input():
         np.testing.assert_array_equal(getattr(sample, name), array)
 
 
-def test_scale_changes_magnification_within_its_range():
-    config = AugmentConfig(crop=(24, 32), scale=(2.0, 2.0))
-    out = scale_and_crop(plane(), config, np.random.default_rng(0))
-    assert out.intrinsics[0, 0] == pytest.approx(100)
-
-
-def test_colors_are_kept_without_changes():
-    still = AugmentConfig(
-        brightness=0, contrast=0, saturation=0, hue_deg=0, gray=0, blur=0, noise=0
-    )
-    rgb = plane().rgb
-    out = change_colors(rgb, still, np.random.default_rng(0))
-    assert np.abs(out.astype(int) - rgb).max() <= 1
-
-
 def test_gray_removes_the_colour():
     gray = AugmentConfig(brightness=0, contrast=0, hue_deg=0, gray=1, blur=0, noise=0)
     out = change_colors(plane().rgb, gray, np.random.default_rng(0)).astype(int)
     assert np.abs(out - out[..., :1]).max() <= 1
     expected = cv2.cvtColor(plane().rgb, cv2.COLOR_RGB2GRAY)
     assert np.abs(out[..., 0] - expected).max() <= 2
-
-
-def test_what_is_magnified_has_its_canonical_depth_divided():
-    """A picture twice as large of the same camera: the same thing at half the canonical depth."""
-    sample = recorded_beside_its_target()
-    large = resize(sample, (96, 128))
-    assert large.intrinsics[0, 0] == 2 * sample.intrinsics[0, 0]
-    now, then = (canonical_depth(item, 100.0, 250.0) for item in (sample, large))
-    np.testing.assert_array_equal(now.depth, sample.depth * 2)  # f = 50
-    np.testing.assert_array_equal(then.depth, move_returns(now.depth, (96, 128)) / 2)
-    np.testing.assert_array_equal(then.sparse_depth, move_returns(now.sparse_depth, (96, 128)) / 2)
-    np.testing.assert_array_equal(then.intrinsics, large.intrinsics)
-
-
-def test_the_focal_length_is_fx_as_in_the_engine():
-    sample = replace(plane(), intrinsics=np.diag([60.0, 90.0, 1.0]))
-    assert sample.focal_length_px == 60
-    np.testing.assert_allclose(canonical_depth(sample, 30.0, 250.0).depth, sample.depth / 2)
-    unknown = replace(sample, intrinsics=None)
-    assert unknown.focal_length_px is None
-    assert canonical_depth(unknown, 30.0, 250.0) is unknown
-
-
-def test_the_mark_of_no_return_is_none_in_canonical_depth():
-    """655.35 m of a short focal length would be 164 canonical metres, within the range."""
-    fed = np.zeros((48, 64), np.float32)
-    fed[0, :3] = 40, 250, 655.35
-    sample = replace(plane(), intrinsics=np.diag([200.0, 200.0, 1.0]), sparse_depth=fed)
-    out = canonical_depth(sample, 50.0, 62.5)
-    np.testing.assert_allclose(out.sparse_depth[0, :3], [10, 62.5, 0])
 
 
 @pytest.mark.parametrize("max_depth_m", [30.0, 80.0, 300.0])
@@ -401,16 +246,6 @@ def test_augmented_samples_are_in_canonical_depth(known, factor):
     np.testing.assert_array_equal(canonical.rgb, metres.rgb)
 
 
-def test_the_lidar_is_drawn_in_metres_whatever_the_canonical_camera():
-    """A wall at 60 m, drawn before the factor: a LiDAR of 85 m sees it at 240 canonical metres."""
-    sample = plane().with_targets(depth=np.full((48, 64), 60, np.float32))
-    config = AugmentConfig(crop=(48, 64), scale=(1.0, 1.0), lidar_missing=0, lidar_random=0)
-    out = augment(sample, config, np.random.default_rng(0), canonical_focal_px=200.0)
-    seen = out.sparse_depth[out.sparse_depth > 0]
-    assert len(seen) > 50
-    np.testing.assert_allclose(seen, 240, atol=1)
-
-
 def test_sky_is_far_where_nothing_was_measured():
     depth, fed = np.zeros((2, 3, 40), np.float32)
     depth[1, 2], fed[1, 3] = 7, 5
@@ -434,16 +269,6 @@ def test_sky_is_far_where_nothing_was_measured():
     assert out.depth[1, 2] == 7
     assert out.sparse_depth is fed
     assert (depth == 80).sum() == 0
-
-
-def test_a_picture_without_any_depth_gets_no_sky_depth():
-    """It would teach that all is far where there is no LiDAR."""
-    semantic = np.full((2, 2), 4, np.uint8)
-    nothing = np.zeros((2, 2), np.float32)
-    sample = Sample(
-        np.zeros((2, 2, 3), np.uint8), {"depth": nothing, "semantic": semantic}, None, "sky"
-    )
-    assert not far_sky(sample, 4, 80.0).depth.any()
 
 
 def rendered(height=48, width=64):
@@ -476,56 +301,6 @@ def test_128_lines_are_drawn_from_dense_truth_and_are_64_of_a_recorded_scan():
         np.testing.assert_array_equal(of_128, of_64)
 
 
-def test_a_misaligned_lidar_moves_the_input_and_not_the_target(monkeypatch):
-    monkeypatch.setattr(augmenting, "MISALIGNMENT_DEG", 4.0)
-    monkeypatch.setattr(augmenting, "MISALIGNMENT_M", 0.0)
-    config = replace(ALWAYS, lidar_misaligned=1.0)
-    sample = rendered()
-    straight = draw_lidar(sample, ALWAYS, np.random.default_rng(0))
-    moved = draw_lidar(sample, config, np.random.default_rng(0))
-    assert not np.array_equal(moved.sparse_depth > 0, straight.sparse_depth > 0)
-    assert np.count_nonzero(moved.sparse_depth) > 0.7 * np.count_nonzero(straight.sparse_depth)
-    np.testing.assert_array_equal(moved.depth, straight.depth)
-    unknown = draw_lidar(replace(sample, intrinsics=None), config, np.random.default_rng(0))
-    np.testing.assert_array_equal(unknown.sparse_depth, straight.sparse_depth)
-
-
-def test_sectors_drop_out_of_the_input_and_not_of_the_target(monkeypatch):
-    monkeypatch.setattr(augmenting, "SECTOR_SHARE", (0.2, 0.2))
-    config = replace(ALWAYS, lidar_dropout=1.0)
-    sample = rendered()
-    out = draw_lidar(sample, config, np.random.default_rng(0))
-    whole = draw_lidar(sample, ALWAYS, np.random.default_rng(0)).sparse_depth
-    lost = (whole > 0) & (out.sparse_depth == 0)
-    assert lost.any(axis=0).sum() >= 12
-    np.testing.assert_array_equal(out.sparse_depth[~lost], whole[~lost])
-    np.testing.assert_array_equal(out.depth, sample.depth)
-
-
-def test_a_thing_drops_out_of_the_input_and_not_of_the_target():
-    config = replace(ALWAYS, lidar_absorbed=1.0)
-    sample = rendered()
-    things = np.full(sample.size, 255, np.uint8)
-    things[:, 20:30] = 8
-    sample = sample.with_targets(semantic=things)
-    out = draw_lidar(sample, config, np.random.default_rng(2))
-    whole = draw_lidar(sample, ALWAYS, np.random.default_rng(2)).sparse_depth
-    lost = (whole > 0) & (out.sparse_depth == 0)
-    assert lost[:, 20:30].any()
-    assert not lost[things == 255].any()
-    np.testing.assert_array_equal(out.sparse_depth[~lost], whole[~lost])
-    np.testing.assert_array_equal(out.depth, sample.depth)
-
-
-def test_what_is_off_draws_no_random_number():
-    """New keys at their defaults draw nothing: a run begun without them resumes unchanged."""
-    ours, expected = np.random.default_rng(5), np.random.default_rng(5)
-    draw_lidar(rendered(), ALWAYS, ours)
-    # Missing or not, at random or not, how many lines, the first of them.
-    _ = expected.random(), expected.random(), expected.choice(ALWAYS.lines), expected.integers(64)
-    assert ours.random() == expected.random()
-
-
 def test_crops_chosen_for_a_rare_class_show_it_more_often():
     """It is in a crop of several as often as in any of them."""
     sample = plane(64, 96)
@@ -544,13 +319,3 @@ def test_crops_chosen_for_a_rare_class_show_it_more_often():
     assert share(rare_crops=1.0, crop_candidates=1) == pytest.approx(by_chance, abs=0.1)
     assert share(rare_crops=1.0) == pytest.approx(1 - (1 - by_chance) ** 4, abs=0.1)
     assert by_chance + 0.1 < share(rare_crops=0.5) < share(rare_crops=1.0) - 0.1
-
-
-@pytest.mark.parametrize("changes", [{"rare_crops": 0.0}, {"rare_crops": 1.0}])
-def test_without_rare_classes_nothing_more_is_drawn(changes):
-    config = AugmentConfig(crop=(32, 48))
-    expected = augment(plane(), config, np.random.default_rng(3))
-    rare = () if changes["rare_crops"] else (2,)
-    found = augment(plane(), replace(config, **changes), np.random.default_rng(3), rare=rare)
-    assert np.array_equal(found.rgb, expected.rgb)
-    assert np.array_equal(found.sparse_depth, expected.sparse_depth)

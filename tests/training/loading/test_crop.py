@@ -1,14 +1,11 @@
 """The crop that follows the data, and how much of a crop is padding."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from runtime.errors import InputError
 from training.datasets.sample import Sample
-from training.loading.augment import AugmentConfig
-from training.loading.crop import padding_share, with_crop
+from training.loading.augment import AugmentConfig, with_crop
 
 
 def sources(*sizes):
@@ -37,11 +34,3 @@ def test_a_stated_crop_is_kept():
 def test_a_crop_that_is_too_small_for_two_views_is_refused():
     with pytest.raises(InputError, match=r"crop was set to \[96, 144\] .*; with pair_shift = 32"):
         with_crop(AugmentConfig(pair_shift=32), sources((125, 414)))
-
-
-def test_padding_is_what_lies_beyond_the_frame():
-    fixed = AugmentConfig(crop=(320, 480), scale=(1.0, 1.0))
-    assert padding_share((375, 1242), fixed) == 0
-    assert padding_share((160, 480), fixed) == pytest.approx(0.5)
-    assert padding_share((125, 414), fixed) > 0.6
-    assert padding_share((160, 480), replace(fixed, scale=(2.0, 2.0))) == 0

@@ -7,14 +7,10 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from training.batch import Batch, Drawn
-from training.datasets.camvid import CamVidRecipe
 from training.datasets.sample import Sample
 from training.loading.augment import AugmentConfig
-from training.loading.mixture import DepthTarget, Mixture, MixturePart
-from training.loading.open_dataset import open_mixture
+from training.loading.mixture import Batch, DepthTarget, Drawn, Mixture, MixturePart
 from training.losses.consistency import semantic_consistency_loss
-from training.recipe import DataRecipe
 
 
 class Numbered:
@@ -62,29 +58,6 @@ def test_proportions_and_passes():
         assert sorted(first[start : start + 10]) == list(range(10))
 
 
-def test_tensors_have_the_loops_form():
-    batch = Batch.collate([mixture()[0]], ("depth", "semantic"))
-    assert batch.rgb.dtype == torch.uint8
-    assert batch.rgb.shape == (1, 3, 32, 32)
-    assert batch.sparse_depth.shape == (1, 1, 32, 32)
-    assert batch.targets["depth"].shape == batch.targets["semantic"].shape == (1, 32, 32)
-    assert batch.targets["depth"].dtype == batch.sparse_depth.dtype == torch.float32
-    assert batch.targets["semantic"].dtype == torch.uint8
-    assert batch.pair is None
-
-
-def test_weights_must_be_positive():
-    with pytest.raises(ValueError, match="positive"):
-        Mixture([MixturePart(Numbered(3, 0), 0.0, AugmentConfig())], length=3, seed=0)
-
-
-def test_a_target_is_never_fed_where_no_input_was_drawn():
-    sample = Numbered(1, 0)[0]
-    assert sample.sparse_depth is None
-    with pytest.raises(ValueError, match="draw_lidar"):
-        Batch.collate([Drawn((sample,))], ())
-
-
 class Street:
     """One frame: the upper half sky, class 0, the lower a road, class 3, at 20 m; f = 50 px."""
 
@@ -102,9 +75,8 @@ class Street:
 
 def drawn(data, canonical_focal_px=None):
     config = AugmentConfig(crop=(40, 40), scale=(1.0, 1.0), lidar_missing=0)
-    recipe = DataRecipe((CamVidRecipe(path="street"),), augment=config, **data)
     depth = DepthTarget(canonical_focal_px, 0 if data else None, **data)
-    (view,) = open_mixture(recipe, [Street()], length=1, depth=depth)[0].views
+    (view,) = Mixture([MixturePart(Street(), 1.0, config)], length=1, seed=0, depth=depth)[0].views
     return {name: set(getattr(view, name).flat) for name in ("depth", "sparse_depth")}
 
 
@@ -119,14 +91,6 @@ def test_the_recipe_sets_the_unit_of_the_depth():
     both = drawn({"sky_depth_m": 100.0}, canonical_focal_px=75.0)
     assert both["depth"] == {0, 30, 100}
     assert 28 < max(both["sparse_depth"]) < 32
-
-
-def test_without_a_word_depth_is_in_metres():
-    part = MixturePart(Street(), 1.0, AugmentConfig(crop=(40, 40), scale=(2.0, 2.0)))
-    assert Mixture([part], length=1, seed=0)[0].views[0].depth.max() == 20
-    target = DepthTarget(canonical_focal_px=50.0)
-    canonical = Mixture([part], length=1, seed=0, depth=target)[0]
-    assert canonical.views[0].depth.max() == 10
 
 
 def test_targets_are_batched_and_unlabelled_where_a_set_lacks_them():
@@ -239,15 +203,6 @@ def test_a_world_of_another_scale_looks_the_same_and_is_farther():
     assert 1.25 < max(factors) <= 2
 
 
-def test_without_returns_the_image_tells_the_scale():
-    """So does a pair whose second view has none: both views have the same depth."""
-    plain = pairs(pair_lidar_missing=1.0)[0].views
-    for before, after in zip(
-        plain, pairs(pair_lidar_missing=1.0, world_scale=(1.5, 1.5))[0].views, strict=True
-    ):
-        assert np.array_equal(after.depth, before.depth)
-
-
 def test_a_scaled_world_keeps_the_range_of_returns_and_the_sky():
     class Skies(Streets):
         def __getitem__(self, index):
@@ -266,25 +221,3 @@ def test_a_scaled_world_keeps_the_range_of_returns_and_the_sky():
     assert view.depth.max() > 110
     inner = view.semantic[2:-2] == 0
     assert np.median(view.depth[2:-2][inner]) == 100
-
-
-def test_one_view_is_the_default():
-    assert sample(0).rgb.shape == (32, 32, 3)
-
-
-def test_the_mixture_chooses_crops_for_rare_classes():
-    class Corner(Numbered):
-        def __getitem__(self, index):
-            labels = np.zeros((64, 64), np.uint8)
-            labels[44:48, 44:48] = 5
-            return Sample(np.zeros((64, 64, 3), np.uint8), {"semantic": labels}, None, "corner")
-
-    config = AugmentConfig(crop=(32, 32), rare_crops=1.0, crop_candidates=20, scale=(1.0, 1.0))
-    parts = [MixturePart(Corner(1, 0), 1.0, config)]
-    chosen = Mixture(parts, length=40, seed=0, rare=(5,))
-    by_chance = Mixture(parts, length=40, seed=0)
-    shown = [
-        sum(bool((each[i].views[0].semantic == 5).any()) for i in range(40))
-        for each in (chosen, by_chance)
-    ]
-    assert shown[0] > shown[1] + 10

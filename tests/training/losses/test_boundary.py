@@ -9,22 +9,6 @@ import torch
 from training.losses.boundary import balanced_cross_entropy, boundary_at_scale, boundary_target
 
 
-def test_boundary_target_by_hand():
-    semantic = torch.tensor(
-        [
-            [
-                [0, 0, 1, 1],
-                [0, 0, 1, 255],
-                [2, 2, 1, 1],
-            ]
-        ]
-    )
-    target, valid = boundary_target(semantic)
-    assert target.int().tolist() == [[[[0, 0, 1, 0], [0, 0, 1, 0], [1, 1, 1, 0]]]]
-    # The ignored pixel is unknown, and so is the one under it, whose upper neighbour is ignored.
-    assert valid.int().tolist() == [[[[1, 1, 1, 1], [1, 1, 1, 0], [1, 1, 1, 0]]]]
-
-
 def test_boundary_target_equals_loops():
     semantic = np.random.default_rng(0).choice([0, 0, 1, 2, 255], size=(2, 9, 11))
     target, valid = boundary_target(torch.from_numpy(semantic))

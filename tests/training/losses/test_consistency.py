@@ -5,11 +5,8 @@ import math
 import pytest
 import torch
 
-from layouts.batch import batch_of
-from models import NetworkOutput
-from training.batch import Pair
 from training.limits import PAIR_BORDER_PX
-from training.losses import LossConfig, SSDNetLoss
+from training.loading.mixture import Pair
 from training.losses.consistency import (
     FAR_WEIGHT,
     NEAR_WEIGHT,
@@ -44,13 +41,6 @@ def pair_of(first, second):
     return Pair(torch.tensor([OFFSET]), first[None], second[None])
 
 
-def test_cells_that_no_shift_of_both_views_shares_are_not_compared():
-    first, second = (view[None] for view in views(scene_of(5, side=8), side=8))
-    pair = pair_of(torch.zeros(1, *SIZE), torch.zeros(1, *SIZE))
-    with pytest.raises(ValueError, match=r"\[4, 12\] px apart .* 8 px"):
-        semantic_consistency_loss(first, second, Pair(torch.tensor([[4, 12]]), *pair[1:]), side=8)
-
-
 @pytest.mark.parametrize("side", [1, 2, 4])
 def test_the_views_of_one_scene_overlap_in_equal_maps(side):
     a, b = overlap(*views(scene_of(3, side), side), OFFSET, side=side)
@@ -59,11 +49,6 @@ def test_the_views_of_one_scene_overlap_in_equal_maps(side):
     rows, columns = OFFSET[0] // side, OFFSET[1] // side
     expected = (SIZE[0] // side - rows - 2 * border, SIZE[1] // side - columns - 2 * border)
     assert a.shape == (3, *expected)
-
-
-def test_views_that_share_nothing_are_refused():
-    with pytest.raises(ValueError, match="do not overlap"):
-        overlap(torch.zeros(1, 64, 200), torch.zeros(1, 64, 200), OFFSET)
 
 
 def test_depth_that_agrees_costs_nothing_and_a_ratio_its_log():
@@ -128,26 +113,6 @@ def test_a_seam_above_the_scan_costs_its_step_and_only_the_fused_view_learns(fus
     assert other.grad is None
 
 
-def test_views_that_both_have_returns_or_none_show_no_seam():
-    first, second = (view[None] + 0.1 for view in views(scene_of()))
-    lidars, none = scan_below(52), torch.zeros(1, *SIZE)
-    assert depth_seam_loss(first, second * 2, pair_of(*lidars)) == 0
-    assert depth_seam_loss(first, second * 2, pair_of(none, none)) == 0
-
-
-def test_columns_without_a_return_show_no_seam():
-    scene = scene_of() + 0.5
-    first, second = views(scene * scene)[0][None], views(scene)[1][None]
-    lidar = torch.zeros(1, *SIZE)
-    lidar[:, 55, 60] = 9.0
-    loss = depth_seam_loss(first, second, pair_of(lidar, torch.zeros(1, *SIZE)))
-    around = first.clone()
-    around[..., : 60 - 8] = around[..., 60 + 9 :] = 0.7  # beyond EDGE_COLUMNS
-    pair = pair_of(lidar, torch.zeros(1, *SIZE))
-    assert depth_seam_loss(around, second, pair) == loss
-    assert loss > 0
-
-
 def test_classes_that_agree_cost_nothing_and_others_their_divergence():
     scene = scene_of(5, side=2)
     first, second = (view[None] for view in views(scene, side=2))
@@ -157,25 +122,3 @@ def test_classes_that_agree_cost_nothing_and_others_their_divergence():
     odds = torch.tensor([math.log(3.0), 0.0]).view(1, 2, 1, 1).expand(1, 2, *first.shape[-2:])
     loss = semantic_consistency_loss(odds, odds.flip(1), pair, side=2)
     assert loss.item() == pytest.approx(math.log(3.0))
-
-
-def test_the_whole_loss_has_the_terms_of_pairs_alone():
-    config = LossConfig(
-        depth_consistency_weight=2.0, depth_seam_weight=3.0, semantic_consistency_weight=0.5
-    )
-    generator = torch.Generator().manual_seed(0)
-    output = NetworkOutput(
-        semantic_logits=torch.rand(2, 5, SIZE[0] // 2, SIZE[1] // 2, generator=generator),
-        depths=(torch.rand(2, 1, *SIZE, generator=generator),),
-        boundary_logits=torch.zeros(2, 1, *SIZE),
-    )
-    labels = torch.zeros(2, *SIZE, dtype=torch.int64)
-    depth = torch.zeros(2, 1, *SIZE)
-    criterion = SSDNetLoss(config, max_depth_m=100.0)
-    alone = criterion(output, batch_of(labels, depth))
-    pair = pair_of(depth[0], depth[1])
-    terms = criterion(output, batch_of(labels, depth, pair=pair))
-    added = 2.0 * terms["depth_consistency"] + 0.5 * terms["semantic_consistency"]
-    added += 3.0 * terms["depth_seam"]
-    assert set(terms) - set(alone) == {"depth_consistency", "depth_seam", "semantic_consistency"}
-    assert terms["total"].item() == pytest.approx((alone["total"] + added).item(), rel=1e-5)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from training.losses.joint import (
-    _Agreement,
+from training.losses.boundary import (
     hard_disagreement,
     semantic_boundary_loss,
     semantic_depth_loss,
@@ -56,40 +55,3 @@ def test_joint_losses_equal_loops(soft):
     assert semantic_boundary_loss(maps, boundary).item() == pytest.approx(expected[0], rel=1e-6)
     ours = semantic_depth_loss(maps, 7.0 * depth).item()
     assert ours == pytest.approx(expected[1], rel=1e-6)
-
-
-def test_soft_equals_hard_for_one_hot_probabilities():
-    labels = torch.randint(0, 4, (2, 6, 7))
-    one_hot = torch.nn.functional.one_hot(labels, 4).permute(0, 3, 1, 2).float()
-    soft, hard = soft_disagreement(one_hot), hard_disagreement(labels)
-    assert torch.equal(soft.across, hard.across)
-    assert torch.equal(soft.down, hard.down)
-    assert 0 < hard.across.mean() < 1
-
-
-def test_joint_losses_by_hand():
-    # One horizontal change of class, at pixel u = 1, with P_b = 1 there and a depth step of 0.5.
-    maps = hard_disagreement(torch.tensor([[[0, 1]]]))
-    boundary = torch.tensor([0.2, 1.0]).view(1, 1, 1, 2)
-    depth = torch.tensor([0.1, 0.6]).view(1, 1, 1, 2)
-    assert semantic_boundary_loss(maps, boundary).item() == pytest.approx(math.exp(-1) / 2)
-    assert semantic_depth_loss(maps, depth).item() == pytest.approx(math.exp(-0.5) / 2)
-    scaled = semantic_depth_loss(maps, 100.0 * depth).item()
-    assert scaled == pytest.approx(math.exp(-50) / 2, rel=1e-4)
-
-
-def test_agreement_gradient_by_finite_differences():
-    p = torch.rand(2, 3, 4, 5, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(_Agreement.apply, (p,))
-
-
-def test_gradient_reaches_every_head():
-    logits = torch.randn(1, 3, 6, 6, requires_grad=True)
-    boundary = torch.rand(1, 1, 6, 6, requires_grad=True)
-    depth = torch.rand(1, 1, 6, 6, requires_grad=True)
-    maps = soft_disagreement(torch.softmax(logits, dim=1))
-    (semantic_boundary_loss(maps, boundary) + semantic_depth_loss(maps, depth)).backward()
-    assert logits.grad.abs().sum() > 0
-    # Higher boundaries lower Eq. 8 wherever there is disagreement; the first pixel has no pair.
-    assert (boundary.grad.flatten()[1:] < 0).all()
-    assert depth.grad.abs().sum() > 0

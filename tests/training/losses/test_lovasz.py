@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from training.losses.lovasz import lovasz_softmax_loss, picture_mean
+from training.losses.semantic import lovasz_softmax_loss, picture_mean
 
 
 def picture(classes=4, size=(5, 7), seed=0):

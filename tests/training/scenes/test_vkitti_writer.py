@@ -8,8 +8,8 @@ pytest.importorskip("embreex", reason="the renderer needs the train extra")
 
 from typer.testing import CliRunner
 
+from layouts import open_set
 from runtime.errors import OutputError
-from training.datasets.virtual_kitti import VirtualKitti
 from training.scenes.cli import app
 from training.scenes.rendering.lidar_scan import LidarScan
 from training.scenes.rendering.render import RenderedFrame
@@ -32,7 +32,7 @@ def frame(number: int) -> RenderedFrame:
 
 def test_what_is_written_is_what_the_reader_reads(tmp_path):
     write_variant(tmp_path, "Scene01", "clone", [frame(0), frame(1)])
-    source = VirtualKitti(tmp_path)
+    source = open_set("rendered", tmp_path)
     assert len(source) == 2
     sample = source[1]
     assert not sample.depth[:10].any()
@@ -63,9 +63,9 @@ def test_an_existing_variant_is_kept_unless_overwriting_is_asked_for(tmp_path):
     write_variant(tmp_path, "Scene01", "clone", [frame(0), frame(1)])
     with pytest.raises(OutputError, match="exists already"):
         write_variant(tmp_path, "Scene01", "clone", [frame(0)])
-    assert len(VirtualKitti(tmp_path)) == 2
+    assert len(open_set("rendered", tmp_path)) == 2
     write_variant(tmp_path, "Scene01", "clone", [frame(0)], overwrite=True)
-    assert len(VirtualKitti(tmp_path)) == 1
+    assert len(open_set("rendered", tmp_path)) == 1
 
 
 def test_a_variant_with_a_foreign_file_is_not_replaced(tmp_path):
@@ -74,7 +74,7 @@ def test_a_variant_with_a_foreign_file_is_not_replaced(tmp_path):
     with pytest.raises(OutputError, match=r"thesis\.txt does not belong to the result"):
         write_variant(tmp_path, "Scene01", "clone", [frame(0)], overwrite=True)
     assert (folder / "frames" / "thesis.txt").read_text() == "mine"
-    assert len(VirtualKitti(tmp_path)) == 1
+    assert len(open_set("rendered", tmp_path)) == 1
 
 
 def test_nothing_is_left_of_a_variant_that_breaks_off(tmp_path):
@@ -104,7 +104,7 @@ def test_the_command_renders_scenes_in_turn_of_the_variants(tmp_path):
     assert done.exit_code == 0, done.output
     assert (tmp_path / "Scene40" / "fog").is_dir()
     assert (tmp_path / "Scene41" / "rain").is_dir()
-    assert len(VirtualKitti(tmp_path)) == 4
+    assert len(open_set("rendered", tmp_path)) == 4
     again = run(tmp_path, "--scenes", 1, "--variant", "fog", *small)
     assert again.exit_code == 1
     assert "exists already" in again.output

@@ -37,13 +37,10 @@ class IPBasic:
 
     Attributes:
         max_depth_m: at and beyond it is no measurement, as nearer than 0.1 m.
-        extrapolate: continue the columns, and fill the rest by a window of 31 x 31; without, only
-            holes of up to 7 px about a return are filled.
         blur: "gaussian" for the lowest RMSE, "bilateral" to keep edges, as in the paper.
     """
 
     max_depth_m: float = 100.0
-    extrapolate: bool = True
     blur: Blur = "gaussian"
 
     def complete(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:
@@ -58,8 +55,7 @@ class IPBasic:
         inverted = cv2.dilate(start, _diamond(5))
         inverted = cv2.morphologyEx(inverted, cv2.MORPH_CLOSE, _full(5))
         inverted = _fill_unknown(inverted, _full(7))
-        if self.extrapolate:
-            inverted = _fill_unknown(_extend_to_top(inverted), _full(31))
+        inverted = _fill_unknown(_extend_to_top(inverted), _full(31))
         # As published, median and blur include the zeros of unknown pixels: the two outermost known
         # pixels get too large depths.
         return cv2.medianBlur(inverted, 5)
@@ -76,8 +72,8 @@ class IPBasicMultiscale(IPBasic):
     Near things, whose returns lie far apart, are dilated by a larger cross than far ones, so that
     thin far things keep their width: 7 px to 15 m, 5 px to 30 m, 3 px beyond. The median that
     follows drops a return far from all others as noise; a frame of such returns has no depth. Then
-    holes are filled, step by step, by up to 16 px. Nothing but `extrapolate` reaches above a
-    column's topmost depth. Fields and range as in `IPBasic`.
+    holes are filled, step by step, by up to 16 px. A column is
+    continued to the top. Fields and range as in `IPBasic`.
     """
 
     blur: Blur = "bilateral"
@@ -88,9 +84,8 @@ class IPBasicMultiscale(IPBasic):
 
         below_top = np.maximum.accumulate(inverted > _MEASURED_M, axis=0)
         inverted = _fill_unknown(inverted, _full(9), within=below_top)
-        if self.extrapolate:
-            inverted = _extend_to_top(inverted)
-            below_top = np.maximum.accumulate(inverted > _MEASURED_M, axis=0)
+        inverted = _extend_to_top(inverted)
+        below_top = np.maximum.accumulate(inverted > _MEASURED_M, axis=0)
         for _ in range(6):
             inverted = _fill_unknown(inverted, _full(5), within=below_top)
         return _where_known(inverted, cv2.medianBlur(inverted, 5))

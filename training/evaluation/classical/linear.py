@@ -1,12 +1,11 @@
 """Linear interpolation of inverse depth: exact on planes, the reference of what is learned."""
 
 from dataclasses import dataclass
-from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.classical.method import Depth, is_measured, needs_scipy
+from training.evaluation.classical.method import Depth, import_scipy, is_measured
 from training.evaluation.classical.nearest import Nearest
 
 #: Returns that span a triangle.
@@ -25,7 +24,7 @@ class Linear:
     """
 
     def __post_init__(self) -> None:
-        _import_interpolate()
+        import_scipy("interpolate", "linear")
 
     def complete(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:
         """See `CompletionMethod.complete`."""
@@ -35,12 +34,6 @@ class Linear:
             return depth
         inverse = 1.0 / sparse_depth[at[:, 0], at[:, 1]].astype(np.float64)
         pixels = tuple(np.indices(sparse_depth.shape))
-        found = _import_interpolate().LinearNDInterpolator(at, inverse)(pixels)
+        interpolate = import_scipy("interpolate", "linear")
+        found = interpolate.LinearNDInterpolator(at, inverse)(pixels)
         return np.where(np.isnan(found), depth, 1.0 / found).astype(np.float32)
-
-
-def _import_interpolate() -> ModuleType:
-    with needs_scipy("linear"):
-        import scipy.interpolate
-    interpolate: ModuleType = scipy.interpolate
-    return interpolate

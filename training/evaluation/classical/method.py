@@ -1,7 +1,7 @@
 """The protocol of depth completion methods."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from importlib import import_module
+from types import ModuleType
 from typing import Protocol
 
 import numpy as np
@@ -37,11 +37,10 @@ def is_measured(sparse_depth: Depth) -> NDArray[np.bool_]:
     return np.asarray((sparse_depth > 0) & np.isfinite(sparse_depth))
 
 
-@contextmanager
-def needs_scipy(method: str) -> Iterator[None]:
-    """Around an import of SciPy for a method: a failure is a ProviderError that says the remedy."""
+def import_scipy(module: str, method: str) -> ModuleType:
+    """Import a module of SciPy for a method; ProviderError says what to install."""
     try:
-        yield
+        return import_module(f"scipy.{module}")
     except ImportError as error:
         raise ProviderError(
             f"cannot import SciPy ({error}), which {method} needs: {import_remedy(error, 'train')}"

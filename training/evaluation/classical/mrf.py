@@ -9,13 +9,12 @@ over the four-neighbourhood, with w = exp(-edge_sharpness * |x_i - x_j|^2) of co
 """
 
 from dataclasses import dataclass
-from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InferenceError
-from training.evaluation.classical.method import Depth, is_measured, needs_scipy
+from training.evaluation.classical.method import Depth, import_scipy, is_measured
 
 #: Least weight of neighbours: with exp() of very different colours a region would be isolated.
 _LEAST_WEIGHT = 1e-4
@@ -41,14 +40,14 @@ class MRF:
     edge_sharpness: float = 1000.0
 
     def __post_init__(self) -> None:
-        _import_sparse()
+        import_scipy("sparse", "mrf")
 
     def complete(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:
         """See `CompletionMethod.complete`. Raises InferenceError if memory does not suffice."""
         measured = is_measured(sparse_depth)
         if not measured.any():
             return np.zeros(sparse_depth.shape, dtype=np.float32)
-        sparse = _import_sparse()
+        sparse, linalg = (import_scipy(name, "mrf") for name in ("sparse", "sparse.linalg"))
         count = sparse_depth.size
         first, second, weight = neighbours(rgb, self.edge_sharpness)
         coupling = sparse.coo_array((weight, (first, second)), shape=(count, count))
@@ -60,7 +59,7 @@ class MRF:
         right_side = data_term * np.where(measured, sparse_depth, 0).ravel()
         try:
             # This ordering, for symmetric patterns, needs half the memory of the default.
-            solution = sparse.linalg.spsolve(system.tocsc(), right_side, permc_spec="MMD_AT_PLUS_A")
+            solution = linalg.spsolve(system.tocsc(), right_side, permc_spec="MMD_AT_PLUS_A")
         except (MemoryError, RuntimeError) as error:  # SuperLU's allocations raise either
             height, width = sparse_depth.shape
             raise InferenceError(
@@ -83,11 +82,3 @@ def neighbours(
     first = np.concatenate([index[:, :-1].ravel(), index[:-1].ravel()])
     second = np.concatenate([index[:, 1:].ravel(), index[1:].ravel()])
     return first, second, weight
-
-
-def _import_sparse() -> ModuleType:
-    with needs_scipy("mrf"):
-        import scipy.sparse
-        import scipy.sparse.linalg
-    sparse: ModuleType = scipy.sparse
-    return sparse

@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from layouts import open_set
 from runtime.errors import InputError, SSDNetError
-from training.datasets.kitti_stream import KittiStream
 from training.evaluation.classical import METHODS, create_method
-from training.evaluation.classical.ip_basic import IPBasic
 from training.evaluation.metrics import DepthScores
 from training.evaluation.scored_model import method_predict, open_method
 from training.lidar.split import LidarInput, frame_generator, split_lidar
@@ -91,18 +90,6 @@ def test_methods_themselves_take_the_smallest_frames(name, size):
         np.testing.assert_allclose(depth, 8.0, rtol=1e-5)
 
 
-def test_a_full_map_comes_back(name):
-    rgb = np.full((40, 50, 3), 100, np.uint8)
-    depth = complete(name, rgb, np.full((40, 50), 20, np.float32))
-    np.testing.assert_allclose(depth[5:-5, 5:-5], 20, rtol=1e-4)
-
-
-def test_a_method_of_other_settings_is_scored():
-    rgb, sparse_depth = frame()
-    short = method_predict(IPBasic(max_depth_m=20.0))(rgb, sparse_depth, None)
-    assert 0 < short.depth.max() <= 20
-
-
 def test_an_answer_that_is_not_finite_is_an_error():
     class Broken:
         def complete(self, rgb, sparse_depth):
@@ -131,7 +118,7 @@ def test_ip_basic_beats_nearest_on_withheld_scan_lines(stream):
     """Frames 50-59, every second line fed: near the 0.5 m / 2.4 m these methods come to there."""
     scores = {name: DepthScores() for name in ("nearest", "ip-basic")}
     predict = {name: open_method(name).predict for name in scores}
-    source = KittiStream(stream, first=50, last=59)
+    source = open_set("kitti-stream", stream, first=50, last=59)
     for index in range(0, 10, 3):
         frame = split_lidar(source[index], LidarInput("own"), frame_generator(index))
         for name, score in scores.items():

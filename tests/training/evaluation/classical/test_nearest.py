@@ -23,17 +23,3 @@ def test_the_return_taken_is_the_nearest_but_for_the_mask(seed):
     distance = np.hypot(v[..., None] - rows, u[..., None] - columns)  # to every return
     to_taken = np.take_along_axis(distance, taken[..., None], axis=-1)[..., 0]
     assert (to_taken <= 1.05 * distance.min(axis=-1)).all()
-
-
-def test_along_a_row_the_halves_are_exact():
-    sparse_depth = np.zeros((1, 9), dtype=np.float32)
-    sparse_depth[0, [1, 6]] = 4.0, 9.0
-    np.testing.assert_array_equal(complete(sparse_depth), [[4, 4, 4, 4, 9, 9, 9, 9, 9]])
-
-
-def test_every_measured_pixel_keeps_its_depth():
-    rng = np.random.default_rng(0)
-    dense = 1 + rng.random((20, 30), dtype=np.float32)
-    filled = complete(dense)
-    np.testing.assert_array_equal(filled, dense)
-    assert not np.shares_memory(filled, dense)

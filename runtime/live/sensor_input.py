@@ -1,0 +1,124 @@
+"""What sensors send: its checks, the poses of the car, and the time of each scan."""
+
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.checks import shown
+from runtime.errors import InputError
+from runtime.io.calibration import Calibration
+from runtime.preprocess import check_rgb, check_sparse_depth
+from runtime.sync.matching import Intervals, Pair
+from runtime.sync.motion import (
+    FIRST_SCAN_NS,
+    MIDDLE_AFTER,
+    check_scan_stamp,
+    lidar_mount,
+    point_times,
+)
+from runtime.sync.outcome import Sensor
+from runtime.sync.poses import PoseBuffer, PoseFrame, PoseTrack, check_pose
+
+Kind = Literal["image", "depth", "points", "pose"]
+SENSORS: dict[str, Sensor] = {
+    "image": Sensor.IMAGE,
+    "depth": Sensor.DEPTH,
+    "points": Sensor.DEPTH,
+    "pose": Sensor.POSE,
+}
+
+
+class Points(NamedTuple):
+    """A scan, to be projected into its image.
+
+    Attributes:
+        points: float32 (N, 3) or wider, metres, LiDAR frame.
+        times: nanoseconds: int64 (N,), one time for all, or None = not known yet.
+    """
+
+    points: NDArray[np.float32]
+    times: NDArray[np.int64] | int | None = None
+
+
+class SensorInput:
+    """Checks of messages, poses and the instants of scans. Only `check` is thread-safe.
+
+    Args:
+        pose_frame: "lidar", "camera" or "body"; None = a car without poses.
+        scan_stamp: "start", "middle" or "end".
+        calibration: of camera and LiDAR.
+
+    Raises:
+        InputError: if an option is unknown, or the calibration is none or missing.
+    """
+
+    def __init__(self, pose_frame: Any, scan_stamp: Any, calibration: Calibration | None) -> None:
+        if not isinstance(calibration, Calibration | None):
+            raise InputError(f"calibration must be a Calibration or None, got {shown(calibration)}")
+        self._calibration = calibration
+        self._middle_after = MIDDLE_AFTER[check_scan_stamp(scan_stamp)]
+        self._scans = Intervals()
+        self.poses = PoseBuffer()
+        self._mount: NDArray[np.float64] | None = None
+        if pose_frame is not None:
+            frames = [str(each) for each in PoseFrame]
+            if pose_frame not in frames:
+                raise InputError(
+                    f"pose_frame must be one of {', '.join(frames)} or None, got "
+                    f"{shown(pose_frame)}"
+                )
+            if calibration is None:
+                raise InputError("pose_frame needs a calibration: give calibration=")
+            self._mount = lidar_mount(PoseFrame(pose_frame), calibration)
+
+    def check(self, kind: Kind, data: Any, stamp_ns: int, times: Any = None) -> Any:
+        """Return a copy of what a sensor sends, a scan as `Points`; raises InputError."""
+        match kind:
+            case "image":
+                return check_rgb(data).copy()
+            case "depth":
+                is_map = isinstance(data, np.ndarray) and data.ndim == 2
+                # The size of its image is not known yet.
+                return check_sparse_depth(data, size=data.shape if is_map else (0, 0)).copy()
+            case "pose":
+                if self._mount is None:
+                    raise InputError('poses need pose_frame="lidar", "camera" or "body"')
+                return check_pose(data)
+        if self._calibration is None:
+            raise InputError("points need a calibration to be projected: give calibration=")
+        self._calibration.check(data)
+        known = None if times is None else point_times(times, len(data), stamp_ns)
+        return Points(data.copy(), known)
+
+    def timed(self, depth: Any, stamp_ns: int) -> Any:
+        """A scan with its time, which is that of its middle if its points have no times.
+
+        Called once for each depth message; a depth map is returned as it is.
+        """
+        if not isinstance(depth, Points):
+            return depth
+        later = self._middle_after * (self._scans.period_ns() or FIRST_SCAN_NS)
+        self._scans.add(stamp_ns)
+        return depth if depth.times is not None else depth._replace(times=stamp_ns + round(later))
+
+    def reaches(self, pair: Pair) -> bool:
+        """Whether poses were given up to the end of a frame; for a car without poses, always."""
+        newest_ns = self.poses.newest_ns
+        return self._mount is None or (newest_ns is not None and newest_ns >= _span_ns(pair)[1])
+
+    def track(self, pair: Pair) -> PoseTrack | None:
+        """The poses of the LiDAR over the time of a frame; None for a car without poses."""
+        if self._mount is None:
+            return None
+        return self.poses.between(*_span_ns(pair)).mounted(self._mount)
+
+
+def _span_ns(pair: Pair) -> tuple[int, int]:
+    """(Earliest, latest) of the times of a frame's image and returns."""
+    times = [np.int64(pair.image.stamp_ns)]
+    if pair.depth is not None and isinstance(pair.depth.data, Points):
+        of_points = np.asarray(pair.depth.data.times)
+        if of_points.size:
+            times += [of_points.min(), of_points.max()]
+    return int(min(times)), int(max(times))
