@@ -59,6 +59,7 @@ def measure_accuracy(
         [parse_source(text) for text in data],
         lidars=[LidarInput.parse(text) for text in lidars],
         faults=["none"],
+        leave_out_fed=True,
     )
     found = [_accuracy(row) for row in rows]
     if all(item.miou is None and item.mae_m is None for item in found):
@@ -89,7 +90,7 @@ def _accuracy(row: Row) -> Accuracy:
 def repeat_command(data: Iterable[str], rows: Iterable[Accuracy]) -> str:
     """Return the command that measures a file on these sets again."""
     sets = [word for text in data for word in ("--data", without_folders(text))]
-    lidars = dict.fromkeys((*LIDARS, *(row.lidar for row in rows)))
+    lidars = dict.fromkeys(row.lidar for row in rows)
     return shlex.join(["ssdnet-eval", "MODEL", *sets, "--lidar", ",".join(lidars)])
 
 

@@ -226,12 +226,16 @@ def _miou(path):
 def test_a_file_in_single_precision_states_its_accuracy_and_its_work(
     lite_checkpoint, data, tmp_path, exported
 ):
+    """A LiDAR that is the depth to score is not fed: an own car has no other depth."""
     path = tmp_path / "lite.onnx"
     words = [str(lite_checkpoint), str(path), "--height", "64", "--width", "96"]
-    result = CliRunner().invoke(app, [*words, "--validate", f"folders:{data},depth=depth"])
+    own = "depth=depth,sparse_depth=depth"
+    result = CliRunner().invoke(app, [*words, "--validate", f"folders:{data},{own}"])
     assert result.exit_code == 0, result.output
     contract = load_model_file(path).contract
     assert contract.precision == "fp32"
+    repeat = contract.accuracy["repeat"]
+    assert repeat == f"ssdnet-eval MODEL --data folders:street,{own} --lidar none"
     assert contract.quantization is None
     (row,) = contract.accuracy["rows"]
     errors = []

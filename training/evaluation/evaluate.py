@@ -106,6 +106,7 @@ def evaluate(
     size: NetworkSize = None,
     limit: int | None = None,
     save: DepthFolder | None = None,
+    leave_out_fed: bool = False,
 ) -> list[Row]:
     """Score models and classical methods of depth completion, in the order of their names.
 
@@ -124,6 +125,7 @@ def evaluate(
         size: at which models run, as `Predictor` takes it.
         limit: number of frames of each set, evenly spread; None = all.
         save: where the depth of every answer is written; None = nowhere.
+        leave_out_fed: no row, instead of an error, for a LiDAR that feeds the depth to score.
 
     Returns:
         One row per model, set, LiDAR and fault; without figures where a set has no ground truth.
@@ -152,7 +154,10 @@ def evaluate(
             classes = scored_classes(recipe, title, tables)
             source = open_dataset(recipe, [Path()], classes=classes.table)
             for name, model in scored.items():
-                rows += _score_all(name, model, title, source, classes, lidars, faults, limit, save)
+                rows += _score_all(
+                    *(name, model, title, source, classes, lidars, faults, limit, save),
+                    leave_out_fed=leave_out_fed,
+                )
     if not rows:
         raise InputError(
             "nothing could be scored: these sets provide none of the requested --lidar inputs. "
@@ -248,6 +253,8 @@ def _score_all(
     faults: Sequence[Fault],
     limit: int | None,
     save: DepthFolder | None,
+    *,
+    leave_out_fed: bool,
 ) -> list[Row]:
     count = len(source) if limit is None else min(limit, len(source))
     indices = np.unique(np.linspace(0, len(source) - 1, count).round().astype(int))
@@ -269,6 +276,8 @@ def _score_all(
             if frame is None:
                 continue
             if frame.target.any() and np.array_equal(frame.fed, frame.target):
+                if leave_out_fed:
+                    continue
                 raise InputError(
                     f"{sample.name}: with the LiDAR {str(lidar)!r} the input is the depth to "
                     "score, so that an error of 0 would mean nothing. Feed a share (random:0.5), "

@@ -162,8 +162,9 @@ def test_skipped_frames_are_counted_named_and_exit_code_3(tmp_path, run, stream)
     for name, reason in reasons.items():
         assert reason in rows[name]["reason"]
         assert rows[name]["predict_ms"] == ""
-        if name not in ("f1", "f3"):
+        if name in ("f2", "f6", "f8"):
             assert re.search(rf"  {name}: skipped: .*{re.escape(reason)}", result.stdout)
+    assert f"\n  2 frames, first f0: skipped: {rgb / 'f0.png'} is empty, trunc" in result.stdout
     assert "\n  2 frames, first f1: skipped: f1 has an image, but no depth map\n" in result.stdout
     assert rows["f5"]["degraded"] == "no_depth"
     written = {p.stem for p in (tmp_path / "out/overlay").iterdir()}

@@ -75,6 +75,7 @@ def test_overwrite_replaces_our_own_run_and_nothing_else(tmp_path, write):
         make_run_folder(out)
     with atomic_file(out / "depth" / "old.png") as file:
         leftover = str(Path(file.name).relative_to(out))
+    (out / leftover).parent.mkdir()
     mine = {"mine.txt", "depth/mine.png", "overlay/holiday.jpg", "semantic/.mine.png.part"}
     for name in ("frames.csv", "report.json", leftover, *mine):
         (out / name).write_text("x")
