@@ -92,6 +92,8 @@ def train(
         state.resume(out / LAST, resolved)
         steps = recipe.schedule.steps
         if state.step == steps and (out / FINAL).is_file():
+            if processes.is_first:
+                tqdm.write(f"all {steps} steps of {out} are done", file=sys.stderr)
             return out / FINAL
         if state.step and processes.is_first:
             tqdm.write(f"resumed at step {state.step} of {steps}", file=sys.stderr)

@@ -65,6 +65,7 @@ def test_a_recipe_is_made_for_the_folders_and_trained(mine):
     resumed = train(mine, *steps, depth="lidar")
     assert resumed.exit_code == 0, resumed.output
     assert "warning" not in resumed.stderr
+    assert f"all 2 steps of {mine / 'run'} are done" in resumed.stderr
     # The file is a recipe like any other.
     command = [mine / "run/recipe.toml", "--data", mine, "--init", mine / "first.pt", "--dry-run"]
     again = CliRunner().invoke(app, [*map(str, command), "--out", str(mine / "again")])
@@ -87,6 +88,15 @@ def test_a_dry_run_shows_the_recipe(mine):
     assert "steps = 200" in result.stdout
     assert "lidar" not in result.stdout
     assert [path.name for path in (mine / "run").iterdir()] == ["batch.png"]
+
+
+@pytest.mark.parametrize(("units", "is_wrong"), [(256, False), (60 * 256, True)])
+def test_a_dry_run_doubts_depth_beyond_the_range(mine, units, is_wrong):
+    for path in mine.glob("lidar/*"):
+        assert cv2.imwrite(str(path), np.full((48, 64), 4 * units, np.uint16))
+    result = train(mine, "--dry-run", depth="lidar")
+    assert result.exit_code == 0, result.output
+    assert ("warning: 1 % of the depth is beyond the network's 200 m" in result.stdout) == is_wrong
 
 
 @pytest.mark.parametrize(

@@ -180,7 +180,8 @@ class Folders(FrameList):
             )
             raise DatasetError(
                 f"{path}: class id {found}, expected {expected}, or {recipe.ignore} for none. "
-                f'Correct the file, or name its ids: label_ids = {{ {found} = "ignore" }}.'
+                "Correct the file, or name its ids in the recipe: label_ids = "
+                f'{{ {found} = "ignore" }}.'
             )
         classes: NDArray[np.uint8] = self._lookup[label]
         return classes

@@ -21,8 +21,8 @@ def evaluate(
         list[str],
         typer.Argument(
             help="Checkpoints (*.pt), exported models (*.onnx), bundled models by name "
-            "(ssdnet-lite) and classical methods (ip-basic, nearest, mrf, tgv, "
-            "ip-basic-multiscale)."
+            "(ssdnet-lite) and classical methods (nearest, linear, planes, ip-basic, "
+            "ip-basic-multiscale, mrf, tgv)."
         ),
     ],
     data: Annotated[
