@@ -72,14 +72,20 @@ class Lens:
 
     @classmethod
     def of(cls, model: Any, coefficients: Any) -> "Lens":
-        """Make a lens of values of any type. Raises InputError."""
+        """Make a lens of values of any type; zeros beyond the model's do nothing.
+
+        Raises InputError.
+        """
         try:
             numbers = tuple(np.asarray(coefficients, dtype=np.float64).ravel().tolist())
         except (OverflowError, TypeError, ValueError) as error:
             raise InputError(
                 f"distortion must be the lens's coefficients, got {shown(coefficients)}"
             ) from error
-        return cls(model if isinstance(model, str) else str(model), numbers)
+        (*_, most), _ = _COEFFICIENTS.get(str(model), ((0,), ""))
+        if not any(numbers[most:]):  # OpenCV has 14 for all its models
+            numbers = numbers[:most]
+        return cls(str(model), numbers)
 
     def distort(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Project rays to the image plane at focal length 1; they must be in the field of view."""

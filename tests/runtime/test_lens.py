@@ -141,6 +141,7 @@ def test_nothing_folds_back_into_the_image(model, coefficients, end_deg):
         ("plumb_bob", [0.1], r"must be the 5 finite numbers k1, k2, p1, p2\[, k3\]"),
         ("rational_polynomial", [0.1] * 5, "must be the 8 finite numbers"),
         ("equidistant", [0.1, 0, 0, np.nan], "finite"),
+        ("fisheye", [0.0] * 4, "lens must be one of"),
         ("plumb_bob", "many", "must be the lens's coefficients, got 'many'"),
         ("plumb_bob", None, "belong together"),
         (None, [0.1] * 5, "belong together"),
@@ -149,6 +150,13 @@ def test_nothing_folds_back_into_the_image(model, coefficients, end_deg):
 def test_what_is_no_lens(model, distortion, message):
     with pytest.raises(InputError, match=message):
         Calibration(K, np.eye(4), lens=model, distortion=distortion)
+
+
+def test_zeros_beyond_the_coefficients_of_a_model_do_nothing():
+    first = [-0.3, 0.1, 0.001, -0.002, 0.01]
+    assert Lens.of("plumb_bob", [*first, *[0.0] * 9]).coefficients == tuple(first)
+    with pytest.raises(InputError, match="must be the 5 finite numbers"):
+        Lens.of("plumb_bob", [*first, *[0.0] * 8, 0.1])
 
 
 def test_a_rectified_image_shows_what_the_rectified_calibration_projects():
