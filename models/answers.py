@@ -59,19 +59,16 @@ def to_unit(head: str, values: Tensor, max_depth_m: float) -> Tensor:
 def class_ids(scores: Tensor, factor: int = 1) -> Tensor:
     """Class ids of scores (N, C, h, w), upsampled by a factor: uint8 (N, h * factor, w * factor).
 
-    NO_CLASS where a score that takes part is NaN or Inf, which an arg-max hides. It is looked for
-    before the upsampling, which spreads it over the cells beside it.
+    NO_CLASS where a score that takes part is NaN or Inf, which an arg-max hides.
     """
-    # NaN and Inf reach the sum, and times 0 both are NaN, which means take along.
-    unknown = scores.sum(dim=1, keepdim=True) * 0.0
-    if factor > 1:
-        around = F.avg_pool2d(unknown, 3, 1, 1)
-        unknown = F.interpolate(around, scale_factor=float(factor), mode="nearest")
-        scores = upsample(scores, factor=factor)
-    ids = scores.argmax(dim=1, keepdim=True).to(torch.uint8)
+    # One more score, which is never the greatest: NaN and Inf reach the sum, times 0 both are NaN,
+    # and the upsampling brings it to the pixels that the cell takes part in.
+    least = scores.sum(dim=1, keepdim=True) * 0.0 - 1e38
+    scores = upsample(torch.cat([scores, least], dim=1), factor=factor)
+    ids = scores.argmax(dim=1).to(torch.uint8)
     # Not a maximum: ONNX Runtime has none of bytes on CUDA.
     no_class = torch.tensor(NO_CLASS, dtype=torch.uint8)
-    return torch.where(torch.isnan(unknown), no_class, ids)[:, 0]
+    return torch.where(torch.isnan(scores[:, -1]), no_class, ids)
 
 
 def with_thin_boundary(found: dict[str, Tensor]) -> dict[str, Tensor]:

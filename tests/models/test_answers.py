@@ -37,6 +37,6 @@ def test_scores_that_are_not_finite_reach_the_cells_beside_them():
     ids = class_ids(scores, 2)
     assert ids.shape == (1, 8, 10)
     unknown = torch.zeros(8, 10, dtype=torch.bool)
-    unknown[:4, :4] = unknown[4:, 6:] = True
+    unknown[:3, :3] = unknown[5:, 7:] = True  # pixels that the cell takes part in
     assert torch.equal(ids[0] == NO_CLASS, unknown)
     assert (ids[0][~unknown] == 2).all()
