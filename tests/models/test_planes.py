@@ -167,9 +167,10 @@ def test_sums_of_finer_cells_are_those_of_the_four_closest_around_their_centre()
     np.testing.assert_allclose(found[:, 2, 3], expected, rtol=1e-6, atol=1e-6)
 
 
-def test_a_plane_is_solved_by_ridge_regression_towards_no_slope():
+@pytest.mark.parametrize("count", [3, 40])
+def test_a_plane_is_solved_by_ridge_regression_towards_no_slope(count):
     rng = np.random.default_rng(2)
-    place, values = rng.uniform(-1, 1, (40, 2)), rng.uniform(1, 9, 40)
+    place, values = rng.uniform(-1, 1, (count, 2)), rng.uniform(1, 9, count)
     system = np.concatenate([np.insert(place, 0, 1, axis=1), np.zeros((2, 3))])
     system[-2:, 1:] = np.sqrt(planes.FLAT_WEIGHT) * np.eye(2)
     expected = np.linalg.lstsq(system, np.append(values, [0, 0]), rcond=None)[0]

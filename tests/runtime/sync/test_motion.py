@@ -10,7 +10,7 @@ from car_poses import DAY_NS, MS, drive, pose
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.projection import OcclusionFilter
-from runtime.sync.motion import lidar_mount, move_points, project_moved
+from runtime.sync.motion import lidar_mount, move_points, point_times, project_moved
 from runtime.sync.poses import PoseFrame, PoseTrack
 
 INTRINSICS = np.array([[60.0, 0, 40], [0, 60, 20], [0, 0, 1]])
@@ -146,3 +146,30 @@ def test_mounts_are_those_of_the_calibration():
             PoseFrame.BODY,
             Calibration(INTRINSICS, TO_CAMERA, body_from_lidar=body * ((2,), (2,), (2,), (1,))),
         )
+
+
+def test_returns_behind_the_lidar_may_be_before_the_camera():
+    """The camera looks along the LiDAR's x from 5 m behind it."""
+    behind = TO_CAMERA.copy()
+    behind[2, 3] = 5.0
+    calibration = Calibration(INTRINSICS, behind, (40, 80))
+    poses, stamps = drive(30)
+    track, to = PoseTrack.of(poses, stamps), stamps[10]
+    points = np.float32([[-3, 0, 0], [-6, 0, 0], [8, 1, 0]])
+    times = np.full(3, to, np.int64)
+    expected = calibration.project(points, (40, 80))
+    assert (expected > 0).sum() == 2
+    found = project_moved(calibration, points, times, track, to, (40, 80))
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+@pytest.mark.parametrize("stamp_ns", [0, 20_000 * DAY_NS, -DAY_NS])
+def test_times_of_points_are_seconds_after_the_stamp_or_nanoseconds_of_its_clock(stamp_ns):
+    after = [0, 5 * MS, -100 * MS]
+    for times in (np.array(after) / 1e9, np.array(after, np.int64) + stamp_ns):
+        found = point_times(times, 3, stamp_ns)
+        assert found.dtype == np.int64
+        assert found.tolist() == [stamp_ns + each for each in after]
+    for wrong in (np.array([0, 0, 1.5]), np.array([0, 0, 2_000 * MS]) + stamp_ns, [0, 0, 0]):
+        with pytest.raises(InputError, match=r"times must (be within 1 s|have the shape)"):
+            point_times(wrong, 3, stamp_ns)
