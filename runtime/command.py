@@ -23,7 +23,18 @@ class Provider(StrEnum):
 
 
 def begin_command() -> None:
-    """The first call of every command: let Ctrl-C and SIGTERM end the process at once.
+    """The first call of every command: prepare the process for closed streams and for signals."""
+    # A result must not be opened as the descriptor of a closed stream, where others print.
+    while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(handle, True)
+    os.close(handle)
+    sys.stdout = sys.stdout or open(1, "w", closefd=False)  # noqa: SIM115
+    sys.stderr = sys.stderr or open(2, "w", closefd=False)  # noqa: SIM115
+    _end_at_once()
+
+
+def _end_at_once() -> None:
+    """Let Ctrl-C and SIGTERM end the process at once.
 
     During imports a KeyboardInterrupt would end as a traceback, or as another error.
     """
@@ -35,7 +46,7 @@ def interruptible() -> Iterator[None]:
     """Let Ctrl-C and SIGTERM raise KeyboardInterrupt in the block; the second ends the process."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        begin_command()
+        _end_at_once()
         raise KeyboardInterrupt
 
     with _handled(interrupt):

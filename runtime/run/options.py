@@ -217,9 +217,11 @@ class RunOptions:
             if path.suffix.lower() != FILE_SUFFIXES[option]:
                 raise UsageError(f"--{option} writes {FILE_SUFFIXES[option]} files, got {path}")
         if self.record is not None:
-            record, out = (Path(os.path.realpath(each)) for each in (self.record, self.folder))
-            if record in (out, *out.parents) or out in record.parents:
-                raise UsageError(f"--record {record} needs a folder apart from --out")
+            others = (self.folder, *(path.parent for path in self.named_files.values()))
+            record, out, *files = (Path(os.path.realpath(each)) for each in (self.record, *others))
+            inside = [folder for folder in (out, *files) if record in (folder, *folder.parents)]
+            if inside or out in record.parents:
+                raise UsageError(f"--record {record} needs a folder apart from other results")
         _ = self.kinds, self.network_size, self._shard, self.open_cameras
 
     @cached_property
@@ -242,6 +244,18 @@ class RunOptions:
             return self.out or _OUT
         later = (_OUT.with_name(f"{_OUT}-{number}") for number in itertools.count(2))
         return next(path for path in itertools.chain([_OUT], later) if not os.path.lexists(path))
+
+    def claim_folder(self) -> None:
+        """Make a folder that was not named; another run may have taken its name meanwhile."""
+        while self.out is None and not self.overwrite:
+            try:
+                self.folder.mkdir()
+            except FileExistsError:
+                del self.__dict__["folder"]  # choose another name
+                continue
+            except OSError:
+                pass  # reported where the folder is used
+            return
 
     @cached_property
     def network_size(self) -> NetworkSize:

@@ -66,6 +66,7 @@ def _run_rig(options: RunOptions, cameras: Mapping[str, Source], on_start: OnSta
         )
     for camera, source in cameras.items():
         require_outputs(options.of_camera(camera), source)
+    options.claim_folder()
     make_run_folder(options.folder, kinds=(), overwrite=options.overwrite)
     reports: dict[str, RunReport] = {}
     with stop_requested() as stop:

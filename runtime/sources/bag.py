@@ -137,11 +137,14 @@ class BagSource(Source):
                 "info_topic= and --calibration are of one camera, image_topic= names "
                 f"{len(topics)}: leave them out, or run each camera by itself"
             )
+        names = {topic.strip("/").replace("/", "-"): topic for topic in topics}
+        if len(names) < len(topics):
+            raise InputError(
+                f"image_topic={image_topic} names a camera twice, or two whose folders would have "
+                "one name: run each camera by itself"
+            )
         bag = RosBag(path)
-        return {
-            topic.strip("/").replace("/", "-"): cls(bag, image_topic=topic, **options)
-            for topic in topics
-        }
+        return {name: cls(bag, image_topic=topic, **options) for name, topic in names.items()}
 
     def _of_kind(self, *kinds: str) -> list[str]:
         return sorted(topic for topic, kind in self._bag.types.items() if kind in kinds)
@@ -193,7 +196,7 @@ class BagSource(Source):
     def _calibrate(self) -> Calibration | None:
         """The given calibration, or that of CameraInfo and /tf_static."""
         if self._calibration_path is not None:
-            return Calibration.from_file(self._calibration_path)
+            return Calibration.from_file(self._calibration_path, for_scans=self._has_clouds)
         info = None if self._info_topic is None else self._first(self._info_topic)
         rectified = not _RECTIFIED.isdisjoint(re.split("[/_]", self._image_topic.lower()))
         if not self._has_clouds:

@@ -91,14 +91,13 @@ class VideoSource(FolderSource):
         if image < self._next:
             self._video.release()
             self._video, self._next = _open(self._rgb), 0
-        while self._next < image and self._video.grab():
+        grabbed = False
+        while self._next <= image:
+            grabbed = self._video.grab()  # also takes a frame that is damaged
             self._next += 1
-        done, decoded = self._video.read()
-        if not done or self._next < image:
-            raise InputError(
-                f"{self._rgb} ends or is damaged before its frame {image}: earlier frames were read"
-            )
-        self._next += 1
+        done, decoded = self._video.retrieve() if grabbed else (False, None)
+        if not done or decoded is None:
+            raise InputError(f"{self._rgb} ends before its frame {image}, or this frame is damaged")
         if decoded.dtype != np.uint8 or decoded.ndim != 3:
             raise InputError(f"{self._rgb} holds {decoded.dtype} images, expected 8-bit RGB")
         return np.ascontiguousarray(decoded[..., ::-1], dtype=np.uint8)

@@ -35,6 +35,7 @@ from runtime.command import (
 )
 from runtime.command_options import Version
 from runtime.cores import available_cores
+from runtime.errors import OutputError
 from runtime.io.atomic_write import atomic_file
 from runtime.io.engine_facts import MachineFacts, machine_facts
 from runtime.session import import_onnxruntime
@@ -95,6 +96,8 @@ def main(
     """Measure latency, memory and load time of models side by side."""
     cases = tuple(map(_size, size)), tuple(threads or [available_cores()]), tuple(batch)
     with reported_errors("cpu"), contextlib.ExitStack() as written:
+        if json_file is not None and os.path.lexists(json_file):
+            raise OutputError(f"{json_file} exists: choose another name for --json")
         file = written.enter_context(atomic_file(json_file, overwrite=False)) if json_file else None
         with interruptible():
             report = bench(BenchOptions(tuple(models), *cases, rounds, rate, provider.value))

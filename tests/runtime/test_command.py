@@ -2,6 +2,7 @@
 
 import importlib
 import importlib.util
+import shlex
 import signal
 import subprocess
 import sys
@@ -71,6 +72,21 @@ def test_a_process_ends_without_a_traceback(block, code):
     program = f"import signal, sys\nfrom runtime.command import *\nbegin_command()\n{block}"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (code, "", "")
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_file_does_not_take_the_place_of_a_closed_stream(tmp_path, closed):
+    program = """if True:
+        import os
+        from runtime.command import *
+        begin_command()
+        with open("file", "w") as file:
+            assert file.fileno() > 2
+            os.write(1, b"x"), os.write(2, b"x"), sys.stderr.write("x")
+            print_result("x")"""
+    command = shlex.join([sys.executable, "-c", program])
+    done = subprocess.run(["sh", "-c", f"exec {command} {closed}"], cwd=tmp_path)
+    assert (done.returncode, (tmp_path / "file").read_text()) == (0, "")
 
 
 PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"

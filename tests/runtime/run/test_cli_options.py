@@ -93,6 +93,7 @@ def test_the_model_is_the_one_that_was_asked_for(tmp_path, run):
         ["--demo", "--shard", "1/\N{SUPERSCRIPT TWO}"],
         ["--demo", "--record", "a/b", "--out", "a"],
         ["--demo", "--record", "a", "--out", "a/b"],
+        ["--demo", "--record", "a", "--video", "a/b.mp4"],
         ["--no-such-option"],
     ],
 )

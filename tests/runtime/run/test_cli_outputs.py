@@ -7,6 +7,8 @@ from typer.testing import CliRunner
 
 from cli_runs import N, arguments, files_in, rows_of
 from runtime.run.cli import app
+from runtime.run.options import RunOptions
+from runtime.run.run import run as run_command
 from runtime.run.run_folder import KINDS
 
 
@@ -88,6 +90,12 @@ def test_a_second_run_has_a_folder_of_its_own(tmp_path, stream, all_heads, monke
     assert f"results: {tmp_path / 'ssdnet-run'}\n" in replaced.stdout
     refused = CliRunner().invoke(app, [str(a) for a in [*given, "--out", "ssdnet-run"]])
     assert (refused.exit_code, "is not empty" in refused.stderr) == (1, True)
+    at_once = [RunOptions(rgb=rgb, depth=depth, model=str(all_heads), save=["none"]) for _ in "12"]
+    assert [options.folder.name for options in at_once] == ["ssdnet-run-4"] * 2
+    assert [run_command(options).out.name for options in at_once] == [
+        "ssdnet-run-4",
+        "ssdnet-run-5",
+    ]
 
 
 def test_only_what_the_model_answers_is_saved(tmp_path, stream, model_file):

@@ -256,6 +256,9 @@ def test_clouds_need_a_calibration_and_take_a_file(make_bag, make_frame, make_sc
     extrinsics = [[0, -1.0, 0, 0], [0, 0, -1, -0.3], [1, 0, 0, -0.5], [0, 0, 0, 1]]
     text = f"intrinsics = {INTRINSICS}\nextrinsics = {extrinsics}\n"
     (tmp_path / "own.toml").write_text(text)
+    (tmp_path / "camera.txt").write_text("60 0 32 0 60 24 0 0 1")
+    answers = run("--source", f"bag:{path}", "--calibration", tmp_path / "camera.txt")
+    assert "holds the intrinsics alone" in answers.text.replace("\n", " ")
     answers = run("--source", f"bag:{path}", "--calibration", tmp_path / "own.toml")
     assert answers.exit_code == 0, answers.text
     assert abs(answers.fed_depth(name_of(2)) - projected(make_scan(2), ahead_m=0.5)).max() < 0.01

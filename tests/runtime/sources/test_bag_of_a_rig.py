@@ -89,6 +89,7 @@ def test_what_is_of_one_camera_is_refused_for_several(rig, source, run, tmp_path
         ["--source", f"{source},info_topic=/front/camera_info"],
         ["--source", source, "--calibration", tmp_path / "calibration.toml"],
         ["--source", source, "--focal-length", 60],
+        ["--source", f"bag:{rig},image_topic=/front/image_rect+/front-image_rect"],  # one folder
     ):
         answers = run(*given)
         assert answers.exit_code == 1

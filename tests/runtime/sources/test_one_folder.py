@@ -56,6 +56,8 @@ def test_pairs_by_numbers_are_said_to_be_guessed(frames, run):
     data, _ = frames("image/left_{}.png", "depth/depth_{}.png")
     text = run(data).text
     assert "guessed: pairs by the numbers in their names, as left_0.png with depth_0.png" in text
+    (data / "depth/other_1.png").touch()  # which of the two is the depth of left_1?
+    assert "no name occurs in both folders" in run(data, out="twice").text
 
 
 # --- scans ------------------------------------------------------------------------------------

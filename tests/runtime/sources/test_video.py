@@ -1,5 +1,7 @@
 """A video and the depth maps beside it through ssdnet-run."""
 
+import re
+
 import cv2
 import numpy as np
 import pytest
@@ -108,4 +110,19 @@ def test_a_video_that_ends_early_is_answered_up_to_there(tmp_path, run):
     answers = run("--source", f"video:{path}")
     assert answers.exit_code == 3, answers.text
     assert answers.column("status") == ["ok"] * (N - 2) + ["skipped"] * 2
-    assert "ends or is damaged before its frame 7" in answers.column("reason")[7]
+    assert "ends before its frame 7, or this frame is damaged" in answers.column("reason")[7]
+
+
+def test_a_damaged_frame_does_not_shift_those_behind_it(tmp_path):
+    path = tmp_path / "drive.avi"
+    write_video(path, "MJPG")
+    content = path.read_bytes()
+    starts = [found.start() for found in re.finditer(b"\xff\xd8\xff", content)]
+    path.write_bytes(content[: starts[2]] + bytes(200) + content[starts[2] + 200 :])
+    with VideoSource(path) as source:
+        frames = source.list_frames()
+        with pytest.raises(InputError, match="this frame is damaged"):
+            source.read(frames[2])
+        for index in (3, 5, 4, N - 1):
+            red = source.read(frames[index]).rgb[..., 0].mean()
+            assert abs(red - red_of(index)) < 8
