@@ -22,8 +22,8 @@ from export.accuracy import (
 )
 from export.errors import ExportError
 from export.precision import LEAST_FRAMES, Int8Options
-from export.quantize import Feed, measure_ranges, quantize
-from export.trunk import strides, trunk
+from export.quantize import Feed, measure_ranges, quantize, strides
+from export.trunk import trunk
 from models import Checkpoint
 from runtime import InputError, Predictor
 from runtime.heads import HEADS, Unit
@@ -131,15 +131,17 @@ def quantize_within(
     heads = [output.name for output in model.graph.output]
     names = trunk(model)
     nodes = [n for n in model.graph.node if n.op_type == "Conv" and n.name in names]
-    stride = strides(model)
-    fine = {n.name for n in nodes if min(stride[n.input[0]], stride[n.output[0]]) <= _FINE_STRIDE}
     convolutions = [n.name for n in nodes]
-    in_float = [name for name in convolutions if name in fine]
     ranked: dict[str, list[str]] = {}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.onnx"
         write(model, path)
         feeds = list(_feeds(path, options))
+        stride = strides(model, feeds[0])
+        fine = [
+            n.name for n in nodes if min(stride[n.input[0]], stride[n.output[0]]) <= _FINE_STRIDE
+        ]
+        in_float = [*fine]
         ranges = measure_ranges(model, feeds)
         lidars: Sequence[str] = LIDARS
         before = measure_accuracy(path, validate, lidars)

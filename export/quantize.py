@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import onnx
+import onnxruntime
 from numpy.typing import NDArray
 from onnxruntime.quantization import CalibrationDataReader, QuantType
 from onnxruntime.quantization.calibrate import TensorsData, create_calibrator
@@ -66,6 +67,29 @@ def quantize(
     quantizer.model.topological_sort()  # ONNX demands it, ONNX Runtime does not
     quantized: onnx.ModelProto = quantizer.model.model
     return quantized
+
+
+def strides(model: onnx.ModelProto, feed: Feed) -> dict[str, int]:
+    """Return the ratio of the image to the grid of each tensor that a convolution reads or writes.
+
+    The graph runs once, on the frame: a Resize may compute the size of its grid.
+    """
+    copy = onnx.ModelProto()
+    copy.CopyFrom(model)
+    convolutions = [node for node in model.graph.node if node.op_type == "Conv"]
+    names = sorted({name for node in convolutions for name in (node.input[0], node.output[0])})
+    del copy.graph.output[:]
+    for name in names:
+        copy.graph.node.append(onnx.helper.make_node("Shape", [name], [f"{name}/shape"]))
+        copy.graph.output.append(onnx.ValueInfoProto(name=f"{name}/shape"))
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3  # what the missing outputs needed is unused, which is a warning
+    session = onnxruntime.InferenceSession(
+        copy.SerializeToString(), options, providers=["CPUExecutionProvider"]
+    )
+    width = feed["rgb"].shape[2]
+    shapes = zip(names, session.run(None, feed), strict=True)
+    return {name: round(width / int(shape[-1])) for name, shape in shapes}
 
 
 class _Reader(CalibrationDataReader):  # type: ignore[misc]  # ONNX Runtime has no types

@@ -3,7 +3,6 @@
 from collections.abc import Collection, Sequence
 
 import onnx
-from onnx import numpy_helper
 
 #: A convolution with fewer input or output channels is outside the trunk: it reads pixels, returns
 #: or boundary maps, or computes an answer. It stays in single precision, which costs little time.
@@ -42,25 +41,6 @@ def trunk(model: onnx.ModelProto, *, without: Collection[str] = ()) -> list[str]
             made.update(node.output)
     leading = _leading_to_a_convolution(nodes)
     return [node.name for node in nodes if node.name in leading]
-
-
-def strides(model: onnx.ModelProto) -> dict[str, float]:
-    """Return the ratio of the image to the grid of each tensor that depends on the inputs."""
-    found = {tensor.name: 1.0 for tensor in model.graph.input}
-    weights = {weight.name: weight for weight in model.graph.initializer}
-    for node in model.graph.node:
-        stride = next((found[name] for name in node.input if name in found), None)
-        if stride is None:
-            continue
-        steps = next((item.ints[0] for item in node.attribute if item.name == "strides"), 1)
-        if node.op_type == "ConvTranspose":
-            stride /= steps
-        elif node.op_type == "Resize":
-            stride /= float(numpy_helper.to_array(weights[node.input[2]])[-1])
-        else:
-            stride *= steps
-        found |= dict.fromkeys(node.output, stride)
-    return found
 
 
 def _leading_to_a_convolution(nodes: Sequence[onnx.NodeProto]) -> set[str]:

@@ -23,6 +23,8 @@ from training.datasets.source_recipe import SourceRecipe
 from training.lidar.split import LidarInput
 from training.limits import (
     MAX_BATCH_PIXELS,
+    MAX_SAMPLES,
+    MAX_WINDOW_PIXELS,
     STRICT,
     BatchSize,
     NotNegative,
@@ -160,6 +162,12 @@ class DataRecipe:
                 f"batch_size = {self.batch_size}: with crops of {crop[0]}x{crop[1]} a batch has "
                 f"more than {MAX_BATCH_PIXELS} pixels"
             )
+        least = min((self.augment.scale, *(item.scale for item in self.source if item.scale)))[0]
+        if crop[0] * crop[1] / least**2 > MAX_WINDOW_PIXELS:
+            raise ValueError(
+                f"augment.scale: at {least:g} a crop of {crop[0]}x{crop[1]} is cut from more than "
+                f"{MAX_WINDOW_PIXELS} pixels"
+            )
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -286,7 +294,13 @@ class Recipe:
     terms: Annotated[str, Field(max_length=10_000)] = ""
 
     def __post_init__(self) -> None:
-        """Check the classes and the views that the loss needs."""
+        """Check the number of samples, and the classes and the views that the loss needs."""
+        samples = self.schedule.steps * self.data.batch_size * self.loop.accumulate
+        if samples > MAX_SAMPLES:
+            raise ValueError(
+                f"schedule.steps = {self.schedule.steps}: with data.batch_size and "
+                f"loop.accumulate this draws {samples} samples; expected at most {MAX_SAMPLES}"
+            )
         for name in self.data.rare_classes:
             if self.model.class_id(name.lower()) is None:
                 raise ValueError(f"data.rare_classes: {name!r} is not a class of model.classes")

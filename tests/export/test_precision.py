@@ -10,9 +10,9 @@ from onnx import TensorProto, helper, numpy_helper
 from export.deploy import DeployGraph
 from export.half import to_half
 from export.probe_frames import probe_frames
-from export.quantize import measure_ranges, quantize
+from export.quantize import measure_ranges, quantize, strides
 from export.trace import trace
-from export.trunk import strides, trunk
+from export.trunk import trunk
 from models import create_model
 from runtime.io.agreement import compare
 
@@ -101,21 +101,22 @@ def test_convolutions_named_stay_in_float(dynamic_model, feeds):
     assert {name for name in in_float if name in names} == {kept}
 
 
-def test_the_stride_of_a_tensor_is_the_ratio_of_the_image_to_its_grid(dynamic_model, feeds):
-    """Against the shapes of a run whose sides fit the coarsest grid."""
-    height = feeds[0]["sparse_depth"].shape[1]
-    found = strides(dynamic_model)
-    convolutions = [node for node in dynamic_model.graph.node if node.op_type == "Conv"]
-    probe = onnx.ModelProto()
-    probe.CopyFrom(dynamic_model)
-    names = [node.output[0] for node in convolutions if found[node.output[0]] < height / 2]
-    probe.graph.output.extend(
-        helper.make_tensor_value_info(name, TensorProto.FLOAT, None) for name in names
-    )
-    maps = run(probe, feeds[0])
-    sides = {name: height / maps[name].shape[2] for name in names if maps[name].shape[2] > 1}
-    assert set(sides.values()) >= {2, 4, 8}
-    assert sides == {name: found[name] for name in sides}
+def test_the_stride_of_a_grid_that_is_resized_to_another_grid():
+    """As in the paper's networks, whose decoders take the size of a grid of the encoder."""
+    nodes = [
+        helper.make_node("Conv", ["rgb", "kernel"], ["half"], strides=[2, 2]),
+        helper.make_node("Conv", ["half", "kernel"], ["quarter"], strides=[2, 2]),
+        helper.make_node("Shape", ["half"], ["size"]),
+        helper.make_node("Resize", ["quarter", "", "", "size"], ["large"]),
+        helper.make_node("Conv", ["large", "kernel"], ["found"]),
+    ]
+    rgb = helper.make_tensor_value_info("rgb", TensorProto.FLOAT, [1, 1, "height", "width"])
+    kernel = numpy_helper.from_array(np.ones((1, 1, 1, 1), np.float32), "kernel")
+    graph = helper.make_graph(nodes, "graph", [rgb], [helper.make_empty_tensor_value_info("found")])
+    graph.initializer.append(kernel)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
+    found = strides(model, {"rgb": np.zeros((1, 1, 33, 33), np.float32)})
+    assert found == {"rgb": 1, "half": 2, "quarter": 4, "large": 2, "found": 2}
 
 
 def test_8_bit_products_do_not_saturate_in_16_bits():

@@ -193,6 +193,12 @@ def test_output_follows_the_number_of_steps_unless_stated(tmp_path, steps, every
         ("data.batch_size = 60000", "batch_size = 60000: .* more than 268435456 pixels"),
         ("data.augment.crop = [100000, 320]", r"augment.crop\[0\] = 100000: "),
         ("data.augment.scale = [1e-9, 1.0]", r"augment.scale\[0\] = 1e-09: "),
+        ("data.augment.scale = [0.02, 1.0]", "augment.scale: at 0.02 a crop of 320x480 is cut"),
+        (
+            "data.source = [{kind = 'camvid', path = 'a', scale = [0.02, 1.0]}]",
+            "augment.scale: at 0.02 a crop",
+        ),
+        ("schedule.steps = 99000000", "schedule.steps = 99000000: .* 396000000 samples"),
         ("data.augment.brightness = nan", "augment.brightness = nan: .*finite"),
         ("schedule.steps = 1000000000000", "schedule.steps = 1000000000000: "),
         ("loss.depth_weight = inf", "loss.depth_weight = inf: .*finite"),

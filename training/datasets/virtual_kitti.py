@@ -175,7 +175,7 @@ def _list_second_edition(
                 for path in sorted(require_folder(folders["rgb"], "the images").glob("rgb_*"))
                 if path.name.lower().endswith(RGB_SUFFIXES)
             }
-            numbers = [n for n in images if selection.takes(scene, n)]
+            numbers = [n for n in images if n.isdecimal() and selection.takes(scene, n)]
             parts = {"depth": "depth_{}.png", "classSegmentation": "classgt_{}.png"}
             if scans:
                 parts["lidar"] = "lidar_{}.bin"
@@ -222,7 +222,7 @@ def _list_first_edition(root: Path, selection: Selection) -> list[_Frame]:
         if not selection.takes_variant(scene, variant.name):
             continue
         numbers = sorted(path.stem for path in variant.glob("*.png"))
-        numbers = [n for n in numbers if selection.takes(scene, n)]
+        numbers = [n for n in numbers if n.isdecimal() and selection.takes(scene, n)]
         depth, labels = (root / kind / scene / variant.name for kind in (_DEPTH_1, _CLASSES_1))
         for folder in (depth, labels):
             require_folder(folder, "its frames", files=[f"{n}.png" for n in numbers])
@@ -247,11 +247,13 @@ def _read_intrinsics(path: Path, camera: int) -> dict[int, NDArray[np.float64]]:
         try:
             number, row_camera = int(row[0]), int(row[1])
             fx, fy, cx, cy = map(float, row[2:])
-        except (IndexError, ValueError) as error:
+        except (IndexError, ValueError):
+            number, row_camera, fx, fy, cx, cy = -1, -1, *[np.nan] * 4
+        if not (min(fx, fy) > 0 and np.isfinite((fx, fy, cx, cy)).all()):
             raise DatasetError(
                 f"{path}: {shown(' '.join(row))} is not 'frame cameraID fx fy cx cy'. Restore the "
                 "file."
-            ) from error
+            )
         if row_camera == camera:
             intrinsics[number] = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
     return intrinsics

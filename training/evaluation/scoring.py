@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from models import Network
 from models.answers import answers
 from models.classes import CATEGORIES
-from runtime.errors import InputError
+from runtime.contract import NO_CLASS
+from runtime.errors import InputError, SSDNetError
 from runtime.heads import HEADS
 from runtime.postprocess import to_frame
 from runtime.preprocess import preprocess
@@ -92,6 +93,12 @@ def torch_predict(
         )
         found = answers(output, config.max_depth_m)
         heads = {head: found[head][0].cpu().numpy() for head in HeadMaps._fields if head in found}
+        for head, values in heads.items():
+            if not np.isfinite(values).all() or (head == "semantic" and NO_CLASS in values):
+                raise SSDNetError(
+                    f"the network's {head} is not finite: its training diverged. Take earlier "
+                    "weights."
+                )
         return HeadMaps(**to_frame(heads, frame))
 
     return predict

@@ -81,6 +81,16 @@ def test_scenes_still_being_rendered_are_left_alone(second):
     assert len(VirtualKitti(second)) == 2
 
 
+def test_images_whose_names_are_no_numbers_are_left_alone(tmp_path):
+    """Scene20 is split by the number."""
+    write_second_edition(tmp_path, "Scene20")
+    write_first_edition(tmp_path, "0020")
+    (tmp_path / "Scene20" / "clone" / "frames" / "rgb" / "Camera_0" / "rgb_mean.jpg").touch()
+    (tmp_path / "vkitti_1.3.1_rgb" / "0020" / "clone" / "._00000.png").touch()
+    for kind in ("virtual-kitti", "virtual-kitti-1"):
+        assert len(open_set(kind, tmp_path)) == 2
+
+
 def spoil_label(folder, image):
     write(folder / "frames/classSegmentation/Camera_0/classgt_00000.png", image)
 
@@ -105,6 +115,14 @@ def spoil_label(folder, image):
         (
             lambda f: (f / "intrinsic.txt").write_text("header\n0 0 1\n"),
             r"intrinsic\.txt: '0 0 1' is not 'frame cameraID fx fy cx cy'",
+        ),
+        (
+            lambda f: (f / "intrinsic.txt").write_text("header\n0 0 0 726 620 187\n"),
+            r"intrinsic\.txt: '0 0 0 726 620 187' is not 'frame cameraID fx",
+        ),
+        (
+            lambda f: (f / "intrinsic.txt").write_text("header\n0 0 nan 726 620 187\n"),
+            r"intrinsic\.txt: '0 0 nan 726 620 187' is not 'frame cameraID fx",
         ),
         (
             lambda f: (f / "frames/depth/Camera_0/depth_00001.png").unlink(),

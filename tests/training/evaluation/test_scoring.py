@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from models import NetworkOutput, SSDNetLiteConfig, create_model
-from runtime.errors import InputError
+from runtime.errors import InputError, SSDNetError
 from runtime.heads import HEADS
 from training.datasets.sample import AUXILIARY, Sample
 from training.evaluation.pictures import draw_pictures
@@ -165,6 +165,15 @@ def test_a_network_of_canonical_depth_sees_it_and_answers_in_metres():
     network.config = replace(network.config, canonical_focal_px=None)
     torch_predict(network)(truth.rgb, truth.depth, 300.0)
     np.testing.assert_array_equal(network.fed[0, 0], truth.depth)
+
+
+def test_a_network_whose_training_diverged_is_not_scored():
+    truth = sample()
+    for name, head in (("nconv", "depth"), ("enet", "semantic")):
+        network = create_model(name)
+        torch.nn.init.constant_(next(network.parameters()), float("nan"))
+        with pytest.raises(SSDNetError, match=f"the network's {head} is not finite"):
+            torch_predict(network)(truth.rgb, truth.depth, 300.0)
 
 
 def test_frames_are_scored_with_their_own_focal_length():
