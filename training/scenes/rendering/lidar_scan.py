@@ -12,7 +12,7 @@ from training.scenes.rendering.camera import Camera
 from training.scenes.rendering.raycast import RayCaster
 from training.scenes.rendering.shading import points_of_hits
 from training.scenes.textures.paint import Stripe
-from training.scenes.textures.surface_kinds import SurfaceKind
+from training.scenes.textures.surface import SurfaceKind
 from training.scenes.textures.surfaces import texture_surfaces
 from training.scenes.things.mesh import Mesh
 

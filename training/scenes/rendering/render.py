@@ -79,10 +79,8 @@ def render_frame(
     present = [a for a in street.actors if -25 < a.s + a.speed * time - ego_s < 220]
     # Rays start at the origin, where float32 is most precise.
     mesh = join(
-        [
-            _ahead(street.standing, position, rotation[:, 2]).moved(offset=-position),
-            *(a.at(time, street.line).moved(offset=-position) for a in present),
-        ]
+        _ahead(street.standing, position, rotation[:, 2]).moved(offset=-position),
+        *(a.at(time, street.line).moved(offset=-position) for a in present),
     )
     caster = RayCaster(mesh.positions)
     height, width = camera.size

@@ -9,8 +9,7 @@ from training.scenes.rendering.raycast import Hits, RayCaster
 from training.scenes.rendering.weather import Weather, sky_color
 from training.scenes.textures.noise import fractal_noise
 from training.scenes.textures.paint import Stripe
-from training.scenes.textures.surface import Points
-from training.scenes.textures.surface_kinds import SurfaceKind
+from training.scenes.textures.surface import Points, SurfaceKind
 from training.scenes.textures.surfaces import texture_surfaces
 from training.scenes.things.mesh import Mesh, face_normals
 

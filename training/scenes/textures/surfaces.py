@@ -15,8 +15,7 @@ from training.scenes.textures import (
 )
 from training.scenes.textures.noise import fractal_noise, value_noise
 from training.scenes.textures.paint import Stripe
-from training.scenes.textures.surface import Points, Surface, matt
-from training.scenes.textures.surface_kinds import SurfaceKind
+from training.scenes.textures.surface import Points, Surface, SurfaceKind, matt
 
 
 def _foliage(p: Points) -> Surface:
