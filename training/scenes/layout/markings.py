@@ -6,9 +6,10 @@ from training.scenes.layout.site import END_M, Plan
 from training.scenes.textures.paint import Stripe
 
 
-def _pair(centre: float, *rest: float) -> list[Stripe]:
-    """A stripe along the street on both sides of its centre line."""
-    return [Stripe("s", sign * centre, *rest) for sign in (-1, 1)]
+def _pair(d: float, wide: float, a: float, b: float, *dashes: float) -> list[Stripe]:
+    """A stripe from a to b along the street on both sides of its centre line."""
+    period, share = dashes or (0.0, 1.0)
+    return [Stripe("s", sign * d, wide, a, b, period, share) for sign in (-1, 1)]
 
 
 def draw_stripes(rng: Generator, plan: Plan) -> list[Stripe]:

@@ -26,7 +26,7 @@ def rows(text: str) -> tuple[tuple[float, ...], ...]:
 
 def pick(choices: Sequence[T], rng: Generator) -> T:
     """Draw one of the choices."""
-    return choices[rng.integers(len(choices))]
+    return choices[int(rng.integers(len(choices)))]
 
 
 def vary(
@@ -34,7 +34,8 @@ def vary(
 ) -> Color:
     """A shade of one of the colours: 0.75 to `most` times as bright, its channels by `tint`."""
     bright = np.asarray(pick(colors, rng)) * rng.uniform(0.75, most)
-    return tuple(np.clip(bright * rng.uniform(1 - tint, 1 + tint, 3), *limits).tolist())
+    tinted = bright * rng.uniform(1 - tint, 1 + tint, 3)
+    return tuple(tinted.clip(limits[0], limits[1]).tolist())
 
 
 @dataclass(frozen=True)

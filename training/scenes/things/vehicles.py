@@ -41,7 +41,8 @@ class CarShape:
 
 
 def _shape(places: str, outline: str) -> CarShape:
-    return CarShape(*rows(places), rows(outline))
+    sizes, rear_glass, windscreen, wheels, pillars = rows(places)
+    return CarShape(sizes, rear_glass, windscreen, wheels, pillars, rows(outline))
 
 
 _HATCHBACK = _shape(

@@ -108,7 +108,7 @@ def test_fog_washes_out_what_is_far():
 
 def test_corners_are_darker_than_open_ground():
     lid = polygon([(-1, -1, 0.2), (-1, 1, 0.2), (1, 1, 0.2), (1, -1, 0.2)], WALL)
-    caster = RayCaster(join(GROUND, lid).positions)
+    caster = RayCaster(join(GROUND, lid))
     points = np.array([[0, 0, 0.01], [0.97, 0, 0.01], [50, 0, 0.01]], np.float32)
     up = np.tile(np.array([[0, 0, 1]], np.float32), (3, 1))
     free = contact_shading(caster, points, up, np.random.default_rng(0), rays=400)
