@@ -20,7 +20,6 @@ rendering/          drawn once a scene: camera, weather, and the LiDAR's mount (
 rendering/render    one frame:
   raycast             what the rays hit
   shading             its light
-  sensor              the image
   lidar_scan          the LiDAR's returns
 textures/surfaces   the material of the hit points, from the file of each kind of surface
 vkitti_writer       the folder of the scene

@@ -58,16 +58,13 @@ def write_variant(
     """
     target = root / scene / variant
     if target.exists() and not overwrite:
-        raise OutputError(
-            f"{target} exists already. Choose another folder or seed, or give --overwrite."
-        )
+        advice = "Choose another folder or seed, or give --overwrite."
+        raise OutputError(f"{target} exists already. {advice}")
     own = partial(_written_entries, target) if overwrite else None
     with atomic_folder(target, own=own) as temporary:
-        folders = {
-            kind: temporary / "frames" / kind / "Camera_0"
-            for kind in ("rgb", "depth", "classSegmentation", "lidar")
-        }
-        for folder in folders.values():
+        kinds = ("rgb", "depth", "classSegmentation", "lidar")
+        rgb, depth, classes, lidar = (temporary / "frames" / kind / "Camera_0" for kind in kinds)
+        for folder in (rgb, depth, classes, lidar):
             folder.mkdir(parents=True)
         colors = ["Category r g b"]
         colors += [" ".join(map(str, (item.category, *item.color))) for item in SceneClass]
@@ -77,12 +74,11 @@ def write_variant(
         texts = {"colors": colors, "intrinsic": intrinsic, "extrinsic": extrinsic}
         for number, frame in enumerate(frames):
             name = f"{number:05d}"
-            _write_image(folders["rgb"] / f"rgb_{name}.jpg", frame.rgb)
-            _write_image(folders["depth"] / f"depth_{name}.png", _centimetres(frame.depth))
-            _write_image(folders["classSegmentation"] / f"classgt_{name}.png", palette[frame.label])
-            scan = frame.scan
-            scan.points.astype("<f4").tofile(folders["lidar"] / f"lidar_{name}.bin")
-            k = frame.intrinsics
+            _write_image(rgb / f"rgb_{name}.jpg", frame.rgb)
+            _write_image(depth / f"depth_{name}.png", _centimetres(frame.depth))
+            _write_image(classes / f"classgt_{name}.png", palette[frame.label])
+            scan, k = frame.scan, frame.intrinsics
+            scan.points.astype("<f4").tofile(lidar / f"lidar_{name}.bin")
             intrinsic.append(f"{number} 0 {k[0, 0]:.6g} {k[1, 1]:.6g} {k[0, 2]:.6g} {k[1, 2]:.6g}")
             extrinsic.append(f"{number} 0 {_numbers(frame.world_to_camera)}")
             texts["calib"] = [f"Tr_velo_to_cam: {_numbers(scan.to_camera[:3])}"]
@@ -93,11 +89,8 @@ def write_variant(
 
 def _written_entries(variant: Path) -> list[Path]:
     """The files and folders of a variant that `write_variant` makes."""
-    return [
-        entry
-        for entry in variant.rglob("*")
-        if _LAYOUT.fullmatch(entry.relative_to(variant).as_posix())
-    ]
+    paths = ((entry, entry.relative_to(variant).as_posix()) for entry in variant.rglob("*"))
+    return [entry for entry, path in paths if _LAYOUT.fullmatch(path)]
 
 
 def _numbers(matrix: Floats) -> str:

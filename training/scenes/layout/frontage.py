@@ -5,11 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from training.scenes.layout.placing import Site, facing
-from training.scenes.layout.street_plan import END_M, KERB_M, START_M
+from training.scenes.layout.site import END_M, KERB_M, START_M, Site, facing
 from training.scenes.names import StreetKind
 from training.scenes.things import buildings, furniture, plants
-from training.scenes.things.mesh import Mesh
+from training.scenes.things.mesh import Mesh, pick
 
 
 @dataclass(frozen=True)
@@ -23,11 +22,7 @@ class _Nursery:
 
     def draw_tree(self, s: float) -> Mesh:
         """Draw a tree for the place s along the street."""
-        trees = self.near if s < 75 else self.far
-        return trees[self.rng.integers(len(trees))]
-
-    def draw_bush(self) -> Mesh:
-        return self.bushes[self.rng.integers(len(self.bushes))]
+        return pick(self.near if s < 75 else self.far, self.rng)
 
 
 def _grow_plants(rng: Generator) -> _Nursery:
@@ -39,6 +34,13 @@ def _grow_plants(rng: Generator) -> _Nursery:
     return _Nursery(rng, near + bare, far + bare, bushes)
 
 
+#: Edges of gardens, each up to a share of all; others are open.
+_EDGES = (
+    (0.3, plants.make_hedge),
+    (0.55, furniture.make_board_fence),
+    (0.75, furniture.make_wall),
+    (0.9, furniture.make_railing),
+)
 #: Share of the plots with trees instead of a building.
 _GREEN = {"town": 0.1, "residential": 0.35, "avenue": 0.55, "highway": 0.85, "square": 0.45}
 
@@ -47,64 +49,52 @@ def make_frontage(site: Site) -> list[Mesh]:
     """Buildings, gardens and trees behind the pavement on both sides."""
     rng, plan = site.rng, site.plan
     parts: list[Mesh] = []
-    nursery = _grow_plants(rng)
-    half = plan.crossing_half
+    nursery, half = _grow_plants(rng), plan.crossing_half
     gaps = [(c - half - 2.5, c + half + 2.5) for c in plan.crossings]
+    narrow = plan.kind in ("town", "residential")
     for sign in (-1.0, 1.0):
         share = np.clip(_GREEN[plan.kind] + rng.normal(0, 0.15), 0, 1)
-        set_back = {
-            "town": 0.0,
-            "residential": float(rng.uniform(3, 7)),
-            "avenue": float(rng.uniform(2, 10)),
-            "highway": 14.0,
-            "square": float(rng.uniform(4, 15)),
-        }[plan.kind]
-        s = START_M + float(rng.uniform(0, 8))
+        home, avenue, square = rng.uniform((3, 2, 4), (7, 10, 15)).tolist()
+        set_backs = {"residential": home, "avenue": avenue, "square": square, "highway": 14.0}
+        s = START_M + rng.uniform(0, 8)
         while s < END_M:
-            narrow = plan.kind in ("town", "residential")
-            length = float(rng.uniform(6, 16) if narrow else rng.uniform(12, 34))
+            length = rng.uniform(6, 16) if narrow else rng.uniform(12, 34)
             blocked = [gap for gap in gaps if s < gap[1] and s + length > gap[0]]
             if blocked:
-                room = blocked[0][0] - s
-                if room < 5:
+                length = blocked[0][0] - s
+                if length < 5:
                     s = blocked[0][1]
                     continue
-                length = room
             if rng.random() < share:
                 parts += _grove(site, s, length, sign, nursery)
             else:
-                parts += _plot(site, s, length, sign, set_back, nursery)
-            s += length + (0.02 if plan.kind == "town" else float(rng.uniform(0.5, 5)))
+                parts += _plot(site, s, length, sign, set_backs.get(plan.kind, 0.0), nursery)
+            s += length + (0.02 if plan.kind == "town" else rng.uniform(0.5, 5))
         for c in plan.crossings:
             parts += _side_road(site, c, sign, nursery)
     if plan.verge or plan.kind in ("square", "avenue") or rng.random() < 0.25:
-        spacing = float(rng.uniform(8, 18))
+        spacing = rng.uniform(8, 18)
         d = plan.kerb + (plan.verge / 2 if plan.verge else 0.9)
         for sign in (-1.0, 1.0):
             for s in np.arange(START_M, 220, spacing) + rng.uniform(0, 6):
                 if plan.free(s, 3) and rng.random() < 0.75:
-                    tree = nursery.draw_tree(s).scaled(float(rng.uniform(0.6, 0.9)))
+                    tree = nursery.draw_tree(s).scaled(rng.uniform(0.6, 0.9))
                     parts.append(site.place(tree, s, sign * d, KERB_M, site.draw_turn()))
     return parts
 
 
 def _make_building(rng: Generator, kind: StreetKind, length: float) -> Mesh:
     """A building as it stands in a kind of street."""
-    if kind == "town":
-        shop = bool(rng.random() < 0.55)
-        if length > 11 and rng.random() < 0.3:
-            return buildings.make_office(rng, length)
-        return buildings.make_town_house(rng, length, shop=shop)
     draw = rng.random()
-    if kind == "residential":
-        if draw < 0.75:
-            return buildings.make_house(rng, length)
-        return buildings.make_town_house(rng, length, shop=False)
-    if draw < 0.5:
-        return buildings.make_office(rng, length)
-    if draw < 0.75:
-        return buildings.make_town_house(rng, length, shop=True)
-    return buildings.make_shed(rng, length)
+    shop = kind != "residential" and (kind != "town" or draw < 0.55)
+    if kind == "town":
+        other = buildings.make_office if length > 11 and rng.random() < 0.3 else None
+    elif kind == "residential":
+        other = buildings.make_house if draw < 0.75 else None
+    else:
+        sheds = buildings.make_shed if draw >= 0.75 else None
+        other = buildings.make_office if draw < 0.5 else sheds
+    return other(rng, length) if other else buildings.make_town_house(rng, length, shop=shop)
 
 
 def _plot(
@@ -118,7 +108,7 @@ def _plot(
     if plan.kind in ("residential", "avenue") and set_back > 2.5:
         parts += _garden_edge(site, s, length, sign)
         for _ in range(rng.integers(0, 4)):
-            bush, along = nursery.draw_bush(), s + rng.uniform(0, length)
+            bush, along = pick(nursery.bushes, rng), s + rng.uniform(0, length)
             d = sign * (plan.back + rng.uniform(0.8, set_back))
             parts.append(site.place(bush, along, d, KERB_M))
     return parts
@@ -126,33 +116,27 @@ def _plot(
 
 def _garden_edge(site: Site, s: float, length: float, sign: float) -> list[Mesh]:
     rng = site.rng
-    run = max(1.0, length - float(rng.choice([0.0, 2.5])))
+    run = length - float(rng.choice([0.0, 2.5]))
     if run < 2:
         return []
     draw = rng.random()
-    if draw < 0.3:
-        edge = plants.make_hedge(run, float(rng.uniform(0.9, 1.9)), rng)
-        s += run / 2  # a hedge is centred, fences begin at their origin
-    elif draw < 0.55:
-        edge = furniture.make_board_fence(run, float(rng.uniform(0.9, 1.9)), rng)
-    elif draw < 0.75:
-        edge = furniture.make_wall(run, float(rng.uniform(0.5, 1.6)), rng)
-    elif draw < 0.9:
-        edge = furniture.make_railing(run, rng)
-    else:
+    make = next((make for share, make in _EDGES if draw < share), None)
+    if make is None:
         return []
-    return [site.place(edge, s, sign * (site.plan.back + 0.2), KERB_M)]
+    # A hedge is centred, fences begin at their origin.
+    start = s + run / 2 if make is plants.make_hedge else s
+    return [site.place(make(run, rng), start, sign * (site.plan.back + 0.2), KERB_M)]
 
 
 def _grove(site: Site, s: float, length: float, sign: float, nursery: _Nursery) -> list[Mesh]:
     rng, plan = site.rng, site.plan
     parts = []
     for _ in range(int(length / 4) + 1):
-        tree = nursery.draw_tree(s).scaled(float(rng.uniform(0.7, 1.25)))
+        tree = nursery.draw_tree(s).scaled(rng.uniform(0.7, 1.25))
         d = sign * (plan.back + rng.uniform(2.5, 22))
         parts.append(site.place(tree, s + rng.uniform(0, length), d, turned=site.draw_turn()))
     for _ in range(int(length / 4)):
-        bush = nursery.draw_bush().scaled(float(rng.uniform(0.8, 1.8)))
+        bush = pick(nursery.bushes, rng).scaled(rng.uniform(0.8, 1.8))
         along, d = s + rng.uniform(0, length), sign * (plan.back + rng.uniform(1.2, 8))
         parts.append(site.place(bush, along, d, turned=site.draw_turn()))
     if plan.kind == "highway":
@@ -168,21 +152,17 @@ def _side_road(site: Site, c: float, sign: float, nursery: _Nursery) -> list[Mes
     """Buildings or trees that close the view into a side road."""
     rng, plan = site.rng, site.plan
     parts = []
+    make = buildings.make_house if plan.kind == "residential" else buildings.make_town_house
     for edge in (-1.0, 1.0):
         d = plan.back + 16.0
         while d < 75:
-            length = float(rng.uniform(8, 14))
+            length = rng.uniform(8, 14)
             base = c + edge * (plan.crossing_half + 3.0)
             if rng.random() < 0.65:
-                house = (
-                    buildings.make_house(rng, length)
-                    if plan.kind == "residential"
-                    else buildings.make_town_house(rng, length, shop=False)
-                )
                 # The front looks at the side road: its normal points to -edge along s.
                 start, turned = (d, np.pi / 2) if edge > 0 else (d + length, -np.pi / 2)
                 at = sign * (start if sign > 0 else 2 * d + length - start)
-                parts.append(site.place(house, base, at, KERB_M, turned))
+                parts.append(site.place(make(rng, length), base, at, KERB_M, turned))
             else:
                 parts.append(site.place(nursery.draw_tree(base), base + edge * 2, sign * (d + 4)))
             d += length
@@ -201,10 +181,10 @@ def make_backdrop(site: Site) -> list[Mesh]:
         if abs(at[1] - np.interp(s, line.s, line.y)) < 35:
             continue
         if rng.random() < 0.35:
-            block = buildings.make_office(rng, float(rng.uniform(15, 40)))
-            parts.append(block.moved(heading=float(rng.uniform(0, 6.3)), offset=at))
+            block = buildings.make_office(rng, rng.uniform(15, 40))
+            parts.append(block.moved(heading=rng.uniform(0, 6.3), offset=at))
         else:
             for _ in range(5):
-                tree = stock[rng.integers(2)].scaled(float(rng.uniform(1, 1.8)))
+                tree = pick(stock, rng).scaled(rng.uniform(1, 1.8))
                 parts.append(tree.moved(offset=at + rng.normal(0, 8, 3) * (1, 1, 0)))
     return parts

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from training.scenes.layout.placing import Site, facing
-from training.scenes.layout.street_plan import KERB_M, START_M
+from training.scenes.layout.site import KERB_M, START_M, Site, facing
 from training.scenes.names import SceneClass
 from training.scenes.things import furniture, people, vehicles
 from training.scenes.things.mesh import Mesh
@@ -15,20 +14,19 @@ def make_furniture(site: Site) -> list[Mesh]:
     parts: list[Mesh] = []
     up = KERB_M if plan.pavement else 0.0
     near = plan.kerb + 0.5
-    lamp_gap, lamp_height = float(rng.uniform(18, 35)), float(rng.uniform(5.5, 9))
+    lamp_gap, lamp_height = rng.uniform(18, 35), rng.uniform(5.5, 9)
     for k, s in enumerate(np.arange(-10, 260, lamp_gap) + rng.uniform(0, 9)):
         sign = -1.0 if k % 2 else 1.0
         if plan.free(s, 1):
             lamp = furniture.make_lamp(rng, lamp_height)
             parts.append(site.place(lamp, s, sign * near, up, facing(sign)))
     for s in np.cumsum(rng.uniform(7, 26, 14)):
-        sign = -1.0 if rng.random() < 0.65 else 1.0
-        sign *= plan.side
+        sign = -plan.side if rng.random() < 0.65 else plan.side
         if plan.free(s, 0.5):
             toward = 0.0 if sign == -plan.side or rng.random() < 0.5 else np.pi
-            sign_mesh = furniture.make_sign(rng)
-            turned = toward + float(rng.normal(0, 0.12))
-            parts.append(site.place(sign_mesh, s, sign * (near + 0.1), up, turned))
+            mesh = furniture.make_sign(rng)
+            turned = toward + rng.normal(0, 0.12)
+            parts.append(site.place(mesh, s, sign * (near + 0.1), up, turned))
     for c in plan.crossings:
         if rng.random() < 0.55:
             phase = int(rng.integers(3))
@@ -46,45 +44,39 @@ def make_furniture(site: Site) -> list[Mesh]:
     if rng.random() < 0.3:
         wooden = furniture.make_utility_pole(rng)
         sign = float(rng.choice([-1, 1]))
-        parts += [
-            site.place(wooden, s, sign * (plan.back + 0.4), up)
-            for s in np.arange(0, 240, 32.0) + rng.uniform(0, 20)
-            if plan.free(s, 2)
-        ]
+        for s in np.arange(0, 240, 32.0) + rng.uniform(0, 20):
+            if plan.free(s, 2):
+                parts.append(site.place(wooden, s, sign * (plan.back + 0.4), up))
     return parts
 
 
 def _clutter(site: Site, near: float, up: float) -> list[Mesh]:
     rng, plan = site.rng, site.plan
-    sign = float(rng.choice([-1, 1]))
-    s = float(rng.uniform(3, 110))
+    sign, s = float(rng.choice([-1, 1])), rng.uniform(3, 110)
     if not plan.free(s, 7):
         return []
-    draw = rng.random()
+    draw, turns = rng.random(), [facing(sign)]
+    apart = 0.0  # of several in a row
     if draw < 0.3:
-        bollard = furniture.make_bollard(rng)
-        return [
-            site.place(bollard, s + 1.5 * k, sign * near, up)
-            for k in range(rng.integers(2, 8))
-            if plan.free(s + 1.5 * k, 1)
-        ]
-    if draw < 0.5:
-        bin_ = furniture.make_bin(rng)
-        return [site.place(bin_, s, sign * (near + 0.4), up, float(rng.uniform(0, 6)))]
-    if draw < 0.6:
-        return [site.place(furniture.make_bench(), s, sign * (plan.back - 0.5), up, facing(sign))]
-    if draw < 0.7:
-        return [site.place(furniture.make_shelter(rng), s, sign * (near + 1.2), up, facing(sign))]
-    if draw < 0.9:
-        run = float(rng.uniform(6, 18))
+        mesh, d, apart = furniture.make_bollard(rng), near, 1.5
+        turns = [0.0] * int(rng.integers(2, 8))
+    elif draw < 0.5:
+        mesh, d, turns = furniture.make_bin(rng), near + 0.4, [rng.uniform(0, 6)]
+    elif draw < 0.6:
+        mesh, d = furniture.make_bench(), plan.back - 0.5
+    elif draw < 0.7:
+        mesh, d = furniture.make_shelter(rng), near + 1.2
+    elif draw < 0.9:
+        run = rng.uniform(6, 18)
         if not all(plan.free(x, 1) for x in np.arange(s, s + run, 1.0)):
             return []
-        return [site.place(furniture.make_railing(run, rng), s, sign * (near - 0.15), up)]
-    bike = people.make_bicycle(SceneClass.MISC, (0.1, 0.1, 0.12))
-    return [
-        site.place(bike, s + k, sign * (plan.back - 0.6), up, float(rng.normal(1.5, 0.2)))
-        for k in range(rng.integers(1, 4))
-    ]
+        mesh, d, turns = furniture.make_railing(run, rng), near - 0.15, [0.0]
+    else:
+        mesh = people.make_bicycle(SceneClass.MISC, (0.1, 0.1, 0.12))
+        d, apart = plan.back - 0.6, 1.0
+        turns = rng.normal(1.5, 0.2, rng.integers(1, 4)).tolist()
+    places = [(s + apart * k, turned) for k, turned in enumerate(turns)]
+    return [site.place(mesh, x, sign * d, up, turn) for x, turn in places if plan.free(x, 1)]
 
 
 def park_cars(site: Site) -> list[Mesh]:
@@ -94,14 +86,13 @@ def park_cars(site: Site) -> list[Mesh]:
     if plan.parking < 2 and plan.kind != "residential":
         return parts
     for sign in (-1.0, 1.0):
-        density = float(rng.choice([0.15, 0.5, 0.8]))
-        s = START_M + float(rng.uniform(0, 6))
+        density, s = float(rng.choice([0.15, 0.5, 0.8])), START_M + rng.uniform(0, 6)
         while s < 210:
             if rng.random() < density and plan.free(s + 2.5, 6):
                 mesh = vehicles.make_van(rng) if rng.random() < 0.12 else vehicles.make_car(rng)
-                d = sign * (plan.kerb - 1.05 + float(rng.normal(0, 0.06)))
+                d = sign * (plan.kerb - 1.05 + rng.normal(0, 0.06))
                 ahead = sign == -plan.side or rng.random() < 0.1
-                turned = (0.0 if ahead else np.pi) + float(rng.normal(0, 0.015))
+                turned = (0.0 if ahead else np.pi) + rng.normal(0, 0.015)
                 parts.append(site.place(mesh, s + 2.5, d, turned=turned))
-            s += float(rng.uniform(5.6, 6.8))
+            s += rng.uniform(5.6, 6.8)
     return parts

@@ -3,11 +3,9 @@
 import numpy as np
 
 from training.scenes.arrays import Floats
-from training.scenes.layout.centreline import Centreline
-from training.scenes.layout.placing import Site
-from training.scenes.layout.street_plan import END_M, KERB_M, START_M
+from training.scenes.layout.site import END_M, KERB_M, START_M, Centreline, Site
 from training.scenes.names import SceneClass
-from training.scenes.textures.surface_kinds import SurfaceKind
+from training.scenes.textures.surface import SurfaceKind
 from training.scenes.things.mesh import Look, Mesh, grid
 
 Edges = list[tuple[float, float]]
@@ -24,33 +22,22 @@ def _ribbon(line: Centreline, s: Floats, edges: Edges, look: Look, *, sign: floa
 
 def make_ground(site: Site) -> list[Mesh]:
     rng, plan, line = site.rng, site.plan, site.line
-    tone = float(rng.uniform(0.07, 0.2))
-    asphalt = Look(
-        SurfaceKind.ASPHALT, (tone, tone, tone * 1.02), SceneClass.ROAD, (float(rng.random()),)
-    )
-    slab = float(rng.uniform(0.2, 0.36))
-    paving = Look(
-        SurfaceKind.PAVING,
-        (slab, slab * rng.uniform(0.9, 1), slab * rng.uniform(0.8, 1)),
-        SceneClass.PAVEMENT,
-        (float(rng.choice([0.4, 0.6, 0.9, 50.0])), float(rng.random())),
-    )
-    kerb = Look(SurfaceKind.STONE, (0.4, 0.39, 0.37), SceneClass.PAVEMENT)
-    grass = Look(SurfaceKind.GRASS, (0.09, 0.13, 0.035), SceneClass.TERRAIN, (float(rng.random()),))
-    fore = Look(
-        SurfaceKind.PAVING, (slab * 0.8, slab * 0.78, slab * 0.75), SceneClass.PAVEMENT, (0.5, 0.5)
-    )
-    whole = np.arange(START_M, END_M + 60, 3.0)
-    parts = [
-        _ribbon(line, whole, [(-plan.kerb, 0.0), (plan.kerb, 0.0)], asphalt),
-        _ribbon(
-            line,
-            np.array([START_M - 20, *np.linspace(0, END_M, 40), END_M + 110]),
-            [(-420.0, -2.0), (-80.0, -0.25), (80.0, -0.25), (420.0, -2.0)],
-            grass,
-        ),
-    ]
+    label, tone = SceneClass.PAVEMENT, rng.uniform(0.07, 0.2)
+    grey = tone, tone, tone * 1.02
+    asphalt = Look(SurfaceKind.ASPHALT, grey, SceneClass.ROAD, (rng.random(),))
+    slab = rng.uniform(0.2, 0.36)
+    color = slab, slab * rng.uniform(0.9, 1), slab * rng.uniform(0.8, 1)
+    pitch = float(rng.choice([0.4, 0.6, 0.9, 50.0]))
+    paving = Look(SurfaceKind.PAVING, color, label, (pitch, rng.random()))
+    kerb = Look(SurfaceKind.STONE, (0.4, 0.39, 0.37), label)
+    grass = Look(SurfaceKind.GRASS, (0.09, 0.13, 0.035), SceneClass.TERRAIN, (rng.random(),))
+    fore = Look(SurfaceKind.PAVING, (slab * 0.8, slab * 0.78, slab * 0.75), label, (0.5, 0.5))
     k, p = plan.kerb, plan.back
+    whole = np.arange(START_M, END_M + 60, 3.0)
+    wide = np.array([START_M - 20, *np.linspace(0, END_M, 40), END_M + 110])
+    meadow = [(-420.0, -2.0), (-80.0, -0.25), (80.0, -0.25), (420.0, -2.0)]
+    parts = [_ribbon(line, whole, [(-k, 0.0), (k, 0.0)], asphalt)]
+    parts.append(_ribbon(line, wide, meadow, grass))
     inner = k + 0.15
     strips: list[tuple[Edges, Look]]
     if plan.kind == "highway" and not plan.pavement:

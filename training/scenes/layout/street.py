@@ -4,13 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from training.scenes.layout.centreline import Centreline, draw_centreline
 from training.scenes.layout.frontage import make_backdrop, make_frontage
 from training.scenes.layout.furnishing import make_furniture, park_cars
 from training.scenes.layout.ground import make_ground
 from training.scenes.layout.markings import draw_stripes
-from training.scenes.layout.placing import Site
-from training.scenes.layout.street_plan import END_M, START_M, draw_plan, lane_centre
+from training.scenes.layout.site import END_M, START_M, Centreline, Site, draw_centreline, draw_plan
 from training.scenes.layout.traffic import Actor, draw_people, draw_traffic
 from training.scenes.names import StreetKind
 from training.scenes.textures.paint import Stripe
@@ -45,16 +43,10 @@ def build_street(seed: int, *, kind: StreetKind | None = None) -> Street:
     site = Site(rng, plan, line)
     steps = (make_ground, make_frontage, make_furniture, park_cars, make_backdrop)
     parts = [mesh for make in steps for mesh in make(site)]
-    queue = bool(rng.random() < 0.3)
+    queue = rng.random() < 0.3
     ego_lane = int(rng.integers(plan.lanes))
-    ego_speed = float(rng.uniform(2, 5)) if queue else float(rng.uniform(6, 13))
+    ego_speed = rng.uniform(2, 5) if queue else rng.uniform(6, 13)
     actors = draw_traffic(rng, plan, queue=queue, ego_lane=ego_lane, ego_speed=ego_speed)
     actors += draw_people(rng, plan)
-    return Street(
-        line,
-        join(parts),
-        tuple(actors),
-        tuple(draw_stripes(rng, plan)),
-        lane_centre(plan, ego_lane),
-        ego_speed,
-    )
+    stripes, ego_d = tuple(draw_stripes(rng, plan)), plan.lane_centre(ego_lane)
+    return Street(line, join(*parts), tuple(actors), stripes, ego_d, ego_speed)

@@ -42,15 +42,11 @@ def make_camera(name: CameraName, size: tuple[int, int], seed: int = 0) -> Camer
     "varied" is a random camera for every seed: field of view 45 to 105 degrees, 1.2 to 2.2 m above
     the road, tilted by up to 4 degrees, its size one of `_SIZES` whatever `size` is.
     """
-    if name == CameraName.varied:
-        return _draw_camera(np.random.default_rng([seed, 5]))
-    # KITTI 2011_09_26, camera 2: 1242 x 375 pixels, focal length 721.54.
-    scale = size[1] / 1242.0
-    focal = 721.54 * scale
-    return Camera(size, focal, 609.56 * scale, size[0] * 172.85 / 375.0, 1.65)
-
-
-def _draw_camera(rng: np.random.Generator) -> Camera:
+    if name == CameraName.kitti:
+        # KITTI 2011_09_26, camera 2: 1242 x 375 pixels, focal length 721.54.
+        scale = size[1] / 1242.0
+        return Camera(size, 721.54 * scale, 609.56 * scale, size[0] * 172.85 / 375.0, 1.65)
+    rng = np.random.default_rng([seed, 5])
     height, width = _SIZES[rng.integers(len(_SIZES))]
     view = np.deg2rad(rng.uniform(45.0, 105.0 if width > 2 * height else 85.0))
     focal = width / 2 / np.tan(view / 2)
@@ -61,9 +57,8 @@ def _draw_camera(rng: np.random.Generator) -> Camera:
 
 def look_along(heading: float, pitch: float, roll: float) -> Floats:
     """Rotation (3, 3) from camera (x right, y down, z forward) to world (x, y, z up); rad."""
-    forward = np.array(
-        [np.cos(heading) * np.cos(pitch), np.sin(heading) * np.cos(pitch), np.sin(pitch)]
-    )
+    flat = np.cos(pitch)
+    forward = np.array([np.cos(heading) * flat, np.sin(heading) * flat, np.sin(pitch)])
     right = np.array([np.sin(heading), -np.cos(heading), 0.0])
     down = np.cross(forward, right)
     c, s = np.cos(roll), np.sin(roll)

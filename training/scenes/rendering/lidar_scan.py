@@ -10,11 +10,7 @@ from training.lidar.split import HDL64_ELEVATIONS_DEG
 from training.scenes.arrays import Floats
 from training.scenes.rendering.camera import Camera
 from training.scenes.rendering.raycast import RayCaster
-from training.scenes.rendering.shading import points_of_hits
-from training.scenes.textures.paint import Stripe
-from training.scenes.textures.surface_kinds import SurfaceKind
-from training.scenes.textures.surfaces import texture_surfaces
-from training.scenes.things.mesh import Mesh
+from training.scenes.textures.surface import SurfaceKind
 
 #: Of an HDL-64E at 10 Hz, and the range of other LiDARs [degrees].
 _HDL64_AZIMUTH_STEP_DEG, _AZIMUTH_STEPS_DEG = 0.17, (0.1, 0.35)
@@ -95,19 +91,12 @@ def _draw_elevations(rng: Generator) -> Floats:
 
 
 def scan_street(
-    mesh: Mesh,
-    caster: RayCaster,
-    camera: Camera,
-    rotation: Floats,
-    mount: LidarMount,
-    *,
-    stripes: tuple[Stripe, ...],
-    rng: Generator,
+    caster: RayCaster, camera: Camera, rotation: Floats, mount: LidarMount, rng: Generator
 ) -> LidarScan:
     """Return the returns of one turn that are visible in the image.
 
-    mesh: around the camera at the origin, in world axes, as is `caster`'s.
-    rotation: (3, 3), camera to world. A pulse passes through a vehicle's pane, or is lost at
+    caster: its mesh is around the camera at the origin, in world axes. rotation: (3, 3), camera to
+    world. A pulse passes through a vehicle's pane, or is lost at
     it, more often than it returns; dark, slanted and far surfaces lose pulses, too.
     """
     step, lines = np.deg2rad(mount.azimuth_step_deg), len(mount.elevations_deg)
@@ -117,13 +106,12 @@ def scan_street(
     ring = np.repeat(np.arange(lines), len(azimuth))
     turn = np.tile(azimuth, lines) + step * rng.random(lines)[ring]
     rise = np.deg2rad(mount.elevations_deg)[ring]
-    local = np.stack(
-        [np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)], axis=1
-    )
+    flat = np.cos(rise)
+    local = np.stack([flat * np.cos(turn), flat * np.sin(turn), np.sin(rise)], axis=1)
     to_world = (rotation @ mount.to_camera[:3, :3]).T
     directions = (local @ to_world).astype(np.float32)
     start = (rotation @ mount.to_camera[:3, 3]).astype(np.float32)
-    distance, reflectance = _ranges(mesh, caster, start, directions, stripes, rng)
+    distance, reflectance = _ranges(caster, start, directions, rng)
     kept = np.isfinite(distance)
     points = local[kept] * (distance[kept] + rng.normal(0, _RANGE_NOISE_M, kept.sum()))[:, None]
     seen = _in_picture(points, camera, mount)
@@ -132,19 +120,12 @@ def scan_street(
 
 
 def _ranges(
-    mesh: Mesh,
-    caster: RayCaster,
-    start: Floats,
-    directions: Floats,
-    stripes: tuple[Stripe, ...],
-    rng: Generator,
+    caster: RayCaster, start: Floats, directions: Floats, rng: Generator
 ) -> tuple[Floats, Floats]:
     """Range [m] (n,), NaN without a return, and reflectance 0..1 of each pulse."""
     count = len(directions)
-    distance = np.full(count, np.nan, dtype=np.float32)
-    reflectance = np.zeros(count, dtype=np.float32)
-    under_way = np.arange(count)
-    travelled = np.zeros(count, dtype=np.float32)
+    distance, under_way = np.full(count, np.nan, dtype=np.float32), np.arange(count)
+    reflectance, travelled = np.zeros((2, count), dtype=np.float32)
     for _ in range(_MOST_SURFACES):
         origins = start + directions[under_way] * travelled[under_way, None]
         hits = caster.first_hit(origins, directions[under_way])
@@ -155,9 +136,9 @@ def _ranges(
         hits = hits.take(met)
         travelled[under_way] += hits.distance
         length = travelled[under_way]
-        points = points_of_hits(mesh, hits, directions[under_way], length * np.float32(2e-3))
-        kind = mesh.kind[hits.face]
-        surface = texture_surfaces(kind, points, stripes)
+        footprint = length * np.float32(2e-3)
+        points, surface = caster.surfaces(hits, directions[under_way], footprint)
+        kind = caster.mesh.kind[hits.face]
         pane = np.zeros(len(kind), dtype=bool)
         for glassy, gloss in _PANES.items():
             pane |= (kind == glassy) & (surface.gloss > gloss)

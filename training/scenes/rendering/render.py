@@ -14,8 +14,7 @@ from training.scenes.names import SceneClass
 from training.scenes.rendering.camera import Camera, look_along
 from training.scenes.rendering.lidar_scan import LidarMount, LidarScan, scan_street
 from training.scenes.rendering.raycast import Hits, RayCaster
-from training.scenes.rendering.sensor import expose
-from training.scenes.rendering.shading import contact_shading, facing_normals, shade
+from training.scenes.rendering.shading import contact_shading, shade
 from training.scenes.rendering.weather import Weather
 from training.scenes.things.mesh import Mesh, join
 
@@ -79,12 +78,10 @@ def render_frame(
     present = [a for a in street.actors if -25 < a.s + a.speed * time - ego_s < 220]
     # Rays start at the origin, where float32 is most precise.
     mesh = join(
-        [
-            _ahead(street.standing, position, rotation[:, 2]).moved(offset=-position),
-            *(a.at(time, street.line).moved(offset=-position) for a in present),
-        ]
+        _ahead(street.standing, position, rotation[:, 2]).moved(offset=-position),
+        *(a.at(time, street.line).moved(offset=-position) for a in present),
     )
-    caster = RayCaster(mesh.positions)
+    caster = RayCaster(mesh, street.stripes)
     height, width = camera.size
     rows, columns = np.mgrid[0:height, 0:width].astype(np.float64)
     turn = rotation.T.astype(np.float32)
@@ -95,39 +92,49 @@ def render_frame(
     depth = np.where(solid, hits.distance, 0).astype(np.float32)
     label = np.where(solid, mesh.label[hits.face], np.uint8(SceneClass.SKY)).astype(np.uint8)
 
-    openness = _openness(mesh, caster, hits, directions, camera.size, rng)
-    light = partial(
-        shade,
-        mesh,
-        caster,
-        pixel_angle=1.0 / camera.focal_px,
-        weather=weather,
-        stripes=street.stripes,
-        rng=rng,
-    )
+    openness = _openness(caster, hits, directions, camera.size, rng)
+    light = partial(shade, caster, pixel_angle=1.0 / camera.focal_px, weather=weather, rng=rng)
     radiance = light(hits, directions, openness=openness)
     rough = np.flatnonzero(_edges(depth.reshape(camera.size), radiance.reshape(height, width, 3)))
     total = radiance[rough].clip(0, 3)
     for dx, dy in _JITTER:
         rays = camera.rays(columns.ravel()[rough] + dx, rows.ravel()[rough] + dy) @ turn
         rays = rays.astype(np.float32)
-        sample = light(_cast(caster, rays), rays, openness=openness[rough])
-        total += sample.clip(0, 3)
+        total += light(_cast(caster, rays), rays, openness=openness[rough]).clip(0, 3)
     radiance[rough] = total / (1 + len(_JITTER))
 
     world_to_camera = np.eye(4)
     world_to_camera[:3, :3] = rotation.T
     world_to_camera[:3, 3] = -rotation.T @ position
     return RenderedFrame(
-        rgb=expose(radiance.reshape(height, width, 3), weather, rng),
+        rgb=_expose(radiance.reshape(height, width, 3), weather, rng),
         depth=depth.reshape(camera.size),
         label=label.reshape(camera.size),
         world_to_camera=world_to_camera,
         intrinsics=camera.intrinsics,
-        scan=scan_street(
-            mesh, caster, camera, rotation, mount, stripes=street.stripes, rng=lidar_rng
-        ),
+        scan=scan_street(caster, camera, rotation, mount, lidar_rng),
     )
+
+
+def _expose(radiance: Floats, weather: Weather, rng: Generator) -> NDArray[np.uint8]:
+    """Picture (H, W, 3) uint8 RGB of linear radiance (H, W, 3).
+
+    Automatic exposure on the lower part of the picture (what a driver's camera meters), a soft
+    shoulder, vignette, slight blur, shot and read noise, sRGB-like gamma.
+    """
+    height, width = radiance.shape[:2]
+    metered = radiance[height // 3 :: 4, ::4].mean(axis=2)
+    key = float(np.exp(np.log(metered + 1e-3).mean()))
+    image: Floats = radiance * np.float32(0.17 / key * 2.0**weather.exposure)
+    y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j].astype(np.float32)
+    image *= (1 - 0.16 * (0.5 * x * x + 0.5 * y * y))[..., None]
+    image = np.asarray(cv2.GaussianBlur(image, (3, 3), 0.48))
+    shot = np.sqrt(np.clip(image, 0, 1)) * weather.noise + 0.4 * weather.noise
+    image = image + shot * rng.standard_normal(image.shape, dtype=np.float32)
+    image = np.clip(image, 0, None)
+    # Linear up to 0.6; brighter values approach 1 exponentially.
+    bright = np.where(image < 0.6, image, 0.6 + 0.4 * (1 - np.exp(-(image - 0.6) / 0.4)))
+    return (255 * np.clip(bright, 0, 1) ** (1 / 2.2) + 0.5).astype(np.uint8)
 
 
 def _ahead(mesh: Mesh, position: Floats, forward: Floats) -> Mesh:
@@ -144,22 +151,16 @@ def _cast(caster: RayCaster, directions: Floats) -> Hits:
 
 
 def _openness(
-    mesh: Mesh,
-    caster: RayCaster,
-    hits: Hits,
-    directions: Floats,
-    size: tuple[int, int],
-    rng: Generator,
+    caster: RayCaster, hits: Hits, directions: Floats, size: tuple[int, int], rng: Generator
 ) -> Floats:
     """Contact shading on every second row and column, smoothed, at full size."""
     height, width = size
     pick = np.arange(height * width).reshape(size)[::2, ::2].ravel()
     free = np.ones(len(pick), dtype=np.float32)
     near = np.flatnonzero((hits.face[pick] >= 0) & (hits.distance[pick] < 60))
-    chosen = pick[near]
-    view = directions[chosen]
-    normal = facing_normals(mesh, hits.face[chosen], view)
-    point = view * hits.distance[chosen, None] + normal * np.float32(0.01)
+    chosen, view = hits.take(pick[near]), directions[pick[near]]
+    normal = caster.normals(chosen, view)
+    point = view * chosen.distance[:, None] + normal * np.float32(0.01)
     free[near] = contact_shading(caster, point, normal, rng)
     coarse = free.reshape(-(-height // 2), -(-width // 2))
     smooth = cv2.blur(coarse, (5, 5))

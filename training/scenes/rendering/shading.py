@@ -8,11 +8,7 @@ from training.scenes.arrays import Floats
 from training.scenes.rendering.raycast import Hits, RayCaster
 from training.scenes.rendering.weather import Weather, sky_color
 from training.scenes.textures.noise import fractal_noise
-from training.scenes.textures.paint import Stripe
-from training.scenes.textures.surface import Points
-from training.scenes.textures.surface_kinds import SurfaceKind
-from training.scenes.textures.surfaces import texture_surfaces
-from training.scenes.things.mesh import Mesh, face_normals
+from training.scenes.textures.surface import SurfaceKind
 
 _GROUND = (SurfaceKind.ASPHALT, SurfaceKind.PAVING)
 _LIFT = 2e-3
@@ -20,41 +16,7 @@ _LIFT = 2e-3
 _CONTACT_M = 2.5
 
 
-def _interpolate(corners: Floats, hits: Hits) -> Floats:
-    picked = corners[hits.face]
-    u, v = hits.u[:, None], hits.v[:, None]
-    return np.asarray(picked[:, 0] * (1 - u - v) + picked[:, 1] * u + picked[:, 2] * v)
-
-
-def points_of_hits(mesh: Mesh, hits: Hits, view: Floats, footprint: Floats) -> Points:
-    """Surface points of rays along unit vectors ``view`` (n, 3), all of which hit the mesh.
-
-    footprint: (n,) m that a ray covers there.
-    """
-    normal = _interpolate(mesh.normals, hits)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-9
-    flat = facing_normals(mesh, hits.face, view)
-    turn = ((normal * flat).sum(1) < 0) & (mesh.kind[hits.face] != SurfaceKind.FOLIAGE)
-    normal[turn] = -normal[turn]
-    return Points(
-        _interpolate(mesh.texture, hits),
-        normal,
-        mesh.color[hits.face],
-        mesh.params[hits.face],
-        footprint,
-        np.abs((flat * view).sum(1)),
-    )
-
-
-def facing_normals(mesh: Mesh, face: NDArray[np.int32], view: Floats) -> Floats:
-    """Normals (n, 3) of faces, turned against the direction ``view``."""
-    flat = face_normals(mesh.positions[face])
-    toward = (flat * view).sum(1, keepdims=True)
-    return np.asarray(flat * np.where(toward > 0, np.float32(-1), np.float32(1)))
-
-
 def shade(
-    mesh: Mesh,
     caster: RayCaster,
     hits: Hits,
     directions: Floats,
@@ -62,7 +24,6 @@ def shade(
     pixel_angle: float,
     openness: Floats,
     weather: Weather,
-    stripes: tuple[Stripe, ...],
     rng: Generator,
 ) -> Floats:
     """Linear RGB radiance (n, 3) of rays from the origin along directions (n, 3).
@@ -82,14 +43,13 @@ def shade(
     if not len(rows):
         return np.asarray(radiance)
     hits, view = hits.take(rows), view[rows]
+    sun, horizon = np.asarray((weather.sun, weather.horizon), np.float32)
     distance = hits.distance * length[rows]
     point = directions[rows] * hits.distance[:, None]
-    points = points_of_hits(mesh, hits, view, (distance * pixel_angle).astype(np.float32))
-    normal, flat = points.normal, facing_normals(mesh, hits.face, view)
-    kind = mesh.kind[hits.face]
-    soft = kind == SurfaceKind.FOLIAGE
-    surface = texture_surfaces(kind, points, stripes)
-    albedo, gloss = surface.albedo, surface.gloss
+    points, surface = caster.surfaces(hits, view, (distance * pixel_angle).astype(np.float32))
+    normal, flat = points.normal, caster.normals(hits, view)
+    kind = caster.mesh.kind[hits.face]
+    soft, albedo, gloss = kind == SurfaceKind.FOLIAGE, surface.albedo, surface.gloss
     ground = np.isin(kind, _GROUND)
     if weather.wet:
         puddle = fractal_noise(point[:, 0], point[:, 1], wavelength=5.0, octaves=3)
@@ -111,15 +71,12 @@ def shade(
         start = lift[lit] + toward * np.where(soft[lit], 0.25, 0.0)[:, None].astype(np.float32)
         dark = caster.blocked(start, toward + blur)
         facing[lit[dark]] = 0
-        sun = np.asarray(weather.sun, np.float32)
         light += facing[:, None] * sun
         mirror = view - 2 * (view * normal).sum(1, keepdims=True) * normal
         reflect_sun = np.where(facing > 0, np.clip(mirror @ toward, 0, 1) ** 180, 0)
     ambient = 0.5 + 0.5 * normal[:, 2:]
-    dome = 0.62 * np.asarray(weather.zenith, np.float32) + 0.38 * np.asarray(
-        weather.horizon, np.float32
-    )
-    bounce = 0.16 * (dome + 0.5 * np.asarray(weather.sun, np.float32) * weather.sun_direction[2])
+    dome = 0.62 * np.asarray(weather.zenith, np.float32) + 0.38 * horizon
+    bounce = 0.16 * (dome + 0.5 * sun * weather.sun_direction[2])
     light += openness[rows, None] * (ambient * dome + (1 - ambient) * bounce)
     color = albedo * light + surface.glow
 
@@ -127,16 +84,14 @@ def shade(
     if len(shiny):
         n, d = normal[shiny], view[shiny]
         cosine = np.clip(-(n * d).sum(1), 0, 1)
-        share = gloss[shiny] + (1 - gloss[shiny]) * np.minimum((1 - cosine) ** 5, 0.75) * np.clip(
-            gloss[shiny] / 0.05, 0, 1
-        )
+        rise = np.minimum((1 - cosine) ** 5, 0.75)
+        share = gloss[shiny] + (1 - gloss[shiny]) * rise * np.clip(gloss[shiny] / 0.05, 0, 1)
         mirror = d - 2 * (n * d).sum(1, keepdims=True) * n
         seen = _surroundings(weather, mirror, caster, lift[shiny], ground[shiny])
-        seen += (2.5 * reflect_sun[shiny])[:, None] * np.asarray(weather.sun, np.float32)
+        seen += (2.5 * reflect_sun[shiny])[:, None] * sun
         color[shiny] = color[shiny] * (1 - share[:, None]) + seen * share[:, None]
     kept = np.exp(-weather.haze * distance)[:, None]
-    veil = 0.9 * np.asarray(weather.horizon, np.float32)
-    radiance[rows] = color * kept + veil * (1 - kept)
+    radiance[rows] = color * kept + 0.9 * horizon * (1 - kept)
     return np.asarray(radiance)
 
 

@@ -29,38 +29,38 @@ class Weather:
     noise: float
 
 
+_DARK = (0.0, 0.0, 0.0)
+#: Of each variant: sun, zenith, horizon, range of cloud, haze.
+_LIGHT = {
+    "clone": ((3.4, 3.15, 2.8), (0.22, 0.42, 0.85), (0.75, 0.9, 1.1), (0.1, 0.7), 0.0009),
+    "morning": ((2.7, 2.2, 1.6), (0.25, 0.4, 0.7), (0.95, 0.9, 0.85), (0.1, 0.6), 0.0012),
+    "sunset": ((2.2, 1.3, 0.6), (0.22, 0.28, 0.5), (1.1, 0.72, 0.45), (0.2, 0.7), 0.0012),
+    "overcast": (_DARK, (0.8, 0.84, 0.9), (0.95, 0.98, 1.02), (0.95, 1.0), 0.0010),
+    "fog": (_DARK, (0.8, 0.82, 0.84), (0.82, 0.84, 0.86), (1.0, 1.0), 0.018),
+    "rain": (_DARK, (0.45, 0.49, 0.55), (0.62, 0.65, 0.7), (0.95, 1.0), 0.006),
+}
+
+
 def draw_weather(variant: Variant, seed: int) -> Weather:
     """Return the light of a variant; the seed varies sun position, clouds and exposure."""
     rng = np.random.default_rng([seed, 2, list(Variant).index(variant)])
-    azimuth = float(rng.uniform(0, 2 * np.pi))
+    azimuth = rng.uniform(0, 2 * np.pi)
     low, high = {"clone": (30, 60), "morning": (12, 28), "sunset": (6, 15)}.get(variant, (40, 50))
     height = np.deg2rad(rng.uniform(low, high))
-    sun = (
-        float(np.cos(height) * np.cos(azimuth)),
-        float(np.cos(height) * np.sin(azimuth)),
-        float(np.sin(height)),
-    )
-    light = {
-        # sun, zenith, horizon, cloud, haze
-        "clone": ((3.4, 3.15, 2.8), (0.22, 0.42, 0.85), (0.75, 0.9, 1.1), (0.1, 0.7), 0.0009),
-        "morning": ((2.7, 2.2, 1.6), (0.25, 0.4, 0.7), (0.95, 0.9, 0.85), (0.1, 0.6), 0.0012),
-        "sunset": ((2.2, 1.3, 0.6), (0.22, 0.28, 0.5), (1.1, 0.72, 0.45), (0.2, 0.7), 0.0012),
-        "overcast": ((0.0, 0.0, 0.0), (0.8, 0.84, 0.9), (0.95, 0.98, 1.02), (0.95, 1.0), 0.0010),
-        "fog": ((0.0, 0.0, 0.0), (0.8, 0.82, 0.84), (0.82, 0.84, 0.86), (1.0, 1.0), 0.018),
-        "rain": ((0.0, 0.0, 0.0), (0.45, 0.49, 0.55), (0.62, 0.65, 0.7), (0.95, 1.0), 0.006),
-    }[variant]
-    haze = light[4] * float(rng.uniform(0.6, 1.5))
+    flat, up = np.cos(height), float(np.sin(height))
+    sun, zenith, horizon, cloud, haze = _LIGHT[variant]
+    haze *= rng.uniform(0.6, 1.5)
     return Weather(
-        sun_direction=sun,
-        sun=light[0],
-        zenith=light[1],
-        horizon=light[2],
-        cloud=float(rng.uniform(*light[3])),
-        cloud_seed=float(rng.uniform(0, 200)),
+        (float(flat * np.cos(azimuth)), float(flat * np.sin(azimuth)), up),
+        sun,
+        zenith,
+        horizon,
+        cloud=rng.uniform(*cloud),
+        cloud_seed=rng.uniform(0, 200),
         haze=haze,
-        wet=float(rng.uniform(0.6, 1.0)) if variant == "rain" else 0.0,
-        exposure=float(rng.normal(0.1, 0.4)),
-        noise=float(rng.uniform(0.004, 0.014)),
+        wet=rng.uniform(0.6, 1.0) if variant == "rain" else 0.0,
+        exposure=rng.normal(0.1, 0.4),
+        noise=rng.uniform(0.004, 0.014),
     )
 
 
@@ -68,9 +68,8 @@ def sky_color(weather: Weather, direction: Floats, *, detail: bool = True) -> Fl
     """Radiance (n, 3) of the sky along unit directions (n, 3); no clouds without `detail`."""
     up = np.clip(direction[:, 2], 0, 1)
     blend = np.power(1 - up, 4)[:, None]
-    zenith, horizon, sun = (
-        np.asarray(color, np.float32) for color in (weather.zenith, weather.horizon, weather.sun)
-    )
+    colors = weather.zenith, weather.horizon, weather.sun
+    zenith, horizon, sun = np.asarray(colors, np.float32)
     color = zenith * (1 - blend) + horizon * blend
     towards_sun = np.clip(direction @ np.asarray(weather.sun_direction, np.float32), 0, 1)
     shine = 0.25 * towards_sun**8 + (6.0 * towards_sun**900 if detail else 0)

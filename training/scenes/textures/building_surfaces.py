@@ -1,7 +1,6 @@
 """Textures of buildings: façades with windows, shop fronts, bricks, roofs, boards."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from training.scenes.arrays import Floats
 from training.scenes.textures.noise import fractal_noise, hash01
@@ -18,9 +17,8 @@ def _bricks(u: Floats, v: Floats, color: Floats, footprint: Floats) -> Floats:
     column = np.floor(shifted)
     fade = np.clip(1.3 - footprint / _TALL, 0, 1)
     tone = 1 + 0.5 * (hash01(row, column, 5) - 0.5) * fade
-    mortar = 1 - band((v / _TALL - row - 0.5) * _TALL, _TALL * 0.43, footprint) * band(
-        (shifted - column - 0.5) * _WIDE, _WIDE * 0.47, footprint
-    )
+    in_row = band((v / _TALL - row - 0.5) * _TALL, _TALL * 0.43, footprint)
+    mortar = 1 - in_row * band((shifted - column - 0.5) * _WIDE, _WIDE * 0.47, footprint)
     tone += 0.12 * fractal_noise(u, v, wavelength=2.5, octaves=2)
     return mix(color * tone[:, None], (0.38, 0.35, 0.31), mortar * fade * 0.7)
 
@@ -43,13 +41,10 @@ def _wall(p: Points, u: Floats, v: Floats) -> Floats:
     weather = fractal_noise(u * 1.8, v * 0.5, wavelength=1.8, octaves=3, footprint=p.footprint)
     grain = fractal_noise(u, v, wavelength=0.15, octaves=2, footprint=p.footprint)
     color = p.color * (1 + 0.16 * weather + 0.08 * grain)[:, None]
-    brick = np.flatnonzero(style == 1)
-    if len(brick):
-        color[brick] = _bricks(u[brick], v[brick], p.color[brick], p.footprint[brick])
-    shed = np.flatnonzero(style == 3)
-    if len(shed):
-        rib = np.sin(u[shed] * 2 * np.pi / 0.3) * np.clip(1.2 - p.footprint[shed] / 0.15, 0, 1)
-        color[shed] *= (1 + 0.2 * rib)[:, None]
+    brick, shed = style == 1, style == 3
+    color[brick] = _bricks(u[brick], v[brick], p.color[brick], p.footprint[brick])
+    rib = np.sin(u[shed] * 2 * np.pi / 0.3) * np.clip(1.2 - p.footprint[shed] / 0.15, 0, 1)
+    color[shed] *= (1 + 0.2 * rib)[:, None]
     foot = np.clip(1 - v / 0.5, 0, 1) * (v < 0.55)
     return color * (1 - 0.35 * foot)[:, None]
 
@@ -63,7 +58,6 @@ def texture_facade(p: Points) -> Surface:
     key = (seed * 65521).astype(np.int64)
     foot = p.footprint / np.maximum(p.slant, 0.15)
     albedo = _wall(p, u, v)
-    gloss = np.zeros(len(u), dtype=np.float32)
     glow = np.zeros_like(albedo)
 
     # Windows of the upper floors, one a bay and floor.
@@ -83,71 +77,57 @@ def texture_facade(p: Points) -> Surface:
     hole = band(a, half_w, foot) * band(b, half_h, p.footprint) * exists
     albedo = mix(albedo, frame_color, hole)
     bars = np.where(hash01(key, 13) < 0.6, 0.04, 0.0)
-    pane = band(np.abs(a) - half_w / 2 - bars / 4, half_w / 2 - 0.045 - bars / 4, foot) * band(
-        b, half_h - 0.06, p.footprint
-    )
+    pane = band(np.abs(a) - half_w / 2 - bars / 4, half_w / 2 - 0.045 - bars / 4, foot)
+    pane *= band(b, half_h - 0.06, p.footprint)
     cross = (hash01(key, 14) < 0.5) & (style < 2)
     pane *= 1 - cross * band(b - half_h * 0.25, 0.03, p.footprint)
     pane *= exists
     lot = hash01(key, i, j)
     curtain = np.where(lot < 0.45, 0.25 + 0.35 * hash01(key, j, i, 2), 0.0)
-    shut = np.where(
-        hash01(key, i, j, 4) < 0.25,
-        band(b - half_h, half_h, p.footprint),
-        (np.abs(a) > half_w * 0.55).astype(np.float32),
-    )
+    blind = band(b - half_h, half_h, p.footprint)
+    drawn = (np.abs(a) > half_w * 0.55).astype(np.float32)
+    shut = np.where(hash01(key, i, j, 4) < 0.25, blind, drawn)
     dark = 0.012 + 0.05 * hash01(key, i, j, 3)
     inside = np.maximum(dark, curtain * shut)
     # The reveal throws a shadow on the head of the pane.
     inside = inside * (1 - 0.6 * np.clip((b - half_h + 0.22) / 0.1, 0, 1))
     albedo = mix(albedo, np.stack([inside, inside * 1.02, inside * 1.05], 1), pane)
-    gloss += pane * (0.06 + 0.08 * (style == 2))
+    gloss = (pane * (0.06 + 0.08 * (style == 2))).astype(np.float32)
 
-    shop = np.flatnonzero((front == 1) & (v <= ground) & ~gable & (wall_id == 0))
-    if len(shop):
-        albedo[shop], gloss[shop], glow[shop] = _shop_front(
-            u[shop], v[shop], albedo[shop], ground[shop], key[shop], foot[shop], p.footprint[shop]
-        )
-    door = np.flatnonzero(house_floor & (wall_id == 0) & (np.mod(i, 3) == 1) & (v < 2.5))
-    if len(door):
-        leaf = band(a[door], 0.52, foot[door]) * band(v[door] - 1.1, 1.1, p.footprint[door])
-        tone = hash01(key[door], 21)[:, None] * (0.3, 0.12, 0.1) + np.array((0.02, 0.05, 0.05))
-        albedo[door] = mix(albedo[door], tone, leaf)
-        gloss[door] *= 1 - leaf
+    shop = (front == 1) & (v <= ground) & ~gable & (wall_id == 0)
+    values = (u, v, albedo, ground, key, foot, p.footprint)
+    albedo[shop], gloss[shop], glow[shop] = _shop_front(*(value[shop] for value in values))
+    door = house_floor & (wall_id == 0) & (np.mod(i, 3) == 1) & (v < 2.5)
+    leaf = band(a[door], 0.52, foot[door]) * band(v[door] - 1.1, 1.1, p.footprint[door])
+    tone = hash01(key[door], 21)[:, None] * (0.3, 0.12, 0.1) + np.array((0.02, 0.05, 0.05))
+    albedo[door] = mix(albedo[door], tone, leaf)
+    gloss[door] *= 1 - leaf
     return Surface(albedo.astype(np.float32), gloss, glow.astype(np.float32))
 
 
 def _shop_front(
-    u: Floats,
-    v: Floats,
-    wall: Floats,
-    ground: Floats,
-    key: NDArray[np.int64],
-    foot: Floats,
-    footprint: Floats,
+    u: Floats, v: Floats, wall: Floats, ground: Floats, key: Floats, wide: Floats, tall: Floats
 ) -> tuple[Floats, Floats, Floats]:
+    """Albedo, gloss and glow of shops; a pixel covers wide x tall metres of the wall."""
     unit = 5.5
     shop = np.floor(u / unit)
     a = (u / unit - shop - 0.5) * unit
     pick = [hash01(key, shop, k)[:, None] for k in range(31, 35)]
     fascia_color = np.concatenate(pick[:3], 1) ** 2 * 0.6 + 0.02
-    fascia = band(a, unit / 2 - 0.15, foot) * band(v - (ground - 0.45), 0.36, footprint)
+    fascia = band(a, unit / 2 - 0.15, wide) * band(v - (ground - 0.45), 0.36, tall)
     color = mix(wall, fascia_color, fascia)
     # Lettering: blocks of random width, dark on light or light on dark.
     letter = hash01(key, shop, np.floor(a / 0.24), 9) < 0.75
-    stroke = band(np.mod(a, 0.24) - 0.12, 0.085, foot) * band(v - (ground - 0.45), 0.17, footprint)
+    stroke = band(np.mod(a, 0.24) - 0.12, 0.085, wide) * band(v - (ground - 0.45), 0.17, tall)
     extent = np.abs(a) < 0.6 + 1.4 * pick[3][:, 0]
     ink = np.where(fascia_color.mean(1, keepdims=True) > 0.2, np.float32(0.03), np.float32(0.65))
     color = mix(color, ink, stroke * letter * extent * 0.9)
-    frame = band(a, unit / 2 - 0.2, foot) * band(
-        v - (ground - 0.9) / 2 - 0.1, (ground - 0.9) / 2 - 0.1, footprint
-    )
+    half = (ground - 0.9) / 2
+    frame = band(a, unit / 2 - 0.2, wide) * band(v - half - 0.1, half - 0.1, tall)
     color = mix(color, fascia_color * 0.5, frame)
     pane = np.floor(a / 1.7)
-    glass = band((a / 1.7 - pane - 0.5) * 1.7, 0.8, foot) * band(
-        v - (ground - 0.9) / 2 - 0.25, (ground - 0.9) / 2 - 0.35, footprint
-    )
-    goods = fractal_noise(u * 1.3, v * 1.3, wavelength=1.0, octaves=3, footprint=footprint)
+    glass = band((a / 1.7 - pane - 0.5) * 1.7, 0.8, wide) * band(v - half - 0.25, half - 0.35, tall)
+    goods = fractal_noise(u * 1.3, v * 1.3, wavelength=1.0, octaves=3, footprint=tall)
     tones = np.stack([hash01(np.floor(u / 0.8), k, key) for k in (1, 2, 3)], axis=1)
     wares = np.clip(0.05 + 0.12 * goods, 0.012, 0.3)[:, None] * (0.7 + 0.9 * tones)
     color = mix(color, wares, glass)
@@ -175,7 +155,6 @@ def texture_planks(p: Points) -> Surface:
     fade = np.clip(1.3 - foot / pitch, 0, 1)
     tone = 1 + contrast * (hash01(k, 3) - 0.5) * fade
     tone *= 1 - 0.4 * fade * (1 - band((u / pitch - k - 0.5) * pitch, 0.45 * pitch, foot))
-    tone += 0.1 * fractal_noise(
-        u * 3, p.texture[:, 2], wavelength=0.9, octaves=3, footprint=p.footprint
-    )
+    z = p.texture[:, 2]
+    tone += 0.1 * fractal_noise(u * 3, z, wavelength=0.9, octaves=3, footprint=p.footprint)
     return matt(p.color * tone[:, None], 0.01)

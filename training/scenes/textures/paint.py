@@ -28,9 +28,8 @@ def paint_cover(
     stripe: Stripe, s: Floats, d: Floats, footprint_s: Floats, footprint_d: Floats
 ) -> Floats:
     """Share of each point's footprint that the stripe covers, 0..1."""
-    if stripe.along == "s":
-        run, across, f_run, f_across = s, d, footprint_s, footprint_d
-    else:
+    run, across, f_run, f_across = s, d, footprint_s, footprint_d
+    if stripe.along == "d":
         run, across, f_run, f_across = d, s, footprint_d, footprint_s
     cover = band(across - np.float32(stripe.centre), stripe.half_width, f_across)
     middle, half = (stripe.start + stripe.end) / 2, (stripe.end - stripe.start) / 2

@@ -1,11 +1,20 @@
-"""Surface points, and the material that a texture gives them."""
+"""Surface points, the kinds of surface, and the material that a texture gives them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 
 from training.scenes.arrays import Floats, Rows
+
+#: `surfaces` has one function for each kind.
+SurfaceKind = IntEnum(
+    "SurfaceKind",
+    "PLAIN ASPHALT PAVING GRASS FACADE ROOF FOLIAGE BARK METAL CAR_BODY CAR_SIDE_WINDOW CAR_GLASS "
+    "WHEEL SIGN GLOW BRICKWORK PLANKS CLOTH BUS_SIDE STONE",
+    start=0,
+)
 
 
 @dataclass(frozen=True)

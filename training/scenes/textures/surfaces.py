@@ -7,16 +7,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from training.scenes.textures import (
-    building_surfaces,
-    ground_surfaces,
-    sign_surface,
-    vehicle_surfaces,
-)
+from training.scenes.textures import building_surfaces, street_surfaces, vehicle_surfaces
 from training.scenes.textures.noise import fractal_noise, value_noise
 from training.scenes.textures.paint import Stripe
-from training.scenes.textures.surface import Points, Surface, matt
-from training.scenes.textures.surface_kinds import SurfaceKind
+from training.scenes.textures.surface import Points, Surface, SurfaceKind, matt
 
 
 def _foliage(p: Points) -> Surface:
@@ -27,22 +21,14 @@ def _foliage(p: Points) -> Surface:
     return matt(color * (1 + warm[:, None] * np.array((0.18, 0.06, -0.05), np.float32)), 0.004)
 
 
-def _bark(p: Points) -> Surface:
+def _streaked(p: Points, numbers: Sequence[float], octaves: int, gloss: float = 0.0) -> Surface:
+    """Noise along (x + a y) * b and z * c; numbers: a, b, c, wavelength [m], contrast."""
     x, y, z = p.texture.T
-    ridge = fractal_noise((x + y) * 6, z, wavelength=0.5, octaves=3, footprint=p.footprint)
-    return matt(p.color * (1 + 0.45 * ridge)[:, None])
-
-
-def _metal(p: Points) -> Surface:
-    x, y, z = p.texture.T
-    dirt = fractal_noise(x + y, z, wavelength=0.7, octaves=2, footprint=p.footprint)
-    return matt(p.color * (1 + 0.15 * dirt)[:, None], 0.05)
-
-
-def _cloth(p: Points) -> Surface:
-    x, y, z = p.texture.T
-    fold = fractal_noise(x + 2 * y, z * 0.7, wavelength=0.22, octaves=2, footprint=p.footprint)
-    return matt(p.color * (1 + 0.35 * fold)[:, None])
+    a, b, c, size, contrast = numbers
+    noise = fractal_noise(
+        (x + a * y) * b, z * c, wavelength=size, octaves=octaves, footprint=p.footprint
+    )
+    return matt(p.color * (1 + contrast * noise)[:, None], gloss)
 
 
 def _plain(p: Points, gloss: float = 0.01) -> Surface:
@@ -55,22 +41,22 @@ def _glow(p: Points) -> Surface:
 
 _SHADERS: dict[SurfaceKind, Callable[[Points], Surface]] = {
     SurfaceKind.PLAIN: _plain,
-    SurfaceKind.PAVING: ground_surfaces.texture_paving,
-    SurfaceKind.GRASS: ground_surfaces.texture_grass,
+    SurfaceKind.PAVING: street_surfaces.texture_paving,
+    SurfaceKind.GRASS: street_surfaces.texture_grass,
     SurfaceKind.FACADE: building_surfaces.texture_facade,
     SurfaceKind.ROOF: building_surfaces.texture_roof,
     SurfaceKind.FOLIAGE: _foliage,
-    SurfaceKind.BARK: _bark,
-    SurfaceKind.METAL: _metal,
+    SurfaceKind.BARK: partial(_streaked, numbers=(1, 6, 1, 0.5, 0.45), octaves=3),
+    SurfaceKind.METAL: partial(_streaked, numbers=(1, 1, 1, 0.7, 0.15), octaves=2, gloss=0.05),
     SurfaceKind.CAR_BODY: vehicle_surfaces.texture_car_body,
     SurfaceKind.CAR_SIDE_WINDOW: vehicle_surfaces.texture_car_side_window,
     SurfaceKind.CAR_GLASS: partial(_plain, gloss=0.09),
     SurfaceKind.WHEEL: vehicle_surfaces.texture_wheel,
-    SurfaceKind.SIGN: sign_surface.texture_sign,
+    SurfaceKind.SIGN: street_surfaces.texture_sign,
     SurfaceKind.GLOW: _glow,
     SurfaceKind.BRICKWORK: building_surfaces.texture_brickwork,
     SurfaceKind.PLANKS: building_surfaces.texture_planks,
-    SurfaceKind.CLOTH: _cloth,
+    SurfaceKind.CLOTH: partial(_streaked, numbers=(2, 1, 0.7, 0.22, 0.35), octaves=2),
     SurfaceKind.BUS_SIDE: vehicle_surfaces.texture_bus_side,
     SurfaceKind.STONE: building_surfaces.texture_stone,
 }
@@ -78,12 +64,10 @@ _SHADERS: dict[SurfaceKind, Callable[[Points], Surface]] = {
 
 def texture_surfaces(kind: NDArray[np.uint8], points: Points, stripes: Sequence[Stripe]) -> Surface:
     """Surface of every point by its kind, (n,) uint8 of `SurfaceKind`."""
-    asphalt = partial(ground_surfaces.texture_asphalt, stripes=stripes)
+    asphalt = partial(street_surfaces.texture_asphalt, stripes=stripes)
     shaders = _SHADERS | {SurfaceKind.ASPHALT: asphalt}
-    n = len(kind)
-    albedo = np.zeros((n, 3), dtype=np.float32)
-    gloss = np.zeros(n, dtype=np.float32)
-    glow = np.zeros((n, 3), dtype=np.float32)
+    albedo, glow = np.zeros((2, len(kind), 3), dtype=np.float32)
+    gloss = np.zeros(len(kind), dtype=np.float32)
     for value in np.unique(kind):
         rows = np.flatnonzero(kind == value)
         part = shaders[SurfaceKind(value)](points.take(rows))

@@ -15,21 +15,22 @@ def texture_car_body(p: Points) -> Surface:
     glow = np.zeros_like(albedo)
     half = width / 2
     on_side = np.abs(y) > half * 0.72
-    black = np.zeros(len(x), dtype=np.float32)
-    for wheel_x in (rear_x, front_x):
-        reach = np.hypot(x - wheel_x, z - radius)
-        black = np.maximum(black, band(reach, radius + 0.07, f) * on_side)
-    black = np.maximum(black, band(z, 0.33, f))  # sills and skirts
-    for line_x in (door_x, rear_x + radius + 0.25, (door_x + front_x - radius - 0.1) / 2 + 0.42):
-        black = np.maximum(black, 0.7 * band(x - line_x, 0.012, f) * on_side * (z < belt + 0.02))
-    handle = band(np.mod(x - door_x, 1.05) - 0.2, 0.09, f) * band(z - belt + 0.12, 0.02, f)
-    black = np.maximum(black, 0.6 * handle * on_side * (np.abs(x) < length * 0.25))
     nose, tail = x > length / 2 - 0.22, x < -length / 2 + 0.2
+    handle = band(np.mod(x - door_x, 1.05) - 0.2, 0.09, f) * band(z - belt + 0.12, 0.02, f)
     grille = nose * band(np.abs(y), half * 0.55, f) * band(z - 0.48, 0.13, f)
-    black = np.maximum(black, grille * 0.9)
-    black = np.maximum(black, (nose | tail) * band(z - 0.36, 0.06, f) * (seed < 0.6))
-    # The lid of the boot and the bonnet end in a thin dark gap.
-    black = np.maximum(black, 0.6 * tail * band(np.abs(y) - half * 0.62, 0.01, f) * (z > 0.55))
+    arches = [band(np.hypot(x - at, z - radius), radius + 0.07, f) for at in (rear_x, front_x)]
+    doors = (door_x, rear_x + radius + 0.25, (door_x + front_x - radius - 0.1) / 2 + 0.42)
+    darkness = (
+        *(arch * on_side for arch in arches),
+        band(z, 0.33, f),  # sills and skirts
+        *(0.7 * band(x - at, 0.012, f) * on_side * (z < belt + 0.02) for at in doors),
+        0.6 * handle * on_side * (np.abs(x) < length * 0.25),
+        grille * 0.9,
+        (nose | tail) * band(z - 0.36, 0.06, f) * (seed < 0.6),
+        # The lid of the boot and the bonnet end in a thin dark gap.
+        0.6 * tail * band(np.abs(y) - half * 0.62, 0.01, f) * (z > 0.55),
+    )
+    black = np.maximum.reduce(darkness)
     albedo = mix(albedo, (0.015, 0.015, 0.016), black)
     gloss *= 1 - 0.8 * black
     lamp_low = np.where(seed < 0.5, 0.58, 0.62)
@@ -60,7 +61,7 @@ def texture_car_side_window(p: Points) -> Surface:
     for k in (0, 1):
         pane *= 1 - band(x - p.params[:, k], 0.045, f)
     pane *= np.where(p.params[:, 3] != 0, (x > p.params[:, 3]).astype(np.float32), 1.0)
-    albedo = mix(p.color.copy(), (0.016, 0.018, 0.02), pane)
+    albedo = mix(p.color, (0.016, 0.018, 0.02), pane)
     return matt(albedo.astype(np.float32), (0.05 + 0.04 * pane).astype(np.float32))
 
 
@@ -85,9 +86,7 @@ def texture_bus_side(p: Points) -> Surface:
     upper = band(z - 3.3, 0.42, f) * band(run, half_run - 0.18, f) * (height > 3.5)
     pane = np.maximum(glass, upper) * np.where(on_end, 1.0, band(np.mod(x, 1.5) - 0.75, 0.7, f))
     albedo = p.color * np.where(z < 0.8, 0.85, 1.0)[:, None]
-    stripe = band(z - 1.05, 0.12, f)
-    albedo = mix(albedo, (0.6, 0.6, 0.58), stripe * 0.8)
+    albedo = mix(albedo, (0.6, 0.6, 0.58), band(z - 1.05, 0.12, f) * 0.8)
     albedo = mix(albedo, (0.015, 0.017, 0.02), pane)
-    skirt = band(z, 0.42, f)
-    albedo = mix(albedo, (0.02, 0.02, 0.02), skirt)
+    albedo = mix(albedo, (0.02, 0.02, 0.02), band(z, 0.42, f))
     return matt(albedo.astype(np.float32), (0.04 + 0.05 * pane).astype(np.float32))

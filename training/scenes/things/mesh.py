@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import Self
+from typing import Self, TypeVar
 
 import numpy as np
 import trimesh
@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from training.scenes.arrays import Floats, Rows
 from training.scenes.names import SceneClass
-from training.scenes.textures.surface_kinds import SurfaceKind
+from training.scenes.textures.surface import SurfaceKind
 
+T = TypeVar("T")
 #: Linear RGB, 0..1.
 Color = tuple[float, ...]
 
@@ -23,12 +24,18 @@ def rows(text: str) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(float(number) for number in row.split()) for row in text.split(","))
 
 
+def pick(choices: Sequence[T], rng: Generator) -> T:
+    """Draw one of the choices."""
+    return choices[int(rng.integers(len(choices)))]
+
+
 def vary(
-    color: Color, rng: Generator, *, most: float, tint: float, limits: tuple[float, float]
+    colors: Sequence[Color], rng: Generator, *, most: float, tint: float, limits: Sequence[float]
 ) -> Color:
-    """A shade of a colour: 0.75 to `most` times as bright, its channels by up to `tint`."""
-    shade = np.asarray(color) * rng.uniform(0.75, most) * rng.uniform(1 - tint, 1 + tint, 3)
-    return tuple(np.clip(shade, *limits).tolist())
+    """A shade of one of the colours: 0.75 to `most` times as bright, its channels by `tint`."""
+    bright = np.asarray(pick(colors, rng)) * rng.uniform(0.75, most)
+    tinted = bright * rng.uniform(1 - tint, 1 + tint, 3)
+    return tuple(tinted.clip(limits[0], limits[1]).tolist())
 
 
 @dataclass(frozen=True)
@@ -63,22 +70,17 @@ class Mesh(Rows):
         """Turn by `heading` (rad, about z) and shift by `offset` (m); texture stays."""
         c, s = np.cos(heading), np.sin(heading)
         turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]], dtype=np.float32)
-        return replace(
-            self,
-            positions=self.positions @ turn + np.asarray(offset, dtype=np.float32),
-            normals=self.normals @ turn,
-        )
+        positions = self.positions @ turn + np.asarray(offset, dtype=np.float32)
+        return replace(self, positions=positions, normals=self.normals @ turn)
 
     def scaled(self, factor: float) -> Self:
         """Scale the positions about the origin."""
         return replace(self, positions=self.positions * np.float32(factor))
 
 
-def join(meshes: Sequence[Mesh]) -> Mesh:
+def join(*meshes: Mesh) -> Mesh:
     """One mesh of several."""
-    return Mesh(
-        **{f.name: np.concatenate([getattr(m, f.name) for m in meshes]) for f in fields(Mesh)}
-    )
+    return Mesh(*(np.concatenate([getattr(m, f.name) for m in meshes]) for f in fields(Mesh)))
 
 
 def triangles(
@@ -96,15 +98,13 @@ def triangles(
     params = np.zeros((n, 8), dtype=np.float32)
     params[:, : len(look.params)] = look.params
     return Mesh(
-        positions=corners,
-        normals=np.asarray(normals, dtype=np.float32).reshape(-1, 3, 3),
-        texture=np.array(corners if texture is None else texture, dtype=np.float32).reshape(
-            -1, 3, 3
-        ),
-        color=np.tile(np.asarray(look.color, dtype=np.float32), (n, 1)),
-        kind=np.full(n, look.kind, dtype=np.uint8),
-        label=np.full(n, look.label, dtype=np.uint8),
-        params=params,
+        corners,
+        np.asarray(normals, dtype=np.float32).reshape(-1, 3, 3),
+        np.array(corners if texture is None else texture, np.float32).reshape(-1, 3, 3),
+        np.tile(np.asarray(look.color, dtype=np.float32), (n, 1)),
+        np.full(n, look.kind, dtype=np.uint8),
+        np.full(n, look.label, dtype=np.uint8),
+        params,
     )
 
 
@@ -116,10 +116,9 @@ def face_normals(corners: Floats) -> Floats:
 
 def _grid_corners(values: Floats) -> Floats:
     """(a, b, 3) lattice to (2(a-1)(b-1), 3, 3) triangle corners."""
-    p00, p10 = values[:-1, :-1], values[1:, :-1]
-    p01, p11 = values[:-1, 1:], values[1:, 1:]
-    pair = np.stack([np.stack([p00, p10, p11], axis=2), np.stack([p00, p11, p01], axis=2)], axis=2)
-    return pair.reshape(-1, 3, 3)
+    near, far = values[:-1], values[1:]
+    corners = (near[:, :-1], far[:, :-1], far[:, 1:], near[:, :-1], far[:, 1:], near[:, 1:])
+    return np.stack(corners, axis=2).reshape(-1, 3, 3)
 
 
 def grid(
@@ -145,14 +144,8 @@ def polygon(corners: ArrayLike, look: Look, *, texture: ArrayLike | None = None)
 
 def box(size: ArrayLike, centre: ArrayLike, look: Look) -> Mesh:
     """Axis-aligned box, size and centre in metres."""
-    vertices, faces = _cube()
+    vertices, faces = _solid()
     return triangles((vertices * np.asarray(size) + np.asarray(centre))[faces], look)
-
-
-@lru_cache(maxsize=1)
-def _cube() -> tuple[Floats, NDArray[np.int64]]:
-    cube = trimesh.creation.box(extents=(1.0, 1.0, 1.0))
-    return np.asarray(cube.vertices), np.asarray(cube.faces)
 
 
 def tube(
@@ -184,7 +177,7 @@ def tube(
     if not rounded:
         normals = _grid_corners(np.stack([around, around]))
         body = triangles(_grid_corners(lattice[1:3]), look, normals=normals)
-        return join([grid(lattice[:2], look), grid(lattice[2:], look), body])
+        return join(grid(lattice[:2], look), grid(lattice[2:], look), body)
     outward = np.broadcast_to(around, lattice.shape)
     bulge = np.array([-1.0, -0.7, 0.0, 0.0, 0.7, 1.0])[:, None, None] * axis
     n = outward * (1.0 - np.abs(bulge).sum(2, keepdims=True) * 0.9) + bulge
@@ -194,7 +187,7 @@ def tube(
 
 def ellipsoid(centre: ArrayLike, radii: ArrayLike, look: Look, *, detail: int = 1) -> Mesh:
     """Ellipsoid with smooth normals; detail is the number of icosphere subdivisions."""
-    vertices, faces = _sphere(detail)
+    vertices, faces = _solid(detail)
     r = np.asarray(radii, dtype=np.float64)
     normals = vertices / r
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -202,6 +195,8 @@ def ellipsoid(centre: ArrayLike, radii: ArrayLike, look: Look, *, detail: int = 
 
 
 @lru_cache(maxsize=4)
-def _sphere(detail: int) -> tuple[Floats, NDArray[np.int64]]:
-    sphere = trimesh.creation.icosphere(subdivisions=detail)
-    return np.asarray(sphere.vertices), np.asarray(sphere.faces)
+def _solid(detail: int | None = None) -> tuple[Floats, NDArray[np.int64]]:
+    """Vertices and faces of a unit cube, or of a unit sphere with `detail` subdivisions."""
+    make = trimesh.creation
+    solid = make.box((1.0, 1.0, 1.0)) if detail is None else make.icosphere(detail)
+    return np.asarray(solid.vertices), np.asarray(solid.faces)

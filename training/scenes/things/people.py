@@ -9,8 +9,8 @@ from numpy.random import Generator
 
 from training.scenes.arrays import Floats
 from training.scenes.names import SceneClass
-from training.scenes.textures.surface_kinds import SurfaceKind
-from training.scenes.things.mesh import Color, Look, Mesh, box, ellipsoid, join, rows, tube
+from training.scenes.textures.surface import SurfaceKind
+from training.scenes.things.mesh import Color, Look, Mesh, box, ellipsoid, join, pick, rows, tube
 
 _SKIN = rows("0.52 0.33 0.24, 0.4 0.24 0.16, 0.2 0.11 0.07")
 _HAIR = rows("0.03 0.02 0.015, 0.1 0.06 0.03, 0.3 0.22 0.1, 0.3 0.3 0.3")
@@ -21,46 +21,60 @@ _TOPS = rows(
 _BOTTOMS = rows("0.02 0.02 0.03, 0.04 0.06 0.14, 0.12 0.1 0.07, 0.08 0.08 0.09")
 
 
+_REFLECTIVE = (0.5, 0.6, 0.02)
+
+#: Radii [m] of thigh, shin, upper arm and forearm, each from its upper to its lower end.
+_WALKING = rows("0.095 0.065, 0.064 0.05, 0.062 0.05, 0.048 0.04")
+_RIDING = rows("0.095 0.065, 0.064 0.048, 0.06 0.05, 0.048 0.04")
+
+
 @dataclass(frozen=True)
 class Dress:
-    """Colours and build of one person."""
+    """Build of one person, and the colours of skin, hair, top, bottom and shoes."""
 
-    skin: Color
-    hair: Color
-    top: Color
-    bottom: Color
+    colors: tuple[Color, ...]
     height: float
     breadth: float
     bag: bool
     long_coat: bool
     helmet: bool
 
+    def clothes(self, label: SceneClass) -> tuple[Look, ...]:
+        return tuple(Look(SurfaceKind.CLOTH, color, label) for color in self.colors)
+
 
 def draw_dress(rng: Generator, *, cyclist: bool = False) -> Dress:
     """Choose how a person looks."""
-    tops = (*_TOPS, (0.5, 0.6, 0.02), (0.5, 0.6, 0.02)) if cyclist else _TOPS
+    tops = (*_TOPS, _REFLECTIVE, _REFLECTIVE) if cyclist else _TOPS
     return Dress(
-        skin=_SKIN[rng.integers(len(_SKIN))],
-        hair=_HAIR[rng.integers(len(_HAIR))],
-        top=tops[rng.integers(len(tops))],
-        bottom=_BOTTOMS[rng.integers(len(_BOTTOMS))],
+        colors=(*(pick(each, rng) for each in (_SKIN, _HAIR, tops, _BOTTOMS)), (0.03, 0.03, 0.03)),
         height=float(rng.choice([1.25, *rng.uniform(1.55, 1.9, 6)])),
-        breadth=float(rng.uniform(0.9, 1.2)),
-        bag=bool(rng.random() < 0.35),
-        long_coat=bool(rng.random() < 0.3),
-        helmet=bool(cyclist and rng.random() < 0.6),
+        breadth=rng.uniform(0.9, 1.2),
+        bag=rng.random() < 0.35,
+        long_coat=rng.random() < 0.3,
+        helmet=cyclist and rng.random() < 0.6,
     )
 
 
-def _clothes(dress: Dress, label: SceneClass) -> tuple[Look, ...]:
-    """Skin, hair, top, bottom and shoes of a person."""
-    colors = (dress.skin, dress.hair, dress.top, dress.bottom, (0.03, 0.03, 0.03))
-    return tuple(Look(SurfaceKind.CLOTH, color, label) for color in colors)
+def _limbs(
+    joints: tuple[Floats, ...], radii: Floats, ends: tuple[Mesh, Mesh], trousers: Look, sleeve: Look
+) -> list[Mesh]:
+    """A leg and an arm: joints hip, knee, ankle, shoulder, elbow, hand; ends shoe and palm."""
+    hip, knee, ankle, shoulder, elbow, hand = joints
+    thigh, shin, upper, fore = (tuple(pair) for pair in radii)
+    return [
+        tube(hip, knee, thigh, trousers, rounded=True),
+        tube(knee, ankle, shin, trousers, rounded=True),
+        ends[0],
+        tube(shoulder, elbow, upper, sleeve, rounded=True),
+        tube(elbow, hand, fore, sleeve, rounded=True),
+        ends[1],
+    ]
 
 
 def make_walker(dress: Dress, phase: float, *, standing: bool = False) -> Mesh:
     """A pedestrian at `phase` (0..1) of the step; x forward, feet on z = 0."""
-    skin, hair, top, bottom, shoe = _clothes(dress, SceneClass.PEDESTRIAN)
+    skin, hair, top, bottom, shoe = dress.clothes(SceneClass.PEDESTRIAN)
     swing = 0.08 if standing else 0.42 * float(np.sin(2 * np.pi * phase))
     b = dress.breadth
     parts = []
@@ -70,15 +84,13 @@ def make_walker(dress: Dress, phase: float, *, standing: bool = False) -> Mesh:
         knee = hip + 0.44 * np.array([np.sin(angle), 0, -np.cos(angle)])
         bend = angle - max(0.0, -angle) * 0.9 - 0.05
         ankle = knee + 0.42 * np.array([np.sin(bend), 0, -np.cos(bend)])
-        parts.append(tube(hip, knee, (0.095 * b, 0.065 * b), bottom, rounded=True))
-        parts.append(tube(knee, ankle, (0.064 * b, 0.05 * b), bottom, rounded=True))
-        parts.append(ellipsoid(ankle + np.array([0.07, 0, -0.03]), (0.14, 0.05, 0.055), shoe))
         shoulder = np.array([0.0, 0.2 * sign * b, 1.43])
         elbow = shoulder + 0.29 * np.array([-np.sin(angle), 0.12 * sign, -np.cos(angle)])
         hand = elbow + 0.26 * np.array([np.sin(0.35 - angle), 0, -np.cos(0.35 - angle)])
-        parts.append(tube(shoulder, elbow, (0.062 * b, 0.05 * b), top, rounded=True))
-        parts.append(tube(elbow, hand, (0.048 * b, 0.04 * b), top, rounded=True))
-        parts.append(ellipsoid(hand, (0.05, 0.035, 0.06), skin))
+        foot = ellipsoid(np.add(ankle, (0.07, 0, -0.03)), (0.14, 0.05, 0.055), shoe)
+        ends = foot, ellipsoid(hand, (0.05, 0.035, 0.06), skin)
+        joints = hip, knee, ankle, shoulder, elbow, hand
+        parts += _limbs(joints, np.array(_WALKING) * b, ends, bottom, top)
     parts.append(ellipsoid((0, 0, 1.22), (0.13 * b, 0.19 * b, 0.33), top))
     parts.append(ellipsoid((0, 0, 1.38), (0.12 * b, 0.22 * b, 0.15), top))
     parts.append(ellipsoid((0, 0, 0.95), (0.125 * b, 0.18 * b, 0.17), bottom))
@@ -87,7 +99,7 @@ def make_walker(dress: Dress, phase: float, *, standing: bool = False) -> Mesh:
     parts += _head((0.02, 0, 1.66), skin, hair)
     if dress.bag:
         parts.append(box((0.16, 0.28, 0.4), (-0.2, 0, 1.25), bottom))
-    return join(parts).scaled(dress.height / 1.78)
+    return join(*parts).scaled(dress.height / 1.78)
 
 
 def _head(centre: tuple[float, float, float], skin: Look, hair: Look) -> list[Mesh]:
@@ -95,36 +107,30 @@ def _head(centre: tuple[float, float, float], skin: Look, hair: Look) -> list[Me
     return [
         tube(c - (0.01, 0, 0.2), c - (0, 0, 0.05), (0.055, 0.055), skin, rounded=True),
         ellipsoid(c, (0.1, 0.078, 0.125), skin, detail=2),
-        ellipsoid(c + np.array([-0.022, 0, 0.035]), (0.1, 0.088, 0.115), hair, detail=2),
+        ellipsoid(np.add(c, (-0.022, 0, 0.035)), (0.1, 0.088, 0.115), hair, detail=2),
     ]
 
 
 def make_cyclist(dress: Dress, phase: float) -> Mesh:
     """A person riding a bicycle at `phase` (0..1) of the pedals; wheels on z = 0."""
-    skin, hair, top, bottom, shoe = _clothes(dress, SceneClass.CYCLIST)
-    parts = [make_bicycle(SceneClass.CYCLIST, dress.top)]
-    seat, bars = np.array([-0.25, 0.0, 0.98]), np.array([0.42, 0.0, 1.05])
-    neck = np.array([0.16, 0.0, 1.5])
+    skin, hair, top, bottom, shoe = dress.clothes(SceneClass.CYCLIST)
+    parts = [make_bicycle(SceneClass.CYCLIST, top.color)]
+    seat, bars, neck = np.array([(-0.25, 0.0, 0.98), (0.42, 0.0, 1.05), (0.16, 0.0, 1.5)])
     for k, sign in enumerate((-1.0, 1.0)):
         turn = 2 * np.pi * (phase + 0.5 * k)
         pedal = np.array([0.17 * np.cos(turn), 0.12 * sign, 0.32 + 0.17 * np.sin(turn)])
-        hip = seat + np.array([0.0, 0.1 * sign, 0.02])
-        ankle = pedal + np.array([0, 0, 0.08])
-        knee = _joint(hip, ankle, 0.45, 0.46)
-        parts.append(tube(hip, knee, (0.095, 0.065), bottom, rounded=True))
-        parts.append(tube(knee, ankle, (0.064, 0.048), bottom, rounded=True))
-        parts.append(ellipsoid(pedal + np.array([0.05, 0, 0.04]), (0.13, 0.05, 0.05), shoe))
-        shoulder = neck + np.array([-0.03, 0.19 * sign, -0.06])
-        hand = bars + np.array([0, 0.24 * sign, 0.02])
+        hip, ankle = np.add(seat, (0.0, 0.1 * sign, 0.02)), np.add(pedal, (0, 0, 0.08))
+        shoulder = np.add(neck, (-0.03, 0.19 * sign, -0.06))
+        hand = np.add(bars, (0, 0.24 * sign, 0.02))
         elbow = (shoulder + hand) / 2 + (-0.05, 0.06 * sign, -0.06)
-        parts.append(tube(shoulder, elbow, (0.06, 0.05), top, rounded=True))
-        parts.append(tube(elbow, hand, (0.048, 0.04), top, rounded=True))
-        parts.append(ellipsoid(hand, (0.05, 0.04, 0.04), skin))
-    back = seat + np.array([0, 0, 0.05]), neck - (0.03, 0, 0.08)
+        foot = ellipsoid(np.add(pedal, (0.05, 0, 0.04)), (0.13, 0.05, 0.05), shoe)
+        ends = foot, ellipsoid(hand, (0.05, 0.04, 0.04), skin)
+        joints = hip, _joint(hip, ankle, 0.45, 0.46), ankle, shoulder, elbow, hand
+        parts += _limbs(joints, np.array(_RIDING), ends, bottom, top)
+    back = np.add(seat, (0, 0, 0.05)), neck - (0.03, 0, 0.08)
     parts.append(tube(*back, (0.16, 0.185), top, sides=10, rounded=True))
     cap = replace(hair, color=(0.6, 0.6, 0.6)) if dress.helmet else hair
-    parts += _head((0.24, 0, 1.68), skin, cap)
-    return join(parts)
+    return join(*parts, *_head((0.24, 0, 1.68), skin, cap))
 
 
 def _joint(a: Floats, b: Floats, upper: float, lower: float) -> Floats:
@@ -147,10 +153,8 @@ def make_bicycle(label: SceneClass, color: Color) -> Mesh:
     chrome = Look(SurfaceKind.METAL, (0.4, 0.4, 0.4), label)
     parts = []
     for x in (-0.52, 0.55):
-        rim = [
-            (x + 0.34 * np.cos(t), 0.0, 0.345 + 0.34 * np.sin(t))
-            for t in np.linspace(0, 2 * np.pi, 15)
-        ]
+        turns = np.linspace(0, 2 * np.pi, 15)
+        rim = [(x + 0.34 * np.cos(t), 0.0, 0.345 + 0.34 * np.sin(t)) for t in turns]
         parts += [tube(p, q, (0.022, 0.022), rubber, sides=5) for p, q in pairwise(rim)]
         parts += [tube((x, 0, 0.345), p, (0.006, 0.006), chrome, sides=3) for p in rim[:-1:2]]
     hub, head, crank, saddle = (-0.52, 0, 0.345), (0.4, 0, 0.85), (0, 0, 0.32), (-0.22, 0, 0.85)
@@ -159,4 +163,4 @@ def make_bicycle(label: SceneClass, color: Color) -> Mesh:
         parts.append(tube(p, q, (0.02, 0.02), frame, sides=6))
     parts.append(tube((0.38, -0.28, 1.03), (0.38, 0.28, 1.03), (0.015, 0.015), chrome, sides=5))
     parts.append(box((0.25, 0.14, 0.06), (-0.25, 0, 0.93), rubber))
-    return join(parts)
+    return join(*parts)

@@ -1,5 +1,6 @@
 """Trees, bushes, hedges: dark cores wrapped in clouds of small leaf cards."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -7,13 +8,23 @@ from numpy.random import Generator
 
 from training.scenes.arrays import Floats
 from training.scenes.names import SceneClass
-from training.scenes.textures.surface_kinds import SurfaceKind
-from training.scenes.things.mesh import Look, Mesh, ellipsoid, join, rows, triangles, tube, vary
+from training.scenes.textures.surface import SurfaceKind
+from training.scenes.things.mesh import (
+    Look,
+    Mesh,
+    ellipsoid,
+    join,
+    rows,
+    triangles,
+    tube,
+    vary,
+)
 
 _LEAVES = rows(
     "0.07 0.12 0.025, 0.05 0.1 0.03, 0.1 0.14 0.03, 0.12 0.13 0.03, 0.06 0.085 0.03, "
     "0.16 0.12 0.03, 0.2 0.1 0.03"
 )
+_NEEDLES = rows("0.035 0.065 0.03")
 
 
 def _leaf_cloud(blobs: Floats, look: Look, count: int, size: float, rng: Generator) -> Mesh:
@@ -46,9 +57,8 @@ def _blobs(*columns: float | Floats) -> Floats:
     return np.stack(np.broadcast_arrays(*columns), axis=1)
 
 
-def _foliage(color: tuple[float, ...], label: SceneClass, rng: Generator) -> Look:
-    tone = vary(color, rng, most=1.25, tint=0.1, limits=(0, 1))
-    return Look(SurfaceKind.FOLIAGE, tone, label)
+def _foliage(colors: Sequence[tuple[float, ...]], label: SceneClass, rng: Generator) -> Look:
+    return Look(SurfaceKind.FOLIAGE, vary(colors, rng, most=1.25, tint=0.1, limits=(0, 1)), label)
 
 
 def _crown(
@@ -62,41 +72,39 @@ def _crown(
 
 def make_tree(rng: Generator, *, leaf_count: int = 3600) -> Mesh:
     """A broad-leaved tree, 5 to 13 m high, trunk at the origin; far ones need few, large leaves."""
-    look = _foliage(_LEAVES[rng.integers(len(_LEAVES))], SceneClass.TREE, rng)
-    height = float(rng.uniform(5, 13))
-    trunk_top = height * float(rng.uniform(0.25, 0.4))
-    spread = height * float(rng.uniform(0.2, 0.34))
+    look = _foliage(_LEAVES, SceneClass.TREE, rng)
+    height = rng.uniform(5, 13)
+    trunk_top, spread = height * rng.uniform(0.25, 0.4), height * rng.uniform(0.2, 0.34)
     count = int(rng.integers(6, 11))
     level = rng.uniform(0, 1, count)
     radius = spread * np.sqrt(np.clip(1 - (2 * level - 0.8) ** 2 * 0.7, 0.1, 1)) * 0.75
     angle = rng.uniform(0, 2 * np.pi, count)
     size = spread * rng.uniform(0.4, 0.65, count)
-    blobs = _blobs(
-        np.cos(angle) * radius * 0.75,
-        np.sin(angle) * radius * 0.75,
-        trunk_top + 0.25 * spread + level * (height - trunk_top - 0.5 * spread),
-        size,
-        size,
-        size * 0.8,
-    )
+    x, y = np.cos(angle) * radius * 0.75, np.sin(angle) * radius * 0.75
+    z = trunk_top + 0.25 * spread + level * (height - trunk_top - 0.5 * spread)
+    blobs = _blobs(x, y, z, size, size, size * 0.8)
     leaf_size = (0.075 + 0.008 * height) * np.sqrt(3600 / leaf_count)
     crown = _crown(blobs, look, leaf_count, leaf_size, rng, core=0.74, dark=0.4)
-    return join([*crown, *_trunk(blobs[:, :3], trunk_top, 0.012 * height + 0.06, rng)])
+    bark = Look(SurfaceKind.BARK, (0.1, 0.075, 0.055), SceneClass.TREE)
+    thick = 0.012 * height + 0.06
+    fork = np.array([rng.normal(0, 0.1), rng.normal(0, 0.1), trunk_top])
+    trunk = tube((0, 0, -0.3), fork, (thick * 1.25, thick * 0.8), bark, sides=9)
+    low, radii = fork - (0, 0, 0.2), (thick * 0.5, thick * 0.2)
+    return join(*crown, trunk, *(tube(low, at, radii, bark, sides=5) for at in blobs[:, :3]))
 
 
 def make_conifer(rng: Generator, *, leaf_count: int = 1800) -> Mesh:
     """A conifer or poplar: a narrow column of foliage."""
-    look = _foliage((0.035, 0.065, 0.03), SceneClass.TREE, rng)
+    look = _foliage(_NEEDLES, SceneClass.TREE, rng)
     height = float(rng.uniform(5, 14))
     level = np.linspace(0.1, 0.95, 8)
     size = height * float(rng.uniform(0.1, 0.2)) * (1.05 - level)
-    blobs = _blobs(
-        rng.normal(0, 0.1, 8), rng.normal(0, 0.1, 8), level * height, size, size, height * 0.09
-    )
+    x, y = rng.normal(0, 0.1, (2, 8))
+    blobs = _blobs(x, y, level * height, size, size, height * 0.09)
     leaf_size = 0.17 * np.sqrt(1800 / leaf_count)
     crown = _crown(blobs, look, leaf_count, leaf_size, rng, core=0.85, dark=0.4)
     bark = Look(SurfaceKind.BARK, (0.09, 0.065, 0.045), SceneClass.TREE)
-    return join([*crown, tube((0, 0, -0.3), (0, 0, height * 0.8), (0.18, 0.05), bark)])
+    return join(*crown, tube((0, 0, -0.3), (0, 0, height * 0.8), (0.18, 0.05), bark))
 
 
 def make_bare_tree(rng: Generator) -> Mesh:
@@ -117,35 +125,23 @@ def make_bare_tree(rng: Generator) -> Mesh:
 
     height = float(rng.uniform(7, 12))
     grow(np.array([0, 0, -0.3]), np.array([0, 0, 1.0]), height * 0.28, 0.018 * height, 0)
-    return join(parts)
-
-
-def _trunk(crowns: Floats, top: float, radius: float, rng: Generator) -> list[Mesh]:
-    bark = Look(SurfaceKind.BARK, (0.1, 0.075, 0.055), SceneClass.TREE)
-    fork = np.array([rng.normal(0, 0.1), rng.normal(0, 0.1), top])
-    parts = [tube((0, 0, -0.3), fork, (radius * 1.25, radius * 0.8), bark, sides=9)]
-    parts += [
-        tube(fork - (0, 0, 0.2), c, (radius * 0.5, radius * 0.2), bark, sides=5) for c in crowns
-    ]
-    return parts
+    return join(*parts)
 
 
 def make_bush(rng: Generator) -> Mesh:
     """A round bush about 1 m high."""
-    look = _foliage(_LEAVES[rng.integers(5)], SceneClass.VEGETATION, rng)
+    look = _foliage(_LEAVES[:5], SceneClass.VEGETATION, rng)
     count = int(rng.integers(3, 6))
     size = rng.uniform(0.4, 0.8, count)
-    blobs = _blobs(
-        rng.normal(0, 0.5, count), rng.normal(0, 0.4, count), size * 0.7, size, size, size * 0.85
-    )
-    return join(_crown(blobs, look, 800, 0.085, rng, core=0.8, dark=0.45))
+    x, y = rng.normal(0, 0.5, count), rng.normal(0, 0.4, count)
+    blobs = _blobs(x, y, size * 0.7, size, size, size * 0.85)
+    return join(*_crown(blobs, look, 800, 0.085, rng, core=0.8, dark=0.45))
 
 
-def make_hedge(length: float, height: float, rng: Generator) -> Mesh:
+def make_hedge(length: float, rng: Generator) -> Mesh:
     """A clipped hedge along x, centred on the origin."""
-    look = _foliage(_LEAVES[rng.integers(3)], SceneClass.VEGETATION, rng)
-    n = max(2, int(length / 0.6))
-    blobs = _blobs(
-        np.linspace(-length / 2, length / 2, n), 0.0, height * 0.5, 0.5, 0.38, height * 0.5
-    )
-    return join(_crown(blobs, look, int(110 * length), 0.09, rng, core=0.96, dark=0.5))
+    height = rng.uniform(0.9, 1.9)
+    look = _foliage(_LEAVES[:3], SceneClass.VEGETATION, rng)
+    x = np.linspace(-length / 2, length / 2, max(2, int(length / 0.6)))
+    blobs = _blobs(x, 0.0, height * 0.5, 0.5, 0.38, height * 0.5)
+    return join(*_crown(blobs, look, int(110 * length), 0.09, rng, core=0.96, dark=0.5))

@@ -1,20 +1,25 @@
 """Cars, vans, buses and trucks: lofted bodies with wheels, glass and mirrors."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.random import Generator
 
 from training.scenes.arrays import Floats
 from training.scenes.names import SceneClass
-from training.scenes.textures.surface_kinds import SurfaceKind
-from training.scenes.things.mesh import Color, Look, Mesh, box, grid, join, rows, tube, vary
+from training.scenes.textures.surface import SurfaceKind
+from training.scenes.things.mesh import Color, Look, Mesh, box, grid, join, pick, rows, tube, vary
 
 _PAINTS = rows(
     "0.55 0.56 0.57, 0.75 0.75 0.74, 0.03 0.03 0.035, 0.12 0.13 0.14, 0.3 0.31 0.32, "
     "0.45 0.03 0.03, 0.03 0.07 0.25, 0.05 0.1 0.16, 0.02 0.12 0.07, 0.2 0.02 0.03, "
     "0.5 0.47 0.38, 0.06 0.2 0.42, 0.6 0.35 0.03, 0.18 0.19 0.2, 0.82 0.82 0.82"
 )
+
+#: Lamps and tyres of lorries and buses.
+_RED = Look(SurfaceKind.GLOW, (0.5, 0.02, 0.02), SceneClass.TRUCK, (0.4,))
+_WHITE = Look(SurfaceKind.GLOW, (0.7, 0.7, 0.65), SceneClass.TRUCK, (0.3,))
+_TYRE = Look(SurfaceKind.WHEEL, (0.3, 0.3, 0.31), SceneClass.TRUCK, (0.48, 0.2))
 
 
 @dataclass(frozen=True)
@@ -71,30 +76,24 @@ _TRUCK_CAB = _shape(
 )
 _CARGO_PAINTS = rows("0.7 0.7 0.68, 0.5 0.5 0.52, 0.4 0.05 0.04, 0.06 0.15 0.35, 0.6 0.45 0.1")
 _BUS_PAINTS = rows("0.5 0.04 0.03, 0.7 0.68 0.6, 0.05 0.2 0.45, 0.1 0.35 0.12, 0.65 0.5 0.05")
+_VAN_PAINTS = ((0.75, 0.75, 0.73), *_PAINTS[:4])
 _CARS = (_HATCHBACK, _HATCHBACK, _SEDAN, _ESTATE, _SUV)
-
-
-def car_length(mesh: Mesh) -> float:
-    """Extent of a vehicle along its own x axis in metres."""
-    x = mesh.texture[..., 0]
-    return float(x.max() - x.min())
 
 
 def make_car(rng: Generator) -> Mesh:
     """A passenger car in its own frame: x forward, y left, z up, wheels on z = 0."""
-    shape = _CARS[rng.integers(len(_CARS))]
-    paint = _vary(_PAINTS[rng.integers(len(_PAINTS))], rng)
-    return _bodied(shape, paint, SceneClass.CAR, rng, size=float(rng.uniform(0.95, 1.06)))
+    shape, paint = pick(_CARS, rng), _draw_paint(_PAINTS, rng)
+    return _bodied(shape, paint, SceneClass.CAR, rng, size=rng.uniform(0.95, 1.06))
 
 
 def make_van(rng: Generator) -> Mesh:
     """A delivery van or minibus."""
-    paint = _vary(((0.75, 0.75, 0.73), *_PAINTS)[rng.integers(5)], rng)
-    return _bodied(_VAN, paint, SceneClass.VAN, rng, size=float(rng.uniform(0.88, 1.05)))
+    paint = _draw_paint(_VAN_PAINTS, rng)
+    return _bodied(_VAN, paint, SceneClass.VAN, rng, size=rng.uniform(0.88, 1.05))
 
 
-def _vary(color: Color, rng: Generator) -> Color:
-    return vary(color, rng, most=1.2, tint=0.05, limits=(0.015, 0.85))
+def _draw_paint(paints: tuple[Color, ...], rng: Generator) -> Color:
+    return vary(paints, rng, most=1.2, tint=0.05, limits=(0.015, 0.85))
 
 
 def _bodied(
@@ -123,30 +122,22 @@ def _bodied(
         (upper * 0.0, top + 0.025),
     ]
     right = np.stack([np.stack([x, -y, z], 1) for y, z in section], 1)
-    left = right[:, -2::-1] * (1, -1, 1)
     # The last column closes the loop under the floor: (stations, 18, 3).
-    lattice = np.concatenate([right, left, right[:, :1]], axis=1)
-    q = np.concatenate([np.zeros(4), [0.0, 1.0], np.full(5, 1.0), [1.0, 0.0], np.zeros(5)])
-    seed = float(rng.random())
-    wheel_x = [(f - 0.5) * length for f in shape.wheels]
-    door_x = (shape.pillars[-1] - 0.5) * length
-    params = (*wheel_x, radius, length, width, belt_line, door_x, seed)
+    lattice = np.concatenate([right, right[:, -2::-1] * (1, -1, 1), right[:, :1]], axis=1)
+    seed = rng.random()
+    wheel_x, pillars = (
+        [(f - 0.5) * length for f in places] for places in (shape.wheels, shape.pillars)
+    )
+    params = (*wheel_x, radius, length, width, belt_line, pillars[-1], seed)
     body = Look(SurfaceKind.CAR_BODY, paint, label, params)
-    pillars = [(f - 0.5) * length for f in shape.pillars] + [99.0]
     # Delivery vans have windows at the cab only.
     cab = pillars[:1] if label == SceneClass.VAN and seed < 0.75 else []
-    side = Look(SurfaceKind.CAR_SIDE_WINDOW, paint, label, (*pillars[:2], seed, *cab))
+    panes = (*[*pillars, 99.0][:2], seed, *cab)
+    side = Look(SurfaceKind.CAR_SIDE_WINDOW, paint, label, panes)
     glass = Look(SurfaceKind.CAR_GLASS, (0.02, 0.025, 0.03), label, (seed,))
-    sections = lattice.shape[1]
-    window_texture = lattice.copy()
-    window_texture[:, :, 2] = q[None, :]
-    window_texture[:, :, 1] = cabin[:, None]
-    whole = grid(lattice, body, smooth=True)
-    sided = grid(lattice, side, texture=window_texture, smooth=True)
-    glazed = grid(lattice, glass, smooth=True)
-    station = np.repeat(np.arange(len(fx) - 1), (sections - 1))
-    strip = np.tile(np.arange(sections - 1), len(fx) - 1)
-    middle = (fx[station] + fx[station + 1]) / 2
+    up = np.concatenate([np.zeros(4), [0.0, 1.0], np.full(5, 1.0), [1.0, 0.0], np.zeros(5)])
+    on_window = np.stack(np.broadcast_arrays(lattice[..., 0], cabin[:, None], up), axis=-1)
+    strip, middle = np.broadcast_arrays(np.arange(17), ((fx[:-1] + fx[1:]) / 2)[:, None])
 
     def between(low: float, high: float) -> Floats:
         return np.asarray((middle > low) & (middle < high))
@@ -156,12 +147,15 @@ def _bodied(
     is_glass &= np.isin(strip, (6, 7, 8, 9))
     if label == SceneClass.VAN and seed < 0.5:
         is_glass &= middle > 0.5
-    pick = np.repeat(np.where(is_side, 1, np.where(is_glass, 2, 0)), 2)
-    parts = [mesh.take(pick == k) for k, mesh in enumerate((whole, sided, glazed))]
-    for end in (0, -1):
-        ring = lattice[end]
-        centre = np.broadcast_to(ring.mean(axis=0), ring.shape)
-        parts.append(grid(np.stack([ring, centre] if end == 0 else [centre, ring]), body))
+    part = np.repeat(np.where(is_side, 1, np.where(is_glass, 2, 0)).ravel(), 2)
+    parts = [
+        grid(lattice, body, smooth=True).take(part == 0),
+        grid(lattice, side, texture=on_window, smooth=True).take(part == 1),
+        grid(lattice, glass, smooth=True).take(part == 2),
+    ]
+    for ring, order in ((lattice[0], 1), (lattice[-1], -1)):
+        lid = np.stack([ring, np.broadcast_to(ring.mean(axis=0), ring.shape)])
+        parts.append(grid(lid[::order], body))
     tyre = Look(SurfaceKind.WHEEL, (0.45, 0.45, 0.46), label, (radius, seed))
     parts += [_wheel(x, sign * (half - 0.10), tyre) for x in wheel_x for sign in (-1, 1)]
     mirror = Look(SurfaceKind.PLAIN, paint, label, (0.3,))
@@ -169,7 +163,7 @@ def _bodied(
     for sign in (-1, 1):
         at = (mirror_x, sign * (half + 0.06), belt_line + 0.1)
         parts.append(box((0.12, 0.2, 0.14), at, mirror))
-    return join(parts).scaled(size)
+    return join(*parts).scaled(size)
 
 
 def _wheel(x: float, y: float, look: Look) -> Mesh:
@@ -180,50 +174,43 @@ def _wheel(x: float, y: float, look: Look) -> Mesh:
 
 def make_truck(rng: Generator) -> Mesh:
     """A rigid lorry: cab, cargo box (plain, striped or tank), chassis and wheels."""
-    label = SceneClass.TRUCK
-    length = float(rng.uniform(6.5, 10.5))
-    cab_paint = _vary(_PAINTS[rng.integers(len(_PAINTS))], rng)
-    box_paint = _vary(_CARGO_PAINTS[rng.integers(5)], rng)
-    front = _bodied(_TRUCK_CAB, cab_paint, label, rng, size=1.0).moved(
-        offset=(length / 2 - 1.15, 0, 0.05)
-    )
+    label, length = SceneClass.TRUCK, rng.uniform(6.5, 10.5)
+    cab_paint, box_paint = _draw_paint(_PAINTS, rng), _draw_paint(_CARGO_PAINTS, rng)
+    cab = _bodied(_TRUCK_CAB, cab_paint, label, rng, size=1.0)
     dark = Look(SurfaceKind.PLAIN, (0.03, 0.03, 0.03), label, (0.2,))
-    tyre = Look(SurfaceKind.WHEEL, (0.3, 0.3, 0.31), label, (0.48, 0.2))
-    cargo_length, height = length - 2.6, float(rng.uniform(2.2, 2.8))
-    middle = -length / 2 + cargo_length / 2
-    parts = [front, box((length - 0.6, 1.0, 0.3), (-0.2, 0, 0.75), dark)]
+    cargo_length, height, rear = length - 2.6, rng.uniform(2.2, 2.8), -length / 2
+    parts = [
+        cab.moved(offset=(length / 2 - 1.15, 0, 0.05)),
+        box((length - 0.6, 1.0, 0.3), (-0.2, 0, 0.75), dark),
+    ]
     if rng.random() < 0.2:
         tank = Look(SurfaceKind.METAL, (0.6, 0.6, 0.6), label)
-        ends = ((-length / 2, 0, 2.05), (-length / 2 + cargo_length, 0, 2.05))
+        ends = (rear, 0, 2.05), (rear + cargo_length, 0, 2.05)
         parts.append(tube(*ends, (1.15, 1.15), tank, sides=24))
     else:
-        cargo = Look(SurfaceKind.PLANKS, box_paint, label, (1.2, 0.25, float(rng.random())))
-        parts.append(box((cargo_length, 2.45, height), (middle, 0, 1.0 + height / 2), cargo))
-    rear = -length / 2
+        cargo = Look(SurfaceKind.PLANKS, box_paint, label, (1.2, 0.25, rng.random()))
+        middle = (rear + cargo_length / 2, 0, 1.0 + height / 2)
+        parts.append(box((cargo_length, 2.45, height), middle, cargo))
     for sign in (-1, 1):
-        red = Look(SurfaceKind.GLOW, (0.5, 0.02, 0.02), label, (0.4,))
-        parts.append(box((0.08, 0.3, 0.14), (rear - 0.03, sign * 1.0, 0.85), red))
-        parts.append(_wheel(rear + 1.6, sign * 1.08, tyre))
+        parts.append(box((0.08, 0.3, 0.14), (rear - 0.03, sign * 1.0, 0.85), _RED))
+        parts.append(_wheel(rear + 1.6, sign * 1.08, _TYRE))
         parts.append(box((1.2, 0.05, 0.25), (rear + 0.6, sign * 1.2, 0.65), dark))
     plate = Look(SurfaceKind.PLAIN, (0.6, 0.6, 0.55), label)
     parts.append(box((0.06, 2.3, 0.16), (rear - 0.02, 0, 0.6), dark))
-    parts.append(box((0.04, 0.5, 0.12), (rear - 0.05, 0, 0.6), plate))
-    return join(parts)
+    return join(*parts, box((0.04, 0.5, 0.12), (rear - 0.05, 0, 0.6), plate))
 
 
 def make_bus(rng: Generator) -> Mesh:
     """A city bus; its class is Truck, the nearest one of Virtual KITTI 2."""
-    label = SceneClass.TRUCK
     length, width, height = 11.0, 2.5, float(rng.choice([2.9, 4.1]))
-    paint = _vary(_BUS_PAINTS[rng.integers(5)], rng)
-    side = Look(SurfaceKind.BUS_SIDE, paint, label, (height, length, width, float(rng.random())))
+    paint, front = _draw_paint(_BUS_PAINTS, rng), length / 2
+    params = (height, length, width, rng.random())
+    side = Look(SurfaceKind.BUS_SIDE, paint, SceneClass.TRUCK, params)
     parts = [box((length, width, height - 0.3), (0, 0, 0.3 + (height - 0.3) / 2), side)]
-    tyre = Look(SurfaceKind.WHEEL, (0.3, 0.3, 0.31), label, (0.48, 0.1))
-    for x in (-length / 2 + 2.8, length / 2 - 2.6):
+    tyre = replace(_TYRE, params=(0.48, 0.1))
+    for x in (-front + 2.8, front - 2.6):
         parts += [_wheel(x, sign * (width / 2 - 0.08), tyre) for sign in (-1, 1)]
     for sign in (-1, 1):
-        red = Look(SurfaceKind.GLOW, (0.5, 0.02, 0.02), label, (0.4,))
-        white = Look(SurfaceKind.GLOW, (0.7, 0.7, 0.65), label, (0.3,))
-        parts.append(box((0.06, 0.25, 0.25), (-length / 2 - 0.02, sign * 1.0, 0.9), red))
-        parts.append(box((0.06, 0.3, 0.2), (length / 2 + 0.02, sign * 0.95, 0.75), white))
-    return join(parts)
+        parts.append(box((0.06, 0.25, 0.25), (-front - 0.02, sign * 1.0, 0.9), _RED))
+        parts.append(box((0.06, 0.3, 0.2), (front + 0.02, sign * 0.95, 0.75), _WHITE))
+    return join(*parts)

@@ -7,14 +7,14 @@ import pytest
 
 pytest.importorskip("embreex", reason="the renderer needs the train extra")
 
-from training.scenes.layout.centreline import Centreline
+from training.scenes.layout.site import Centreline
 from training.scenes.layout.street import Street, build_street
 from training.scenes.names import SceneClass
 from training.scenes.rendering.camera import make_camera
 from training.scenes.rendering.lidar_scan import LidarMount, LidarScan, draw_mount
 from training.scenes.rendering.render import RenderedFrame, render_frame
 from training.scenes.rendering.weather import draw_weather
-from training.scenes.textures.surface_kinds import SurfaceKind
+from training.scenes.textures.surface import SurfaceKind
 from training.scenes.things.mesh import Look, join, polygon
 from training.scenes.vkitti_writer import write_variant
 
@@ -33,7 +33,7 @@ def wall(distance_m: float, look: Look = WHITE, half_m: float = 60.0):
 
 def rendered(*meshes, seed: int = 0, mount: LidarMount | None = None) -> RenderedFrame:
     return render_frame(
-        Street(LINE, join(meshes), (), (), ego_d=0.0, ego_speed=10.0),
+        Street(LINE, join(*meshes), (), (), ego_d=0.0, ego_speed=10.0),
         CAMERA,
         draw_weather("overcast", 1),
         mount or draw_mount(CAMERA, np.random.default_rng(seed)),

@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("embreex", reason="the renderer needs the train extra")
 
-from training.scenes.layout.centreline import Centreline
+from training.scenes.layout.site import Centreline
 from training.scenes.layout.street import Street, build_street
 from training.scenes.layout.traffic import Actor
 from training.scenes.names import SceneClass, StreetKind, Variant
@@ -18,7 +18,7 @@ from training.scenes.rendering.render import camera_pose, render_frame
 from training.scenes.rendering.shading import contact_shading
 from training.scenes.rendering.weather import draw_weather
 from training.scenes.scene_job import SceneJob, render_frames
-from training.scenes.textures.surface_kinds import SurfaceKind
+from training.scenes.textures.surface import SurfaceKind
 from training.scenes.things.mesh import Look, box, join, polygon
 
 STRAIGHT = np.arange(-50.0, 400.0)
@@ -33,7 +33,7 @@ LEVEL = {"time": 0.0, "sway": 0.0}
 
 
 def hand_made_street(*meshes) -> Street:
-    return Street(LINE, join(meshes), (), (), ego_d=0.0, ego_speed=10.0)
+    return Street(LINE, join(*meshes), (), (), ego_d=0.0, ego_speed=10.0)
 
 
 def rendered(street, variant="overcast", camera=CAMERA, **pose):
@@ -108,7 +108,7 @@ def test_fog_washes_out_what_is_far():
 
 def test_corners_are_darker_than_open_ground():
     lid = polygon([(-1, -1, 0.2), (-1, 1, 0.2), (1, 1, 0.2), (1, -1, 0.2)], WALL)
-    caster = RayCaster(join([GROUND, lid]).positions)
+    caster = RayCaster(join(GROUND, lid))
     points = np.array([[0, 0, 0.01], [0.97, 0, 0.01], [50, 0, 0.01]], np.float32)
     up = np.tile(np.array([[0, 0, 1]], np.float32), (3, 1))
     free = contact_shading(caster, points, up, np.random.default_rng(0), rays=400)

@@ -8,7 +8,7 @@ pytest.importorskip("embreex", reason="the renderer needs the train extra")
 from training.scenes.names import SceneClass
 from training.scenes.textures.noise import fractal_noise, hash01, value_noise
 from training.scenes.textures.paint import Stripe, band, paint_cover
-from training.scenes.textures.surface_kinds import SurfaceKind
+from training.scenes.textures.surface import SurfaceKind
 from training.scenes.things.mesh import Look, ellipsoid, grid, polygon, tube
 from training.scenes.things.people import draw_dress, make_cyclist, make_walker
 from training.scenes.things.vehicles import make_bus, make_car, make_truck, make_van

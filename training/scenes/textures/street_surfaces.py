@@ -1,9 +1,10 @@
-"""Textures of the ground: asphalt with paint, paving, grass."""
+"""Textures of the street: asphalt with paint, paving, grass, faces of traffic signs."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
+from training.scenes.arrays import Floats
 from training.scenes.textures.noise import fractal_noise, hash01, value_noise
 from training.scenes.textures.paint import Stripe, band, paint_cover
 from training.scenes.textures.surface import Points, Surface, matt, mix
@@ -46,14 +47,12 @@ def texture_paving(p: Points) -> Surface:
     pitch = p.params[:, 0]
     long = p.footprint / np.maximum(p.slant, 0.02)
     i, j = np.floor(s / pitch), np.floor(d / pitch)
-    slab = hash01(i, j, 3) - 0.5
     fade = np.clip(1.2 - long / pitch, 0, 1)
-    tone = 1 + 0.22 * slab * fade
+    tone = 1 + 0.22 * (hash01(i, j, 3) - 0.5) * fade
     grain = fractal_noise(s, d, wavelength=0.5, octaves=4, footprint=np.sqrt(long * p.footprint))
     tone += 0.16 * grain + 0.12 * fractal_noise(s, d, wavelength=3.0, octaves=2)
-    joint = 1 - band((s / pitch - i - 0.5) * pitch, 0.485 * pitch, long) * band(
-        (d / pitch - j - 0.5) * pitch, 0.485 * pitch, p.footprint
-    )
+    in_row = band((s / pitch - i - 0.5) * pitch, 0.485 * pitch, long)
+    joint = 1 - in_row * band((d / pitch - j - 0.5) * pitch, 0.485 * pitch, p.footprint)
     tone *= 1 - 0.4 * joint * fade
     return matt(p.color * np.clip(tone, 0.3, 1.7)[:, None])
 
@@ -65,3 +64,46 @@ def texture_grass(p: Points) -> Surface:
     dry = np.clip(0.35 + 0.9 * meadow + 0.3 * (p.params[:, 0] - 0.5), 0, 1)
     color = mix(p.color, (0.19, 0.17, 0.075), dry)
     return matt(color * np.clip(1 + 0.55 * blades, 0.3, 1.8)[:, None])
+
+
+def texture_sign(p: Points) -> Surface:
+    """Faces of traffic signs; texture is the face, -1..1 both ways."""
+    a, b = p.texture[:, 0], p.texture[:, 1]
+    kind, lot = np.rint(p.params[:, 0]).astype(int), p.params[:, 1:2]
+    reach, f = np.hypot(a, b), p.footprint / 0.38
+    white, red, black = (0.75, 0.75, 0.73), (0.55, 0.02, 0.02), (0.02, 0.02, 0.02)
+    blue, yellow, green = (0.02, 0.1, 0.42), (0.75, 0.5, 0.02), (0.01, 0.2, 0.1)
+    out = np.tile(np.asarray(white, dtype=np.float32), (len(a), 1))
+
+    def lay(number: int, cover: Floats, color: Floats | Sequence[float]) -> None:
+        rows = np.flatnonzero(kind == number)
+        paint = np.broadcast_to(np.asarray(color, dtype=np.float32), out.shape)
+        out[rows] = mix(out[rows], paint[rows], cover[rows])
+
+    def triangle(up: Floats) -> Floats:
+        """The inner part of a sign whose tip is at up = 1, its base at 0."""
+        rim = np.minimum(up - 0.12, (1 - up) * 0.9 - np.abs(a) - 0.22) / np.maximum(f, 0.02)
+        return np.asarray(np.clip(rim + 0.5, 0, 1))
+
+    bar = band(a, 0.11, f) * band(b - 0.02, 0.38, f)
+    arrow = band(np.abs(a) - (0.5 - b) * 0.8, 0.1, f) * (b > 0.05) * (b < 0.5)
+    word = hash01(np.floor(a * 9), np.floor((b + 1) * 2.2), 6) < 0.7
+    text = band(np.mod((b + 1) * 2.2, 1) - 0.5, 0.24, f * 2.2) * word * (np.abs(a) < 0.8)
+    text *= band(np.mod(a * 9, 1) - 0.5, 0.34, f * 9)
+    lay(0, 1 - band(reach, 0.72, f), red)
+    lay(0, band(np.abs(a) - 0.2, 0.12, f) * band(b, 0.32, f), black)
+    lay(1, 1 - triangle((b + 0.8) / 1.75), red)
+    lay(1, band(a, 0.08, f) * band(b + 0.15, 0.3, f), black)
+    lay(7, 1 - triangle((0.95 - (b + 0.15)) / 1.75), red)
+    lay(2, np.ones_like(a), blue)
+    lay(2, bar + arrow, white)
+    lay(3, np.ones_like(a), red)
+    lay(3, band(a, 0.68, f) * band(b, 0.17, f), white)
+    lay(4, band(np.abs(a) + np.abs(b), 0.72, f), yellow)
+    board = np.where(lot < 0.4, blue, np.where(lot < 0.7, green, yellow))
+    lay(5, band(a, 0.96, f) * band(b, 0.93, f), board)
+    lay(5, text * 0.9, np.where(lot < 0.7, white, black))
+    lay(6, band(a, 0.92, f) * band(b, 0.92, f), blue)
+    lay(6, bar + band(a - 0.15, 0.22, f) * band(b - 0.2, 0.2, f), white)
+    lay(9, (1 - band(a, 0.93, f) * band(b, 0.85, f)) + text, black)
+    return matt(out, 0.03)
