@@ -139,10 +139,11 @@ def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:
         return np.zeros((0, 3), np.float32)
     if encoding == _ASCII:
         columns = [column for column, _, _ in places]
-        if body.isspace():
+        if not body.strip():
             raise ValueError(f"it has 0 of {points} points: is it truncated?")
+        table = filter(bytes.strip, io.BytesIO(body))  # NumPy warns of blank ones
         rows = np.loadtxt(
-            io.BytesIO(body), np.float32, comments=None, usecols=columns, ndmin=2, max_rows=points
+            table, np.float32, comments=None, usecols=columns, ndmin=2, max_rows=points
         )
         if len(rows) < points:
             raise ValueError(f"it has {len(rows)} of {points} points: is it truncated?")

@@ -107,7 +107,7 @@ def _require_own(folder: Path, suffix: str, names: Collection[str], ours: Collec
         )
     for name in names:
         file = folder / (name + suffix)
-        if name not in ours and os.path.lexists(file):
+        if os.path.lexists(file) and (name not in ours or not _is_removable(file)):
             raise OutputError(
                 f"{file} does not belong to the earlier run, but would be replaced: move it away, "
                 "or choose another --out"
@@ -122,5 +122,11 @@ def _remove_run(path: Path, names: Collection[str]) -> None:
             files += [path / kind / (name + suffix) for name in names]
     for file in files:
         with _reported(f"cannot remove the earlier run's {file}"):
-            file.unlink(missing_ok=True)
+            if _is_removable(file):
+                file.unlink()
         remove_leftover(file)
+
+
+def _is_removable(path: Path) -> bool:
+    """Whether there is a file or a link, which a run may have written; never a folder."""
+    return path.is_file() or path.is_symlink()

@@ -190,6 +190,12 @@ def test_a_damaged_scan_is_an_input_error_and_takes_no_memory(tmp_path, name):
     assert str(tmp_path / name) in str(raised.value)
 
 
+@pytest.mark.filterwarnings("error")
+def test_blank_lines_between_points_do_not_count(tmp_path):
+    (tmp_path / "a.pcd").write_bytes(FILES["ascii.pcd"].replace(b"ascii\n", b"ascii\n\n \n"))
+    np.testing.assert_array_equal(read_scan(tmp_path / "a.pcd"), POINTS)
+
+
 # --- the number of columns of raw files --------------------------------------------------------
 
 

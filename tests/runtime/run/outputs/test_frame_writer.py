@@ -124,8 +124,12 @@ def test_overwrite_replaces_no_file_of_another(tmp_path, earlier_run):
     foreign.unlink()
     foreign.symlink_to(tmp_path / "none")
     refuse_to_overwrite(earlier_run, text, names=("a", "b"))
+    (earlier_run / "cloud").touch()
     make_run_folder(earlier_run, kinds=("semantic",), names=("a", "b"), overwrite=True)
     assert foreign.is_symlink()
+    assert (earlier_run / "cloud").is_file()
+    (earlier_run / "depth" / "a.png").mkdir()
+    refuse_to_overwrite(earlier_run, r"out/depth/a\.png does not belong", names=("a",))
 
 
 @pytest.mark.parametrize("line", ["[", '"a\\u0000b"', '"../mine"', "9", "null", '{"a": 1}', "\xff"])
