@@ -92,6 +92,12 @@ def test_a_part_of_the_images_may_be_taken(mine):
         FoldersRecipe(path="mine", first=2).open(mine, CLASSES)
 
 
+def test_another_id_may_mean_no_class(mine):
+    recipe = FoldersRecipe(path="mine", labels="labels", ignore=0)
+    write(mine / "labels" / "a.png", np.repeat(np.uint8([[0, 1]]), 40, 0).repeat(32, 1))
+    assert np.unique(recipe.open(mine, CLASSES)[0].semantic).tolist() == [1, 255]
+
+
 def test_train_ids_of_cityscapes_are_mapped(mine):
     """Trucks and trailers are CamVid's cars; an id that is not mapped stays unknown."""
     write(mine / "labels" / "a.png", np.uint8([[0, 2, 10, 13, 14, 15, 255]]).repeat(40, 0))
