@@ -126,7 +126,7 @@ def quantize_within(
     Raises:
         DatasetError, InputError: for data that cannot be read, or that hold no labels for a model
             of classes, or no depth for one of depth.
-        ExportError: if the gate is missed with half of the convolutions in float.
+        ExportError: if the gate is missed with half of the other convolutions in float, too.
     """
     heads = [output.name for output in model.graph.output]
     names = trunk(model)
@@ -156,7 +156,7 @@ def quantize_within(
             missed = _missed(before, accuracy, options)
             if not missed:
                 break
-            if 2 * len(in_float) >= len(convolutions):
+            if 2 * (len(in_float) - len(fine)) >= len(convolutions) - len(fine):
                 raise ExportError(
                     f"int8 loses too much, so nothing was written: {'; '.join(missed.values())}; "
                     f"{len(in_float)} of {len(convolutions)} convolutions were left in float. "
