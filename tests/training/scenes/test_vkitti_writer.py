@@ -31,7 +31,7 @@ def frame(number: int) -> RenderedFrame:
 
 
 def test_what_is_written_is_what_the_reader_reads(tmp_path):
-    write_variant(tmp_path, "Scene01", "clone", [frame(0), frame(1)])
+    write_variant(tmp_path / "Scene01/clone", [frame(0), frame(1)])
     source = open_set("rendered", tmp_path)
     assert len(source) == 2
     sample = source[1]
@@ -44,7 +44,7 @@ def test_what_is_written_is_what_the_reader_reads(tmp_path):
 
 
 def test_files_are_those_of_virtual_kitti(tmp_path):
-    folder = write_variant(tmp_path, "Scene01", "fog", [frame(3)])
+    folder = write_variant(tmp_path / "Scene01/fog", [frame(3)])
     depth = cv2.imread(str(folder / "frames/depth/Camera_0/depth_00000.png"), cv2.IMREAD_UNCHANGED)
     assert depth.dtype == np.uint16
     assert set(np.unique(depth)) == {1234, 65534, 65535}
@@ -60,19 +60,19 @@ def test_files_are_those_of_virtual_kitti(tmp_path):
 
 
 def test_an_existing_variant_is_kept_unless_overwriting_is_asked_for(tmp_path):
-    write_variant(tmp_path, "Scene01", "clone", [frame(0), frame(1)])
+    write_variant(tmp_path / "Scene01/clone", [frame(0), frame(1)])
     with pytest.raises(OutputError, match="exists already"):
-        write_variant(tmp_path, "Scene01", "clone", [frame(0)])
+        write_variant(tmp_path / "Scene01/clone", [frame(0)])
     assert len(open_set("rendered", tmp_path)) == 2
-    write_variant(tmp_path, "Scene01", "clone", [frame(0)], overwrite=True)
+    write_variant(tmp_path / "Scene01/clone", [frame(0)], overwrite=True)
     assert len(open_set("rendered", tmp_path)) == 1
 
 
 def test_a_variant_with_a_foreign_file_is_not_replaced(tmp_path):
-    folder = write_variant(tmp_path, "Scene01", "clone", [frame(0)])
+    folder = write_variant(tmp_path / "Scene01/clone", [frame(0)])
     (folder / "frames" / "thesis.txt").write_text("mine")
     with pytest.raises(OutputError, match=r"thesis\.txt does not belong to the result"):
-        write_variant(tmp_path, "Scene01", "clone", [frame(0)], overwrite=True)
+        write_variant(tmp_path / "Scene01/clone", [frame(0)], overwrite=True)
     assert (folder / "frames" / "thesis.txt").read_text() == "mine"
     assert len(open_set("rendered", tmp_path)) == 1
 
@@ -83,14 +83,14 @@ def test_nothing_is_left_of_a_variant_that_breaks_off(tmp_path):
         raise RuntimeError("ray caster failed")
 
     with pytest.raises(RuntimeError, match="ray caster"):
-        write_variant(tmp_path, "Scene01", "clone", frames())
+        write_variant(tmp_path / "Scene01/clone", frames())
     assert list((tmp_path / "Scene01").iterdir()) == []
 
 
 def test_a_folder_that_cannot_be_made_is_an_output_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="cannot write"):
-        write_variant(tmp_path / "file", "Scene01", "clone", [frame(0)])
+        write_variant(tmp_path / "file" / "Scene01/clone", [frame(0)])
 
 
 def run(*arguments):

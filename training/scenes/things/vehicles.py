@@ -125,9 +125,8 @@ def _bodied(
     # The last column closes the loop under the floor: (stations, 18, 3).
     lattice = np.concatenate([right, right[:, -2::-1] * (1, -1, 1), right[:, :1]], axis=1)
     seed = rng.random()
-    wheel_x, pillars = (
-        [(f - 0.5) * length for f in places] for places in (shape.wheels, shape.pillars)
-    )
+    ends = shape.wheels, shape.pillars
+    wheel_x, pillars = ([(f - 0.5) * length for f in each] for each in ends)
     params = (*wheel_x, radius, length, width, belt_line, pillars[-1], seed)
     body = Look(SurfaceKind.CAR_BODY, paint, label, params)
     # Delivery vans have windows at the cab only.
@@ -160,9 +159,8 @@ def _bodied(
     parts += [_wheel(x, sign * (half - 0.10), tyre) for x in wheel_x for sign in (-1, 1)]
     mirror = Look(SurfaceKind.PLAIN, paint, label, (0.3,))
     mirror_x = (shape.windscreen[1] - 0.5) * length - 0.35
-    for sign in (-1, 1):
-        at = (mirror_x, sign * (half + 0.06), belt_line + 0.1)
-        parts.append(box((0.12, 0.2, 0.14), at, mirror))
+    places = [(mirror_x, sign * (half + 0.06), belt_line + 0.1) for sign in (-1, 1)]
+    parts += [box((0.12, 0.2, 0.14), place, mirror) for place in places]
     return join(*parts).scaled(size)
 
 

@@ -161,7 +161,7 @@ def test_the_picture_does_not_depend_on_the_lidar():
 
 def test_scans_are_written_beside_the_frames(tmp_path):
     frame = rendered(wall(20.0))
-    folder = write_variant(tmp_path, "Scene01", "clone", [frame])
+    folder = write_variant(tmp_path / "Scene01/clone", [frame])
     stored = np.fromfile(folder / "frames/lidar/Camera_0/lidar_00000.bin", "<f4").reshape(-1, 4)
     assert np.array_equal(stored, frame.scan.points)
     name, numbers = (folder / "calib.txt").read_text().split(":")
