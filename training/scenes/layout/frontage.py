@@ -83,8 +83,8 @@ def _make_building(rng: Generator, kind: StreetKind, length: float) -> Mesh:
     elif kind == "residential":
         other = buildings.make_house if draw < 0.75 else None
     else:
-        sheds = buildings.make_shed if draw >= 0.75 else None
-        other = buildings.make_office if draw < 0.5 else sheds
+        large = (0.5, buildings.make_office), (0.75, None), (1.0, buildings.make_shed)
+        other = next(make for share, make in large if draw < share)
     return other(rng, length) if other else buildings.make_town_house(rng, length, shop=shop)
 
 

@@ -86,10 +86,9 @@ def draw_people(rng: Generator, plan: Plan) -> list[Actor]:
     actors = []
     most = {"town": 16, "residential": 6, "avenue": 7, "highway": 1, "square": 14}[plan.kind]
     count = int(rng.integers(0, most + 1)) + (2 if plan.kind in ("town", "square") else 0)
-    room = max(plan.pavement, 1.0)
     for _ in range(count if plan.pavement else 0):
         sign = float(rng.choice([-1, 1]))
-        d = sign * (plan.back - rng.uniform(0.4, max(0.5, room - 0.5)))
+        d = sign * (plan.back - rng.uniform(0.4, max(0.5, plan.pavement - 0.5)))
         s = rng.uniform(4, 75)
         group = int(rng.choice([1, 1, 1, 2, 2, 3]))
         speed = float(rng.choice([-1, 1])) * rng.uniform(1.0, 1.6)
