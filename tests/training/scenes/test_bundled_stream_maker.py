@@ -19,15 +19,14 @@ FILES = (
 def variant(tmp_path):
     """One frame of a wall 12.5 m ahead under a sky, in the Virtual KITTI 2 layout."""
     folder = tmp_path / "scenes" / "Scene1" / "clone"
-    folder.mkdir(parents=True)
-    (folder / "colors.txt").write_text("Category r g b\nRoad 100 60 100\n")
-    (folder / "intrinsic.txt").write_text("frame cameraID fx fy cx cy\n7 0 300 300 64 20\n")
     depth = np.full((64, 128), 1250, np.uint16)
     depth[:30] = 65535
     road = np.full((64, 128, 3), (100, 60, 100), np.uint8)
     for file, image in zip(FILES, (road, depth, road), strict=True):
         (folder / file).parent.mkdir(parents=True)
         cv2.imwrite(str(folder / file), image)
+    (folder / "colors.txt").write_text("Category r g b\nRoad 100 60 100\n")
+    (folder / "intrinsic.txt").write_text("frame cameraID fx fy cx cy\n7 0 300 300 64 20\n")
     return folder
 
 

@@ -96,9 +96,7 @@ def _draw_paint(paints: tuple[Color, ...], rng: Generator) -> Color:
     return vary(paints, rng, most=1.2, tint=0.05, limits=(0.015, 0.85))
 
 
-def _bodied(
-    shape: CarShape, paint: Color, label: SceneClass, rng: Generator, *, size: float
-) -> Mesh:
+def _bodied(shape: CarShape, paint: Color, label: SceneClass, rng: Generator, size: float) -> Mesh:
     length, width, belt_line, radius = shape.sizes
     half = width / 2
     fx = np.array(sorted({*(f for f, _ in shape.outline), *np.linspace(0.05, 0.95, 13)}))

@@ -82,10 +82,9 @@ def test_a_thing_ahead_appears_where_the_pinhole_puts_it():
     frame = rendered(hand_made_street(GROUND, post))
     rows, columns = np.nonzero(frame.label == SceneClass.POLE)
     # The front face is 30 m ahead, 2.5 to 3.5 m to the right, 0 to 2 m up.
-    assert columns.min() == pytest.approx(CAMERA.cx + CAMERA.focal_px * 2.5 / 30, abs=1)
-    assert columns.max() == pytest.approx(CAMERA.cx + CAMERA.focal_px * 3.5 / 30, abs=1)
-    assert rows.min() == pytest.approx(CAMERA.cy - CAMERA.focal_px * 0.35 / 30, abs=1)
-    assert rows.max() == pytest.approx(CAMERA.cy + CAMERA.focal_px * 1.65 / 30, abs=1)
+    x, y = CAMERA.focal_px * np.array([[2.5, 3.5], [-0.35, 1.65]]) / 30
+    assert np.allclose((columns.min(), columns.max()), CAMERA.cx + x, atol=1, rtol=0)
+    assert np.allclose((rows.min(), rows.max()), CAMERA.cy + y, atol=1, rtol=0)
     assert np.allclose(frame.depth[rows, columns], 30.0, atol=0.21)
 
 
@@ -138,16 +137,14 @@ def test_poses_and_depth_of_a_stream_fit_together():
     rows, columns = np.nonzero((first.depth > 4) & (first.depth < 40))
     z = first.depth[rows, columns]
     local = np.linalg.inv(camera.intrinsics) @ [columns * z, rows * z, z]
-    inverse = np.linalg.inv(first.world_to_camera)
-    world = inverse[:3, :3] @ local + inverse[:3, 3:]
-    moved = second.world_to_camera[:3, :3] @ world + second.world_to_camera[:3, 3:]
+    motion = second.world_to_camera @ np.linalg.inv(first.world_to_camera)
+    moved = motion[:3, :3] @ local + motion[:3, 3:]
     u, v = np.rint((camera.intrinsics @ moved / moved[2])[:2]).astype(int)
     seen = (moved[2] > 1) & (u >= 0) & (u < 310) & (v >= 0) & (v < 94)
     there = second.depth[v[seen], u[seen]]
     assert seen.sum() > 5000
     assert np.median(np.abs(there - moved[2][seen]) / moved[2][seen]) < 0.01
-    same = second.label[v[seen], u[seen]] == first.label[rows, columns][seen]
-    assert same.mean() > 0.85
+    assert (second.label[v[seen], u[seen]] == first.label[rows, columns][seen]).mean() > 0.85
     assert first.world_to_camera[2, 3] - second.world_to_camera[2, 3] > 0.5
 
 
@@ -179,9 +176,8 @@ def test_streets_hold_every_class():
     found = set()
     for kind in StreetKind:
         street = build_street(1, kind=kind)
-        found |= set(np.unique(street.standing.label).tolist())
-        for actor in street.actors:
-            found |= set(np.unique(actor.pose(0.3).label).tolist())
+        for mesh in (street.standing, *(actor.pose(0.3) for actor in street.actors)):
+            found |= set(np.unique(mesh.label).tolist())
     assert found | {SceneClass.SKY} == set(SceneClass)
 
 
@@ -214,7 +210,7 @@ def test_camera_looks_along_the_street():
     assert position[2] == pytest.approx(CAMERA.mount_height_m)
 
 
-def test_returns_are_on_the_wall_seen_from_the_lidars_position():
+def test_returns_are_on_the_wall_in_the_picture_seen_from_the_lidars_position():
     frame = scanned(across(20.0))
     seen = in_camera(frame.scan)
     assert len(seen) > 5000
@@ -226,12 +222,7 @@ def test_returns_are_on_the_wall_seen_from_the_lidars_position():
     behind_m = -frame.scan.to_camera[2, 3]
     assert behind_m > 0
     assert ranges.min() > 20.0 + behind_m - 0.15
-
-
-def test_every_return_falls_into_the_picture():
-    scan = scanned(across(20.0)).scan
-    u, v, z = LARGE.intrinsics @ in_camera(scan).T
-    u, v = u / z, v / z
+    u, v = (LARGE.intrinsics @ (seen / seen[:, 2:]).T)[:2]
     height, width = LARGE.size
     assert ((u > -0.51) & (u < width - 0.49) & (v > -0.51) & (v < height - 0.49)).all()
 
@@ -251,18 +242,6 @@ def test_a_varied_lidar_has_its_own_lines_in_order_and_is_elsewhere():
     assert min(ratios) < 0.5 < 0.8 < max(ratios)
     behind = [-mount.to_camera[2, 3] for mount in mounts]
     assert min(behind) < 0.4 < 1.0 < max(behind)
-
-
-def test_the_scan_of_a_varied_lidar_is_on_the_across():
-    mount = draw_mount(LARGE, np.random.default_rng(7), varied=True)
-    frame = scanned(across(20.0), mount=mount)
-    seen = in_camera(frame.scan)
-    assert np.abs(seen[:, 2] - 20.0).max() < 0.15
-    points = frame.scan.points
-    azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0])) % 360
-    rings = 1 + np.count_nonzero(np.diff(azimuth) < -5)
-    visible = np.abs(np.tan(np.deg2rad(mount.elevations_deg))) * 20 < 7
-    assert 0.6 * visible.sum() < rings <= len(mount.elevations_deg)
 
 
 def test_rings_come_from_the_top_each_counter_clockwise_from_straight_ahead():
@@ -311,6 +290,4 @@ def test_varied_cameras_differ_by_scene_and_are_the_same_again():
     assert cameras == [make_camera("varied", (1, 1), seed) for seed in range(30)]
     assert len({camera.size for camera in cameras}) > 2
     view_deg = [2 * np.degrees(np.arctan(c.size[1] / 2 / c.focal_px)) for c in cameras]
-    assert min(view_deg) > 44
-    assert max(view_deg) < 106
-    assert max(view_deg) - min(view_deg) > 30
+    assert 44 < min(view_deg) < max(view_deg) - 30 < 76
