@@ -7,14 +7,12 @@ cli                 options of the command; one `SceneJob` a scene; processes
 scene_job           one scene, from its seed to its folder
 names               of streets, variants of light, cameras and classes
 layout/street       the street of a seed, made by, in this order:
-  street_plan         lanes, pavements and side roads
-  centreline          bends and slopes
+  site                lanes, pavements, side roads, bends, slopes; places a mesh there
   ground              carriageway, kerbs, pavements, grass
   frontage            houses, gardens, trees, the horizon
   furnishing          lamps, signs, clutter, parked cars
   traffic             vehicles, cyclists and pedestrians that move
   markings            road paint
-  placing             puts a mesh at a place of the street
 things/             the meshes of all these; mesh.py has the basic shapes
 rendering/          drawn once a scene: camera, weather, and the LiDAR's mount (lidar_scan)
 rendering/render    one frame:

@@ -3,8 +3,10 @@
 import signal
 from contextlib import ExitStack
 from functools import partial
+from multiprocessing import get_context
+from multiprocessing.pool import Pool
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -12,9 +14,6 @@ from runtime.command import interruptible, reported_errors
 from runtime.command_options import Version
 from runtime.contract import MIN_SIDE
 from training.scenes.names import CameraName, StreetKind, Variant
-
-if TYPE_CHECKING:
-    from multiprocessing.pool import Pool
 
 app = typer.Typer(pretty_exceptions_enable=False)
 
@@ -82,10 +81,8 @@ def _parse_size(text: str) -> tuple[int, int]:
     return int(height), int(width)
 
 
-def _start_pool(workers: int) -> "Pool":
+def _start_pool(workers: int) -> Pool:
     """Start processes that ignore Ctrl-C; the parent terminates them."""
-    from multiprocessing import get_context
-
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # is inherited
     try:
         return get_context("spawn").Pool(workers)

@@ -7,29 +7,10 @@ Pedestrian and Cyclist, which it lacks, have colours of their own.
 from enum import IntEnum, StrEnum
 from typing import Self
 
-
-class StreetKind(StrEnum):
-    town = "town"
-    residential = "residential"
-    avenue = "avenue"
-    highway = "highway"
-    square = "square"
-
-
-class Variant(StrEnum):
-    """Light and weather of a scene."""
-
-    clone = "clone"
-    morning = "morning"
-    sunset = "sunset"
-    overcast = "overcast"
-    fog = "fog"
-    rain = "rain"
-
-
-class CameraName(StrEnum):
-    kitti = "kitti"
-    varied = "varied"
+StreetKind = StrEnum("StreetKind", "town residential avenue highway square")
+#: Light and weather of a scene.
+Variant = StrEnum("Variant", "clone morning sunset overcast fog rain")
+CameraName = StrEnum("CameraName", "kitti varied")
 
 
 class SceneClass(IntEnum):

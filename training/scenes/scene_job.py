@@ -58,6 +58,6 @@ def render_frames(job: SceneJob) -> Iterator[RenderedFrame]:
 def run_job(job: SceneJob, *, out: Path, overwrite: bool) -> int:
     """Render and write a scene below `out`; returns the number of frames."""
     cv2.setNumThreads(1)
-    frames = render_frames(job)
-    write_variant(out, f"Scene{job.seed:02d}", job.variant, frames, overwrite=overwrite)
+    variant = out / f"Scene{job.seed:02d}" / job.variant
+    write_variant(variant, render_frames(job), overwrite=overwrite)
     return job.frames

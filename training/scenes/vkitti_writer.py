@@ -27,14 +27,7 @@ _LAYOUT = re.compile(
 _EXTRINSIC = "r1,1 r1,2 r1,3 t1 r2,1 r2,2 r2,3 t2 r3,1 r3,2 r3,3 t3 0 0 0 1"
 
 
-def write_variant(
-    root: Path,
-    scene: str,
-    variant: str,
-    frames: Iterable[RenderedFrame],
-    *,
-    overwrite: bool = False,
-) -> Path:
+def write_variant(out: Path, frames: Iterable[RenderedFrame], *, overwrite: bool = False) -> Path:
     """Write the frames of one variant of a scene; the folder appears when it is complete.
 
     It has frames/{rgb,depth,classSegmentation}/Camera_0, colors.txt, intrinsic.txt and
@@ -44,24 +37,21 @@ def write_variant(
     Tr_velo_to_cam (3 x 4) from the LiDAR to the camera.
 
     Args:
-        root: folder of the scenes.
-        scene: name of the scene.
-        variant: name of its variant.
+        out: folder of the variant, <root>/<scene>/<variant>.
         frames: the rendered frames in order.
         overwrite: replace an older variant; a folder with any other file never is.
 
     Returns:
-        The folder root/scene/variant.
+        The folder `out`.
 
     Raises:
         OutputError: if the folder exists and may not be replaced, or cannot be written.
     """
-    target = root / scene / variant
-    if target.exists() and not overwrite:
+    if out.exists() and not overwrite:
         advice = "Choose another folder or seed, or give --overwrite."
-        raise OutputError(f"{target} exists already. {advice}")
-    own = partial(_written_entries, target) if overwrite else None
-    with atomic_folder(target, own=own) as temporary:
+        raise OutputError(f"{out} exists already. {advice}")
+    own = partial(_written_entries, out) if overwrite else None
+    with atomic_folder(out, own=own) as temporary:
         kinds = ("rgb", "depth", "classSegmentation", "lidar")
         rgb, depth, classes, lidar = (temporary / "frames" / kind / "Camera_0" for kind in kinds)
         for folder in (rgb, depth, classes, lidar):
@@ -84,7 +74,7 @@ def write_variant(
             texts["calib"] = [f"Tr_velo_to_cam: {_numbers(scan.to_camera[:3])}"]
         for file, lines in texts.items():
             (temporary / f"{file}.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return target
+    return out
 
 
 def _written_entries(variant: Path) -> list[Path]:

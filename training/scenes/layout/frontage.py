@@ -1,7 +1,5 @@
 """Buildings, gardens and trees along a street, and its horizon."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.random import Generator
 
@@ -11,27 +9,20 @@ from training.scenes.things import buildings, furniture, plants
 from training.scenes.things.mesh import Mesh, pick
 
 
-@dataclass(frozen=True)
 class _Nursery:
     """The plants of a street; its trees are detailed near its start, coarse in the distance."""
 
-    rng: Generator
-    near: list[Mesh]
-    far: list[Mesh]
-    bushes: list[Mesh]
+    def __init__(self, rng: Generator) -> None:
+        bare = [plants.make_bare_tree(rng) for _ in range(2)] if rng.random() < 0.35 else []
+        near = [*(plants.make_tree(rng) for _ in range(4)), plants.make_conifer(rng)]
+        far = [plants.make_tree(rng, leaf_count=700) for _ in range(4)]
+        far.append(plants.make_conifer(rng, leaf_count=500))
+        self.bushes = [plants.make_bush(rng) for _ in range(3)]
+        self._rng, self._near, self._far = rng, near + bare, far + bare
 
     def draw_tree(self, s: float) -> Mesh:
         """Draw a tree for the place s along the street."""
-        return pick(self.near if s < 75 else self.far, self.rng)
-
-
-def _grow_plants(rng: Generator) -> _Nursery:
-    bare = [plants.make_bare_tree(rng) for _ in range(2)] if rng.random() < 0.35 else []
-    near = [*(plants.make_tree(rng) for _ in range(4)), plants.make_conifer(rng)]
-    far = [plants.make_tree(rng, leaf_count=700) for _ in range(4)]
-    far.append(plants.make_conifer(rng, leaf_count=500))
-    bushes = [plants.make_bush(rng) for _ in range(3)]
-    return _Nursery(rng, near + bare, far + bare, bushes)
+        return pick(self._near if s < 75 else self._far, self._rng)
 
 
 #: Edges of gardens, each up to a share of all; others are open.
@@ -49,7 +40,7 @@ def make_frontage(site: Site) -> list[Mesh]:
     """Buildings, gardens and trees behind the pavement on both sides."""
     rng, plan = site.rng, site.plan
     parts: list[Mesh] = []
-    nursery, half = _grow_plants(rng), plan.crossing_half
+    nursery, half = _Nursery(rng), plan.crossing_half
     gaps = [(c - half - 2.5, c + half + 2.5) for c in plan.crossings]
     narrow = plan.kind in ("town", "residential")
     for sign in (-1.0, 1.0):
@@ -92,8 +83,8 @@ def _make_building(rng: Generator, kind: StreetKind, length: float) -> Mesh:
     elif kind == "residential":
         other = buildings.make_house if draw < 0.75 else None
     else:
-        sheds = buildings.make_shed if draw >= 0.75 else None
-        other = buildings.make_office if draw < 0.5 else sheds
+        large = (0.5, buildings.make_office), (0.75, None), (1.0, buildings.make_shed)
+        other = next(make for share, make in large if draw < share)
     return other(rng, length) if other else buildings.make_town_house(rng, length, shop=shop)
 
 

@@ -86,23 +86,22 @@ def draw_people(rng: Generator, plan: Plan) -> list[Actor]:
     actors = []
     most = {"town": 16, "residential": 6, "avenue": 7, "highway": 1, "square": 14}[plan.kind]
     count = int(rng.integers(0, most + 1)) + (2 if plan.kind in ("town", "square") else 0)
-    room = max(plan.pavement, 1.0)
     for _ in range(count if plan.pavement else 0):
         sign = float(rng.choice([-1, 1]))
-        d = sign * (plan.back - rng.uniform(0.4, max(0.5, room - 0.5)))
+        d = sign * (plan.back - rng.uniform(0.4, max(0.5, plan.pavement - 0.5)))
         s = rng.uniform(4, 75)
         group = int(rng.choice([1, 1, 1, 2, 2, 3]))
         speed = float(rng.choice([-1, 1])) * rng.uniform(1.0, 1.6)
         pace = 0.0 if rng.random() < 0.2 else speed
         for k in range(group):
             along, beside = s + 0.3 * float(rng.normal()), d + 0.65 * k * -sign
-            actors.append(_draw_walker(rng, along, beside, pace, 0.0, KERB_M))
+            actors.append(_walker(rng, along, beside, pace, 0.0, KERB_M))
     for c in plan.crossings[:2]:
         for _ in range(rng.integers(0, 3)):
             across, d = float(rng.choice([-1.3, 1.3])), rng.uniform(-plan.kerb, plan.kerb)
             s = c - plan.crossing_half - 3.4 + rng.normal(0, 0.6)
             if s > 9:
-                actors.append(_draw_walker(rng, s, d, 0.0, across, 0.0))
+                actors.append(_walker(rng, s, d, 0.0, across, 0.0))
     for _ in range(int(rng.integers(0, 4)) if plan.kind != "highway" else 0):
         way = 1 if rng.random() < 0.6 else -1
         d = -plan.side * way * (plan.lane * plan.lanes - 0.45)
@@ -112,9 +111,7 @@ def draw_people(rng: Generator, plan: Plan) -> list[Actor]:
     return actors
 
 
-def _draw_walker(
-    rng: Generator, s: float, d: float, speed: float, across: float, up: float
-) -> Actor:
+def _walker(rng: Generator, s: float, d: float, speed: float, across: float, up: float) -> Actor:
     dress, still = people.draw_dress(rng), speed == 0 and across == 0
     turned = rng.uniform(0, 6.3) if still else float(np.arctan2(across, speed))
     pose = partial(people.make_walker, dress, standing=still)

@@ -76,8 +76,7 @@ def draw_mount(camera: Camera, rng: Generator, *, varied: bool = False) -> Lidar
     elevations, step = HDL64_ELEVATIONS_DEG, _HDL64_AZIMUTH_STEP_DEG
     if varied:
         elevations, step = _draw_elevations(rng), rng.uniform(*_AZIMUTH_STEPS_DEG)
-    noise = rng.normal(0.0, 0.03, len(elevations))
-    return LidarMount(to_camera, elevations + noise, step)
+    return LidarMount(to_camera, elevations + rng.normal(0.0, 0.03, len(elevations)), step)
 
 
 def _draw_elevations(rng: Generator) -> Floats:
@@ -114,7 +113,12 @@ def scan_street(
     distance, reflectance = _ranges(caster, start, directions, rng)
     kept = np.isfinite(distance)
     points = local[kept] * (distance[kept] + rng.normal(0, _RANGE_NOISE_M, kept.sum()))[:, None]
-    seen = _in_picture(points, camera, mount)
+    x, y, z = (points @ mount.to_camera[:3, :3].T + mount.to_camera[:3, 3]).T
+    depth = np.where(z > 0.1, z, np.nan)
+    column = np.rint(camera.cx + camera.focal_px * x / depth)
+    row = np.rint(camera.cy + camera.focal_px * y / depth)
+    height, width = camera.size
+    seen = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     found = np.column_stack([points[seen], reflectance[kept][seen]]).astype(np.float32)
     return LidarScan(found, mount.to_camera)
 
@@ -161,15 +165,6 @@ def _ranges(
         under_way = under_way[passes]
         travelled[under_way] += np.float32(0.01)  # behind the pane
     return distance, reflectance
-
-
-def _in_picture(points: Floats, camera: Camera, mount: LidarMount) -> NDArray[np.bool_]:
-    seen = points @ mount.to_camera[:3, :3].T + mount.to_camera[:3, 3]
-    depth = np.where(seen[:, 2] > 0.1, seen[:, 2], np.nan)
-    column = np.rint(camera.cx + camera.focal_px * seen[:, 0] / depth)
-    row = np.rint(camera.cy + camera.focal_px * seen[:, 1] / depth)
-    height, width = camera.size
-    return np.asarray((column >= 0) & (column < width) & (row >= 0) & (row < height))
 
 
 def _rotation(pitch: float, yaw: float, roll: float) -> NDArray[np.float64]:

@@ -16,7 +16,7 @@ from training.scenes.rendering.lidar_scan import LidarMount, LidarScan, scan_str
 from training.scenes.rendering.raycast import Hits, RayCaster
 from training.scenes.rendering.shading import contact_shading, shade
 from training.scenes.rendering.weather import Weather
-from training.scenes.things.mesh import Mesh, join
+from training.scenes.things.mesh import join
 
 MAX_DEPTH_M = 655.0
 _SHADOW_MARGIN_M = 25.0
@@ -76,9 +76,13 @@ def render_frame(
     rotation, position = camera_pose(street, camera, time, sway=sway)
     ego_s = street.ego_speed * time
     present = [a for a in street.actors if -25 < a.s + a.speed * time - ego_s < 220]
+    # Triangles far behind the camera are dropped; a margin keeps shadows.
+    corners = street.standing.positions - position.astype(np.float32)
+    reach = (corners @ rotation[:, 2].astype(np.float32)).max(axis=1)
+    ahead = street.standing.take(reach > -_SHADOW_MARGIN_M)
     # Rays start at the origin, where float32 is most precise.
     mesh = join(
-        _ahead(street.standing, position, rotation[:, 2]).moved(offset=-position),
+        ahead.moved(offset=-position),
         *(a.at(time, street.line).moved(offset=-position) for a in present),
     )
     caster = RayCaster(mesh, street.stripes)
@@ -89,13 +93,13 @@ def render_frame(
     hits = _cast(caster, directions)
     # Directions have z = 1 in the camera frame, so the hit parameter is the depth itself.
     solid = hits.face >= 0
-    depth = np.where(solid, hits.distance, 0).astype(np.float32)
+    depth = np.where(solid, hits.distance, 0).astype(np.float32).reshape(camera.size)
     label = np.where(solid, mesh.label[hits.face], np.uint8(SceneClass.SKY)).astype(np.uint8)
 
     openness = _openness(caster, hits, directions, camera.size, rng)
     light = partial(shade, caster, pixel_angle=1.0 / camera.focal_px, weather=weather, rng=rng)
     radiance = light(hits, directions, openness=openness)
-    rough = np.flatnonzero(_edges(depth.reshape(camera.size), radiance.reshape(height, width, 3)))
+    rough = np.flatnonzero(_edges(depth, radiance.reshape(height, width, 3)))
     total = radiance[rough].clip(0, 3)
     for dx, dy in _JITTER:
         rays = camera.rays(columns.ravel()[rough] + dx, rows.ravel()[rough] + dy) @ turn
@@ -106,14 +110,10 @@ def render_frame(
     world_to_camera = np.eye(4)
     world_to_camera[:3, :3] = rotation.T
     world_to_camera[:3, 3] = -rotation.T @ position
-    return RenderedFrame(
-        rgb=_expose(radiance.reshape(height, width, 3), weather, rng),
-        depth=depth.reshape(camera.size),
-        label=label.reshape(camera.size),
-        world_to_camera=world_to_camera,
-        intrinsics=camera.intrinsics,
-        scan=scan_street(caster, camera, rotation, mount, lidar_rng),
-    )
+    rgb = _expose(radiance.reshape(height, width, 3), weather, rng)
+    scan = scan_street(caster, camera, rotation, mount, lidar_rng)
+    label = label.reshape(camera.size)
+    return RenderedFrame(rgb, depth, label, world_to_camera, camera.intrinsics, scan)
 
 
 def _expose(radiance: Floats, weather: Weather, rng: Generator) -> NDArray[np.uint8]:
@@ -135,12 +135,6 @@ def _expose(radiance: Floats, weather: Weather, rng: Generator) -> NDArray[np.ui
     # Linear up to 0.6; brighter values approach 1 exponentially.
     bright = np.where(image < 0.6, image, 0.6 + 0.4 * (1 - np.exp(-(image - 0.6) / 0.4)))
     return (255 * np.clip(bright, 0, 1) ** (1 / 2.2) + 0.5).astype(np.uint8)
-
-
-def _ahead(mesh: Mesh, position: Floats, forward: Floats) -> Mesh:
-    """Drop triangles far behind the camera; a margin keeps shadows."""
-    reach = (mesh.positions - position.astype(np.float32)) @ forward.astype(np.float32)
-    return mesh.take(reach.max(axis=1) > -_SHADOW_MARGIN_M)
 
 
 def _cast(caster: RayCaster, directions: Floats) -> Hits:

@@ -25,9 +25,8 @@ def _streaked(p: Points, numbers: Sequence[float], octaves: int, gloss: float = 
     """Noise along (x + a y) * b and z * c; numbers: a, b, c, wavelength [m], contrast."""
     x, y, z = p.texture.T
     a, b, c, size, contrast = numbers
-    noise = fractal_noise(
-        (x + a * y) * b, z * c, wavelength=size, octaves=octaves, footprint=p.footprint
-    )
+    u, v = (x + a * y) * b, z * c
+    noise = fractal_noise(u, v, wavelength=size, octaves=octaves, footprint=p.footprint)
     return matt(p.color * (1 + contrast * noise)[:, None], gloss)
 
 

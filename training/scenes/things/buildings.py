@@ -44,13 +44,7 @@ def _walls(
 
 
 def _gable_roof(
-    size: tuple[float, float, float],
-    rise: float,
-    look: Look,
-    wall: Look,
-    *,
-    across: bool,
-    eaves: float,
+    size: tuple[float, ...], rise: float, look: Look, wall: Look, *, across: bool, eaves: float
 ) -> list[Mesh]:
     """The pitched roof of a house of this length, depth and height.
 
@@ -145,19 +139,15 @@ _CHIMNEY = _look(SurfaceKind.BRICKWORK, (0.3, 0.15, 0.1))
 
 
 def _facade(
-    color: Color,
-    windows: Iterable[float],
-    floor: float,
-    ground_floor: tuple[float, float, float],
-    rng: Generator,
+    color: Color, windows: Iterable[float], floor: float, ground: tuple[float, ...], rng: Generator
 ) -> Look:
     """The wall of a house.
 
     windows: width of a bay [m], width and height of its window as shares of bay and floor. floor:
-    its height [m]. ground_floor: façade style, 0 no openings, 1 shops or 2 doors, height [m].
+    its height [m]. ground: façade style, 0 no openings, 1 shops or 2 doors, height [m].
     """
     bay, wide, tall = windows
-    return _look(SurfaceKind.FACADE, color, bay, floor, wide, tall, *ground_floor, rng.random())
+    return _look(SurfaceKind.FACADE, color, bay, floor, wide, tall, *ground, rng.random())
 
 
 def _draw_wall(bricks: float, rng: Generator) -> tuple[float, Color]:

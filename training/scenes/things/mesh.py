@@ -15,6 +15,7 @@ from training.scenes.names import SceneClass
 from training.scenes.textures.surface import SurfaceKind
 
 T = TypeVar("T")
+Lattice = ArrayLike | None
 #: Linear RGB, 0..1.
 Color = tuple[float, ...]
 
@@ -84,19 +85,14 @@ def join(*meshes: Mesh) -> Mesh:
 
 
 def triangles(
-    positions: ArrayLike,
-    look: Look,
-    *,
-    normals: ArrayLike | None = None,
-    texture: ArrayLike | None = None,
+    positions: ArrayLike, look: Look, *, normals: Lattice = None, texture: Lattice = None
 ) -> Mesh:
     """Mesh of (n, 3, 3) corner positions; flat normals and texture = positions unless given."""
     corners = np.asarray(positions, dtype=np.float32).reshape(-1, 3, 3)
     n = len(corners)
     if normals is None:
         normals = np.repeat(face_normals(corners)[:, None], 3, axis=1)
-    params = np.zeros((n, 8), dtype=np.float32)
-    params[:, : len(look.params)] = look.params
+    params = (*look.params, *(0.0,) * (8 - len(look.params)))
     return Mesh(
         corners,
         np.asarray(normals, dtype=np.float32).reshape(-1, 3, 3),
@@ -104,7 +100,7 @@ def triangles(
         np.tile(np.asarray(look.color, dtype=np.float32), (n, 1)),
         np.full(n, look.kind, dtype=np.uint8),
         np.full(n, look.label, dtype=np.uint8),
-        params,
+        np.tile(np.asarray(params, dtype=np.float32), (n, 1)),
     )
 
 
@@ -121,9 +117,7 @@ def _grid_corners(values: Floats) -> Floats:
     return np.stack(corners, axis=2).reshape(-1, 3, 3)
 
 
-def grid(
-    points: ArrayLike, look: Look, *, texture: ArrayLike | None = None, smooth: bool = False
-) -> Mesh:
+def grid(points: ArrayLike, look: Look, *, texture: Lattice = None, smooth: bool = False) -> Mesh:
     """Quads over an (a, b, 3) lattice of points; `smooth` averages the normals over the lattice."""
     lattice = np.asarray(points, dtype=np.float64)
     normals = None
@@ -134,7 +128,7 @@ def grid(
     return triangles(_grid_corners(lattice), look, normals=normals, texture=tex)
 
 
-def polygon(corners: ArrayLike, look: Look, *, texture: ArrayLike | None = None) -> Mesh:
+def polygon(corners: ArrayLike, look: Look, *, texture: Lattice = None) -> Mesh:
     """A convex polygon of corners (n, 3), counter-clockwise as seen from its front."""
     points = np.asarray(corners)
     fan = [[0, k, k + 1] for k in range(1, len(points) - 1)]

@@ -1,5 +1,6 @@
 """Pedestrians and cyclists made of tapered limbs, posed by the phase of their step."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -24,8 +25,8 @@ _BOTTOMS = rows("0.02 0.02 0.03, 0.04 0.06 0.14, 0.12 0.1 0.07, 0.08 0.08 0.09")
 _REFLECTIVE = (0.5, 0.6, 0.02)
 
 #: Radii [m] of thigh, shin, upper arm and forearm, each from its upper to its lower end.
-_WALKING = rows("0.095 0.065, 0.064 0.05, 0.062 0.05, 0.048 0.04")
-_RIDING = rows("0.095 0.065, 0.064 0.048, 0.06 0.05, 0.048 0.04")
+_WALKING = np.array(rows("0.095 0.065, 0.064 0.05, 0.062 0.05, 0.048 0.04"))
+_RIDING = np.array(rows("0.095 0.065, 0.064 0.048, 0.06 0.05, 0.048 0.04"))
 
 
 @dataclass(frozen=True)
@@ -56,20 +57,10 @@ def draw_dress(rng: Generator, *, cyclist: bool = False) -> Dress:
     )
 
 
-def _limbs(
-    joints: tuple[Floats, ...], radii: Floats, ends: tuple[Mesh, Mesh], trousers: Look, sleeve: Look
-) -> list[Mesh]:
-    """A leg and an arm: joints hip, knee, ankle, shoulder, elbow, hand; ends shoe and palm."""
-    hip, knee, ankle, shoulder, elbow, hand = joints
-    thigh, shin, upper, fore = (tuple(pair) for pair in radii)
-    return [
-        tube(hip, knee, thigh, trousers, rounded=True),
-        tube(knee, ankle, shin, trousers, rounded=True),
-        ends[0],
-        tube(shoulder, elbow, upper, sleeve, rounded=True),
-        tube(elbow, hand, fore, sleeve, rounded=True),
-        ends[1],
-    ]
+def _limb(joints: Iterable[Floats], radii: Floats, look: Look) -> list[Mesh]:
+    """A leg or an arm, from the hip or shoulder."""
+    bones = zip(pairwise(joints), radii, strict=True)
+    return [tube(*ends, (upper, lower), look, rounded=True) for ends, (upper, lower) in bones]
 
 
 def make_walker(dress: Dress, phase: float, *, standing: bool = False) -> Mesh:
@@ -87,10 +78,10 @@ def make_walker(dress: Dress, phase: float, *, standing: bool = False) -> Mesh:
         shoulder = np.array([0.0, 0.2 * sign * b, 1.43])
         elbow = shoulder + 0.29 * np.array([-np.sin(angle), 0.12 * sign, -np.cos(angle)])
         hand = elbow + 0.26 * np.array([np.sin(0.35 - angle), 0, -np.cos(0.35 - angle)])
-        foot = ellipsoid(np.add(ankle, (0.07, 0, -0.03)), (0.14, 0.05, 0.055), shoe)
-        ends = foot, ellipsoid(hand, (0.05, 0.035, 0.06), skin)
-        joints = hip, knee, ankle, shoulder, elbow, hand
-        parts += _limbs(joints, np.array(_WALKING) * b, ends, bottom, top)
+        parts += _limb((hip, knee, ankle), _WALKING[:2] * b, bottom)
+        parts.append(ellipsoid(np.add(ankle, (0.07, 0, -0.03)), (0.14, 0.05, 0.055), shoe))
+        parts += _limb((shoulder, elbow, hand), _WALKING[2:] * b, top)
+        parts.append(ellipsoid(hand, (0.05, 0.035, 0.06), skin))
     parts.append(ellipsoid((0, 0, 1.22), (0.13 * b, 0.19 * b, 0.33), top))
     parts.append(ellipsoid((0, 0, 1.38), (0.12 * b, 0.22 * b, 0.15), top))
     parts.append(ellipsoid((0, 0, 0.95), (0.125 * b, 0.18 * b, 0.17), bottom))
@@ -123,10 +114,10 @@ def make_cyclist(dress: Dress, phase: float) -> Mesh:
         shoulder = np.add(neck, (-0.03, 0.19 * sign, -0.06))
         hand = np.add(bars, (0, 0.24 * sign, 0.02))
         elbow = (shoulder + hand) / 2 + (-0.05, 0.06 * sign, -0.06)
-        foot = ellipsoid(np.add(pedal, (0.05, 0, 0.04)), (0.13, 0.05, 0.05), shoe)
-        ends = foot, ellipsoid(hand, (0.05, 0.04, 0.04), skin)
-        joints = hip, _joint(hip, ankle, 0.45, 0.46), ankle, shoulder, elbow, hand
-        parts += _limbs(joints, np.array(_RIDING), ends, bottom, top)
+        parts += _limb((hip, _joint(hip, ankle, 0.45, 0.46), ankle), _RIDING[:2], bottom)
+        parts.append(ellipsoid(np.add(pedal, (0.05, 0, 0.04)), (0.13, 0.05, 0.05), shoe))
+        parts += _limb((shoulder, elbow, hand), _RIDING[2:], top)
+        parts.append(ellipsoid(hand, (0.05, 0.04, 0.04), skin))
     back = np.add(seat, (0, 0, 0.05)), neck - (0.03, 0, 0.08)
     parts.append(tube(*back, (0.16, 0.185), top, sides=10, rounded=True))
     cap = replace(hair, color=(0.6, 0.6, 0.6)) if dress.helmet else hair

@@ -9,16 +9,7 @@ from numpy.random import Generator
 from training.scenes.arrays import Floats
 from training.scenes.names import SceneClass
 from training.scenes.textures.surface import SurfaceKind
-from training.scenes.things.mesh import (
-    Look,
-    Mesh,
-    ellipsoid,
-    join,
-    rows,
-    triangles,
-    tube,
-    vary,
-)
+from training.scenes.things.mesh import Look, Mesh, ellipsoid, join, rows, triangles, tube, vary
 
 _LEAVES = rows(
     "0.07 0.12 0.025, 0.05 0.1 0.03, 0.1 0.14 0.03, 0.12 0.13 0.03, 0.06 0.085 0.03, "

@@ -96,9 +96,7 @@ def _draw_paint(paints: tuple[Color, ...], rng: Generator) -> Color:
     return vary(paints, rng, most=1.2, tint=0.05, limits=(0.015, 0.85))
 
 
-def _bodied(
-    shape: CarShape, paint: Color, label: SceneClass, rng: Generator, *, size: float
-) -> Mesh:
+def _bodied(shape: CarShape, paint: Color, label: SceneClass, rng: Generator, size: float) -> Mesh:
     length, width, belt_line, radius = shape.sizes
     half = width / 2
     fx = np.array(sorted({*(f for f, _ in shape.outline), *np.linspace(0.05, 0.95, 13)}))
@@ -125,9 +123,8 @@ def _bodied(
     # The last column closes the loop under the floor: (stations, 18, 3).
     lattice = np.concatenate([right, right[:, -2::-1] * (1, -1, 1), right[:, :1]], axis=1)
     seed = rng.random()
-    wheel_x, pillars = (
-        [(f - 0.5) * length for f in places] for places in (shape.wheels, shape.pillars)
-    )
+    ends = shape.wheels, shape.pillars
+    wheel_x, pillars = ([(f - 0.5) * length for f in each] for each in ends)
     params = (*wheel_x, radius, length, width, belt_line, pillars[-1], seed)
     body = Look(SurfaceKind.CAR_BODY, paint, label, params)
     # Delivery vans have windows at the cab only.
@@ -160,9 +157,8 @@ def _bodied(
     parts += [_wheel(x, sign * (half - 0.10), tyre) for x in wheel_x for sign in (-1, 1)]
     mirror = Look(SurfaceKind.PLAIN, paint, label, (0.3,))
     mirror_x = (shape.windscreen[1] - 0.5) * length - 0.35
-    for sign in (-1, 1):
-        at = (mirror_x, sign * (half + 0.06), belt_line + 0.1)
-        parts.append(box((0.12, 0.2, 0.14), at, mirror))
+    places = [(mirror_x, sign * (half + 0.06), belt_line + 0.1) for sign in (-1, 1)]
+    parts += [box((0.12, 0.2, 0.14), place, mirror) for place in places]
     return join(*parts).scaled(size)
 
 

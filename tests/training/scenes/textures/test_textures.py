@@ -9,7 +9,7 @@ from training.scenes.names import SceneClass
 from training.scenes.textures.noise import fractal_noise, hash01, value_noise
 from training.scenes.textures.paint import Stripe, band, paint_cover
 from training.scenes.textures.surface import SurfaceKind
-from training.scenes.things.mesh import Look, ellipsoid, grid, polygon, tube
+from training.scenes.things.mesh import Look, ellipsoid, polygon, tube
 from training.scenes.things.people import draw_dress, make_cyclist, make_walker
 from training.scenes.things.vehicles import make_bus, make_car, make_truck, make_van
 
@@ -78,8 +78,6 @@ def test_normals_point_outwards():
     ):
         outward = mesh.positions.mean(axis=1) - np.array(centre)
         assert ((mesh.normals.mean(axis=1) * outward).sum(axis=1) > 0).all()
-    ball = ellipsoid((0, 0, 0), (2, 2, 2), PLAIN)
-    assert np.allclose(np.linalg.norm(ball.positions, axis=2), 2.0)
 
 
 def test_a_mesh_turns_and_keeps_its_texture():
@@ -89,20 +87,19 @@ def test_a_mesh_turns_and_keeps_its_texture():
     assert np.array_equal(moved.texture, flat.texture)
     assert np.allclose(flat.normals, (0, 0, 1))
     assert flat.params[0, :3].tolist() == [2, 3, 0]
-    lattice = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0), [0.0], indexing="ij"), -1)
-    assert len(grid(lattice[:, :, 0], PLAIN).positions) == 12
 
 
-@pytest.mark.parametrize(
-    ("make", "label", "length", "height"),
-    [
-        (make_car, SceneClass.CAR, (3.7, 5.2), (1.3, 1.9)),
-        (make_van, SceneClass.VAN, (4.5, 5.7), (2.0, 2.6)),
-        (make_truck, SceneClass.TRUCK, (6.0, 11.0), (2.6, 4.1)),
-        (make_bus, SceneClass.TRUCK, (10.5, 11.5), (2.8, 4.2)),
-    ],
-)
-def test_vehicles_have_their_size_and_stand_on_the_road(make, label, length, height):
+VEHICLES = {
+    make_car: (SceneClass.CAR, (3.7, 5.2), (1.3, 1.9)),
+    make_van: (SceneClass.VAN, (4.5, 5.7), (2.0, 2.6)),
+    make_truck: (SceneClass.TRUCK, (6.0, 11.0), (2.6, 4.1)),
+    make_bus: (SceneClass.TRUCK, (10.5, 11.5), (2.8, 4.2)),
+}
+
+
+@pytest.mark.parametrize("make", VEHICLES)
+def test_vehicles_have_their_size_and_stand_on_the_road(make):
+    label, length, height = VEHICLES[make]
     for seed in range(8):
         mesh = make(np.random.default_rng(seed))
         low, high = mesh.positions.min(axis=(0, 1)), mesh.positions.max(axis=(0, 1))
