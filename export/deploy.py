@@ -76,9 +76,12 @@ class DeployGraph(nn.Module):
 
 
 def _crop(x: Tensor, rgb: Tensor) -> Tensor:
-    """Crop the last two axes to the size of the image (N, H, W, 3): in the graph one operation."""
+    """Crop the last two axes to the size of the image (N, H, W, 3).
+
+    In a graph of free size it is one operation; of a fixed size the tracer drops what cuts nothing.
+    """
     size = rgb.shape[1:3]
-    if not torch.compiler.is_exporting():
+    if all(isinstance(side, int) for side in size):
         return x[..., : size[0], : size[1]]
     ends = torch.onnx.ops.symbolic(
         "Shape", [rgb], {"start": 1, "end": 3}, dtype=torch.int64, shape=[2]

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import onnx
-import onnxruntime
 from numpy.typing import NDArray
 from onnxruntime.quantization import CalibrationDataReader, QuantType
 from onnxruntime.quantization.calibrate import TensorsData, create_calibrator
@@ -14,6 +13,7 @@ from onnxruntime.quantization.qdq_quantizer import QDQQuantizer
 
 from export.trace import quiet
 from export.trunk import trunk
+from runtime.session import open_session
 
 #: Input of the graph -> array with a batch of one.
 Feed = dict[str, NDArray[Any]]
@@ -82,11 +82,7 @@ def strides(model: onnx.ModelProto, feed: Feed) -> dict[str, int]:
     for name in names:
         copy.graph.node.append(onnx.helper.make_node("Shape", [name], [f"{name}/shape"]))
         copy.graph.output.append(onnx.ValueInfoProto(name=f"{name}/shape"))
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3  # what the missing outputs needed is unused, which is a warning
-    session = onnxruntime.InferenceSession(
-        copy.SerializeToString(), options, providers=["CPUExecutionProvider"]
-    )
+    session = open_session(copy.SerializeToString(), provider="cpu", device_id=0, threads=2)
     width = feed["rgb"].shape[2]
     shapes = zip(names, session.run(None, feed), strict=True)
     return {name: round(width / int(shape[-1])) for name, shape in shapes}

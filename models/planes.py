@@ -152,7 +152,7 @@ def _sums_around(sums: Tensor, window: int) -> Tensor:
 def _to_finer(sums: Tensor) -> Tensor:
     """Sums around the centres of cells half as wide, of the four closest, weighted bilinearly.
 
-    Times LARGER_WINDOW_WEIGHT.
+    The result is multiplied by LARGER_WINDOW_WEIGHT.
     """
     return F.conv_transpose2d(sums, torch.from_numpy(_finer_kernel()).to(sums), stride=2, padding=1)
 

@@ -142,6 +142,8 @@ def test_fixed_graph_pads_only_where_needed(fixed_model):
         return sum(node.op_type == "Pad" for node in model.graph.node)
 
     assert count_pads(fixed_model) == 1  # of the cells in `limit_guess`
+    cut = {head.name for head in fixed_model.graph.output}
+    assert not [n for n in fixed_model.graph.node if n.op_type == "Slice" and n.output[0] in cut]
     odd = trace(DeployGraph(Halved(), with_logits=True), size=(HEIGHT - 1, WIDTH))
     assert count_pads(odd) == 1
     frame = probe_frames((HEIGHT - 1, WIDTH), max_depth_m=80.0, seeds=(2,))[0]
