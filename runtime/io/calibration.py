@@ -1,7 +1,7 @@
 """Calibration of a camera and a LiDAR, and the files that it is read from."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -312,7 +312,7 @@ class FrameCalibrations:
 
     Args:
         path: as `Calibration.from_file`, or a folder with a file of the name of each frame.
-        **options: as of `Calibration.from_file`.
+        read: reads one file, such as `Calibration.from_file`.
 
     Attributes:
         first: calibration of all frames, or of the first file of the folder.
@@ -321,14 +321,13 @@ class FrameCalibrations:
         InputError: if `first` cannot be read. Other files are read by `of`.
     """
 
-    def __init__(self, path: Path, **options: Any) -> None:
-        self._path, self._files = path, dict[str, Path]()
-        self._options = options
+    def __init__(self, path: Path, read: Callable[[Path], Calibration]) -> None:
+        self._path, self._files, self._read = path, dict[str, Path](), read
         is_raw = any(os.path.lexists(path / name) for name in (RAW_CAMERAS, RAW_SCANNER))
         if os.path.isdir(path) and not is_raw:
             self._files = list_files(path, (".txt", ".toml"))
             path = self._files[min(self._files, key=natural_order)]
-        self.first = Calibration.from_file(path, **options)
+        self.first = read(path)
 
     def of(self, name: str) -> Calibration:
         """Return the calibration of a frame. Raises InputError."""
@@ -336,7 +335,7 @@ class FrameCalibrations:
             return self.first
         if name not in self._files:
             raise InputError(f"{name} has no calibration in {self._path}")
-        return Calibration.from_file(self._files[name], **self._options)
+        return self._read(self._files[name])
 
 
 def _matrix(name: str, numbers: Any, rows: int, columns: int) -> NDArray[np.float64]:

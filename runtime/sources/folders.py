@@ -4,6 +4,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
-from runtime.io.calibration import FrameCalibrations
+from runtime.io.calibration import Calibration, FrameCalibrations
 from runtime.io.images import (
     DEPTH_SUFFIXES,
     KITTI_DEPTH_SCALE,
@@ -118,12 +119,13 @@ class FolderSource(Source):
         self._calibration, self._calibrations = calibration, None
         if calibration is not None:
             camera = _KITTI_CAMERA.search(rgb.as_posix())
-            self._calibrations = FrameCalibrations(
-                calibration,
+            read = partial(
+                Calibration.from_file,
                 camera=int(camera[1]) if camera else 2,
                 rectified=self._kitti_rectified,
                 for_scans=self._has_scans,
             )
+            self._calibrations = FrameCalibrations(calibration, read)
             self.calibration = self._calibrations.first
             if pose_frame is not None:
                 lidar_mount(pose_frame, self.calibration)  # raises InputError if unknown
