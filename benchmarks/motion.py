@@ -184,7 +184,6 @@ def score_drops(
 
 SWEEP_NS, COLUMNS = 100_000_000, 1800
 Motion = Callable[[float], NDArray[np.float64]]
-MOTIONS: dict[str, Motion] = {}
 
 
 def car_pose(time_s: float, *, speed: float, turn: float) -> NDArray[np.float64]:
