@@ -2,15 +2,15 @@
 
     python benchmarks/depth_parts.py CHECKPOINT --data DIR [--rounds 9] [--threads 2]
 
-Each part is left out of a trained network, which is not trained again. MAE / RMSE in mm, means over
-the frames, on DIR/kitti_streets from frame 70 on with 64, 16 and 4 lines, and on a quarter of the
-returns of DIR/pandaset_front (`cameras.py`). ms: how much the exported graph is faster without it,
-512 x 1024, one thread, median of the differences of rounds in turn.
+Each part is left out of a trained network, which is not trained again. Error: the mean over the
+sets of a column (`rigs.py`) of MAE and of RMSE, divided by those of the whole network. ms: how much
+the exported graph is faster without it, 512 x 1024, one thread, median of the differences of rounds
+in turn.
 """
 
 import argparse
 import statistics
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,22 +18,24 @@ from unittest.mock import patch
 
 import numpy as np
 import torch
-from torch import Tensor
+from numpy.typing import NDArray
 
-from cameras import Frame, read_large, score, thin
+import rigs
 from export.deploy import DeployGraph
-from models import Network, load_checkpoint, surfaces
+from models import Network, load_checkpoint, planes, surfaces
+from models.blocks import upsample
 from random_weights import export_graph
 from runtime.tools.bench import BenchOptions, bench
-from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.evaluation.scored_model import open_model
-from training.lidar.split import LidarInput, frame_generator, split_lidar
-from training.loading.open_dataset import open_dataset
 
 SIZE = (512, 1024)
-LINES = ("64", "16", "4")
-#: Calls of `surfaces.replace` by a frame: the plane, the farthest and the nearest surface, returns.
-_CALLS = 4
+#: Column -> sets of `rigs.SETS`.
+COLUMNS = {
+    "streets": ("streets, 64 lines", "16 lines", "4 lines"),
+    "KITTI's returns": ("streets, raw half", "drive 0009, 16 lines", "KITTI 50–59, 32 lines"),
+    "PandaSet": ("PandaSet, cross", "half", "quarter", "forward"),
+    "Delft": ("Delft, half", "Delft, quarter"),
+}
 
 
 def main() -> None:
@@ -44,60 +46,72 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=9)
     parser.add_argument("--threads", type=int, default=2)
     arguments = parser.parse_args()
-    sets = {f"{lines} lines": list(read_streets(arguments.data, lines)) for lines in LINES}
-    large = read_large(arguments.data)
-    sets["PandaSet, a quarter"] = [thin(frame, 0.25, index) for index, frame in enumerate(large)]
+    names = [name for column in COLUMNS.values() for name in column]
+    frames = {name: list(rigs.SETS[name][1](arguments.data)) for name in names}
     saved_ms = time_parts(arguments.checkpoint, arguments.rounds)
-    print(f"| without | {' | '.join(sets)} | ms |")
-    print("|---" * (len(sets) + 2) + "|")
-    for name, leave_out in PARTS.items():
+    print(f"| without | {' | '.join(COLUMNS)} | ms |\n{'|---' * (len(COLUMNS) + 2)}|")
+    whole: Mapping[str, NDArray[np.float64]] = {}
+    for part, leave_out in PARTS.items():
         with (
             leave_out(),
-            open_model(arguments.checkpoint, threads=arguments.threads) as model,
+            open_model(arguments.checkpoint, threads=arguments.threads, size="frame") as model,
         ):
-            figures = [score(model.predict, frames, focal=False) for frames in sets.values()]
-        cells = [f"{1e3 * mae:.0f} / {1e3 * rmse:.0f}" for mae, rmse, _ in figures]
-        print(f"| {name} | {' | '.join(cells)} | {saved_ms[name]:.1f} |", flush=True)
+            figures = {name: rigs.score(model.predict, frames[name])[:2] for name in names}
+        whole = whole or figures
+        cells = []
+        for column in COLUMNS.values():
+            mae, rmse = np.mean([figures[name] / whole[name] for name in column], axis=0)
+            cells.append(f"{mae:.3f} / {rmse:.3f}")
+        print(f"| {part} | {' | '.join(cells)} | {saved_ms[part]:.1f} |", flush=True)
 
 
-def read_streets(folders: list[Path], lines: str) -> Iterator[Frame]:
-    """Read the validation frames with so many lines."""
-    recipe = KittiStreetsRecipe(path="kitti_streets", first=70)
-    source = open_dataset(recipe, folders, classes="camvid")
-    for index in range(len(source)):
-        sample = source[index]
-        split = split_lidar(sample, LidarInput.parse(lines), frame_generator(index))
-        if split is not None:
-            yield Frame(sample.rgb, split.fed, split.target, sample.focal_length_px or np.nan)
+def leave_out_surface(index: int) -> AbstractContextManager[object]:
+    """Leave out the nearest (0) or the farthest surface (1)."""
+    departures = surfaces.departures
+
+    def others(
+        found: surfaces.Surfaces,
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        near, far = departures(found)
+        return (0 * near, far) if index == 0 else (near, 0 * far)
+
+    return patch.object(surfaces, "departures", others)
 
 
-def skip_replacement(call: int) -> AbstractContextManager[object]:
-    """Leave out one call of `surfaces.replace` of every frame."""
-    replace, calls = surfaces.replace, [0]
+def decide_by(beside: float) -> AbstractContextManager[object]:
+    """Take position and scale from the image (0) or from the geometry (1) everywhere."""
+    join = surfaces.HeadChannels.join
+    return patch.object(
+        surfaces.HeadChannels,
+        "join",
+        lambda image, geometry, share: join(image, geometry, torch.full_like(share, beside)),
+    )
 
-    def replace_others(
-        depth: Tensor, spread: Tensor | float, step: Tensor, weight: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        calls[0] += 1
-        if (calls[0] - 1) % _CALLS == call:
-            return depth, torch.zeros_like(depth) + spread
-        return replace(depth, spread, step, weight)
 
-    return patch.object(surfaces, "replace", replace_others)
+def leave_out_detail() -> AbstractContextManager[object]:
+    """Take the mean of the base in each cell."""
+    enlarge = surfaces.to_image_size
+    return patch.object(
+        surfaces,
+        "to_image_size",
+        lambda *maps: enlarge(*maps[:4], base=upsample(maps[3].base)),
+    )
 
 
 #: Part -> leaves it out.
 PARTS: dict[str, Callable[[], AbstractContextManager[object]]] = {
     "nothing": nullcontext,
+    "the anchoring": lambda: patch.object(planes, "anchor", lambda plane, _: plane),
+    "the detail of the base in a cell": leave_out_detail,
+    "the nearest surface": lambda: leave_out_surface(0),
+    "the farthest surface": lambda: leave_out_surface(1),
+    "the choice from the geometry": lambda: decide_by(0.0),
+    "the choice from the image": lambda: decide_by(1.0),
     "the limit of the guess": lambda: patch.object(
         surfaces, "limit_guess", lambda _, density: torch.ones_like(density)
     ),
-    "the nearest surface": lambda: skip_replacement(2),
-    "the farthest surface": lambda: skip_replacement(1),
-    "the correction": lambda: patch.object(surfaces, "correct", lambda depth, *_: depth),
-    "returns at full size": lambda: skip_replacement(3),
-    "the semantic features": lambda: patch.object(
-        surfaces.SurfaceDepthHead, "add_semantics", lambda head, features, _: features
+    "returns at full size": lambda: patch.object(
+        surfaces, "take_returns", lambda inverse, scale, *_, **__: (1.0 / inverse, scale)
     ),
 }
 

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cameras import DEVICES, FARTHEST_M
+from rigs import FARTHEST_M
 from runtime import Predictor
 from runtime.io.calibration import Calibration
 from runtime.lens import rays
@@ -26,6 +26,8 @@ from runtime.projection import project_with_rows
 
 K1, ENLARGED = -0.35, 1.12
 SIDES = 1 / 6
+#: The LiDAR all around is fed, the one ahead is the truth.
+DEVICES = (0, 1)
 
 
 class Way(NamedTuple):

@@ -5,7 +5,8 @@ from torch import Tensor, nn
 
 from models import Network
 from models.answers import class_ids, head_maps, to_unit, with_thin_boundary
-from models.blocks import upsample
+from models.blocks import repeat, upsample
+from models.network import class_scores
 from runtime.heads import HEADS, Unit
 
 
@@ -50,11 +51,12 @@ class DeployGraph(nn.Module):
         answers = {}
         maps = head_maps(coarse)
         if "semantic" in maps:
-            scores, stride = maps.pop("semantic"), self.model.semantic_stride
-            # Crop class ids (1 byte), not scores (4 bytes a class).
-            answers["semantic"] = _crop(class_ids(scores, stride), rgb)
+            scores, stride = class_scores(maps.pop("semantic"), self.model.semantic_stride)
+            # Repeat and crop class ids (1 byte), not scores (4 bytes a class).
+            ids = repeat(class_ids(scores)[:, None], stride)
+            answers["semantic"] = _crop(ids.squeeze(1), rgb)
             if self.with_logits:
-                answers["semantic_logits"] = _crop(upsample(scores, factor=stride), rgb)
+                answers["semantic_logits"] = _crop(repeat(scores, stride), rgb)
 
         grids: dict[int, dict[str, Tensor]] = {}
         for head, values in maps.items():

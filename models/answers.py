@@ -4,8 +4,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from models.blocks import upsample
-from models.network import NetworkOutput
+from models.blocks import repeat
+from models.network import CLASS_STRIDE, NetworkOutput
 from runtime.contract import NO_CLASS
 from runtime.heads import HEADS, Unit
 
@@ -56,31 +56,32 @@ def to_unit(head: str, values: Tensor, max_depth_m: float) -> Tensor:
     return class_ids(values) if unit is Unit.CLASS_ID else values
 
 
-def class_ids(scores: Tensor, factor: int = 1) -> Tensor:
-    """Class ids of scores (N, C, h, w), upsampled by a factor: uint8 (N, h * factor, w * factor).
+def class_ids(scores: Tensor) -> Tensor:
+    """Class ids of scores (N, C, h, w), uint8 (N, h, w).
 
-    NO_CLASS where a score that takes part is NaN or Inf, which an arg-max hides.
+    NO_CLASS where a score is NaN or Inf, which an arg-max hides.
     """
-    # One more score, which is never the greatest: NaN and Inf reach the sum, times 0 both are NaN,
-    # and the upsampling brings it to the pixels that the cell takes part in.
-    least = scores.sum(dim=1, keepdim=True) * 0.0 - 1e38
-    scores = upsample(torch.cat([scores, least], dim=1), factor=factor)
+    # NaN and Inf reach the sum; times 0 both are NaN.
+    unknown = torch.isnan(scores.sum(dim=1) * 0.0)
     ids = scores.argmax(dim=1).to(torch.uint8)
     # Not a maximum: ONNX Runtime has none of bytes on CUDA.
     no_class = torch.tensor(NO_CLASS, dtype=torch.uint8)
-    return torch.where(torch.isnan(scores[:, -1]), no_class, ids)
+    return torch.where(unknown, no_class, ids)
 
 
 def with_thin_boundary(found: dict[str, Tensor]) -> dict[str, Tensor]:
     """Halve the probability of a boundary where the classes do not change; `answers` to `answers`.
 
     The boundary decoder works at a quarter of the image's size, so its lines are wide; those of the
-    classes have the image's size. They change at a pixel if the 3 x 3 pixels around it have two.
+    classes are finer. They change at a pixel of every second row and column if the 3 x 3 of these
+    around it have two; the others are as the pixel above and to the left.
     """
     if not {"boundary", "semantic"} <= found.keys():
         return found
-    ids = found["semantic"].to(torch.float32)[:, None]
+    ids = found["semantic"][:, None, ::CLASS_STRIDE, ::CLASS_STRIDE].to(torch.float32)
     # The greatest id around a pixel, and minus the least one.
     signs = ids.new_tensor([1.0, -1.0]).view(1, 2, 1, 1)
-    differences = F.max_pool2d(ids * signs, 3, 1, 1).sum(dim=1)
-    return found | {"boundary": found["boundary"] * differences.clamp(0.5, 1.0)}
+    differences = F.max_pool2d(ids * signs, 3, 1, 1).sum(dim=1, keepdim=True).clamp(0.5, 1.0)
+    height, width = found["boundary"].shape[-2:]
+    differences = repeat(differences, CLASS_STRIDE)[:, 0, :height, :width]
+    return found | {"boundary": found["boundary"] * differences}

@@ -111,6 +111,11 @@ def _enlarge(x: Tensor, factor: int) -> Tensor:
     return F.interpolate(x, scale_factor=float(factor), mode="bilinear", align_corners=False)
 
 
+def repeat(x: Tensor, factor: int) -> Tensor:
+    """Repeat each pixel of (N, C, h, w) ``factor`` times along both sides."""
+    return x if factor == 1 else F.interpolate(x, scale_factor=float(factor), mode="nearest")
+
+
 def ramp(x: Tensor, slope: float, offset: float) -> Tensor:
     """``slope * x + offset`` within 0..1; in an exported graph one operation instead of three."""
     if torch.compiler.is_exporting():

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from models.blocks import upsample
+from models.blocks import repeat, upsample
 from models.classes import CAMVID_CLASSES
 from runtime.checks import shown
 from runtime.contract import (
@@ -23,6 +23,9 @@ from runtime.contract import (
     farthest_return,
 )
 
+#: Coarsest grid on which classes are decided: scores of a coarser one are upsampled to it, and each
+#: decision counts for so many pixels along both sides. At full size it takes a tenth more time.
+CLASS_STRIDE = 2
 #: Channels of a layer, far beyond any network in use.
 MAX_CHANNELS = 8192
 
@@ -30,7 +33,7 @@ MAX_CHANNELS = 8192
 class NetworkOutput(NamedTuple):
     """The output of a network; a head that the network lacks is None."""
 
-    #: (N, C, H, W) before the soft-max.
+    #: (N, C, H, W) before the soft-max; on a coarser grid repeated, see CLASS_STRIDE.
     semantic_logits: Tensor | None = None
     #: Normalised depth 0..1, times `max_depth_m` gives metres: (N, 1, h_i, w_i), finest first.
     #: The finest has the image's size.
@@ -190,7 +193,7 @@ class Network(nn.Module):
         logits, depths, boundary = coarse.semantic_logits, coarse.depths, coarse.boundary_logits
         scale, side = coarse.depth_uncertainty, self.semantic_stride
         if logits is not None and upsample_semantic:
-            logits = full_size(logits, "semantic")
+            logits = repeat(*class_scores(logits, side))[:, :, :height, :width]
         elif logits is not None:
             logits = logits[:, :, : -(-height // side), : -(-width // side)]
         if depths is not None:
@@ -227,6 +230,15 @@ class Network(nn.Module):
         limit = self.config.max_depth_m
         valid_mask = (sparse_depth > 0) & (sparse_depth <= farthest_return(limit))  # not for NaN
         return torch.where(valid_mask, sparse_depth.clamp(max=limit), 0.0) / limit, valid_mask
+
+
+def class_scores(logits: Tensor, stride: int) -> tuple[Tensor, int]:
+    """Upsample the class scores to the grid on which classes are decided, and return its stride.
+
+    logits: (N, C, h, w), on a grid of ``stride``. See CLASS_STRIDE.
+    """
+    decided = min(stride, CLASS_STRIDE)
+    return upsample(logits, factor=stride // decided), decided
 
 
 def present_heads(*, semantic: bool, depth: bool) -> tuple[str, ...]:

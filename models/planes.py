@@ -1,4 +1,4 @@
-"""Planes between the returns: inverse depth by local least squares, over a pyramid.
+"""The base of the depth: planes between the returns that pass through the returns on them.
 
 A plane in the world is an affine function of the pixel in inverse depth. Around each cell of a grid
 the affine function that fits the returns best is found. The returns of a small window have their
@@ -9,12 +9,13 @@ pyramid (Gortler et al. 1996).
 
 What a fit needs of the returns are nine sums. The sums of larger and of smaller cells, and around
 other centres, are linear in them: each is a convolution with constant weights. Only the finest grid
-is solved.
+is solved. On a grid half as wide, what the returns differ from their plane by is then spread around
+them and added: `anchor`.
 """
 
 import math
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -23,8 +24,12 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from models.blocks import ramp, upsample
-from models.pooling import cell_maxima, maxima_around
+from models.pooling import cell_maxima, cell_means, maxima_around
 
+#: Side of a cell of the planes [pixels], and times that their grid is halved: up to a stride of 32.
+CELL, LEVELS = 4, 3
+#: Side of a cell of the base, in pixels.
+BASE_CELL = 2
 #: Half the width, in cells, of the two windows on the coarsest grid, and of the window on each
 #: finer grid. The weight falls linearly to 0 there.
 COARSE_WINDOWS, FINE_WINDOW = (6, 3), 2
@@ -49,30 +54,49 @@ _SUMS = 9
 _LEAST_COUNT, _LEAST_SPREAD = 1e-3, 1e-2
 
 
-def fit_planes(
-    inverse: Tensor, mask: Tensor, extremes: Tensor, *, cell: int, levels: int
-) -> tuple[Tensor, Tensor]:
-    """Fit a plane around each cell.
+#: Relative difference of inverse depth up to which a return is on the plane. From twice as much on
+#: it is on another surface.
+ON_PLANE = 0.15
+#: Weight of what the coarser cells differ by, in returns, and the number of coarser grids.
+ANCHOR_WEIGHT, ANCHOR_LEVELS = 0.1, 2
+
+
+class Base(NamedTuple):
+    """What the returns alone show of the depth."""
+
+    #: Inverse depth at the centres of cells of CELL pixels, (N, 1, h, w), 0 where no return is in
+    #: reach of the largest window.
+    plane: Tensor
+    #: The planes moved to the returns on them, on cells of BASE_CELL pixels.
+    base: Tensor
+    #: Number of measured pixels in a cell of BASE_CELL pixels.
+    returns: Tensor
+
+
+def fit_base(inverse: Tensor, mask: Tensor, extremes: Tensor) -> Base:
+    """Fit planes, and move them to the returns.
 
     Args:
         inverse: inverse of the normalised depth, at least 1, (N, 1, H, W), 0 where nothing is
-            measured; H and W are multiples of ``cell * 2**levels``.
+            measured; H and W are multiples of ``CELL * 2**LEVELS``.
         mask: 1 where measured, same shape.
-        extremes: the greatest inverse depth and the greatest depth in each cell, (N, 2, h, w), 0
-            where nothing is measured.
-        cell: side of a cell in pixels.
-        levels: number of coarser grids.
-
-    Returns:
-        Inverse depth at the cells' centres, (N, 1, h, w), 0 where no return is in reach of the
-        largest window; and the number of measured pixels in each cell, same shape.
+        extremes: the greatest inverse depth and the greatest depth in each cell of CELL pixels,
+            (N, 2, h, w), 0 where nothing is measured.
     """
     device = inverse.device.type
     if device != "meta" and torch.is_autocast_enabled(device):
         with torch.autocast(device, enabled=False):  # sums of squares need single precision
-            return fit_planes(inverse, mask, extremes, cell=cell, levels=levels)
-    grids = [_convolve(torch.cat([mask, inverse], dim=1), _cell_kernel(cell), stride=cell)]
-    for _ in range(levels):
+            return fit_base(inverse, mask, extremes)
+    pixels = torch.cat([mask, inverse], dim=1)
+    plane = fit_planes(pixels, extremes)
+    sums = _convolve(pixels, _cell_kernel(BASE_CELL)[:4], stride=BASE_CELL)
+    return Base(plane, anchor(upsample(plane, factor=CELL // BASE_CELL), sums), sums[:, :1])
+
+
+def fit_planes(pixels: Tensor, extremes: Tensor) -> Tensor:
+    """Return the planes of `Base`; pixels: mask and inverse depth, (N, 2, H, W)."""
+    grids = [_convolve(pixels, _cell_kernel(CELL), stride=CELL)]
+    for _ in range(LEVELS):
         grids.append(_convolve(grids[-1], _coarser_kernel(), stride=2))
     largest, smaller = COARSE_WINDOWS
     around = _sums_around(grids[-1], largest)
@@ -80,8 +104,43 @@ def fit_planes(
     inside = _inside(torch.cat([around, sums])).unflatten(0, (2, -1)).amax(dim=0)
     for grid in reversed(grids[:-1]):
         sums = _sums_around(grid, FINE_WINDOW) + _to_finer(_of_one_return(sums))
-    plane = _solve(sums, upsample(inside, factor=2**levels))
-    return _bound(plane, extremes, levels=levels), grids[0][:, :1]
+    return _bound(_solve(sums, upsample(inside, factor=2**LEVELS)), extremes)
+
+
+def anchor(plane: Tensor, sums: Tensor) -> Tensor:
+    """Move planes to the returns on them.
+
+    What the returns of a cell differ from the plane by is averaged in a window, that of coarser
+    cells with the weight of ANCHOR_WEIGHT returns, as far as they are on the plane, see ON_PLANE.
+
+    Args:
+        plane: inverse depth at the cells' centres, (N, 1, h, w).
+        sums: of 1, r, c and z over the returns of each cell, (N, 4, h, w), see `_POWERS`.
+    """
+    around = F.pad(plane, (1, 1, 1, 1), mode="replicate")
+    there = (_convolve(around, _VALUE_AND_SLOPES) * sums[:, :3]).sum(dim=1, keepdim=True)
+    count, difference = sums[:, :1], sums[:, 3:] - there
+    share = ramp(difference.abs() / there.clamp(min=_LEAST_COUNT), -1.0 / ON_PLANE, 2.0)
+    grids = [torch.cat([difference, count], dim=1) * share]
+    for _ in range(ANCHOR_LEVELS):
+        grids.append(cell_means(grids[-1], 2) * 4.0)
+    moved: Tensor | None = None
+    for grid in reversed(grids):
+        total, weight = _convolve(grid, _TENTS, padding=1).split(1, dim=1)
+        if moved is not None:
+            total = total + ANCHOR_WEIGHT * upsample(moved)
+        moved = total / (weight + ANCHOR_WEIGHT)
+    assert moved is not None
+    return plane + moved
+
+
+#: Kernels of `anchor`: (3, 1, 3, 3), a map's value and its slopes down and to the right, and
+#: (2, 2, 3, 3), a tent over each of two maps.
+_SIDE = np.array([1.0, 2.0, 1.0])
+_VALUE_AND_SLOPES = np.zeros((3, 1, 3, 3), np.float32)
+_VALUE_AND_SLOPES[0, 0, 1, 1] = 1.0
+_VALUE_AND_SLOPES[1, 0, :, 1] = _VALUE_AND_SLOPES[2, 0, 1, :] = -0.5, 0.0, 0.5
+_TENTS = np.einsum("ab,i,j->abij", np.eye(2), _SIDE, _SIDE / 4).astype(np.float32)
 
 
 def _of_one_return(sums: Tensor) -> Tensor:
@@ -131,14 +190,14 @@ def _solve(sums: Tensor, inside: Tensor) -> Tensor:
 _PAIRS = np.kron(np.eye(3), [1.0, -1.0]).astype(np.float32)[:, :, None, None]
 
 
-def _bound(plane: Tensor, extremes: Tensor, *, levels: int) -> Tensor:
+def _bound(plane: Tensor, extremes: Tensor) -> Tensor:
     """Limit the plane to the inverse depths around it, see BOUND_WINDOW."""
-    around = maxima_around(cell_maxima(extremes, 2**levels), BOUND_WINDOW)
+    around = maxima_around(cell_maxima(extremes, 2**LEVELS), BOUND_WINDOW)
     nearest, farthest = around.split(1, dim=1)
     least = nearest.clamp(max=1.0) / farthest.clamp(min=_LEAST_COUNT)  # 0 without returns
     nearest = torch.where(nearest > 0, nearest, torch.inf)
     bounds = torch.cat([least, nearest], dim=1)
-    least, nearest = F.interpolate(bounds, scale_factor=float(2**levels), mode="nearest").split(
+    least, nearest = F.interpolate(bounds, scale_factor=float(2**LEVELS), mode="nearest").split(
         1, dim=1
     )
     return torch.minimum(torch.maximum(plane, least), nearest)

@@ -3,11 +3,11 @@
 | stride | tensor | channels |
 |---|---|---|
 | 1 | RGB; depth and mask; the depth with returns at full size | 3; 2; 1 |
-| 2 | `EfficientNetLite.early`; refined features of classes and of depth, and both heads | 16; 16 |
-| 4 | `early`, to which planes and surfaces are added; decoders; boundary | 24; 32; 1 |
+| 2 | `EfficientNetLite.early`; refined features of classes; the base of depth | 16; 16; 1 |
+| 4 | `early`, with planes and surfaces added; decoders; boundary; geometry | 24; 32; 1; 24 |
 | 8, 16, 32 | `EfficientNetLite.late`; decoders at 8 and 16 | 40, 112, 320; 48, 64 |
 
-The order of execution: `surfaces.measure` and `propagate_surfaces` with `planes.fit_planes`, the
+The order of execution: `surfaces.measure` and `propagate_surfaces` with `planes.fit_base`, the
 encoder, the boundary decoder, which gates both task decoders, and the heads; the depth's is
 `surfaces.SurfaceDepthHead`. `ssdnet-nano` has no features at stride 2 beside the encoder's.
 """
@@ -28,7 +28,8 @@ from models.network import (
     initialise,
     present_heads,
 )
-from models.surfaces import COARSE_CELL, SurfaceDepthHead
+from models.planes import CELL
+from models.surfaces import SurfaceDepthHead
 
 #: Depth [m] that the network predicts at most where no return shows it; the sky's.
 FARTHEST_GUESS_M = 100.0
@@ -54,10 +55,11 @@ class SSDNetLiteConfig(NetworkConfig):
     encoder_widths: tuple[int, ...] = _LITE_WIDTHS
     #: Channels of the decoders at strides 16, 8 and 4.
     decoder_channels: tuple[int, ...] = (64, 48, 32)
-    #: Channels at stride 2 of the classes and of the depth; 0 = none, the prediction is made at
-    #: stride 4. Poles and signs are thinner than a cell of the coarser grid.
+    #: Channels at stride 2 of the classes; 0 = none, the prediction is made at stride 4. Poles and
+    #: signs are thinner than a cell of the coarser grid.
     semantic_refine_channels: int = 16
-    depth_refine_channels: int = 16
+    #: Channels of the convolutions that read the geometry of the returns, at stride 4.
+    geometry_channels: int = 24
 
     def __post_init__(self) -> None:
         """Check the values and their combinations."""
@@ -65,8 +67,8 @@ class SSDNetLiteConfig(NetworkConfig):
             raise ValueError("a network needs a semantic head, a depth head or both")
         check_counts("encoder_widths", self.encoder_widths)
         check_counts("decoder_channels", self.decoder_channels)
-        for key in ("semantic_refine_channels", "depth_refine_channels"):
-            check_counts(key, [getattr(self, key)], least=0)
+        check_counts("semantic_refine_channels", [self.semantic_refine_channels], least=0)
+        check_counts("geometry_channels", [self.geometry_channels])
         super().__post_init__()
         if len(self.decoder_channels) != len(_SKIPS):
             raise ValueError(
@@ -85,7 +87,7 @@ SSDNET_NANO = SSDNetLiteConfig(
     encoder_widths=(16, 24, 32, 32, 72, 72, *[144] * 3, *[208] * 3, *[352] * 4),
     decoder_channels=(32, 16, 16),
     semantic_refine_channels=0,
-    depth_refine_channels=0,
+    geometry_channels=16,
 )
 
 
@@ -101,9 +103,9 @@ class SSDNetLite(Network):
     def __init__(self, config: SSDNetLiteConfig) -> None:
         heads = present_heads(semantic=config.semantic_head, depth=config.depth_head)
         self.heads = (*heads, *(("depth_uncertainty",) if config.depth_head else ()))
-        self.semantic_stride = 2 if config.semantic_refine_channels else COARSE_CELL
+        self.semantic_stride = 2 if config.semantic_refine_channels else CELL
         # The boundary is upsampled with the depth.
-        self.depth_stride = self.boundary_stride = 1 if config.depth_head else COARSE_CELL
+        self.depth_stride = self.boundary_stride = 1 if config.depth_head else CELL
         super().__init__(config)
         self.encoder = EfficientNetLite(config.encoder_widths or WIDTHS)
         skips, bottom = [CHANNELS[stride] for stride in _SKIPS], CHANNELS[_BOTTOM]
@@ -122,16 +124,15 @@ class SSDNetLite(Network):
             self.depth_decoder = TaskDecoder(bottom, skips, config.decoder_channels)
             self.surface_depth = SurfaceDepthHead(
                 config.decoder_channels[-1],
-                CHANNELS[2],
                 CHANNELS[4],
-                refine_channels=config.depth_refine_channels,
+                geometry_channels=config.geometry_channels,
                 semantics=config.semantic_head,
                 max_depth_m=config.max_depth_m,
                 farthest_guess=config.target_share,
             )
         self.apply(initialise)
         if config.depth_head:
-            self.surface_depth.start_as_plane()
+            self.surface_depth.start_as_base()
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on the heads' own grids of the padded image, see `Network.predict_coarse`."""
@@ -153,7 +154,7 @@ class SSDNetLite(Network):
         if candidates is not None:
             features = self.depth_decoder(bottom, skips, gates)
             depth, scale, boundary_logits = self.surface_depth(
-                candidates, features, semantics, at_2, boundary_logits
+                candidates, features, semantics, boundary_logits
             )
             depths = (depth,)
         return NetworkOutput(logits, depths, boundary_logits, scale)

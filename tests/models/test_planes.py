@@ -8,10 +8,10 @@ import torch
 from torch.nn import functional as F
 
 from models import planes
-from models.planes import fit_planes
+from models.blocks import upsample
+from models.planes import BASE_CELL, CELL, Base, fit_base
 
 SIZE = (128, 192)
-CELL, LEVELS = 4, 3
 
 
 def places():
@@ -43,17 +43,16 @@ def mask_of(pattern):
     return mask
 
 
-def fit(inverse, mask):
-    """In the cells, and the number of returns; inverse: 0 where nothing is measured."""
+def fit(inverse, mask) -> Base:
+    """In the cells; inverse: 0 where nothing is measured."""
     depth = mask / inverse.clamp(min=1)
-    extremes = F.max_pool2d(torch.cat([inverse, depth], dim=1), CELL)
-    return fit_planes(inverse, mask, extremes, cell=CELL, levels=LEVELS)
+    return fit_base(inverse, mask, F.max_pool2d(torch.cat([inverse, depth], dim=1), CELL))
 
 
 def fitted(inverse, mask):
-    """At the pixels, and the number of returns."""
-    plane, count = fit(inverse * mask, mask)
-    return F.interpolate(plane, scale_factor=4.0, mode="bilinear"), count
+    """The base at the pixels, and the number of returns."""
+    found = fit(inverse * mask, mask)
+    return upsample(found.base, factor=BASE_CELL), found.returns
 
 
 def sums_of(place, values, weights=1.0):
@@ -83,8 +82,8 @@ def test_two_planes_keep_their_slopes_up_to_the_step_between_them():
     distance = (columns[..., 24:-24, 24:-24] - 96).abs()
     assert error[distance > 32].max() < 0.02
     assert error[distance > 12].mean() < 0.05
-    returns = inverse[mask > 0]
-    assert returns.min() <= found.min() <= found.max() <= returns.max()
+    returns, plane = inverse[mask > 0], fit(inverse * mask, mask).plane
+    assert returns.min() <= plane.min() <= plane.max() <= returns.max()
 
 
 def test_beyond_the_returns_a_slope_is_not_continued():
@@ -108,9 +107,10 @@ def test_one_return_is_everywhere_in_reach_and_without_any_there_is_nothing():
 
 def test_each_frame_of_a_batch_is_fitted_alone():
     first, second = mask_of("lines"), mask_of("at random")
-    both, _ = fit(torch.cat([road() * first, 2 * road() * second]), torch.cat([first, second]))
-    alone, _ = fit(2 * road() * second, second)
-    assert torch.allclose(both[1:], alone, rtol=1e-5)
+    both = fit(torch.cat([road() * first, 2 * road() * second]), torch.cat([first, second]))
+    alone = fit(2 * road() * second, second)
+    for found, expected in zip(both, alone, strict=True):
+        assert torch.allclose(found[1:], expected, rtol=1e-5)
 
 
 def test_reduced_precision_around_it_does_not_reach_the_sums():
@@ -119,6 +119,43 @@ def test_reduced_precision_around_it_does_not_reach_the_sums():
     with torch.autocast("cpu", torch.bfloat16):
         found, _ = fitted(road(), mask)
     assert torch.equal(found, expected)
+
+
+def test_the_base_passes_through_isolated_returns_that_a_plane_misses():
+    mask = torch.zeros(1, 1, *SIZE)
+    mask[..., 8::16, 8::16] = 1
+    noise = torch.rand(mask.shape, generator=torch.Generator().manual_seed(0))
+    inverse = road() * (0.975 + 0.05 * noise)
+    found = fit(inverse * mask, mask)
+    plane, base = upsample(found.plane, factor=CELL), upsample(found.base, factor=BASE_CELL)
+    missed, passed = ((x / inverse - 1).abs()[mask > 0] for x in (plane, base))
+    assert missed.median() > 0.0015
+    assert passed.quantile(0.95) < 0.002
+
+
+def test_a_return_of_another_surface_does_not_move_the_plane():
+    mask = mask_of("lines")
+    mask[..., 33, 96] = 1
+    plane = fit(road() * mask, mask).plane
+    for factor, moved in ((1.1, True), (1.0 + 2.0 * planes.ON_PLANE + 0.05, False)):
+        sums = torch.zeros(1, 4, SIZE[0] // 2, SIZE[1] // 2)
+        sums[0, 0, 16, 48], sums[0, 3, 16, 48] = 1, factor * road()[0, 0, 33, 97]
+        flat = upsample(plane)
+        assert bool((planes.anchor(flat, sums) - flat).abs().max() > 0.05) == moved
+
+
+def test_the_difference_is_that_of_the_place_of_the_return_in_its_cell():
+    """Returns on a slope, wherever they are in a cell, leave it as it is."""
+    rows, columns = places()
+    slope = 2 + 0.5 * rows + 0.3 * columns
+    at_cells = F.avg_pool2d(slope, BASE_CELL)
+    mask = mask_of("at random")
+    pixels = torch.cat([mask, slope * mask], dim=1)
+    kernel = planes._cell_kernel(BASE_CELL)[:4]
+    sums = planes._convolve(pixels, kernel, stride=BASE_CELL)
+    found = planes.anchor(at_cells, sums)
+    inside = (found / at_cells - 1).abs()[..., 16:-16, 16:-16]
+    assert inside.max() < 1e-4
 
 
 @pytest.mark.parametrize("level", [0, 2])

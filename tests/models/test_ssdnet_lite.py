@@ -56,7 +56,7 @@ def test_the_defaults_are_what_the_name_builds():
 
 
 @pytest.mark.parametrize("name", ["ssdnet-lite", "ssdnet-nano"])
-def test_a_new_network_answers_with_the_plane(name):
+def test_a_new_network_answers_with_the_base(name):
     torch.manual_seed(0)
     network = create_model(name).eval()
     rows = torch.arange(128).float().view(1, 1, -1, 1).expand(1, 1, 128, 192)
@@ -70,19 +70,44 @@ def test_a_new_network_answers_with_the_plane(name):
     assert error.max() < 0.03  # beside returns: the confidence in them is random
 
 
+def scanned(height=64, width=96):
+    """A frame with two surfaces, and the image."""
+    rgb, sparse = torch.rand(1, 3, height, width) * 255, torch.zeros(1, 1, height, width)
+    sparse[..., ::20, ::4], sparse[..., 10::20, ::4] = 12.0, 30.0
+    return rgb, sparse
+
+
+def trained(name):
+    """A network whose depth departs from its base and reads the semantic decoder."""
+    torch.manual_seed(0)
+    network = create_model(name).eval()
+    head = network.surface_depth
+    for layer in (head.image, head.geometry[-1], head.semantics):
+        torch.nn.init.normal_(layer.weight)
+    return network
+
+
 def test_the_choice_reads_the_features_of_the_semantic_decoder():
     """The layer is zero at first, so that weights without it give the same depth."""
-    network = create_model("ssdnet-nano").eval()
-    rgb, sparse = torch.rand(1, 3, 64, 96) * 255, torch.zeros(1, 1, 64, 96)
-    sparse[..., ::20, ::4], sparse[..., 10::20, ::4] = 12.0, 30.0
-    torch.nn.init.normal_(network.surface_depth.head.weight)
-    before = network(rgb, sparse).depths[0]
-    before.sum().backward()
-    assert network.surface_depth.semantics.weight.grad.abs().max() > 0
+    network = trained("ssdnet-nano")
+    network(*scanned()).depths[0].sum().backward()
+    for layer in (network.surface_depth.semantics, network.surface_depth.classes):
+        assert layer.weight.grad.abs().max() > 0
+
+
+@pytest.mark.parametrize("name", ["ssdnet-lite", "ssdnet-nano"])
+def test_other_classes_leave_the_depth_as_it_is(name):
+    network, frame = trained(name), scanned()
     with torch.no_grad():
-        network.surface_depth.semantics.weight.fill_(0.5)
-        changed = network(rgb, sparse).depths[0]
-    assert (changed - before).abs().max() > 1e-3
+        before = network(*frame)
+        for layer in (name for name, _ in network.named_modules() if name.startswith("semantic_")):
+            if layer in ("semantic_head", "semantic_coarse_head", "semantic_refine"):
+                for weights in network.get_submodule(layer).parameters():
+                    weights.add_(0.1)
+        after = network(*frame)
+    assert not torch.equal(after.semantic_logits, before.semantic_logits)
+    assert torch.equal(after.depths[0], before.depths[0])
+    assert torch.equal(after.depth_uncertainty, before.depth_uncertainty)
 
 
 def test_an_efficientnet_encoder_reads_colours_and_returns_enter_at_stride_4():
@@ -107,15 +132,12 @@ def test_features_that_no_activation_bounds_do_not_drown_what_they_are_added_to(
         assert torch.allclose(scaled, plain, atol=1e-3)
 
 
-def test_an_additive_refinement_adds_to_what_both_heads_answer_at_stride_4():
+def test_an_additive_refinement_adds_to_the_scores_at_stride_4():
     torch.manual_seed(0)
     network = create_model("ssdnet-lite").eval()
     rgb, sparse = torch.rand(1, 3, 64, 96) * 255, torch.zeros(1, 1, 64, 96)
     sparse[..., ::4, ::4] = 12.0
     both = network.predict_coarse(rgb, sparse)
-    both.depths[0].sum().backward()
-    assert network.surface_depth.coarse_head.weight.grad.abs().max() > 0
-    assert network.surface_depth.head.weight.grad.abs().max() > 0
     parts = []
     for silent in (network.semantic_head, network.semantic_coarse_head):
         kept = {name: value.clone() for name, value in silent.state_dict().items()}

@@ -7,15 +7,12 @@ from numpy.typing import NDArray
 
 from training.evaluation.classical.method import Depth, is_measured
 
-#: Side of a cell in pixels, and how often the grid of cells is halved.
-_CELL, _LEVELS = 4, 3
-
 
 @dataclass(frozen=True)
 class Planes:
-    """Inverse depth by local least squares over a pyramid, see `models.planes`.
+    """Planes that pass through the returns on them, see `models.planes`: ssdnet's base.
 
-    Exact on planes, whatever the pattern of the returns, and bounded by the returns around. Each
+    Exact on planes, whatever the pattern of the returns, and between the returns around. Each
     return keeps its depth. The image is not used; a pixel without any return within 190 px has no
     depth.
     """
@@ -25,7 +22,7 @@ class Planes:
         import torch
 
         from models.blocks import pad_to_multiple, upsample
-        from models.planes import fit_planes
+        from models.planes import BASE_CELL, CELL, LEVELS, fit_base
         from models.pooling import cell_maxima
 
         measured = is_measured(sparse_depth)
@@ -36,13 +33,13 @@ class Planes:
         inverse = torch.from_numpy(farthest / known)[None, None]
         mask = torch.from_numpy(measured.astype(np.float32))[None, None]
         with torch.inference_mode():
-            inverse, mask = (pad_to_multiple(x, _CELL * 2**_LEVELS) for x in (inverse, mask))
+            inverse, mask = (pad_to_multiple(x, CELL * 2**LEVELS) for x in (inverse, mask))
             both = torch.cat([inverse, mask / inverse.clamp(min=1.0)], dim=1)
-            extremes = cell_maxima(both, _CELL)
-            cells, _ = fit_planes(inverse, mask, extremes, cell=_CELL, levels=_LEVELS)
-            height, width = sparse_depth.shape
+            plane, base, _ = fit_base(inverse, mask, cell_maxima(both, CELL))
             # Cells without a plane have no share in the mean.
-            reached = upsample((cells > 0).to(cells.dtype), factor=_CELL).clamp(min=1e-6)
-            plane = (upsample(cells, factor=_CELL) / reached)[0, 0, :height, :width].numpy()
-        depth = np.where(plane > 0, farthest / np.where(plane > 0, plane, 1.0), 0.0)
+            reached = upsample((plane > 0).to(plane.dtype), factor=CELL // BASE_CELL)
+            maps = upsample(torch.cat([base, reached.clamp(min=1e-6)], dim=1), factor=BASE_CELL)
+            height, width = sparse_depth.shape
+            above, below = maps[0, :, :height, :width].numpy()
+        depth = np.where(above > 0, farthest * below / np.where(above > 0, above, 1.0), 0.0)
         return np.where(measured, sparse_depth, depth).astype(np.float32)
