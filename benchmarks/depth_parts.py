@@ -32,7 +32,7 @@ SIZE = (512, 1024)
 #: Column -> sets of `rigs.SETS`.
 COLUMNS = {
     "streets": ("streets, 64 lines", "16 lines", "4 lines"),
-    "KITTI's returns": ("streets, raw half", "drive 0009, 16 lines", "KITTI 50–59, 32 lines"),
+    "KITTI's returns": ("streets, raw half", "drive 0009, 16 lines", "KITTI 50 to 59, 32 lines"),
     "PandaSet": ("PandaSet, cross", "half", "quarter", "forward"),
     "Delft": ("Delft, half", "Delft, quarter"),
 }

@@ -17,6 +17,7 @@ import argparse
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -78,9 +79,8 @@ def read_raw_half(recipe: SourceRecipe, folders: Sequence[Path]) -> Iterator[Fra
     source = open_dataset(recipe, list(folders), classes="camvid")
     for index in range(len(source)):
         sample = source[index]
-        returns = sample.sparse_depth
-        assert returns is not None
-        yield withhold(Frame(sample.rgb, returns, returns, sample.focal_length_px), 0.5, index)
+        whole = Frame(sample.rgb, sample.depth, sample.depth, sample.focal_length_px)
+        yield withhold(whole, 0.5, index)
 
 
 def read_wide(folders: Sequence[Path]) -> Iterator[Frame]:
@@ -164,6 +164,7 @@ def withhold(frame: Frame, share: float, seed: int) -> Frame:
 
 
 _STREETS = KittiStreetsRecipe(path="kitti_streets", first=70)
+_RAW = replace(_STREETS, truth="scan")
 _STREAM = KittiStreamRecipe(path="kitti_stream", first=50)
 _DRIVE = KittiStreamRecipe(path="kitti_drive_0009", first=30)
 #: Name -> folder, and what reads its frames.
@@ -171,9 +172,9 @@ SETS: Mapping[str, tuple[str, Read]] = {
     "streets, 64 lines": ("kitti_streets", partial(read_dataset, _STREETS, "64")),
     "16 lines": ("kitti_streets", partial(read_dataset, _STREETS, "16")),
     "4 lines": ("kitti_streets", partial(read_dataset, _STREETS, "4")),
-    "streets, raw half": ("kitti_streets", partial(read_raw_half, _STREETS)),
+    "streets, raw half": ("kitti_streets", partial(read_raw_half, _RAW)),
     "drive 0009, 16 lines": ("kitti_drive_0009", partial(read_dataset, _DRIVE, "16")),
-    "KITTI 50–59, 32 lines": ("kitti_stream", partial(read_dataset, _STREAM, "32")),
+    "KITTI 50 to 59, 32 lines": ("kitti_stream", partial(read_dataset, _STREAM, "32")),
     "PandaSet, cross": ("pandaset_front", partial(read_pandaset, 0, 1, 1.0)),
     "half": ("pandaset_front", partial(read_pandaset, 0, 0, 0.5)),
     "quarter": ("pandaset_front", partial(read_pandaset, 0, 0, 0.25)),

@@ -147,7 +147,8 @@ def far_from_returns(distance: Tensor, support: Tensor, count: Tensor) -> Tensor
 
     Args:
         distance: to a return, at most, in cells; undefined without support.
-        support, count: see `Surfaces` and `propagate_surfaces`.
+        support: see `Surfaces`.
+        count: of returns in a cell.
     """
     area, returns = (maps.sum(dim=(2, 3), keepdim=True) for maps in (support, count))
     spacings = distance * torch.rsqrt(area.clamp(min=1.0) / returns.clamp(min=1.0))

@@ -40,6 +40,9 @@ class KittiStreetsRecipe(RangeRecipe):
     """
 
     kind: Literal["kitti-streets"] = "kitti-streets"
+    #: The depth target: seven accumulated scans with models of cars, or the frame's own returns,
+    #: of which a part is then the input.
+    truth: Literal["accumulated", "scan"] = "accumulated"
 
     @property
     def label_table(self) -> ClassTable:
@@ -69,7 +72,7 @@ class KittiStreets(FrameList):
     """
 
     def __init__(self, root: Path, recipe: KittiStreetsRecipe, classes: ClassTable) -> None:
-        self._root = root
+        self._root, self._truth = root, recipe.truth
         images = root / "image_02"
         found = [p for p in list_images(images, "the streets' images") if p.stem.isdecimal()]
         self._frames = recipe.take(found, images, lambda path: int(path.stem))
@@ -92,21 +95,23 @@ class KittiStreets(FrameList):
         path = self._frames[index]
         rgb = read_rgb(path)
         size = (rgb.shape[0], rgb.shape[1])
-        truth = self._root / "disp_occ_0" / f"{path.stem}.png"
-        disparity = read_gray(truth, np.uint16, size)
         points = read_points(self._root / "velodyne_fov" / f"{path.stem}.bin")
         camera = self._calibration
-        sparse_depth, scan_line = project_lines(points, camera.intrinsics, camera.extrinsics, size)
+        returns, scan_line = project_lines(points, camera.intrinsics, camera.extrinsics, size)
+        depth = returns
+        if self._truth == "accumulated":
+            disparity = read_gray(self._root / "disp_occ_0" / f"{path.stem}.png", np.uint16, size)
+            depth = disparity_to_depth(disparity, self._focal_baseline, zero=0)
         return Sample(
             rgb=rgb,
             targets={
-                "depth": disparity_to_depth(disparity, self._focal_baseline, zero=0),
+                "depth": depth,
                 **self._read_labels(path.stem, size),
                 **self._read_mask(path.stem, size),
             },
             intrinsics=camera.intrinsics,
             name=f"kitti_streets/{path.stem}",
-            sparse_depth=sparse_depth,
+            sparse_depth=returns if self._truth == "accumulated" else None,
             scan_line=scan_line,
             focal_baseline_px_m=self._focal_baseline,
             place=_place(int(path.stem)),

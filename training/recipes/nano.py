@@ -1,9 +1,9 @@
 """ssdnet-nano with the encoder of lite, pruned further; --teacher ssdnet-lite, in three stages.
 
-Crops, pairs of shifted views, the depth decoder alone.
+Crops, pairs of shifted views, the depth alone, which is the recipe nano-depth, too.
 """
 
-from training.recipe import ReleaseRecipe, ScheduleRecipe, derive
+from training.recipe import derive
 from training.recipes import lite
 from training.release import add_offsets
 from training.stages import Stage
@@ -46,25 +46,11 @@ PAIRS = derive(
 
 # Classes and boundaries do not change.
 DEPTH = derive(
-    PAIRS,
-    data={
-        "batch_size": 4,
-        "seed": 64,
-        "rare_classes": (),
-        "source": lite.DEPTH.data.source,
-        "augment": {"rare_crops": 0.0, "lidar_absorbed": 0.3, "world_scale": (0.75, 1.33)},
-    },
-    loss={
-        **lite.DEPTH_ALONE,
-        "depth_weight": 1.0,
-        "distilled_semantic_weight": 0.0,
-        "distilled_boundary_weight": 0.0,
-    },
-    optimizer={"frozen": lite.DEPTH.optimizer.frozen},
-    schedule=ScheduleRecipe(steps=4000, warmup_steps=50),
-    loop={"ema_decay": 0.99},
-    validation={"every": 900, "source": (lite.VALIDATION_STREETS,)},
-    release=ReleaseRecipe(),
+    lite.DEPTH,
+    model={"name": "ssdnet-nano"},
+    data={"seed": 202},
+    schedule={"steps": 6000},
+    validation={"every": 2000},
 )
 
 #: What the training frames then still found too often or too seldom (benchmarks/logit_offsets.py).
@@ -72,6 +58,6 @@ _OFFSETS = {"sky": 0.25, "building": 0.5, "pole": 1.0, "tree": 0.5, "fence": -1.
 
 STAGES = (
     Stage("1-crops", CROPS),
-    Stage("2-pairs", PAIRS),
-    Stage("3-depth", DEPTH, then=lambda run: add_offsets(run.after, _OFFSETS)),
+    Stage("2-pairs", PAIRS, then=lambda run: add_offsets(run.after, _OFFSETS)),
+    Stage("3-depth", DEPTH),
 )

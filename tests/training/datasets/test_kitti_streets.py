@@ -43,6 +43,13 @@ def test_the_scan_is_the_input_and_the_disparity_the_target(streets):
     assert (sample.semantic == 255).all()
 
 
+def test_the_returns_of_the_frame_may_be_the_target_instead(streets):
+    accumulated, scan = KittiStreets(streets)[0], KittiStreets(streets, truth="scan")[0]
+    assert scan.sparse_depth is None
+    np.testing.assert_array_equal(scan.depth, accumulated.sparse_depth)
+    np.testing.assert_array_equal(scan.scan_line, accumulated.scan_line)
+
+
 def test_the_road_is_a_mask_where_the_folder_is_there(streets):
     assert "road_mask" not in KittiStreets(streets)[0].targets
     mask = np.zeros((HEIGHT, WIDTH), np.uint8)
