@@ -296,9 +296,9 @@ class SurfaceDepthHead(nn.Module):
         """Set the head to the base and the guess beyond it, without classes or departures."""
         if self.semantics is not None:
             nn.init.zeros_(self.semantics.weight)
-        for weights in (*self.geometry[-1].parameters(), *self.image.parameters()):
-            weights[:GEOMETRY_CHANNELS].zero_()
-        self.image.weight[GEOMETRY_CHANNELS].zero_()
+        # Positions within DEAD_ZONE, whose gradient reaches the layers before.
+        for weights in (self.geometry[-1].weight, self.image.weight[: 1 + GEOMETRY_CHANNELS]):
+            weights.mul_(0.01)
         assert self.image.bias is not None
         self.image.bias[GEOMETRY_CHANNELS] = _FIRST_CONFIDENCE
 

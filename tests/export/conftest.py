@@ -28,7 +28,7 @@ def small_config(name: str) -> NetworkConfig:
             encoder_widths=(16,) * 16,
             decoder_channels=(16, 16, 16),
             semantic_refine_channels=0,
-            depth_refine_channels=0,
+            geometry_channels=8,
         )
     return replace(
         config,

@@ -174,7 +174,7 @@ def test_damaged_bytes_are_never_another_error(tmp_path):
 def test_configuration_that_cannot_be_built_is_named(tmp_path):
     path = tmp_path / "a.pt"
     save_checkpoint(path, SSDNetLite(SMALL))
-    change(path, config={**SMALL.to_dict(), "depth_refine_channels": -4})
+    change(path, config={**SMALL.to_dict(), "geometry_channels": -4})
     with pytest.raises(CheckpointError, match="cannot be built here"):
         load_checkpoint(path)
 
@@ -220,7 +220,7 @@ def little_memory():
         ({"encoder_widths": (8,) * 1000}, "expected 16 positive widths"),
         ({"decoder_channels": (8, 8, 16)}, "it lacks the tensors depth_decoder"),
         ({"decoder_channels": (8, 0, 8)}, "decoder_channels: expected 1 to 8192, got 0"),
-        ({"depth_refine_channels": 10**9}, "depth_refine_channels: expected 0 to"),
+        ({"geometry_channels": 10**9}, "geometry_channels: expected 1 to"),
         ({"decoder_channels": (8.0, 8, 8)}, "wrong type: 8.0"),
         ({"decoder_channels": "888"}, "decoder_channels has the wrong type"),
         ({"depth_head": 1}, "depth_head has the wrong type: 1"),

@@ -75,10 +75,10 @@ def test_frozen_layers_keep_weights_and_statistics_and_have_no_backward_pass():
 
 
 def test_a_recipe_changes_fields_of_the_networks_configuration():
-    config = {"decoder_channels": [8, 8, 8], "depth_refine_channels": 4}
+    config = {"decoder_channels": [8, 8, 8], "geometry_channels": 4}
     network = build_network(ModelRecipe("ssdnet-nano", config=config), None)
     expected = replace(create_model("ssdnet-nano").config, decoder_channels=(8, 8, 8))
-    assert network.config == replace(expected, depth_refine_channels=4)
+    assert network.config == replace(expected, geometry_channels=4)
     alone = build_network(
         ModelRecipe("ssdnet-lite", config={"semantic_head": False}),
         None,
