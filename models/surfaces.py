@@ -136,7 +136,7 @@ def propagate_surfaces(measured: Measured) -> tuple[Surfaces, Tensor, Tensor]:
 
 #: Distance to a return, in spacings of the returns, up to which nothing is far; all is from the
 #: second on.
-FAR = (1.25, 2.5)
+FAR = (2.0, 4.0)
 
 
 def far_from_returns(distance: Tensor, support: Tensor, count: Tensor) -> Tensor:
@@ -277,11 +277,12 @@ class SurfaceDepthHead(nn.Module):
         self.max_depth_m, self.farthest_guess = max_depth_m, farthest_guess
         self.embed = nn.Conv2d(FEATURE_CHANNELS, at_4_channels, 1)
         self.guess = nn.Conv2d(channels, 1, 1)
-        self.project = nn.Conv2d(FEATURE_CHANNELS, channels, 1)
+        self.project = nn.Conv2d(FEATURE_CHANNELS + 3, channels, 1)
         # Classes imply surfaces without returns: a car has a roof and windows. The geometry reads
         # class-like channels of its own: other classes leave the depth as it is.
         self.semantics = nn.Conv2d(channels, channels, 1) if semantics else None
         self.classes = nn.Conv2d(channels, _CLASS_CHANNELS, 1) if semantics else None
+        self.compare = ConvBNReLU(channels, channels)
         self.image = nn.Conv2d(channels, IMAGE_CHANNELS, 1)
         read = 9 + (_CLASS_CHANNELS if semantics else 0)
         self.geometry = nn.Sequential(
@@ -324,11 +325,14 @@ class SurfaceDepthHead(nn.Module):
         surfaces = candidates.surfaces
         guess = self.farthest_guess * torch.sigmoid(self.guess(features).float())
         guess = torch.minimum(guess, candidates.guess_limit)
-        features = features + self.project(candidates.features)
+        away = departures(surfaces)
+        of_guess = torch.log(guess.clamp(min=NEAREST) * surfaces.base) * surfaces.reached
+        ratios = torch.cat([candidates.features, *away, of_guess], dim=1)
+        features = features + self.project(ratios)
         if self.semantics is not None:
             features = features + self.semantics(semantics)
+        features = features + self.compare(features)
         boundary_logits = boundary_logits.float()
-        away = departures(surfaces)
         geometry = self.geometry(self._geometry(candidates, away, semantics, boundary_logits))
         head = HeadChannels.join(self.image(features).float(), geometry.float(), surfaces.beside)
         depth, scale = choose_surface(head, guess, surfaces, away)

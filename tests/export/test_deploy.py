@@ -13,7 +13,7 @@ from torch import nn
 from export.deploy import DeployGraph
 from export.trace import trace
 from models import NetworkOutput, SSDNet
-from models.blocks import upsample
+from models.blocks import repeat
 from models.registry import NETWORKS
 from runtime.contract import NO_CLASS
 from runtime.session import open_session
@@ -72,14 +72,14 @@ def test_a_pixel_with_scores_that_are_not_finite_has_no_class(zero_at, by_colour
     coarse = network.predict_coarse(
         torch.from_numpy(rgb).permute(0, 3, 1, 2).float(), torch.zeros(3, 1, 32, 48)
     )
-    scores = upsample(coarse.semantic_logits, factor=STRIDE)
+    scores = repeat(coarse.semantic_logits, STRIDE)
     expected = scores.argmax(dim=1).to(torch.uint8).numpy()
     unknown = semantic == NO_CLASS
     assert unknown[~torch.isfinite(scores).all(dim=1).numpy()].all()
     assert (semantic == expected)[~unknown].all()
     assert [frame.any() for frame in unknown] == [True, True, False]
-    assert unknown[0].sum() <= 3 * (3 * STRIDE) ** 2
-    assert unknown[1].sum() == (2 * STRIDE - 1) ** 2
+    assert unknown[0].sum() <= 3 * STRIDE**2
+    assert unknown[1].sum() == STRIDE**2
 
 
 def test_large_finite_scores_keep_their_class(by_colour):

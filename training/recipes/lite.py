@@ -206,7 +206,7 @@ DEPTH = derive(
     # Some squared error: where the image does not show an edge, the depth hedges.
     loss={
         **DEPTH_ALONE,
-        "metric_l2": 0.1,
+        "metric_l2": 0.15,
         "depth_consistency_weight": 1.0,
         "depth_seam_weight": 2.0,
     },
