@@ -298,7 +298,9 @@ class SurfaceDepthHead(nn.Module):
         if self.semantics is not None:
             nn.init.zeros_(self.semantics.weight)
         # Positions within DEAD_ZONE, whose gradient reaches the layers before.
-        for weights in (self.geometry[-1].weight, self.image.weight[: 1 + GEOMETRY_CHANNELS]):
+        last = self.geometry[-1]
+        assert isinstance(last, nn.Conv2d)
+        for weights in (last.weight, self.image.weight[: 1 + GEOMETRY_CHANNELS]):
             weights.mul_(0.01)
         assert self.image.bias is not None
         self.image.bias[GEOMETRY_CHANNELS] = _FIRST_CONFIDENCE

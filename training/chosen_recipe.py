@@ -113,7 +113,7 @@ def _settings(
         name: {key: value for key, value in _below(earlier, name).items() if key in keys}
         for name, keys in _TAKEN.items()
     }
-    settings["model"] = {"name": config.name, "config": _changes(config)}
+    settings["model"] = {"name": config.name, "config": config_changes(config)}
     if classes is not None:
         settings["model"]["classes"] = classes
     _fit_loss(settings["loss"], table, model.get("classes", classes))
@@ -131,7 +131,7 @@ def _below(table: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     return value if isinstance(value, Mapping) else {}
 
 
-def _changes(config: NetworkConfig) -> dict[str, Any]:
+def config_changes(config: NetworkConfig) -> dict[str, Any]:
     """Return what differs from the configuration of the network's name."""
     values, default = config.to_dict(), NETWORKS[config.name].config.to_dict()
     own = {key: value for key, value in values.items() if value != default.get(key)}

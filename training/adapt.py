@@ -1,0 +1,325 @@
+"""The depth of a network adapted to a camera and a LiDAR by a recording of them, without labels.
+
+A part of the returns is fed, and all of them are the target. Only layers that the depth alone reads
+are trained, so that classes and boundaries stay what they are. On frames kept apart the model
+before is scored beside the one after, and the better one is kept.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from torch import nn
+from tqdm import tqdm
+
+from models import Network, SSDNetLite, load_checkpoint, save_checkpoint
+from runtime.errors import InputError
+from runtime.io.atomic_write import atomic_folder
+from runtime.io.encode import encode_metres, encode_png
+from runtime.io.images import read_rgb
+from runtime.network_size import network_size
+from runtime.projection import OcclusionFilter
+from runtime.resize import move_returns, resize_image
+from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
+from runtime.sources.source import ListedFrame, Source
+from training.chosen_recipe import config_changes
+from training.datasets.folders import FoldersRecipe
+from training.datasets.sample import Sample
+from training.evaluation.classical import create_method
+from training.evaluation.metrics import FARTHEST_M
+from training.evaluation.scored_model import method_predict, trained_classes
+from training.evaluation.scoring import Predict, torch_predict
+from training.initial_weights import Weights
+from training.lidar.split import masked, random_share
+from training.loading.open_dataset import open_dataset
+from training.loop import train
+from training.losses.total import TERMS
+from training.recipe import Recipe, build_recipe
+from training.release import mix_weights
+from training.run_folder import FINAL, folder_errors
+
+Depth = NDArray[np.float32]
+
+#: Folders below a run's: the frames of the recording, and the training.
+FRAMES, TRAINING = "frames", "training"
+#: Frames that are read at most, and the least number of them.
+MOST_FRAMES, LEAST_FRAMES = 600, 5
+#: Share of the recording's time, at its end, that is kept apart.
+KEPT_APART = 0.1
+#: Parts of the network that are trained, and what of them the encoder reads.
+_OWN_LAYERS, _SHARED_LAYERS = ("depth_decoder", "surface_depth"), ("surface_depth.embed",)
+_STEPS, _WARMUP = 200, 20
+#: Height [degrees] of the bands of elevation, every second of which is fed.
+_BAND_DEG = 0.5
+#: Share of the trained weights in the model between both.
+_BETWEEN = 0.5
+
+
+@dataclass(frozen=True)
+class Adapted:
+    """The result of `adapt`.
+
+    Attributes:
+        path: the checkpoint, `RUN/model.pt`; where training was stopped, its last.pt.
+        lines: the scores, and what was kept, for the terminal.
+        paid: whether the adapted model is better; otherwise ``path`` is the one before.
+    """
+
+    path: Path
+    lines: tuple[str, ...] = ()
+    paid: bool = False
+
+
+def adapt(
+    source: Source,
+    init: Weights,
+    out: Path,
+    *,
+    changes: Sequence[str] = (),
+    device: str = "cpu",
+    stop: Callable[[], bool] = lambda: False,
+) -> Adapted:
+    """Adapt the depth of a network to the rig of a recording.
+
+    Writes to ``out``: frames/ (the chosen frames as PNGs), training/ (the run, see `train`) and
+    model.pt. The same call resumes what was stopped.
+
+    Args:
+        source: the recording, with images and returns.
+        init: the network that is adapted.
+        out: folder of the run.
+        changes: of the recipe, see `build_recipe`.
+        device: "cpu", "cuda" or "cuda:N".
+        stop: called between two steps; True stops.
+
+    Raises:
+        InputError: for a network without depth, too few frames with returns, frames of different
+            sizes or focal lengths, and as `train`.
+    """
+    network = init.network
+    if "depth" not in network.heads:
+        raise InputError(f"{init.path}: predicts no depth that could be adapted.")
+    frames = out / FRAMES
+    if not frames.is_dir():
+        _write_frames(source, frames, init.facts.trained_height)
+    focal_px = float((frames / "focal_length_px.txt").read_text()) or None
+    recipe = make_recipe(init, frames, focal_px, changes)
+    path = train(recipe, data=[frames], out=out / TRAINING, init=init, device=device, stop=stop)
+    if path.name != FINAL:
+        return Adapted(path)
+    kept_apart = open_dataset(_frames_of("kept_apart", frames, focal_px), [frames], classes=())
+    samples = [kept_apart[index] for index in range(len(kept_apart))]
+    trained = load_checkpoint(path)
+    models = {
+        "before": network,
+        "between": mix_weights(network, trained.model, _BETWEEN),
+        "after": trained.model,
+    }
+    scores = {"linear": score(method_predict(create_method("linear")), samples)}
+    scores |= {name: score(torch_predict(model), samples) for name, model in models.items()}
+    # The mean over the feeds of MAE and of RMSE.
+    figures = {name: np.mean(list(found.values()), axis=0)[:2] for name, found in scores.items()}
+    ratio = {name: float((figures[name] / figures["before"]).mean()) for name in models}
+    best = min(models, key=lambda name: ratio[name])
+    with folder_errors(out):
+        facts = dict(trained.training) if best != "before" else init.facts.to_dict()
+        save_checkpoint(out / FINAL, models[best], training=facts)
+    return Adapted(
+        out / FINAL,
+        (
+            *_table(scores, len(samples)),
+            *_unchanged(network, models[best]),
+            f"kept: {best}, {100 * (ratio[best] - 1):+.1f} % in MAE and RMSE"
+            if best != "before"
+            else "kept: the model before; the adaptation does not pay on the frames kept apart",
+        ),
+        best != "before",
+    )
+
+
+def choose_frames(listed: Sequence[ListedFrame]) -> tuple[list[ListedFrame], list[ListedFrame]]:
+    """Choose frames at equal distances of time: those to train on, and those kept apart.
+
+    Without stamps their order is the time. InputError for too few frames with depth.
+    """
+    found = [frame for frame in listed if frame.complete and frame.depth is not None]
+    if len(found) < LEAST_FRAMES:
+        raise InputError(
+            f"the recording has {len(found)} frames with LiDAR returns; expected at least "
+            f"{LEAST_FRAMES}. Give --points and --calibration, or --depth, for a folder of images."
+        )
+    stamped = all(frame.image_stamp_ns is not None for frame in found)
+    times = np.array([frame.image_stamp_ns if stamped else i for i, frame in enumerate(found)])
+    times = (times - times[0]) / max(1, times[-1] - times[0])
+    chosen = np.arange(len(found))
+    if len(found) > MOST_FRAMES:
+        wanted = np.linspace(0, 1, MOST_FRAMES)
+        chosen = np.unique(np.searchsorted(times, wanted).clip(0, len(found) - 1))
+    first = min(np.count_nonzero(times[chosen] <= 1 - KEPT_APART), len(chosen) - 1)
+    return [found[i] for i in chosen[:first]], [found[i] for i in chosen[first:]]
+
+
+def _write_frames(source: Source, folder: Path, trained_height: int | None) -> None:
+    """Write the chosen frames at the size at which the network runs, all or none."""
+    parts = dict(zip(("train", "kept_apart"), choose_frames(source.list_frames()), strict=True))
+    sizes: set[tuple[int, int]] = set()
+    focals: set[float] = set()
+    with folder_errors(folder), atomic_folder(folder) as made:
+        for part, frames in parts.items():
+            for kind in ("images", "lidar"):
+                (made / part / kind).mkdir(parents=True)
+            for listed in tqdm(frames, desc=f"frames, {part}", disable=None):
+                try:
+                    frame = source.read(listed)
+                except InputError as error:
+                    tqdm.write(f"left out: {error}")
+                    continue
+                whole = (frame.rgb.shape[0], frame.rgb.shape[1])
+                size = network_size(None, whole, trained_height=trained_height)
+                focal_px = frame.calibration.focal_length_px if frame.calibration else 0.0
+                focals.add(round(focal_px * size[1] / whole[1], 2))
+                sizes.add(size)
+                name = f"{listed.sequence:06d}.png"
+                picture = cv2.cvtColor(resize_image(frame.rgb, size), cv2.COLOR_RGB2BGR)
+                returns = frame.sparse_depth
+                if size != whole:
+                    returns = move_returns(returns, size)
+                (made / part / "images" / name).write_bytes(encode_png(np.asarray(picture)))
+                (made / part / "lidar" / name).write_bytes(encode_metres(returns))
+        if len(sizes) > 1 or (focals and max(focals) > 1.01 * min(focals)):
+            raise InputError(
+                f"the frames have {len(sizes)} sizes and {len(focals)} focal lengths; expected one "
+                "camera. Adapt to one camera at a time."
+            )
+        (made / "focal_length_px.txt").write_text(f"{max(focals, default=0.0)}")
+
+
+def _frames_of(part: str, frames: Path, focal_px: float | None) -> FoldersRecipe:
+    """Return the data set of a part of the frames, whose LiDAR is input and target."""
+    first = next((frames / part / "images").glob("*.png"), None)
+    if first is None:
+        raise InputError(f"{frames / part}: none of the frames could be read.")
+    height, width = read_rgb(first).shape[:2]
+    intrinsics = (focal_px, focal_px, width / 2, height / 2) if focal_px else None
+    return FoldersRecipe(
+        path=part, rgb="images", depth="lidar", sparse_depth="lidar", intrinsics=intrinsics
+    )
+
+
+def make_recipe(
+    init: Weights, frames: Path, focal_px: float | None, changes: Sequence[str] = ()
+) -> Recipe:
+    """Return the recipe of the training; ``changes`` as of `build_recipe`."""
+    config, facts = init.network.config, init.facts
+    is_lite = isinstance(init.network, SSDNetLite)
+    model: dict[str, Any] = {"name": config.name, "config": config_changes(config)}
+    table = trained_classes(config.classes, facts.to_dict())
+    if table:
+        model["classes"] = table if isinstance(table, str) else [asdict(info) for info in table]
+    if facts.trained_height:
+        model["trained_height"] = facts.trained_height
+    others = {f"{name}_weight": 0.0 for name in TERMS if not name.startswith("depth")}
+    return build_recipe(
+        {
+            "terms": "a recording of the user's",
+            "model": model,
+            "data": {
+                "source": [asdict(_frames_of("train", frames, focal_px))],
+                "batch_size": 4,
+                "cache_gib": 1.0,
+                "augment": {
+                    "scale": [0.7, 1.5],
+                    "lidar_missing": 0.0,
+                    "lidar_random": 1.0,
+                    "world_scale": [0.75, 1.33],
+                },
+            },
+            "loss": {
+                **others,
+                "depth_form": "metric",
+                "depth_scales": "finest",
+                "metric_l2": 0.15,
+                "metric_log": 20.0,
+                "depth_uncertainty_weight": 0.2,
+            },
+            "optimizer": {
+                "learning_rate": 5e-4,
+                "only": _OWN_LAYERS if is_lite else (),
+                "frozen": _SHARED_LAYERS if is_lite else (),
+            },
+            "schedule": {"steps": _STEPS, "warmup_steps": _WARMUP},
+            "loop": {"ema_decay": 0.97, "clip_norm": 20.0},
+        },
+        "--adapt",
+        changes,
+    )
+
+
+def score(predict: Predict, samples: Sequence[Sample]) -> dict[str, NDArray[np.float64]]:
+    """Feed -> MAE, RMSE and median error [m] of the withheld returns, means over frames, (3,)."""
+    found: dict[str, list[tuple[float, float, float]]] = {name: [] for name in FEEDS}
+    for number, sample in enumerate(samples):
+        for name, feed in FEEDS.items():
+            fed = feed(sample, number)
+            truth = OcclusionFilter().apply(masked(sample.depth, fed == 0), sample.depth)
+            known = (truth > 0) & (truth <= FARTHEST_M)
+            if known.any():
+                answer = predict(sample.rgb, fed, sample.focal_length_px).depth
+                assert answer is not None
+                error = np.abs(np.minimum(answer[known], FARTHEST_M) - truth[known])
+                figures = error.mean(), math.sqrt(np.square(error).mean()), np.median(error)
+                found[name].append(figures)
+    return {name: np.mean(figures, axis=0) for name, figures in found.items() if figures}
+
+
+def _some(share: float) -> Callable[[Sample, int], Depth]:
+    return lambda sample, number: random_share(
+        sample.depth, share, np.random.default_rng([number, round(1 / share)])
+    )
+
+
+def every_second_line(sample: Sample, number: int) -> Depth:
+    """Keep the returns in every second band of elevation: about every second line of a scan."""
+    height, width = sample.size
+    focal = sample.focal_length_px or max(sample.size)
+    rows, columns = np.mgrid[:height, :width]
+    flat = np.hypot((columns - width / 2) / focal, 1.0)
+    elevation = np.degrees(np.arctan2(height / 2 - rows, focal * flat))
+    return masked(sample.depth, (elevation // _BAND_DEG + number) % 2 == 0)
+
+
+FEEDS: Mapping[str, Callable[[Sample, int], Depth]] = {
+    "half of the returns": _some(0.5),
+    "every second line": every_second_line,
+    "a quarter": _some(0.25),
+}
+
+
+def _table(scores: Mapping[str, Mapping[str, Any]], frames: int) -> Iterator[str]:
+    yield f"withheld returns of {frames} frames kept apart, MAE / RMSE, median in mm:"
+    yield f"{'fed':20}" + "".join(f"{name:>22}" for name in scores)
+    for feed in FEEDS:
+        rows = (1000 * found[feed] for found in scores.values() if feed in found)
+        cells = (f"{mae:.0f} / {rmse:.0f}, {median:.0f}" for mae, rmse, median in rows)
+        yield f"{feed:20}" + "".join(f"{cell:>22}" for cell in cells)
+
+
+def _unchanged(before: Network, after: nn.Module) -> Iterator[str]:
+    """Yield what the adaptation changes on the recording that is installed with the engine."""
+    assert isinstance(after, Network)
+    one, other = torch_predict(before), torch_predict(after)
+    changed, ratios = [], []
+    for frame in bundled_frames():
+        maps = [p(frame.rgb, frame.sparse_depth, BUNDLED_FOCAL_LENGTH_PX) for p in (one, other)]
+        assert maps[0].depth is not None
+        assert maps[1].depth is not None
+        ratios.append(np.abs(maps[1].depth / maps[0].depth - 1).mean())
+        if maps[0].semantic is not None:
+            changed.append(float((maps[0].semantic != maps[1].semantic).mean()))
+    classes = f"{100 * np.mean(changed):.1f} % of the pixels change class, " if changed else ""
+    yield f"the bundled recording: {classes}depth changes by {100 * np.mean(ratios):.1f} %"
