@@ -17,6 +17,8 @@ from runtime.checks import shown
 from runtime.errors import InputError
 
 PLUMB_BOB, RATIONAL_POLYNOMIAL, EQUIDISTANT = "plumb_bob", "rational_polynomial", "equidistant"
+#: Other names of these models: Kalibr's, OpenCV's, librealsense's.
+ALIASES = {"radtan": PLUMB_BOB} | dict.fromkeys(("equi", "fisheye", "kannala_brandt4"), EQUIDISTANT)
 #: Model -> the accepted numbers of coefficients, and these.
 _COEFFICIENTS = {
     PLUMB_BOB: ((4, 5), "k1, k2, p1, p2[, k3]"),

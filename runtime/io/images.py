@@ -14,6 +14,7 @@ from runtime.contract import MAX_PIXELS
 from runtime.errors import InputError
 from runtime.io.image_header import image_size
 from runtime.read_input import read_input
+from runtime.returns import to_metres
 
 RGB_SUFFIXES = (".png", ".jpg", ".jpeg")
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")
@@ -61,7 +62,7 @@ def read_sparse_depth(path: Path, *, depth_scale: float = KITTI_DEPTH_SCALE) -> 
         depth_scale: units of uint16 per metre, 256 for KITTI, 100 for Virtual KITTI.
 
     Returns:
-        float32 (H, W), metres; 0 and what is not finite = no measurement.
+        float32 (H, W), metres; 0 and what is not finite, as of 65535, = no measurement.
 
     Raises:
         InputError: if the file cannot be read, is truncated or damaged, or holds anything else.
@@ -75,10 +76,7 @@ def read_sparse_depth(path: Path, *, depth_scale: float = KITTI_DEPTH_SCALE) -> 
             f"{path} must be a depth map of one channel of 16 bits (PNG, TIFF or .npy) or of "
             f"floats in metres (TIFF or .npy), got {depth.dtype} {depth.shape}: {remedy}"
         )
-    scale = np.float32(depth_scale if kind == "u2" else 1)
-    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is no measurement
-        metres: NDArray[np.float32] = np.divide(depth, scale, dtype=np.float32, casting="same_kind")
-    return metres
+    return to_metres(depth, depth_scale if kind == "u2" else 1)
 
 
 def holds_metres(path: Path) -> bool:

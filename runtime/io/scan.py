@@ -19,6 +19,7 @@ from runtime.checks import cut, shown
 from runtime.errors import InputError
 from runtime.io.images import read_npy
 from runtime.read_input import MAX_FILE_BYTES, read_input
+from runtime.returns import is_return, is_transposed
 
 SCAN_SUFFIXES = (".pcd.bin", ".bin", ".pcd", ".ply", ".npy")  # .pcd.bin before .bin
 _MAX_HEADER_BYTES = 100_000
@@ -35,7 +36,7 @@ _OF_PLY = {_ASCII: "", "binary_little_endian": "<", "binary_big_endian": ">"}
 # A raw file does not state how many columns a point has. They are judged by the angle between
 # successive points of a rotating scanner: 0.2 degrees along a ring, up to 21 between lasers; with a
 # wrong number of columns the median is 80 or more.
-_COLUMNS = (3, 4, 5, 6)
+_COLUMNS = (3, 4, 5, 6, 8)  # 8: PCL's x, y, z, 1, intensity and gaps
 _MAX_TURN_DEGREES = 40
 _MAX_DISTANCE_M = 250
 _JUDGED_POINTS, _LEAST_JUDGED = 2000, 50
@@ -51,36 +52,41 @@ def read_scan(path: Path | str, *, columns: int | None = None) -> NDArray[np.flo
     """Read a scan; the ending of its name decides on the format.
 
     Args:
-        path: .pcd or .ply with the float fields x, y and z; .npy of floats (N, 3) or wider; any
-            other file is raw float32.
+        path: .pcd or .ply with the float fields x, y and z; .npy of floats (N, 3) or wider, or
+            (3, N) to (6, N) as of nuScenes' devkit; any other file is raw float32.
         columns: numbers per point of a raw file; None: 5 of .pcd.bin (nuScenes), else 4 (KITTI).
 
     Returns:
-        float32 (N, 3), x, y, z [m] in the LiDAR's frame, not finite = no return; wider with the
+        float32 (N, 3), x, y, z [m] in the LiDAR's frame; see `is_return`; wider with the
         other columns of a .npy or raw file, such as KITTI's reflectance.
 
     Raises:
-        InputError: if the file cannot be read, is truncated or damaged, lacks x, y or z, or is a
-            raw file whose points are those of a scanner only with another number of columns.
+        InputError: if the file cannot be read, is truncated or damaged, lacks x, y or z, holds
+            numbers that are no points, or is a raw file whose points are those of a scanner only
+            with another number of columns or one coordinate after the other.
     """
     path = Path(path)
     name = path.name.lower()
     try:
         if name.endswith(".npy"):
-            return _check_array(read_npy(path))
-        content = read_input(path)
-        if name.endswith((".pcd", ".ply")):
-            return _read_points(content, is_pcd=name.endswith(".pcd"))
-        return _read_raw(content, columns or (5 if name.endswith(".pcd.bin") else 4))
+            points = _check_array(read_npy(path))
+        elif name.endswith((".pcd", ".ply")):
+            points = _read_points(read_input(path), is_pcd=name.endswith(".pcd"))
+        else:
+            columns = columns or (5 if name.endswith(".pcd.bin") else 4)
+            points = _read_raw(read_input(path), columns)
     except ValueError as error:
         raise InputError(f"cannot read the scan {path}: {error}") from error
+    is_return(points, name=f"the scan {path}")
+    return points
 
 
 def _check_array(array: NDArray[Any]) -> NDArray[np.float32]:
     if array.dtype.kind != "f" or array.ndim != 2 or array.shape[1] < 3:
         raise ValueError(f"expected floats of (N, 3) or wider, got {array.dtype} {array.shape}")
+    array = array.T if is_transposed(array.shape) else array
     with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is no return
-        return array.astype(np.float32)
+        return np.ascontiguousarray(array, np.float32)
 
 
 def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
@@ -88,6 +94,9 @@ def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
     scans = {n: values.reshape(-1, n) for n in {columns, *_COLUMNS} if len(content) % (4 * n) == 0}
     ordered = {n: _is_of_a_scanner(points) for n, points in scans.items()}
     others = " or ".join(str(n) for n in _COLUMNS if n != columns and ordered.get(n))
+    is_disordered = columns in scans and not ordered[columns]
+    if is_disordered and _is_of_a_scanner(values.reshape(columns, -1).T):
+        raise ValueError(f"it holds all x, then all y, ...: write points of {columns} float32 each")
     if columns in scans and (ordered[columns] is not False or not others):
         return scans[columns].astype(np.float32)
     fault = "do not follow scan lines as" if columns in scans else "are not whole"

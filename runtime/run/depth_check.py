@@ -14,6 +14,7 @@ from runtime.io.images import holds_metres
 from runtime.lens import EQUIDISTANT, rays
 from runtime.predictor import Predictor
 from runtime.preprocess import check_sparse_depth, clean_sparse_depth
+from runtime.returns import is_measured
 from runtime.sources.source import ListedFrame, Source
 from runtime.sync.outcome import Sensor
 
@@ -77,7 +78,7 @@ def find_depth_fault(
             range_m = predictor.camera_scale(size).range_m
             returns.append(clean_sparse_depth(frame.sparse_depth, max_depth_m=range_m)[2])
             camera_only = None
-            if (frame.sparse_depth > 0).any():
+            if is_measured(frame.sparse_depth).any():
                 camera_only = predictor.predict(frame.rgb, None)
                 check.add(camera_only, frame.sparse_depth)
                 if depth_scale is not None and holds_metres(listed.depth):

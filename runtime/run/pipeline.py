@@ -124,7 +124,7 @@ def run_stream(
         for recorder in recorders:
             recorder.write(frame, prediction)
         reason = "" if prediction.valid else ", ".join(prediction.degraded)
-        prediction = replace(prediction, degraded=prediction.degraded + frame.degraded + degraded)
+        prediction = prediction.after_reading(frame.degraded + degraded, frame.lost_points)
         written = None
         if outputs and prediction.valid:
             written = writing_thread.submit(_write, outputs, frame, prediction)

@@ -2,18 +2,18 @@
 
 import contextlib
 import os
-import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from runtime.assumptions import assume, collect_assumptions
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
+from runtime.point_cloud import to_points
+from runtime.returns import is_return
 from runtime.sources.frames import Frame
 from runtime.sources.recorded_motion import (
     RecordedPoses,
@@ -23,6 +23,7 @@ from runtime.sources.recorded_motion import (
     track_of,
 )
 from runtime.sources.ros_bag import RecordedMessage, RosBag
+from runtime.sources.ros_camera import StereoFrame, calibrate
 from runtime.sources.ros_messages import (
     decode_compressed_image,
     decode_depth_image,
@@ -32,13 +33,14 @@ from runtime.sources.ros_messages import (
 )
 from runtime.sources.ros_poses import (
     TransformTree,
+    frame_name,
     odometry_poses,
     point_times_ns,
     transform_poses,
 )
 from runtime.sources.source import ListedFrame, Source
 from runtime.sync.matching import Message
-from runtime.sync.motion import ScanStamp
+from runtime.sync.motion import Scan, ScanStamp
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.poses import PoseFrame
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
@@ -53,8 +55,6 @@ TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 NO_TOPIC = "none"
 
 
-#: Words, between / and _, of the names of topics of rectified images.
-_RECTIFIED = {"rect", "rectified"}
 _SUFFIXES = (".bag", ".db3", ".mcap")
 
 
@@ -72,6 +72,11 @@ class BagSource(Source):
             "none": the camera alone; None: the only one.
         info_topic: of CameraInfo; None: the one beside the images.
         calibration: as `Calibration.from_file`, in place of CameraInfo and /tf_static.
+        rectified: whether the images are; None: by their CameraInfo and the name of their topic.
+        stereo_frame: of which camera the frame of the images is, where P of their CameraInfo holds
+            the baseline of a stereo pair: "first" or their "own"; None: by the frames of the bag.
+        registered: whether depth images lie on the pixels of the images; None: if both are of one
+            frame; else they are moved by /tf_static and their own CameraInfo.
         max_skew_ms: largest difference of the time stamps of an image and its depth.
         reuse_depth_ms: largest age of the depth that an image without depth of its own takes.
         scan_stamp: what instant of a scan its time stamp is.
@@ -94,6 +99,9 @@ class BagSource(Source):
         depth_topic: str | None = None,
         info_topic: str | None = None,
         calibration: Path | None = None,
+        rectified: bool | None = None,
+        stereo_frame: StereoFrame | None = None,
+        registered: bool | None = None,
         max_skew_ms: float = DEFAULT_MAX_SKEW_MS,
         reuse_depth_ms: float = DEFAULT_REUSE_DEPTH_MS,
         scan_stamp: ScanStamp = "middle",
@@ -101,6 +109,8 @@ class BagSource(Source):
     ) -> None:
         self._max_skew_ms, self._calibration_path = max_skew_ms, calibration
         self._reuse_depth_ms, self._scan_stamp = reuse_depth_ms, scan_stamp
+        self._stated = {"rectified": rectified, "stereo_frame": stereo_frame}
+        self._registered = registered
         self._bag = path if isinstance(path, RosBag) else RosBag(path)
         path = self._bag.path
         self.folders = (path if os.path.isdir(path) else Path(os.path.realpath(path)).parent,)
@@ -110,11 +120,11 @@ class BagSource(Source):
         try:
             self._image_topic, self._depth_topic = self._find_topics(image_topic, depth_topic)
             self._has_clouds = self._depth_topic in self._of_kind(POINT_CLOUD)
-            infos = self._of_kind(CAMERA_INFO)
-            beside = [topic for topic in _beside(self._image_topic) if topic in infos]
-            self._info_topic = self._choose("info_topic", info_topic, infos, beside[:1])
-            self.calibration = self._calibrate()
-            self._pose_topic, self._poses = self._find_poses(pose_topic)
+            self._info_topic = self._find_info(self._image_topic, info_topic)
+            self._depth_camera: Calibration | None = None  # of depth images that are moved
+            with collect_assumptions(self._notes):
+                self.calibration = self._calibrate()
+                self._pose_topic, self._poses = self._find_poses(pose_topic)
         except BaseException:
             self.close()
             raise
@@ -193,41 +203,74 @@ class BagSource(Source):
             f"It has the topics {topics or '(none)'}"
         )
 
+    def _find_info(self, topic: str, requested: str | None = None) -> str | None:
+        """The requested topic of CameraInfo, or the one beside a topic. Raises InputError."""
+        infos = self._of_kind(CAMERA_INFO)
+        beside = [each for each in _beside(topic) if each in infos]
+        return self._choose("info_topic", requested, infos, beside[:1])
+
     def _calibrate(self) -> Calibration | None:
         """The given calibration, or that of CameraInfo and /tf_static."""
+        image, depth = self._image_topic, self._depth_topic
+        if depth is not None and not self._has_clouds and not self._is_registered(depth):
+            self._depth_camera = self._camera(depth, self._find_info(depth), None)
         if self._calibration_path is not None:
             return Calibration.from_file(self._calibration_path, for_scans=self._has_clouds)
-        info = None if self._info_topic is None else self._first(self._info_topic)
-        rectified = not _RECTIFIED.isdisjoint(re.split("[/_]", self._image_topic.lower()))
-        if not self._has_clouds:
-            # Depth images need no projection: only the focal length and clouds need a calibration.
-            with contextlib.suppress(InputError):
-                if info is not None:
-                    return Calibration.from_camera_info(
-                        _fields(info), np.eye(4), rectified=rectified
-                    )
-            return None
-        if info is None:
+        if depth is not None and (self._has_clouds or self._depth_camera):
+            return self._camera(image, self._info_topic, self._frame(depth), **self._stated)
+        # Neither depth images on the pixels nor images alone need more than the focal length.
+        with contextlib.suppress(InputError), collect_assumptions([]):
+            return self._camera(image, self._info_topic, None, **self._stated)
+        return None
+
+    def _is_registered(self, depth: str) -> bool:
+        """Whether depth images lie on the pixels of the images. Raises InputError."""
+        if self._registered is not None:
+            return self._registered
+        frames = self._frame(depth), self._frame(self._image_topic)
+        if not all(frames):
+            assume(f"{depth} lies on the pixels of the images", "state it with registered=true")
+        elif frames[0] != frames[1]:
+            known = self._find_info(depth) and {*frames} <= {*self._tree.frames}
+            if self._calibration_path is not None or not known:
+                raise InputError(
+                    f"{depth} is of the frame {frames[0]}, the images are of {frames[1]}: choose a "
+                    "topic of aligned depth; or, if it lies on the pixels of the images, state "
+                    "registered=true in --source. Other depth is moved by /tf_static and the "
+                    "CameraInfo beside it, without --calibration"
+                )
+            return False
+        return True
+
+    def _camera(
+        self, topic: str, info_topic: str | None, source: str | None, **stated: Any
+    ) -> Calibration:
+        """The calibration of the images or depth images of a topic. Raises InputError."""
+        if info_topic is None:
             raise InputError(
-                f"{self._bag.path} has no CameraInfo beside {self._image_topic} to project "
+                f"{self._bag.path} has no CameraInfo beside {topic} to project "
                 f"{self._depth_topic} with: give info_topic= in --source, or --calibration"
             )
-        camera = self._first(self._image_topic).header.frame_id or info.header.frame_id
-        extrinsics = self._tree.between(self._lidar, camera)
-        try:
-            found = Calibration.from_camera_info(_fields(info), extrinsics, rectified=rectified)
-        except InputError as error:
-            raise InputError(
-                f"the CameraInfo of {self._info_topic}: {error}; or give --calibration"
-            ) from error
-        if found.lens is not None:
-            self._notes.append(f"guessed: {self._image_topic} is not rectified, by its name")
-        return found
+        infos = (next(self._bag.decoded(each), None) for each in self._of_kind(CAMERA_INFO))
+        return calibrate(
+            self._bag.decoded(info_topic),
+            self._first(topic),
+            topic,
+            info_topic,
+            source,
+            self._tree,
+            others=filter(None, infos),
+            **stated,
+        )
+
+    def _frame(self, topic: str) -> str:
+        """The frame of the first message of a topic."""
+        return frame_name(self._first(topic).header.frame_id)
 
     @cached_property
     def _lidar(self) -> str:
         """The frame of the clouds."""
-        return str(self._first(self._depth_topic or "").header.frame_id)
+        return self._frame(self._depth_topic or "")
 
     @cached_property
     def _tree(self) -> TransformTree:
@@ -327,17 +370,25 @@ class BagSource(Source):
         image = self._bag.decode(messages[frame.image])
         is_compressed = self._bag.types[self._image_topic] == COMPRESSED_IMAGE
         rgb = decode_compressed_image(image) if is_compressed else decode_image(image)
-        has_map = frame.depth is not None and not self._has_clouds
+        is_moved = self._has_clouds or self._depth_camera is not None
+        has_map = frame.depth is not None and not is_moved
         rgb, calibration = self._rectified(rgb, self.calibration, has_map=has_map)
         if frame.depth is None:
             return frame_of(frame, rgb, calibration)
         message = self._bag.decode(messages[frame.depth])
-        if has_map:
-            return frame_of(frame, rgb, calibration, sparse_depth=decode_depth_image(message))
-        points, times = decode_points(message), None
+        if not self._has_clouds:
+            depth = decode_depth_image(message)
+            if self._depth_camera is None:
+                return frame_of(frame, rgb, calibration, sparse_depth=depth)
+            camera = self._depth_camera
+            camera.require_size(depth.shape)
+            cloud = to_points(depth, camera.intrinsics, lens=camera.lens_model)
+            return frame_of(frame, rgb, calibration, scan=Scan.of(cloud.points))
+        points, after_ns = decode_points(message), None
         if self._poses is not None and frame.depth_stamp_ns is not None:
-            times = point_times_ns(message, frame.depth_stamp_ns)
-        return frame_of(frame, rgb, calibration, points=points, times=times, poses=self._poses)
+            after_ns = point_times_ns(message, frame.depth_stamp_ns, is_return(points))
+        scan = Scan.of(points, after_ns, frame.depth_stamp_ns or 0)
+        return frame_of(frame, rgb, calibration, scan=scan, poses=self._poses)
 
     def _take(self, frame: ListedFrame) -> dict[int, RecordedMessage]:
         """The messages of a frame by position; messages of later frames are read ahead and kept."""
@@ -389,12 +440,6 @@ class BagSource(Source):
     def close(self) -> None:
         """See `Source.close`."""
         self._bag.close()
-
-
-def _fields(info: Any) -> Mapping[str, Any]:
-    """The fields of a CameraInfo; ROS 1 has them in capitals."""
-    names = ("height", "width", "distortion_model", "D", "K", "P", "d", "k", "p")
-    return {name.lower(): getattr(info, name) for name in names if hasattr(info, name)}
 
 
 def _beside(topic: str) -> list[str]:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.assumptions import collect_assumptions
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration, FrameCalibrations
 from runtime.io.images import (
@@ -33,7 +34,7 @@ from runtime.sources.recorded_motion import (
     match_frames,
 )
 from runtime.sources.source import ListedFrame, Source, pair_up
-from runtime.sync.motion import ScanStamp, lidar_mount, point_times
+from runtime.sync.motion import Scan, ScanStamp, lidar_mount, point_times
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.poses import PoseFrame, PoseTrack
 from runtime.sync.stamp import DEFAULT_REUSE_DEPTH_MS, NS_PER_MS
@@ -125,7 +126,8 @@ class FolderSource(Source):
                 rectified=self._kitti_rectified,
                 for_scans=self._has_scans,
             )
-            self._calibrations = FrameCalibrations(calibration, read)
+            with collect_assumptions(self._notes):
+                self._calibrations = FrameCalibrations(calibration, read)
             self.calibration = self._calibrations.first
             if pose_frame is not None:
                 lidar_mount(pose_frame, self.calibration)  # raises InputError if unknown
@@ -175,8 +177,9 @@ class FolderSource(Source):
                 )
         if self._poses_file is not None and self._pose_frame is not None:
             of_clock = self._timestamps is not None
-            poses_ns, poses = read_poses(self._poses_file, stamps_ns, of_clock=of_clock)
-            self._poses = RecordedPoses(PoseTrack.of(poses, poses_ns), self._pose_frame)
+            with collect_assumptions(self._notes):
+                poses_ns, poses = read_poses(self._poses_file, stamps_ns, of_clock=of_clock)
+                self._poses = RecordedPoses(PoseTrack.of(poses, poses_ns), self._pose_frame)
         messages: list[tuple[Sensor, int, Path]] = []
         for (name, image), stamp_ns in zip(images.items(), stamps_ns, strict=True):
             if name in depths:
@@ -233,7 +236,8 @@ class FolderSource(Source):
         if frame.depth is None and self._depth is not None and not self.camera_alone:
             raise InputError(f"{frame.name} has an image, but no {self._what}")
         rgb = self._read_image(frame.image)
-        found = None if self._calibrations is None else self._calibrations.of(frame.name)
+        with collect_assumptions(self._notes):
+            found = None if self._calibrations is None else self._calibrations.of(frame.name)
         has_map = frame.depth is not None and not self._has_scans
         rgb, calibration = self._rectified(rgb, found, has_map=has_map)
         if frame.depth is None:
@@ -241,7 +245,7 @@ class FolderSource(Source):
         if has_map:
             sparse_depth = read_sparse_depth(frame.depth, depth_scale=self._depth_scale)
             return frame_of(frame, rgb, calibration, sparse_depth=sparse_depth)
-        points, times = read_scan(frame.depth, columns=self._point_columns), None
+        points, after_ns = read_scan(frame.depth, columns=self._point_columns), None
         column = self._point_time_column
         if column is not None and column >= points.shape[1]:
             raise InputError(
@@ -249,8 +253,9 @@ class FolderSource(Source):
                 f"is {column}: beyond x, y and z only those of .bin and .npy are read"
             )
         if column is not None and frame.depth_stamp_ns is not None:
-            times = point_times(points[:, column], len(points), frame.depth_stamp_ns)
-        return frame_of(frame, rgb, calibration, points=points, times=times, poses=self._poses)
+            after_ns = point_times(points[:, column], len(points), frame.depth_stamp_ns)
+        scan = Scan.of(points, after_ns, frame.depth_stamp_ns or 0)
+        return frame_of(frame, rgb, calibration, scan=scan, poses=self._poses)
 
     @property
     def inputs(self) -> dict[str, Any]:

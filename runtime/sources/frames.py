@@ -24,6 +24,7 @@ class Frame:
         depth_reused: whether the depth is an older scan's.
         depth_motion: as of `DepthInTime`; None without depth.
         degraded: reasons that reading found, as of `Prediction.degraded`.
+        lost_points: as of `Cleaned`.
 
     Raises:
         InputError: if the calibration is of images of another size.
@@ -39,6 +40,7 @@ class Frame:
     depth_reused: bool = False
     depth_motion: DepthMotion | None = None
     degraded: tuple[str, ...] = ()
+    lost_points: int = 0
 
     def __post_init__(self) -> None:
         """Check the size, which would silently falsify clouds and the focal length."""

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from runtime.assumptions import collect_assumptions
 from runtime.errors import InputError
 from runtime.io.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration, find_raw_calibration
 from runtime.io.images import RGB_SUFFIXES, list_files
@@ -88,7 +89,8 @@ class KittiRawSource(FolderSource):
                 self._stamped = sorted(pictures + returns, key=lambda message: message[1])
         self._max_skew_ms = max_skew_ms if self._stamped else None
         if self._stamped:
-            self._read_oxts(drive / "oxts", calibration / RAW_IMU)
+            with collect_assumptions(self._notes):
+                self._read_oxts(drive / "oxts", calibration / RAW_IMU)
 
     @staticmethod
     def accepts(path: Path) -> bool:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from runtime.checks import check_integer, cut, shown
 from runtime.errors import InputError
 from runtime.io.images import decode_rgb, require_pixels
+from runtime.returns import to_metres
 
 #: Encoding of an image -> channels and the conversion to RGB.
 _PICTURES: dict[str, tuple[int, int | None]] = {
@@ -87,7 +88,7 @@ def decode_depth_image(message: Any) -> NDArray[np.float32]:
         message: sensor_msgs/Image in 16UC1 [mm] or 32FC1 [m].
 
     Returns:
-        float32 (H, W), metres; 0 and NaN = no measurement.
+        float32 (H, W), metres; 0 and what is not finite, as of 65535, = no measurement.
 
     Raises:
         InputError: for another encoding and for inconsistent fields.
@@ -100,8 +101,7 @@ def decode_depth_image(message: Any) -> NDArray[np.float32]:
     kind, units_a_metre = _DEPTHS[encoding]
     order = ">" if message.is_bigendian else "<"
     pixels = _pixels(message, np.dtype(order + kind), 1)
-    depth: NDArray[np.float32] = np.divide(pixels, np.float32(units_a_metre), dtype=np.float32)
-    return depth
+    return to_metres(pixels, units_a_metre)
 
 
 def decode_points(message: Any) -> NDArray[np.float32]:

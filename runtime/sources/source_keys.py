@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from runtime.checks import check_number, shown
 from runtime.errors import InputError
+from runtime.sources.ros_camera import STEREO_FRAMES, check_stereo_frame
 from runtime.sync.motion import MIDDLE_AFTER, check_scan_stamp
 from runtime.sync.poses import PoseFrame
 
@@ -39,6 +40,9 @@ def _read_path(text: str) -> Path:
     return Path(os.path.expanduser(_read_text(text)))  # the shell does not expand KEY=~/FILE
 
 
+_TRUTH = SourceKey("true or false", lambda text: bool(("false", "true").index(text)))
+
+
 #: Keyword of the class of a source -> what --source takes for it. The other keywords are flags.
 SOURCE_KEYS = {
     "camera": _number("the number of a camera of KITTI", 0, 3, int),
@@ -48,6 +52,9 @@ SOURCE_KEYS = {
     "pose_frame": SourceKey(" or ".join(PoseFrame), PoseFrame),
     "scan_stamp": SourceKey(" or ".join(MIDDLE_AFTER), check_scan_stamp),
     "point_time_column": _number("the number of a column after x, y, z", 3, 10**6, int),
+    "rectified": _TRUTH,
+    "stereo_frame": SourceKey(" or ".join(STEREO_FRAMES), check_stereo_frame),
+    "registered": _TRUTH,
     "image_topic": SourceKey("a topic, or those of several cameras joined by +", _read_text),
     "depth_topic": SourceKey("a topic or none", _read_text),
     "info_topic": SourceKey("a topic", _read_text),

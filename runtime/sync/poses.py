@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from runtime.checks import check_integer, shown
 from runtime.errors import InputError
 from runtime.prediction import NO_POSE, POSE_CLOCK, POSE_GAP, POSE_JUMP
-from runtime.projection import check_transform
+from runtime.rigid import read_rigid
 from runtime.sync.outcome import Outcome
 from runtime.sync.stamp import JUMP_BACK_NS, NS_PER_MS
 
@@ -32,7 +32,6 @@ _MOST_NS = 2**62  # largest stamp: differences of two stamps fit into int64
 _MAX_GAP_NS = round(MAX_GAP_MS * NS_PER_MS)
 _REACH_NS = round(MAX_EXTRAPOLATION_MS * NS_PER_MS)
 _VELOCITY_NS = 100 * NS_PER_MS  # velocities are averaged over this time
-_RIGID_TOLERANCE = 1e-3  # float32 poses that were multiplied often
 _LARGEST_M = 1e7
 _stamp_ns = attrgetter("stamp_ns")
 # What a car can do between two poses; beyond it, the odometry jumped.
@@ -279,21 +278,11 @@ def check_pose(pose: Any, name: str = "pose") -> NDArray[np.float64]:
     """Return a rigid transform as float64 (4, 4).
 
     Raises:
-        InputError: if it is not rigid: a rotation without scale or mirror, finite metres, and the
-            last row 0, 0, 0, 1.
+        InputError: if it is not rigid, see `read_rigid`, or farther than 10,000 km from the origin.
     """
-    check_transform(name, pose)
-    matrix: NDArray[np.float64] = pose.astype(np.float64)
-    rotation = matrix[:3, :3]
+    matrix: NDArray[np.float64] = read_rigid(name, pose).astype(np.float64)
     if np.abs(matrix[:3, 3]).max() > _LARGEST_M:
         raise InputError(f"{name} must have a position in metres, got {matrix[:3, 3].tolist()}")
-    with np.errstate(over="ignore", invalid="ignore"):
-        error = np.abs(rotation.T @ rotation - np.eye(3)).max()
-    if not error <= _RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
-        raise InputError(
-            f"{name} must be rigid, a rotation and a position, got {rotation.tolist()}: "
-            "it scales, shears or mirrors"
-        )
     return matrix
 
 

@@ -1,0 +1,91 @@
+"""Rotations and rigid transforms: checked where they are read, from whatever file or message."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.assumptions import assume
+from runtime.errors import InputError
+
+_EXACT = 1e-3  # of float32, and of files with four digits
+_NEAR = 0.02  # of DAIR-V2X's calibrations; a lost sign or a scale is beyond it
+_REMEDY = "give it with more digits"
+
+
+def read_rotation(name: str, rotation: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    """Return a rotation matrix, float (3, 3): as it is, or the nearest where it is nearly one.
+
+    Raises:
+        InputError: if it is none: it scales, shears or mirrors.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = np.abs(rotation.T @ rotation - np.eye(3)).max()
+    if not error <= _NEAR or np.linalg.det(rotation.astype(np.float64)) < 0:
+        raise InputError(
+            f"{name} must be rigid, a rotation and a position, got {rotation.tolist()}: it scales, "
+            f"shears or mirrors; transposed times itself it is the identity only to {error:.2g}. "
+            "Is a sign or a digit lost?"
+        )
+    if error <= _EXACT:
+        return rotation
+    assume(f"the nearest rotation to {name}, which is none to {_EXACT:g}", _REMEDY)
+    left, _, right = np.linalg.svd(rotation.astype(np.float64))
+    return np.asarray(left @ right)
+
+
+def read_rigid(name: str, matrix: Any) -> NDArray[np.floating[Any]]:
+    """Return a rigid transform, float (4, 4), see `read_rotation`.
+
+    Raises:
+        InputError: also for another shape or type, for numbers that are not finite, and unless the
+            last row is 0, 0, 0, 1.
+    """
+    check_matrix(name, matrix, 4)
+    if not np.array_equal(matrix[3], (0, 0, 0, 1)):
+        raise InputError(
+            f"the last row of {name} must be 0, 0, 0, 1, got {matrix[3].tolist()}: is the matrix "
+            "transposed?"
+        )
+    given = matrix[:3, :3]
+    rotation = read_rotation(name, given)
+    rigid: NDArray[np.floating[Any]] = matrix
+    if rotation is not given:
+        rigid = matrix.astype(np.float64)
+        rigid[:3, :3] = rotation
+    return rigid
+
+
+def read_quaternion(name: str, quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a quaternion of unit length, float64 (4,), by the rule of `read_rotation`.
+
+    Raises:
+        InputError: if its length is not near 1.
+    """
+    length = float(np.linalg.norm(quaternion))
+    if not abs(length - 1) <= _NEAR:
+        raise InputError(
+            f"{name} has the rotation {quaternion.tolist()}, of the length {length:.3g}: expected "
+            "a unit quaternion x, y, z, w"
+        )
+    if abs(length - 1) > _EXACT:
+        assume(f"unit quaternions where their length is 1 only to {_NEAR:g}", f"first {name}")
+    return quaternion / length
+
+
+def check_matrix(name: str, matrix: Any, side: int) -> None:
+    """Raise InputError unless `matrix` is a plain array of finite floats, (side, side)."""
+    kind = kind_of(matrix)
+    if not (isinstance(kind, np.dtype) and kind.kind == "f"):
+        raise InputError(f"{name} must be an array of floats, got {kind}")
+    if matrix.shape != (side, side):
+        raise InputError(f"{name} must have the shape ({side}, {side}), got {matrix.shape}")
+    if not np.isfinite(matrix).all():
+        raise InputError(f"{name} must be finite: check the calibration")
+
+
+def kind_of(array: Any) -> Any:
+    """Return the dtype of a plain numpy array, the name of any other type."""
+    if isinstance(array, np.ndarray) and not isinstance(array, np.ma.MaskedArray | np.matrix):
+        return array.dtype
+    return type(array).__name__
