@@ -28,15 +28,20 @@ def to_metres(depth: NDArray[Any], units_a_metre: float) -> NDArray[np.float32]:
     return metres
 
 
-def is_saturated(metres: NDArray[np.float32], farthest: float) -> NDArray[np.bool_] | None:
-    """Where a map was made of saturated 16 bits; None: nowhere. `farthest`: its largest value."""
-    marked = [metres == mark for mark in _SATURATED_M if not farthest < mark]
-    return np.logical_or.reduce(marked) if marked else None
+def drop_saturated(metres: NDArray[np.float32], farthest: float) -> NDArray[np.float32]:
+    """Return a depth map with NaN where others made it of saturated 16 bits.
+
+    metres: float32 (H, W), returned if nothing changes. farthest: largest value to look at.
+    """
+    for mark in _SATURATED_M:
+        if mark <= farthest and (is_mark := metres == mark).any():
+            metres = np.where(is_mark, np.float32(np.nan), metres)
+    return metres
 
 
 def is_measured(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Where a depth map has a measurement: neither 0, negative, NaN, Inf nor a largest float."""
-    return (depth > 0) & (depth <= MAX_DEPTH_RANGE_M)
+    """Where a depth map has a number of metres: not 0, negative, NaN, Inf or the largest float."""
+    return (depth > 0) & (depth < np.finfo(np.float32).max)
 
 
 def check_points(points: Any) -> None:

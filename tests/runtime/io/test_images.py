@@ -39,7 +39,8 @@ def test_depth_is_read_in_metres(tmp_path, name, scale):
     image[0, :3] = (0, 1, 65535)
     depth = read_sparse_depth(write(tmp_path / name, image), depth_scale=scale)
     assert depth.dtype == np.float32
-    np.testing.assert_allclose(depth, image.astype(np.float64) / scale, rtol=1e-7)
+    expected = np.where(image == 65535, np.nan, image.astype(np.float64) / scale)
+    np.testing.assert_allclose(depth, expected, rtol=1e-7)
     assert depth[0, 0] == 0
 
 

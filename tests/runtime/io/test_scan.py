@@ -95,7 +95,7 @@ def test_x_y_and_z_are_found_by_their_names(tmp_path, name):
     [("a.bin", None, 4), ("a.pcd.bin", None, 5), ("a.BIN", 6, 6), ("a.pcd.bin", 3, 3)],
 )
 def test_raw_floats_have_so_many_columns(tmp_path, name, columns, expected):
-    values = np.arange(60 * expected, dtype=np.float32).reshape(60, expected)
+    values = np.arange(60 * expected, dtype=np.float32).reshape(60, expected) / 10
     values.tofile(tmp_path / name)
     np.testing.assert_array_equal(read_scan(tmp_path / name, columns=columns), values)
 
