@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.assumptions import assume
 from runtime.checks import shown
 from runtime.errors import InputError
 
@@ -88,6 +89,16 @@ class Lens:
         if not any(numbers[most:]):  # OpenCV has 14 for all its models
             numbers = numbers[:most]
         return cls(str(model), numbers)
+
+    @classmethod
+    def of_ros(cls, model: Any, coefficients: Any) -> "Lens | None":
+        """Make the lens of a ROS CameraInfo; None for a pinhole. Raises InputError."""
+        name = ALIASES.get(str(model), str(model))
+        if name == EQUIDISTANT or np.any(coefficients):
+            return cls.of(name, coefficients)
+        if model and name not in (PLUMB_BOB, RATIONAL_POLYNOMIAL, "none", "pinhole"):
+            assume(f"a pinhole: all coefficients of {shown(model)} are 0", "give --calibration")
+        return None
 
     def distort(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Project rays to the image plane at focal length 1; they must be in the field of view."""

@@ -10,7 +10,6 @@ from runtime.errors import InputError
 
 _EXACT = 1e-3  # of float32, and of files with four digits
 _NEAR = 0.02  # of DAIR-V2X's calibrations; a lost sign or a scale is beyond it
-_REMEDY = "give it with more digits"
 
 
 def read_rotation(name: str, rotation: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
@@ -24,12 +23,11 @@ def read_rotation(name: str, rotation: NDArray[np.floating[Any]]) -> NDArray[np.
     if not error <= _NEAR or np.linalg.det(rotation.astype(np.float64)) < 0:
         raise InputError(
             f"{name} must be rigid, a rotation and a position, got {rotation.tolist()}: it scales, "
-            f"shears or mirrors; transposed times itself it is the identity only to {error:.2g}. "
-            "Is a sign or a digit lost?"
+            "shears or mirrors, or a sign is lost, or its quaternion is not of unit length"
         )
     if error <= _EXACT:
         return rotation
-    assume(f"the nearest rotation to {name}, which is none to {_EXACT:g}", _REMEDY)
+    assume(f"the nearest rotations to some that are none to {_EXACT:g}", f"see {name}")
     left, _, right = np.linalg.svd(rotation.astype(np.float64))
     return np.asarray(left @ right)
 
@@ -54,23 +52,6 @@ def read_rigid(name: str, matrix: Any) -> NDArray[np.floating[Any]]:
         rigid = matrix.astype(np.float64)
         rigid[:3, :3] = rotation
     return rigid
-
-
-def read_quaternion(name: str, quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a quaternion of unit length, float64 (4,), by the rule of `read_rotation`.
-
-    Raises:
-        InputError: if its length is not near 1.
-    """
-    length = float(np.linalg.norm(quaternion))
-    if not abs(length - 1) <= _NEAR:
-        raise InputError(
-            f"{name} has the rotation {quaternion.tolist()}, of the length {length:.3g}: expected "
-            "a unit quaternion x, y, z, w"
-        )
-    if abs(length - 1) > _EXACT:
-        assume(f"unit quaternions where their length is 1 only to {_NEAR:g}", f"first {name}")
-    return quaternion / length
 
 
 def check_matrix(name: str, matrix: Any, side: int) -> None:

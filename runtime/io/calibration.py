@@ -10,20 +10,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.assumptions import assume
 from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.foreign_calibration import refuse
 from runtime.io.images import list_files, natural_order
 from runtime.io.kitti_calibration import NumbersFile, chain, is_kitti
-from runtime.lens import (
-    ALIASES,
-    EQUIDISTANT,
-    PLUMB_BOB,
-    RATIONAL_POLYNOMIAL,
-    Lens,
-    rectifying_maps,
-)
+from runtime.lens import PLUMB_BOB, Lens, rectifying_maps
 from runtime.projection import OcclusionFilter, check_intrinsics, project_points
 from runtime.read_input import read_toml
 from runtime.rigid import read_rigid
@@ -246,7 +238,7 @@ class Calibration:
         """
         fields = {str(key).lower(): value for key, value in info.items()}
         distortion = fields.get("d", ())
-        lens = None if rectified else lens_of(fields.get("distortion_model"), distortion)
+        lens = None if rectified else Lens.of_ros(fields.get("distortion_model"), distortion)
         projection = _matrix("P of the CameraInfo", fields.get("p", [0] * 12), 3, 4)
         shift, (crop, size) = np.eye(4), _crop(fields)
         if projection.any() and (rectified or not np.any(fields.get("k", 0))):
@@ -340,16 +332,6 @@ class FrameCalibrations:
         if name not in self._files:
             raise InputError(f"{name} has no calibration in {self._path}")
         return self._read(self._files[name])
-
-
-def lens_of(model: Any, distortion: Any) -> Lens | None:
-    """Return the lens of a CameraInfo; None for a pinhole. Raises InputError."""
-    name = ALIASES.get(str(model), str(model))
-    if name == EQUIDISTANT or np.any(distortion):
-        return Lens.of(name, distortion)
-    if model and name not in (PLUMB_BOB, RATIONAL_POLYNOMIAL, "none", "pinhole"):
-        assume(f"a pinhole, because all coefficients of {shown(model)} are 0", "give --calibration")
-    return None
 
 
 def _crop(fields: Mapping[str, Any]) -> tuple[NDArray[np.float64], tuple[int, int] | None]:

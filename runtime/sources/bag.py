@@ -23,7 +23,7 @@ from runtime.sources.recorded_motion import (
     track_of,
 )
 from runtime.sources.ros_bag import RecordedMessage, RosBag
-from runtime.sources.ros_camera import StereoFrame, calibrate
+from runtime.sources.ros_camera import CAMERA_INFO, calibrate
 from runtime.sources.ros_messages import (
     decode_compressed_image,
     decode_depth_image,
@@ -49,7 +49,6 @@ IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 ODOMETRY = "nav_msgs/msg/Odometry"
-CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 #: As depth_topic: the camera alone.
 NO_TOPIC = "none"
@@ -73,10 +72,8 @@ class BagSource(Source):
         info_topic: of CameraInfo; None: the one beside the images.
         calibration: as `Calibration.from_file`, in place of CameraInfo and /tf_static.
         rectified: whether the images are; None: by their CameraInfo and the name of their topic.
-        stereo_frame: of which camera the frame of the images is, where P of their CameraInfo holds
-            the baseline of a stereo pair: "first" or their "own"; None: by the frames of the bag.
         registered: whether depth images lie on the pixels of the images; None: if both are of one
-            frame; else they are moved by /tf_static and their own CameraInfo.
+            frame. Others are moved by their CameraInfo and /tf_static or `calibration`.
         max_skew_ms: largest difference of the time stamps of an image and its depth.
         reuse_depth_ms: largest age of the depth that an image without depth of its own takes.
         scan_stamp: what instant of a scan its time stamp is.
@@ -100,7 +97,6 @@ class BagSource(Source):
         info_topic: str | None = None,
         calibration: Path | None = None,
         rectified: bool | None = None,
-        stereo_frame: StereoFrame | None = None,
         registered: bool | None = None,
         max_skew_ms: float = DEFAULT_MAX_SKEW_MS,
         reuse_depth_ms: float = DEFAULT_REUSE_DEPTH_MS,
@@ -109,8 +105,7 @@ class BagSource(Source):
     ) -> None:
         self._max_skew_ms, self._calibration_path = max_skew_ms, calibration
         self._reuse_depth_ms, self._scan_stamp = reuse_depth_ms, scan_stamp
-        self._stated = {"rectified": rectified, "stereo_frame": stereo_frame}
-        self._registered = registered
+        self._rectified_images, self._registered = rectified, registered
         self._bag = path if isinstance(path, RosBag) else RosBag(path)
         path = self._bag.path
         self.folders = (path if os.path.isdir(path) else Path(os.path.realpath(path)).parent,)
@@ -211,57 +206,44 @@ class BagSource(Source):
 
     def _calibrate(self) -> Calibration | None:
         """The given calibration, or that of CameraInfo and /tf_static."""
-        image, depth = self._image_topic, self._depth_topic
-        if depth is not None and not self._has_clouds and not self._is_registered(depth):
-            self._depth_camera = self._camera(depth, self._find_info(depth), None)
-        if self._calibration_path is not None:
-            return Calibration.from_file(self._calibration_path, for_scans=self._has_clouds)
-        if depth is not None and (self._has_clouds or self._depth_camera):
-            return self._camera(image, self._info_topic, self._frame(depth), **self._stated)
-        # Neither depth images on the pixels nor images alone need more than the focal length.
-        with contextlib.suppress(InputError), collect_assumptions([]):
-            return self._camera(image, self._info_topic, None, **self._stated)
-        return None
+        image, depth, path = self._image_topic, self._depth_topic, self._calibration_path
+        if depth is None or not (self._has_clouds or self._is_apart(depth)):
+            if path is not None:
+                return Calibration.from_file(path)
+            with contextlib.suppress(InputError), collect_assumptions([]):  # the focal length
+                return self._camera(image, self._info_topic)
+            return None
+        try:
+            if not self._has_clouds:
+                self._depth_camera = self._camera(depth, self._find_info(depth))
+            if path is not None:
+                return Calibration.from_file(path, for_scans=True)
+            return self._camera(image, self._info_topic, self._frame(depth))
+        except InputError as error:
+            if self._has_clouds:
+                raise
+            raise InputError(
+                f"{depth} is of the frame {self._frame(depth)}, not of {self._frame(image)} as the "
+                "images: choose a topic of aligned depth, or state registered=true in --source if "
+                f"it lies on their pixels. It cannot be projected: {error}"
+            ) from error
 
-    def _is_registered(self, depth: str) -> bool:
-        """Whether depth images lie on the pixels of the images. Raises InputError."""
-        if self._registered is not None:
-            return self._registered
+    def _is_apart(self, depth: str) -> bool:
+        """Whether depth images do not lie on the pixels of the images."""
         frames = self._frame(depth), self._frame(self._image_topic)
-        if not all(frames):
+        if self._registered is None and not all(frames):
             assume(f"{depth} lies on the pixels of the images", "state it with registered=true")
-        elif frames[0] != frames[1]:
-            known = self._find_info(depth) and {*frames} <= {*self._tree.frames}
-            if self._calibration_path is not None or not known:
-                raise InputError(
-                    f"{depth} is of the frame {frames[0]}, the images are of {frames[1]}: choose a "
-                    "topic of aligned depth; or, if it lies on the pixels of the images, state "
-                    "registered=true in --source. Other depth is moved by /tf_static and the "
-                    "CameraInfo beside it, without --calibration"
-                )
-            return False
-        return True
+        return not self._registered and all(frames) and frames[0] != frames[1]
 
-    def _camera(
-        self, topic: str, info_topic: str | None, source: str | None, **stated: Any
-    ) -> Calibration:
-        """The calibration of the images or depth images of a topic. Raises InputError."""
-        if info_topic is None:
+    def _camera(self, topic: str, info: str | None, source: str | None = None) -> Calibration:
+        """The calibration of the images of a topic, or of its depth images. Raises InputError."""
+        if info is None:
             raise InputError(
                 f"{self._bag.path} has no CameraInfo beside {topic} to project "
                 f"{self._depth_topic} with: give info_topic= in --source, or --calibration"
             )
-        infos = (next(self._bag.decoded(each), None) for each in self._of_kind(CAMERA_INFO))
-        return calibrate(
-            self._bag.decoded(info_topic),
-            self._first(topic),
-            topic,
-            info_topic,
-            source,
-            self._tree,
-            others=filter(None, infos),
-            **stated,
-        )
+        stated = self._rectified_images if topic == self._image_topic else None
+        return calibrate(self._bag, topic, info, self._tree, source, rectified=stated)
 
     def _frame(self, topic: str) -> str:
         """The frame of the first message of a topic."""

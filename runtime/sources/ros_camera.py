@@ -4,22 +4,22 @@ Some fields of CameraInfo are used in two ways. What the bag does not prove is a
 """
 
 import re
-from collections.abc import Iterable, Mapping
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.assumptions import assume
 from runtime.errors import InputError
-from runtime.io.calibration import Calibration, lens_of
+from runtime.io.calibration import Calibration
 from runtime.io.image_header import image_size
+from runtime.lens import Lens
 from runtime.rigid import read_rotation
+from runtime.sources.ros_bag import RosBag
 from runtime.sources.ros_poses import TransformTree, frame_name
 
-#: Of which camera of a stereo pair the frame of the second one's images is.
-StereoFrame = Literal["first", "own"]
-STEREO_FRAMES: tuple[StereoFrame, ...] = ("first", "own")
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 #: Words, between / and _, of the names of topics of images that are, or are not, rectified.
 _RECTIFIED, _RAW = {"rect", "rectified"}, {"raw", "unrectified", "distorted"}
 _OFF_CENTRE = 0.05  # of the image's sides; a principal point beyond it is of images of another size
@@ -29,43 +29,45 @@ _STATE = "give --calibration"
 
 
 def calibrate(
-    infos: Iterable[Any],
-    image: Any,
+    bag: RosBag,
     topic: str,
     info_topic: str,
-    source: str | None,
     tree: TransformTree,
+    source: str | None = None,
     *,
-    others: Iterable[Any] = (),
     rectified: bool | None = None,
-    stereo_frame: StereoFrame | None = None,
 ) -> Calibration:
     """Return the calibration of a camera for the points of a sensor.
 
     Args:
-        infos: the CameraInfo of the images; the first that is set counts.
-        image: the first of the images.
+        bag: of both.
         topic: of the images.
-        info_topic: of the CameraInfo.
-        source: frame of the points; None = that of the images.
+        info_topic: of their CameraInfo; the first that is set counts.
         tree: of /tf_static.
-        others: a CameraInfo of each camera of the bag.
+        source: frame of the points; None = that of the images.
         rectified: whether the images are; None = by the CameraInfo and the name of the topic.
-        stereo_frame: None = by the frames of the other cameras.
 
     Raises:
         InputError: if no CameraInfo is set, if it is invalid, or if /tf_static lacks a frame.
     """
-    set_infos = (each for each in infos if any(map(np.any, map(fields_of(each).get, "kp"))))
-    if (info := next(set_infos, None)) is None:  # drivers send zeros before they are calibrated
+    image, info = next(bag.decoded(topic)), None
+    for info in bag.decoded(info_topic):
+        fields = _fields(info)
+        if np.any(fields["k"]) or np.any(fields["p"]):  # drivers send zeros before they know
+            break
+    else:
         raise InputError(f"{info_topic} has no CameraInfo with K or P: {_STATE}")
-    frame, stated = (frame_name(each.header.frame_id) for each in (image, info))
-    frame = frame or stated
+    stated = frame_name(info.header.frame_id)
+    frame = frame_name(image.header.frame_id) or stated
     extrinsics = tree.between(source or frame, frame)
-    if stated and not (stated == frame or _is_at(tree, stated, frame, (0, 0, 0))):
+    if stated and stated != frame and not _is_at(tree, stated, frame, np.zeros(3)):
         assume(f"{frame} is the frame of the images, not {stated} of their CameraInfo", _STATE)
+    size = getattr(image, "height", 0), getattr(image, "width", 0)
+    if not all(size):
+        size = image_size(bytes(memoryview(image.data))) or size
+    if size == (fields["height"], fields["width"]):  # of K and P: these are not cut
+        fields |= {"binning_x": 0, "binning_y": 0, "roi": {}}
     try:
-        fields = _without_crop(fields_of(info), image)
         if rectified is None:
             rectified = is_rectified(fields, topic)
         if np.any(fields["r"]):
@@ -73,38 +75,20 @@ def calibrate(
             if np.abs(turn - np.eye(3)).max() > _TURN:
                 kind = "rectified" if rectified else "raw"
                 assume(f"{frame} is the frame of the {kind} images, so R is not used", _STATE)
-        projection = np.reshape(fields["p"], (3, 4))
-        if rectified and projection[:, 3].any() and projection[0, 0]:
-            shift = np.linalg.solve(projection[:, :3], projection[:, 3])
-            if (stereo_frame or _stereo_frame(frame, shift, tree, others)) == "own":
-                fields["p"] = projection * (1, 1, 1, 0)
+        if rectified and np.any(fields["p"][3::4]) and _has_own_frame(bag, frame, fields, tree):
+            fields["p"] = np.reshape(fields["p"], (3, 4)) * (1, 1, 1, 0)
         return Calibration.from_camera_info(fields, extrinsics, rectified=rectified)
     except InputError as error:
         raise InputError(f"the CameraInfo of {info_topic}: {error}; or {_STATE}") from error
-
-
-def check_stereo_frame(text: str) -> StereoFrame:
-    """Return which camera's frame a text names. Raises ValueError."""
-    return STEREO_FRAMES[STEREO_FRAMES.index(text)]
-
-
-def fields_of(info: Any) -> dict[str, Any]:
-    """Return the fields of a CameraInfo; ROS 1 has matrices in capitals."""
-    names = ("height", "width", "distortion_model", "binning_x", "binning_y", *"DKRPdkrp")
-    fields = {name.lower(): getattr(info, name) for name in names if hasattr(info, name)}
-    sides = ("x_offset", "y_offset", "height", "width")
-    return fields | {"roi": {name: getattr(info.roi, name) for name in sides}}
 
 
 def is_rectified(fields: Mapping[str, Any], topic: str) -> bool:
     """Whether P describes the images of a topic, and not K and D, as far as it matters."""
     words = set(re.split("[/_]", topic.lower()))
     camera, projection = np.reshape(fields["k"], (3, 3)), np.reshape(fields["p"], (3, 4))[:, :3]
-    if words & _RECTIFIED or not camera.any():
-        return True
-    if not projection.any():
-        return False
-    lens = lens_of(fields["distortion_model"], fields["d"])
+    if words & _RECTIFIED or not (camera.any() and projection.any()):
+        return bool(projection.any())
+    lens = Lens.of_ros(fields["distortion_model"], fields["d"])
     if lens is None and np.allclose(camera, projection, rtol=1e-3):
         return True
     state = "state it with rectified=true or false in --source"
@@ -118,48 +102,37 @@ def is_rectified(fields: Mapping[str, Any], topic: str) -> bool:
     return False
 
 
-def _stereo_frame(
-    frame: str, shift: NDArray[np.float64], tree: TransformTree, others: Iterable[Any]
-) -> StereoFrame:
-    """Whose frame the images of the second camera of a stereo pair have.
-
-    shift: of the second camera by P, metres.
-    """
-    for other in others:
-        column = np.reshape(fields_of(other)["p"], (3, 4))[:, 3]
-        if frame_name(other.header.frame_id) == frame and not column.any():
-            return "first"
+def _has_own_frame(bag: RosBag, frame: str, fields: Mapping[str, Any], tree: TransformTree) -> bool:
+    """Whether `frame` is already moved by the baseline in P, as ROS's of a stereo pair is not."""
+    projection = np.reshape(fields["p"], (3, 4))
+    shift = np.linalg.solve(projection[:, :3], projection[:, 3])
+    for topic in (topic for topic, kind in bag.types.items() if kind == CAMERA_INFO):
+        for info in bag.decoded(topic):
+            if frame_name(info.header.frame_id) == frame and not any(_fields(info)["p"][3::4]):
+                return False  # the first camera's
+            break
     if any(_is_at(tree, each, frame, shift) for each in tree.frames if each != frame):
-        return "own"
-    assume(
-        f"{frame} is the frame of the first camera of a stereo pair, {np.linalg.norm(shift):.3g} m "
-        "beside the images by P",
-        f"state it with stereo_frame={' or '.join(STEREO_FRAMES)} in --source",
-    )
-    return "first"
+        return True
+    beside = f"{np.linalg.norm(shift):.3g} m beside"
+    assume(f"{frame} is the frame of a stereo pair's first camera, {beside} the images", _STATE)
+    return False
 
 
-def _is_at(tree: TransformTree, source: str, target: str, shift: Any) -> bool:
+def _is_at(tree: TransformTree, source: str, target: str, shift: NDArray[np.float64]) -> bool:
     """Whether one frame is another one that is moved by `shift` [m] along the same axes."""
     try:
         matrix = tree.between(source, target)
     except InputError:  # not connected
         return False
-    length = float(np.linalg.norm(shift))
-    moved = np.linalg.norm(matrix[:3, 3] - shift)
+    length = np.linalg.norm(shift)
+    is_near = np.linalg.norm(matrix[:3, 3] - shift) < _SHIFT_M + _SHIFT_SHARE * length
     turned = np.abs(matrix[:3, :3] - np.eye(3)).max()
-    near_m = _SHIFT_M + _SHIFT_SHARE * length
-    return bool(moved < near_m and turned < (_PAIR_TURN if length else _TURN))
+    return bool(is_near and turned < (_PAIR_TURN if length else _TURN))
 
 
-def _without_crop(fields: dict[str, Any], image: Any) -> dict[str, Any]:
-    """The fields, without binning and ROI where images have the whole size all the same."""
-    size = getattr(image, "height", 0), getattr(image, "width", 0)
-    if not all(size):
-        size = image_size(bytes(memoryview(image.data))) or size
-    whole, roi = (fields["height"], fields["width"]), fields["roi"]
-    is_cut = any(roi.values()) and (roi["height"], roi["width"]) != whole
-    if size != whole or not (is_cut or max(fields["binning_x"], fields["binning_y"]) > 1):
-        return fields
-    assume("K and P are of the images as they are, without binning and ROI", _STATE)
-    return fields | {"binning_x": 0, "binning_y": 0, "roi": {}}
+def _fields(info: Any) -> dict[str, Any]:
+    """The fields of a CameraInfo; ROS 1 has matrices in capitals."""
+    names = ("height", "width", "distortion_model", "binning_x", "binning_y", *"DKRPdkrp")
+    fields = {name.lower(): getattr(info, name) for name in names if hasattr(info, name)}
+    sides = ("x_offset", "y_offset", "height", "width")
+    return fields | {"roi": {name: getattr(info.roi, name) for name in sides}}

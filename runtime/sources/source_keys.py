@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 from runtime.checks import check_number, shown
 from runtime.errors import InputError
-from runtime.sources.ros_camera import STEREO_FRAMES, check_stereo_frame
 from runtime.sync.motion import MIDDLE_AFTER, check_scan_stamp
 from runtime.sync.poses import PoseFrame
 
@@ -53,7 +52,6 @@ SOURCE_KEYS = {
     "scan_stamp": SourceKey(" or ".join(MIDDLE_AFTER), check_scan_stamp),
     "point_time_column": _number("the number of a column after x, y, z", 3, 10**6, int),
     "rectified": _TRUTH,
-    "stereo_frame": SourceKey(" or ".join(STEREO_FRAMES), check_stereo_frame),
     "registered": _TRUTH,
     "image_topic": SourceKey("a topic, or those of several cameras joined by +", _read_text),
     "depth_topic": SourceKey("a topic or none", _read_text),
