@@ -9,7 +9,6 @@ import warnings
 from collections.abc import Iterator
 from contextvars import ContextVar
 
-_PREFIX = "warning: "
 _notes: ContextVar[list[str] | None] = ContextVar("notes", default=None)
 
 
@@ -19,11 +18,11 @@ class AssumptionWarning(UserWarning):
 
 def assume(what: str, remedy: str) -> None:
     """Say what is assumed, and what states it; the same assumption is collected once."""
-    notes, line = _notes.get(), f"assumed {what}"
+    notes, line = _notes.get(), f"warning: assumed {what}: "
     if notes is None:
-        warnings.warn(f"{line}: {remedy}", AssumptionWarning, stacklevel=3)
-    elif not any(note.startswith(f"{_PREFIX}{line}: ") for note in notes):
-        notes.append(f"{_PREFIX}{line}: {remedy}")
+        warnings.warn(f"{line}{remedy}".removeprefix("warning: "), AssumptionWarning, stacklevel=3)
+    elif not any(note.startswith(line) for note in notes):
+        notes.append(line + remedy)
 
 
 @contextlib.contextmanager
@@ -34,8 +33,3 @@ def collect_assumptions(notes: list[str]) -> Iterator[None]:
         yield
     finally:
         _notes.reset(token)
-
-
-def assumptions_of(notes: tuple[str, ...]) -> list[str]:
-    """Return the assumptions among the notes of a source."""
-    return [note for note in notes if note.startswith(f"{_PREFIX}assumed ")]

@@ -14,15 +14,14 @@ _LEAST_JUDGED, _MOST_IMPLAUSIBLE = 50, 0.25
 _WIDEST_POINT = 16  # numbers per point; a longer row of a few is an axis of (3, N)
 _SATURATED = 65535  # of 16-bit depth: no measurement
 #: The same in metres, of the usual units: KITTI's, millimetres, centimetres.
-_SATURATED_M = tuple(np.float32(_SATURATED) / np.float32(units) for units in (256, 1000, 100))
+_SATURATED_M = tuple(np.float32(_SATURATED / units) for units in (256, 1000, 100))
 
 
 def to_metres(depth: NDArray[Any], units_a_metre: float) -> NDArray[np.float32]:
     """Return a depth map in metres, float32; NaN where 16 bits are saturated: no measurement."""
+    scale = np.float32(units_a_metre)
     with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is no measurement
-        metres: NDArray[np.float32] = np.divide(
-            depth, np.float32(units_a_metre), dtype=np.float32, casting="same_kind"
-        )
+        metres: NDArray[np.float32] = np.divide(depth, scale, dtype=np.float32, casting="same_kind")
     if depth.dtype.kind == "u":
         metres[depth == _SATURATED] = np.nan
     return metres

@@ -9,18 +9,19 @@ from runtime.assumptions import assume
 from runtime.errors import InputError
 
 _EXACT = 1e-3  # of float32, and of files with four digits
+_LARGEST_M = 1e7
 _NEAR = 0.02  # of DAIR-V2X's calibrations; a lost sign or a scale is beyond it
 
 
-def read_rotation(name: str, rotation: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-    """Return a rotation matrix, float (3, 3): as it is, or the nearest where it is nearly one.
+def read_rotation(name: str, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a rotation matrix, float64 (3, 3): as it is, or the nearest where it is nearly one.
 
     Raises:
         InputError: if it is none: it scales, shears or mirrors.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         error = np.abs(rotation.T @ rotation - np.eye(3)).max()
-    if not error <= _NEAR or np.linalg.det(rotation.astype(np.float64)) < 0:
+    if not error <= _NEAR or np.linalg.det(rotation) < 0:
         raise InputError(
             f"{name} must be rigid, a rotation and a position, got {rotation.tolist()}: it scales, "
             "shears or mirrors, or a sign is lost, or its quaternion is not of unit length"
@@ -28,16 +29,16 @@ def read_rotation(name: str, rotation: NDArray[np.floating[Any]]) -> NDArray[np.
     if error <= _EXACT:
         return rotation
     assume(f"the nearest rotations to some that are none to {_EXACT:g}", f"see {name}")
-    left, _, right = np.linalg.svd(rotation.astype(np.float64))
+    left, _, right = np.linalg.svd(rotation)
     return np.asarray(left @ right)
 
 
-def read_rigid(name: str, matrix: Any) -> NDArray[np.floating[Any]]:
-    """Return a rigid transform, float (4, 4), see `read_rotation`.
+def read_rigid(name: str, matrix: Any) -> NDArray[np.float64]:
+    """Return a rigid transform, float64 (4, 4), a new array, see `read_rotation`.
 
     Raises:
-        InputError: also for another shape or type, for numbers that are not finite, and unless the
-            last row is 0, 0, 0, 1.
+        InputError: also for another shape or type, for numbers that are not finite, a position
+            farther than 10,000 km, and unless the last row is 0, 0, 0, 1.
     """
     check_matrix(name, matrix, 4)
     if not np.array_equal(matrix[3], (0, 0, 0, 1)):
@@ -45,12 +46,10 @@ def read_rigid(name: str, matrix: Any) -> NDArray[np.floating[Any]]:
             f"the last row of {name} must be 0, 0, 0, 1, got {matrix[3].tolist()}: is the matrix "
             "transposed?"
         )
-    given = matrix[:3, :3]
-    rotation = read_rotation(name, given)
-    rigid: NDArray[np.floating[Any]] = matrix
-    if rotation is not given:
-        rigid = matrix.astype(np.float64)
-        rigid[:3, :3] = rotation
+    if not np.abs(matrix[:3, 3]).max() <= _LARGEST_M:
+        raise InputError(f"{name} must have a position in metres, got {matrix[:3, 3].tolist()}")
+    rigid: NDArray[np.float64] = matrix.astype(np.float64)
+    rigid[:3, :3] = read_rotation(name, rigid[:3, :3])
     return rigid
 
 

@@ -337,16 +337,14 @@ class FrameCalibrations:
 def _crop(fields: Mapping[str, Any]) -> tuple[NDArray[np.float64], tuple[int, int] | None]:
     """From pixels of the whole sensor to those of the images of a CameraInfo, and their size."""
     roi = fields.get("roi") or {}
-    crop, sides = np.eye(3), []
-    for axis, (side, offset, binning) in enumerate(
-        (("width", "x_offset", "binning_x"), ("height", "y_offset", "binning_y"))
-    ):
-        step = int(fields.get(binning) or 1)
-        # Of `step` pixels the centre is in their middle.
-        first = int(roi.get(offset) or 0) + (step - 1) / 2
-        crop[axis, axis], crop[axis, 2] = 1 / step, -first / step
-        sides.append(int(roi.get(side) or fields.get(side) or 0) // step)
-    return crop, (sides[1], sides[0]) if all(sides) else None
+    step = np.array([int(fields.get(f"binning_{axis}") or 1) for axis in "xy"])
+    # Of `step` pixels the centre is in their middle.
+    first = np.array([int(roi.get(f"{axis}_offset") or 0) for axis in "xy"]) + (step - 1) / 2
+    sides = np.array([int(roi.get(each) or fields.get(each) or 0) for each in ("height", "width")])
+    crop = np.diag([*(1 / step), 1.0])
+    crop[:2, 2] = -first / step
+    height, width = (sides // step[::-1]).tolist()
+    return crop, (height, width) if height and width else None
 
 
 def _matrix(name: str, numbers: Any, rows: int, columns: int) -> NDArray[np.float64]:

@@ -138,7 +138,7 @@ def pose_of(
     with np.errstate(divide="ignore", invalid="ignore"):
         pose[:3, :3] += 2 / norm * (w * cross + cross @ cross)
     pose[:3, :3] *= norm**0.25  # a length off by 1 % is a matrix off by 1 %
-    return read_rigid(name, pose).astype(np.float64)
+    return read_rigid(f"{name}, x, y, z and a unit quaternion,", pose)
 
 
 def _lines(path: Path) -> list[str]:

@@ -10,6 +10,7 @@ from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.preprocess import check_rgb, check_sparse_depth
 from runtime.returns import check_points
+from runtime.rigid import read_rigid
 from runtime.sync.matching import Intervals, Pair
 from runtime.sync.motion import (
     FIRST_SCAN_NS,
@@ -20,7 +21,7 @@ from runtime.sync.motion import (
     point_times,
 )
 from runtime.sync.outcome import Sensor
-from runtime.sync.poses import PoseBuffer, PoseFrame, PoseTrack, check_pose
+from runtime.sync.poses import PoseBuffer, PoseFrame, PoseTrack
 
 Kind = Literal["image", "depth", "points", "pose"]
 SENSORS: dict[str, Sensor] = {
@@ -74,7 +75,7 @@ class SensorInput:
             case "pose":
                 if self._mount is None:
                     raise InputError('poses need pose_frame="lidar", "camera" or "body"')
-                return check_pose(data)
+                return read_rigid("pose", data)
         if self._calibration is None:
             raise InputError("points need a calibration to be projected: give calibration=")
         check_points(data)

@@ -3,7 +3,6 @@
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 
-from runtime.assumptions import assumptions_of
 from runtime.command import stop_requested
 from runtime.drawing.overlay import Overlay
 from runtime.errors import InputError, SSDNetError
@@ -199,7 +198,7 @@ def _report(
         "depth_range_m": scale and round(scale.range_m, 2),
         "lens": source.calibration and source.calibration.lens,
         "distortion": source.calibration and source.calibration.distortion,
-        "assumptions": assumptions_of(source.notes),
+        "assumptions": [note for note in source.notes if note.startswith("warning: ")],
         "rectified_by_this_run": options.rectify,
         "shard": options.shard,
         "warmup": options.warmup,

@@ -247,12 +247,7 @@ class BagSource(Source):
 
     def _frame(self, topic: str) -> str:
         """The frame of the first message of a topic."""
-        return frame_name(self._first(topic).header.frame_id)
-
-    @cached_property
-    def _lidar(self) -> str:
-        """The frame of the clouds."""
-        return self._frame(self._depth_topic or "")
+        return frame_name(self._bag.first(topic).header.frame_id)
 
     @cached_property
     def _tree(self) -> TransformTree:
@@ -272,26 +267,21 @@ class BagSource(Source):
                 self._notes.append(f"no poses: choose one of {names} by pose_topic= in --source")
             return None, None
         try:
+            lidar = self._frame(self._depth_topic or "")
             if topic in odometry:
                 body, stamped = odometry_poses(self._bag.decoded(topic))
             else:
-                carriers = self._tree.carriers(self._lidar)
+                carriers = self._tree.carriers(lidar)
                 body, stamped = transform_poses(self._bag.decoded(topic), carriers)
             mount = None
             if self.calibration is None or self.calibration.body_from_lidar is None:
-                mount = self._tree.between(self._lidar, body)
+                mount = self._tree.between(lidar, body)
             return topic, RecordedPoses(track_of(stamped), PoseFrame.BODY, mount)
         except InputError as error:
             if requested is not None:
                 raise
             self._notes.append(f"the poses of {topic} are not used: {error}")
             return None, None
-
-    def _first(self, topic: str) -> Any:
-        """The first message of a topic. Raises InputError if there is none."""
-        for message in self._bag.decoded(topic):
-            return message
-        raise InputError(f"the topic {topic} of {self._bag.path} has no messages")
 
     @staticmethod
     def accepts(path: Path) -> bool:

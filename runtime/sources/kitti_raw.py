@@ -14,12 +14,13 @@ from runtime.io.kitti_calibration import NumbersFile
 from runtime.io.poses import read_oxts_poses
 from runtime.io.timestamps import parse_date
 from runtime.read_input import read_text
+from runtime.rigid import read_rigid
 from runtime.sources.folders import FolderSource
 from runtime.sources.recorded_motion import RecordedPoses, track_of
 from runtime.sources.source import ListedFrame, by_number
 from runtime.sync.motion import ScanStamp
 from runtime.sync.outcome import Sensor
-from runtime.sync.poses import PoseFrame, check_pose
+from runtime.sync.poses import PoseFrame
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 
 RAW_IMU = "calib_imu_to_velo.txt"
@@ -112,7 +113,7 @@ class KittiRawSource(FolderSource):
             return
         numbers, lidar_from_body = NumbersFile(mount), np.eye(4)
         lidar_from_body[:3] = np.hstack([numbers.matrix("R", 3, 3), numbers.matrix("T", 3, 1)])
-        body_from_lidar = np.linalg.inv(check_pose(lidar_from_body, str(mount)))
+        body_from_lidar = np.linalg.inv(read_rigid(str(mount), lidar_from_body))
         stamped = sorted(_read_stamps(Sensor.POSE, folder, (".txt",)), key=lambda each: each[1])
         poses = read_oxts_poses(path for _, _, path in stamped)
         track = track_of(zip((stamp_ns for _, stamp_ns, _ in stamped), poses, strict=True))

@@ -69,6 +69,12 @@ class RosBag:
         """Yield the messages of a topic with their fields."""
         return (self.decode(message) for message in self.messages([topic]))
 
+    def first(self, topic: str) -> Any:
+        """Return the first message of a topic. Raises InputError if there is none."""
+        for message in self.decoded(topic):
+            return message
+        raise InputError(f"the topic {topic} of {self.path} has no messages")
+
     def decode(self, message: RecordedMessage) -> Any:
         """Return a message of a type of ROS itself, with its fields. Raises InputError."""
         store = self._definitions

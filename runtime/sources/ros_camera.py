@@ -50,7 +50,7 @@ def calibrate(
     Raises:
         InputError: if no CameraInfo is set, if it is invalid, or if /tf_static lacks a frame.
     """
-    image, info = next(bag.decoded(topic)), None
+    image = bag.first(topic)
     for info in bag.decoded(info_topic):
         fields = _fields(info)
         if np.any(fields["k"]) or np.any(fields["p"]):  # drivers send zeros before they know

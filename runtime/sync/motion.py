@@ -60,18 +60,17 @@ class Scan(NamedTuple):
                 the returns are more than 1 s from the stamp.
         """
         check_points(points)
-        kept, times, untimed = is_return(points), None, False
+        returns, times = is_return(points), None
+        kept = returns
         if after_ns is not None:
-            in_time = kept & (np.abs(after_ns) <= _LONGEST_SCAN_NS)  # nor NaN
-            if 2 * np.count_nonzero(in_time) < np.count_nonzero(kept):
-                median_s = np.nanmedian(np.abs(after_ns[kept])) / 1e9
+            kept = returns & (np.abs(after_ns) <= _LONGEST_SCAN_NS)  # nor NaN
+            if 2 * np.count_nonzero(kept) < np.count_nonzero(returns):
                 raise InputError(
                     f"times must be within {_LONGEST_SCAN_NS / 1e9:g} s of the stamp, got "
-                    f"{median_s:g} s: are they of another unit or clock?"
+                    f"{np.median(np.abs(after_ns)) / 1e9:g} s: are they of another unit or clock?"
                 )
-            kept, untimed = in_time, bool((in_time != kept).any())
             times = stamp_ns + np.rint(after_ns[kept]).astype(np.int64)
-        return cls(points[kept], times, int((~kept).sum()), untimed)
+        return cls(points[kept], times, int((~kept).sum()), bool((kept != returns).any()))
 
 
 class DepthInTime(NamedTuple):
@@ -315,13 +314,13 @@ def lidar_mount(pose_frame: PoseFrame, calibration: Calibration) -> NDArray[np.f
     if pose_frame is PoseFrame.LIDAR:
         return np.eye(4)
     if pose_frame is PoseFrame.CAMERA:
-        return calibration.extrinsics.astype(np.float64)
+        return calibration.extrinsics
     if calibration.body_from_lidar is None:
         raise InputError(
             'poses of the "body" need body_from_lidar, 4 x 4, in the calibration: add it to its '
             'TOML, or give poses of the "lidar" or the "camera"'
         )
-    return calibration.body_from_lidar.astype(np.float64)
+    return calibration.body_from_lidar
 
 
 def relative_poses(

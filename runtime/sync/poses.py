@@ -32,7 +32,6 @@ _MOST_NS = 2**62  # largest stamp: differences of two stamps fit into int64
 _MAX_GAP_NS = round(MAX_GAP_MS * NS_PER_MS)
 _REACH_NS = round(MAX_EXTRAPOLATION_MS * NS_PER_MS)
 _VELOCITY_NS = 100 * NS_PER_MS  # velocities are averaged over this time
-_LARGEST_M = 1e7
 _stamp_ns = attrgetter("stamp_ns")
 # What a car can do between two poses; beyond it, the odometry jumped.
 _SPEED_M_S, _ACCELERATION_M_S2, _JUMP_M = 100.0, 10.0, 0.5
@@ -99,7 +98,7 @@ class PoseTrack:
                 raise InputError(
                     f"the stamps of poses must increase, got {stamp_ns} after a later one"
                 )
-            buffer.add(check_pose(pose), stamp_ns)
+            buffer.add(read_rigid("pose", pose), stamp_ns)
         return buffer.whole()
 
     def mounted(self, mount: NDArray[np.float64]) -> "PoseTrack":
@@ -178,7 +177,7 @@ class PoseBuffer:
         return self._poses[-1].stamp_ns if self._poses else None
 
     def add(self, pose: NDArray[np.float64], stamp_ns: int) -> Outcome:
-        """Take a pose as `check_pose` returns it: ANSWERED; or DUPLICATE or LATE: not taken."""
+        """Take a pose as `read_rigid` returns it: ANSWERED; or DUPLICATE or LATE: not taken."""
         newest_ns = self.newest_ns
         if newest_ns is not None and stamp_ns <= newest_ns:
             if stamp_ns == newest_ns:
@@ -272,18 +271,6 @@ class PoseBuffer:
             np.linalg.norm(pose.position - expected.position) > _JUMP_M + far_m
             or np.degrees(2 * np.arccos(cosine)) > _JUMP_DEG + far_deg
         )
-
-
-def check_pose(pose: Any, name: str = "pose") -> NDArray[np.float64]:
-    """Return a rigid transform as float64 (4, 4).
-
-    Raises:
-        InputError: if it is not rigid, see `read_rigid`, or farther than 10,000 km from the origin.
-    """
-    matrix: NDArray[np.float64] = read_rigid(name, pose).astype(np.float64)
-    if np.abs(matrix[:3, 3]).max() > _LARGEST_M:
-        raise InputError(f"{name} must have a position in metres, got {matrix[:3, 3].tolist()}")
-    return matrix
 
 
 def _quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:

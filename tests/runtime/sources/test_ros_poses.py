@@ -33,7 +33,7 @@ def test_the_pose_of_an_odometry():
 @pytest.mark.parametrize("wrong", [{"quaternion": (0, 0, 0, 0)}, {"quaternion": (0, 0, 0, 1.03)},
                                    {"position": (np.nan, 0, 0)}])  # fmt: skip
 def test_a_pose_that_is_none_is_refused(wrong):
-    with pytest.raises(InputError, match=r"an Odometry has the (rotation|position)"):
+    with pytest.raises(InputError, match=r"an Odometry, x, y, z and a unit quaternion, must"):
         odometry_pose(odometry(**wrong))
 
 
@@ -151,7 +151,7 @@ QUARTER = (0, 0, np.sqrt(0.5), np.sqrt(0.5))  # about z, x to y
 
 
 def test_a_point_goes_up_to_the_common_frame_and_down_again():
-    with pytest.warns(AssumptionWarning, match="first the transform from base to roof"):
+    with pytest.warns(AssumptionWarning, match="see the transform from base to roof"):
         between = tree(
             stamped("base", "roof", 1.01 * np.array(QUARTER), (1, 2, 3)),
             stamped("roof", "lidar", shift=(4, 0, 0.5)),
@@ -171,8 +171,8 @@ def test_a_point_goes_up_to_the_common_frame_and_down_again():
         ([], "does not connect the frame 'b' to 'a', it has no frames: give --calibration"),
         ([stamped("a", "c")], "it has a, c: give --calibration"),
         ([stamped("a", "b"), stamped("b", "a")], "a cycle at the frame 'b'"),
-        ([stamped("a", "b", (0, 0, 0, 0))], "expected a unit quaternion"),
-        ([stamped("a", "b", shift=(np.inf, 0, 0))], "has the position .* expected metres"),
+        ([stamped("a", "b", (0, 0, 0, 0))], "a unit quaternion, must be finite"),
+        ([stamped("a", "b", shift=(np.inf, 0, 0))], "a unit quaternion, must be finite"),
     ],
 )
 def test_invalid_trees_are_refused(transforms, text):
