@@ -39,6 +39,7 @@ _OF_PLY = {_ASCII: "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _COLUMNS = (3, 4, 5, 6, 8)  # 8: PCL's padded x, y, z, intensity
 _MAX_TURN_DEGREES = 40
 _MAX_DISTANCE_M = 250
+_DIAGONAL, _MOST_ON_AXIS = 0.85, 0.25
 _JUDGED_POINTS, _LEAST_JUDGED = 2000, 50
 
 
@@ -120,7 +121,11 @@ def _is_of_a_scanner(points: NDArray[np.float32]) -> bool | None:
     directions = judged[is_return] / distances[is_return, None]
     cosines = np.einsum("ij,ij->i", directions[1:], directions[:-1])
     is_ordered = np.median(cosines) > math.cos(math.radians(_MAX_TURN_DEGREES))
-    return bool(is_ordered and np.median(distances[is_return]) < _MAX_DISTANCE_M)
+    is_near = np.median(distances[is_return]) < _MAX_DISTANCE_M
+    # Points of three x are on the diagonal, those of an intensity and gaps on an axis.
+    is_spread = np.median(np.abs(directions.sum(axis=1))) < math.sqrt(3) * _DIAGONAL
+    is_spread &= np.mean(np.count_nonzero(directions, axis=1) == 1) < _MOST_ON_AXIS
+    return bool(is_ordered and is_near and is_spread)
 
 
 def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:

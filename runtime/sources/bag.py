@@ -239,8 +239,8 @@ class BagSource(Source):
         """The calibration of the images of a topic, or of its depth images. Raises InputError."""
         if info is None:
             raise InputError(
-                f"{self._bag.path} has no CameraInfo beside {topic} to project "
-                f"{self._depth_topic} with: give info_topic= in --source, or --calibration"
+                f"{self._bag.path} has no CameraInfo beside {topic}: give info_topic= in --source, "
+                "or --calibration"
             )
         stated = self._rectified_images if topic == self._image_topic else None
         return calibrate(self._bag, topic, info, self._tree, source, rectified=stated)
