@@ -88,11 +88,17 @@ def test_a_calibration_sets_the_focal_length_unless_one_is_given(folders, run, t
 
 
 INTRINSICS = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
-EXTRINSICS = np.array([[0.0, -1, 0, 0], [0, 0, -1, -0.3], [1, 0, 0, 0], [0, 0, 0, 1]])
+EXTRINSICS = np.array([[0.0, -1, 0, 0], [0, 0, -1, -0.1], [1, 0, 0, 0.5], [0, 0, 0, 1]])
 
 
 def as_text(scan):
     return "".join(f"{x!r} {y!r} {z!r}\n" for x, y, z, _ in scan.astype(float).tolist())
+
+
+def with_marks(scan):
+    """A scan with ten points without a return; the camera would see them at the LiDAR."""
+    marks = np.repeat(np.float32([[0, 0, 0, 0], [np.nan] * 4]), 5, axis=0)
+    return np.vstack([marks, scan])
 
 
 @pytest.fixture
@@ -100,15 +106,15 @@ def scans(folders, make_scan, tmp_path):
     """Scans of cam/ in scans/, each in another format, without one of 1.png; a calibration."""
     folder = tmp_path / "scans"
     folder.mkdir()
-    count = len(make_scan())
-    make_scan(0).tofile(folder / "0.bin")
-    np.pad(make_scan(2), ((0, 0), (0, 1))).tofile(folder / "2.pcd.bin")
+    count = len(with_marks(make_scan()))
+    with_marks(make_scan(0)).tofile(folder / "0.bin")
+    np.pad(with_marks(make_scan(2)), ((0, 0), (0, 1))).tofile(folder / "2.pcd.bin")
     pcd = f"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS {count}\nDATA ascii\n"
-    (folder / "3.pcd").write_text(pcd + as_text(make_scan(3)))
+    (folder / "3.pcd").write_text(pcd + as_text(with_marks(make_scan(3))))
     ply = "".join(f"property float {axis}\n" for axis in "xyz") + "end_header\n"
     ply = f"ply\nformat ascii 1.0\nelement vertex {count}\n" + ply
-    (folder / "4.ply").write_text(ply + as_text(make_scan(4)))
-    np.save(folder / "5.npy", make_scan(5)[:, :3].astype(np.float64))
+    (folder / "4.ply").write_text(ply + as_text(with_marks(make_scan(4))))
+    np.save(folder / "5.npy", with_marks(make_scan(5))[:, :3].astype(np.float64))
     shutil.copy(folders[0] / "0.png", folders[0] / "3.png")
     shutil.copy(folders[0] / "0.png", folders[0] / "5.png")
     matrices = f"intrinsics = {INTRINSICS.tolist()}\nextrinsics = {EXTRINSICS.tolist()}\n"
@@ -121,6 +127,7 @@ def test_scans_of_every_format_are_projected_beside_their_images(folders, scans,
     assert answers.names == ["0", "1", "2", "3", "4", "5"]
     assert answers.column("status") == ["ok", "skipped", "ok", "ok", "ok", "ok"]
     assert answers.column("reason")[1] == "1 has an image, but no scan"
+    assert answers.column("lost_points") == ["10", "0", "10", "10", "10", "10"]
     for name in ("0", "2", "3", "4", "5"):
         expected = project_points(make_scan(int(name)), INTRINSICS, EXTRINSICS, (48, 64))
         assert (expected > 0).sum() > 100

@@ -4,10 +4,10 @@ import re
 
 import numpy as np
 import pytest
+from small_rig import INTRINSICS, MS, SIZE, START_NS, add_tree, projected
 
 from runtime import InputError
 from runtime.sources.bag import BagSource
-from small_rig import INTRINSICS, MS, SIZE, START_NS, add_tree, projected
 
 pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
 
