@@ -10,7 +10,6 @@ from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.projection import check_intrinsics
 from runtime.read_input import read_text
-from runtime.rigid import read_rigid, read_rotation
 
 #: Names by one of which a file of object or odometry data is known.
 _NAMES = ("P0", "P1", "P2", "P3", "R0_rect", "Tr_velo_to_cam", "Tr")
@@ -72,13 +71,12 @@ def chain(
     """Return the camera's intrinsics (3, 3) and the extrinsics (4, 4) from the LiDAR to it.
 
     The arguments are P_rect (3, 4), R_rect (3, 3) and the LiDAR's R and T (3, 4). Raises InputError
-    for a projection that is not a rectified camera's, and as `read_rotation`.
+    for a projection that is not a rectified camera's.
     """
     intrinsics = projection[:, :3]
     check_intrinsics(intrinsics, "P of KITTI's calibration, without its last column,")
     beside, rectified = np.eye(4), np.eye(4)
     # P = K [I | t]: t is the offset from the camera that the LiDAR is calibrated to.
     beside[:3, 3] = np.linalg.solve(intrinsics, projection[:, 3])
-    rectified[:3, :3] = read_rotation("R_rect of KITTI's calibration", rectify)
-    lidar = read_rigid("the LiDAR's place", np.vstack([to_camera, np.eye(4)[3]]))
-    return intrinsics, beside @ rectified @ lidar
+    rectified[:3, :3] = rectify
+    return intrinsics, beside @ rectified @ np.vstack([to_camera, np.eye(4)[3]])

@@ -48,9 +48,10 @@ def read_gray(
 def read_depth(path: Path, size: tuple[int, int], *, depth_scale: float) -> NDArray[np.float32]:
     """Read a 16-bit PNG of `depth_scale` units a metre: float32 (height, width) [m], 0 = none.
 
-    Raises DatasetError.
+    65535 is none, too. Raises DatasetError.
     """
     depth = images.read_sparse_depth(path, depth_scale=depth_scale)
+    depth = np.where(np.isfinite(depth), depth, np.float32(0))
     require_size(path, depth.shape, size)
     return depth
 

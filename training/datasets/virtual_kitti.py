@@ -42,7 +42,6 @@ _RGB_1, _DEPTH_1, _CLASSES_1 = (f"vkitti_1.3.1_{kind}" for kind in ("rgb", "dept
 #: Of every frame of edition 1.3.1, from the set's description.
 _INTRINSICS_1 = np.array([[725.0, 0.0, 620.5], [0.0, 725.0, 187.0], [0.0, 0.0, 1.0]])
 _UNITS_A_METRE = 100.0
-_SKY_M = np.float32(65535) / np.float32(_UNITS_A_METRE)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -142,7 +141,7 @@ class VirtualKitti(FrameList):
         return Sample(
             rgb=rgb,
             targets={
-                "depth": np.where(depth < _SKY_M, depth, np.float32(0)),
+                "depth": depth,
                 "semantic": _read_classes(frame.labels, self._colors[frame.colors], size),
             },
             sparse_depth=sparse_depth,
