@@ -5,6 +5,7 @@ Some fields of CameraInfo are used in two ways. What the bag does not prove is a
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -75,11 +76,12 @@ def calibrate(
             if np.abs(turn - np.eye(3)).max() > _TURN:
                 kind = "rectified" if rectified else "raw"
                 assume(f"{frame} is the frame of the {kind} images, so R is not used", _STATE)
-        if rectified and np.any(fields["p"][3::4]) and _has_own_frame(bag, frame, fields, tree):
-            fields["p"] = np.reshape(fields["p"], (3, 4)) * (1, 1, 1, 0)
-        return Calibration.from_camera_info(fields, extrinsics, rectified=rectified)
+        found = Calibration.from_camera_info(fields, extrinsics, rectified=rectified)
     except InputError as error:
         raise InputError(f"the CameraInfo of {info_topic}: {error}; or {_STATE}") from error
+    shift = found.extrinsics[:3, 3] - extrinsics[:3, 3]  # of the second camera of a pair, by P
+    is_applied = shift.any() and _has_own_frame(bag, frame, shift, tree)
+    return replace(found, extrinsics=extrinsics) if is_applied else found
 
 
 def is_rectified(fields: Mapping[str, Any], topic: str) -> bool:
@@ -102,10 +104,10 @@ def is_rectified(fields: Mapping[str, Any], topic: str) -> bool:
     return False
 
 
-def _has_own_frame(bag: RosBag, frame: str, fields: Mapping[str, Any], tree: TransformTree) -> bool:
-    """Whether `frame` is already moved by the baseline in P, as ROS's of a stereo pair is not."""
-    projection = np.reshape(fields["p"], (3, 4))
-    shift = np.linalg.solve(projection[:, :3], projection[:, 3])
+def _has_own_frame(
+    bag: RosBag, frame: str, shift: NDArray[np.float64], tree: TransformTree
+) -> bool:
+    """Whether `frame` is already moved by the baseline, as ROS's of a stereo pair is not."""
     for topic in (topic for topic, kind in bag.types.items() if kind == CAMERA_INFO):
         for info in bag.decoded(topic):
             if frame_name(info.header.frame_id) == frame and not any(_fields(info)["p"][3::4]):

@@ -51,7 +51,7 @@ class Scan(NamedTuple):
         """Leave out points that are no return, and returns whose time is not the scan's.
 
         Args:
-            points: float32 (N, 3) or wider, see `is_return`.
+            points: float32 (N, 3) or wider, see `is_return`; kept as they are if all are returns.
             after_ns: (N,), nanoseconds after the stamp, see `point_times`; None = not known.
             stamp_ns: of the scan.
 
@@ -70,7 +70,10 @@ class Scan(NamedTuple):
                     f"{np.median(np.abs(after_ns)) / 1e9:g} s: are they of another unit or clock?"
                 )
             times = stamp_ns + np.rint(after_ns[kept]).astype(np.int64)
-        return cls(points[kept], times, int((~kept).sum()), bool((kept != returns).any()))
+        lost = len(points) - np.count_nonzero(kept)
+        return cls(
+            points[kept] if lost else points, times, int(lost), bool((kept != returns).any())
+        )
 
 
 class DepthInTime(NamedTuple):
