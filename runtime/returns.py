@@ -46,11 +46,10 @@ def is_measured(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
 def check_points(points: Any) -> None:
     """Raise InputError unless `points` is a scan, float32 (N, 3) or wider."""
     if (kind := kind_of(points)) != np.float32:
-        raise InputError(
-            f"points must be a plain float32 array [m], got {kind}: use points.astype(np.float32)"
-        )
-    if points.ndim != 2 or points.shape[1] < 3 or is_transposed(points.shape):
-        hint = ": use points.T" if is_transposed(points.shape) else ""
+        hint = "use points.astype(np.float32)"
+        raise InputError(f"points must be a plain float32 array [m], got {kind}: {hint}")
+    hint = ": use points.T" if is_transposed(points.shape) else ""
+    if hint or points.ndim != 2 or points.shape[1] < 3:
         raise InputError(f"points must have the shape (N, 3) or wider, got {points.shape}{hint}")
 
 
@@ -71,8 +70,7 @@ def is_return(points: NDArray[np.float32], *, name: str = "a scan") -> NDArray[n
     Raises:
         InputError: if they are no points: a quarter is beyond 10 km, or integers read as floats.
     """
-    x, y, z = (np.abs(points[:, axis]) for axis in range(3))
-    extent = np.maximum(np.maximum(x, y), z)  # NaN if one is
+    extent = np.maximum.reduce([np.abs(points[:, axis]) for axis in range(3)])  # NaN if one is
     returns: NDArray[np.bool_] = (extent >= _NEAREST_M) & (extent <= MAX_DEPTH_RANGE_M)
     count = np.count_nonzero(returns)
     if count == len(points):
@@ -82,9 +80,9 @@ def is_return(points: NDArray[np.float32], *, name: str = "a scan") -> NDArray[n
     wrong = np.count_nonzero(far | ((extent > 0) & (extent < limits.tiny)))
     if wrong + count >= _LEAST_JUDGED and wrong > _MOST_IMPLAUSIBLE * (wrong + count):
         raise InputError(
-            f"{wrong:,} of {wrong + count:,} points of {name} are farther than "
-            f"{MAX_DEPTH_RANGE_M:,.0f} m or no normal numbers: expected float32, metres. Are they "
-            "of another type (float64, integers), of records with other fields, or not metres?"
+            f"{wrong:,} of {wrong + count:,} points of {name} are farther than 10,000 m or no "
+            "normal numbers: expected float32, metres. Are they of another type (float64, "
+            "integers), of records with other fields, or not metres?"
         )
     return returns
 

@@ -70,10 +70,8 @@ class Scan(NamedTuple):
                     f"{np.median(np.abs(after_ns)) / 1e9:g} s: are they of another unit or clock?"
                 )
             times = stamp_ns + np.rint(after_ns[kept]).astype(np.int64)
-        lost = len(points) - np.count_nonzero(kept)
-        return cls(
-            points[kept] if lost else points, times, int(lost), bool((kept != returns).any())
-        )
+        lost, untimed = int(np.count_nonzero(~kept)), bool((kept != returns).any())
+        return cls(points[kept] if lost else points, times, lost, untimed)
 
 
 class DepthInTime(NamedTuple):
