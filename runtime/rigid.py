@@ -28,7 +28,10 @@ def read_rotation(name: str, rotation: NDArray[np.float64]) -> NDArray[np.float6
         )
     if error <= _EXACT:
         return rotation
-    assume(f"the nearest rotations to some that are none to {_EXACT:g}", f"see {name}")
+    assume(
+        f"the nearest rotations to some that are none to {_EXACT:g}",
+        f"see {name}, give it with more digits",
+    )
     left, _, right = np.linalg.svd(rotation)
     return np.asarray(left @ right)
 

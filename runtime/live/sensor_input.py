@@ -79,8 +79,8 @@ class SensorInput:
         if self._calibration is None:
             raise InputError("points need a calibration to be projected: give calibration=")
         check_points(data)
-        after_ns = None if times is None else point_times(times, len(data), stamp_ns)
-        return Scan.of(data.copy(), after_ns, stamp_ns)
+        after_s = None if times is None else point_times(times, len(data), stamp_ns)
+        return Scan.of(data.copy(), after_s, stamp_ns)
 
     def timed(self, depth: Any, stamp_ns: int) -> Any:
         """A scan with its time, which is that of its middle if its points have no times.

@@ -13,7 +13,6 @@ from runtime.assumptions import assume, collect_assumptions
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.point_cloud import to_points
-from runtime.returns import is_return
 from runtime.sources.frames import Frame
 from runtime.sources.recorded_motion import (
     RecordedPoses,
@@ -35,7 +34,7 @@ from runtime.sources.ros_poses import (
     TransformTree,
     frame_name,
     odometry_poses,
-    point_times_ns,
+    point_times_s,
     transform_poses,
 )
 from runtime.sources.source import ListedFrame, Source
@@ -356,10 +355,10 @@ class BagSource(Source):
             camera.require_size(depth.shape)
             cloud = to_points(depth, camera.intrinsics, lens=camera.lens_model)
             return frame_of(frame, rgb, calibration, scan=Scan.of(cloud.points))
-        points, after_ns = decode_points(message), None
+        points, after_s = decode_points(message), None
         if self._poses is not None and frame.depth_stamp_ns is not None:
-            after_ns = point_times_ns(message, frame.depth_stamp_ns, is_return(points))
-        scan = Scan.of(points, after_ns, frame.depth_stamp_ns or 0)
+            after_s = point_times_s(message, frame.depth_stamp_ns, points)
+        scan = Scan.of(points, after_s, frame.depth_stamp_ns or 0)
         return frame_of(frame, rgb, calibration, scan=scan, poses=self._poses)
 
     def _take(self, frame: ListedFrame) -> dict[int, RecordedMessage]:

@@ -245,7 +245,7 @@ class FolderSource(Source):
         if has_map:
             sparse_depth = read_sparse_depth(frame.depth, depth_scale=self._depth_scale)
             return frame_of(frame, rgb, calibration, sparse_depth=sparse_depth)
-        points, after_ns = read_scan(frame.depth, columns=self._point_columns), None
+        points, after_s = read_scan(frame.depth, columns=self._point_columns), None
         column = self._point_time_column
         if column is not None and column >= points.shape[1]:
             raise InputError(
@@ -253,8 +253,8 @@ class FolderSource(Source):
                 f"is {column}: beyond x, y and z only those of .bin and .npy are read"
             )
         if column is not None and frame.depth_stamp_ns is not None:
-            after_ns = point_times(points[:, column], len(points), frame.depth_stamp_ns)
-        scan = Scan.of(points, after_ns, frame.depth_stamp_ns or 0)
+            after_s = point_times(points[:, column], len(points), frame.depth_stamp_ns)
+        scan = Scan.of(points, after_s, frame.depth_stamp_ns or 0)
         return frame_of(frame, rgb, calibration, scan=scan, poses=self._poses)
 
     @property

@@ -10,6 +10,7 @@ from runtime.assumptions import assume
 from runtime.checks import cut, shown
 from runtime.errors import InputError
 from runtime.io.poses import pose_of
+from runtime.returns import is_return
 from runtime.sources.ros_messages import view_fields
 
 #: Field of a PointCloud2 with the time of each point, as drivers name it; the first that is there.
@@ -31,10 +32,10 @@ def odometry_pose(message: Any) -> NDArray[np.float64]:
     return _pose(message.pose.pose.position, message.pose.pose.orientation, "an Odometry")
 
 
-def point_times_ns(
-    message: Any, stamp_ns: int, returns: NDArray[np.bool_]
+def point_times_s(
+    message: Any, stamp_ns: int, points: NDArray[np.float32]
 ) -> NDArray[np.float64] | None:
-    """Return when each point of a PointCloud2 was measured, nanoseconds after the stamp.
+    """Return when each point of a PointCloud2 was measured, seconds after the stamp.
 
     | type | values | are |
     |---|---|---|
@@ -50,7 +51,7 @@ def point_times_ns(
     Args:
         message: sensor_msgs/PointCloud2.
         stamp_ns: of its header.
-        returns: bool (N,), which of its points are returns.
+        points: float32 (N, 3) or wider, as `decode_points`.
 
     Returns:
         float64 (N,), NaN where the field is; None where the message has no such field, or the same
@@ -64,21 +65,21 @@ def point_times_ns(
         return None
     times = view_fields(message, [field], _TIMES)[field.name].ravel()
     values: NDArray[np.float64] = times.astype(np.float64)
-    known = values[returns & np.isfinite(values)]
+    known = values[is_return(points) & np.isfinite(values)]
     if not known.size or known.min() == known.max():
         return None  # drivers that do not fill it
     if times.dtype.kind in "iu":
-        return values
+        return values / 1e9
     lowest, highest = np.percentile(known, (5, 95))
     unit_ns, is_clock = _unit(lowest, highest, times.dtype.itemsize, field.name)
     # float64 cannot hold nanoseconds since 1970 exactly: a whole number is subtracted first.
     first = int(lowest) if is_clock else 0
-    values = (values - first) * unit_ns
-    return values + (first * unit_ns - stamp_ns) if is_clock else values
+    shift_ns = first * unit_ns - stamp_ns if is_clock else 0
+    return ((values - first) * unit_ns + shift_ns) / 1e9
 
 
 def _unit(lowest: float, highest: float, size: int, name: str) -> tuple[int, bool]:
-    """(Nanoseconds, whether they are of the clock) of floats, by the table of `point_times_ns`."""
+    """(Nanoseconds, whether they are of the clock) of floats, by the table of `point_times_s`."""
     largest, span = max(abs(lowest), abs(highest)), highest - lowest
     if largest <= _LONGEST_SCAN_S:
         return 10**9, False

@@ -21,7 +21,7 @@ ScanStamp = Literal["start", "middle", "end"]
 MIDDLE_AFTER: dict[ScanStamp, float] = {"start": 0.5, "middle": 0.0, "end": -0.5}
 #: Duration of a scan until the LiDAR's period is known: that of 10 Hz.
 FIRST_SCAN_NS = 100 * NS_PER_MS
-_LONGEST_SCAN_NS = 1_000 * NS_PER_MS
+_LONGEST_SCAN_S = 1.0
 #: Poses are computed at so many times of a scan; between them, in 1.6 ms of 100, matrices are
 #: linear: off by 0.01 mm at 100 m in a turn of 0.5 rad/s.
 _KNOTS = 65
@@ -46,13 +46,13 @@ class Scan(NamedTuple):
 
     @classmethod
     def of(
-        cls, points: Any, after_ns: NDArray[np.float64] | None = None, stamp_ns: int = 0
+        cls, points: Any, after_s: NDArray[np.float64] | None = None, stamp_ns: int = 0
     ) -> "Scan":
         """Leave out points that are no return, and returns whose time is not the scan's.
 
         Args:
             points: float32 (N, 3) or wider, see `is_return`; kept as they are if all are returns.
-            after_ns: (N,), nanoseconds after the stamp, see `point_times`; None = not known.
+            after_s: (N,), seconds after the stamp, see `point_times`; None = not known.
             stamp_ns: of the scan.
 
         Raises:
@@ -62,14 +62,14 @@ class Scan(NamedTuple):
         check_points(points)
         returns, times = is_return(points), None
         kept = returns
-        if after_ns is not None:
-            kept = returns & (np.abs(after_ns) <= _LONGEST_SCAN_NS)  # nor NaN
+        if after_s is not None:
+            kept = returns & (np.abs(after_s) <= _LONGEST_SCAN_S)  # nor NaN
             if 2 * np.count_nonzero(kept) < np.count_nonzero(returns):
                 raise InputError(
-                    f"times must be within {_LONGEST_SCAN_NS / 1e9:g} s of the stamp, got "
-                    f"{np.median(np.abs(after_ns)) / 1e9:g} s: are they of another unit or clock?"
+                    f"times must be within {_LONGEST_SCAN_S:g} s of the stamp, got "
+                    f"{np.median(np.abs(after_s)):g} s: are they of another unit or clock?"
                 )
-            times = stamp_ns + np.rint(after_ns[kept]).astype(np.int64)
+            times = stamp_ns + np.rint(after_s[kept] * 1e9).astype(np.int64)
         lost, untimed = int(np.count_nonzero(~kept)), bool((kept != returns).any())
         return cls(points[kept] if lost else points, times, lost, untimed)
 
@@ -153,7 +153,7 @@ def check_scan_stamp(value: Any) -> ScanStamp:
 
 
 def point_times(times: Any, count: int, stamp_ns: int) -> NDArray[np.float64]:
-    """Return when the points of a scan were measured, float64 (N,), nanoseconds after the stamp.
+    """Return when the points of a scan were measured, float64 (N,), seconds after the stamp.
 
     Args:
         times: (N,), seconds after the stamp as floats, or nanoseconds of its clock as integers.
@@ -171,8 +171,8 @@ def point_times(times: Any, count: int, stamp_ns: int) -> NDArray[np.float64]:
             f"nanoseconds of its clock as integers, got {got}"
         )
     if kind == "f":
-        return np.asarray(times.astype(np.float64) * 1e9)
-    return np.asarray((times.astype(np.int64) - stamp_ns).astype(np.float64))
+        return np.asarray(times, np.float64)
+    return np.asarray((times.astype(np.int64) - stamp_ns) / 1e9)
 
 
 def move_points(

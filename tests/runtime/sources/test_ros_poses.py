@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from runtime.assumptions import AssumptionWarning
 from runtime.errors import InputError
-from runtime.sources.ros_poses import TransformTree, odometry_pose, point_times_ns
+from runtime.sources.ros_poses import TransformTree, odometry_pose, point_times_s
 
 STAMP_NS = 1_700_000_000 * 10**9 + 123_456_789
 QUATERNION = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_quat()
@@ -52,9 +52,11 @@ def cloud(name, datatype, code, values, *, height=1, is_bigendian=False, offset=
 
 
 def times_of(message, lost=()):
-    """Times after the stamp, where the points with these numbers are no returns."""
-    returns = np.isin(np.arange(message.height * message.width), lost, invert=True)
-    return point_times_ns(message, STAMP_NS, returns)
+    """Nanoseconds after the stamp, where the points with these numbers are no returns."""
+    points = np.ones((message.height * message.width, 3), np.float32)
+    points[list(lost)] = 0
+    times = point_times_s(message, STAMP_NS, points)
+    return None if times is None else times * 1e9
 
 
 @pytest.mark.parametrize("is_bigendian", [False, True])
