@@ -28,10 +28,8 @@ def read_rotation(name: str, rotation: NDArray[np.float64]) -> NDArray[np.float6
         )
     if error <= _EXACT:
         return rotation
-    assume(
-        f"the nearest rotations to some that are none to {_EXACT:g}",
-        f"see {name}, give it with more digits",
-    )
+    remedy = f"give more digits, first of {name}"
+    assume(f"the nearest rotations to some that are none to {_EXACT:g}", remedy)
     left, _, right = np.linalg.svd(rotation)
     return np.asarray(left @ right)
 

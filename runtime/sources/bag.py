@@ -397,6 +397,8 @@ class BagSource(Source):
             "bag": str(self._bag.path),
             **self._topics,
             "calibration": None if calibration is None else str(calibration),
+            "rectified": self._rectified_images,
+            "registered": self._registered,
             "max_skew_ms": self._max_skew_ms,
             "reuse_depth_ms": self._reuse_depth_ms,
             "left_out": dict(self._left_out),

@@ -80,8 +80,9 @@ def calibrate(
     except InputError as error:
         raise InputError(f"the CameraInfo of {info_topic}: {error}; or {_STATE}") from error
     shift = found.extrinsics[:3, 3] - extrinsics[:3, 3]  # of the second camera of a pair, by P
-    is_applied = shift.any() and _has_own_frame(bag, frame, shift, tree)
-    return replace(found, extrinsics=extrinsics) if is_applied else found
+    if np.abs(shift).max() > _SHIFT_M and _has_own_frame(bag, frame, shift, tree):
+        return replace(found, extrinsics=extrinsics)
+    return found
 
 
 def is_rectified(fields: Mapping[str, Any], topic: str) -> bool:
@@ -108,13 +109,14 @@ def _has_own_frame(
     bag: RosBag, frame: str, shift: NDArray[np.float64], tree: TransformTree
 ) -> bool:
     """Whether `frame` is already moved by the baseline, as ROS's of a stereo pair is not."""
-    for topic in (topic for topic, kind in bag.types.items() if kind == CAMERA_INFO):
-        for info in bag.decoded(topic):
-            if frame_name(info.header.frame_id) == frame and not any(_fields(info)["p"][3::4]):
-                return False  # the first camera's
-            break
     if any(_is_at(tree, each, frame, shift) for each in tree.frames if each != frame):
         return True
+    for topic in (topic for topic, kind in bag.types.items() if kind == CAMERA_INFO):
+        for info in bag.decoded(topic):
+            p = _fields(info)["p"]
+            if frame_name(info.header.frame_id) == frame and p[0] and not any(p[3::4]):
+                return False  # the first camera's
+            break
     beside = f"{np.linalg.norm(shift):.3g} m beside"
     assume(f"{frame} is the frame of a stereo pair's first camera, {beside} the images", _STATE)
     return False

@@ -158,8 +158,11 @@ def test_what_cannot_be_is_refused(make_bag, make_frame, make_scan, case):
 
 @pytest.mark.parametrize(("write", "right_m", "said"), [
     (camera(RECT, BASELINE), -0.1, True),
+    (camera(RECT, {"intrinsics": ZERO}, BASELINE), -0.1, True),
+    (camera(RECT, {"shift_px": 1e-9}), 0, False),
     (camera(RECT, BASELINE, others=[("/left/camera_info", "camera")]), -0.1, False),
     (camera(RECT, BASELINE, rig=pair), 0, False),
+    (camera(RECT, BASELINE, rig=pair, others=[("/depth/camera_info", "camera")]), 0, False),
     (camera(RECT, BASELINE, others=[("/left/camera_info", "left")]), -0.1, True),
     (camera(RAW, BASELINE | {"distortion": CURVED}), 0, False),
 ])  # fmt: skip

@@ -153,7 +153,7 @@ QUARTER = (0, 0, np.sqrt(0.5), np.sqrt(0.5))  # about z, x to y
 
 
 def test_a_point_goes_up_to_the_common_frame_and_down_again():
-    with pytest.warns(AssumptionWarning, match="see the transform from base to roof"):
+    with pytest.warns(AssumptionWarning, match="first of the transform from base to roof"):
         between = tree(
             stamped("base", "roof", 1.01 * np.array(QUARTER), (1, 2, 3)),
             stamped("roof", "lidar", shift=(4, 0, 0.5)),
