@@ -234,15 +234,13 @@ class BagSource(Source):
             assume(f"{depth} lies on the pixels of the images", "state it with registered=true")
         return not self._registered and all(frames) and frames[0] != frames[1]
 
-    def _camera(self, topic: str, info: str | None, source: str | None = None) -> Calibration:
+    def _camera(self, topic: str, info: str | None, source: str = "") -> Calibration:
         """The calibration of the images of a topic, or of its depth images. Raises InputError."""
         if info is None:
-            raise InputError(
-                f"{self._bag.path} has no CameraInfo beside {topic}: give info_topic= in --source, "
-                "or --calibration"
-            )
+            remedy = "give info_topic= in --source, or --calibration"
+            raise InputError(f"{self._bag.path} has no CameraInfo beside {topic}: {remedy}")
         stated = self._rectified_images if topic == self._image_topic else None
-        return calibrate(self._bag, topic, info, self._tree, source, rectified=stated)
+        return calibrate(self._bag, self._tree, topic, info, source, stated)
 
     def _frame(self, topic: str) -> str:
         """The frame of the first message of a topic."""

@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from runtime.assumptions import assume
 from runtime.errors import InputError
@@ -30,38 +29,32 @@ _STATE = "give --calibration"
 
 
 def calibrate(
-    bag: RosBag,
-    topic: str,
-    info_topic: str,
-    tree: TransformTree,
-    source: str | None = None,
-    *,
-    rectified: bool | None = None,
+    bag: RosBag, tree: TransformTree, topic: str, beside: str, source: str, rectified: bool | None
 ) -> Calibration:
     """Return the calibration of a camera for the points of a sensor.
 
     Args:
         bag: of both.
-        topic: of the images.
-        info_topic: of their CameraInfo; the first that is set counts.
         tree: of /tf_static.
-        source: frame of the points; None = that of the images.
+        topic: of the images.
+        beside: topic of their CameraInfo; the first that is set counts.
+        source: frame of the points; "" = that of the images.
         rectified: whether the images are; None = by the CameraInfo and the name of the topic.
 
     Raises:
         InputError: if no CameraInfo is set, if it is invalid, or if /tf_static lacks a frame.
     """
     image = bag.first(topic)
-    for info in bag.decoded(info_topic):
+    for info in bag.decoded(beside):
         fields = _fields(info)
         if np.any(fields["k"]) or np.any(fields["p"]):  # drivers send zeros before they know
             break
     else:
-        raise InputError(f"{info_topic} has no CameraInfo with K or P: {_STATE}")
+        raise InputError(f"{beside} has no CameraInfo with K or P: {_STATE}")
     stated = frame_name(info.header.frame_id)
     frame = frame_name(image.header.frame_id) or stated
     extrinsics = tree.between(source or frame, frame)
-    if stated and stated != frame and not _is_at(tree, stated, frame, np.zeros(3)):
+    if stated and stated != frame and not _is_at(tree, stated, frame, (0, 0, 0)):
         assume(f"{frame} is the frame of the images, not {stated} of their CameraInfo", _STATE)
     size = getattr(image, "height", 0), getattr(image, "width", 0)
     if not all(size):
@@ -78,9 +71,9 @@ def calibrate(
                 assume(f"{frame} is the frame of the {kind} images, so R is not used", _STATE)
         found = Calibration.from_camera_info(fields, extrinsics, rectified=rectified)
     except InputError as error:
-        raise InputError(f"the CameraInfo of {info_topic}: {error}; or {_STATE}") from error
+        raise InputError(f"the CameraInfo of {beside}: {error}; or {_STATE}") from error
     shift = found.extrinsics[:3, 3] - extrinsics[:3, 3]  # of the second camera of a pair, by P
-    if np.abs(shift).max() > _SHIFT_M and _has_own_frame(bag, frame, shift, tree):
+    if np.abs(shift).max() > _SHIFT_M and _has_own_frame(bag, tree, frame, shift):
         return replace(found, extrinsics=extrinsics)
     return found
 
@@ -105,9 +98,7 @@ def is_rectified(fields: Mapping[str, Any], topic: str) -> bool:
     return False
 
 
-def _has_own_frame(
-    bag: RosBag, frame: str, shift: NDArray[np.float64], tree: TransformTree
-) -> bool:
+def _has_own_frame(bag: RosBag, tree: TransformTree, frame: str, shift: Any) -> bool:
     """Whether `frame` is already moved by the baseline, as ROS's of a stereo pair is not."""
     if any(_is_at(tree, each, frame, shift) for each in tree.frames if each != frame):
         return True
@@ -122,7 +113,7 @@ def _has_own_frame(
     return False
 
 
-def _is_at(tree: TransformTree, source: str, target: str, shift: NDArray[np.float64]) -> bool:
+def _is_at(tree: TransformTree, source: str, target: str, shift: Any) -> bool:
     """Whether one frame is another one that is moved by `shift` [m] along the same axes."""
     try:
         matrix = tree.between(source, target)
