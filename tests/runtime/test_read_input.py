@@ -129,7 +129,7 @@ POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:" + b"0" * 64
 )
 def test_a_pointer_of_git_lfs_is_named(tmp_path, name, read):
     (tmp_path / name).write_bytes(POINTER)
-    with pytest.raises(SSDNetError, match="is a pointer of Git LFS.*: get it by git lfs pull"):
+    with pytest.raises(SSDNetError, match=r"is a pointer of Git LFS.*: get it by git lfs pull"):
         read(tmp_path / name)
 
 
