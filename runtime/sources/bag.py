@@ -156,9 +156,9 @@ class BagSource(Source):
         images, depths = self._of_kind(COMPRESSED_IMAGE), self._of_kind(POINT_CLOUD)
         images = [topic for topic in images if not topic.endswith("/compressedDepth")]
         for topic in self._of_kind(IMAGE):
-            for message in self._bag.decoded(topic):
-                (depths if is_depth_encoding(message.encoding) else images).append(topic)
-                break
+            with contextlib.suppress(InputError):  # none of its messages can be decoded
+                encoding = self._first(topic).encoding
+                (depths if is_depth_encoding(encoding) else images).append(topic)
         twice = {f"{topic}/compressed" for topic in images}  # compressed copies of the same images
         single = [topic for topic in images if topic not in twice]
         image = self._choose("image_topic", image_topic, images, single)
@@ -191,6 +191,7 @@ class BagSource(Source):
         return InputError(
             f"{path} has {len(found) or 'no'} topics of {what}, give --source bag:{path},{ways}. "
             f"It has the topics {topics or '(none)'}"
+            + "".join(f"; {line}" for line in left_out_note(self._bag.left_out))
         )
 
     def _calibrate(self) -> Calibration | None:
@@ -266,7 +267,9 @@ class BagSource(Source):
         """The first message of a topic. Raises InputError if there is none."""
         for message in self._bag.decoded(topic):
             return message
-        raise InputError(f"the topic {topic} of {self._bag.path} has no messages")
+        raise InputError(
+            f"the topic {topic} of {self._bag.path} has no message that can be decoded"
+        )
 
     @staticmethod
     def accepts(path: Path) -> bool:
@@ -377,14 +380,18 @@ class BagSource(Source):
             "calibration": None if calibration is None else str(calibration),
             "max_skew_ms": self._max_skew_ms,
             "reuse_depth_ms": self._reuse_depth_ms,
-            "left_out": dict(self._left_out),
+            "left_out": dict(self._left_out + self._bag.left_out),
         }
 
     @property
     def notes(self) -> tuple[str, ...]:
         """See `Source.notes`."""
         topics = ", ".join(f"{name}={topic}" for name, topic in self._topics.items() if topic)
-        return (f"topics: {topics}", *self._notes, *left_out_note(self._left_out))
+        return (
+            f"topics: {topics}",
+            *self._notes,
+            *left_out_note(self._left_out + self._bag.left_out),
+        )
 
     def close(self) -> None:
         """See `Source.close`."""
