@@ -1,5 +1,6 @@
 """Images and depth maps or scans of the same names in two folders, or one of each."""
 
+import contextlib
 import os
 import re
 from collections import Counter
@@ -57,6 +58,8 @@ class FolderSource(Source):
         point_columns: numbers per point of .bin scans; None: as `read_scan`.
         calibration: TOML or KITTI file, see `Calibration.from_file`, or a folder with such a file
             of the name of each frame. Scans need one.
+        camera: number of KITTI's camera, 0 to 3; None: that of the folder's name, links followed
+            (image_2), else 2, with a warning if the scans of another would lie elsewhere.
         timestamps: file with the time of each image, see `read_timestamps`; None: unknown.
         reuse_depth_ms: an image without depth of its own takes the newest before it that is at most
             so old. None: 150 with `poses` or `timestamps`; without any of the three an image
@@ -88,6 +91,7 @@ class FolderSource(Source):
         depth_scale: float = KITTI_DEPTH_SCALE,
         point_columns: int | None = None,
         calibration: Path | None = None,
+        camera: int | None = None,
         timestamps: Path | None = None,
         reuse_depth_ms: float | None = None,
         poses: Path | None = None,
@@ -118,15 +122,21 @@ class FolderSource(Source):
         self._poses: RecordedPoses | None = None
         self._calibration, self._calibrations = calibration, None
         if calibration is not None:
-            camera = _KITTI_CAMERA.search(rgb.as_posix())
             read = partial(
-                Calibration.from_file,
-                camera=int(camera[1]) if camera else 2,
-                rectified=self._kitti_rectified,
-                for_scans=self._has_scans,
+                Calibration.from_file, rectified=self._kitti_rectified, for_scans=self._has_scans
             )
-            self._calibrations = FrameCalibrations(calibration, read)
+            known = self._named_camera() if camera is None else camera
+            of_camera = partial(read, camera=2 if known is None else known)
+            self._calibrations = FrameCalibrations(calibration, of_camera)
             self.calibration = self._calibrations.first
+            for other in (0, 1, 3) if known is None and self._has_scans else ():
+                with contextlib.suppress(InputError):  # of a file without this camera
+                    found = FrameCalibrations(calibration, partial(read, camera=other)).first
+                    if not np.allclose(found.extrinsics, self.calibration.extrinsics):
+                        self._note(
+                            f"warning: assumed camera 2 of KITTI: nothing in {rgb} says which; "
+                            "camera= in --source does"
+                        )
             if pose_frame is not None:
                 lidar_mount(pose_frame, self.calibration)  # raises InputError if unknown
 
@@ -196,6 +206,14 @@ class FolderSource(Source):
             limit=limit,
             camera_only=self._depth is None,
         )
+
+    def _named_camera(self) -> int | None:
+        """KITTI's camera by the real name of the images' folder, or by a link's; None: unknown."""
+        for path in (Path(os.path.realpath(self._rgb)), self._rgb):
+            folder = path.parent if self._is_one else path
+            if found := _KITTI_CAMERA.search(folder.as_posix()):
+                return int(found[1])
+        return None
 
     def _list_images(self) -> Mapping[str, Any]:
         return list_files(self._rgb)
@@ -296,8 +314,8 @@ def _is_image(path: Path) -> bool:
     return path.suffix.lower() in RGB_SUFFIXES and os.path.isfile(path)
 
 
-def _numbers(stem: str) -> tuple[str, ...]:
-    return tuple(re.findall("[0-9]+", stem))
+def _numbers(stem: str) -> tuple[int, ...]:
+    return tuple(map(int, re.findall("[0-9]+", stem)))
 
 
 def _few(names: Iterable[str]) -> str:

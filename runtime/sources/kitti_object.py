@@ -49,6 +49,7 @@ class KittiObjectSource(FolderSource):
             points=points or (scans if os.path.isdir(scans) else None),
             point_columns=point_columns,
             calibration=calibration or path / "calib",
+            camera=camera,
         )
         if self._depth is None:
             self._note("no velodyne folder, so only the camera is used; --points names the scans")
