@@ -99,7 +99,8 @@ def run_stream(
         started = time.perf_counter()
         frame = read(listed)
         read_ms = (time.perf_counter() - started) * 1e3
-        scale = predictor.camera_scale((frame.rgb.shape[0], frame.rgb.shape[1]))
+        size, focal_px = (frame.rgb.shape[0], frame.rgb.shape[1]), frame.focal_length_px
+        scale = predictor.camera_scale(size, focal_length_px=focal_px)
         found = health.check(frame.rgb, frame.sparse_depth, range_m=scale.range_m)
         return replace(frame, name=listed.name, health=found), read_ms
 
@@ -114,7 +115,8 @@ def run_stream(
         """Predict a frame and start writing its answer; return the outcome and the write."""
         try:
             frame, read_ms = reading.result()
-            prediction = predictor.predict(frame.rgb, frame.sparse_depth)
+            focal_px = frame.focal_length_px
+            prediction = predictor.predict(frame.rgb, frame.sparse_depth, focal_length_px=focal_px)
         except SSDNetError as error:
             return FrameOutcome(sequence=index, name=name, reason=str(error)), None
         latency_ms, age_ms, jitter_ms = prediction.latency.total_ms, None, None

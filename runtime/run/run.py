@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from runtime.command import stop_requested
 from runtime.drawing.overlay import Overlay
@@ -18,6 +19,7 @@ from runtime.run.pipeline import StreamResult, run_stream
 from runtime.run.process import dedicate_process
 from runtime.run.run_folder import CLOUD, KINDS, SAVED_HEADS, make_run_folder
 from runtime.run.run_report import RunReport, describe_predictor, group_reasons, write_report
+from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source
 from runtime.sync.frame_outcome import FrameOutcome
 
@@ -92,6 +94,11 @@ def _run_camera(
 ) -> RunReport:
     if options.rectify:
         source.rectify_images()
+
+    def read(listed: ListedFrame) -> Frame:
+        frame = source.read(listed)
+        return replace(frame, focal_length_px=options.focal_length_px(frame.calibration))
+
     listed = source.list_frames(limit=options.limit)
     frames = options.shard_of(listed)
     with Predictor(
@@ -99,14 +106,14 @@ def _run_camera(
         sha256=options.sha256,
         provider=str(options.provider),
         size=options.network_size,
-        focal_length_px=options.focal_length_px(source),
+        focal_length_px=options.focal_length_px(source.calibration),
         threads=options.threads,
         warmup=0,
     ) as predictor:
         kinds = _answered_kinds(options, predictor)
         frame_size = _warm_up(predictor, frames, source, runs=options.warmup)
         require_outputs(options, source)
-        fault = find_depth_fault(predictor, listed, source)  # the same for all shards
+        fault = find_depth_fault(predictor, listed, read, source.inputs)  # the same for all shards
         degraded = () if fault is None or isinstance(fault, NoDepth) else (IMPLAUSIBLE_DEPTH,)
         about = [*source.notes, describe_predictor(predictor, frame_size)]
         faults = (find_lens_fault(source.calibration, frame_size), fault)
@@ -120,7 +127,7 @@ def _run_camera(
             result = run_stream(
                 predictor,
                 frames,
-                read=source.read,
+                read=read,
                 rate_hz=options.rate,
                 deadline_ms=options.deadline_ms,
                 degraded=degraded,

@@ -19,7 +19,11 @@ class RunRecording:
     def write(self, frame: Frame, prediction: Prediction) -> None:
         """Record a frame. Raises OutputError."""
         entry = RecordedFrame(
-            frame.name, prediction.valid, prediction.degraded, prediction.latency.total_ms
+            frame.name,
+            prediction.valid,
+            prediction.degraded,
+            prediction.latency.total_ms,
+            frame.focal_length_px,
         )
         self._recorder.add(entry, frame.rgb, frame.sparse_depth, prediction.heads)
 
