@@ -279,7 +279,7 @@ class BagSource(Source):
 
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`."""
-        self._left_out.clear()
+        self._left_out = Counter(self._bag.left_out)
         names: Counter[str] = Counter()
 
         def stamped() -> Iterator[tuple[Sensor, int, int]]:
@@ -380,18 +380,14 @@ class BagSource(Source):
             "calibration": None if calibration is None else str(calibration),
             "max_skew_ms": self._max_skew_ms,
             "reuse_depth_ms": self._reuse_depth_ms,
-            "left_out": dict(self._left_out + self._bag.left_out),
+            "left_out": dict(self._left_out),
         }
 
     @property
     def notes(self) -> tuple[str, ...]:
         """See `Source.notes`."""
         topics = ", ".join(f"{name}={topic}" for name, topic in self._topics.items() if topic)
-        return (
-            f"topics: {topics}",
-            *self._notes,
-            *left_out_note(self._left_out + self._bag.left_out),
-        )
+        return (f"topics: {topics}", *self._notes, *left_out_note(self._left_out))
 
     def close(self) -> None:
         """See `Source.close`."""

@@ -40,8 +40,8 @@ from runtime.sync.poses import PoseFrame, PoseTrack
 from runtime.sync.stamp import DEFAULT_REUSE_DEPTH_MS, NS_PER_MS
 
 _APART_NS = 100 * NS_PER_MS  # between images without times
-#: Camera of a folder of KITTI: image_02, image_2/, image_02/data.
-_KITTI_CAMERA = re.compile(r"(?:^|/)image_0?([0-3])(?:/data)?$")
+#: Camera of a folder of KITTI, or of an image in it: image_02, image_2/0.png, image_02/data.
+_KITTI_CAMERA = re.compile(r"(?:^|/)image_0?([0-3])(?:/data)?(?:/[^/\n]*\.\w+)?$", re.MULTILINE)
 
 
 class FolderSource(Source):
@@ -125,7 +125,8 @@ class FolderSource(Source):
             read = partial(
                 Calibration.from_file, rectified=self._kitti_rectified, for_scans=self._has_scans
             )
-            known = self._named_camera() if camera is None else camera
+            named = _KITTI_CAMERA.search(f"{os.path.realpath(rgb)}\n{rgb.as_posix()}")
+            known = int(named[1]) if camera is None and named else camera
             of_camera = partial(read, camera=2 if known is None else known)
             self._calibrations = FrameCalibrations(calibration, of_camera)
             self.calibration = self._calibrations.first
@@ -206,14 +207,6 @@ class FolderSource(Source):
             limit=limit,
             camera_only=self._depth is None,
         )
-
-    def _named_camera(self) -> int | None:
-        """KITTI's camera by the real name of the images' folder, or by a link's; None: unknown."""
-        for path in (Path(os.path.realpath(self._rgb)), self._rgb):
-            folder = path.parent if self._is_one else path
-            if found := _KITTI_CAMERA.search(folder.as_posix()):
-                return int(found[1])
-        return None
 
     def _list_images(self) -> Mapping[str, Any]:
         return list_files(self._rgb)

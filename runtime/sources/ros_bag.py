@@ -4,7 +4,6 @@ import contextlib
 import importlib.util
 import os
 import struct
-import sys
 from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -53,20 +52,21 @@ class RosBag:
         self.path, self.lost, self.left_out = path, Counter[str](), Counter[str]()
         self._is_cdr = path.suffix != ".bag"
         self._reader, self._definitions = _open(path)
+        self.types: dict[str, str] = {}
         self._topics: dict[str, list[Connection]] = {}
         with _reading(self.path):
             for each in self._reader.connections:
                 encoding = each.ext.serialization_format if self._is_cdr else "cdr"
-                if encoding == "cdr":
-                    self._topics.setdefault(each.topic, []).append(each)
-                else:
+                if encoding != "cdr":
                     self.left_out[f"{each.topic} ({encoding}, no message of ROS)"] += each.msgcount
+                    continue
+                self._topics.setdefault(each.topic, []).append(each)
+                is_same = self.types.setdefault(each.topic, each.msgtype) == each.msgtype
+                self.types[each.topic] = each.msgtype if is_same else "several types"
             named = {"metadata.yaml", *(each.path.name for each in _storages(self._reader))}
             for file in _files(path) if os.path.isdir(path) else ():
                 if file.name.removesuffix(".zstd") not in named:
                     self.left_out[f"{file.name} (metadata.yaml does not name it)"] += 1
-        kinds = {topic: {each.msgtype for each in found} for topic, found in self._topics.items()}
-        self.types = {t: of.pop() if len(of) == 1 else "several types" for t, of in kinds.items()}
 
     def messages(self, topics: Collection[str]) -> Iterator[RecordedMessage]:
         """Yield the messages of the topics in the order in which they were recorded."""
@@ -199,14 +199,11 @@ def _storages(reader: Any) -> list[Any]:
 
 
 def _decompress(raw: bytes) -> bytes:
-    if sys.version_info >= (3, 14):
-        from compression import zstd
-    else:
-        from backports import zstd
-    try:
-        return zstd.ZstdDecompressor().decompress(raw, MAX_CHUNK_BYTES)
-    except zstd.ZstdError:
-        return b""  # a message that is damaged
+    from rosbags.rosbag2.reader import zstd  # type: ignore[attr-defined]  # Python's or a backport
+
+    with contextlib.suppress(zstd.ZstdError):
+        return bytes(zstd.ZstdDecompressor().decompress(raw, MAX_CHUNK_BYTES))
+    return b""  # a message that is damaged
 
 
 def _declared_sizes(reader: Any) -> Iterator[int]:

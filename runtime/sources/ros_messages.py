@@ -5,6 +5,7 @@ fields before it allocates memory.
 """
 
 from collections.abc import Mapping
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -57,10 +58,7 @@ def decode_image(message: Any) -> NDArray[np.uint8]:
             hint = "that is a depth map: name it by depth_topic= in --source"
         raise InputError(f"an Image has the encoding {shown(encoding)}: {hint}")
     channels, conversion = _PICTURES[encoding]
-    return _to_rgb(np.ascontiguousarray(_pixels(message, np.dtype("u1"), channels)), conversion)
-
-
-def _to_rgb(pixels: NDArray[np.uint8], conversion: int | None) -> NDArray[np.uint8]:
+    pixels = np.ascontiguousarray(_pixels(message, np.dtype("u1"), channels))
     return pixels if conversion is None else np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
 
 
@@ -88,12 +86,9 @@ def decode_compressed_image(message: Any) -> NDArray[np.uint8]:
     rgb = decode_rgb(content, name=f"a CompressedImage ({name})")
     if not encoding.startswith("bayer_") or (rgb != rgb[..., :1]).any():
         return rgb  # the camera's colours, also of a mosaic that was converted before
-    if encoding not in _PICTURES:
-        raise InputError(
-            f"a CompressedImage has the format {name}: of mosaics expected one of "
-            f"{', '.join(each for each in _PICTURES if each.startswith('bayer_'))}"
-        )
-    return _to_rgb(np.ascontiguousarray(rgb[..., 0]), _PICTURES[encoding][1])
+    height, width, mosaic = *rgb.shape[:2], rgb[..., 0].ravel()
+    fields = {"encoding": encoding, "height": height, "width": width, "step": width}
+    return decode_image(SimpleNamespace(**fields, data=mosaic))
 
 
 def decode_depth_image(message: Any) -> NDArray[np.float32]:
