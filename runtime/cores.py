@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 _TOPOLOGY = "/sys/devices/system/cpu/cpu{}/topology/thread_siblings_list"
-_CGROUPS, _MOUNTS = "/proc/self/cgroup", "/proc/self/mountinfo"
+_CGROUPS, _MOUNT = "/proc/self/cgroup", Path("/sys/fs/cgroup")
 
 
 def available_cores() -> int:
@@ -30,27 +30,19 @@ def _physical(logical: set[int]) -> int:
 
 def _quota() -> int:
     """The least CPU quota from the process's cgroups up to the root; all cores without one."""
-    # Controller -> the cgroup that is mounted, and where; version 2 has one tree, named "" here.
-    mounts = {"": ("/", "/sys/fs/cgroup"), "cpu": ("/", "/sys/fs/cgroup/cpu")}
-    for line in _read(_MOUNTS).splitlines():
-        fields, _, kind = line.partition(" - cgroup")
-        if kind.startswith("2 ") or "cpu" in kind.split(" ")[-1].split(","):
-            _, _, _, root, mount, *_ = fields.split(" ")
-            mounts["" if kind.startswith("2 ") else "cpu"] = root, mount
     least = os.cpu_count() or 1
     for line in _read(_CGROUPS).splitlines():
-        _, controllers, cgroup = line.split(":", 2)
-        for controller in mounts.keys() & controllers.split(","):
-            root, mount = mounts[controller]
-            inside = Path(cgroup).is_relative_to(root)  # else it lies above the container
-            below = Path(cgroup).relative_to(root) if inside else Path()
-            for folder in (Path(mount, each) for each in (below, *below.parents)):
-                limit = _read(folder / "cpu.max") or " ".join(
-                    _read(folder / f"cpu.cfs_{name}_us") for name in ("quota", "period")
-                )
-                match limit.split():
-                    case [quota, period] if quota.isdigit() and period.isdigit():
-                        least = min(least, math.ceil(int(quota) / max(1, int(period))))
+        _, controllers, cgroup = line.split(":", 2)  # version 2 names no controllers
+        if controllers and "cpu" not in controllers.split(","):
+            continue
+        mounts = {_MOUNT / controllers, _MOUNT / "cpu"} if controllers else {_MOUNT}
+        below = Path(cgroup.strip("/"))  # in a container perhaps as the host sees it
+        for folder in (mount / each for mount in mounts for each in (below, *below.parents)):
+            limit = _read(folder / "cpu.max").split()
+            limit += (_read(folder / f"cpu.cfs_{each}_us").strip() for each in ("quota", "period"))
+            match limit:
+                case [quota, period, *_] if quota.isdigit() and period.isdigit():
+                    least = min(least, math.ceil(int(quota) / max(1, int(period))))
     return least
 
 

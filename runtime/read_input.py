@@ -46,15 +46,12 @@ def open_input(path: Path, *, max_bytes: int | None) -> Iterator[BinaryIO]:
                 f"{_shown(path)} has {status.st_size:,} bytes, expected at most {max_bytes:,}: is "
                 "it another file?"
             )
-        if len(_POINTER) < status.st_size <= _MAX_POINTER_BYTES:
-            with _reported(path):
-                is_pointer = file.read(len(_POINTER)) == _POINTER
-                file.seek(0)
-            if is_pointer:
-                raise InputError(
-                    f"{_shown(path)} is a pointer of Git LFS, not the file itself: get it by git "
-                    "lfs pull"
-                )
+        is_small = len(_POINTER) < status.st_size <= _MAX_POINTER_BYTES
+        if is_small and os.pread(file.fileno(), len(_POINTER), 0) == _POINTER:
+            raise InputError(
+                f"{_shown(path)} is a pointer of Git LFS, not the file itself: get it by git lfs "
+                "pull"
+            )
         yield file
 
 

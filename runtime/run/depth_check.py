@@ -1,9 +1,8 @@
 """Whether the depth of the first frames can be right; checked before a run."""
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from enum import StrEnum
-from typing import Any
 
 import numpy as np
 
@@ -15,8 +14,8 @@ from runtime.io.images import holds_metres
 from runtime.lens import EQUIDISTANT, rays
 from runtime.predictor import Predictor
 from runtime.preprocess import check_sparse_depth, clean_sparse_depth
-from runtime.sources.frames import Frame
-from runtime.sources.source import ListedFrame
+from runtime.run.options import RunOptions
+from runtime.sources.source import ListedFrame, Source
 from runtime.sync.outcome import Sensor
 
 _LEAST_UNSEEN = 0.02  # share of the pixels; the corners of a sound calibration may lie beyond it
@@ -54,32 +53,29 @@ def find_lens_fault(calibration: Calibration | None, size: tuple[int, int] | Non
 
 
 def find_depth_fault(
-    predictor: Predictor,
-    frames: Sequence[ListedFrame],
-    read: Callable[[ListedFrame], Frame],
-    inputs: Mapping[str, Any],
+    predictor: Predictor, frames: Sequence[ListedFrame], source: Source, options: RunOptions
 ) -> str | None:
     """Return why the depth of a stream cannot be right, and what to try; None = nothing found.
 
     Done before the stream, since it takes predictions from the camera alone.
     """
-    left_out = inputs.get("left_out") or {}
+    left_out = source.inputs.get("left_out") or {}
     has_depth = any(reason.startswith(f"{Sensor.DEPTH}:") for reason in left_out)
     if has_depth and all(each.depth is None for each in frames):
         return NoDepth.NO_MATCH
     if "depth" not in predictor.heads:
         return None
     check, size_check = DepthPlausibility(), CalibrationSize()
-    depth_scale = inputs.get("depth_scale")
+    depth_scale = source.inputs.get("depth_scale")
     returns: list[int] = []  # of each scan or depth map
     for listed in frames[:FIRST_FRAMES]:
         with contextlib.suppress(SSDNetError):  # the run itself reports it
-            frame = read(listed)
+            frame = source.read(listed)
             size = (frame.rgb.shape[0], frame.rgb.shape[1])
             check_sparse_depth(frame.sparse_depth, size=size)
             if listed.depth is None:
                 continue
-            focal_px = frame.focal_length_px
+            focal_px = options.focal_length_px(frame.calibration)
             range_m = predictor.camera_scale(size, focal_length_px=focal_px).range_m
             returns.append(clean_sparse_depth(frame.sparse_depth, max_depth_m=range_m)[2])
             camera_only = None

@@ -113,7 +113,7 @@ def _run_camera(
         kinds = _answered_kinds(options, predictor)
         frame_size = _warm_up(predictor, frames, source, runs=options.warmup)
         require_outputs(options, source)
-        fault = find_depth_fault(predictor, listed, read, source.inputs)  # the same for all shards
+        fault = find_depth_fault(predictor, listed, source, options)  # the same for all shards
         degraded = () if fault is None or isinstance(fault, NoDepth) else (IMPLAUSIBLE_DEPTH,)
         about = [*source.notes, describe_predictor(predictor, frame_size)]
         faults = (find_lens_fault(source.calibration, frame_size), fault)

@@ -163,10 +163,8 @@ def _files(path: Path) -> list[Path]:
 
 def _require_merged(file: Path) -> None:
     """Raise InputError for a database of which SQLite left a part in a journal beside it."""
-    for end in ("-wal", "-journal") if file.suffix == ".db3" else ():
-        journal = Path(os.path.realpath(file) + end)
-        if not os.path.lexists(journal):
-            continue
+    journals = (Path(f"{os.path.realpath(file)}{end}") for end in ("-wal", "-journal"))
+    for journal in filter(os.path.lexists, journals):
         with open_input(journal, max_bytes=None) as opened:
             start = opened.read(33)
         if len(start) == 33 and any(start[:28]):  # else it has no pages, or a header that is void

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the s
 def machine(tmp_path, monkeypatch):
     """A machine of 16 processors, two of each core, of which the process may use those given."""
 
-    def make(*, usable=range(16), topology=True, cgroups="", mounts="", files=()):
+    def make(*, usable=range(16), topology=True, cgroups="", files=()):
         for cpu in range(16):
             if topology:
                 (tmp_path / str(cpu)).write_text(f"{cpu % 8},{cpu % 8 + 8}\n")
@@ -24,55 +24,50 @@ def machine(tmp_path, monkeypatch):
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text + "\n")
         (tmp_path / "cgroup").write_text(cgroups)
-        (tmp_path / "mountinfo").write_text(mounts.replace("SYS", str(tmp_path / "sys")))
         monkeypatch.setattr(os, "sched_getaffinity", lambda process: set(usable))
         monkeypatch.setattr(runtime.cores, "_TOPOLOGY", str(tmp_path / "{}"))
         monkeypatch.setattr(runtime.cores, "_CGROUPS", tmp_path / "cgroup")
-        monkeypatch.setattr(runtime.cores, "_MOUNTS", tmp_path / "mountinfo")
+        monkeypatch.setattr(runtime.cores, "_MOUNT", tmp_path / "sys")
         monkeypatch.setattr(os, "cpu_count", lambda: 16)
 
     return make
 
 
-V2 = "30 23 0:26 / SYS rw,nosuid - cgroup2 cgroup2 rw,nsdelegate\n"
-OTHER = "24 30 0:25 / SYS/mem rw shared:9 - cgroup cgroup rw,memory\n29 1 8:1 / / rw - ext4 x rw\n"
-V1 = OTHER + "25 30 0:27 {root} SYS/cpu,cpuacct rw - cgroup cgroup rw,cpu,cpuacct\n"
-
-
-def v1(folder, quota, period=100000):
-    start = f"cpu,cpuacct/{folder}cpu.cfs_"
+def v1(below, quota, period=100000, folder="cpu,cpuacct"):
+    start = f"{folder}/{below}cpu.cfs_"
     return {f"{start}quota_us": str(quota), f"{start}period_us": str(period)}
 
 
 @pytest.mark.parametrize(
-    ("cgroups", "mounts", "files", "cores"),
+    ("cgroups", "files", "cores"),
     [
-        ("0::/\n", V2, {"cpu.max": "300000 100000"}, 3),
-        ("0::/\n", V2, {"cpu.max": "200001 100000"}, 3),
-        ("0::/\n", V2, {"cpu.max": "max 100000"}, 8),
-        ("0::/\n", V2, {"cpu.max": "a b"}, 8),
-        ("0::/\n", V2, {}, 8),
-        ("", "", {}, 8),
+        ("0::/\n", {"cpu.max": "300000 100000"}, 3),
+        ("0::/\n", {"cpu.max": "200001 100000"}, 3),
+        ("0::/\n", {"cpu.max": "max 100000"}, 8),
+        ("0::/\n", {"cpu.max": "a b"}, 8),
+        ("0::/\n", {}, 8),
+        ("", {}, 8),
         # A service of systemd, and a slice above it: the least of them.
-        ("0::/a.slice/b\n", V2, {"a.slice/b/cpu.max": "200000 100000"}, 2),
+        ("0::/a.slice/b\n", {"a.slice/b/cpu.max": "200000 100000"}, 2),
         (
             "0::/a.slice/b\n",
-            V2,
             {"a.slice/cpu.max": "400000 200000", "a.slice/b/cpu.max": "max 100000"},
             2,
         ),
-        ("0::/a/b\n", V2, {"a/cpu.max": "500000 100000", "a/b/cpu.max": "300000 100000"}, 3),
-        ("0::/a\n", V2, {"b/cpu.max": "100000 100000"}, 8),  # of others
-        ("0::/../b\n", V2, {"cpu.max": "100000 100000"}, 1),  # moved out of the container's cgroup
-        # Docker with cgroups of version 1: the mount is the container's.
-        ("4:cpu,cpuacct:/x/id\n1:memory:/x\n", V1.format(root="/x/id"), v1("", 250000), 3),
-        ("4:cpuacct,cpu:/x/id/in\n", V1.format(root="/x/id"), v1("in/", 100000), 1),
-        ("4:cpu,cpuacct:/x/id\n0::/\n", V1.format(root="/"), v1("x/", 400000), 4),
-        ("4:cpu,cpuacct:/x\n", V1.format(root="/"), v1("x/", -1), 8),
+        ("0::/a/b\n", {"a/cpu.max": "500000 100000", "a/b/cpu.max": "300000 100000"}, 3),
+        ("0::/a\n", {"b/cpu.max": "100000 100000"}, 8),  # of others
+        ("0::/../b\n", {"cpu.max": "100000 100000"}, 1),  # moved out of the container's cgroup
+        # Docker with cgroups of version 1: the host's path, where the container's is mounted.
+        ("4:cpu,cpuacct:/docker/id\n1:memory:/x\n", v1("", 250000), 3),
+        ("4:cpuacct,cpu:/x\n0::/\n", v1("", 250000, folder="cpu"), 3),
+        ("4:cpu,cpuacct:/x/y\n0::/\n", v1("x/", 400000), 4),
+        ("4:cpu,cpuacct:/x/y\n", {**v1("x/y/", 300000), **v1("x/", 200000)}, 2),
+        ("4:cpu,cpuacct:/x\n", v1("x/", -1), 8),
+        ("4:cpuset:/x\n1:cpu,cpuacct:/\n", v1("x/", 100000, folder="cpu"), 8),  # of others
     ],
 )
-def test_the_least_quota_from_the_cgroup_to_the_root(machine, cgroups, mounts, files, cores):
-    machine(cgroups=cgroups, mounts=mounts, files=files)
+def test_the_least_quota_from_the_cgroup_to_the_root(machine, cgroups, files, cores):
+    machine(cgroups=cgroups, files=files)
     assert available_cores() == cores
 
 
