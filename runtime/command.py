@@ -89,13 +89,10 @@ def stop_requested(*, notice: str = "", second_ends: bool = True) -> Iterator[Ca
                         os._exit(INTERRUPTED)
 
     threading.Thread(target=watch, name="signals", daemon=True).start()
-    with _handled(record):
-        before = signal.set_wakeup_fd(wakeup, warn_on_full_buffer=False)
-        try:
-            yield lambda: bool(received)
-        finally:
-            signal.set_wakeup_fd(before)
-            os.close(wakeup)
+    with _handled(record), contextlib.ExitStack() as ended:
+        ended.callback(os.close, wakeup)
+        ended.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(wakeup))
+        yield lambda: bool(received)
 
 
 @contextlib.contextmanager

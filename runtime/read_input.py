@@ -49,8 +49,7 @@ def open_input(path: Path, *, max_bytes: int | None) -> Iterator[BinaryIO]:
         is_small = len(_POINTER) < status.st_size <= _MAX_POINTER_BYTES
         if is_small and os.pread(file.fileno(), len(_POINTER), 0) == _POINTER:
             raise InputError(
-                f"{_shown(path)} is a pointer of Git LFS, not the file itself: get it by git lfs "
-                "pull"
+                f"{_shown(path)} is a pointer of Git LFS, not the file: get it by git lfs pull"
             )
         yield file
 

@@ -11,6 +11,7 @@ from typing import Protocol
 
 from runtime.errors import SSDNetError
 from runtime.health.frame_health import FrameHealth
+from runtime.io.calibration import Calibration
 from runtime.prediction import Prediction
 from runtime.predictor import Predictor
 from runtime.sources.frames import Frame
@@ -59,6 +60,7 @@ def run_stream(
     frames: Sequence[ListedFrame],
     *,
     read: Callable[[ListedFrame], Frame],
+    focal_length_px: Callable[[Calibration | None], float | None] = lambda calibration: None,
     rate_hz: float | None = None,
     deadline_ms: float | None = None,
     degraded: tuple[str, ...] = (),
@@ -76,6 +78,7 @@ def run_stream(
         predictor: predicts the frames, in the calling thread.
         frames: to read.
         read: reads one of `frames`; called in order, in the reading thread.
+        focal_length_px: gives that of a frame by its calibration; None = the predictor's.
         rate_hz: frames are due at this rate from the start on, and none is predicted earlier
             (constant stream of MLPerf); None = each when the one before is done (single stream).
         deadline_ms: limit of `FrameOutcome.latency_ms`; None = no limit.
@@ -99,10 +102,10 @@ def run_stream(
         started = time.perf_counter()
         frame = read(listed)
         read_ms = (time.perf_counter() - started) * 1e3
-        size, focal_px = (frame.rgb.shape[0], frame.rgb.shape[1]), frame.focal_length_px
-        scale = predictor.camera_scale(size, focal_length_px=focal_px)
-        found = health.check(frame.rgb, frame.sparse_depth, range_m=scale.range_m)
-        return replace(frame, name=listed.name, health=found), read_ms
+        size, focal_px = frame.rgb.shape[:2], focal_length_px(frame.calibration)
+        range_m = predictor.camera_scale(size, focal_length_px=focal_px).range_m
+        found = health.check(frame.rgb, frame.sparse_depth, range_m=range_m)
+        return replace(frame, name=listed.name, health=found, focal_length_px=focal_px), read_ms
 
     def read_next() -> None:
         for index, listed in waiting:
@@ -115,8 +118,8 @@ def run_stream(
         """Predict a frame and start writing its answer; return the outcome and the write."""
         try:
             frame, read_ms = reading.result()
-            focal_px = frame.focal_length_px
-            prediction = predictor.predict(frame.rgb, frame.sparse_depth, focal_length_px=focal_px)
+            rgb, depth, focal_px = frame.rgb, frame.sparse_depth, frame.focal_length_px
+            prediction = predictor.predict(rgb, depth, focal_length_px=focal_px)
         except SSDNetError as error:
             return FrameOutcome(sequence=index, name=name, reason=str(error)), None
         latency_ms, age_ms, jitter_ms = prediction.latency.total_ms, None, None

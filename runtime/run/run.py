@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 from runtime.command import stop_requested
 from runtime.drawing.overlay import Overlay
@@ -19,7 +18,6 @@ from runtime.run.pipeline import StreamResult, run_stream
 from runtime.run.process import dedicate_process
 from runtime.run.run_folder import CLOUD, KINDS, SAVED_HEADS, make_run_folder
 from runtime.run.run_report import RunReport, describe_predictor, group_reasons, write_report
-from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source
 from runtime.sync.frame_outcome import FrameOutcome
 
@@ -94,11 +92,6 @@ def _run_camera(
 ) -> RunReport:
     if options.rectify:
         source.rectify_images()
-
-    def read(listed: ListedFrame) -> Frame:
-        frame = source.read(listed)
-        return replace(frame, focal_length_px=options.focal_length_px(frame.calibration))
-
     listed = source.list_frames(limit=options.limit)
     frames = options.shard_of(listed)
     with Predictor(
@@ -127,7 +120,8 @@ def _run_camera(
             result = run_stream(
                 predictor,
                 frames,
-                read=read,
+                read=source.read,
+                focal_length_px=options.focal_length_px,
                 rate_hz=options.rate,
                 deadline_ms=options.deadline_ms,
                 degraded=degraded,

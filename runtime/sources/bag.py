@@ -279,7 +279,7 @@ class BagSource(Source):
 
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`."""
-        self._left_out = Counter(self._bag.left_out)
+        self._left_out.clear()
         names: Counter[str] = Counter()
 
         def stamped() -> Iterator[tuple[Sensor, int, int]]:
@@ -291,9 +291,6 @@ class BagSource(Source):
                     self._left_out[f"{sensor}: {Outcome.BAD_STAMP}"] += 1
                 else:
                     yield sensor, stamp_ns or message.recorded_ns, place
-            for topic, count in self._bag.lost.items():
-                sensor = Sensor.IMAGE if topic == self._image_topic else Sensor.DEPTH
-                self._left_out[f"{sensor}: listed in the index, but missing"] += count
 
         def name(image: Message) -> str:
             stamp = str(image.stamp_ns)
@@ -310,6 +307,7 @@ class BagSource(Source):
             name=name,
             camera_only=self._depth_topic is None,
         )
+        self._left_out.update(self._bag.left_out)
         if not frames:
             raise InputError(
                 f"the topic {self._image_topic} of {self._bag.path} has no messages with a stamp"

@@ -135,8 +135,7 @@ class FolderSource(Source):
                     found = FrameCalibrations(calibration, partial(read, camera=other)).first
                     if not np.allclose(found.extrinsics, self.calibration.extrinsics):
                         self._note(
-                            f"warning: assumed camera 2 of KITTI: nothing in {rgb} says which; "
-                            "camera= in --source does"
+                            f"warning: assumed camera 2 of KITTI for {rgb}: camera= in --source"
                         )
             if pose_frame is not None:
                 lidar_mount(pose_frame, self.calibration)  # raises InputError if unknown

@@ -41,28 +41,27 @@ class RosBag:
 
     Attributes:
         types: topic -> message type, by the names of ROS 2.
-        lost: topic -> messages that the bag's index has and the last complete reading did not.
-        left_out: what the bag holds and is not read -> how often.
+        left_out: what is not read -> how often; of messages those that were met so far.
 
     Raises:
         InputError: if `rosbags` cannot be imported, or the bag is damaged; so does every method.
     """
 
     def __init__(self, path: Path) -> None:
-        self.path, self.lost, self.left_out = path, Counter[str](), Counter[str]()
+        self.path, self.left_out = path, Counter[str]()
         self._is_cdr = path.suffix != ".bag"
         self._reader, self._definitions = _open(path)
         self.types: dict[str, str] = {}
         self._topics: dict[str, list[Connection]] = {}
         with _reading(self.path):
             for each in self._reader.connections:
-                encoding = each.ext.serialization_format if self._is_cdr else "cdr"
-                if encoding != "cdr":
-                    self.left_out[f"{each.topic} ({encoding}, no message of ROS)"] += each.msgcount
-                    continue
-                self._topics.setdefault(each.topic, []).append(each)
-                is_same = self.types.setdefault(each.topic, each.msgtype) == each.msgtype
-                self.types[each.topic] = each.msgtype if is_same else "several types"
+                topic, kind = each.topic, each.msgtype
+                encoding = getattr(each.ext, "serialization_format", "ros1")
+                is_own = (encoding == "cdr") == self._is_cdr
+                if is_own and self.types.setdefault(topic, kind) == kind:
+                    self._topics.setdefault(topic, []).append(each)
+                else:  # of another library, or a second type of the topic
+                    self.left_out[f"{topic} ({encoding} {kind})"] += each.msgcount
             named = {"metadata.yaml", *(each.path.name for each in _storages(self._reader))}
             for file in _files(path) if os.path.isdir(path) else ():
                 if file.name.removesuffix(".zstd") not in named:
@@ -80,17 +79,18 @@ class RosBag:
                 if self._is_cdr and raw[:4] == _ZSTD:  # a file without the metadata.yaml of its bag
                     raw = _decompress(raw)
                 yield RecordedMessage(connection.topic, recorded_ns, raw)
-            self.lost = +left  # only topics with messages left
+        missing = {f"{t} (listed in the index, but missing)": n for t, n in left.items()}
+        self.left_out |= Counter(missing)  # the most of all readings
 
     def decoded(self, topic: str) -> Iterator[Any]:
         """Yield the messages of a topic with their fields; those that are damaged are left out."""
-        damaged, text = 0, f"{topic} (damaged)"
+        damaged = 0
         for message in self.messages([topic]):
             try:
                 decoded = self.decode(message)
             except InputError:
                 damaged += 1
-                self.left_out[text] = max(self.left_out[text], damaged)  # may be read again
+                self.left_out |= Counter({f"{topic} (damaged)": damaged})
                 continue
             yield decoded
 
@@ -143,8 +143,8 @@ def _open(path: Path) -> "tuple[Any, Typestore]":
     with _reading(path):
         reader: Any = Reader1(path) if is_ros1 else Reader2(path)
         if os.path.isdir(path):
-            plugins = reader.storage.STORAGE_PLUGINS
-            reader.storage.STORAGE_PLUGINS = {**plugins, "mcap": _mcap_reader()}
+            own = {"mcap": _mcap_reader()}
+            reader.storage.STORAGE_PLUGINS = reader.storage.STORAGE_PLUGINS | own
         elif path.suffix == ".mcap":
             reader.storage = _mcap_reader()(path)
         reader.open()
@@ -169,8 +169,8 @@ def _require_merged(file: Path) -> None:
             start = opened.read(33)
         if len(start) == 33 and any(start[:28]):  # else it has no pages, or a header that is void
             raise InputError(
-                f"{file} is not complete without {journal.name} beside it, as of a recorder that "
-                f"was killed: sqlite3 {file} 'PRAGMA journal_mode = DELETE' merges them"
+                f"{file} lacks what its recorder left in {journal.name}: sqlite3 {file} "
+                "'PRAGMA journal_mode = DELETE' merges the two"
             )
 
 
@@ -206,13 +206,11 @@ def _decompress(raw: bytes) -> bytes:
 
 def _declared_sizes(reader: Any) -> Iterator[int]:
     """The decompressed sizes that the index of a bag declares for its compressed parts."""
-    if storages := _storages(reader):
-        chunks = [chunk for each in storages for chunk in getattr(each, "chunks", ())]
-        yield from (chunk.uncompressed_size for chunk in chunks if chunk.compression)  # of MCAP
-        return
     from rosbags.rosbag1.reader import Header
 
-    for chunk in reader.chunk_infos:
+    chunks = [chunk for each in _storages(reader) for chunk in getattr(each, "chunks", ())]
+    yield from (chunk.uncompressed_size for chunk in chunks if chunk.compression)  # of MCAP
+    for chunk in getattr(reader, "chunk_infos", ()):  # of ROS 1
         reader.bio.seek(chunk.pos)
         header = Header.read(reader.bio)
         if header.get_string("compression") != "none":

@@ -298,7 +298,7 @@ def test_the_camera_of_kitti_is_that_of_the_real_folder(
     with open_source("folders", path, camera=key, **options) as source:
         shift = kitti[camera] if camera is not None else EXTRINSICS[0, 3]
         assert source.calibration.extrinsics[0, 3] == pytest.approx(shift)
-        warning = f"warning: assumed camera 2 of KITTI: nothing in {path} says which; camera="
+        warning = f"warning: assumed camera 2 of KITTI for {path}: camera= in --source"
         assert [note.startswith(warning) for note in source.notes] == [True] * warns
     # Depth maps lie on the pixels of their image, whichever camera it is of.
     with open_source("folders", path, calibration=tmp_path / calibration) as source:

@@ -68,7 +68,7 @@ def test_a_database_is_not_read_without_its_journal(tmp_path, recorded, mode, en
     killed(file, mode, at=tmp_path / "killed.db3")
     (tmp_path / "link.db3").symlink_to("killed.db3")
     for name in ("killed.db3", "link.db3"):
-        with pytest.raises(InputError, match=rf"killed\.db3{end} beside .* merges them"):
+        with pytest.raises(InputError, match=rf"left in killed\.db3{end}: .* merges the two"):
             RosBag(tmp_path / name)
     with contextlib.closing(sqlite3.connect(tmp_path / "killed.db3")) as merged:
         merged.execute("PRAGMA journal_mode = DELETE")  # the command of the error
@@ -135,10 +135,11 @@ def test_channels_of_other_encodings_are_left_out(tmp_path, recorded):
         ("/log", "protobuf", "foxglove.Log", "protobuf", b"\n\xb8\xff\x01"),
         ("/rear/image", "json", "sensor_msgs/msg/Image", "jsonschema", "{}"),
         ("/lidar/points", "json", "sensor_msgs/msg/PointCloud2", "jsonschema", "{}"),
+        ("/cam/image_rect", "cdr", "sensor_msgs/msg/CompressedImage", "ros2msg", ""),
         ("/flat", "flatbuffer", "x", "of tomorrow", b"\xff"),
     ]
     path = write_mcap(tmp_path / "a.mcap", recorded("mcap"), others)
-    left_out = {f"{each[0]} ({each[1]}, no message of ROS)": 1 for each in others}
+    left_out = {f"{topic} ({encoding} {kind})": 1 for topic, encoding, kind, *_ in others}
     assert frames_of(path) == (N, left_out)
     path = write_mcap(tmp_path / "b.mcap", recorded("mcap"), [])
     assert frames_of(path) == (N, {})
