@@ -32,6 +32,7 @@ from runtime.sources.ros_messages import (
 )
 from runtime.sources.ros_poses import (
     TransformTree,
+    odometry_pose,
     odometry_poses,
     point_times_ns,
     transform_poses,
@@ -249,7 +250,8 @@ class BagSource(Source):
             return None, None
         try:
             if topic in odometry:
-                body, stamped = odometry_poses(self._bag.decoded(topic))
+                messages = self._bag.decoded(topic, check=odometry_pose)
+                body, stamped = odometry_poses(messages)
             else:
                 carriers = self._tree.carriers(self._lidar)
                 body, stamped = transform_poses(self._bag.decoded(topic), carriers)

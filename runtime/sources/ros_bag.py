@@ -5,7 +5,7 @@ import importlib.util
 import os
 import struct
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -82,12 +82,18 @@ class RosBag:
         missing = {f"{t} (listed in the index, but missing)": n for t, n in left.items()}
         self.left_out |= Counter(missing)  # the most of all readings
 
-    def decoded(self, topic: str) -> Iterator[Any]:
-        """Yield the messages of a topic with their fields; those that are damaged are left out."""
+    def decoded(
+        self, topic: str, *, check: Callable[[Any], object] = lambda message: None
+    ) -> Iterator[Any]:
+        """Yield the messages of a topic with their fields.
+
+        Those that are damaged, or for which `check` raises InputError, are left out.
+        """
         damaged = 0
         for message in self.messages([topic]):
             try:
                 decoded = self.decode(message)
+                check(decoded)
             except InputError:
                 damaged += 1
                 self.left_out |= Counter({f"{topic} (damaged)": damaged})

@@ -142,19 +142,19 @@ def transform_poses(
 class TransformTree:
     """The transforms of /tf_static between frames; the last one of a child counts.
 
+    Its methods raise InputError for an invalid rotation and for numbers that are not finite on
+    their way; other transforms may be invalid.
+
     Args:
         messages: tf2_msgs/TFMessage.
-
-    Raises:
-        InputError: for an invalid rotation and for numbers that are not finite.
     """
 
     def __init__(self, messages: Iterable[Any]) -> None:
-        self._parents: dict[str, tuple[str, NDArray[np.float64]]] = {}
+        self._parents: dict[str, tuple[str, Any]] = {}
         for message in messages:
             for stamped in message.transforms:
                 parent = frame_name(stamped.header.frame_id)
-                self._parents[frame_name(stamped.child_frame_id)] = parent, _transform_pose(stamped)
+                self._parents[frame_name(stamped.child_frame_id)] = parent, stamped
 
     def between(self, source: str, target: str) -> NDArray[np.float64]:
         """Return the matrix, float64 (4, 4), from the frame `source` to the frame `target` [m].
@@ -183,10 +183,10 @@ class TransformTree:
         """Each ancestor and the matrix from `frame` to it, the nearest first."""
         matrices = {frame: np.eye(4)}
         while frame in self._parents:
-            parent, to_parent = self._parents[frame]
+            parent, stamped = self._parents[frame]
             if parent in matrices:
                 raise InputError(f"/tf_static has a cycle at the frame {shown(parent)}")
-            matrices[parent] = to_parent @ matrices[frame]
+            matrices[parent] = _transform_pose(stamped) @ matrices[frame]
             frame = parent
         return matrices
 

@@ -160,6 +160,29 @@ def test_a_damaged_message_is_left_out(recorded, kind):
         assert source.read(frames[-1]).sparse_depth.any()
 
 
+def test_a_transform_that_is_not_used_may_be_invalid(recorded):
+    bag = recorded("ros2")
+    bag.static_transform("base", "gripper", (0.0, 0.0, 0.0, 0.0), (0, 0, 0))
+    assert frames_of(bag.write()) == (N, {})
+    bag.static_transform("base", "lidar", (0.0, 0.0, 0.0, 0.0), (0, 0, 0))
+    with pytest.raises(InputError, match="the transform from base to lidar"):
+        frames_of(bag.write("used"))
+
+
+def test_an_invalid_pose_is_left_out(recorded):
+    """The first one of a filter that has not started."""
+    bag = recorded("ros2")
+    for index in range(-1, N + 1):
+        turn = (0, 0, 0, 0) if index < 0 else (0, 0, 0, 1)
+        stamp_ns = START_NS + 100 * MS * index
+        bag.odometry("/odom", (float(index), 0.0, 0.0), stamp_ns, turn=turn)
+    with BagSource(bag.write()) as source:
+        frames = source.list_frames()
+        assert source.inputs["left_out"] == {"/odom (damaged)": 1}
+        assert source.inputs["pose_topic"] == "/odom"
+        assert source.read(frames[2]).depth_motion == "scan"
+
+
 def test_a_topic_of_damaged_images_does_not_spoil_the_others(recorded):
     bag = recorded("ros2")
     bag.messages += [
