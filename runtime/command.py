@@ -1,7 +1,6 @@
 """What all commands share: reporting of errors, and Ctrl-C. Light, since it is loaded first."""
 
 import contextlib
-import math
 import os
 import signal
 import sys
@@ -80,7 +79,7 @@ def stop_requested(*, notice: str = "", second_ends: bool = True) -> Iterator[Ca
         received.append(number)
 
     def watch() -> None:
-        first_s = math.inf
+        first_s = float("inf")
         with open(arrived, "rb", buffering=0) as numbers:
             while some := numbers.read(64):  # none once the block has ended
                 if not set(some).isdisjoint(SIGNALS):

@@ -87,11 +87,9 @@ class Answerer:
         # `predict` has checked that they fit.
         health = self._health.check(rgb, sparse_depth, range_m=prediction.range_m)
         self._answers += 1
-        shown = rgb.view()
-        shown.setflags(write=False)
         return FrameResult(
             sequence=self._answers - 1,
-            rgb=shown,
+            rgb=np.broadcast_to(rgb, rgb.shape),  # read-only
             prediction=prediction,
             health=health,
             consistency=consistency,

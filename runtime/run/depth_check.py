@@ -75,7 +75,7 @@ def find_depth_fault(
             check_sparse_depth(frame.sparse_depth, size=size)
             if listed.depth is None:
                 continue
-            focal_px = options.focal_length_px(frame.calibration)
+            focal_px = options.focal_length_px(frame)
             range_m = predictor.camera_scale(size, focal_length_px=focal_px).range_m
             returns.append(clean_sparse_depth(frame.sparse_depth, max_depth_m=range_m)[2])
             camera_only = None

@@ -11,7 +11,6 @@ from typing import Protocol
 
 from runtime.errors import SSDNetError
 from runtime.health.frame_health import FrameHealth
-from runtime.io.calibration import Calibration
 from runtime.prediction import Prediction
 from runtime.predictor import Predictor
 from runtime.sources.frames import Frame
@@ -60,7 +59,7 @@ def run_stream(
     frames: Sequence[ListedFrame],
     *,
     read: Callable[[ListedFrame], Frame],
-    focal_length_px: Callable[[Calibration | None], float | None] = lambda calibration: None,
+    focal_length_px: Callable[[Frame], float | None] = lambda frame: None,
     rate_hz: float | None = None,
     deadline_ms: float | None = None,
     degraded: tuple[str, ...] = (),
@@ -78,7 +77,7 @@ def run_stream(
         predictor: predicts the frames, in the calling thread.
         frames: to read.
         read: reads one of `frames`; called in order, in the reading thread.
-        focal_length_px: gives that of a frame by its calibration; None = the predictor's.
+        focal_length_px: gives that of a frame; None = the predictor's.
         rate_hz: frames are due at this rate from the start on, and none is predicted earlier
             (constant stream of MLPerf); None = each when the one before is done (single stream).
         deadline_ms: limit of `FrameOutcome.latency_ms`; None = no limit.
@@ -102,7 +101,7 @@ def run_stream(
         started = time.perf_counter()
         frame = read(listed)
         read_ms = (time.perf_counter() - started) * 1e3
-        size, focal_px = frame.rgb.shape[:2], focal_length_px(frame.calibration)
+        size, focal_px = frame.rgb.shape[:2], focal_length_px(frame)
         range_m = predictor.camera_scale(size, focal_length_px=focal_px).range_m
         found = health.check(frame.rgb, frame.sparse_depth, range_m=range_m)
         return replace(frame, name=listed.name, health=found, focal_length_px=focal_px), read_ms

@@ -99,7 +99,7 @@ def _run_camera(
         sha256=options.sha256,
         provider=str(options.provider),
         size=options.network_size,
-        focal_length_px=options.focal_length_px(source.calibration),
+        focal_length_px=options.focal_length_px(source),
         threads=options.threads,
         warmup=0,
     ) as predictor:

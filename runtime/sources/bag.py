@@ -250,8 +250,7 @@ class BagSource(Source):
             return None, None
         try:
             if topic in odometry:
-                messages = self._bag.decoded(topic, check=odometry_pose)
-                body, stamped = odometry_poses(messages)
+                body, stamped = odometry_poses(self._bag.decoded(topic, odometry_pose))
             else:
                 carriers = self._tree.carriers(self._lidar)
                 body, stamped = transform_poses(self._bag.decoded(topic), carriers)

@@ -55,9 +55,8 @@ class OneFolderSource(FolderSource):
             if options.get("calibration") is None:
                 options["calibration"] = _find_calibration(path, of_scans=scans)
         super().__init__(rgb, **options)
-        if found is not None and unread:
-            names = ", ".join(f"{folder.name}/" for folder in unread)
-            self._note(f"guessed: {found.name}/ is the depth; not read: {names}; --points names it")
+        for folder in unread:
+            self._note(f"guessed: {folder.name}/ is not the depth, nor read; --points names it")
 
     @staticmethod
     def accepts(path: Path) -> bool:

@@ -62,10 +62,10 @@ class RosBag:
                     self._topics.setdefault(topic, []).append(each)
                 else:  # of another library, or a second type of the topic
                     self.left_out[f"{topic} ({encoding} {kind})"] += each.msgcount
-            named = {"metadata.yaml", *(each.path.name for each in _storages(self._reader))}
-            for file in _files(path) if os.path.isdir(path) else ():
-                if file.name.removesuffix(".zstd") not in named:
-                    self.left_out[f"{file.name} (metadata.yaml does not name it)"] += 1
+            there = {file.name.removesuffix(".zstd") for file in _files(path)}
+            named = {path.name, "metadata.yaml", *(s.path.name for s in _storages(self._reader))}
+            for name in there - named:
+                self.left_out[f"{name} (metadata.yaml does not name it)"] = 1
 
     def messages(self, topics: Collection[str]) -> Iterator[RecordedMessage]:
         """Yield the messages of the topics in the order in which they were recorded."""
@@ -79,12 +79,10 @@ class RosBag:
                 if self._is_cdr and raw[:4] == _ZSTD:  # a file without the metadata.yaml of its bag
                     raw = _decompress(raw)
                 yield RecordedMessage(connection.topic, recorded_ns, raw)
-        missing = {f"{t} (listed in the index, but missing)": n for t, n in left.items()}
-        self.left_out |= Counter(missing)  # the most of all readings
+        # The most of all readings.
+        self.left_out |= Counter({f"{t} (only in the index)": n for t, n in left.items()})
 
-    def decoded(
-        self, topic: str, *, check: Callable[[Any], object] = lambda message: None
-    ) -> Iterator[Any]:
+    def decoded(self, topic: str, check: Callable[[Any], object] = bool) -> Iterator[Any]:
         """Yield the messages of a topic with their fields.
 
         Those that are damaged, or for which `check` raises InputError, are left out.
@@ -162,9 +160,8 @@ def _open(path: Path) -> "tuple[Any, Typestore]":
 
 
 def _files(path: Path) -> list[Path]:
-    if not os.path.isdir(path):
-        return [path]
-    return [file for file in sorted(path.iterdir()) if file.suffix in _BAG_SUFFIXES]
+    there = path.iterdir() if os.path.isdir(path) else [path]
+    return [file for file in there if file == path or file.suffix in _BAG_SUFFIXES]
 
 
 def _require_merged(file: Path) -> None:

@@ -477,6 +477,6 @@ def test_messages_that_the_index_promises_and_the_bag_has_lost_are_counted(make_
     with BagSource(path, depth_topic="none") as source:
         for _ in range(2):
             assert len(source.list_frames()) == 191
-        missing = "/cam/image_rect (listed in the index, but missing)"
+        missing = "/cam/image_rect (only in the index)"
         assert source.inputs["left_out"] == {missing: 9}
         assert f"left out: {missing} 9" in source.notes

@@ -62,13 +62,14 @@ def test_pairs_by_numbers_are_said_to_be_guessed(frames, run):
 
 def test_scans_beside_depth_maps_are_reported_as_not_read(frames, run):
     data, depths = frames("image/{}.png", "depth/{}.png")
-    assert "not read" not in run(data).text
+    assert "nor read" not in run(data).text
     for name in ("lidar", "velodyne"):
         (data / name).mkdir()
     answers = run(data, out="noted")
     assert answers.exit_code == 0, answers.text
     assert abs(answers.fed_depth("0") - depths[0]).max() < 0.01
-    assert "guessed: depth/ is the depth; not read: lidar/, velodyne/; --points" in answers.text
+    for name in ("lidar", "velodyne"):
+        assert f"guessed: {name}/ is not the depth, nor read; --points names it" in answers.text
 
 
 # --- scans ------------------------------------------------------------------------------------

@@ -111,7 +111,7 @@ def test_a_video_that_ends_early_is_read_to_its_end(tmp_path, run):
     answers = run("--source", f"video:{path}")
     assert answers.exit_code == 0, answers.text
     assert answers.column("status") == ["ok"] * (N - 2)
-    assert f"warning: the header of {path} states 8 frames, it has 6" in answers.text
+    assert f"warning: {path} states 8 frames, it has 6" in answers.text
 
 
 @pytest.mark.parametrize("stated", [0, 1, N, 3 * N, 2**31])
