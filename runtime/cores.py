@@ -33,9 +33,8 @@ def _quota() -> int:
     least = os.cpu_count() or 1
     for line in _read(_CGROUPS).splitlines():
         _, controllers, cgroup = line.split(":", 2)  # version 2 names no controllers
-        if controllers and "cpu" not in controllers.split(","):
-            continue
-        mounts = {_MOUNT / controllers, _MOUNT / "cpu"} if controllers else {_MOUNT}
+        is_v1 = "cpu" in controllers.split(",")
+        mounts = {_MOUNT / controllers, _MOUNT / "cpu"} if is_v1 else {_MOUNT}
         below = Path(cgroup.strip("/"))  # in a container perhaps as the host sees it
         for folder in (mount / each for mount in mounts for each in (below, *below.parents)):
             limit = _read(folder / "cpu.max").split()

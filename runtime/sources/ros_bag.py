@@ -48,20 +48,18 @@ class RosBag:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path, self.left_out = path, Counter[str]()
+        self.path, self.types, self.left_out = path, dict[str, str](), Counter[str]()
         self._is_cdr = path.suffix != ".bag"
         self._reader, self._definitions = _open(path)
-        self.types: dict[str, str] = {}
         self._topics: dict[str, list[Connection]] = {}
         with _reading(self.path):
-            for each in self._reader.connections:
-                topic, kind = each.topic, each.msgtype
-                encoding = getattr(each.ext, "serialization_format", "ros1")
+            for c in self._reader.connections:
+                encoding = getattr(c.ext, "serialization_format", "ros1")
                 is_own = (encoding == "cdr") == self._is_cdr
-                if is_own and self.types.setdefault(topic, kind) == kind:
-                    self._topics.setdefault(topic, []).append(each)
+                if is_own and self.types.setdefault(c.topic, c.msgtype) == c.msgtype:
+                    self._topics.setdefault(c.topic, []).append(c)
                 else:  # of another library, or a second type of the topic
-                    self.left_out[f"{topic} ({encoding} {kind})"] += each.msgcount
+                    self.left_out[f"{c.topic} ({encoding} {c.msgtype})"] += c.msgcount
             there = {file.name.removesuffix(".zstd") for file in _files(path)}
             named = {path.name, "metadata.yaml", *(s.path.name for s in _storages(self._reader))}
             for name in there - named:
