@@ -32,9 +32,8 @@ def _quota() -> int:
     """The least CPU quota from the process's cgroups up to the root; all cores without one."""
     least = os.cpu_count() or 1
     for line in _read(_CGROUPS).splitlines():
-        _, controllers, cgroup = line.split(":", 2)  # version 2 names no controllers
-        is_v1 = "cpu" in controllers.split(",")
-        mounts = {_MOUNT / controllers, _MOUNT / "cpu"} if is_v1 else {_MOUNT}
+        _, names, cgroup = line.split(":", 2)  # version 1 names the controllers
+        mounts = {_MOUNT / names, _MOUNT / "cpu"} if "cpu" in names.split(",") else {_MOUNT}
         below = Path(cgroup.strip("/"))  # in a container perhaps as the host sees it
         for folder in (mount / each for mount in mounts for each in (below, *below.parents)):
             limit = _read(folder / "cpu.max").split()

@@ -187,12 +187,11 @@ class BagSource(Source):
         return requested
 
     def _undecided(self, what: str, found: list[str], ways: str) -> InputError:
-        path = self._bag.path
-        topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(self._bag.types.items()))
+        bag, path = self._bag, self._bag.path
+        topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(bag.types.items()))
         return InputError(
             f"{path} has {len(found) or 'no'} topics of {what}, give --source bag:{path},{ways}. "
-            f"It has the topics {topics or '(none)'}"
-            + "".join(f"; {line}" for line in left_out_note(self._bag.left_out))
+            f"It has the topics {'; '.join([topics or '(none)', *left_out_note(bag.left_out)])}"
         )
 
     def _calibrate(self) -> Calibration | None:

@@ -119,6 +119,9 @@ class KittiRawSource(FolderSource):
         self._poses_file = folder
         self._poses = RecordedPoses(track, PoseFrame.BODY, body_from_lidar.astype(np.float64))
 
+    def _list_depths(self, folder: Path) -> dict[str, Path]:
+        return list_files(folder, _SCANS)
+
     @property
     def inputs(self) -> dict[str, Any]:
         """See `Source.inputs`."""

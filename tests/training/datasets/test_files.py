@@ -38,7 +38,7 @@ def png(path, values, *, bits, color=GREY, colors=None, more=b""):
 
 VOC = np.random.default_rng(0).integers(256, size=(256, 3))
 RAMP = np.arange(256)[:, None].repeat(3, 1)
-CLEAR = struct.pack(">I4sB", 1, b"tRNS", 0) + struct.pack(">I", zlib.crc32(b"tRNS\0"))
+CLEAR = struct.pack(">I4sHI", 2, b"tRNS", 0, zlib.crc32(b"tRNS\0\0"))  # also of a grey PNG
 
 
 @pytest.mark.parametrize("bits", [1, 2, 4, 8, 16])
