@@ -227,8 +227,8 @@ def _reading(path: Path) -> Iterator[None]:
         raise
     except Exception as error:
         raise InputError(
-            f"cannot read the bag {path} ({_describe(error)}): it is truncated, damaged, or of a "
-            "kind that is not read. rosbag reindex, ros2 bag reindex or mcap recover may repair it"
+            f"cannot read the bag {path} ({_describe(error)}): convert it if it is MCAP of ROS 1; "
+            "rosbag reindex, ros2 bag reindex or mcap recover may repair it if it is damaged"
         ) from error
 
 

@@ -143,6 +143,9 @@ def test_channels_of_other_encodings_are_left_out(tmp_path, recorded):
     assert frames_of(path) == (N, left_out)
     path = write_mcap(tmp_path / "b.mcap", recorded("mcap"), [])
     assert frames_of(path) == (N, {})
+    path.write_bytes(path.read_bytes().replace(b"ros2", b"ros1", 1))
+    with pytest.raises(InputError, match=r"Profile is not ros2.*convert it if it is MCAP of ROS 1"):
+        RosBag(path)
 
 
 @pytest.mark.parametrize(
