@@ -74,8 +74,9 @@ def stop_requested(*, notice: str = "", second_ends: bool = True) -> Iterator[Ca
 
     def record(number: int, frame: FrameType | None) -> None:
         if not received and notice:
-            with contextlib.suppress(OSError, ValueError):  # not through the buffer of sys.stderr,
-                os.write(sys.stderr.fileno(), notice.encode())  # of which this may be called
+            # Not through the buffer of sys.stderr: a write to it may have been interrupted.
+            with contextlib.suppress(OSError, ValueError):
+                os.write(sys.stderr.fileno(), notice.encode())
         received.append(number)
 
     def watch() -> None:
