@@ -9,7 +9,7 @@ import typer
 
 from runtime.command import INTERRUPTED, reported_errors
 from runtime.command_options import Version
-from training.stop_signal import StopSignal
+from training.stop_signal import stop_signal
 
 app = typer.Typer(pretty_exceptions_enable=False)
 
@@ -131,7 +131,7 @@ def train(
 
         if threads is not None:
             torch.set_num_threads(threads)
-        with StopSignal() as stop:
+        with stop_signal() as stop:
             weights, taught_by = (
                 None if text is None else read_weights(find_weights(text))
                 for text in (init, teacher)

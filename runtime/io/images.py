@@ -44,11 +44,11 @@ def read_rgb(path: Path) -> NDArray[np.uint8]:
 def decode_rgb(content: bytes, *, name: str) -> NDArray[np.uint8]:
     """Decode the content of such a file as `read_rgb` does; `name` is for the errors."""
     flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-    image = _decode_content(content, flags, name=name)
+    image = decode(content, flags, name=name)
     if image.dtype != np.uint8:
         raise InputError(
-            f"{name} must hold 8 bits a channel, got {image.dtype.itemsize * 8} bits: "
-            "are the image and depth folders swapped?"
+            f"{name} must hold 8 bits a channel, got {image.dtype.itemsize * 8} bits: is it a "
+            "depth map? Convert an image of more bits"
         )
     return image
 
@@ -87,7 +87,7 @@ def holds_metres(path: Path) -> bool:
 def _read_map(path: Path) -> NDArray[Any]:
     if path.suffix.lower() == ".npy":
         return read_npy(path)
-    return decode(path, cv2.IMREAD_UNCHANGED)
+    return decode(read_input(path), cv2.IMREAD_UNCHANGED, name=str(path))
 
 
 def read_npy(path: Path) -> NDArray[Any]:
@@ -106,12 +106,8 @@ def read_npy(path: Path) -> NDArray[Any]:
     return array
 
 
-def decode(path: Path, flags: int) -> NDArray[Any]:
-    """Decode a PNG, JPEG or TIFF file with OpenCV's IMREAD_* `flags`. Raises InputError."""
-    return _decode_content(read_input(path), flags, name=str(path))
-
-
-def _decode_content(content: bytes, flags: int, *, name: str) -> NDArray[Any]:
+def decode(content: bytes, flags: int, *, name: str) -> NDArray[Any]:
+    """Decode a PNG, JPEG or TIFF with OpenCV's IMREAD_* `flags`. Raises InputError."""
     if (size := image_size(content)) is not None:
         require_pixels(size, name=name)  # before its pixels take memory
     try:

@@ -86,7 +86,7 @@ class Answerer:
         self._answers += 1
         return FrameResult(
             sequence=self._answers - 1,
-            rgb=rgb,
+            rgb=np.broadcast_to(rgb, rgb.shape),  # read-only
             prediction=prediction,
             health=health,
             consistency=consistency,

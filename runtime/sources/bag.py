@@ -33,6 +33,7 @@ from runtime.sources.ros_messages import (
 from runtime.sources.ros_poses import (
     TransformTree,
     frame_name,
+    odometry_pose,
     odometry_poses,
     point_times_s,
     transform_poses,
@@ -160,9 +161,9 @@ class BagSource(Source):
         images, depths = self._of_kind(COMPRESSED_IMAGE), self._of_kind(POINT_CLOUD)
         images = [topic for topic in images if not topic.endswith("/compressedDepth")]
         for topic in self._of_kind(IMAGE):
-            for message in self._bag.decoded(topic):
-                (depths if is_depth_encoding(message.encoding) else images).append(topic)
-                break
+            with contextlib.suppress(InputError):  # none of its messages can be decoded
+                encoding = self._bag.first(topic).encoding
+                (depths if is_depth_encoding(encoding) else images).append(topic)
         twice = {f"{topic}/compressed" for topic in images}  # compressed copies of the same images
         single = [topic for topic in images if topic not in twice]
         image = self._choose("image_topic", image_topic, images, single)
@@ -190,11 +191,11 @@ class BagSource(Source):
         return requested
 
     def _undecided(self, what: str, found: list[str], ways: str) -> InputError:
-        path = self._bag.path
-        topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(self._bag.types.items()))
+        bag, path = self._bag, self._bag.path
+        topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(bag.types.items()))
         return InputError(
             f"{path} has {len(found) or 'no'} topics of {what}, give --source bag:{path},{ways}. "
-            f"It has the topics {topics or '(none)'}"
+            f"It has the topics {'; '.join([topics or '(none)', *left_out_note(bag.left_out)])}"
         )
 
     def _find_info(self, topic: str, requested: str | None = None) -> str | None:
@@ -266,7 +267,7 @@ class BagSource(Source):
         try:
             lidar = self._frame(self._depth_topic or "")
             if topic in odometry:
-                body, stamped = odometry_poses(self._bag.decoded(topic))
+                body, stamped = odometry_poses(self._bag.decoded(topic, odometry_pose))
             else:
                 carriers = self._tree.carriers(lidar)
                 body, stamped = transform_poses(self._bag.decoded(topic), carriers)
@@ -300,9 +301,6 @@ class BagSource(Source):
                     self._left_out[f"{sensor}: {Outcome.BAD_STAMP}"] += 1
                 else:
                     yield sensor, stamp_ns or message.recorded_ns, place
-            for topic, count in self._bag.lost.items():
-                sensor = Sensor.IMAGE if topic == self._image_topic else Sensor.DEPTH
-                self._left_out[f"{sensor}: listed in the index, but missing"] += count
 
         def name(image: Message) -> str:
             stamp = str(image.stamp_ns)
@@ -319,6 +317,7 @@ class BagSource(Source):
             name=name,
             camera_only=self._depth_topic is None,
         )
+        self._left_out.update(self._bag.left_out)
         if not frames:
             raise InputError(
                 f"the topic {self._image_topic} of {self._bag.path} has no messages with a stamp"

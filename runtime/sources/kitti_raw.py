@@ -79,7 +79,9 @@ class KittiRawSource(FolderSource):
                 f"{RAW_CAMERAS} and {RAW_SCANNER} of that day: copy them, or give --calibration"
             )
         self._kitti_rectified = not os.path.realpath(drive).endswith("_extract")
-        super().__init__(images / "data", points=scans / "data", calibration=calibration)
+        super().__init__(
+            images / "data", points=scans / "data", calibration=calibration, camera=camera
+        )
         self._drive, self._camera = drive, camera
         self._reuse_depth_ms, self._scan_stamp = reuse_depth_ms, scan_stamp
         self._stamped: list[tuple[Sensor, int, Path]] = []

@@ -5,6 +5,7 @@ fields before it allocates memory.
 """
 
 from collections.abc import Mapping
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -23,6 +24,10 @@ _PICTURES: dict[str, tuple[int, int | None]] = {
     "rgba8": (4, cv2.COLOR_RGBA2RGB),
     "bgra8": (4, cv2.COLOR_BGRA2RGB),
     "mono8": (1, cv2.COLOR_GRAY2RGB),
+    "bayer_rggb8": (1, cv2.COLOR_BayerRGGB2RGB),
+    "bayer_bggr8": (1, cv2.COLOR_BayerBGGR2RGB),
+    "bayer_gbrg8": (1, cv2.COLOR_BayerGBRG2RGB),
+    "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2RGB),
 }
 #: Encoding of a depth map -> type and units per metre (REP 118).
 _DEPTHS: dict[str, tuple[str, float]] = {"16UC1": ("u2", 1000.0), "32FC1": ("f4", 1.0)}
@@ -39,7 +44,7 @@ def decode_image(message: Any) -> NDArray[np.uint8]:
     """Decode an Image.
 
     Args:
-        message: sensor_msgs/Image in rgb8, bgr8, rgba8, bgra8 or mono8.
+        message: sensor_msgs/Image in rgb8, bgr8, rgba8, bgra8, mono8 or bayer_*8.
 
     Returns:
         uint8 (H, W, 3), RGB.
@@ -50,9 +55,7 @@ def decode_image(message: Any) -> NDArray[np.uint8]:
     encoding = message.encoding
     if encoding not in _PICTURES:
         hint = "expected one of " + ", ".join(_PICTURES)
-        if str(encoding).startswith("bayer_"):
-            hint = "debayer it first (image_proc), or choose a topic of its colours"
-        elif encoding in _DEPTHS:
+        if encoding in _DEPTHS:
             hint = "that is a depth map: name it by depth_topic= in --source"
         raise InputError(f"an Image has the encoding {shown(encoding)}: {hint}")
     channels, conversion = _PICTURES[encoding]
@@ -64,7 +67,8 @@ def decode_compressed_image(message: Any) -> NDArray[np.uint8]:
     """Decode a CompressedImage.
 
     Args:
-        message: sensor_msgs/CompressedImage of an 8-bit JPEG or PNG.
+        message: sensor_msgs/CompressedImage of an 8-bit JPEG or PNG; of one channel whose format
+            names bayer_*8: a mosaic.
 
     Returns:
         uint8 (H, W, 3), RGB.
@@ -72,13 +76,20 @@ def decode_compressed_image(message: Any) -> NDArray[np.uint8]:
     Raises:
         InputError: for another format and for damaged content.
     """
-    if "compressedDepth" in str(message.format):
+    # "ENCODING; jpeg compressed TARGET" of image_transport, or "jpeg".
+    encoding, name = str(message.format).split(";")[0].strip(), shown(message.format)
+    if encoding in _DEPTHS or "compressedDepth" in str(message.format):
         raise InputError(
-            f"a CompressedImage has the format {shown(message.format)}, a depth map of "
-            "compressed_depth_image_transport: republish it as raw"
+            f"a CompressedImage has the format {name}, a depth map: republish it as raw, for "
+            "depth_topic= in --source"
         )
     content = bytes(memoryview(message.data))
-    return decode_rgb(content, name=f"a CompressedImage ({shown(message.format)})")
+    rgb = decode_rgb(content, name=f"a CompressedImage ({name})")
+    if not encoding.startswith("bayer_") or (rgb != rgb[..., :1]).any():
+        return rgb  # the camera's colours, also of a mosaic that was converted before
+    height, width, mosaic = *rgb.shape[:2], rgb[..., 0].ravel()
+    fields = {"encoding": encoding, "height": height, "width": width, "step": width}
+    return decode_image(SimpleNamespace(**fields, data=mosaic))
 
 
 def decode_depth_image(message: Any) -> NDArray[np.float32]:

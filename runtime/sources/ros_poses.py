@@ -1,5 +1,6 @@
 """Poses, transforms between frames and times of points from deserialised ROS messages."""
 
+import contextlib
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -150,23 +151,19 @@ def transform_poses(
 class TransformTree:
     """The transforms of /tf_static between frames; of several of a child the last counts.
 
+    Its methods raise InputError for an invalid rotation and for numbers that are not finite on
+    their way; other transforms may be invalid.
+
     Args:
         messages: tf2_msgs/TFMessage.
-
-    Raises:
-        InputError: for an invalid rotation and for numbers that are not finite.
     """
 
     def __init__(self, messages: Iterable[Any]) -> None:
-        self._parents: dict[str, tuple[str, NDArray[np.float64]]] = {}
+        self._parents: dict[str, list[tuple[str, Any]]] = {}
         for message in messages:
             for stamped in message.transforms:
                 child, parent = map(frame_name, (stamped.child_frame_id, stamped.header.frame_id))
-                pose = _transform_pose(stamped)
-                before = self._parents.get(child, (parent, pose))
-                if before[0] != parent or not np.allclose(before[1], pose, rtol=0, atol=1e-3):
-                    assume(f"the last of several transforms of {child}", "/tf_static has others")
-                self._parents[child] = parent, pose
+                self._parents.setdefault(child, []).append((parent, stamped))
 
     def between(self, source: str, target: str) -> NDArray[np.float64]:
         """Return the matrix, float64 (4, 4), from the frame `source` to the frame `target` [m].
@@ -189,7 +186,8 @@ class TransformTree:
     @property
     def frames(self) -> list[str]:
         """The names of all frames."""
-        return sorted({*self._parents, *(parent for parent, _ in self._parents.values())})
+        parents = (parent for stated in self._parents.values() for parent, _ in stated)
+        return sorted({*self._parents, *parents})
 
     def carriers(self, frame: str) -> list[str]:
         """A frame and the frames that it is fixed to, the nearest first."""
@@ -199,12 +197,21 @@ class TransformTree:
         """Each ancestor and the matrix from `frame` to it, the nearest first."""
         matrices = {frame: np.eye(4)}
         while frame in self._parents:
-            parent, to_parent = self._parents[frame]
+            *others, (parent, stamped) = self._parents[frame]
             if parent in matrices:
                 raise InputError(f"/tf_static has a cycle at the frame {shown(parent)}")
-            matrices[parent] = to_parent @ matrices[frame]
+            pose = _transform_pose(stamped)
+            if not all(each == parent and _is_pose(other, pose) for each, other in others):
+                assume(f"the last of several transforms of {frame}", "/tf_static has others")
+            matrices[parent] = pose @ matrices[frame]
             frame = parent
         return matrices
+
+
+def _is_pose(stamped: Any, pose: NDArray[np.float64]) -> bool:
+    with contextlib.suppress(InputError):
+        return np.allclose(_transform_pose(stamped), pose, rtol=0, atol=1e-3)
+    return False
 
 
 def frame_name(frame: Any) -> str:

@@ -40,7 +40,7 @@ class FoldersRecipe(RangeRecipe):
     depth: _Folder | None = None
     #: 16-bit PNGs, a recorded input in addition to that target.
     sparse_depth: _Folder | None = None
-    #: 8-bit one-channel PNGs of ids in ``model.classes``, or of ``label_classes``.
+    #: PNGs of ids in ``model.classes``, or of ``label_classes``: grey, or indices of a palette.
     labels: _Folder | None = None
     #: "cityscapes": trainIds, which are mapped to ``model.classes``.
     label_classes: Literal["cityscapes"] | None = None

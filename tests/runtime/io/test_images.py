@@ -63,7 +63,7 @@ def test_depth_of_other_types_is_refused_with_what_is_accepted(tmp_path, image, 
 
 def test_a_picture_of_16_bits_is_refused(tmp_path):
     path = write(tmp_path / "p.png", np.full((40, 50), 9999, np.uint16))
-    with pytest.raises(InputError, match=r"8 bits a channel, got 16 bits.*folders swapped"):
+    with pytest.raises(InputError, match=r"8 bits a channel, got 16 bits: is it a depth map"):
         read_rgb(path)
 
 

@@ -98,6 +98,24 @@ def test_answers_are_those_of_the_engine_and_of_a_live_stream(model_file, make_f
     ]
 
 
+@pytest.mark.parametrize("is_live", [False, True])
+def test_the_image_of_an_answer_is_read_only(setup, checked_predictor, is_live):
+    """The next check predicts from it; the array that was given is still the caller's."""
+    given, sparse_depth = image(0), depth(0)
+    if is_live:
+        stream = setup().stream
+        stream.push_image(given, 0)
+        stream.push_depth(sparse_depth, 0)
+        answer = next(stream)
+    else:
+        recording = [("image", given, 0), ("depth", sparse_depth, 0)]
+        (answer,) = answer_recording(checked_predictor(), recording, check_depth=False)
+    with pytest.raises(ValueError, match="read-only"):
+        answer.rgb[:] = 0
+    np.testing.assert_array_equal(answer.rgb, given)
+    given[:] = 0
+
+
 # --- reuse and poses -----------------------------------------------------------------------------
 
 

@@ -250,6 +250,68 @@ def test_scans_take_the_place_of_depth_maps(folders, scans, run, tmp_path):
     assert "it has .png files: give another folder or option" in maps.text.replace("\n", " ")
 
 
+@pytest.fixture
+def kitti(tmp_path, make_frame, make_scan, write_rgb):
+    """An image in image_3/, a scan, and calibrations; extrinsics of the cameras, by number."""
+    write_rgb(tmp_path / "image_3/0.png", make_frame()[0])
+    (tmp_path / "scans").mkdir()
+    make_scan().tofile(tmp_path / "scans/0.bin")
+    for link, target in (("right", "image_3"), ("data", "image_3"), ("image_0", "image_3")):
+        (tmp_path / link).symlink_to(target)
+    (tmp_path / "plain").mkdir()
+    shutil.copy(tmp_path / "image_3/0.png", tmp_path / "plain/0.png")
+    (tmp_path / "image_1").symlink_to("plain")
+    shifts = {0: 0.0, 1: -32.4, 2: 2.7, 3: -20.4}
+
+    def write(name, shifts):
+        rows = [f"P{n}: 60 0 32 {shift} 0 60 24 0 0 0 1 0" for n, shift in shifts.items()]
+        rows += ["R0_rect: 1 0 0 0 1 0 0 0 1", "Tr_velo_to_cam: 0 -1 0 0 0 0 -1 0 1 0 0 0"]
+        (tmp_path / name).write_text("\n".join(rows))
+
+    write("calib.txt", shifts)
+    write("one_camera.txt", {2: 2.7})
+    write("rectified_alike.txt", dict.fromkeys(range(4), 0.0))
+    (tmp_path / "own.toml").write_text(
+        f"intrinsics = {INTRINSICS.tolist()}\nextrinsics = {EXTRINSICS.tolist()}\n"
+    )
+    return {camera: shift / 60 for camera, shift in shifts.items()}
+
+
+@pytest.mark.parametrize(
+    ("images", "calibration", "key", "camera", "warns"),
+    [
+        ("image_3", "calib.txt", None, 3, False),
+        (".", "calib.txt", None, 3, False),
+        ("0.png", "calib.txt", None, 3, False),
+        ("../right", "calib.txt", None, 3, False),
+        ("../right/0.png", "calib.txt", None, 3, False),
+        ("../image_0", "calib.txt", None, 3, False),  # the real name, not that of the link
+        ("../image_1", "calib.txt", None, 1, False),  # the real name says nothing
+        ("image_3", "calib.txt", 0, 0, False),
+        ("../plain", "calib.txt", None, 2, True),
+        ("../plain/0.png", "calib.txt", None, 2, True),
+        ("../plain", "calib.txt", 2, 2, False),
+        ("../plain", "one_camera.txt", None, 2, False),
+        ("../plain", "rectified_alike.txt", None, 0, False),
+        ("../plain", "own.toml", None, None, False),
+    ],
+)
+def test_the_camera_of_kitti_is_that_of_the_real_folder(
+    kitti, tmp_path, monkeypatch, images, calibration, key, camera, warns
+):
+    monkeypatch.chdir(tmp_path / "image_3")
+    path = tmp_path / images if images == "image_3" else images
+    options = {"points": tmp_path / "scans", "calibration": tmp_path / calibration}
+    with open_source("folders", path, camera=key, **options) as source:
+        shift = kitti[camera] if camera is not None else EXTRINSICS[0, 3]
+        assert source.calibration.extrinsics[0, 3] == pytest.approx(shift)
+        warning = f"warning: assumed camera 2 of KITTI for {path}: camera= in --source"
+        assert [note.startswith(warning) for note in source.notes] == [True] * warns
+    # Depth maps lie on the pixels of their image, whichever camera it is of.
+    with open_source("folders", path, calibration=tmp_path / calibration) as source:
+        assert source.notes == ()
+
+
 # --- listing ----------------------------------------------------------------------------------
 
 
@@ -286,8 +348,22 @@ def test_pairs_come_in_natural_order(empty_folders):
 
 
 @pytest.mark.parametrize(
+    ("rgb", "depth"),
+    [
+        (["1.png", "2.png", "10.png"], ["0001.png", "0002.png", "0010.png"]),
+        (["f_01_2.png", "f_1_10.png"], ["lidar1-02.png", "lidar1-10.png"]),
+    ],
+)
+def test_numbers_are_the_same_with_zeros_in_front(empty_folders, rgb, depth):
+    frames = listed(*empty_folders(rgb, depth))
+    assert [frame.image.name for frame in frames] == rgb
+    assert [frame.depth.name for frame in frames] == depth
+
+
+@pytest.mark.parametrize(
     ("rgb", "depth", "text"),
     [
+        (["1.png", "01.png"], ["001.png", "2.png"], "no name occurs in both"),
         ([], ["1.png"], r"rgb has no \.png or \.jpg or \.jpeg files"),
         (["1.png"], [], r"depth has no \.png or \.tif or \.tiff or \.npy files"),
         (["1.png"], ["1.jpg"], r"depth has no \.png or"),
