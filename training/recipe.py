@@ -19,7 +19,7 @@ from runtime.errors import InputError
 from runtime.read_input import read_toml
 from training.datasets.class_mapping import ClassTable, list_classes
 from training.datasets.registry import DATASETS
-from training.datasets.source_recipe import SourceRecipe
+from training.datasets.source_recipe import ROWS, SIDES, SourceRecipe
 from training.lidar.split import LidarInput
 from training.limits import (
     MAX_BATCH_PIXELS,
@@ -64,7 +64,7 @@ class ClassRecipe:
 
 
 #: Tags that pydantic adds to the location of an error: the member of a union that it tried.
-_TAGS: Mapping[str, type] = {**DATASETS, _NAMED: str, _OWN: ClassRecipe}
+_TAGS: Mapping[str, type] = {**DATASETS, _NAMED: str, _OWN: ClassRecipe, SIDES: tuple, ROWS: int}
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -494,6 +494,6 @@ def _table_at(kind: Any, place: Sequence[str | int]) -> Any:
 def _join(place: Sequence[str | int]) -> str:
     """Return a location as in the recipe, data.source[0].split, without tags of unions."""
     inner = [part for part in place[:-1] if part not in _TAGS]
-    parts = [*inner, *(part for part in place[-1:] if part not in (_NAMED, _OWN))]
+    parts = [*inner, *(part for part in place[-1:] if part not in (_NAMED, _OWN, SIDES, ROWS))]
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts)
     return text.removeprefix(".")

@@ -84,10 +84,31 @@ def test_a_dry_run_shows_the_recipe(mine):
         assert cv2.imwrite(str(path), cv2.imread(str(path), -1).repeat(2, 0).repeat(2, 1))
     result = train(mine, "--dry-run")
     assert result.exit_code == 0, result.output
-    assert "size = [50, 67]" in result.stdout
+    assert "size = 50\n" in result.stdout
     assert "steps = 200" in result.stdout
     assert "lidar" not in result.stdout
     assert [path.name for path in (mine / "run").iterdir()] == ["batch.png"]
+
+
+@pytest.mark.parametrize(
+    ("first_rows", "found"),
+    [
+        (40, "trained_height = 48 "),  # runs at its own size
+        (70, "size = 48\n"),  # the engine would run it at 48 rows
+        (34, "size = 48\n"),
+        (97, "97 rows, .* has 48: one network height"),
+        (23, "has 48 rows, .*00.jpg has 23"),
+    ],
+)
+def test_images_of_other_sizes_keep_their_aspect(mine, first_rows, found):
+    """The first image, which is narrow, does not speak for the others."""
+    for path in (mine / "images/00.jpg", mine / "labels/00.png"):
+        image = cv2.resize(cv2.imread(str(path), -1), (40, first_rows), interpolation=0)
+        assert cv2.imwrite(str(path), image)
+    result = train(mine, "--dry-run", "--set", "data.augment.crop = [32, 32]")
+    assert re.search(found, result.output), result.output
+    assert result.exit_code == ("rows" in found)
+    assert ("\nsize = " in result.stdout) == ("size = " in found)
 
 
 @pytest.mark.parametrize(("units", "is_wrong"), [(256, False), (60 * 256, True)])

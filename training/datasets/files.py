@@ -1,17 +1,19 @@
 """Files of data sets as arrays; what the engine's readers find wrong is a DatasetError."""
 
+import io
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from runtime.errors import DatasetError, InputError
 from runtime.io import images, scan
+from runtime.read_input import read_input
 
 
 @contextmanager
@@ -30,18 +32,40 @@ read_points = dataset_errors()(scan.read_scan)
 
 
 @dataset_errors()
-def read_gray(
-    path: Path, dtype: type[np.uint8] | type[np.uint16], size: tuple[int, int]
-) -> NDArray[Any]:
-    """Read a one-channel PNG of exactly `dtype` and (height, width). Raises DatasetError."""
+def read_disparity(path: Path, size: tuple[int, int]) -> NDArray[np.uint16]:
+    """Read a 16-bit one-channel PNG of exactly (height, width). Raises DatasetError."""
     image = images.decode(path, cv2.IMREAD_UNCHANGED)
-    if image.ndim != 2 or image.dtype != dtype:
+    if image.ndim != 2 or image.dtype != np.uint16:
         raise DatasetError(
-            f"{path}: expected one channel of {np.dtype(dtype).name}, got shape {image.shape} of "
-            f"{image.dtype}. Restore the data set's original file."
+            f"{path}: expected one channel of uint16, got shape {image.shape} of {image.dtype}. "
+            "Restore the data set's original file."
         )
     require_size(path, image.shape, size)
     return image
+
+
+@dataset_errors()
+def read_ids(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Read the ids that a PNG of (height, width) stores: its gray values or palette indices.
+
+    A picture decoder stretches values of 1, 2 and 4 bits to 0..255 and replaces indices by colours.
+
+    Raises:
+        DatasetError: for another kind of file, more than 8 bits or one channel, and another size.
+    """
+    content = read_input(path)
+    # Of the header IHDR: the bits of a value, and 0 = gray, 3 = palette.
+    bits, kind = content[24:26] if content[:4] == b"\x89PNG" and len(content) > 25 else (0, -1)
+    if kind not in (0, 3) or bits > 8:
+        raise DatasetError(
+            f"{path}: expected class ids, a PNG of one channel or with a palette, of up to 8 bits. "
+            "Convert it without colours, transparency or JPEG compression."
+        )
+    gray: NDArray[np.uint8] = images.decode(path, cv2.IMREAD_GRAYSCALE)  # finds damage
+    require_size(path, gray.shape, size)
+    if kind == 0:
+        return gray // np.uint8(255 // (2**bits - 1))
+    return np.array(Image.open(io.BytesIO(content)), np.uint8)
 
 
 @dataset_errors()
@@ -60,7 +84,7 @@ def require_size(path: Path, size: tuple[int, ...], expected: tuple[int, int]) -
     if size[:2] != expected:
         raise DatasetError(
             f"{path}: its size {size[0]}x{size[1]} differs from the frame's "
-            f"{expected[0]}x{expected[1]} (height x width). Restore the data set's original file."
+            f"{expected[0]}x{expected[1]} (height x width). Give files of the size of the image."
         )
 
 

@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
@@ -13,7 +12,7 @@ from training.datasets.class_mapping import ClassTable, id_lookup
 from training.datasets.files import (
     dataset_errors,
     list_images,
-    read_gray,
+    read_ids,
     read_points,
     read_rgb,
     require_folder,
@@ -66,6 +65,7 @@ class KittiStream(FrameList):
         self._name = "kitti_object" if self._calibration is None else "kitti_stream"
         images = root / ("image_2" if self._calibration is None else "image_02")
         self._frames = recipe.take(list_images(images, "the recording's images"), images)
+        self.images = self._frames
         self._weights = {"semantic": recipe.semantic_weight}
 
     def __getitem__(self, index: int) -> Sample:
@@ -81,7 +81,7 @@ class KittiStream(FrameList):
             )
         label_path = self._root / "pseudo_semantic" / f"{path.stem}.png"
         if label_path.is_file():
-            targets["semantic"] = self._lookup[read_gray(label_path, np.uint8, size)]
+            targets["semantic"] = self._lookup[read_ids(label_path, size)]
         return Sample(
             rgb=rgb,
             targets=targets,

@@ -18,7 +18,8 @@ from training.datasets.class_mapping import ClassTable
 from training.datasets.files import (
     dataset_errors,
     list_images,
-    read_gray,
+    read_disparity,
+    read_ids,
     read_points,
     read_rgb,
     require_folder,
@@ -73,6 +74,7 @@ class KittiStreets(FrameList):
         images = root / "image_02"
         found = [p for p in list_images(images, "the streets' images") if p.stem.isdecimal()]
         self._frames = recipe.take(found, images, lambda path: int(path.stem))
+        self.images = self._frames
         self._has_masks = (self._root / "road_mask").is_dir()
         folders = {"velodyne_fov": ".bin", "disp_occ_0": ".png"}
         if self._has_masks:
@@ -93,7 +95,7 @@ class KittiStreets(FrameList):
         rgb = read_rgb(path)
         size = (rgb.shape[0], rgb.shape[1])
         truth = self._root / "disp_occ_0" / f"{path.stem}.png"
-        disparity = read_gray(truth, np.uint16, size)
+        disparity = read_disparity(truth, size)
         points = read_points(self._root / "velodyne_fov" / f"{path.stem}.bin")
         camera = self._calibration
         sparse_depth, scan_line = project_lines(points, camera.intrinsics, camera.extrinsics, size)
@@ -122,7 +124,7 @@ class KittiStreets(FrameList):
         if not self._has_masks:
             return {}
         path = self._root / "road_mask" / f"{number}.png"
-        mask = read_gray(path, np.uint8, size)
+        mask = read_ids(path, size)
         other = np.setdiff1d(mask, (0, 1, IGNORE))
         if other.size:
             raise DatasetError(

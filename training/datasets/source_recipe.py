@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, TypeVar
 
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 from pydantic.dataclasses import dataclass
 
 from runtime.contract import MAX_NAME_LENGTH
@@ -15,6 +15,8 @@ from training.limits import STRICT, FactorRange, Index, Positive, Side
 
 T = TypeVar("T")
 
+#: Tags of the two forms of ``size``.
+SIDES, ROWS = "(sides)", "(rows)"
 SetName = Annotated[str, Field(min_length=1, max_length=MAX_NAME_LENGTH)]
 #: Names of scenes, variants or drives.
 Names = Annotated[tuple[str, ...], Field(min_length=1, max_length=10_000)]
@@ -33,8 +35,15 @@ class SourceRecipe:
     path: Annotated[str, Field(min_length=1)]
     #: How often it is sampled, relative to the others.
     weight: Positive = 1.0
-    #: (height, width) that every frame is resized to first; its own size by default.
-    size: tuple[Side, Side] | None = None
+    #: (height, width) that every frame is resized to first, or rows, at which it keeps its aspect;
+    #: its own size by default.
+    size: (
+        Annotated[
+            Annotated[tuple[Side, Side], Tag(SIDES)] | Annotated[Side, Tag(ROWS)],
+            Discriminator(lambda value: SIDES if isinstance(value, list | tuple) else ROWS),
+        ]
+        | None
+    ) = None
     #: Range of the random magnification; the common one by default.
     scale: FactorRange | None = None
     #: Name in scores, curves and files; the path by default.
