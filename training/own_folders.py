@@ -2,11 +2,14 @@
 
 import json
 import os
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from typing import Any
+
+from tqdm import tqdm
 
 from models import SSDNetLite
 from runtime.contract import ClassInfo
@@ -35,7 +38,7 @@ _CLASSES_ALONE = (
 )
 #: One of this many frames is for validation, which is also the least number of frames.
 _VALIDATION = 10
-#: The most rows of an image, in those of another.
+#: The most that rows of images differ; a few of the images may differ more.
 _MOST_RATIO = 2
 #: An image's size is read from so much of its file.
 _HEADER_BYTES = 2**16
@@ -71,8 +74,8 @@ class OwnFolders:
         by their own layers, so that the depth stays that of ``init``.
 
         Raises:
-            InputError: if a folder or the classes cannot be read, for too few images, and for
-                images of which one has more than twice the rows of another.
+            InputError: if a folder or the classes cannot be read, for too few images, and where
+                over a tenth of them differ in their rows by more than twice.
             DatasetError: for images without labels or depth.
         """
         classes = () if self.classes is None else _read_classes(self.classes)
@@ -93,17 +96,19 @@ class OwnFolders:
                 f"{self.images}: {count} images; expected at least {_VALIDATION}, a tenth of which "
                 "is for validation. Add images with their labels or depth."
             )
-        heights = {path: _read_height(path) for path in frames.images}
-        low, high = min(heights, key=heights.__getitem__), max(heights, key=heights.__getitem__)
-        if heights[high] > _MOST_RATIO * heights[low]:
-            raise InputError(
-                f"{high} has {heights[high]} rows, {low} has {heights[low]}: one network height "
-                f"serves images of at most {_MOST_RATIO} times the rows of each other. Train on "
-                "a folder of each size."
+        heights = [_read_height(path) for path in frames.images]
+        rows = int(median(heights))
+        far = [height for height in heights if max(height, rows) > _MOST_RATIO * min(height, rows)]
+        if far:
+            text = (
+                f"{self.images}: {len(far)} of {count} images have more than {_MOST_RATIO} times "
             )
-        rows = int(median(heights.values()))
+            text += f"or less than half of the {rows} rows of the others, such as {far[0]}"
+            if len(far) > count // _VALIDATION:
+                raise InputError(f"{text}. Train on a folder of each size.")
+            tqdm.write(f"warning: {text}; all are resized to the same rows", file=sys.stderr)
         resized, _ = network_size(None, (rows, rows), trained_height=init.facts.trained_height)
-        if max(heights[high], resized) > LARGEST_RATIO * min(heights[low], resized):
+        if any(max(height, resized) > LARGEST_RATIO * min(height, resized) for height in heights):
             keys["size"] = resized
         first = count - count // _VALIDATION
         lines = [*_describe(classes, resized, keys, first, count)]

@@ -187,11 +187,6 @@ class OptimizerRecipe:
     #: batch statistics are constant, too.
     frozen: Annotated[tuple[str, ...], Field(max_length=100)] = ()
 
-    def __post_init__(self) -> None:
-        """Check that something learns."""
-        if not (self.learning_rate or self.encoder_rate):
-            raise ValueError("learning_rate = 0: nothing would learn")
-
 
 @dataclass(frozen=True, config=STRICT)
 class ScheduleRecipe:

@@ -288,7 +288,8 @@ def test_sets_without_a_target_of_the_loss_are_refused(data, tmp_path):
     assert train(replace(run, data=both), data=[data], out=tmp_path / "run").name == "model.pt"
 
 
-def test_a_damaged_frame_is_named_without_a_traceback(data, tmp_path):
+def test_a_damaged_frame_is_named_without_a_traceback(data, tmp_path, monkeypatch):
+    monkeypatch.setattr("training.survey.FREQUENCY_SAMPLES", 1)  # so that a worker reads it first
     (data / "camvid" / "train" / "3.png").write_bytes(b"nothing")
     run = replace(recipe(), loss=LossConfig(class_weighting="none"))
     run = replace(run, data=replace(run.data, workers=1))
@@ -407,7 +408,7 @@ def test_other_data_than_at_the_start_are_named(data, tmp_path, capsys):
     train(recipe(steps=3), data=[data], out=tmp_path / "run", stop_after=1)
     moved = data.rename(tmp_path / "moved")
     train(recipe(steps=3), data=[moved], out=tmp_path / "run", stop_after=2)
-    assert "warning" not in capsys.readouterr().err
+    assert "warning: camvid" not in capsys.readouterr().err
     for folder in ("train", "trainannot"):
         (moved / "camvid" / folder / "5.png").rename(moved / "camvid" / folder / "7.png")
     for text in ("the 24 files have other names than when", "24 files when the run began, now 22"):

@@ -199,7 +199,8 @@ class Folders(FrameList):
                 else f"0..{len(self._names) - 1} of {table}"
             )
             # A table that names the ids replaces their order: it has all of them.
-            ids = {**(names or dict(enumerate(self._names))), **dict.fromkeys(unknown, "ignore")}
+            order = dict(enumerate(self._names))
+            ids = {**(names or order), **{id_: order.get(id_, "ignore") for id_ in unknown}}
             pairs = ", ".join(f"{id_} = {json.dumps(name)}" for id_, name in ids.items())
             advice = f"name the ids in the recipe: label_ids = {{ {pairs} }}"
             raise DatasetError(

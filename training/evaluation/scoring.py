@@ -208,6 +208,13 @@ class Scores:
         return figures
 
 
+def scored_classes(figures: Mapping[str, float]) -> str:
+    """Return over how many classes the mIoU of `Scores.figures` is, in words; "" for all."""
+    ious = [value for key, value in figures.items() if key.startswith("iou_")]
+    known = sum(not math.isnan(value) for value in ious)
+    return f" over {known} of {len(ious)} classes" if known < len(ious) else ""
+
+
 def _error_figures(errors: Errors, name: str = "m") -> dict[str, float]:
     """Name the errors; errors over no pixels are left out."""
     return {f"mae_{name}": errors.mae, f"rmse_{name}": errors.rmse} if errors.pixels else {}
@@ -263,16 +270,14 @@ def split_frames(
         yield frame
 
 
-def require_lidar(sources: Mapping[str, SampleSource], lidar: LidarInput) -> None:
-    """Raise an InputError for a LiDAR that the first frame of a set cannot give."""
-    for source in sources.values():
-        next(split_frames(source, [0], lidar))
-
-
 def figure_names(
     network: Network, source: SampleSource, indices: Iterable[int], lidar: LidarInput
 ) -> list[str]:
-    """Return the names of the figures that a network gets on frames of a set; it does not run."""
+    """Return the names of the figures that a network gets on frames of a set; it does not run.
+
+    Raises:
+        InputError: for a LiDAR that a frame cannot give.
+    """
 
     def answer(rgb: NDArray[np.uint8], _: object, __: object) -> HeadMaps:
         heads = set(HeadMaps._fields) & set(network.heads)
