@@ -1,5 +1,6 @@
 """Recipes: what describes a training, in a TOML file or in Python; unknown keys are errors."""
 
+import contextlib
 import json
 import re
 import tomllib
@@ -425,9 +426,10 @@ def build(kind: type[T], table: object) -> T:
 
 
 def parse_source(text: str) -> SourceRecipe:
-    """Read the --data of a command, KIND:FOLDER[,KEY=VALUE...]; a text needs no quotes.
+    """Read the --data of a command, KIND:FOLDER[,KEY=VALUE...].
 
-    Raises InputError for another form, an unknown kind or key, or a value of the wrong type.
+    A text needs no quotes, also where it looks like a number or a date. Raises InputError for
+    another form, an unknown kind or key, a key that is given twice, or a value of the wrong type.
     """
     # Commas inside brackets belong to a value.
     head, *pairs = re.split(r",(?=[a-z]\w*=)", text)
@@ -435,16 +437,28 @@ def parse_source(text: str) -> SourceRecipe:
     if not colon:
         raise InputError(f"--data {text!r}; expected KIND:FOLDER[,KEY=VALUE...].")
     table: dict[str, Any] = {"kind": kind, "path": folder}
+    types = {item.name: item.type for item in fields(DATASETS.get(kind, SourceRecipe))}
     for pair in pairs:
         key, _, value = pair.partition("=")
-        try:
-            table[key] = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
-            table[key] = value
+        if key in table:
+            raise InputError(f"--data {text!r}: {key} is given twice. Leave one out.")
+        table[key] = _read_value(value, types.get(key))
     try:
         return build(AnySource, table)
     except InputError as error:
         raise InputError(f"--data {text!r}: {error}") from error
+
+
+def _read_value(text: str, kind: Any) -> Any:
+    """Return a value of --data as TOML has it; the text itself where its key takes text."""
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+    if not isinstance(value, str):
+        with contextlib.suppress(ValidationError):
+            return TypeAdapter(kind).validate_python(text)
+    return value
 
 
 def _describe(error: Mapping[str, Any], kind: Any) -> str:

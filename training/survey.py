@@ -1,5 +1,6 @@
 """What the frames of a recipe's data sets hold, counted before a training begins."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -45,6 +46,7 @@ def survey(recipe: Recipe, sources: Sequence[SampleSource], config: NetworkConfi
         wanted = max(1, round(FREQUENCY_SAMPLES * item.weight / total))
         frames = spread_indices(source, wanted)
         near, far = 0, 0
+        empty: Counter[str] = Counter()
         for index in frames:
             sample = source[index]
             sizes.append(sample.size)
@@ -52,7 +54,15 @@ def survey(recipe: Recipe, sources: Sequence[SampleSource], config: NetworkConfi
             weight = sample.weights.get("semantic", 1.0) * wanted / len(frames)
             counts += seen * weight / sample.semantic.size
             used = int(learned(sample, "depth", config).sum())
+            empty.update(t for t in sample.targets if not learned(sample, t, config).any())
             near, far = near + used, far + int((sample.depth > 0).sum()) - used
+        notes += [
+            (
+                target,
+                f"{number} of {len(frames)} frames of {item.title} have no {target} to learn from",
+            )
+            for target, number in empty.items()
+        ]
         if far > _FAR_SHARE * (near + far):
             text = f"{item.title}: {far / (near + far):.0%} of the depth is beyond "
             text += f"{config.target_depth_m:g} m and not trained: check the unit, metres x 256 "

@@ -2,6 +2,7 @@
 
 import json
 import multiprocessing
+import re
 import shutil
 import time
 from dataclasses import replace
@@ -335,11 +336,25 @@ def test_non_finite_loss_names_the_frames(data, tmp_path):
     run = replace(recipe(), optimizer=OptimizerRecipe(learning_rate=1e8))
     with pytest.raises(NonFiniteLossError, match=r"step \d: the loss .*non_finite\.json") as raised:
         train(run, data=[data], out=tmp_path / "run")
-    assert "last.pt" not in str(raised.value)  # there is none
+    assert ".pt" not in str(raised.value)  # weights that began at random may all have diverged
     document = json.loads((tmp_path / "run" / "non_finite.json").read_text())
     assert len(document["frames"]) == recipe().data.batch_size
     assert all(name.startswith("camvid/") for name in document["frames"])
     assert "semantic" in document["terms"]
+
+
+def test_the_advice_for_a_diverged_run_begins_with_weights_that_have_not(data, tmp_path):
+    torch.manual_seed(0)
+    save_checkpoint(tmp_path / "first.pt", SSDNetLite(TINY))
+    begun = {"init": read_weights(tmp_path / "first.pt"), "data": [data]}
+    run = validated(recipe(checkpoint_every=1))
+    diverging = replace(run, optimizer=OptimizerRecipe(learning_rate=1e8))
+    with pytest.raises(NonFiniteLossError, match=r"--init \S*best\.pt") as raised:
+        train(diverging, out=tmp_path / "run", **begun)
+    best = Path(re.search(r"--init (\S+)", str(raised.value))[1])
+    assert max(float(value.abs().max()) for value in weights(best).values()) < 1e3
+    begun["init"] = read_weights(best)
+    assert train(run, out=tmp_path / "again", **begun).name == "model.pt"
 
 
 def test_accumulated_batches_make_the_step_of_their_mean_gradient(data, tmp_path):
@@ -468,7 +483,7 @@ def test_final_checkpoint_is_adjusted_and_the_resumable_one_is_not(data, tmp_pat
     ("changes", "device", "text"),
     [
         ({"optimizer": OptimizerRecipe(only=("foo",))}, "cpu", "begins with 'foo'"),
-        ({}, "nowhere", "device 'nowhere' is not available"),
+        ({}, "nowhere", "unknown device 'nowhere'"),
     ],
 )
 def test_what_cannot_start_leaves_no_folder(data, tmp_path, changes, device, text):

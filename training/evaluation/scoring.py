@@ -97,7 +97,7 @@ def torch_predict(
             if not np.isfinite(values).all() or (head == "semantic" and NO_CLASS in values):
                 raise SSDNetError(
                     f"the network's {head} is not finite: its training diverged. Take earlier "
-                    "weights."
+                    "weights, such as best.pt of its run."
                 )
         return HeadMaps(**to_frame(heads, frame))
 
@@ -127,7 +127,7 @@ class Scores:
         self.frames += 1
         self.heads |= answer.heads.keys()
         labelled = bool((sample.semantic != IGNORE).any())
-        if answer.semantic is not None and labelled:
+        if answer.semantic is not None and "semantic" in sample.targets:
             self.semantic.update(answer.semantic, sample.semantic)
         if answer.semantic is not None and "road_mask" in sample.targets:
             self.road.update(answer.semantic, sample.targets["road_mask"])
@@ -154,6 +154,11 @@ class Scores:
         pixels, frames = self.semantic.confusion.sum(axis=1), self.semantic.frames
         counts = zip(class_names, pixels[:-1].tolist(), frames[:-1].tolist(), strict=True)
         return {name: (n, shown) for name, n, shown in counts if n}
+
+    def unscored(self) -> dict[str, float]:
+        """Return the share of the pixels of labels and depth that no figure counts, above 0."""
+        counts = {"labels": self.semantic.unscored, "depth": self.depth.unscored}
+        return {truth: float(left / every) for truth, (left, every) in counts.items() if left}
 
     def figures(
         self, class_names: Sequence[str] = (), *, boundary_threshold: float | None = None
