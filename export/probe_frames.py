@@ -1,4 +1,4 @@
-"""Synthetic street frames for the comparison of two implementations."""
+"""Street frames, synthetic and recorded, for the comparison of two implementations."""
 
 from dataclasses import dataclass
 
@@ -7,6 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.contract import farthest_return
+from runtime.resize import move_returns, resize_image
+from runtime.sources.bundled_stream import bundled_frames
+
+#: Of the recorded frames, every so many.
+_EVERY = 5
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,17 @@ def probe_frames(
     hit = rng.random(size) < 0.05
     faulty[hit] = rng.choice(faults, size=int(hit.sum()))
     frames.append(ProbeFrame("faulty", rgb, faulty))
+    return frames
+
+
+def recorded_frames(size: tuple[int, int], *, dynamic: bool) -> list[ProbeFrame]:
+    """Return frames of the bundled recording at a (height, width); if dynamic also at their own."""
+    frames = []
+    for frame in bundled_frames()[::_EVERY]:
+        own = frame.rgb.shape[0], frame.rgb.shape[1]
+        for each in dict.fromkeys([size, own] if dynamic else [size]):
+            rgb, depth = resize_image(frame.rgb, each), move_returns(frame.sparse_depth, each)
+            frames.append(ProbeFrame(frame.name, rgb, depth))
     return frames
 
 
