@@ -38,6 +38,12 @@ class Opened:
     peak_memory_mb: float | None  # of the process after two runs
 
 
+#: Names of free axes.
+_NAMES = {
+    "C": "c|channels?|.*_channels?",
+    "H": "h|rows|height|.*_height",
+    "W": "w|columns|width|.*_width",
+}
 _process = threading.local()  # holds `run`, a call of the open model
 
 
@@ -48,8 +54,13 @@ def open_model(
     with _in_words():
         import_onnxruntime()  # not counted in load_ms
         started = time.perf_counter()
+        path = find_model(model)
         session = open_session(
-            read_onnx(find_model(model)), provider=provider, device_id=0, threads=threads
+            read_onnx(path),
+            provider=provider,
+            device_id=0,
+            threads=threads,
+            weights_folder=path.parent,
         )
         load_ms = (time.perf_counter() - started) * 1e3
         feeds, notes = make_feeds(session.get_inputs(), size=size, batch=batch)
@@ -98,21 +109,54 @@ def make_feeds(
 ) -> tuple[Feeds, tuple[str, ...]]:
     """Fill a session's inputs; return them and `Opened.notes`. Raises InputError.
 
-    A free first axis is the batch; of the other free axes the last two, if there are two, are
-    height and width, and others are 1.
+    Free axes are the batch, height, width and 3 channels, see `_axes`; fixed ones are as they are.
     """
     feeds, takes_size, takes_batch = {}, False, batch == 1
     for item in inputs:
-        free = [at for at, side in enumerate(item.shape) if not isinstance(side, int)]
-        shape = [1 if at in free else side for at, side in enumerate(item.shape)]
-        if 0 in free:
-            shape[0], takes_batch = batch, True
-            free.remove(0)
-        if len(free) > 1:
-            (shape[free[-2]], shape[free[-1]]), takes_size = size, True
+        free = {at: str(side) for at, side in enumerate(item.shape) if not isinstance(side, int)}
+        axes, shape = _axes(item.shape), list(item.shape)
+        if unknown := free.keys() - axes.values():
+            names = ", ".join(shown(free[at]) for at in sorted(unknown))
+            raise InputError(
+                f"the input {shown(item.name)} has the shape {list(item.shape)}: whether {names} "
+                "is height, width or anything else is not certain; fix the axis, or name it H, W "
+                "or C"
+            )
+        for role, side in {"N": batch, "C": 3, "H": size[0], "W": size[1]}.items():
+            if axes.get(role) in free:
+                shape[axes[role]] = side
+        takes_batch |= axes.get("N") in free
+        sides = [axes[role] for role in "HW" if role in axes]
+        takes_size |= not free.keys().isdisjoint(sides) and [shape[at] for at in sides] == [*size]
         feeds[item.name] = make_input(item.name, item.type, shape)
     notes = {"its own size": takes_size, "its own batch": takes_batch}
     return feeds, tuple(note for note, taken in notes.items() if not taken)
+
+
+def _axes(shape: Sequence[Any]) -> dict[str, int]:
+    """Return the axes N, C, H and W of an input as far as they are certain.
+
+    A free first axis is N; the others are known by their names, else by their places: beside
+    channels, which are fixed at one end and most often at most 4, are H and W.
+    """
+    free = {at for at, side in enumerate(shape) if not isinstance(side, int)}
+    axes = {
+        role: at
+        for role, pattern in _NAMES.items()
+        for at in free
+        if re.fullmatch(pattern, str(shape[at]), re.IGNORECASE)
+    }
+    if 0 in free and 0 not in axes.values():
+        axes["N"] = 0
+    images = len(shape) == 4 or (len(shape) == 3 and free >= {1, 2}) or axes.keys() & {"H", "W"}
+    skipped = {axes.get("C"), 0 if len(shape) == 4 else axes.get("N")}
+    sides = [at for at in range(len(shape)) if at not in skipped]
+    if len(sides) == 3:
+        fixed = [at for at in (sides[0], sides[-1]) if at not in free]
+        small = [at for at in fixed if shape[at] <= 4]
+        if len(small or fixed) == 1:
+            sides.remove(*(small or fixed))
+    return {**dict(zip("HW", sides, strict=True)), **axes} if images and len(sides) == 2 else axes
 
 
 def make_input(name: str, element: str, shape: Sequence[int]) -> NDArray[Any]:
