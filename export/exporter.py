@@ -141,7 +141,7 @@ def export_checkpoint(
             model, contract = _finish(model, contract, precision, validate)
             _write(model, file, contract)
             if precision is Precision.FP16:  # rounds more than the artificial frames allow
-                frames = recorded_frames(size, dynamic=dynamic)
+                frames = recorded_frames(size)
             parity = measure(frames)
         if precision is Precision.FP16:
             _require_parity(parity, "; leave out --precision fp16")

@@ -2,7 +2,7 @@
 
 import math
 import tempfile
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -166,7 +166,8 @@ def quantize_within(
                 raise ExportError(
                     f"int8 loses too much, so nothing was written: {'; '.join(missed.values())}; "
                     f"{len(in_float)} of {len(convolutions)} convolutions were left in float. "
-                    f"Calibrate on data like those of --validate{_options(missed.values())}"
+                    "Calibrate on data like those of --validate, or raise --max-drop-miou for mIoU "
+                    "or --max-rise-mae for MAE; the other limits have no option"
                 )
             head = next(iter(missed))
             if head not in ranked:
@@ -234,13 +235,6 @@ def _missed(
             excess[head] = max(excess.get(head, found), found)
     worst_first = sorted(excess.items(), key=lambda entry: -entry[1][0])
     return {head: text for head, (ratio, text) in worst_first if ratio > 1}
-
-
-def _options(texts: Iterable[str]) -> str:
-    """Return the advice to raise the limits of losses in words, of those that have an option."""
-    limits = {"points of mIoU": "--max-drop-miou", "depth's MAE": "--max-rise-mae"}
-    found = [name for words, name in limits.items() if any(words in text for text in texts)]
-    return f", or raise {' and '.join(found)}" if found else ""
 
 
 def _losses(

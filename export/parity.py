@@ -15,14 +15,10 @@ from export.probe_frames import ProbeFrame
 from models import Network
 from models.answers import answers
 from runtime import Predictor
-from runtime.contract import Contract
-from runtime.heads import HEADS, Difference
-from runtime.io.agreement import compare, file_limits, first_figure, within, worst
+from runtime.io.agreement import compare, file_limits, within, worst
 from runtime.session import open_session
 
-#: Differences of which a single pixel would decide.
-_SINGLE_PIXELS = (Difference.ABSOLUTE, Difference.RELATIVE)
-#: The figure that is judged in their place in half precision, and its limit.
+#: The figure that half precision is judged by in place of the largest difference, and its limit.
 _BEYOND, _MOST_BEYOND = "share_beyond", 0.03
 
 
@@ -66,7 +62,6 @@ def measure_parity(
         warnings.simplefilter("ignore", RuntimeWarning)  # that fp16 is slow on the processor
         predictor = Predictor(onnx_path, size="frame" if dynamic else None, warmup=0)
     contract = predictor.contract
-    half = contract.precision == "fp16"
     with predictor:
         session = open_session(
             Path(onnx_path).read_bytes(), provider="cpu", device_id=0, threads=predictor.threads
@@ -83,27 +78,17 @@ def measure_parity(
                             f"{head} has the shape {answer.shape}, in PyTorch {shape}"
                         )
                     figures = compare(head, answer, expected[head])
-                    if half and HEADS[head].difference in _SINGLE_PIXELS:
-                        figures[_BEYOND] = _share_beyond(head, answer, expected[head], contract)
+                    ((name, limit),) = file_limits(head, contract).items()
+                    if contract.precision == "fp16" and name.startswith("max_abs"):
+                        right = np.abs(answer - expected[head]) <= limit
+                        figures[_BEYOND] = 1 - float(right.mean())
                     measured.setdefault(head, []).append(figures)
     parity = {}
     for head, all_figures in measured.items():
         largest = worst(all_figures)
-        limits = file_limits(head, contract)
-        if _BEYOND in largest:
-            limits = {_BEYOND: _MOST_BEYOND}
+        limits = {_BEYOND: _MOST_BEYOND} if _BEYOND in largest else file_limits(head, contract)
         parity[head] = HeadParity(largest, within(largest, limits))
     return parity
-
-
-def _share_beyond(
-    head: str, answer: NDArray[Any], expected: NDArray[Any], contract: Contract
-) -> float:
-    """Return the share of values that differ by more than the limit of the largest difference."""
-    limit = file_limits(head, contract)[first_figure(head)]
-    if HEADS[head].difference is Difference.RELATIVE:
-        limit *= float(np.abs(expected).max())
-    return 1 - float((np.abs(answer.astype(np.float64) - expected) <= limit).mean())
 
 
 def reference(model: Network, frame: ProbeFrame) -> dict[str, NDArray[Any]]:

@@ -10,9 +10,6 @@ from runtime.contract import farthest_return
 from runtime.resize import move_returns, resize_image
 from runtime.sources.bundled_stream import bundled_frames
 
-#: Of the recorded frames, every so many.
-_EVERY = 5
-
 
 @dataclass(frozen=True)
 class ProbeFrame:
@@ -51,15 +48,12 @@ def probe_frames(
     return frames
 
 
-def recorded_frames(size: tuple[int, int], *, dynamic: bool) -> list[ProbeFrame]:
-    """Return frames of the bundled recording at a (height, width); if dynamic also at their own."""
-    frames = []
-    for frame in bundled_frames()[::_EVERY]:
-        own = frame.rgb.shape[0], frame.rgb.shape[1]
-        for each in dict.fromkeys([size, own] if dynamic else [size]):
-            rgb, depth = resize_image(frame.rgb, each), move_returns(frame.sparse_depth, each)
-            frames.append(ProbeFrame(frame.name, rgb, depth))
-    return frames
+def recorded_frames(size: tuple[int, int]) -> list[ProbeFrame]:
+    """Return frames of the bundled recording at a (height, width)."""
+    return [
+        ProbeFrame(each.name, resize_image(each.rgb, size), move_returns(each.sparse_depth, size))
+        for each in bundled_frames()[::5]
+    ]
 
 
 def _street(

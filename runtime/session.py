@@ -36,12 +36,7 @@ def import_onnxruntime() -> Any:
 
 
 def open_session(
-    model: bytes,
-    *,
-    provider: str,
-    device_id: int,
-    threads: int,
-    weights_folder: str | os.PathLike[str] = os.devnull,
+    model: bytes, *, provider: str, device_id: int, threads: int, weights_folder: str = os.devnull
 ) -> Any:
     """Open a session.
 
@@ -103,7 +98,7 @@ def node_counts(session: Any) -> dict[str, int] | None:
     return None if nodes is None else dict(Counter(provider for provider, _ in nodes))
 
 
-def _options(ort: Any, threads: int, weights_folder: str | os.PathLike[str]) -> Any:
+def _options(ort: Any, threads: int, weights_folder: str) -> Any:
     options = ort.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
@@ -115,7 +110,7 @@ def _options(ort: Any, threads: int, weights_folder: str | os.PathLike[str]) -> 
         "session.intra_op.allow_spinning": "0",
         "session.inter_op.allow_spinning": "0",
         "session.record_ep_graph_assignment_info": "1",
-        "session.model_external_initializers_file_folder_path": os.fspath(weights_folder),
+        "session.model_external_initializers_file_folder_path": weights_folder,
     }
     for key, value in entries.items():
         options.add_session_config_entry(key, value)

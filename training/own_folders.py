@@ -38,8 +38,6 @@ _CLASSES_ALONE = (
 )
 #: One of this many frames is for validation, which is also the least number of frames.
 _VALIDATION = 10
-#: The most that rows of images differ; a few of the images may differ more.
-_MOST_RATIO = 2
 #: An image's size is read from so much of its file.
 _HEADER_BYTES = 2**16
 
@@ -98,12 +96,10 @@ class OwnFolders:
             )
         heights = [_read_height(path) for path in frames.images]
         rows = int(median(heights))
-        far = [height for height in heights if max(height, rows) > _MOST_RATIO * min(height, rows)]
+        far = [height for height in heights if not rows / 2 <= height <= 2 * rows]
         if far:
-            text = (
-                f"{self.images}: {len(far)} of {count} images have more than {_MOST_RATIO} times "
-            )
-            text += f"or less than half of the {rows} rows of the others, such as {far[0]}"
+            text = f"{self.images}: {len(far)} of {count} images have more than twice or less than "
+            text += f"half of the {rows} rows of the others, such as {far[0]}"
             if len(far) > count // _VALIDATION:
                 raise InputError(f"{text}. Train on a folder of each size.")
             tqdm.write(f"warning: {text}; all are resized to the same rows", file=sys.stderr)

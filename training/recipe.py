@@ -20,7 +20,7 @@ from runtime.errors import InputError
 from runtime.read_input import read_toml
 from training.datasets.class_mapping import ClassTable, list_classes
 from training.datasets.registry import DATASETS
-from training.datasets.source_recipe import ROWS, SIDES, SourceRecipe
+from training.datasets.source_recipe import SourceRecipe
 from training.lidar.split import LidarInput
 from training.limits import (
     MAX_BATCH_PIXELS,
@@ -65,7 +65,7 @@ class ClassRecipe:
 
 
 #: Tags that pydantic adds to the location of an error: the member of a union that it tried.
-_TAGS: Mapping[str, type] = {**DATASETS, _NAMED: str, _OWN: ClassRecipe, SIDES: tuple, ROWS: int}
+_TAGS: Mapping[str, type] = {**DATASETS, _NAMED: str, _OWN: ClassRecipe}
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -156,7 +156,7 @@ class DataRecipe:
         if min(crop) < MIN_SIDE:
             raise ValueError(f"augment.crop = {list(crop)}; both must be at least {MIN_SIDE}")
         if self.augment.rare_crops and not self.rare_classes:
-            raise ValueError("augment.rare_crops needs rare_classes, for example ['pole', 'sign']")
+            raise ValueError("augment.rare_crops needs rare_classes, names of model.classes")
         views = 2 if self.augment.pair_shift else 1
         if views * self.batch_size * crop[0] * crop[1] > MAX_BATCH_PIXELS:
             raise ValueError(
@@ -450,15 +450,12 @@ def parse_source(text: str) -> SourceRecipe:
 
 
 def _read_value(text: str, kind: Any) -> Any:
-    """Return a value of --data as TOML has it; the text itself where its key takes text."""
-    try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        return text
-    if not isinstance(value, str):
-        with contextlib.suppress(ValidationError):
-            return TypeAdapter(kind).validate_python(text)
-    return value
+    """Return a value of --data: text where its key takes text, else as TOML has it."""
+    with contextlib.suppress(ValidationError):
+        return TypeAdapter(kind).validate_python(text.strip("\"'"))
+    with contextlib.suppress(tomllib.TOMLDecodeError):
+        return tomllib.loads(f"value = {text}")["value"]
+    return text
 
 
 def _describe(error: Mapping[str, Any], kind: Any) -> str:
@@ -503,6 +500,8 @@ def _table_at(kind: Any, place: Sequence[str | int]) -> Any:
 def _join(place: Sequence[str | int]) -> str:
     """Return a location as in the recipe, data.source[0].split, without tags of unions."""
     inner = [part for part in place[:-1] if part not in _TAGS]
-    parts = [*inner, *(part for part in place[-1:] if part not in (_NAMED, _OWN, SIDES, ROWS))]
+    parts = [*inner, *(part for part in place[-1:] if part not in (_NAMED, _OWN))]
+    # Of other unions the tags are types, tuple[constrained-int, constrained-int].
+    parts = [part for part in parts if isinstance(part, int) or part.isidentifier()]
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts)
     return text.removeprefix(".")

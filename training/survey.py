@@ -2,13 +2,12 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from models import NetworkConfig
-from runtime.resize import Size
 from training.datasets.class_mapping import list_classes
 from training.datasets.sample import Sample, SampleSource, target_kind
 from training.loading.open_dataset import FREQUENCY_SAMPLES, spread_indices
@@ -18,73 +17,65 @@ from training.recipe import Recipe
 _FAR_SHARE = 0.01
 
 
-@dataclass(frozen=True)
-class Survey:
-    """Counts of about `FREQUENCY_SAMPLES` frames without augmentation, by the sets' weights.
+class Survey(NamedTuple):
+    """Counts of about `FREQUENCY_SAMPLES` frames without augmentation, by the sets' weights."""
 
-    Attributes:
-        frames: number of these frames.
-        smallest: the least height and the least width of them.
-        classes: pixels of each class, in millionths of a frame; labels made by a network count by
-            their weight.
-        notes: of a target, what of its labels is not trained, in words.
-    """
-
-    frames: int
-    smallest: Size
+    #: The least height and the least width of the frames.
+    smallest: tuple[int, int]
+    #: Pixels of each class, in millionths of a frame; labels made by a network count by their
+    #: weight.
     classes: NDArray[np.float64]
+    #: Of a target, what of its labels is not trained, in words.
     notes: Sequence[tuple[str, str]]
 
 
 def survey(recipe: Recipe, sources: Sequence[SampleSource], config: NetworkConfig) -> Survey:
     """Count what the sets of a recipe hold for a network."""
     names = [info.name for info in list_classes(recipe.model.class_table)]
-    counts, sizes = np.zeros(len(names)), list[Size]()
+    counts, sizes = np.zeros(len(names)), list[tuple[int, int]]()
     notes: list[tuple[str, str]] = []
     total = sum(item.weight for item in recipe.data.source)
     for item, source in zip(recipe.data.source, sources, strict=True):
         wanted = max(1, round(FREQUENCY_SAMPLES * item.weight / total))
         frames = spread_indices(source, wanted)
-        near, far = 0, 0
         empty: Counter[str] = Counter()
+        near = known = 0
         for index in frames:
             sample = source[index]
             sizes.append(sample.size)
             seen = np.bincount(sample.semantic.ravel(), minlength=256)[: len(names)]
             weight = sample.weights.get("semantic", 1.0) * wanted / len(frames)
             counts += seen * weight / sample.semantic.size
-            used = int(learned(sample, "depth", config).sum())
-            empty.update(t for t in sample.targets if not learned(sample, t, config).any())
-            near, far = near + used, far + int((sample.depth > 0).sum()) - used
-        notes += [
-            (
-                target,
-                f"{number} of {len(frames)} frames of {item.title} have no {target} to learn from",
+            empty.update(name for name in sample.targets if not learned(sample, name, config).any())
+            near += int(learned(sample, "depth", config).sum())
+            known += int((sample.depth > 0).sum())
+        for target, number in empty.items():
+            text = (
+                f"{number} of {len(frames)} frames of {item.title} have no {target} to learn from"
             )
-            for target, number in empty.items()
-        ]
-        if far > _FAR_SHARE * (near + far):
-            text = f"{item.title}: {far / (near + far):.0%} of the depth is beyond "
-            text += f"{config.target_depth_m:g} m and not trained: check the unit, metres x 256 "
-            notes.append(("depth", f"{text}unless the set has a depth_scale"))
-    counts = np.round(counts * 1_000_000)
+            notes.append((target, text))
+        if known - near > _FAR_SHARE * known:
+            text = f"{item.title}: {1 - near / known:.0%} of the depth is beyond "
+            text += f"{config.target_depth_m:g} m and not trained: check the unit (depth_scale)"
+            notes.append(("depth", text))
     titles = ", ".join(item.title for item in recipe.data.source)
-    if not counts.any():
-        text = f"no pixel of {titles} is labelled: classes and boundaries are not trained"
-        notes.append(("semantic", text))
-    elif never := [name for name, count in zip(names, counts, strict=True) if not count]:
-        text = f"no pixel of {len(sizes)} frames of {titles} is labelled {', '.join(never)}: the "
-        notes.append(("semantic", f"{text}class is not trained"))
+    counts = np.round(counts * 1_000_000)
+    never = [name for name, count in zip(names, counts, strict=True) if not count]
+    text = f"is labelled {', '.join(never)}: such a class is not trained"
+    if len(never) == len(names):
+        text = "is labelled: classes and boundaries are not trained"
+    if never:
+        notes.append(("semantic", f"no pixel of {len(sizes)} frames of {titles} {text}"))
     height, width = np.min(sizes, axis=0).tolist()
-    return Survey(len(sizes), (height, width), counts, notes)
+    return Survey((height, width), counts, notes)
 
 
 def learned(sample: Sample, target: str, config: NetworkConfig) -> NDArray[np.bool_]:
     """Return where a frame has labels of a target that count in the loss."""
     labels = sample.target(target)
-    known = np.asarray(labels != target_kind(target).unlabelled)
+    known = labels != target_kind(target).unlabelled
     if target == "depth":
-        focal = sample.focal_length_px if config.canonical_focal_px else None
-        factor = (config.canonical_focal_px or 1) / focal if focal else 1.0
+        canonical, focal = config.canonical_focal_px, sample.focal_length_px
+        factor = canonical / focal if canonical and focal else 1.0
         known &= labels <= config.target_depth_m / factor
-    return known & (sample.weights.get(target, 1.0) > 0)
+    return np.asarray(known & (sample.weights.get(target, 1.0) > 0))

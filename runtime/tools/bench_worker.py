@@ -39,11 +39,7 @@ class Opened:
 
 
 #: Names of free axes.
-_NAMES = {
-    "C": "c|channels?|.*_channels?",
-    "H": "h|rows|height|.*_height",
-    "W": "w|columns|width|.*_width",
-}
+_NAMES = {"C": "c|.*channels?", "H": "h|rows|.*height", "W": "w|columns|.*width"}
 _process = threading.local()  # holds `run`, a call of the open model
 
 
@@ -54,13 +50,9 @@ def open_model(
     with _in_words():
         import_onnxruntime()  # not counted in load_ms
         started = time.perf_counter()
-        path = find_model(model)
+        content, folder = read_onnx(path := find_model(model)), str(path.parent)
         session = open_session(
-            read_onnx(path),
-            provider=provider,
-            device_id=0,
-            threads=threads,
-            weights_folder=path.parent,
+            content, provider=provider, device_id=0, threads=threads, weights_folder=folder
         )
         load_ms = (time.perf_counter() - started) * 1e3
         feeds, notes = make_feeds(session.get_inputs(), size=size, batch=batch)
@@ -109,54 +101,45 @@ def make_feeds(
 ) -> tuple[Feeds, tuple[str, ...]]:
     """Fill a session's inputs; return them and `Opened.notes`. Raises InputError.
 
-    Free axes are the batch, height, width and 3 channels, see `_axes`; fixed ones are as they are.
+    Free axes are the batch, height, width and 3 channels, see `_free_axes`; others are fixed.
     """
     feeds, takes_size, takes_batch = {}, False, batch == 1
     for item in inputs:
-        free = {at: str(side) for at, side in enumerate(item.shape) if not isinstance(side, int)}
-        axes, shape = _axes(item.shape), list(item.shape)
-        if unknown := free.keys() - axes.values():
-            names = ", ".join(shown(free[at]) for at in sorted(unknown))
+        axes, shape = _free_axes(item.shape), list(item.shape)
+        for role, at in axes.items():
+            shape[at] = {"N": batch, "C": 3, "H": size[0], "W": size[1]}[role]
+        if unknown := [side for side in shape if not isinstance(side, int)]:
             raise InputError(
-                f"the input {shown(item.name)} has the shape {list(item.shape)}: whether {names} "
-                "is height, width or anything else is not certain; fix the axis, or name it H, W "
-                "or C"
+                f"the input {shown(item.name)} has the shape {list(item.shape)}: whether "
+                f"{shown(unknown[0])} is height, width or anything else is not certain; fix the "
+                "axis, or name it H, W or C"
             )
-        for role, side in {"N": batch, "C": 3, "H": size[0], "W": size[1]}.items():
-            if axes.get(role) in free:
-                shape[axes[role]] = side
-        takes_batch |= axes.get("N") in free
-        sides = [axes[role] for role in "HW" if role in axes]
-        takes_size |= not free.keys().isdisjoint(sides) and [shape[at] for at in sides] == [*size]
+        takes_batch |= "N" in axes
+        takes_size |= bool(axes.keys() & {"H", "W"}) and {*size} <= {*shape}
         feeds[item.name] = make_input(item.name, item.type, shape)
     notes = {"its own size": takes_size, "its own batch": takes_batch}
     return feeds, tuple(note for note, taken in notes.items() if not taken)
 
 
-def _axes(shape: Sequence[Any]) -> dict[str, int]:
-    """Return the axes N, C, H and W of an input as far as they are certain.
+def _free_axes(shape: Sequence[Any]) -> dict[str, int]:
+    """Return the axes N, C, H and W of an input that are free, as far as they are certain.
 
-    A free first axis is N; the others are known by their names, else by their places: beside
-    channels, which are fixed at one end and most often at most 4, are H and W.
+    H, W and C are known by their names; of others the first is N, and two neighbours of four axes,
+    beside channels that are fixed, are H and W.
     """
-    free = {at for at, side in enumerate(shape) if not isinstance(side, int)}
+    free = [at for at, side in enumerate(shape) if not isinstance(side, int)]
     axes = {
         role: at
         for role, pattern in _NAMES.items()
         for at in free
         if re.fullmatch(pattern, str(shape[at]), re.IGNORECASE)
     }
-    if 0 in free and 0 not in axes.values():
-        axes["N"] = 0
-    images = len(shape) == 4 or (len(shape) == 3 and free >= {1, 2}) or axes.keys() & {"H", "W"}
-    skipped = {axes.get("C"), 0 if len(shape) == 4 else axes.get("N")}
-    sides = [at for at in range(len(shape)) if at not in skipped]
-    if len(sides) == 3:
-        fixed = [at for at in (sides[0], sides[-1]) if at not in free]
-        small = [at for at in fixed if shape[at] <= 4]
-        if len(small or fixed) == 1:
-            sides.remove(*(small or fixed))
-    return {**dict(zip("HW", sides, strict=True)), **axes} if images and len(sides) == 2 else axes
+    rest = [at for at in free if at not in axes.values()]
+    if rest[:1] == [0]:
+        axes["N"] = rest.pop(0)
+    if len(shape) == 4 and rest in ([1, 2], [2, 3]):
+        axes |= dict(zip("HW", rest, strict=True))
+    return axes
 
 
 def make_input(name: str, element: str, shape: Sequence[int]) -> NDArray[Any]:

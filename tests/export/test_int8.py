@@ -321,9 +321,6 @@ def test_the_gate_holds_what_each_head_loses(kept, missed, words):
     assert not int8._missed([ROW], [replace(ROW, **kept)], options)
     (text,) = int8._missed([ROW], [replace(ROW, **missed)], options).values()
     assert words in text
-    # A limit that no option changes is no advice.
-    option = {"miou": ", or raise --max-drop-miou", "mae_m": ", or raise --max-rise-mae"}
-    assert int8._options([text]) == option.get(next(iter(missed)), "")
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,7 @@ def test_a_network_that_cannot_be_built_is_refused_as_it_is_read(tmp_path, chang
         ("scale = [1, 2]", "scale = [1, 2, 3]", r"scale = \[1, 2, 3\]: .* at most 2 items"),
         ("scale = [1, 2]", "scale = [2, 1]", r"scale = \[2, 1\]: expected low <= high"),
         ("scale = [1, 2]", "size = [1.5, 64]", r"size\[0\] = 1.5: .*valid integer"),
-        ("scale = [1, 2]", "size = 5", r"source\[\d\]\.size = 5: .*equal to 32"),
+        ("scale = [1, 2]", "size = 5", r"source\[\d\]\.size = 5: "),
         ('kind = "camvid"', "", r"missing key data\.source\[0\]\.kind"),
         ('path = "camvid"', "", r"missing key data\.source\[0\]\.path"),
         ('path = "camvid"', 'path = ""', r"data\.source\[0\]\.path = '': "),

@@ -60,7 +60,9 @@ def test_classes_that_no_pixel_shows_are_named(start):
     for path in (start.folder / "mine/labels").iterdir():
         write(path, np.uint8([[0, 2, 255]]).repeat(48, 0).repeat(20, 1))
     err = start({})
-    assert "warning: no pixel of 6 frames of mine is labelled car: the class is not trained" in err
+    assert (
+        "warning: no pixel of 6 frames of mine is labelled car: such a class is not trained" in err
+    )
 
 
 def test_labels_of_weight_0_do_not_train(start):

@@ -10,7 +10,7 @@ from pydantic.dataclasses import dataclass
 from models import CLASS_TABLES
 from runtime.errors import DatasetError
 from training.datasets.class_mapping import ClassTable, id_lookup
-from training.datasets.files import list_images, read_ids, read_rgb, require_folder
+from training.datasets.files import list_images, read_gray, read_rgb, require_folder
 from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
@@ -30,7 +30,7 @@ class CamVidLabels:
 
     def read(self, path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
         """Read a file of this (height, width). Raises DatasetError for another file or id."""
-        label = read_ids(path, size)
+        label = read_gray(path, np.uint8, size)
         if label.max() > 11:
             raise DatasetError(
                 f"{path}: class id {label.max()}, expected 0..11 of the eleven-class labels."

@@ -12,13 +12,7 @@ from models import CLASS_TABLES
 from runtime.errors import DatasetError
 from runtime.read_input import read_text
 from training.datasets.class_mapping import ClassTable, id_lookup
-from training.datasets.files import (
-    dataset_errors,
-    read_disparity,
-    read_ids,
-    read_rgb,
-    require_folder,
-)
+from training.datasets.files import dataset_errors, read_gray, read_rgb, require_folder
 from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
@@ -96,7 +90,7 @@ class Cityscapes(FrameList):
                 self._path("camera", city, stem + "_camera.json")
             )
             path = self._path("disparity", city, stem + "_disparity.png")
-            stored = read_disparity(path, size)
+            stored = read_gray(path, np.uint16, size)
             targets["depth"] = disparity_to_depth(stored, focal_baseline)
         return Sample(
             rgb=rgb,
@@ -110,7 +104,7 @@ class Cityscapes(FrameList):
         return self._root / kind / self._split / city / name
 
     def _read_labels(self, path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
-        label = read_ids(path, size)
+        label = read_gray(path, np.uint8, size)
         if label.max() >= len(_LABELS):
             raise DatasetError(
                 f"{path}: label id {label.max()}, expected 0..{len(_LABELS) - 1} of labelIds. "

@@ -5,6 +5,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -32,40 +33,29 @@ read_points = dataset_errors()(scan.read_scan)
 
 
 @dataset_errors()
-def read_disparity(path: Path, size: tuple[int, int]) -> NDArray[np.uint16]:
-    """Read a 16-bit one-channel PNG of exactly (height, width). Raises DatasetError."""
-    image = images.decode(path, cv2.IMREAD_UNCHANGED)
-    if image.ndim != 2 or image.dtype != np.uint16:
+def read_gray(
+    path: Path, dtype: type[np.uint8] | type[np.uint16], size: tuple[int, int]
+) -> NDArray[Any]:
+    """Read the numbers that a PNG of (height, width) stores: gray, or the indices of a palette.
+
+    A picture decoder stretches those of 1, 2 and 4 bits to 0..255 and replaces indices by colours.
+    Raises DatasetError for another kind of file or size, and more than one channel.
+    """
+    content = read_input(path)
+    # Of the header IHDR: the bits of a number, and 0 = gray, 3 = palette.
+    bits, kind = content[24:26] if content[:4] == b"\x89PNG" and len(content) > 25 else (0, -1)
+    image = images.decode(path, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)  # finds damage
+    if kind == 3:
+        image = np.array(Image.open(io.BytesIO(content)), np.uint8)
+    elif 0 < bits < 8:
+        image //= 255 // (2**bits - 1)
+    if kind not in (0, 3) or image.dtype != dtype:
         raise DatasetError(
-            f"{path}: expected one channel of uint16, got shape {image.shape} of {image.dtype}. "
-            "Restore the data set's original file."
+            f"{path}: expected one channel of {np.dtype(dtype).name}, or a palette, in a PNG. Convert "
+            "it without colours, transparency or JPEG compression."
         )
     require_size(path, image.shape, size)
     return image
-
-
-@dataset_errors()
-def read_ids(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Read the ids that a PNG of (height, width) stores: its gray values or palette indices.
-
-    A picture decoder stretches values of 1, 2 and 4 bits to 0..255 and replaces indices by colours.
-
-    Raises:
-        DatasetError: for another kind of file, more than 8 bits or one channel, and another size.
-    """
-    content = read_input(path)
-    # Of the header IHDR: the bits of a value, and 0 = gray, 3 = palette.
-    bits, kind = content[24:26] if content[:4] == b"\x89PNG" and len(content) > 25 else (0, -1)
-    if kind not in (0, 3) or bits > 8:
-        raise DatasetError(
-            f"{path}: expected class ids, a PNG of one channel or with a palette, of up to 8 bits. "
-            "Convert it without colours, transparency or JPEG compression."
-        )
-    gray: NDArray[np.uint8] = images.decode(path, cv2.IMREAD_GRAYSCALE)  # finds damage
-    require_size(path, gray.shape, size)
-    if kind == 0:
-        return gray // np.uint8(255 // (2**bits - 1))
-    return np.array(Image.open(io.BytesIO(content)), np.uint8)
 
 
 @dataset_errors()

@@ -21,7 +21,7 @@ from training.datasets.class_mapping import ClassTable, id_lookup, list_classes
 from training.datasets.files import (
     dataset_errors,
     read_depth,
-    read_ids,
+    read_gray,
     require_folder,
     require_size,
 )
@@ -43,7 +43,7 @@ class FoldersRecipe(RangeRecipe):
     depth: _Folder | None = None
     #: 16-bit PNGs, a recorded input in addition to that target.
     sparse_depth: _Folder | None = None
-    #: 8-bit one-channel PNGs of ids in ``model.classes``, or of ``label_classes``.
+    #: PNGs of ids in ``model.classes``, or of ``label_classes``, see `read_gray`.
     labels: _Folder | None = None
     #: "cityscapes": trainIds, which are mapped to ``model.classes``.
     label_classes: Literal["cityscapes"] | None = None
@@ -71,8 +71,6 @@ class FoldersRecipe(RangeRecipe):
                 f"ignore = {self.ignore} and label_ids = {{ {self.ignore} = {named!r} }} give one "
                 "id two meanings; leave one of them out"
             )
-        if self.labels is None and (self.label_ids or self.label_classes):
-            raise ValueError("label_ids and label_classes name ids of labels, which is not set")
 
     @property
     def label_table(self) -> ClassTable | None:
@@ -188,7 +186,7 @@ class Folders(FrameList):
         return path if self._recipe.missing == "error" or path.is_file() else None
 
     def _read_labels(self, path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
-        label = read_ids(path, size)
+        label = read_gray(path, np.uint8, size)
         unknown = np.unique(label[~self._known[label]]).tolist()
         if unknown:
             recipe, names = self._recipe, self._recipe.label_ids

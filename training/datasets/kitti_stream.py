@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
@@ -12,7 +13,7 @@ from training.datasets.class_mapping import ClassTable, id_lookup
 from training.datasets.files import (
     dataset_errors,
     list_images,
-    read_ids,
+    read_gray,
     read_points,
     read_rgb,
     require_folder,
@@ -81,7 +82,7 @@ class KittiStream(FrameList):
             )
         label_path = self._root / "pseudo_semantic" / f"{path.stem}.png"
         if label_path.is_file():
-            targets["semantic"] = self._lookup[read_ids(label_path, size)]
+            targets["semantic"] = self._lookup[read_gray(label_path, np.uint8, size)]
         return Sample(
             rgb=rgb,
             targets=targets,

@@ -18,8 +18,7 @@ from training.datasets.class_mapping import ClassTable
 from training.datasets.files import (
     dataset_errors,
     list_images,
-    read_disparity,
-    read_ids,
+    read_gray,
     read_points,
     read_rgb,
     require_folder,
@@ -95,7 +94,7 @@ class KittiStreets(FrameList):
         rgb = read_rgb(path)
         size = (rgb.shape[0], rgb.shape[1])
         truth = self._root / "disp_occ_0" / f"{path.stem}.png"
-        disparity = read_disparity(truth, size)
+        disparity = read_gray(truth, np.uint16, size)
         points = read_points(self._root / "velodyne_fov" / f"{path.stem}.bin")
         camera = self._calibration
         sparse_depth, scan_line = project_lines(points, camera.intrinsics, camera.extrinsics, size)
@@ -124,7 +123,7 @@ class KittiStreets(FrameList):
         if not self._has_masks:
             return {}
         path = self._root / "road_mask" / f"{number}.png"
-        mask = read_ids(path, size)
+        mask = read_gray(path, np.uint8, size)
         other = np.setdiff1d(mask, (0, 1, IGNORE))
         if other.size:
             raise DatasetError(

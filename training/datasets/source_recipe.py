@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, TypeVar
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.contract import MAX_NAME_LENGTH
@@ -15,8 +15,6 @@ from training.limits import STRICT, FactorRange, Index, Positive, Side
 
 T = TypeVar("T")
 
-#: Tags of the two forms of ``size``.
-SIDES, ROWS = "(sides)", "(rows)"
 SetName = Annotated[str, Field(min_length=1, max_length=MAX_NAME_LENGTH)]
 #: Names of scenes, variants or drives.
 Names = Annotated[tuple[str, ...], Field(min_length=1, max_length=10_000)]
@@ -37,13 +35,7 @@ class SourceRecipe:
     weight: Positive = 1.0
     #: (height, width) that every frame is resized to first, or rows, at which it keeps its aspect;
     #: its own size by default.
-    size: (
-        Annotated[
-            Annotated[tuple[Side, Side], Tag(SIDES)] | Annotated[Side, Tag(ROWS)],
-            Discriminator(lambda value: SIDES if isinstance(value, list | tuple) else ROWS),
-        ]
-        | None
-    ) = None
+    size: tuple[Side, Side] | Side | None = None
     #: Range of the random magnification; the common one by default.
     scale: FactorRange | None = None
     #: Name in scores, curves and files; the path by default.

@@ -283,8 +283,8 @@ def _score_all(
                     continue
                 raise InputError(
                     f"{sample.name}: with the LiDAR {str(lidar)!r} the input is the depth to "
-                    "score, so that an error of 0 would mean nothing. Feed a share (random:0.5), "
-                    "give denser depth, or leave out sparse_depth: a part of depth is then fed."
+                    "score, so that an error of 0 would mean nothing. Feed a share with --lidar "
+                    "random:0.5, or give denser depth."
                 )
             fed, label = frame.fed, "none"
             if fed.any():

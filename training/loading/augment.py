@@ -13,14 +13,7 @@ from pydantic.dataclasses import dataclass
 
 from runtime.contract import MAX_RETURN_M, MIN_SIDE, farthest_return
 from runtime.errors import InputError
-from runtime.resize import (
-    Size,
-    move_returns,
-    move_scan_lines,
-    resize_by,
-    resize_image,
-    resize_nearest,
-)
+from runtime.resize import move_returns, move_scan_lines, resize_by, resize_image, resize_nearest
 from training.datasets.sample import IGNORE, Sample, nothing_known, target_kind
 from training.lidar.faults import absorb, add_false_returns, drop_sectors, misalign
 from training.lidar.split import SENSOR_LINES, LidarInput, masked, split_lidar
@@ -525,7 +518,7 @@ def choose_crop(
     return max(offsets, key=count)
 
 
-def with_crop(augment: AugmentConfig, smallest: Size) -> AugmentConfig:
+def with_crop(augment: AugmentConfig, smallest: tuple[int, int]) -> AugmentConfig:
     """Return the ranges with a crop: as high as the smallest frame, up to `LARGEST_CROP`.
 
     Raises:

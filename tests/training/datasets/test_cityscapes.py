@@ -118,7 +118,7 @@ def labels(value, size=(HEIGHT, WIDTH)):
             "gtFine",
             "gtFine_labelIds.png",
             lambda p: write(p, np.zeros((HEIGHT, WIDTH, 3), np.uint8)),
-            "expected class ids, a PNG of one channel",
+            "expected one channel of uint8",
         ),
         (
             "disparity",
