@@ -9,7 +9,6 @@ from torch import Tensor, nn
 from models import Network, SSDNetLite, create_model
 from models.efficientnet_lite import RGB_MEAN, RGB_STD, WIDTHS
 from runtime.errors import CheckpointError, InputError
-from training.datasets.class_mapping import list_classes
 from training.imagenet_weights import load_imagenet
 from training.initial_weights import Weights, start_from
 from training.prune import prune_trunk
@@ -49,10 +48,8 @@ def build_network(
         stated = {key: getattr(config, key) for key in (*recipe.config, "classes")}
         network = create_model(recipe.name, **(changes | stated))
     except (ArithmeticError, ValueError) as error:
-        raise InputError(
-            f"the recipe's model cannot be built with {len(list_classes(recipe.class_table))} "
-            f"classes: {error}. Change them or model.config, or choose another model.name."
-        ) from error
+        text = f"the recipe's model cannot be built with its classes and config: {error}"
+        raise InputError(f"{text}. Change them, or choose another model.name.") from error
     if recipe.pretrained == "imagenet":
         pretrainable = _require_pretrainable(network)
         if not (resumed or (init is not None and isinstance(init.network, SSDNetLite))):

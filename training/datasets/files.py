@@ -51,8 +51,8 @@ def read_gray(
         image //= 255 // (2**bits - 1)
     if kind not in (0, 3) or image.dtype != dtype:
         raise DatasetError(
-            f"{path}: expected one channel of {np.dtype(dtype).name}, or a palette, in a PNG. Convert "
-            "it without colours, transparency or JPEG compression."
+            f"{path}: expected one channel of {np.dtype(dtype).name}, or a palette, in a PNG. "
+            "Convert it without colours, transparency or JPEG compression."
         )
     require_size(path, image.shape, size)
     return image
