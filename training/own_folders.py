@@ -38,8 +38,6 @@ _CLASSES_ALONE = (
 )
 #: One of this many frames is for validation, which is also the least number of frames.
 _VALIDATION = 10
-#: An image's size is read from so much of its file.
-_HEADER_BYTES = 2**16
 
 
 @dataclass(frozen=True)
@@ -148,7 +146,7 @@ def _describe(
 def _read_height(path: Path) -> int:
     """Return the rows of an image, by its header where that is near the start of the file."""
     with open_input(path, max_bytes=MAX_FILE_BYTES) as file:
-        size = image_size(file.read(_HEADER_BYTES))
+        size = image_size(file.read(2**16))
     return size[0] if size else int(read_rgb(path).shape[0])
 
 

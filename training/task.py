@@ -1,5 +1,6 @@
 """What a recipe trains on what: all that can be refused before a run writes anything."""
 
+import contextlib
 import copy
 import math
 import random
@@ -160,14 +161,15 @@ def open_task(
 
 
 def _require_batches(network: Network, data: DataRecipe, processes: Processes) -> None:
-    """Raise InputError for batches or crops that are too small, such as for normalisation."""
+    """Raise InputError for batches and crops of which normalisation sees a single value."""
     views = 2 if data.augment.pair_shift else 1
     count, (height, width) = views * data.batch_size * processes.count, data.augment.size
     batch = [torch.empty(count, channels, height, width, device="meta") for channels in (3, 1)]
     try:
-        with torch.no_grad():
+        # A network that reads values, which these tensors lack, is not checked.
+        with torch.no_grad(), contextlib.suppress(RuntimeError):
             copy.deepcopy(network).to("meta")(*batch)
-    except (RuntimeError, ValueError) as error:
+    except ValueError as error:
         raise InputError(
             f"{network.config.name!r} cannot be trained on batches of {count} crops of "
             f"{height}x{width} ({error}). Raise data.batch_size or data.augment.crop."

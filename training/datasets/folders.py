@@ -65,11 +65,9 @@ class FoldersRecipe(RangeRecipe):
         """Check that the ids have one meaning."""
         if self.label_ids and self.label_classes is not None:
             raise ValueError("label_ids and label_classes both name the ids; set one of them")
-        named = (self.label_ids or {}).get(self.ignore, "ignore")
-        if self.ignore != IGNORE and named != "ignore":
+        if self.ignore != IGNORE and (self.label_ids or {}).get(self.ignore, "ignore") != "ignore":
             raise ValueError(
-                f"ignore = {self.ignore} and label_ids = {{ {self.ignore} = {named!r} }} give one "
-                "id two meanings; leave one of them out"
+                f"ignore and label_ids give the id {self.ignore} two meanings; drop one"
             )
 
     @property

@@ -123,7 +123,7 @@ def format_table(rows: Sequence[Row], *, all_columns: bool = False) -> str:
     cells = [[*titles, *(title for _, title, _ in columns)]]
     for row in rows:
         notes += [row.left_out] if row.left_out else []
-        if row.figures.keys() >= {"miou"} and (over := scored_classes(row.figures)):
+        if over := scored_classes(row.figures):
             notes.append(f"{row.model} on {row.data}: mIoU{over}, the others are not labelled")
         for head, (figure, truth) in _TRUTH.items():
             explained = head == "semantic" and row.left_out

@@ -150,7 +150,7 @@ def test_ids_are_named_by_the_recipe(mine, tmp_path):
     for keys, message in (
         ("label_classes = 'cityscapes', label_ids = {1 = 'lane'}", "label_ids and label_classes"),
         ("label_ids = {300 = 'lane'}", r"label_ids.*300"),
-        ("labels = 'l', ignore = 0, label_ids = {0 = 'lane'}", "give one id two meanings"),
+        ("labels = 'l', ignore = 0, label_ids = {0 = 'lane'}", "give the id 0 two meanings"),
     ):
         source = f"data.source = [{{kind = 'folders', path = 'mine', {keys}}}]"
         with pytest.raises(InputError, match=message):
