@@ -110,9 +110,8 @@ def make_feeds(
             shape[at] = {"N": batch, "C": 3, "H": size[0], "W": size[1]}[role]
         if unknown := [side for side in shape if not isinstance(side, int)]:
             raise InputError(
-                f"the input {shown(item.name)} has the shape {list(item.shape)}: whether "
-                f"{shown(unknown[0])} is height, width or anything else is not certain; fix the "
-                "axis, or name it H, W or C"
+                f"the input {shown(item.name)}: whether {shown(unknown[0])} of {list(item.shape)} "
+                "is height, width or else is not certain; fix that axis, or name it H, W or C"
             )
         takes_batch |= "N" in axes
         takes_size |= bool(axes.keys() & {"H", "W"}) and {*size} <= {*shape}

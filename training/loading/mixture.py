@@ -58,9 +58,8 @@ class CheckedSource:
             if found != expected:
                 text = f"{target} = {found}; expected {expected}, {unlabelled:g} = unknown"
                 raise self._error(sample, f"{text}. A set without this target must omit it")
-        if self._size is None:
-            return sample
-        return resize(sample, network_size(self._size, sample.size, trained_height=None))
+        size = network_size(self._size or "frame", sample.size, trained_height=None)
+        return resize(sample, size)
 
     def _error(self, sample: Sample, text: str) -> DatasetError:
         reader = type(self._source).__name__

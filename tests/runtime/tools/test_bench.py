@@ -207,7 +207,7 @@ def test_a_latency_counts_from_when_the_frame_is_due(monkeypatch, period_s, late
 def test_free_axes_are_filled_where_they_are_certain(shape, filled, notes):
     inputs = [SimpleNamespace(name="x", type="tensor(float)", shape=shape)]
     if filled is None:
-        with pytest.raises(InputError, match=f"whether '{notes[0]}' is height"):
+        with pytest.raises(InputError, match=f"whether '{notes[0]}' of .* is height"):
             bench_worker.make_feeds(inputs, size=(32, 48), batch=4)
         return
     feeds, found = bench_worker.make_feeds(inputs, size=(32, 48), batch=4)
