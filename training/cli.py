@@ -49,9 +49,7 @@ def train(
     ] = None,
     labels: Annotated[
         Path | None,
-        typer.Option(
-            help="Class ids (0, 1, ...; 255 = none) of --images: 8-bit PNGs of the same names."
-        ),
+        typer.Option(help="Class ids (0, 1, ...; 255 = none) of --images: PNGs of the same names."),
     ] = None,
     depth: Annotated[
         Path | None,

@@ -1,8 +1,7 @@
 """Files of data sets as arrays; what the engine's readers find wrong is a DatasetError."""
 
+import io
 import os
-import struct
-import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from runtime.errors import DatasetError, InputError
 from runtime.io import images, scan
@@ -27,7 +27,6 @@ def dataset_errors() -> Iterator[None]:
 
 
 _SUFFIXES = {".png", ".jpg"}
-_PNG, _PALETTE = b"\x89PNG\r\n\x1a\n", 3  # how a file starts; a color type
 #: The engine's readers, see there.
 read_rgb = dataset_errors()(images.read_rgb)
 read_points = dataset_errors()(scan.read_scan)
@@ -37,52 +36,43 @@ read_points = dataset_errors()(scan.read_scan)
 def read_gray(
     path: Path, dtype: type[np.uint8] | type[np.uint16], size: tuple[int, int]
 ) -> NDArray[Any]:
-    """Read the numbers that a PNG of (height, width) stores: grey, or the indices of a palette.
+    """Read the numbers that a PNG of (height, width) stores: gray, or the indices of a palette.
 
-    For uint8 they have 1 to 16 bits. Raises DatasetError.
+    A picture decoder stretches those of 1, 2 and 4 bits to 0..255 and replaces indices by colours.
+    For uint8, numbers of 16 bits may be up to 255. Raises DatasetError for another kind of file or
+    size, more than one channel, and a palette of grays that are not its indices.
     """
     content = read_input(path)
-    if not content.startswith(_PNG):
-        raise DatasetError(f"{path}: expected a PNG; other formats change the numbers.")
-    bits, color = content[24:26].ljust(2)
-    if color == _PALETTE:
-        content = _indices(content, path)
-    image = images.decode(content, cv2.IMREAD_UNCHANGED, name=str(path))
-    if bits < 8 and image.ndim == 2:  # the decoder stretches them to 0..255
-        image = image // (255 // (2**bits - 1))
+    # Of the header IHDR: the bits of a number, and 0 = gray, 3 = palette.
+    bits, kind = content[24:26] if content[:4] == b"\x89PNG" and len(content) > 25 else (0, -1)
+    flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+    image = images.decode(content, flags, name=str(path))  # finds damage
+    if kind == 3:
+        image = _indices(content, path)
+    elif 0 < bits < 8:
+        image //= 255 // (2**bits - 1)
     if dtype is np.uint8 and image.dtype == np.uint16 and image.max() < 256:
         image = image.astype(np.uint8)
-    if image.ndim != 2 or image.dtype != dtype:
+    if kind not in (0, 3) or image.dtype != dtype:
         raise DatasetError(
-            f"{path}: expected one channel of {np.dtype(dtype).name}, got shape {image.shape} of "
-            f"{image.dtype}. Restore the data set's original file, or convert your own to one "
-            "number a pixel."
+            f"{path}: expected one channel of {np.dtype(dtype).name}, or a palette, in a PNG. "
+            "Convert it without colours, transparency or JPEG compression."
         )
     require_size(path, image.shape, size)
     return image
 
 
-def _indices(content: bytes, path: Path) -> bytes:
-    """A PNG with a palette as one in grey, of its indices. Raises DatasetError."""
-    kept, position = [_PNG], len(_PNG)
-    while position + 12 <= len(content):
-        length, kind = struct.unpack_from(">I4s", content, position)
-        chunk = content[position : position + 12 + length]
-        position += len(chunk)
-        if kind == b"IHDR":
-            grey = chunk[4:17] + b"\0" + chunk[18:21]  # another color type
-            chunk = chunk[:4] + grey + struct.pack(">I", zlib.crc32(grey))
-        if kind == b"PLTE":
-            colors = np.frombuffer(chunk[8:-4], np.uint8, length // 3 * 3).reshape(-1, 3)
-            is_grey = (colors == colors[:, :1]).all()
-            if is_grey and (colors[:, 0] != np.arange(len(colors))).any():
-                raise DatasetError(
-                    f"{path}: its palette is of greys that are not its indices, so that a pixel "
-                    "has two numbers. Convert it to 8-bit grey."
-                )
-        if kind in (b"IHDR", b"IDAT", b"IEND"):
-            kept.append(chunk)
-    return b"".join(kept)
+def _indices(content: bytes, path: Path) -> NDArray[np.uint8]:
+    """The indices of a PNG with a palette."""
+    picture = Image.open(io.BytesIO(content))
+    indices = np.array(picture, np.uint8)
+    colors = np.array(picture.getpalette("RGB")).reshape(-1, 3)
+    if (colors == colors[:, :1]).all() and (colors[:, 0] != np.arange(len(colors))).any():
+        raise DatasetError(
+            f"{path}: its palette is of grays that are not its indices, so that a pixel has two "
+            "numbers. Convert it to 8-bit gray."
+        )
+    return indices
 
 
 @dataset_errors()
@@ -102,7 +92,7 @@ def require_size(path: Path, size: tuple[int, ...], expected: tuple[int, int]) -
     if size[:2] != expected:
         raise DatasetError(
             f"{path}: its size {size[0]}x{size[1]} differs from the frame's "
-            f"{expected[0]}x{expected[1]} (height x width). Restore the data set's original file."
+            f"{expected[0]}x{expected[1]} (height x width). Give files of the size of the image."
         )
 
 

@@ -127,6 +127,7 @@ class VirtualKitti(FrameList):
 
     def __init__(self, frames: Sequence[_Frame], classes: ClassTable) -> None:
         self._frames = frames
+        self.images = [frame.rgb for frame in frames]
         self._colors = {path: _read_colors(path, classes) for path in {f.colors for f in frames}}
 
     def __getitem__(self, index: int) -> Sample:

@@ -66,19 +66,19 @@ def test_a_palette_is_read_as_its_indices(tmp_path, bits, colors, more):
     [
         (
             lambda path: png(path, IDS % 2, bits=1, color=PALETTE, colors=[[0] * 3, [255] * 3]),
-            "palette is of greys that are not its indices.*Convert it to 8-bit grey",
+            "palette is of grays that are not its indices.*Convert it to 8-bit gray",
         ),
         (
             lambda path: png(path, IDS + 256, bits=16),
-            r"expected one channel of uint8, got shape \(5, 9\) of uint16.*one number a pixel",
+            "expected one channel of uint8, or a palette",
         ),
         (
             lambda path: png(path, np.zeros((5, 9, 3), int), bits=8, color=COLOR),
-            r"expected one channel of uint8, got shape \(5, 9, 3\)",
+            "expected one channel of uint8, or a palette",
         ),
         (
             lambda path: path.write_bytes(cv2.imencode(".jpg", np.uint8(IDS))[1].tobytes()),
-            "expected a PNG",
+            "expected one channel of uint8.*in a PNG",
         ),
         (
             lambda path: path.write_bytes(
