@@ -18,7 +18,7 @@ import json
 import re
 import statistics
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -54,10 +54,11 @@ from training.loop import train
 from training.network import build_network
 from training.recipe import Recipe, build
 from training.run_folder import FINAL, RECIPE, require_same
-from training.stop_signal import StopSignal
+from training.stop_signal import stop_signal
 
 ONNX, SCORES, TIMES = "model.onnx", "scores.json", "times.json"
 Size = tuple[int, int]  # (height, width)
+Stop = Callable[[], bool]  # whether a signal arrived
 SIZES: list[Size] = [(125, 414), (512, 1024)]
 
 #: Set -> its recipe, whose path is below --data, and the LiDARs it is scored with.
@@ -222,7 +223,7 @@ def heads_of(entry: Entry, plan: Plan) -> tuple[str, ...]:
 def train_all(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
     """Train, export and score what is missing. Raises SystemExit if stopped or if any failed."""
     failed = []
-    with StopSignal() as stop:
+    with stop_signal() as stop:
         for entry, answers in heads.items():
             try:
                 finish(entry, plan, answers, arguments, stop)
@@ -237,7 +238,11 @@ def train_all(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
 
 
 def finish(
-    entry: Entry, plan: Plan, heads: Sequence[str], arguments: argparse.Namespace, stop: StopSignal
+    entry: Entry,
+    plan: Plan,
+    heads: Sequence[str],
+    arguments: argparse.Namespace,
+    stop: Stop,
 ) -> None:
     """Train, export and score an entry and print its scores, unless stopped."""
     if entry.network is not None:
@@ -277,7 +282,7 @@ def find_sets(heads: Sequence[str], roots: Sequence[Path]) -> Sets:
     return found
 
 
-def find_or_make(entry: Entry, plan: Plan, arguments: argparse.Namespace, stop: StopSignal) -> Path:
+def find_or_make(entry: Entry, plan: Plan, arguments: argparse.Namespace, stop: Stop) -> Path:
     """Return an entry's ONNX file, trained and exported if it is not there, unless stopped."""
     recipe = recipe_of(entry, plan)
     out = arguments.runs / entry.folder

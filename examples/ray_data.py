@@ -29,8 +29,6 @@ class PredictorActor:
     def __init__(self, open_source: Callable[[], Source], options: dict[str, Any]) -> None:
         self._source = open_source()
         self._frames = self._source.list_frames()
-        if self._source.calibration is not None:
-            options = {"focal_length_px": self._source.calibration.focal_length_px, **options}
         self._predictor = Predictor(**options)
 
     def __call__(self, row: dict[str, Any]) -> dict[str, Any]:
@@ -42,7 +40,12 @@ class PredictorActor:
             if listed.name != row["name"]:
                 raise InputError(f"frame {row['index']} is {listed.name} here: another log?")
             frame = self._source.read(listed)
-            prediction = self._predictor.predict(frame.rgb, frame.sparse_depth)
+            focal_px = None
+            if frame.calibration is not None and self._predictor.focal_length_px is None:
+                focal_px = frame.calibration.focal_length_px
+            prediction = self._predictor.predict(
+                frame.rgb, frame.sparse_depth, focal_length_px=focal_px
+            )
         except SSDNetError as error:
             return {**row, "reason": str(error), **none}
         row["degraded"] = ",".join(prediction.degraded + frame.degraded)

@@ -34,7 +34,7 @@ from training.datasets.sample import SampleSource
 from training.evaluation.evaluate import scored_classes
 from training.evaluation.scored_model import trained_classes
 from training.lidar.split import LidarInput, frame_generator, split_lidar
-from training.loading.open_dataset import open_dataset
+from training.loading.open_dataset import frame_files, open_dataset
 from training.recipe import parse_source
 
 #: LiDAR inputs of the calibration frames, in turn. Activations beyond the calibrated ranges are
@@ -82,7 +82,7 @@ class Quantized:
 
 
 def require_frames(options: Int8Options, validate: Sequence[str], checkpoint: Checkpoint) -> None:
-    """Check that there are `LEAST_FRAMES` to calibrate and to validate.
+    """Check that there are `LEAST_FRAMES` to calibrate, and as many others to validate.
 
     Args:
         options: with the data sets of the calibration.
@@ -90,16 +90,22 @@ def require_frames(options: Int8Options, validate: Sequence[str], checkpoint: Ch
         checkpoint: of the model.
 
     Raises:
-        DatasetError, InputError: for data that cannot be read, or that have fewer frames.
+        DatasetError, InputError: for data that cannot be read, have fewer frames or share some.
     """
     table = trained_classes(checkpoint.model.config.classes, checkpoint.training)
+    found = {}
     for option, texts in (("--calibrate", options.calibrate), ("--validate", validate)):
-        count = sum(len(_open_set(text, table)) for text in {*texts})
-        if count < LEAST_FRAMES:
+        found[option] = frame_files(_open_set(text, table) for text in texts)
+        if (count := len(found[option])) < LEAST_FRAMES:
             raise InputError(
                 f"{option}: {count} frames in all, expected {LEAST_FRAMES} or more, so nothing was "
                 "written: add frames or another set"
             )
+    if both := len(set.intersection(*found.values())):
+        raise InputError(
+            f"int8 is calibrated and validated on {both} frames: its loss of accuracy must be "
+            "measured on other frames; give another set, or other frames of it"
+        )
 
 
 def quantize_within(
@@ -160,8 +166,8 @@ def quantize_within(
                 raise ExportError(
                     f"int8 loses too much, so nothing was written: {'; '.join(missed.values())}; "
                     f"{len(in_float)} of {len(convolutions)} convolutions were left in float. "
-                    "Calibrate on data like those of --validate, or raise --max-drop-miou or "
-                    "--max-rise-mae"
+                    "Calibrate on data like those of --validate, or raise --max-drop-miou for mIoU "
+                    "or --max-rise-mae for MAE; the other limits have no option"
                 )
             head = next(iter(missed))
             if head not in ranked:

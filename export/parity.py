@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from numpy.typing import NDArray
 
@@ -16,6 +17,9 @@ from models.answers import answers
 from runtime import Predictor
 from runtime.io.agreement import compare, file_limits, within, worst
 from runtime.session import open_session
+
+#: The figure that half precision is judged by in place of the largest difference, and its limit.
+_BEYOND, _MOST_BEYOND = "share_beyond", 0.03
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,8 @@ def measure_parity(
     """Compare every head of the file, run by `runtime.Predictor`, with the network in PyTorch.
 
     The predictor cleans a depth map before the graph sees it, so each frame also goes to the bare
-    graph, which must give the same answer.
+    graph, which must give the same answer. In half precision the choice between two surfaces may
+    differ in single pixels: there the share of the pixels beyond the limit is judged.
 
     Args:
         model: the network.
@@ -56,6 +61,7 @@ def measure_parity(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # that fp16 is slow on the processor
         predictor = Predictor(onnx_path, size="frame" if dynamic else None, warmup=0)
+    contract = predictor.contract
     with predictor:
         session = open_session(
             Path(onnx_path).read_bytes(), provider="cpu", device_id=0, threads=predictor.threads
@@ -72,11 +78,15 @@ def measure_parity(
                             f"{head} has the shape {answer.shape}, in PyTorch {shape}"
                         )
                     figures = compare(head, answer, expected[head])
+                    ((name, limit),) = file_limits(head, contract).items()
+                    if contract.precision == "fp16" and name.startswith("max_abs"):
+                        right = np.abs(answer - expected[head]) <= limit
+                        figures[_BEYOND] = 1 - float(right.mean())
                     measured.setdefault(head, []).append(figures)
     parity = {}
     for head, all_figures in measured.items():
         largest = worst(all_figures)
-        limits = file_limits(head, predictor.contract)
+        limits = {_BEYOND: _MOST_BEYOND} if _BEYOND in largest else file_limits(head, contract)
         parity[head] = HeadParity(largest, within(largest, limits))
     return parity
 

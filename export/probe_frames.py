@@ -1,4 +1,4 @@
-"""Synthetic street frames for the comparison of two implementations."""
+"""Street frames, synthetic and recorded, for the comparison of two implementations."""
 
 from dataclasses import dataclass
 
@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.contract import farthest_return
+from runtime.resize import move_returns, resize_image
+from runtime.sources.bundled_stream import bundled_frames
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,14 @@ def probe_frames(
     faulty[hit] = rng.choice(faults, size=int(hit.sum()))
     frames.append(ProbeFrame("faulty", rgb, faulty))
     return frames
+
+
+def recorded_frames(size: tuple[int, int]) -> list[ProbeFrame]:
+    """Return frames of the bundled recording at a (height, width)."""
+    return [
+        ProbeFrame(each.name, resize_image(each.rgb, size), move_returns(each.sparse_depth, size))
+        for each in bundled_frames()[::5]
+    ]
 
 
 def _street(

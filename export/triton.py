@@ -33,14 +33,8 @@ def triton_config(model: onnx.ModelProto, *, name: str) -> str:
         name: of the model in the repository.
 
     Raises:
-        ExportError: for a name that cannot be a folder's, and for a tensor of a type that the
-            contract does not have.
+        ExportError: for a tensor of a type that the contract does not have.
     """
-    if not _FOLDER_NAME.fullmatch(name):
-        raise ExportError(
-            f"the model's name {name!r} cannot be a folder of a Triton repository: it may hold "
-            "letters, digits, dots, dashes and underscores"
-        )
     tensors = [*model.graph.input, *model.graph.output]
     batched = all(_dims(tensor)[0] == _FREE for tensor in tensors)
     return "\n".join(
@@ -72,7 +66,7 @@ def write_triton_model(
         The model's folder.
 
     Raises:
-        ExportError: as `triton_config`.
+        ExportError: as `triton_config` and `require_replaceable`.
         OutputError: if the folder cannot be written or replaced.
     """
     config = triton_config(model, name=name)
@@ -87,7 +81,15 @@ def write_triton_model(
 
 
 def require_replaceable(folder: Path, *, overwrite: bool) -> None:
-    """Raise OutputError for what may not be replaced, and a folder that cannot be made."""
+    """Raise OutputError for what may not be replaced, and a folder that cannot be made.
+
+    Raises ExportError for a name that cannot be a folder of a repository.
+    """
+    if not _FOLDER_NAME.fullmatch(folder.name):
+        raise ExportError(
+            f"{folder.name!r} cannot be a model of a Triton repository, whose name may hold "
+            "letters, digits, dots, dashes and underscores: give the file such a name"
+        )
     if folder.exists() and not overwrite:
         raise OutputError(
             f"{folder} exists: choose another repository, or replace it with --overwrite"

@@ -4,6 +4,8 @@ import contextlib
 import os
 import signal
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
 from enum import StrEnum
 from types import FrameType
@@ -13,6 +15,7 @@ from runtime.errors import OutputError, SSDNetError, import_remedy
 
 ERROR, INTERRUPTED = 1, 130  # exit codes
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_SAME_S = 0.2  # parents such as timeout(1) send a signal twice
 
 
 class Provider(StrEnum):
@@ -54,14 +57,41 @@ def interruptible() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def stop_requested() -> Iterator[Callable[[], bool]]:
+def stop_requested(*, notice: str = "", second_ends: bool = True) -> Iterator[Callable[[], bool]]:
     """Yield a function that returns whether Ctrl-C or SIGTERM was received in the block.
 
-    The signals have no other effect there: an exception could be raised between the writing of a
-    frame and its row in the table.
+    The first has no other effect there: an exception could be raised between the writing of a frame
+    and its row in the table. A second one ends the process. A thread waits for it, since Python
+    handles no signal while the block hangs in a library.
+
+    Args:
+        notice: printed on stderr at the first one.
+        second_ends: whether a second one ends the process.
     """
     received: list[int] = []
-    with _handled(lambda number, frame: received.append(number)):
+    arrived, wakeup = os.pipe()
+    os.set_blocking(wakeup, False)
+
+    def record(number: int, frame: FrameType | None) -> None:
+        if not received and notice:
+            # Not through the buffer of sys.stderr: a write to it may have been interrupted.
+            with contextlib.suppress(OSError, ValueError):
+                os.write(sys.stderr.fileno(), notice.encode())
+        received.append(number)
+
+    def watch() -> None:
+        first_s = float("inf")
+        with open(arrived, "rb", buffering=0) as numbers:
+            while some := numbers.read(64):  # none once the block has ended
+                if not set(some).isdisjoint(SIGNALS):
+                    first_s = min(first_s, now_s := time.monotonic())
+                    if second_ends and now_s - first_s > _SAME_S:
+                        os._exit(INTERRUPTED)
+
+    threading.Thread(target=watch, name="signals", daemon=True).start()
+    with _handled(record), contextlib.ExitStack() as ended:
+        ended.callback(os.close, wakeup)
+        ended.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(wakeup))
         yield lambda: bool(received)
 
 

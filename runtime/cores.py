@@ -5,14 +5,14 @@ import os
 from pathlib import Path
 
 _TOPOLOGY = "/sys/devices/system/cpu/cpu{}/topology/thread_siblings_list"
-_CGROUP_QUOTA = Path("/sys/fs/cgroup/cpu.max")
+_CGROUPS, _MOUNT = "/proc/self/cgroup", Path("/sys/fs/cgroup")
 
 
 def available_cores() -> int:
     """Return the number of physical cores this process may use, at least 1.
 
     Hyper-threads of one core count once, since they share its arithmetic units. The process's
-    affinity and a container's CPU quota are respected where the system reports them.
+    affinity and the CPU quotas of its cgroups are respected where the system reports them.
     """
     try:
         logical = os.sched_getaffinity(0)
@@ -29,8 +29,24 @@ def _physical(logical: set[int]) -> int:
 
 
 def _quota() -> int:
+    """The least CPU quota from the process's cgroups up to the root; all cores without one."""
+    least = os.cpu_count() or 1
+    for line in _read(_CGROUPS).splitlines():
+        _, names, cgroup = line.split(":", 2)  # version 1 names the controllers
+        mounts = {_MOUNT / names, _MOUNT / "cpu"} if "cpu" in names.split(",") else {_MOUNT}
+        below = Path(cgroup.strip("/"))  # in a container perhaps as the host sees it
+        for folder in (mount / each for mount in mounts for each in (below, *below.parents)):
+            limit = _read(folder / "cpu.max").split()
+            limit += (_read(folder / f"cpu.cfs_{each}_us").strip() for each in ("quota", "period"))
+            match limit:
+                case [quota, period, *_] if quota.isdigit() and period.isdigit():
+                    least = min(least, math.ceil(int(quota) / max(1, int(period))))
+    return least
+
+
+def _read(path: Path | str) -> str:
+    """The text of a file of the kernel; "" without it."""
     try:
-        quota, period = _CGROUP_QUOTA.read_text().split()
-        return math.ceil(int(quota) / int(period))
-    except (OSError, ValueError):  # no cgroup v2, or "max": no limit
-        return os.cpu_count() or 1
+        return Path(path).read_text()
+    except (OSError, ValueError):
+        return ""

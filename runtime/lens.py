@@ -13,10 +13,13 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.assumptions import assume
 from runtime.checks import shown
 from runtime.errors import InputError
 
 PLUMB_BOB, RATIONAL_POLYNOMIAL, EQUIDISTANT = "plumb_bob", "rational_polynomial", "equidistant"
+#: Other names of these models: Kalibr's, OpenCV's, librealsense's.
+ALIASES = {"radtan": PLUMB_BOB} | dict.fromkeys(("equi", "fisheye", "kannala_brandt4"), EQUIDISTANT)
 #: Model -> the accepted numbers of coefficients, and these.
 _COEFFICIENTS = {
     PLUMB_BOB: ((4, 5), "k1, k2, p1, p2[, k3]"),
@@ -86,6 +89,16 @@ class Lens:
         if not any(numbers[most:]):  # OpenCV has 14 for all its models
             numbers = numbers[:most]
         return cls(str(model), numbers)
+
+    @classmethod
+    def of_ros(cls, model: Any, coefficients: Any) -> "Lens | None":
+        """Make the lens of a ROS CameraInfo; None for a pinhole. Raises InputError."""
+        name = ALIASES.get(str(model), str(model))
+        if name == EQUIDISTANT or np.any(coefficients):
+            return cls.of(name, coefficients)
+        if model and name not in (PLUMB_BOB, RATIONAL_POLYNOMIAL, "none", "pinhole"):
+            assume(f"a pinhole: all coefficients of {shown(model)} are 0", "give --calibration")
+        return None
 
     def distort(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Project rays to the image plane at focal length 1; they must be in the field of view."""

@@ -1,7 +1,7 @@
 """What `Predictor.predict` returns."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field, replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -22,6 +22,7 @@ IMAGE_CONSTANT = "image_constant"  # all pixels are equal: a covered or dead cam
 IMPLAUSIBLE_DEPTH = "implausible_depth"  # of a stream, see `runtime.health.depth_plausibility`
 DEPTH_REUSED = "depth_reused"  # the image has no scan of its own, and took an older one
 DEPTH_UNCOMPENSATED = "depth_uncompensated"  # returns are not moved to the time of the image
+POINTS_UNTIMED = "points_untimed"  # returns were left out: their times are not of their scan
 # Why returns were not moved:
 NO_POSE = "no_pose"  # no poses for the times of scan and image
 POSE_GAP = "pose_gap"  # too much time between two poses
@@ -44,15 +45,16 @@ class Latency:
 class Cleaned:
     """Pixels of the sparse depth that were changed, by kind: the first three became none."""
 
-    nan: int = 0
+    nan: int = 0  # also 65535 of 16 bits, by which sensors mark no measurement
     infinite: int = 0
     negative: int = 0
     too_far: int = 0  # beyond the range: clipped; beyond `farthest_return`: none
+    lost_points: int = 0  # points of the scan without a return, see `is_return`, or without a time
 
     @property
     def total(self) -> int:
         """All kinds together."""
-        return self.nan + self.infinite + self.negative + self.too_far
+        return sum(astuple(self))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -95,6 +97,11 @@ class Prediction:
             f"Prediction({heads}; {height} x {width}; {self.latency.total_ms:.1f} ms; "
             f"{'valid' if self.valid else 'invalid'}{doubts})"
         )
+
+    def after_reading(self, degraded: tuple[str, ...], lost_points: int) -> "Prediction":
+        """Add what reading the frame found: reasons of `degraded`, and points as of `Cleaned`."""
+        cleaned = replace(self.cleaned, lost_points=lost_points)
+        return replace(self, degraded=(*self.degraded, *degraded), cleaned=cleaned)
 
     @property
     def class_names(self) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from runtime.contract import MIN_SIDE, farthest_return
 from runtime.errors import InputError
 from runtime.prediction import IMAGE_CONSTANT, NO_DEPTH, SPARSE_DEPTH_LOW, Cleaned
 from runtime.resize import Size, move_returns, resize_image
+from runtime.returns import drop_saturated
 
 _CONSTANT_STEP = 16  # every 16th pixel usually rules out a constant image
 # The image is divided into a fixed number of cells. 16 of KITTI's 64 lines have returns in 6.6 %
@@ -174,9 +175,12 @@ def clean_sparse_depth(
         left.
     """
     low, high = sparse_depth.min(), sparse_depth.max()  # both NaN if any pixel is
-    if low >= 0 and high <= max_depth_m:
+    farthest = farthest_return(max_depth_m)
+    cleared = drop_saturated(sparse_depth, np.fmin(farthest, high))
+    if cleared is sparse_depth and low >= 0 and high <= max_depth_m:
         return sparse_depth, Cleaned(), cv2.countNonZero(sparse_depth)
-    usable = (sparse_depth >= 0) & (sparse_depth <= farthest_return(max_depth_m))
+    sparse_depth = cleared
+    usable = (sparse_depth >= 0) & (sparse_depth <= farthest)
     refused = sparse_depth[~usable]
     infinite = np.isinf(refused)
     kept = np.where(usable, np.minimum(sparse_depth, np.float32(max_depth_m)), np.float32(0))

@@ -16,6 +16,8 @@ from runtime.checks import check_integer, check_number, shown
 from runtime.contract import MAX_DEPTH_RANGE_M, MAX_SIDE
 from runtime.errors import InputError
 from runtime.lens import Lens, ray_bounds
+from runtime.returns import axes_of, check_points
+from runtime.rigid import check_matrix, read_rigid
 
 _INDEX_BITS = 32
 _MAX_WINDOW = 1023  # pixels
@@ -95,9 +97,9 @@ def project_points(
 ) -> NDArray[np.float32]:
     """Project LiDAR returns into a camera as a sparse depth map.
 
-    Of several returns on one pixel the nearest is kept. Returns behind the camera, outside the
-    image or with a coordinate that is not finite are dropped. The arithmetic is float32: a return
-    within about 1e-3 px of the border of two pixels may fall into either.
+    Of several returns on one pixel the nearest is kept. Returns behind the camera and outside the
+    image are dropped, and points that are none, see `is_return`. The arithmetic is float32: a
+    return within about 1e-3 px of the border of two pixels may fall into either.
 
     Args:
         points: float32 (N, 3) or wider, x, y, z first, metres, LiDAR frame.
@@ -112,8 +114,8 @@ def project_points(
         float32 (height, width), metres along the optical axis, 0 = no return.
 
     Raises:
-        InputError: for points, matrices or a size of another type or shape, and for matrices that
-            are not those of a camera.
+        InputError: for points, matrices or a size of another type or shape, for matrices that are
+            not those of a camera, and for a scan whose points are none.
     """
     return project_with_rows(
         points, intrinsics, extrinsics, size, lens=lens, occlusion=occlusion
@@ -132,8 +134,9 @@ def project_with_rows(
     """Project as `project_points`, and also return the point of each pixel; ties keep the first."""
     check_points(points)
     check_intrinsics(intrinsics)
-    check_transform("extrinsics", extrinsics)
+    extrinsics = read_rigid("extrinsics", extrinsics)
     height, width = _check_sides("size", size, MAX_SIDE)
+    axes = axes_of(points)
     with np.errstate(over="ignore", invalid="ignore"):
         product = intrinsics.astype(np.float64) @ extrinsics[:3].astype(np.float64)
         matrix = product.astype(np.float32)
@@ -142,12 +145,12 @@ def project_with_rows(
         # Comparing before dividing saves most divisions. All comparisons together are true only
         # for z > 0, and false for NaN.
         if lens is None:
-            u_z, v_z, z = _transform(points, matrix)
+            u_z, v_z, z = _transform(axes, matrix)
             row = np.flatnonzero((u_z > -z) & (u_z < width * z) & (v_z > -z) & (v_z < height * z))
             z = z[row]
             u, v = u_z[row] / z, v_z[row] / z
         else:
-            x_z, y_z, z = _transform(points, extrinsics[:3].astype(np.float32))
+            x_z, y_z, z = _transform(axes, extrinsics[:3].astype(np.float32))
             left, right, top, bottom, radius_2 = ray_bounds(lens, intrinsics, (height, width))
             row = np.flatnonzero(
                 (x_z > left * z) & (x_z < right * z) & (y_z > top * z) & (y_z < bottom * z)
@@ -180,14 +183,12 @@ def project_with_rows(
     return ProjectedPoints(sparse_depth, rows)
 
 
-def _transform(
-    points: NDArray[np.float32], matrix: NDArray[np.float32]
-) -> list[NDArray[np.float32]]:
-    """Each row of ``matrix``, float32 (3, 4), times (x, y, z, 1) of every point.
+def _transform(axes: NDArray[np.float32], matrix: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    """Each row of ``matrix``, float32 (3, 4), times (x, y, z, 1) of every point, float32 (3, N).
 
     Not by a matrix product: it uses the threads of a BLAS, which compete with inference.
     """
-    x, y, z = np.ascontiguousarray(points[:, :3].T)
+    x, y, z = axes
     products = []
     for for_x, for_y, for_z, shift in matrix:
         product = for_x * x
@@ -208,50 +209,13 @@ def check_intrinsics(matrix: Any, name: str = "intrinsics") -> None:
     Raises:
         InputError: for anything else, and for masked arrays and `numpy.matrix`.
     """
-    _check_matrix(name, matrix, 3)
+    check_matrix(name, matrix, 3)
     usable = (matrix[[0, 1], [0, 1]] > 0).all() and np.linalg.det(matrix.astype(np.float64)) > 0
     if not usable or not np.array_equal(matrix[2], (0, 0, 1)):
         raise InputError(
             f"{name} must have positive focal lengths fx and fy and the last row 0, 0, 1, got "
             f"{matrix.tolist()}: is the matrix transposed?"
         )
-
-
-def check_transform(name: str, matrix: Any) -> None:
-    """Raise InputError unless `matrix` is float (4, 4), finite, with the last row 0, 0, 0, 1."""
-    _check_matrix(name, matrix, 4)
-    if not np.array_equal(matrix[3], (0, 0, 0, 1)):
-        raise InputError(
-            f"the last row of {name} must be 0, 0, 0, 1, got {matrix[3].tolist()}: is the matrix "
-            "transposed?"
-        )
-
-
-def check_points(points: Any) -> None:
-    """Raise InputError unless `points` is a scan, float32 (N, 3) or wider."""
-    if (kind := _kind(points)) != np.float32:
-        raise InputError(
-            f"points must be a plain float32 array [m], got {kind}: use points.astype(np.float32)"
-        )
-    if points.ndim != 2 or points.shape[1] < 3:
-        raise InputError(f"points must have the shape (N, 3) or wider, got {points.shape}")
-
-
-def _check_matrix(name: str, matrix: Any, side: int) -> None:
-    kind = _kind(matrix)
-    if not (isinstance(kind, np.dtype) and kind.kind == "f"):
-        raise InputError(f"{name} must be an array of floats, got {kind}")
-    if matrix.shape != (side, side):
-        raise InputError(f"{name} must have the shape ({side}, {side}), got {matrix.shape}")
-    if not np.isfinite(matrix).all():
-        raise InputError(f"{name} must be finite: check the calibration")
-
-
-def _kind(array: Any) -> Any:
-    """The dtype of a plain numpy array, the name of any other type."""
-    if isinstance(array, np.ndarray) and not isinstance(array, np.ma.MaskedArray | np.matrix):
-        return array.dtype
-    return type(array).__name__
 
 
 def _check_sides(name: str, sides: Any, most: int) -> tuple[int, int]:

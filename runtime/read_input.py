@@ -17,26 +17,40 @@ from runtime.errors import InputError
 
 MAX_FILE_BYTES = 256_000_000  # of an image or a scan
 MAX_TEXT_BYTES = 32_000_000  # of a calibration, time stamps, a table or a recipe
+_POINTER, _MAX_POINTER_BYTES = b"version https://git-lfs", 1024
 
 
 @contextlib.contextmanager
-def open_input(path: Path, *, max_bytes: int) -> Iterator[BinaryIO]:
+def open_input(path: Path, *, max_bytes: int | None) -> Iterator[BinaryIO]:
     """Open a regular file of bounded size.
 
     Args:
         path: the file; links are followed.
-        max_bytes: its largest size.
+        max_bytes: its largest size; None: of any size.
 
     Yields:
         The file, to be read.
 
     Raises:
-        InputError: if it cannot be opened, is no regular file or is larger.
+        InputError: if it cannot be opened, is no regular file, is larger, or is a pointer of Git
+            LFS to the file.
     """
     with _reported(path):
         file = open(path, "rb", opener=_open_at_once)  # noqa: SIM115 - closed below
     with file:
-        _require_regular(path, os.fstat(file.fileno()), max_bytes)
+        status = os.fstat(file.fileno())
+        if not stat.S_ISREG(status.st_mode):
+            raise InputError(f"cannot read {_shown(path)}: it is not a regular file")
+        if max_bytes is not None and status.st_size > max_bytes:
+            raise InputError(
+                f"{_shown(path)} has {status.st_size:,} bytes, expected at most {max_bytes:,}: is "
+                "it another file?"
+            )
+        is_small = len(_POINTER) < status.st_size <= _MAX_POINTER_BYTES
+        if is_small and os.pread(file.fileno(), len(_POINTER), 0) == _POINTER:
+            raise InputError(
+                f"{_shown(path)} is a pointer of Git LFS, not the file: get it by git lfs pull"
+            )
         yield file
 
 
@@ -76,22 +90,10 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def require_regular(path: Path, *, max_bytes: int | None = None) -> None:
-    """Check a file that a library opens by its name; None: of any size. Errors as `read_input`."""
-    with _reported(path):
-        status = os.stat(path)
-    _require_regular(path, status, max_bytes)
-    if status.st_size == 0:  # files in /proc and /sys: reading can block
-        raise InputError(f"cannot read {_shown(path)}: it is empty")
-
-
-def _require_regular(path: Path, status: os.stat_result, max_bytes: int | None) -> None:
-    if not stat.S_ISREG(status.st_mode):
-        raise InputError(f"cannot read {_shown(path)}: it is not a regular file")
-    if max_bytes is not None and status.st_size > max_bytes:
-        raise InputError(
-            f"{_shown(path)} has {status.st_size:,} bytes, expected at most {max_bytes:,}: is it "
-            "another file?"
-        )
+    """Check a file that a library opens by its name. Errors as `open_input`, and if it is empty."""
+    with open_input(path, max_bytes=max_bytes) as file:
+        if os.fstat(file.fileno()).st_size == 0:  # files in /proc and /sys: reading can block
+            raise InputError(f"cannot read {_shown(path)}: it is empty")
 
 
 def _open_at_once(path: str, flags: int) -> int:

@@ -35,14 +35,18 @@ def import_onnxruntime() -> Any:
     return onnxruntime
 
 
-def open_session(model: bytes, *, provider: str, device_id: int, threads: int) -> Any:
+def open_session(
+    model: bytes, *, provider: str, device_id: int, threads: int, weights_folder: str = os.devnull
+) -> Any:
     """Open a session.
 
     Args:
-        model: the bytes of one self-contained ONNX file.
+        model: the bytes of an ONNX file.
         provider: "cpu" or "cuda".
         device_id: index of the GPU.
         threads: threads within an operator.
+        weights_folder: of the weights that a network of others keeps in files beside its own; by
+            default an impossible one, with which these fail to load.
 
     Raises:
         ProviderError: if the provider cannot be used.
@@ -63,7 +67,7 @@ def open_session(model: bytes, *, provider: str, device_id: int, threads: int) -
     try:
         session = ort.InferenceSession(
             model,
-            sess_options=_options(ort, threads),
+            sess_options=_options(ort, threads, weights_folder),
             providers=[(name, settings)],
             enable_fallback=False,
         )
@@ -71,7 +75,9 @@ def open_session(model: bytes, *, provider: str, device_id: int, threads: int) -
         if provider == "cpu":
             raise _unloadable(error) from error
         # If the file is damaged, opening it on the CPU raises the right error.
-        open_session(model, provider="cpu", device_id=0, threads=threads)
+        open_session(
+            model, provider="cpu", device_id=0, threads=threads, weights_folder=weights_folder
+        )
         raise ProviderError(
             f"provider {provider!r} could not be started ({error}) {printed}: {_GPU_NEEDS}"
         ) from error
@@ -92,7 +98,7 @@ def node_counts(session: Any) -> dict[str, int] | None:
     return None if nodes is None else dict(Counter(provider for provider, _ in nodes))
 
 
-def _options(ort: Any, threads: int) -> Any:
+def _options(ort: Any, threads: int, weights_folder: str) -> Any:
     options = ort.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
@@ -104,8 +110,7 @@ def _options(ort: Any, threads: int) -> Any:
         "session.intra_op.allow_spinning": "0",
         "session.inter_op.allow_spinning": "0",
         "session.record_ep_graph_assignment_info": "1",
-        # One file is the whole model: with an impossible folder external weights fail to load.
-        "session.model_external_initializers_file_folder_path": os.devnull,
+        "session.model_external_initializers_file_folder_path": weights_folder,
     }
     for key, value in entries.items():
         options.add_session_config_entry(key, value)
@@ -171,9 +176,10 @@ def _unloadable(error: Exception) -> ContractError:
     """The error for a file that ONNX Runtime refuses."""
     text = explain(error)
     if "external data" in text.lower():
+        found = "" if os.devnull in text else f", which cannot be read ({text})"
         return ContractError(
-            "the model keeps weights outside its own file: export it into one file with "
-            "ssdnet-export"
+            f"the model keeps weights outside its own file{found}: save it as one file, with "
+            "onnx.save or torch.onnx.export(..., external_data=False)"
         )
     if "IR version" in text or "opset" in text.lower():
         fault = "it uses a newer ONNX version than this ONNX Runtime supports; update onnxruntime"

@@ -9,7 +9,7 @@ import typer
 
 from runtime.command import INTERRUPTED, reported_errors
 from runtime.command_options import Version
-from training.stop_signal import StopSignal
+from training.stop_signal import stop_signal
 
 app = typer.Typer(pretty_exceptions_enable=False)
 
@@ -49,9 +49,7 @@ def train(
     ] = None,
     labels: Annotated[
         Path | None,
-        typer.Option(
-            help="Class ids (0, 1, ...; 255 = none) of --images: 8-bit PNGs of the same names."
-        ),
+        typer.Option(help="Class ids (0, 1, ...; 255 = none) of --images: PNGs of the same names."),
     ] = None,
     depth: Annotated[
         Path | None,
@@ -131,7 +129,7 @@ def train(
 
         if threads is not None:
             torch.set_num_threads(threads)
-        with StopSignal() as stop:
+        with stop_signal() as stop:
             weights, taught_by = (
                 None if text is None else read_weights(find_weights(text))
                 for text in (init, teacher)

@@ -6,6 +6,7 @@ batch normalisation included.
 """
 
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -68,6 +69,23 @@ class Processes:
         ]
 
 
+def parse_device(text: str) -> torch.device:
+    """Return the device that a command's --device names; InputError for another form."""
+    if not re.fullmatch(r"cpu|cuda(:\d{1,3})?", text, re.ASCII):
+        raise InputError(f"unknown device {text!r}. Give --device cpu, cuda or cuda:N.")
+    return torch.device(text)
+
+
+def open_device(text: str) -> torch.device:
+    """Return the device of `parse_device`; InputError if PyTorch cannot use it."""
+    device = parse_device(text)
+    try:
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise InputError(f"device {text!r} is not available: {error}. Try --device cpu.") from error
+    return device
+
+
 @contextmanager
 def join_processes(device: str) -> Iterator[Processes]:
     """Join the processes that torchrun started, or be the only one.
@@ -79,18 +97,12 @@ def join_processes(device: str) -> Iterator[Processes]:
             "cuda:N" for a single process.
 
     Raises:
-        InputError: if there is no such device.
+        InputError: as `open_device`.
     """
     count = int(os.environ.get("WORLD_SIZE", "1"))
-    try:
-        place = torch.device(device)
-        if count > 1 and place.type == "cuda":
-            place = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
-        torch.zeros(1, device=place)
-    except (RuntimeError, AssertionError) as error:
-        raise InputError(
-            f"device {device!r} is not available: {error}. Try --device cpu."
-        ) from error
+    place = open_device(device)
+    if count > 1 and place.type == "cuda":
+        place = open_device(f"cuda:{os.environ.get('LOCAL_RANK', '0')}")
     if count == 1:
         yield Processes(0, 1, place)
         return

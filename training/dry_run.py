@@ -72,16 +72,11 @@ def _describe(recipe: Recipe, task: Task) -> Iterator[str]:
     for item, source in zip(recipe.data.source, task.sources, strict=True):
         scale = item.scale or recipe.data.augment.scale
         augment = AugmentConfig((height, width), scale)
-        range_m = task.network.config.max_depth_m
-        yield from _describe_set(item.title, source, classes, augment, range_m)
+        yield from _describe_set(item.title, source, classes, augment)
 
 
 def _describe_set(
-    title: str,
-    source: SampleSource,
-    classes: Sequence[str],
-    augment: AugmentConfig,
-    range_m: float,
+    title: str, source: SampleSource, classes: Sequence[str], augment: AugmentConfig
 ) -> Iterator[str]:
     counts = np.zeros(256, dtype=np.int64)
     depths, pixels, padding = [], 0, []
@@ -101,11 +96,6 @@ def _describe_set(
         metres = zip(_PERCENTILES, np.percentile(depth, _PERCENTILES), strict=True)
         text = ", ".join(f"{share} % {value:.1f} m" for share, value in metres)
         yield f"  depth ({depth.size / pixels:.1%} of the pixels), percentiles: {text}"
-        if np.percentile(depth, _PERCENTILES[-1]) > range_m:
-            yield (
-                f"  warning: {100 - _PERCENTILES[-1]} % of the depth is beyond the network's "
-                f"{range_m:g} m: check the unit, metres x 256 unless the set has a depth_scale"
-            )
 
 
 def _padding_share(size: tuple[int, int], config: AugmentConfig) -> float:

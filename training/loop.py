@@ -88,7 +88,7 @@ def train(
             prepare_folder(out, resolved, list_data(data, [item.path for item in sets]))
         processes.wait()
         known_data, terms = state_provenance(recipe, init, teacher)
-        state = TrainingState(recipe, task, processes, out)
+        state = TrainingState(recipe, task, processes, out, from_init=init is not None)
         state.resume(out / LAST, resolved)
         steps = recipe.schedule.steps
         if state.step == steps and (out / FINAL).is_file():

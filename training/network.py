@@ -47,8 +47,9 @@ def build_network(
         config = recipe.network_config()
         stated = {key: getattr(config, key) for key in (*recipe.config, "classes")}
         network = create_model(recipe.name, **(changes | stated))
-    except ValueError as error:
-        raise InputError(f"the recipe's model cannot be built: {error}.") from error
+    except (ArithmeticError, ValueError) as error:
+        text = f"the recipe's model cannot be built with its classes and config: {error}"
+        raise InputError(f"{text}. Change them, or choose another model.name.") from error
     if recipe.pretrained == "imagenet":
         pretrainable = _require_pretrainable(network)
         if not (resumed or (init is not None and isinstance(init.network, SSDNetLite))):

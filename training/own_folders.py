@@ -2,17 +2,23 @@
 
 import json
 import os
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import median
 from typing import Any
+
+from tqdm import tqdm
 
 from models import SSDNetLite
 from runtime.contract import ClassInfo
 from runtime.errors import InputError
 from runtime.io.atomic_write import atomic_write
-from runtime.network_size import network_size
-from runtime.read_input import read_text
+from runtime.io.image_header import image_size
+from runtime.io.images import read_rgb
+from runtime.network_size import LARGEST_RATIO, network_size
+from runtime.read_input import MAX_FILE_BYTES, open_input, read_text
 from training.datasets.folders import Folders, FoldersRecipe
 from training.initial_weights import Weights
 from training.run_folder import folder_errors
@@ -59,11 +65,13 @@ class OwnFolders:
         """Return a recipe, as TOML, for a training that starts from ``init``.
 
         The last tenth of the frames is for validation: neighbours of a recording are alike. Images
-        of far more rows than those ``init`` was trained on are resized to its rows. Classes are
-        learned by their own layers, so that the depth stays that of ``init``.
+        of far more rows than those ``init`` was trained on are resized to its rows, and images of
+        far different sizes to the median of their rows; each keeps its aspect. Classes are learned
+        by their own layers, so that the depth stays that of ``init``.
 
         Raises:
-            InputError: if a folder or the classes cannot be read, and for too few images.
+            InputError: if a folder or the classes cannot be read, for too few images, and where
+                over a tenth of them differ in their rows by more than twice.
             DatasetError: for images without labels or depth.
         """
         classes = () if self.classes is None else _read_classes(self.classes)
@@ -84,12 +92,20 @@ class OwnFolders:
                 f"{self.images}: {count} images; expected at least {_VALIDATION}, a tenth of which "
                 "is for validation. Add images with their labels or depth."
             )
-        size, rows = frames[0].size, init.facts.trained_height
-        resized = network_size(None, size, trained_height=rows)
-        if resized != size:
-            keys["size"] = list(resized)
+        heights = [_read_height(path) for path in frames.images]
+        rows = int(median(heights))
+        far = [height for height in heights if not rows / 2 <= height <= 2 * rows]
+        if far:
+            text = f"{self.images}: {len(far)} of {count} images have more than twice or less than "
+            text += f"half of the {rows} rows of the others, such as {far[0]}"
+            if len(far) > count // _VALIDATION:
+                raise InputError(f"{text}. Train on a folder of each size.")
+            tqdm.write(f"warning: {text}; all are resized to the same rows", file=sys.stderr)
+        resized, _ = network_size(None, (rows, rows), trained_height=init.facts.trained_height)
+        if any(max(height, resized) > LARGEST_RATIO * min(height, resized) for height in heights):
+            keys["size"] = resized
         first = count - count // _VALIDATION
-        lines = [*_describe(classes, resized[0], keys, first, count)]
+        lines = [*_describe(classes, resized, keys, first, count)]
         if classes and isinstance(init.network, SSDNetLite):
             lines += ["", *_CLASSES_ALONE] if "depth" in init.network.heads else []
         return "\n".join((f"# --data is {_quoted(str(self.root))}.", *lines, ""))
@@ -127,6 +143,13 @@ def _describe(
     yield f"\n[schedule]\nsteps = {steps}  # of {_BATCH} frames"
 
 
+def _read_height(path: Path) -> int:
+    """Return the rows of an image, by its header where that is near the start of the file."""
+    with open_input(path, max_bytes=MAX_FILE_BYTES) as file:
+        size = image_size(file.read(2**16))
+    return size[0] if size else int(read_rgb(path).shape[0])
+
+
 def _read_classes(path: Path) -> tuple[ClassInfo, ...]:
     names = read_text(path).rstrip().splitlines()
     if not names:
@@ -147,8 +170,8 @@ def keep_recipe(text: str, out: Path) -> None:
         atomic_write(path, text.encode())
 
 
-def _quoted(value: str | list[int]) -> str:
-    """Return a text or a list as TOML."""
+def _quoted(value: str | int) -> str:
+    """Return a text or a number as TOML."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 

@@ -1,5 +1,6 @@
 """Recipes: what describes a training, in a TOML file or in Python; unknown keys are errors."""
 
+import contextlib
 import json
 import re
 import tomllib
@@ -155,7 +156,7 @@ class DataRecipe:
         if min(crop) < MIN_SIDE:
             raise ValueError(f"augment.crop = {list(crop)}; both must be at least {MIN_SIDE}")
         if self.augment.rare_crops and not self.rare_classes:
-            raise ValueError("augment.rare_crops needs rare_classes, for example ['pole', 'sign']")
+            raise ValueError("augment.rare_crops needs rare_classes, names of model.classes")
         views = 2 if self.augment.pair_shift else 1
         if views * self.batch_size * crop[0] * crop[1] > MAX_BATCH_PIXELS:
             raise ValueError(
@@ -186,11 +187,6 @@ class OptimizerRecipe:
     #: Layers that are not trained, by the beginning of their names ("encoder.stem"); their
     #: batch statistics are constant, too.
     frozen: Annotated[tuple[str, ...], Field(max_length=100)] = ()
-
-    def __post_init__(self) -> None:
-        """Check that something learns."""
-        if not (self.learning_rate or self.encoder_rate):
-            raise ValueError("learning_rate = 0: nothing would learn")
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -430,9 +426,10 @@ def build(kind: type[T], table: object) -> T:
 
 
 def parse_source(text: str) -> SourceRecipe:
-    """Read the --data of a command, KIND:FOLDER[,KEY=VALUE...]; a text needs no quotes.
+    """Read the --data of a command, KIND:FOLDER[,KEY=VALUE...].
 
-    Raises InputError for another form, an unknown kind or key, or a value of the wrong type.
+    A text needs no quotes, also where it looks like a number or a date. Raises InputError for
+    another form, an unknown kind or key, a key that is given twice, or a value of the wrong type.
     """
     # Commas inside brackets belong to a value.
     head, *pairs = re.split(r",(?=[a-z]\w*=)", text)
@@ -440,16 +437,25 @@ def parse_source(text: str) -> SourceRecipe:
     if not colon:
         raise InputError(f"--data {text!r}; expected KIND:FOLDER[,KEY=VALUE...].")
     table: dict[str, Any] = {"kind": kind, "path": folder}
+    types = {item.name: item.type for item in fields(DATASETS.get(kind, SourceRecipe))}
     for pair in pairs:
         key, _, value = pair.partition("=")
-        try:
-            table[key] = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
-            table[key] = value
+        if key in table:
+            raise InputError(f"--data {text!r}: {key} is given twice. Leave one out.")
+        table[key] = _read_value(value, types.get(key))
     try:
         return build(AnySource, table)
     except InputError as error:
         raise InputError(f"--data {text!r}: {error}") from error
+
+
+def _read_value(text: str, kind: Any) -> Any:
+    """Return a value of --data: text where its key takes text, else as TOML has it."""
+    with contextlib.suppress(ValidationError):
+        return TypeAdapter(kind).validate_python(text.strip("\"'"))
+    with contextlib.suppress(tomllib.TOMLDecodeError):
+        return tomllib.loads(f"value = {text}")["value"]
+    return text
 
 
 def _describe(error: Mapping[str, Any], kind: Any) -> str:
@@ -495,5 +501,7 @@ def _join(place: Sequence[str | int]) -> str:
     """Return a location as in the recipe, data.source[0].split, without tags of unions."""
     inner = [part for part in place[:-1] if part not in _TAGS]
     parts = [*inner, *(part for part in place[-1:] if part not in (_NAMED, _OWN))]
+    # Of other unions the tags are types, tuple[constrained-int, constrained-int].
+    parts = [part for part in parts if isinstance(part, int) or part.isidentifier()]
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts)
     return text.removeprefix(".")

@@ -20,7 +20,7 @@ from training.loading.mixture import Batch
 from training.losses import SSDNetLoss
 from training.network import require_encoder, train_parts
 from training.recipe import OptimizerRecipe, Recipe, ScheduleRecipe
-from training.run_folder import LAST, require_same
+from training.run_folder import BEST, require_same
 from training.task import Task
 
 #: `Network.forward`, or its distributed wrapper.
@@ -52,10 +52,14 @@ class TrainingState:
         task: what it trains on what.
         processes: that train together.
         out: folder of the run, for errors.
+        from_init: whether it began with other weights, which are scored first.
     """
 
-    def __init__(self, recipe: Recipe, task: Task, processes: Processes, out: Path) -> None:
+    def __init__(
+        self, recipe: Recipe, task: Task, processes: Processes, out: Path, *, from_init: bool
+    ) -> None:
         self.step = 0
+        self._keeps_best = from_init and bool(task.validation)
         self._recipe, self._processes, self._out = recipe, processes, out
         self._network, self.criterion, self._teacher = task.network, task.criterion, task.teacher
         train_parts(task.network, recipe.optimizer.only, recipe.optimizer.frozen)
@@ -155,18 +159,19 @@ class TrainingState:
         """
         if torch.isfinite(value):
             return
-        path, last = self._out / _NON_FINITE, self._out / LAST
+        path = self._out / _NON_FINITE
         # Text: JSON has no NaN.
         values = {name: str(term.item()) for name, term in terms.items()}
         frames = [name for part in self._processes.gather(names) for name in part]
         if self._processes.is_first:
             document = {"step": self.step, "terms": values, "frames": frames}
             atomic_write(path, json.dumps(document, indent=2).encode())
-        init = f" with --init {last}" if last.is_file() else ""
+        # Those of last.pt, and all of a run from random weights, may have diverged before.
+        best = f" with --init {self._out / BEST}" if self._keeps_best else ""
         raise NonFiniteLossError(
             f"step {self.step}: the loss ({values['total']}) or its gradient is not finite; the "
             f"terms and the {len(frames)} frames of the batch are in {path}. Check them, or start "
-            f"a new --out{init} and a lower learning rate."
+            f"a new --out{best} and a lower optimizer.learning_rate."
         )
 
 

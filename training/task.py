@@ -1,5 +1,7 @@
 """What a recipe trains on what: all that can be refused before a run writes anything."""
 
+import contextlib
+import copy
 import math
 import random
 import sys
@@ -17,9 +19,9 @@ from models import Network
 from runtime.contract import MIN_SIDE
 from runtime.cores import available_cores
 from runtime.errors import InputError
-from training.datasets.sample import SampleSource, target_kind
+from training.datasets.sample import SampleSource
 from training.distributed import Processes, synchronise_batch_norm
-from training.evaluation.scoring import figure_names, require_lidar
+from training.evaluation.scoring import figure_names
 from training.initial_weights import Weights
 from training.lidar.split import LidarInput
 from training.limits import PAIR_STEP_PX
@@ -27,6 +29,7 @@ from training.loading.augment import with_crop
 from training.loading.mixture import DepthTarget
 from training.loading.open_dataset import (
     FREQUENCY_SAMPLES,
+    frame_files,
     open_dataset,
     spread_indices,
     spread_pictures,
@@ -34,7 +37,11 @@ from training.loading.open_dataset import (
 from training.losses import SSDNetLoss, class_weights
 from training.network import build_network, require_encoder, train_parts
 from training.recipe import DataRecipe, Recipe
+from training.survey import learned, survey
 from training.teacher import prepare_teacher
+
+#: Frames of a validation set that are scored ahead of the training, to know its scores.
+_SCORED = 20
 
 
 @dataclass(frozen=True)
@@ -93,27 +100,38 @@ def open_task(
 
     classes = recipe.model.class_table
     sources = [open_dataset(item, data, classes=classes) for item in recipe.data.source]
+    found = survey(recipe, sources, recipe.model.network_config())
     decided = replace(
         recipe.data,
-        augment=with_crop(recipe.data.augment, sources),
+        augment=with_crop(recipe.data.augment, found.smallest),
         workers=min(recipe.data.workers, available_cores()),
     )
     validation = {
         item.title: open_dataset(item, data, classes=classes) for item in recipe.validation.source
     }
-    require_lidar(validation, LidarInput.parse(recipe.validation.lidar))
     network = build_network(recipe.model, init, resumed=resumed, pictures=spread_pictures(sources))
     train_parts(network, recipe.optimizer.only, recipe.optimizer.frozen)
     if recipe.optimizer.encoder_rate is not None:
         require_encoder(network)
-    heads = network.heads
+    _require_batches(network, decided, processes)
     _require_learning(recipe, network, sources)
-    if recipe.validation.best:
-        _require_figure(recipe, network, validation)
+    targets = recipe.loss.targets_for(network.heads)
+    warnings = [text for target, text in found.notes if target in targets]
+    trained = frame_files(sources)
+    for title, source in validation.items():
+        if not _require_figures(recipe, network, title, source):
+            warnings.append(f"{title} has no ground truth for a head: it gives no scores")
+        if both := len(frame_files([source]) & trained):
+            warnings.append(
+                f"{both} of the {len(source)} frames of {title} are also trained on: its scores do "
+                "not hold for other frames"
+            )
+    for text in warnings if processes.is_first else ():
+        tqdm.write(f"warning: {text}", file=sys.stderr)
     taught_by = prepare_teacher(teacher, recipe.loss, network)
     weights = None
-    if "semantic" in heads and recipe.loss.weighs_classes:
-        weights = _weigh_classes(recipe, sources, network.config.num_classes)
+    if "semantic" in network.heads and recipe.loss.weighs_classes and found.classes.any():
+        weights = class_weights(torch.from_numpy(found.classes), recipe.loss.class_weighting)
     network = network.to(processes.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     synchronise_batch_norm(network, processes)
     criterion = SSDNetLoss(
@@ -142,6 +160,22 @@ def open_task(
     return task
 
 
+def _require_batches(network: Network, data: DataRecipe, processes: Processes) -> None:
+    """Raise InputError for batches and crops of which normalisation sees a single value."""
+    views = 2 if data.augment.pair_shift else 1
+    count, (height, width) = views * data.batch_size * processes.count, data.augment.size
+    batch = [torch.empty(count, channels, height, width, device="meta") for channels in (3, 1)]
+    try:
+        # A network that reads values, which these tensors lack, is not checked.
+        with torch.no_grad(), contextlib.suppress(RuntimeError):
+            copy.deepcopy(network).to("meta")(*batch)
+    except ValueError as error:
+        raise InputError(
+            f"{network.config.name!r} cannot be trained on batches of {count} crops of "
+            f"{height}x{width} ({error}). Raise data.batch_size or data.augment.crop."
+        ) from error
+
+
 def _require_learning(recipe: Recipe, network: Network, sources: Sequence[SampleSource]) -> None:
     """Raise InputError if no term of the loss trains a part, or none applies to any frame."""
     name, loss = network.config.name, recipe.loss
@@ -151,26 +185,31 @@ def _require_learning(recipe: Recipe, network: Network, sources: Sequence[Sample
             f"no loss term with a weight above 0 applies to the heads of {name!r} "
             f"({', '.join(network.heads)}). Set the weight of a term for these heads."
         )
+    rates = recipe.optimizer
+    for part, layers in network.named_children():
+        own = rates.encoder_rate if part == "encoder" else None
+        if not (rates.learning_rate if own is None else own):
+            layers.requires_grad_(False)  # until `TrainingState` chooses the trained parts
     learning = _learning_heads(network)
     terms = [term for term in terms if learning & loss.heads_of(term)]
     if not terms:
         raise InputError(
             f"nothing would learn: no term of the loss depends on a part of {name!r} that is "
-            "trained. Change optimizer.only or optimizer.frozen, or set the weight of another term."
+            "trained at a rate above 0. Change optimizer.only, optimizer.frozen or the rates, or "
+            "set the weight of another term."
         )
     targets = [loss.target_of(term) for term in terms]
     if "" in targets:
         return
     frames = (source[i] for source in sources for i in spread_indices(source, FREQUENCY_SAMPLES))
     if not any(
-        (frame.target(target) != target_kind(target).unlabelled).any()
-        for frame in frames
-        for target in set(targets)
+        learned(frame, target, network.config).any() for frame in frames for target in set(targets)
     ):
         raise InputError(
-            f"no frame of {_titles(recipe)} has a target of the loss: its terms "
-            f"{', '.join(terms)} need {' or '.join(sorted(set(targets)))}. Add a set that has it, "
-            "or set the weight of another term."
+            f"no frame of {', '.join(item.title for item in recipe.data.source)} has a target of "
+            f"the loss: its terms {', '.join(terms)} need {' or '.join(sorted(set(targets)))} "
+            f"(depth up to {network.config.target_depth_m:g} m). Add a set that has it, or set the "
+            "weight of another term."
         )
 
 
@@ -193,50 +232,20 @@ def _learning_heads(network: Network) -> set[str]:
     }
 
 
-def _require_figure(
-    recipe: Recipe, network: Network, validation: Mapping[str, SampleSource]
-) -> None:
-    """Raise InputError if the set of ``validation.best`` does not have the score."""
-    title, _, figure = recipe.validation.best.rpartition("/")
-    lidar = LidarInput.parse(recipe.validation.lidar)
-    for count in (1, FREQUENCY_SAMPLES):  # mostly the first frame is enough
-        indices = spread_indices(validation[title], count)
-        known = figure_names(network, validation[title], indices, lidar)
-        if figure in known:
-            return
-    raise InputError(
-        f"validation.best = {recipe.validation.best!r}; {title} gives {', '.join(known)}. Choose "
-        "one of these."
-    )
+def _require_figures(recipe: Recipe, network: Network, title: str, source: SampleSource) -> bool:
+    """Return whether a set gives scores.
 
-
-def _weigh_classes(
-    recipe: Recipe, sources: Sequence[SampleSource], num_classes: int
-) -> Tensor | None:
-    """Return the weights of the classes; None without labels, whose terms then never apply.
-
-    Pixels are counted in about `FREQUENCY_SAMPLES` frames without augmentation, by the weights of
-    the sets; labels made by a network count by their weight.
+    Raises InputError if it lacks the LiDAR or the score of ``validation.best``.
     """
-    counts = np.zeros(num_classes, dtype=np.float64)
-    total = sum(item.weight for item in recipe.data.source)
-    for item, source in zip(recipe.data.source, sources, strict=True):
-        wanted = max(1, round(FREQUENCY_SAMPLES * item.weight / total))
-        frames = spread_indices(source, wanted)
-        for index in frames:
-            sample = source[index]
-            seen = np.bincount(sample.semantic.ravel(), minlength=256)[:num_classes]
-            weight = sample.weights.get("semantic", 1.0) * wanted / len(frames)
-            counts += seen * weight / sample.semantic.size
-    counts = np.round(counts * 1_000_000)
-    if not counts.any():
-        tqdm.write(
-            f"no pixel of {_titles(recipe)} is labelled: classes and boundaries are not trained",
-            file=sys.stderr,
+    name, _, best = recipe.validation.best.rpartition("/")
+    lidar = LidarInput.parse(recipe.validation.lidar)
+    for count in (_SCORED, FREQUENCY_SAMPLES):  # mostly few frames are enough
+        known = figure_names(network, source, spread_indices(source, count), lidar)
+        if known and (name != title or best in known):
+            return True
+    if name == title:
+        raise InputError(
+            f"validation.best = {recipe.validation.best!r}; {title} gives {', '.join(known)}. "
+            "Choose one of these."
         )
-        return None
-    return class_weights(torch.from_numpy(counts), recipe.loss.class_weighting)
-
-
-def _titles(recipe: Recipe) -> str:
-    return ", ".join(item.title for item in recipe.data.source)
+    return False

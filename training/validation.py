@@ -19,7 +19,7 @@ from models import Network
 from training.datasets.sample import SampleSource
 from training.distributed import Processes
 from training.evaluation.pictures import draw_pictures
-from training.evaluation.scoring import score_sources, torch_predict
+from training.evaluation.scoring import score_sources, scored_classes, torch_predict
 from training.lidar.split import LidarInput
 from training.recipe import ValidationRecipe
 from training.run_folder import folder_errors
@@ -94,7 +94,8 @@ def validate(
     board.add_scalars({f"validation/{name}": score for name, score in shown.items()}, step)
     if not processes.is_first:
         return scores
-    text = ", ".join(f"{name} {score:.4f}" for name, score in shown.items())
+    words = {f"{name}/miou": scored_classes(figures) for name, figures in scores.items()}
+    text = ", ".join(f"{key} {score:.4f}{words.get(key, '')}" for key, score in shown.items())
     tqdm.write(f"step {step}: {text}", file=sys.stderr)
     predict = torch_predict(network)
     for name, source in sources.items():

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from runtime.health.depth_plausibility import BANDS, FIRST_FRAMES, correlations, log_depth
 from runtime.io.calibration import Calibration
 from runtime.prediction import IMAGE_CONSTANT, Prediction
+from runtime.returns import is_measured
 
 _FAR = 0.08  # offset of the principal point / width; KITTI, PandaSet, View-of-Delft: at most 0.02
 _LEAST_RETURNS = 200
@@ -82,7 +83,7 @@ def _gain(
     if camera_only is None or camera_only.depth is None or not camera_only.valid:
         return None
     height, width = sparse_depth.shape
-    row, column = np.nonzero((sparse_depth > 0) & (sparse_depth < np.inf))
+    row, column = np.nonzero(is_measured(sparse_depth))
     inside = (row * scale < height - 0.5) & (column * scale < width - 0.5)
     if np.count_nonzero(inside) < _LEAST_RETURNS or IMAGE_CONSTANT in camera_only.degraded:
         return None

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from runtime.checks import check_number
 from runtime.errors import InputError
 from runtime.prediction import Prediction
+from runtime.returns import is_measured
 
 _SHARE = "consistency, the share of the returns that is held out,"
 _WEIGHT = 0.1  # of a new frame in the running means
@@ -83,7 +84,7 @@ class ConsistencyCheck:
         side = max(height // _SQUARES, 1)
         squares = self._random.random((-(-height // side), -(-width // side))) < self._share
         taken = squares.repeat(side, axis=0).repeat(side, axis=1)[:height, :width]
-        held_out = (sparse_depth > 0) & (sparse_depth < np.inf) & taken
+        held_out = is_measured(sparse_depth) & taken
         return np.where(held_out, np.float32(0), sparse_depth), held_out
 
     def score(
@@ -105,7 +106,7 @@ class ConsistencyCheck:
             stamp_ns: of the image.
         """
         self._frames += 1
-        returns = (sparse_depth > 0) & (sparse_depth < np.inf)
+        returns = is_measured(sparse_depth)
         holdout_error = edge_agreement = scale_error = None
         if prediction.depth is not None and held_out.any():
             holdout_error = float(

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.prediction import IMAGE_CONSTANT, Prediction
+from runtime.returns import is_measured
 
 FIRST_FRAMES = 5  # checked when a stream starts; the median of the last so many counts
 _LEAST_RETURNS, _MOST_RETURNS = 200, 50_000  # denser maps are subsampled
@@ -71,7 +72,7 @@ class DepthPlausibility:
             sparse_depth: float32 (H, W), metres, also beyond the range of the model.
         """
         depth = camera_only.depth
-        row, column = np.nonzero((sparse_depth > 0) & (sparse_depth < np.inf))
+        row, column = np.nonzero(is_measured(sparse_depth))
         trusted = camera_only.valid and IMAGE_CONSTANT not in camera_only.degraded
         if depth is None or not trusted or len(row) < _LEAST_RETURNS:
             return

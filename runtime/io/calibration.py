@@ -15,9 +15,10 @@ from runtime.errors import InputError
 from runtime.io.foreign_calibration import refuse
 from runtime.io.images import list_files, natural_order
 from runtime.io.kitti_calibration import NumbersFile, chain, is_kitti
-from runtime.lens import EQUIDISTANT, PLUMB_BOB, Lens, rectifying_maps
-from runtime.projection import OcclusionFilter, project_points
+from runtime.lens import PLUMB_BOB, Lens, rectifying_maps
+from runtime.projection import OcclusionFilter, check_intrinsics, project_points
 from runtime.read_input import read_toml
+from runtime.rigid import read_rigid
 
 RAW_CAMERAS, RAW_SCANNER = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
 
@@ -40,7 +41,8 @@ class Calibration:
         distortion: coefficients of the lens, in the order of OpenCV and ROS.
 
     Raises:
-        InputError: for invalid matrices, an unknown lens, and coefficients that are not the lens's.
+        InputError: for invalid matrices, see `read_rigid`, an unknown lens, and coefficients that
+            are not the lens's.
     """
 
     intrinsics: NDArray[np.float64]
@@ -52,7 +54,10 @@ class Calibration:
     distortion: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
-        """Check the matrices and the lens."""
+        """Check the matrices and the lens; nearly rigid matrices are made so."""
+        for name in ("extrinsics", "body_from_lidar"):
+            if (matrix := getattr(self, name)) is not None:
+                object.__setattr__(self, name, read_rigid(name, matrix))
         project_points(
             np.zeros((0, 3), np.float32), self.intrinsics, self.extrinsics, self.size or (1, 1)
         )
@@ -131,12 +136,6 @@ class Calibration:
                 f"the calibration is for images of {self.size} (height, width), got an image of "
                 f"{size}: {remedy}"
             )
-
-    def check(self, points: Any) -> None:
-        """Raise InputError unless `points` is a scan, float32 (N, 3) or wider [m]."""
-        is_scan = isinstance(points, np.ndarray) and points.ndim == 2 and points.shape[1] >= 3
-        sliced = points[:0] if is_scan else points
-        project_points(sliced, self.intrinsics, self.extrinsics, (1, 1))
 
     @classmethod
     def from_file(
@@ -228,25 +227,25 @@ class Calibration:
 
         Args:
             info: "p" or "P" (12 numbers), "k" or "K" (9), "d" or "D", "distortion_model",
-                "height" and "width".
-            extrinsics: (4, 4) from the LiDAR's frame to the camera's optical frame, as in tf.
+                "height" and "width", and, if set, "binning_x", "binning_y" and "roi", a mapping.
+            extrinsics: (4, 4) from the LiDAR's frame to the camera's optical frame, as in tf; where
+                P holds a baseline, to the frame of the stereo pair's first camera.
             rectified: True for the images of image_rect, which P describes; False for those of
-                image_raw, which K and D describe (P if D is zero). K is used if P is zero.
+                image_raw, which K and D describe. Of K and P, one that is not zero is used.
 
         Raises:
             InputError: if fields are missing, and for a distortion that is no `lens`.
         """
         fields = {str(key).lower(): value for key, value in info.items()}
-        model, distortion = fields.get("distortion_model"), fields.get("d", ())
-        lens = None
-        if np.size(distortion) and (model == EQUIDISTANT or np.any(distortion)):
-            lens = Lens.of(model, distortion) if not rectified else None
+        distortion = fields.get("d", ())
+        lens = None if rectified else Lens.of_ros(fields.get("distortion_model"), distortion)
         projection = _matrix("P of the CameraInfo", fields.get("p", [0] * 12), 3, 4)
-        shift = np.eye(4)
-        if projection.any() and lens is None:
+        shift, (crop, size) = np.eye(4), _crop(fields)
+        if projection.any() and (rectified or not np.any(fields.get("k", 0))):
             intrinsics = projection[:, :3]
-            # P[0, 3] != 0: the right camera of a stereo pair.
-            shift[0, 3] = projection[0, 3] / (projection[0, 0] or 1)
+            check_intrinsics(intrinsics, "P of the CameraInfo, without its last column,")
+            # P = K [I | t]: t is the baseline to the first camera of a stereo pair.
+            shift[:3, 3] = np.linalg.solve(intrinsics, projection[:, 3])
         elif "k" in fields:
             intrinsics = _matrix("K of the CameraInfo", fields["k"], 3, 3)
             if rectified and np.any(distortion):
@@ -256,11 +255,8 @@ class Calibration:
                 )
         else:
             raise InputError("the CameraInfo has neither p nor k: give its fields as a mapping")
-        size = None
-        if fields.get("height") and fields.get("width"):
-            size = (int(fields["height"]), int(fields["width"]))
         return cls(
-            intrinsics,
+            crop @ intrinsics,
             shift @ _matrix("extrinsics", extrinsics, 4, 4),
             size,
             lens=None if lens is None else lens.model,
@@ -336,6 +332,19 @@ class FrameCalibrations:
         if name not in self._files:
             raise InputError(f"{name} has no calibration in {self._path}")
         return self._read(self._files[name])
+
+
+def _crop(fields: Mapping[str, Any]) -> tuple[NDArray[np.float64], tuple[int, int] | None]:
+    """From pixels of the whole sensor to those of the images of a CameraInfo, and their size."""
+    roi = fields.get("roi") or {}
+    step = np.array([int(fields.get(f"binning_{axis}") or 1) for axis in "xy"])
+    # Of `step` pixels the centre is in their middle.
+    first = np.array([int(roi.get(f"{axis}_offset") or 0) for axis in "xy"]) + (step - 1) / 2
+    sides = np.array([int(roi.get(each) or fields.get(each) or 0) for each in ("height", "width")])
+    crop = np.diag([*(1 / step), 1.0])
+    crop[:2, 2] = -first / step
+    height, width = (sides // step[::-1]).tolist()
+    return crop, (height, width) if height and width else None
 
 
 def _matrix(name: str, numbers: Any, rows: int, columns: int) -> NDArray[np.float64]:

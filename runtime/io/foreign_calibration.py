@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from runtime.checks import cut
 from runtime.errors import InputError
-from runtime.lens import EQUIDISTANT, PLUMB_BOB, RATIONAL_POLYNOMIAL
+from runtime.lens import ALIASES, EQUIDISTANT, PLUMB_BOB, RATIONAL_POLYNOMIAL
 from runtime.read_input import read_text
 
 _EXAMPLE = """\
@@ -27,7 +27,6 @@ extrinsics = [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, -0.08], [1.0, 0.0, 0.0, -0
 size = [375, 1242]  # height, width of the images"""
 _MOST_LINES = 2000  # a longer text holds a calibration at its beginning, or none
 _LEAST_FOCAL_PX = 10.0  # a 3 x 3 matrix with a smaller focal length is a rotation
-_MODELS = {"radtan": PLUMB_BOB, "equi": EQUIDISTANT, "fisheye": EQUIDISTANT}
 _SIZES = ("resolution", "imagesize", "image_size", "size")  # width, height
 #: COLMAP's cameras with lenses of this project; "SIMPLE_" and "RADIAL" have one focal length.
 _COLMAP = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE",
@@ -109,7 +108,7 @@ def _lens(entries: list[_Entry]) -> list[str]:
             stated = [each.text.lower() for each in entries if each.name == "distortion_model"]
             lens = f'lens = "{model}"  # assumed: a fisheye is "{EQUIDISTANT}"'
             if stated:
-                lens = f'lens = "{_MODELS.get(stated[0], stated[0])}"'
+                lens = f'lens = "{ALIASES.get(stated[0], stated[0])}"'
             return [lens, _row("distortion", entry.numbers, entry.path)]
         if is_named and entry.numbers.size > 1:
             count = entry.numbers.size

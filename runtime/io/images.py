@@ -14,6 +14,7 @@ from runtime.contract import MAX_PIXELS
 from runtime.errors import InputError
 from runtime.io.image_header import image_size
 from runtime.read_input import read_input
+from runtime.returns import to_metres
 
 RGB_SUFFIXES = (".png", ".jpg", ".jpeg")
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")
@@ -43,11 +44,11 @@ def read_rgb(path: Path) -> NDArray[np.uint8]:
 def decode_rgb(content: bytes, *, name: str) -> NDArray[np.uint8]:
     """Decode the content of such a file as `read_rgb` does; `name` is for the errors."""
     flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-    image = _decode_content(content, flags, name=name)
+    image = decode(content, flags, name=name)
     if image.dtype != np.uint8:
         raise InputError(
-            f"{name} must hold 8 bits a channel, got {image.dtype.itemsize * 8} bits: "
-            "are the image and depth folders swapped?"
+            f"{name} must hold 8 bits a channel, got {image.dtype.itemsize * 8} bits: is it a "
+            "depth map? Convert an image of more bits"
         )
     return image
 
@@ -61,7 +62,7 @@ def read_sparse_depth(path: Path, *, depth_scale: float = KITTI_DEPTH_SCALE) -> 
         depth_scale: units of uint16 per metre, 256 for KITTI, 100 for Virtual KITTI.
 
     Returns:
-        float32 (H, W), metres; 0 and what is not finite = no measurement.
+        float32 (H, W), metres; 0 and what is not finite, as of 65535, = no measurement.
 
     Raises:
         InputError: if the file cannot be read, is truncated or damaged, or holds anything else.
@@ -75,10 +76,7 @@ def read_sparse_depth(path: Path, *, depth_scale: float = KITTI_DEPTH_SCALE) -> 
             f"{path} must be a depth map of one channel of 16 bits (PNG, TIFF or .npy) or of "
             f"floats in metres (TIFF or .npy), got {depth.dtype} {depth.shape}: {remedy}"
         )
-    scale = np.float32(depth_scale if kind == "u2" else 1)
-    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is no measurement
-        metres: NDArray[np.float32] = np.divide(depth, scale, dtype=np.float32, casting="same_kind")
-    return metres
+    return to_metres(depth, depth_scale if kind == "u2" else 1)
 
 
 def holds_metres(path: Path) -> bool:
@@ -89,7 +87,7 @@ def holds_metres(path: Path) -> bool:
 def _read_map(path: Path) -> NDArray[Any]:
     if path.suffix.lower() == ".npy":
         return read_npy(path)
-    return decode(path, cv2.IMREAD_UNCHANGED)
+    return decode(read_input(path), cv2.IMREAD_UNCHANGED, name=str(path))
 
 
 def read_npy(path: Path) -> NDArray[Any]:
@@ -108,12 +106,8 @@ def read_npy(path: Path) -> NDArray[Any]:
     return array
 
 
-def decode(path: Path, flags: int) -> NDArray[Any]:
-    """Decode a PNG, JPEG or TIFF file with OpenCV's IMREAD_* `flags`. Raises InputError."""
-    return _decode_content(read_input(path), flags, name=str(path))
-
-
-def _decode_content(content: bytes, flags: int, *, name: str) -> NDArray[Any]:
+def decode(content: bytes, flags: int, *, name: str) -> NDArray[Any]:
+    """Decode a PNG, JPEG or TIFF with OpenCV's IMREAD_* `flags`. Raises InputError."""
     if (size := image_size(content)) is not None:
         require_pixels(size, name=name)  # before its pixels take memory
     try:

@@ -15,6 +15,7 @@ from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.timestamps import parse_seconds
 from runtime.read_input import read_text
+from runtime.rigid import read_rigid
 
 _KITTI, _TUM, _OXTS = 12, 8, 30
 _EARTH_RADIUS_M = 6378137.0
@@ -128,20 +129,16 @@ def pose_of(
     """Return the matrix (4, 4) of a position [m] and a unit quaternion x, y, z, w.
 
     Raises:
-        InputError: if the numbers are not finite or the quaternion is not of unit length.
+        InputError: if the numbers are not finite, or as `read_rigid`.
     """
     pose = np.eye(4)
     pose[:3, 3] = tuple(position)
     x, y, z, w = numbers = np.array(tuple(quaternion), np.float64)
-    norm = numbers @ numbers
-    if not (np.isfinite(pose).all() and 0.9 < norm < 1.1):
-        raise InputError(
-            f"{name} has the rotation {numbers.tolist()} and the position "
-            f"{pose[:3, 3].tolist()}: expected a unit quaternion x, y, z, w and metres"
-        )
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    pose[:3, :3] += 2 / norm * (w * cross + cross @ cross)
-    return pose
+    norm, cross = numbers @ numbers, np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pose[:3, :3] += 2 / norm * (w * cross + cross @ cross)
+    pose[:3, :3] *= norm**0.25  # a length off by 1 % is a matrix off by 1 %
+    return read_rigid(f"{name}, x, y, z and a unit quaternion,", pose)
 
 
 def _lines(path: Path) -> list[str]:

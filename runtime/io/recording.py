@@ -52,12 +52,14 @@ class RecordedFrame:
         valid: whether the answers are usable; if not, none are kept.
         degraded: reasons of `Prediction.degraded`; None = not known (PyTorch answered).
         predict_ms: time of `Predictor.predict`; None = not known.
+        focal_length_px: as `Predictor.predict` takes it.
     """
 
     name: str
     valid: bool = True
     degraded: tuple[str, ...] | None = None
     predict_ms: float | None = None
+    focal_length_px: float | None = None
 
 
 @dataclass(frozen=True)
@@ -265,11 +267,13 @@ def _parse(folder: Path, document: Any) -> Recording:
 
 def _frame(entry: Any) -> RecordedFrame:
     degraded, predict_ms = entry["degraded"], entry["predict_ms"]
+    focal_px = entry.get("focal_length_px")
     return RecordedFrame(
         name=str(entry["name"]),
         valid=bool(entry["valid"]),
         degraded=None if degraded is None else tuple(map(str, degraded)),
         predict_ms=None if predict_ms is None else _check("predict_ms", predict_ms),
+        focal_length_px=None if focal_px is None else _check("focal_length_px", focal_px),
     )
 
 

@@ -19,6 +19,7 @@ from runtime.checks import cut, shown
 from runtime.errors import InputError
 from runtime.io.images import read_npy
 from runtime.read_input import MAX_FILE_BYTES, read_input
+from runtime.returns import is_return, is_transposed
 
 SCAN_SUFFIXES = (".pcd.bin", ".bin", ".pcd", ".ply", ".npy")  # .pcd.bin before .bin
 _MAX_HEADER_BYTES = 100_000
@@ -35,9 +36,10 @@ _OF_PLY = {_ASCII: "", "binary_little_endian": "<", "binary_big_endian": ">"}
 # A raw file does not state how many columns a point has. They are judged by the angle between
 # successive points of a rotating scanner: 0.2 degrees along a ring, up to 21 between lasers; with a
 # wrong number of columns the median is 80 or more.
-_COLUMNS = (3, 4, 5, 6)
+_COLUMNS = (3, 4, 5, 6, 8)  # 8: PCL's padded x, y, z, intensity
 _MAX_TURN_DEGREES = 40
 _MAX_DISTANCE_M = 250
+_DIAGONAL, _MOST_ON_AXIS = 0.85, 0.25
 _JUDGED_POINTS, _LEAST_JUDGED = 2000, 50
 
 
@@ -51,44 +53,53 @@ def read_scan(path: Path | str, *, columns: int | None = None) -> NDArray[np.flo
     """Read a scan; the ending of its name decides on the format.
 
     Args:
-        path: .pcd or .ply with the float fields x, y and z; .npy of floats (N, 3) or wider; any
-            other file is raw float32.
+        path: .pcd or .ply with the float fields x, y and z; .npy of floats (N, 3) or wider, or
+            (3, N) to (6, N) as of nuScenes' devkit; any other file is raw float32.
         columns: numbers per point of a raw file; None: 5 of .pcd.bin (nuScenes), else 4 (KITTI).
 
     Returns:
-        float32 (N, 3), x, y, z [m] in the LiDAR's frame, not finite = no return; wider with the
+        float32 (N, 3), x, y, z [m] in the LiDAR's frame; see `is_return`; wider with the
         other columns of a .npy or raw file, such as KITTI's reflectance.
 
     Raises:
-        InputError: if the file cannot be read, is truncated or damaged, lacks x, y or z, or is a
-            raw file whose points are those of a scanner only with another number of columns.
+        InputError: if the file cannot be read, is truncated or damaged, lacks x, y or z, holds
+            numbers that are no points, or is a raw file whose points are those of a scanner only
+            with another number of columns or one coordinate after the other.
     """
     path = Path(path)
     name = path.name.lower()
     try:
         if name.endswith(".npy"):
-            return _check_array(read_npy(path))
-        content = read_input(path)
-        if name.endswith((".pcd", ".ply")):
-            return _read_points(content, is_pcd=name.endswith(".pcd"))
-        return _read_raw(content, columns or (5 if name.endswith(".pcd.bin") else 4))
+            points = _check_array(read_npy(path))
+        elif name.endswith((".pcd", ".ply")):
+            points = _read_points(read_input(path), is_pcd=name.endswith(".pcd"))
+        else:
+            columns = columns or (5 if name.endswith(".pcd.bin") else 4)
+            points = _read_raw(read_input(path), columns)
     except ValueError as error:
         raise InputError(f"cannot read the scan {path}: {error}") from error
+    is_return(points, name=f"the scan {path}")
+    return points
 
 
 def _check_array(array: NDArray[Any]) -> NDArray[np.float32]:
     if array.dtype.kind != "f" or array.ndim != 2 or array.shape[1] < 3:
         raise ValueError(f"expected floats of (N, 3) or wider, got {array.dtype} {array.shape}")
+    array = array.T if is_transposed(array.shape) else array
     with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is no return
-        return array.astype(np.float32)
+        return np.ascontiguousarray(array, np.float32)
 
 
 def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
     values = np.frombuffer(content, "<f4", len(content) // 4)
     scans = {n: values.reshape(-1, n) for n in {columns, *_COLUMNS} if len(content) % (4 * n) == 0}
     ordered = {n: _is_of_a_scanner(points) for n, points in scans.items()}
+    if ordered.get(4):
+        ordered.pop(8, None)  # each second point
     others = " or ".join(str(n) for n in _COLUMNS if n != columns and ordered.get(n))
     if columns in scans and (ordered[columns] is not False or not others):
+        if ordered[columns] is False and _is_of_a_scanner(values.reshape(columns, -1).T):
+            raise ValueError("it holds all x, then all y, ...: write one point after the other")
         return scans[columns].astype(np.float32)
     fault = "do not follow scan lines as" if columns in scans else "are not whole"
     remedy = f": give point_columns={others} in --source" if others else ""
@@ -110,7 +121,11 @@ def _is_of_a_scanner(points: NDArray[np.float32]) -> bool | None:
     directions = judged[is_return] / distances[is_return, None]
     cosines = np.einsum("ij,ij->i", directions[1:], directions[:-1])
     is_ordered = np.median(cosines) > math.cos(math.radians(_MAX_TURN_DEGREES))
-    return bool(is_ordered and np.median(distances[is_return]) < _MAX_DISTANCE_M)
+    is_near = np.median(distances[is_return]) < _MAX_DISTANCE_M
+    # Points of three x are on the diagonal, those of an intensity and gaps on an axis.
+    is_spread = np.median(np.abs(directions.sum(axis=1))) < math.sqrt(3) * _DIAGONAL
+    is_spread &= np.mean(np.count_nonzero(directions, axis=1) == 1) < _MOST_ON_AXIS
+    return bool(is_ordered and is_near and is_spread)
 
 
 def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:

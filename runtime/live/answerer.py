@@ -1,7 +1,6 @@
 """The prediction of a matched frame, and the checks of its sensors."""
 
 import contextlib
-from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -13,10 +12,9 @@ from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.health.frame_health import FrameHealth
 from runtime.io.calibration import Calibration
 from runtime.live.frame_result import FrameResult
-from runtime.live.sensor_input import Points
 from runtime.prediction import IMPLAUSIBLE_DEPTH, Prediction
 from runtime.sync.matching import Pair
-from runtime.sync.motion import DepthMotion, keep_map, project_in_time
+from runtime.sync.motion import DepthInTime, Scan, keep_map, project_in_time
 from runtime.sync.poses import PoseTrack
 
 _CHECK_EVERY = 100  # frames with depth, after the first FIRST_FRAMES
@@ -64,7 +62,7 @@ class Answerer:
         """
         image, depth, reused = pair
         rgb = image.data
-        sparse_depth, motion, reasons = self._sparse_depth(pair, poses)
+        sparse_depth, motion, reasons, lost = self._sparse_depth(pair, poses)
         if self._consistency is None or pair.own_depth is None:
             prediction, consistency = self._predict(rgb, sparse_depth, pair), None
         else:
@@ -82,41 +80,37 @@ class Answerer:
             self._last = None if prediction.depth is None else (pair, sparse_depth)
             if self._is_implausible:
                 reasons = (IMPLAUSIBLE_DEPTH, *reasons)
-        if reasons:
-            prediction = replace(prediction, degraded=(*prediction.degraded, *reasons))
+        prediction = prediction.after_reading(reasons, lost)
         # `predict` has checked that they fit.
         health = self._health.check(rgb, sparse_depth, range_m=prediction.range_m)
         self._answers += 1
         return FrameResult(
             sequence=self._answers - 1,
-            rgb=rgb,
+            rgb=np.broadcast_to(rgb, rgb.shape),  # read-only
             prediction=prediction,
             health=health,
             consistency=consistency,
             image_stamp=image.stamp,
             depth_stamp=None if depth is None else depth.stamp,
             depth_reused=reused,
-            depth_motion=motion,
+            depth_motion=None if depth is None else motion,
             latency_ms=prediction.latency.total_ms,
             age_ms=prediction.latency.total_ms,
         )
 
-    def _sparse_depth(
-        self, pair: Pair, poses: PoseTrack | None
-    ) -> tuple[NDArray[np.float32], DepthMotion | None, tuple[str, ...]]:
+    def _sparse_depth(self, pair: Pair, poses: PoseTrack | None) -> DepthInTime:
         """The depth map, how its returns were moved, and what is wrong with it."""
         depth, image = pair.depth, pair.image
         size = image.data.shape[:2]
         if depth is None:
-            return np.zeros(size, np.float32), None, ()
+            return DepthInTime(np.zeros(size, np.float32), "none", ())
         scan = depth.data
-        if not isinstance(scan, Points):
+        if not isinstance(scan, Scan):
             apart = depth.stamp_ns != image.stamp_ns
             return keep_map(scan, apart=apart, has_poses=poses is not None, reused=pair.reused)
         assert self._calibration is not None  # push_points requires it
-        times = depth.stamp_ns if scan.times is None else scan.times  # None = without poses
         return project_in_time(
-            self._calibration, scan.points, times, poses, image.stamp_ns, size, reused=pair.reused
+            self._calibration, scan, poses, image.stamp_ns, size, reused=pair.reused
         )
 
     def check_last(self, *, idle: bool) -> None:

@@ -16,7 +16,7 @@ class FrameResult(FrameOutcome):
     """The answer to one image and the depth map that was matched with it, see `FrameOutcome`.
 
     Attributes:
-        rgb: uint8 (H, W, 3), the image.
+        rgb: uint8 (H, W, 3), the image, read-only: the next check predicts from it.
         consistency: running figures of calibration and sync; None without the option `consistency`,
             and where the prediction is from the camera alone.
     """

@@ -227,8 +227,8 @@ class PushStream:
                 nanoseconds of its clock. None = unknown, see `scan_stamp`.
 
         Raises:
-            InputError: as `push_image`, if the stream has no `calibration`, and for times that are
-                more than a second from the stamp.
+            InputError: as `push_image`, if the stream has no `calibration`, for a scan whose points
+                are none, and if half of the times are more than a second from the stamp.
             InferenceError: as `push_image`.
         """
         self._push("points", points, stamp, times)

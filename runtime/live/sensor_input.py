@@ -1,6 +1,6 @@
 """What sensors send: its checks, the poses of the car, and the time of each scan."""
 
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,16 +9,19 @@ from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.preprocess import check_rgb, check_sparse_depth
+from runtime.returns import check_points
+from runtime.rigid import read_rigid
 from runtime.sync.matching import Intervals, Pair
 from runtime.sync.motion import (
     FIRST_SCAN_NS,
     MIDDLE_AFTER,
+    Scan,
     check_scan_stamp,
     lidar_mount,
     point_times,
 )
 from runtime.sync.outcome import Sensor
-from runtime.sync.poses import PoseBuffer, PoseFrame, PoseTrack, check_pose
+from runtime.sync.poses import PoseBuffer, PoseFrame, PoseTrack
 
 Kind = Literal["image", "depth", "points", "pose"]
 SENSORS: dict[str, Sensor] = {
@@ -27,18 +30,6 @@ SENSORS: dict[str, Sensor] = {
     "points": Sensor.DEPTH,
     "pose": Sensor.POSE,
 }
-
-
-class Points(NamedTuple):
-    """A scan, to be projected into its image.
-
-    Attributes:
-        points: float32 (N, 3) or wider, metres, LiDAR frame.
-        times: nanoseconds: int64 (N,), one time for all, or None = not known yet.
-    """
-
-    points: NDArray[np.float32]
-    times: NDArray[np.int64] | int | None = None
 
 
 class SensorInput:
@@ -73,7 +64,7 @@ class SensorInput:
             self._mount = lidar_mount(PoseFrame(pose_frame), calibration)
 
     def check(self, kind: Kind, data: Any, stamp_ns: int, times: Any = None) -> Any:
-        """Return a copy of what a sensor sends, a scan as `Points`; raises InputError."""
+        """Return a copy of what a sensor sends, a scan as `Scan`; raises InputError."""
         match kind:
             case "image":
                 return check_rgb(data).copy()
@@ -84,19 +75,19 @@ class SensorInput:
             case "pose":
                 if self._mount is None:
                     raise InputError('poses need pose_frame="lidar", "camera" or "body"')
-                return check_pose(data)
+                return read_rigid("pose", data)
         if self._calibration is None:
             raise InputError("points need a calibration to be projected: give calibration=")
-        self._calibration.check(data)
-        known = None if times is None else point_times(times, len(data), stamp_ns)
-        return Points(data.copy(), known)
+        check_points(data)
+        after_s = None if times is None else point_times(times, len(data), stamp_ns)
+        return Scan.of(data.copy(), after_s, stamp_ns)
 
     def timed(self, depth: Any, stamp_ns: int) -> Any:
         """A scan with its time, which is that of its middle if its points have no times.
 
         Called once for each depth message; a depth map is returned as it is.
         """
-        if not isinstance(depth, Points):
+        if not isinstance(depth, Scan):
             return depth
         later = self._middle_after * (self._scans.period_ns() or FIRST_SCAN_NS)
         self._scans.add(stamp_ns)
@@ -117,7 +108,7 @@ class SensorInput:
 def _span_ns(pair: Pair) -> tuple[int, int]:
     """(Earliest, latest) of the times of a frame's image and returns."""
     times = [np.int64(pair.image.stamp_ns)]
-    if pair.depth is not None and isinstance(pair.depth.data, Points):
+    if pair.depth is not None and isinstance(pair.depth.data, Scan):
         of_points = np.asarray(pair.depth.data.times)
         if of_points.size:
             times += [of_points.min(), of_points.max()]

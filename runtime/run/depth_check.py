@@ -14,6 +14,8 @@ from runtime.io.images import holds_metres
 from runtime.lens import EQUIDISTANT, rays
 from runtime.predictor import Predictor
 from runtime.preprocess import check_sparse_depth, clean_sparse_depth
+from runtime.returns import is_measured
+from runtime.run.options import RunOptions
 from runtime.sources.source import ListedFrame, Source
 from runtime.sync.outcome import Sensor
 
@@ -52,7 +54,7 @@ def find_lens_fault(calibration: Calibration | None, size: tuple[int, int] | Non
 
 
 def find_depth_fault(
-    predictor: Predictor, frames: Sequence[ListedFrame], source: Source
+    predictor: Predictor, frames: Sequence[ListedFrame], source: Source, options: RunOptions
 ) -> str | None:
     """Return why the depth of a stream cannot be right, and what to try; None = nothing found.
 
@@ -74,11 +76,12 @@ def find_depth_fault(
             check_sparse_depth(frame.sparse_depth, size=size)
             if listed.depth is None:
                 continue
-            range_m = predictor.camera_scale(size).range_m
+            focal_px = options.focal_length_px(frame)
+            range_m = predictor.camera_scale(size, focal_length_px=focal_px).range_m
             returns.append(clean_sparse_depth(frame.sparse_depth, max_depth_m=range_m)[2])
             camera_only = None
-            if (frame.sparse_depth > 0).any():
-                camera_only = predictor.predict(frame.rgb, None)
+            if is_measured(frame.sparse_depth).any():
+                camera_only = predictor.predict(frame.rgb, None, focal_length_px=focal_px)
                 check.add(camera_only, frame.sparse_depth)
                 if depth_scale is not None and holds_metres(listed.depth):
                     depth_scale = None

@@ -25,6 +25,7 @@ from runtime.io.scan import SCAN_SUFFIXES
 from runtime.network_size import NetworkSize, parse_network_size
 from runtime.run.run_folder import KINDS, SUFFIXES
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
+from runtime.sources.frames import Frame
 from runtime.sources.registry import (
     SOURCES,
     SourcePath,
@@ -299,13 +300,13 @@ class RunOptions:
         record = self.record and self.record / camera
         return dataclasses.replace(self, out=self.folder / camera, record=record, **files)
 
-    def focal_length_px(self, source: Source) -> float | None:
-        """The focal length of the run: --focal-length, else that of the source."""
+    def focal_length_px(self, of: Source | Frame) -> float | None:
+        """The focal length: --focal-length, else that of the calibration of a source or frame."""
         if self.focal_length is not None:
             return self.focal_length
         if self.demo:
             return BUNDLED_FOCAL_LENGTH_PX
-        return None if source.calibration is None else source.calibration.focal_length_px
+        return None if of.calibration is None else of.calibration.focal_length_px
 
     def shard_of(self, frames: Sequence[ListedFrame]) -> Sequence[ListedFrame]:
         """The frames that --shard names."""

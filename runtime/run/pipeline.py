@@ -59,6 +59,7 @@ def run_stream(
     frames: Sequence[ListedFrame],
     *,
     read: Callable[[ListedFrame], Frame],
+    focal_length_px: Callable[[Frame], float | None] = lambda frame: None,
     rate_hz: float | None = None,
     deadline_ms: float | None = None,
     degraded: tuple[str, ...] = (),
@@ -76,6 +77,7 @@ def run_stream(
         predictor: predicts the frames, in the calling thread.
         frames: to read.
         read: reads one of `frames`; called in order, in the reading thread.
+        focal_length_px: gives that of a frame; None = the predictor's.
         rate_hz: frames are due at this rate from the start on, and none is predicted earlier
             (constant stream of MLPerf); None = each when the one before is done (single stream).
         deadline_ms: limit of `FrameOutcome.latency_ms`; None = no limit.
@@ -99,9 +101,10 @@ def run_stream(
         started = time.perf_counter()
         frame = read(listed)
         read_ms = (time.perf_counter() - started) * 1e3
-        scale = predictor.camera_scale((frame.rgb.shape[0], frame.rgb.shape[1]))
-        found = health.check(frame.rgb, frame.sparse_depth, range_m=scale.range_m)
-        return replace(frame, name=listed.name, health=found), read_ms
+        size, focal_px = frame.rgb.shape[:2], focal_length_px(frame)
+        range_m = predictor.camera_scale(size, focal_length_px=focal_px).range_m
+        found = health.check(frame.rgb, frame.sparse_depth, range_m=range_m)
+        return replace(frame, name=listed.name, health=found, focal_length_px=focal_px), read_ms
 
     def read_next() -> None:
         for index, listed in waiting:
@@ -114,7 +117,8 @@ def run_stream(
         """Predict a frame and start writing its answer; return the outcome and the write."""
         try:
             frame, read_ms = reading.result()
-            prediction = predictor.predict(frame.rgb, frame.sparse_depth)
+            rgb, depth, focal_px = frame.rgb, frame.sparse_depth, frame.focal_length_px
+            prediction = predictor.predict(rgb, depth, focal_length_px=focal_px)
         except SSDNetError as error:
             return FrameOutcome(sequence=index, name=name, reason=str(error)), None
         latency_ms, age_ms, jitter_ms = prediction.latency.total_ms, None, None
@@ -124,7 +128,7 @@ def run_stream(
         for recorder in recorders:
             recorder.write(frame, prediction)
         reason = "" if prediction.valid else ", ".join(prediction.degraded)
-        prediction = replace(prediction, degraded=prediction.degraded + frame.degraded + degraded)
+        prediction = prediction.after_reading(frame.degraded + degraded, frame.lost_points)
         written = None
         if outputs and prediction.valid:
             written = writing_thread.submit(_write, outputs, frame, prediction)

@@ -106,7 +106,7 @@ def _run_camera(
         kinds = _answered_kinds(options, predictor)
         frame_size = _warm_up(predictor, frames, source, runs=options.warmup)
         require_outputs(options, source)
-        fault = find_depth_fault(predictor, listed, source)  # the same for all shards
+        fault = find_depth_fault(predictor, listed, source, options)  # the same for all shards
         degraded = () if fault is None or isinstance(fault, NoDepth) else (IMPLAUSIBLE_DEPTH,)
         about = [*source.notes, describe_predictor(predictor, frame_size)]
         faults = (find_lens_fault(source.calibration, frame_size), fault)
@@ -121,6 +121,7 @@ def _run_camera(
                 predictor,
                 frames,
                 read=source.read,
+                focal_length_px=options.focal_length_px,
                 rate_hz=options.rate,
                 deadline_ms=options.deadline_ms,
                 degraded=degraded,
@@ -198,6 +199,7 @@ def _report(
         "depth_range_m": scale and round(scale.range_m, 2),
         "lens": source.calibration and source.calibration.lens,
         "distortion": source.calibration and source.calibration.distortion,
+        "assumptions": [note for note in source.notes if note.startswith("warning: ")],
         "rectified_by_this_run": options.rectify,
         "shard": options.shard,
         "warmup": options.warmup,

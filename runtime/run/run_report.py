@@ -6,7 +6,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -228,7 +228,7 @@ def frames_csv(report: RunReport) -> str:
     writer.writerow(
         ["index", "name", "status", "reason", "height", "width"]
         + [f"{stage}_ms" for stage in STAGES]
-        + ["missed_deadline", "degraded", "nan", "infinite", "negative", "too_far"]
+        + ["missed_deadline", "degraded", *(each.name for each in fields(Cleaned))]
         + ["depth_returns", "network_height", "network_width"]
         + ["image_stamp_ns", "depth_stamp_ns", "health", "depth_source", "depth_motion"]
     )

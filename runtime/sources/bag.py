@@ -2,18 +2,17 @@
 
 import contextlib
 import os
-import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from runtime.assumptions import assume, collect_assumptions
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
+from runtime.point_cloud import to_points
 from runtime.sources.frames import Frame
 from runtime.sources.recorded_motion import (
     RecordedPoses,
@@ -23,6 +22,7 @@ from runtime.sources.recorded_motion import (
     track_of,
 )
 from runtime.sources.ros_bag import RecordedMessage, RosBag
+from runtime.sources.ros_camera import CAMERA_INFO, calibrate
 from runtime.sources.ros_messages import (
     decode_compressed_image,
     decode_depth_image,
@@ -32,13 +32,15 @@ from runtime.sources.ros_messages import (
 )
 from runtime.sources.ros_poses import (
     TransformTree,
+    frame_name,
+    odometry_pose,
     odometry_poses,
-    point_times_ns,
+    point_times_s,
     transform_poses,
 )
 from runtime.sources.source import ListedFrame, Source
 from runtime.sync.matching import Message
-from runtime.sync.motion import ScanStamp
+from runtime.sync.motion import Scan, ScanStamp
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.poses import PoseFrame
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
@@ -47,14 +49,11 @@ IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 ODOMETRY = "nav_msgs/msg/Odometry"
-CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 #: As depth_topic: the camera alone.
 NO_TOPIC = "none"
 
 
-#: Words, between / and _, of the names of topics of rectified images.
-_RECTIFIED = {"rect", "rectified"}
 _SUFFIXES = (".bag", ".db3", ".mcap")
 
 
@@ -72,6 +71,9 @@ class BagSource(Source):
             "none": the camera alone; None: the only one.
         info_topic: of CameraInfo; None: the one beside the images.
         calibration: as `Calibration.from_file`, in place of CameraInfo and /tf_static.
+        rectified: whether the images are; None: by their CameraInfo and the name of their topic.
+        registered: whether depth images lie on the pixels of the images; None: if both are of one
+            frame. Others are moved by their CameraInfo and /tf_static or `calibration`.
         max_skew_ms: largest difference of the time stamps of an image and its depth.
         reuse_depth_ms: largest age of the depth that an image without depth of its own takes.
         scan_stamp: what instant of a scan its time stamp is.
@@ -94,6 +96,8 @@ class BagSource(Source):
         depth_topic: str | None = None,
         info_topic: str | None = None,
         calibration: Path | None = None,
+        rectified: bool | None = None,
+        registered: bool | None = None,
         max_skew_ms: float = DEFAULT_MAX_SKEW_MS,
         reuse_depth_ms: float = DEFAULT_REUSE_DEPTH_MS,
         scan_stamp: ScanStamp = "middle",
@@ -101,6 +105,7 @@ class BagSource(Source):
     ) -> None:
         self._max_skew_ms, self._calibration_path = max_skew_ms, calibration
         self._reuse_depth_ms, self._scan_stamp = reuse_depth_ms, scan_stamp
+        self._rectified_images, self._registered = rectified, registered
         self._bag = path if isinstance(path, RosBag) else RosBag(path)
         path = self._bag.path
         self.folders = (path if os.path.isdir(path) else Path(os.path.realpath(path)).parent,)
@@ -110,11 +115,11 @@ class BagSource(Source):
         try:
             self._image_topic, self._depth_topic = self._find_topics(image_topic, depth_topic)
             self._has_clouds = self._depth_topic in self._of_kind(POINT_CLOUD)
-            infos = self._of_kind(CAMERA_INFO)
-            beside = [topic for topic in _beside(self._image_topic) if topic in infos]
-            self._info_topic = self._choose("info_topic", info_topic, infos, beside[:1])
-            self.calibration = self._calibrate()
-            self._pose_topic, self._poses = self._find_poses(pose_topic)
+            self._info_topic = self._find_info(self._image_topic, info_topic)
+            self._depth_camera: Calibration | None = None  # of depth images that are moved
+            with collect_assumptions(self._notes):
+                self.calibration = self._calibrate()
+                self._pose_topic, self._poses = self._find_poses(pose_topic)
         except BaseException:
             self.close()
             raise
@@ -156,9 +161,9 @@ class BagSource(Source):
         images, depths = self._of_kind(COMPRESSED_IMAGE), self._of_kind(POINT_CLOUD)
         images = [topic for topic in images if not topic.endswith("/compressedDepth")]
         for topic in self._of_kind(IMAGE):
-            for message in self._bag.decoded(topic):
-                (depths if is_depth_encoding(message.encoding) else images).append(topic)
-                break
+            with contextlib.suppress(InputError):  # none of its messages can be decoded
+                encoding = self._bag.first(topic).encoding
+                (depths if is_depth_encoding(encoding) else images).append(topic)
         twice = {f"{topic}/compressed" for topic in images}  # compressed copies of the same images
         single = [topic for topic in images if topic not in twice]
         image = self._choose("image_topic", image_topic, images, single)
@@ -186,48 +191,61 @@ class BagSource(Source):
         return requested
 
     def _undecided(self, what: str, found: list[str], ways: str) -> InputError:
-        path = self._bag.path
-        topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(self._bag.types.items()))
+        bag, path = self._bag, self._bag.path
+        topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(bag.types.items()))
         return InputError(
             f"{path} has {len(found) or 'no'} topics of {what}, give --source bag:{path},{ways}. "
-            f"It has the topics {topics or '(none)'}"
+            f"It has the topics {'; '.join([topics or '(none)', *left_out_note(bag.left_out)])}"
         )
+
+    def _find_info(self, topic: str, requested: str | None = None) -> str | None:
+        """The requested topic of CameraInfo, or the one beside a topic. Raises InputError."""
+        infos = self._of_kind(CAMERA_INFO)
+        beside = [each for each in _beside(topic) if each in infos]
+        return self._choose("info_topic", requested, infos, beside[:1])
 
     def _calibrate(self) -> Calibration | None:
         """The given calibration, or that of CameraInfo and /tf_static."""
-        if self._calibration_path is not None:
-            return Calibration.from_file(self._calibration_path, for_scans=self._has_clouds)
-        info = None if self._info_topic is None else self._first(self._info_topic)
-        rectified = not _RECTIFIED.isdisjoint(re.split("[/_]", self._image_topic.lower()))
-        if not self._has_clouds:
-            # Depth images need no projection: only the focal length and clouds need a calibration.
-            with contextlib.suppress(InputError):
-                if info is not None:
-                    return Calibration.from_camera_info(
-                        _fields(info), np.eye(4), rectified=rectified
-                    )
+        image, depth, path = self._image_topic, self._depth_topic, self._calibration_path
+        if depth is None or not (self._has_clouds or self._is_apart(depth)):
+            if path is not None:
+                return Calibration.from_file(path)
+            with contextlib.suppress(InputError), collect_assumptions([]):  # the focal length
+                return self._camera(image, self._info_topic)
             return None
-        if info is None:
-            raise InputError(
-                f"{self._bag.path} has no CameraInfo beside {self._image_topic} to project "
-                f"{self._depth_topic} with: give info_topic= in --source, or --calibration"
-            )
-        camera = self._first(self._image_topic).header.frame_id or info.header.frame_id
-        extrinsics = self._tree.between(self._lidar, camera)
         try:
-            found = Calibration.from_camera_info(_fields(info), extrinsics, rectified=rectified)
+            if not self._has_clouds:
+                self._depth_camera = self._camera(depth, self._find_info(depth))
+            if path is not None:
+                return Calibration.from_file(path, for_scans=True)
+            return self._camera(image, self._info_topic, self._frame(depth))
         except InputError as error:
+            if self._has_clouds:
+                raise
             raise InputError(
-                f"the CameraInfo of {self._info_topic}: {error}; or give --calibration"
+                f"{depth} is of the frame {self._frame(depth)}, not of {self._frame(image)} as the "
+                "images: choose a topic of aligned depth, or state registered=true in --source if "
+                f"it lies on their pixels. It cannot be projected: {error}"
             ) from error
-        if found.lens is not None:
-            self._notes.append(f"guessed: {self._image_topic} is not rectified, by its name")
-        return found
 
-    @cached_property
-    def _lidar(self) -> str:
-        """The frame of the clouds."""
-        return str(self._first(self._depth_topic or "").header.frame_id)
+    def _is_apart(self, depth: str) -> bool:
+        """Whether depth images do not lie on the pixels of the images."""
+        frames = self._frame(depth), self._frame(self._image_topic)
+        if self._registered is None and not all(frames):
+            assume(f"{depth} lies on the pixels of the images", "state it with registered=true")
+        return not self._registered and all(frames) and frames[0] != frames[1]
+
+    def _camera(self, topic: str, info: str | None, source: str = "") -> Calibration:
+        """The calibration of the images of a topic, or of its depth images. Raises InputError."""
+        if info is None:
+            remedy = "give info_topic= in --source, or --calibration"
+            raise InputError(f"{self._bag.path} has no CameraInfo beside {topic}: {remedy}")
+        stated = self._rectified_images if topic == self._image_topic else None
+        return calibrate(self._bag, self._tree, topic, info, source, stated)
+
+    def _frame(self, topic: str) -> str:
+        """The frame of the first message of a topic."""
+        return frame_name(self._bag.first(topic).header.frame_id)
 
     @cached_property
     def _tree(self) -> TransformTree:
@@ -247,26 +265,21 @@ class BagSource(Source):
                 self._notes.append(f"no poses: choose one of {names} by pose_topic= in --source")
             return None, None
         try:
+            lidar = self._frame(self._depth_topic or "")
             if topic in odometry:
-                body, stamped = odometry_poses(self._bag.decoded(topic))
+                body, stamped = odometry_poses(self._bag.decoded(topic, odometry_pose))
             else:
-                carriers = self._tree.carriers(self._lidar)
+                carriers = self._tree.carriers(lidar)
                 body, stamped = transform_poses(self._bag.decoded(topic), carriers)
             mount = None
             if self.calibration is None or self.calibration.body_from_lidar is None:
-                mount = self._tree.between(self._lidar, body)
+                mount = self._tree.between(lidar, body)
             return topic, RecordedPoses(track_of(stamped), PoseFrame.BODY, mount)
         except InputError as error:
             if requested is not None:
                 raise
             self._notes.append(f"the poses of {topic} are not used: {error}")
             return None, None
-
-    def _first(self, topic: str) -> Any:
-        """The first message of a topic. Raises InputError if there is none."""
-        for message in self._bag.decoded(topic):
-            return message
-        raise InputError(f"the topic {topic} of {self._bag.path} has no messages")
 
     @staticmethod
     def accepts(path: Path) -> bool:
@@ -288,9 +301,6 @@ class BagSource(Source):
                     self._left_out[f"{sensor}: {Outcome.BAD_STAMP}"] += 1
                 else:
                     yield sensor, stamp_ns or message.recorded_ns, place
-            for topic, count in self._bag.lost.items():
-                sensor = Sensor.IMAGE if topic == self._image_topic else Sensor.DEPTH
-                self._left_out[f"{sensor}: listed in the index, but missing"] += count
 
         def name(image: Message) -> str:
             stamp = str(image.stamp_ns)
@@ -307,6 +317,7 @@ class BagSource(Source):
             name=name,
             camera_only=self._depth_topic is None,
         )
+        self._left_out.update(self._bag.left_out)
         if not frames:
             raise InputError(
                 f"the topic {self._image_topic} of {self._bag.path} has no messages with a stamp"
@@ -327,17 +338,25 @@ class BagSource(Source):
         image = self._bag.decode(messages[frame.image])
         is_compressed = self._bag.types[self._image_topic] == COMPRESSED_IMAGE
         rgb = decode_compressed_image(image) if is_compressed else decode_image(image)
-        has_map = frame.depth is not None and not self._has_clouds
+        is_moved = self._has_clouds or self._depth_camera is not None
+        has_map = frame.depth is not None and not is_moved
         rgb, calibration = self._rectified(rgb, self.calibration, has_map=has_map)
         if frame.depth is None:
             return frame_of(frame, rgb, calibration)
         message = self._bag.decode(messages[frame.depth])
-        if has_map:
-            return frame_of(frame, rgb, calibration, sparse_depth=decode_depth_image(message))
-        points, times = decode_points(message), None
+        if not self._has_clouds:
+            depth = decode_depth_image(message)
+            if self._depth_camera is None:
+                return frame_of(frame, rgb, calibration, sparse_depth=depth)
+            camera = self._depth_camera
+            camera.require_size(depth.shape)
+            cloud = to_points(depth, camera.intrinsics, lens=camera.lens_model)
+            return frame_of(frame, rgb, calibration, scan=Scan.of(cloud.points))
+        points, after_s = decode_points(message), None
         if self._poses is not None and frame.depth_stamp_ns is not None:
-            times = point_times_ns(message, frame.depth_stamp_ns)
-        return frame_of(frame, rgb, calibration, points=points, times=times, poses=self._poses)
+            after_s = point_times_s(message, frame.depth_stamp_ns, points)
+        scan = Scan.of(points, after_s, frame.depth_stamp_ns or 0)
+        return frame_of(frame, rgb, calibration, scan=scan, poses=self._poses)
 
     def _take(self, frame: ListedFrame) -> dict[int, RecordedMessage]:
         """The messages of a frame by position; messages of later frames are read ahead and kept."""
@@ -375,6 +394,8 @@ class BagSource(Source):
             "bag": str(self._bag.path),
             **self._topics,
             "calibration": None if calibration is None else str(calibration),
+            "rectified": self._rectified_images,
+            "registered": self._registered,
             "max_skew_ms": self._max_skew_ms,
             "reuse_depth_ms": self._reuse_depth_ms,
             "left_out": dict(self._left_out),
@@ -389,12 +410,6 @@ class BagSource(Source):
     def close(self) -> None:
         """See `Source.close`."""
         self._bag.close()
-
-
-def _fields(info: Any) -> Mapping[str, Any]:
-    """The fields of a CameraInfo; ROS 1 has them in capitals."""
-    names = ("height", "width", "distortion_model", "D", "K", "P", "d", "k", "p")
-    return {name.lower(): getattr(info, name) for name in names if hasattr(info, name)}
 
 
 def _beside(topic: str) -> list[str]:

@@ -1,5 +1,6 @@
 """Images and depth maps or scans of the same names in two folders, or one of each."""
 
+import contextlib
 import os
 import re
 from collections import Counter
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.assumptions import assume, collect_assumptions
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration, FrameCalibrations
 from runtime.io.images import (
@@ -33,14 +35,14 @@ from runtime.sources.recorded_motion import (
     match_frames,
 )
 from runtime.sources.source import ListedFrame, Source, pair_up
-from runtime.sync.motion import ScanStamp, lidar_mount, point_times
+from runtime.sync.motion import Scan, ScanStamp, lidar_mount, point_times
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.poses import PoseFrame, PoseTrack
 from runtime.sync.stamp import DEFAULT_REUSE_DEPTH_MS, NS_PER_MS
 
 _APART_NS = 100 * NS_PER_MS  # between images without times
-#: Camera of a folder of KITTI: image_02, image_2/, image_02/data.
-_KITTI_CAMERA = re.compile(r"(?:^|/)image_0?([0-3])(?:/data)?$")
+#: Camera of a folder of KITTI, or of an image in it: image_02, image_2/0.png, image_02/data.
+_KITTI_CAMERA = re.compile(r"(?:^|/)image_0?([0-3])(?:/data)?(?:/[^/\n]*\.\w+)?$", re.MULTILINE)
 
 
 class FolderSource(Source):
@@ -57,6 +59,8 @@ class FolderSource(Source):
         point_columns: numbers per point of .bin scans; None: as `read_scan`.
         calibration: TOML or KITTI file, see `Calibration.from_file`, or a folder with such a file
             of the name of each frame. Scans need one.
+        camera: number of KITTI's camera, 0 to 3; None: that of the folder's name, links followed
+            (image_2), else 2, with a warning if the scans of another would lie elsewhere.
         timestamps: file with the time of each image, see `read_timestamps`; None: unknown.
         reuse_depth_ms: an image without depth of its own takes the newest before it that is at most
             so old. None: 150 with `poses` or `timestamps`; without any of the three an image
@@ -88,6 +92,7 @@ class FolderSource(Source):
         depth_scale: float = KITTI_DEPTH_SCALE,
         point_columns: int | None = None,
         calibration: Path | None = None,
+        camera: int | None = None,
         timestamps: Path | None = None,
         reuse_depth_ms: float | None = None,
         poses: Path | None = None,
@@ -118,15 +123,21 @@ class FolderSource(Source):
         self._poses: RecordedPoses | None = None
         self._calibration, self._calibrations = calibration, None
         if calibration is not None:
-            camera = _KITTI_CAMERA.search(rgb.as_posix())
             read = partial(
-                Calibration.from_file,
-                camera=int(camera[1]) if camera else 2,
-                rectified=self._kitti_rectified,
-                for_scans=self._has_scans,
+                Calibration.from_file, rectified=self._kitti_rectified, for_scans=self._has_scans
             )
-            self._calibrations = FrameCalibrations(calibration, read)
+            named = _KITTI_CAMERA.search(f"{os.path.realpath(rgb)}\n{rgb.as_posix()}")
+            known = int(named[1]) if camera is None and named else camera
+            of_camera = partial(read, camera=2 if known is None else known)
+            with collect_assumptions(self._notes):
+                self._calibrations = FrameCalibrations(calibration, of_camera)
             self.calibration = self._calibrations.first
+            for other in (0, 1, 3) if known is None and self._has_scans else ():
+                with contextlib.suppress(InputError), collect_assumptions([]):  # may be missing
+                    found = FrameCalibrations(calibration, partial(read, camera=other)).first
+                    if not np.allclose(found.extrinsics, self.calibration.extrinsics):
+                        with collect_assumptions(self._notes):
+                            assume(f"camera 2 of KITTI for {rgb}", "camera= in --source")
             if pose_frame is not None:
                 lidar_mount(pose_frame, self.calibration)  # raises InputError if unknown
 
@@ -175,8 +186,9 @@ class FolderSource(Source):
                 )
         if self._poses_file is not None and self._pose_frame is not None:
             of_clock = self._timestamps is not None
-            poses_ns, poses = read_poses(self._poses_file, stamps_ns, of_clock=of_clock)
-            self._poses = RecordedPoses(PoseTrack.of(poses, poses_ns), self._pose_frame)
+            with collect_assumptions(self._notes):
+                poses_ns, poses = read_poses(self._poses_file, stamps_ns, of_clock=of_clock)
+                self._poses = RecordedPoses(PoseTrack.of(poses, poses_ns), self._pose_frame)
         messages: list[tuple[Sensor, int, Path]] = []
         for (name, image), stamp_ns in zip(images.items(), stamps_ns, strict=True):
             if name in depths:
@@ -233,7 +245,8 @@ class FolderSource(Source):
         if frame.depth is None and self._depth is not None and not self.camera_alone:
             raise InputError(f"{frame.name} has an image, but no {self._what}")
         rgb = self._read_image(frame.image)
-        found = None if self._calibrations is None else self._calibrations.of(frame.name)
+        with collect_assumptions(self._notes):
+            found = None if self._calibrations is None else self._calibrations.of(frame.name)
         has_map = frame.depth is not None and not self._has_scans
         rgb, calibration = self._rectified(rgb, found, has_map=has_map)
         if frame.depth is None:
@@ -241,7 +254,7 @@ class FolderSource(Source):
         if has_map:
             sparse_depth = read_sparse_depth(frame.depth, depth_scale=self._depth_scale)
             return frame_of(frame, rgb, calibration, sparse_depth=sparse_depth)
-        points, times = read_scan(frame.depth, columns=self._point_columns), None
+        points, after_s = read_scan(frame.depth, columns=self._point_columns), None
         column = self._point_time_column
         if column is not None and column >= points.shape[1]:
             raise InputError(
@@ -249,8 +262,9 @@ class FolderSource(Source):
                 f"is {column}: beyond x, y and z only those of .bin and .npy are read"
             )
         if column is not None and frame.depth_stamp_ns is not None:
-            times = point_times(points[:, column], len(points), frame.depth_stamp_ns)
-        return frame_of(frame, rgb, calibration, points=points, times=times, poses=self._poses)
+            after_s = point_times(points[:, column], len(points), frame.depth_stamp_ns)
+        scan = Scan.of(points, after_s, frame.depth_stamp_ns or 0)
+        return frame_of(frame, rgb, calibration, scan=scan, poses=self._poses)
 
     @property
     def inputs(self) -> dict[str, Any]:
@@ -296,8 +310,8 @@ def _is_image(path: Path) -> bool:
     return path.suffix.lower() in RGB_SUFFIXES and os.path.isfile(path)
 
 
-def _numbers(stem: str) -> tuple[str, ...]:
-    return tuple(re.findall("[0-9]+", stem))
+def _numbers(stem: str) -> tuple[int, ...]:
+    return tuple(map(int, re.findall("[0-9]+", stem)))
 
 
 def _few(names: Iterable[str]) -> str:

@@ -10,9 +10,8 @@ from runtime.sources.folders import FolderSource
 class KittiObjectSource(FolderSource):
     """``image_<camera>/ID.png``, ``velodyne/ID.bin`` and ``calib/ID.txt``.
 
-    Each frame has a calibration of its own; the focal length is that of the first one. An image
-    without a scan is a frame of the camera alone; a scan without an image is left out. Everything
-    else in the folder is ignored.
+    Each frame has a calibration of its own. An image without a scan is a frame of the camera alone;
+    a scan without an image is left out. Everything else in the folder is ignored.
 
     Args:
         path: folder like training.
@@ -49,6 +48,7 @@ class KittiObjectSource(FolderSource):
             points=points or (scans if os.path.isdir(scans) else None),
             point_columns=point_columns,
             calibration=calibration or path / "calib",
+            camera=camera,
         )
         if self._depth is None:
             self._note("no velodyne folder, so only the camera is used; --points names the scans")

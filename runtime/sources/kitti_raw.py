@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from runtime.assumptions import collect_assumptions
 from runtime.errors import InputError
 from runtime.io.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration, find_raw_calibration
 from runtime.io.images import RGB_SUFFIXES, list_files
@@ -13,12 +14,13 @@ from runtime.io.kitti_calibration import NumbersFile
 from runtime.io.poses import read_oxts_poses
 from runtime.io.timestamps import parse_date
 from runtime.read_input import read_text
+from runtime.rigid import read_rigid
 from runtime.sources.folders import FolderSource
 from runtime.sources.recorded_motion import RecordedPoses, track_of
 from runtime.sources.source import ListedFrame, by_number
 from runtime.sync.motion import ScanStamp
 from runtime.sync.outcome import Sensor
-from runtime.sync.poses import PoseFrame, check_pose
+from runtime.sync.poses import PoseFrame
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 
 RAW_IMU = "calib_imu_to_velo.txt"
@@ -77,7 +79,9 @@ class KittiRawSource(FolderSource):
                 f"{RAW_CAMERAS} and {RAW_SCANNER} of that day: copy them, or give --calibration"
             )
         self._kitti_rectified = not os.path.realpath(drive).endswith("_extract")
-        super().__init__(images / "data", points=scans / "data", calibration=calibration)
+        super().__init__(
+            images / "data", points=scans / "data", calibration=calibration, camera=camera
+        )
         self._drive, self._camera = drive, camera
         self._reuse_depth_ms, self._scan_stamp = reuse_depth_ms, scan_stamp
         self._stamped: list[tuple[Sensor, int, Path]] = []
@@ -88,7 +92,8 @@ class KittiRawSource(FolderSource):
                 self._stamped = sorted(pictures + returns, key=lambda message: message[1])
         self._max_skew_ms = max_skew_ms if self._stamped else None
         if self._stamped:
-            self._read_oxts(drive / "oxts", calibration / RAW_IMU)
+            with collect_assumptions(self._notes):
+                self._read_oxts(drive / "oxts", calibration / RAW_IMU)
 
     @staticmethod
     def accepts(path: Path) -> bool:
@@ -110,7 +115,7 @@ class KittiRawSource(FolderSource):
             return
         numbers, lidar_from_body = NumbersFile(mount), np.eye(4)
         lidar_from_body[:3] = np.hstack([numbers.matrix("R", 3, 3), numbers.matrix("T", 3, 1)])
-        body_from_lidar = np.linalg.inv(check_pose(lidar_from_body, str(mount)))
+        body_from_lidar = np.linalg.inv(read_rigid(str(mount), lidar_from_body))
         stamped = sorted(_read_stamps(Sensor.POSE, folder, (".txt",)), key=lambda each: each[1])
         poses = read_oxts_poses(path for _, _, path in stamped)
         track = track_of(zip((stamp_ns for _, stamp_ns, _ in stamped), poses, strict=True))

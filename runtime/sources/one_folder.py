@@ -44,9 +44,9 @@ class OneFolderSource(FolderSource):
     )
 
     def __init__(self, path: Path, **options: Any) -> None:
-        rgb, found = path, None
+        rgb, found, unread = path, None, []
         if options.get("depth") is None and options.get("points") is None:
-            rgb, found = _find_folders(path) or (path, path)
+            rgb, found, *unread = _find_folders(path) or (path, path)
         self._is_beside = found == path
         if found is not None:
             is_map = found.name.lower().startswith(_MAPS) or _holds(found, _IMAGES_OF_DEPTH)
@@ -55,6 +55,8 @@ class OneFolderSource(FolderSource):
             if options.get("calibration") is None:
                 options["calibration"] = _find_calibration(path, of_scans=scans)
         super().__init__(rgb, **options)
+        for folder in unread:
+            self._note(f"guessed: {folder.name}/ is not the depth, nor read; --points names it")
 
     @staticmethod
     def accepts(path: Path) -> bool:
@@ -74,8 +76,8 @@ class OneFolderSource(FolderSource):
         return {stem: path for stem, path in depths.items() if _MAP in stem.lower()}
 
 
-def _find_folders(path: Path) -> tuple[Path, Path] | None:
-    """(Folder of images, folder of depth maps or scans) in a folder; None if one is missing.
+def _find_folders(path: Path) -> list[Path] | None:
+    """[Folder of images, of depth maps or scans, scans that are not read]; None if one is missing.
 
     Raises InputError if the choice is ambiguous.
     """
@@ -90,7 +92,8 @@ def _find_folders(path: Path) -> tuple[Path, Path] | None:
         raise InputError(
             f"{path} holds {names}: choose two folders by --rgb and --depth or --points"
         )
-    return (images[0], others[0]) if images and others else None
+    unread = scans if maps else []
+    return [images[0], others[0], *unread] if images and others else None
 
 
 def _holds_both(path: Path) -> bool:

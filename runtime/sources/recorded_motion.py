@@ -16,6 +16,7 @@ from runtime.sync.motion import (
     FIRST_SCAN_NS,
     MIDDLE_AFTER,
     DepthInTime,
+    Scan,
     ScanStamp,
     check_scan_stamp,
     keep_map,
@@ -136,8 +137,7 @@ def frame_of(
     calibration: Calibration | None,
     *,
     sparse_depth: NDArray[np.float32] | None = None,
-    points: NDArray[np.float32] | None = None,
-    times: NDArray[np.int64] | None = None,
+    scan: Scan | None = None,
     poses: RecordedPoses | None = None,
 ) -> Frame:
     """Make the frame of an image with a depth map, with a scan, or with neither.
@@ -145,25 +145,23 @@ def frame_of(
     Args:
         listed: the frame in the list.
         rgb: its image.
-        calibration: of the camera, for `points` also of the LiDAR.
+        calibration: of the camera, for `scan` also of the LiDAR.
         sparse_depth: the depth map as recorded.
-        points: the scan, as of `move_points`.
-        times: of the points, None = not known.
+        scan: its times are None where they are not known.
         poses: of the recording, None = it has none.
     """
     reused = listed.reused
     depth = DepthInTime(no_depth(rgb), "none", ())
     if sparse_depth is not None:
         depth = keep_map(sparse_depth, apart=False, has_poses=False, reused=reused)
-    elif points is not None:
+    elif scan is not None:
         assert calibration is not None  # each source requires one for scans
         size, to_ns, at_ns = rgb.shape[:2], listed.image_stamp_ns, listed.scan_time_ns
-        track, times_ns = None, times if times is not None else at_ns or 0
+        track = None
         if poses is not None and to_ns is not None and at_ns is not None:
             track = poses.of_lidar(calibration)
-        depth = project_in_time(
-            calibration, points, times_ns, track, to_ns or 0, size, reused=reused
-        )
+            scan = scan if scan.times is not None else scan._replace(times=at_ns)
+        depth = project_in_time(calibration, scan, track, to_ns or 0, size, reused=reused)
     return Frame(
         rgb,
         depth.sparse_depth,
@@ -173,4 +171,5 @@ def frame_of(
         depth_reused=reused,
         depth_motion=None if listed.depth is None else depth.motion,
         degraded=depth.degraded,
+        lost_points=depth.lost_points,
     )

@@ -1,19 +1,20 @@
 """Bags of ROS 1 and ROS 2 and MCAP files: topics and messages, through `rosbags` (extra `bag`)."""
 
 import contextlib
+import importlib.util
 import os
 import struct
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from runtime.checks import cut
 from runtime.errors import InputError, SSDNetError, import_remedy
-from runtime.read_input import MAX_TEXT_BYTES, require_regular
+from runtime.read_input import MAX_TEXT_BYTES, open_input, require_regular
 
 if TYPE_CHECKING:
-    from rosbags.highlevel import AnyReader
+    from rosbags.interfaces import Connection
     from rosbags.typesys.store import Typestore
 
 #: Largest decompressed size of a chunk of a bag, as its index declares it.
@@ -21,6 +22,7 @@ MAX_CHUNK_BYTES = 2**28
 
 _BAG_SUFFIXES = (".yaml", ".db3", ".mcap", ".zstd")
 _TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
+_ZSTD = b"\x28\xb5\x2f\xfd"  # how compressed data starts, and no message in CDR
 
 
 class RecordedMessage(NamedTuple):
@@ -39,40 +41,71 @@ class RosBag:
 
     Attributes:
         types: topic -> message type, by the names of ROS 2.
-        lost: topic -> messages that the bag's index has and the last complete reading did not.
+        left_out: what is not read -> how often; of messages those that were met so far.
 
     Raises:
         InputError: if `rosbags` cannot be imported, or the bag is damaged; so does every method.
     """
 
     def __init__(self, path: Path) -> None:
-        self.path, self.lost = path, Counter[str]()
+        self.path, self.types, self.left_out = path, dict[str, str](), Counter[str]()
+        self._is_cdr = path.suffix != ".bag"
         self._reader, self._definitions = _open(path)
+        self._topics: dict[str, list[Connection]] = {}
         with _reading(self.path):
-            self.types = {
-                topic: info.msgtype or "several types"
-                for topic, info in self._reader.topics.items()
-            }
+            for c in self._reader.connections:
+                encoding = getattr(c.ext, "serialization_format", "ros1")
+                is_own = (encoding == "cdr") == self._is_cdr
+                if is_own and self.types.setdefault(c.topic, c.msgtype) == c.msgtype:
+                    self._topics.setdefault(c.topic, []).append(c)
+                else:  # of another library, or a second type of the topic
+                    self.left_out[f"{c.topic} ({encoding} {c.msgtype})"] += c.msgcount
+            there = {file.name.removesuffix(".zstd") for file in _files(path)}
+            named = {path.name, "metadata.yaml", *(s.path.name for s in _storages(self._reader))}
+            for name in there - named:
+                self.left_out[f"{name} (metadata.yaml does not name it)"] = 1
 
     def messages(self, topics: Collection[str]) -> Iterator[RecordedMessage]:
         """Yield the messages of the topics in the order in which they were recorded."""
+        connections = [each for topic in topics for each in self._topics[topic]]
+        if not connections:  # rosbags reads all topics then
+            return
+        left = Counter({t: sum(each.msgcount for each in self._topics[t]) for t in topics})
         with _reading(self.path):
-            connections = [c for c in self._reader.connections if c.topic in topics]
-            if connections:  # rosbags reads all topics if this is empty
-                left = Counter({topic: self._reader.topics[topic].msgcount for topic in topics})
-                for connection, recorded_ns, raw in self._reader.messages(connections):
-                    left[connection.topic] -= 1
-                    yield RecordedMessage(connection.topic, recorded_ns, raw)
-                self.lost = +left  # only topics with messages left
+            for connection, recorded_ns, raw in self._reader.messages(connections):
+                left[connection.topic] -= 1
+                if self._is_cdr and raw[:4] == _ZSTD:  # a file without the metadata.yaml of its bag
+                    raw = _decompress(raw)
+                yield RecordedMessage(connection.topic, recorded_ns, raw)
+        # The most of all readings.
+        self.left_out |= Counter({f"{t} (only in the index)": n for t, n in left.items()})
 
-    def decoded(self, topic: str) -> Iterator[Any]:
-        """Yield the messages of a topic with their fields."""
-        return (self.decode(message) for message in self.messages([topic]))
+    def decoded(self, topic: str, check: Callable[[Any], object] = bool) -> Iterator[Any]:
+        """Yield the messages of a topic with their fields.
+
+        Those that are damaged, or for which `check` raises InputError, are left out.
+        """
+        damaged = 0
+        for message in self.messages([topic]):
+            try:
+                decoded = self.decode(message)
+                check(decoded)
+            except InputError:
+                damaged += 1
+                self.left_out |= Counter({f"{topic} (damaged)": damaged})
+                continue
+            yield decoded
+
+    def first(self, topic: str) -> Any:
+        """Return the first message of a topic. Raises InputError if there is none."""
+        for message in self.decoded(topic):
+            return message
+        raise InputError(f"the topic {topic} of {self.path} has no message that can be decoded")
 
     def decode(self, message: RecordedMessage) -> Any:
         """Return a message of a type of ROS itself, with its fields. Raises InputError."""
         store = self._definitions
-        deserialize = store.deserialize_cdr if self._reader.is2 else store.deserialize_ros1
+        deserialize = store.deserialize_cdr if self._is_cdr else store.deserialize_ros1
         try:
             return deserialize(message.raw, self.types[message.topic])
         except Exception as error:  # the parser of definitions may raise any type
@@ -86,11 +119,10 @@ class RosBag:
         None for a message that is too short. The rest of the message is not decoded: the stamp is
         at byte 4 in both formats, after `seq` in ROS 1, after the byte order in CDR.
         """
-        is_cdr = self._reader.is2
         if len(message.raw) < 12:
             return None
-        order = ">" if is_cdr and not message.raw[1] & 1 else "<"
-        stamp = struct.unpack_from(f"{order}{'i' if is_cdr else 'I'}I", message.raw, 4)
+        order = ">" if self._is_cdr and not message.raw[1] & 1 else "<"
+        stamp = struct.unpack_from(f"{order}{'i' if self._is_cdr else 'I'}I", message.raw, 4)
         return int(stamp[0]) * 10**9 + int(stamp[1])
 
     def close(self) -> None:
@@ -99,27 +131,30 @@ class RosBag:
             self._reader.close()
 
 
-def _open(path: Path) -> "tuple[AnyReader, Typestore]":
+def _open(path: Path) -> "tuple[Any, Typestore]":
     """The open bag, and ROS's own message definitions: those in the bag may be damaged."""
     try:
-        from rosbags.highlevel import AnyReader
+        from rosbags.rosbag1 import Reader as Reader1
+        from rosbags.rosbag2 import Reader as Reader2
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError as error:
         remedy = import_remedy(error, "bag")
         raise InputError(f"rosbags cannot be imported to read bags ({error}): {remedy}") from error
-    files = [path]
-    if os.path.isdir(path):
-        files = [file for file in path.iterdir() if file.suffix in _BAG_SUFFIXES]
-    for file in files:
+    for file in _files(path):
         require_regular(file, max_bytes=MAX_TEXT_BYTES if file.suffix == ".yaml" else None)
+        _require_merged(file)
     is_ros1 = path.suffix == ".bag"
     definitions = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
     if is_ros1:
         for name in ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"):
             definitions.register(get_types_from_msg(_TRANSFORMS, name))
     with _reading(path):
-        # Bags before ROS 2 Iron hold no definitions.
-        reader = AnyReader([path], default_typestore=definitions)
+        reader: Any = Reader1(path) if is_ros1 else Reader2(path)
+        if os.path.isdir(path):
+            own = {"mcap": _mcap_reader()}
+            reader.storage.STORAGE_PLUGINS = reader.storage.STORAGE_PLUGINS | own
+        elif path.suffix == ".mcap":
+            reader.storage = _mcap_reader()(path)
         reader.open()
         if (size := max(_declared_sizes(reader), default=0)) > MAX_CHUNK_BYTES:
             raise InputError(
@@ -128,20 +163,63 @@ def _open(path: Path) -> "tuple[AnyReader, Typestore]":
     return reader, definitions
 
 
-def _declared_sizes(reader: "AnyReader") -> Iterator[int]:
+def _files(path: Path) -> list[Path]:
+    there = path.iterdir() if os.path.isdir(path) else [path]
+    return [file for file in there if file == path or file.suffix in _BAG_SUFFIXES]
+
+
+def _require_merged(file: Path) -> None:
+    """Raise InputError for a database of which SQLite left a part in a journal beside it."""
+    journals = (Path(f"{os.path.realpath(file)}{end}") for end in ("-wal", "-journal"))
+    for journal in filter(os.path.lexists, journals):
+        with open_input(journal, max_bytes=None) as opened:
+            start = opened.read(33)
+        if len(start) == 33 and any(start[:28]):  # else it has no pages, or a header that is void
+            raise InputError(
+                f"{file} lacks what its recorder left in {journal.name}: sqlite3 {file} "
+                "'PRAGMA journal_mode = DELETE' merges the two"
+            )
+
+
+def _mcap_reader() -> Any:
+    """The class by which rosbags reads MCAP, but without the definitions of messages.
+
+    It fails on those of channels that are not of ROS. In a copy of its module they can be left out
+    without an effect on others that use rosbags.
+    """
+    from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
+
+    spec: Any = importlib.util.find_spec("rosbags.rosbag2.storage_mcap")
+    module: Any = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    module.get_msgdef = lambda schema: MessageDefinition(MessageDefinitionFormat.NONE, "")
+    module.read_string = lambda file: module.read_bytes(file).decode(errors="replace")
+    return module.McapReader
+
+
+def _storages(reader: Any) -> list[Any]:
+    """The readers of the files of a bag of ROS 2."""
+    storage = getattr(reader, "storage", None)
+    return getattr(storage, "storages", [storage] if storage else [])  # of a folder, or a file
+
+
+def _decompress(raw: bytes) -> bytes:
+    from rosbags.rosbag2.reader import zstd  # type: ignore[attr-defined]  # Python's or a backport
+
+    with contextlib.suppress(zstd.ZstdError):
+        return bytes(zstd.ZstdDecompressor().decompress(raw, MAX_CHUNK_BYTES))
+    return b""  # a message that is damaged
+
+
+def _declared_sizes(reader: Any) -> Iterator[int]:
     """The decompressed sizes that the index of a bag declares for its compressed parts."""
-    bag: Any
-    (bag,) = reader.readers
-    if reader.is2:
-        storages = getattr(bag.storage, "storages", [bag.storage])  # of a folder, or the only file
-        chunks = [chunk for each in storages for chunk in getattr(each, "chunks", ())]  # of MCAP
-        yield from (chunk.uncompressed_size for chunk in chunks if chunk.compression)
-        return
     from rosbags.rosbag1.reader import Header
 
-    for chunk in bag.chunk_infos:
-        bag.bio.seek(chunk.pos)
-        header = Header.read(bag.bio)
+    chunks = [chunk for each in _storages(reader) for chunk in getattr(each, "chunks", ())]
+    yield from (chunk.uncompressed_size for chunk in chunks if chunk.compression)  # of MCAP
+    for chunk in getattr(reader, "chunk_infos", ()):  # of ROS 1
+        reader.bio.seek(chunk.pos)
+        header = Header.read(reader.bio)
         if header.get_string("compression") != "none":
             yield header.get_uint32("size")
 
@@ -155,8 +233,8 @@ def _reading(path: Path) -> Iterator[None]:
         raise
     except Exception as error:
         raise InputError(
-            f"cannot read the bag {path} ({_describe(error)}): it is truncated, damaged or no bag. "
-            "rosbag reindex, ros2 bag reindex or mcap recover may repair it"
+            f"cannot read the bag {path} ({_describe(error)}): convert it if it is MCAP of ROS 1; "
+            "rosbag reindex, ros2 bag reindex or mcap recover may repair it if it is damaged"
         ) from error
 
 

@@ -5,6 +5,7 @@ fields before it allocates memory.
 """
 
 from collections.abc import Mapping
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from runtime.checks import check_integer, cut, shown
 from runtime.errors import InputError
 from runtime.io.images import decode_rgb, require_pixels
+from runtime.returns import to_metres
 
 #: Encoding of an image -> channels and the conversion to RGB.
 _PICTURES: dict[str, tuple[int, int | None]] = {
@@ -22,6 +24,10 @@ _PICTURES: dict[str, tuple[int, int | None]] = {
     "rgba8": (4, cv2.COLOR_RGBA2RGB),
     "bgra8": (4, cv2.COLOR_BGRA2RGB),
     "mono8": (1, cv2.COLOR_GRAY2RGB),
+    "bayer_rggb8": (1, cv2.COLOR_BayerRGGB2RGB),
+    "bayer_bggr8": (1, cv2.COLOR_BayerBGGR2RGB),
+    "bayer_gbrg8": (1, cv2.COLOR_BayerGBRG2RGB),
+    "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2RGB),
 }
 #: Encoding of a depth map -> type and units per metre (REP 118).
 _DEPTHS: dict[str, tuple[str, float]] = {"16UC1": ("u2", 1000.0), "32FC1": ("f4", 1.0)}
@@ -38,7 +44,7 @@ def decode_image(message: Any) -> NDArray[np.uint8]:
     """Decode an Image.
 
     Args:
-        message: sensor_msgs/Image in rgb8, bgr8, rgba8, bgra8 or mono8.
+        message: sensor_msgs/Image in rgb8, bgr8, rgba8, bgra8, mono8 or bayer_*8.
 
     Returns:
         uint8 (H, W, 3), RGB.
@@ -49,9 +55,7 @@ def decode_image(message: Any) -> NDArray[np.uint8]:
     encoding = message.encoding
     if encoding not in _PICTURES:
         hint = "expected one of " + ", ".join(_PICTURES)
-        if str(encoding).startswith("bayer_"):
-            hint = "debayer it first (image_proc), or choose a topic of its colours"
-        elif encoding in _DEPTHS:
+        if encoding in _DEPTHS:
             hint = "that is a depth map: name it by depth_topic= in --source"
         raise InputError(f"an Image has the encoding {shown(encoding)}: {hint}")
     channels, conversion = _PICTURES[encoding]
@@ -63,7 +67,8 @@ def decode_compressed_image(message: Any) -> NDArray[np.uint8]:
     """Decode a CompressedImage.
 
     Args:
-        message: sensor_msgs/CompressedImage of an 8-bit JPEG or PNG.
+        message: sensor_msgs/CompressedImage of an 8-bit JPEG or PNG; of one channel whose format
+            names bayer_*8: a mosaic.
 
     Returns:
         uint8 (H, W, 3), RGB.
@@ -71,13 +76,20 @@ def decode_compressed_image(message: Any) -> NDArray[np.uint8]:
     Raises:
         InputError: for another format and for damaged content.
     """
-    if "compressedDepth" in str(message.format):
+    # "ENCODING; jpeg compressed TARGET" of image_transport, or "jpeg".
+    encoding, name = str(message.format).split(";")[0].strip(), shown(message.format)
+    if encoding in _DEPTHS or "compressedDepth" in str(message.format):
         raise InputError(
-            f"a CompressedImage has the format {shown(message.format)}, a depth map of "
-            "compressed_depth_image_transport: republish it as raw"
+            f"a CompressedImage has the format {name}, a depth map: republish it as raw, for "
+            "depth_topic= in --source"
         )
     content = bytes(memoryview(message.data))
-    return decode_rgb(content, name=f"a CompressedImage ({shown(message.format)})")
+    rgb = decode_rgb(content, name=f"a CompressedImage ({name})")
+    if not encoding.startswith("bayer_") or (rgb != rgb[..., :1]).any():
+        return rgb  # the camera's colours, also of a mosaic that was converted before
+    height, width, mosaic = *rgb.shape[:2], rgb[..., 0].ravel()
+    fields = {"encoding": encoding, "height": height, "width": width, "step": width}
+    return decode_image(SimpleNamespace(**fields, data=mosaic))
 
 
 def decode_depth_image(message: Any) -> NDArray[np.float32]:
@@ -87,7 +99,7 @@ def decode_depth_image(message: Any) -> NDArray[np.float32]:
         message: sensor_msgs/Image in 16UC1 [mm] or 32FC1 [m].
 
     Returns:
-        float32 (H, W), metres; 0 and NaN = no measurement.
+        float32 (H, W), metres; 0 and what is not finite, as of 65535, = no measurement.
 
     Raises:
         InputError: for another encoding and for inconsistent fields.
@@ -100,8 +112,7 @@ def decode_depth_image(message: Any) -> NDArray[np.float32]:
     kind, units_a_metre = _DEPTHS[encoding]
     order = ">" if message.is_bigendian else "<"
     pixels = _pixels(message, np.dtype(order + kind), 1)
-    depth: NDArray[np.float32] = np.divide(pixels, np.float32(units_a_metre), dtype=np.float32)
-    return depth
+    return to_metres(pixels, units_a_metre)
 
 
 def decode_points(message: Any) -> NDArray[np.float32]:

@@ -1,14 +1,17 @@
 """Poses, transforms between frames and times of points from deserialised ROS messages."""
 
+import contextlib
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.assumptions import assume
 from runtime.checks import cut, shown
 from runtime.errors import InputError
 from runtime.io.poses import pose_of
+from runtime.returns import is_return
 from runtime.sources.ros_messages import view_fields
 
 #: Field of a PointCloud2 with the time of each point, as drivers name it; the first that is there.
@@ -30,8 +33,10 @@ def odometry_pose(message: Any) -> NDArray[np.float64]:
     return _pose(message.pose.pose.position, message.pose.pose.orientation, "an Odometry")
 
 
-def point_times_ns(message: Any, stamp_ns: int) -> NDArray[np.int64] | None:
-    """Return when each point of a PointCloud2 was measured, nanoseconds of the stamp's clock.
+def point_times_s(
+    message: Any, stamp_ns: int, points: NDArray[np.float32]
+) -> NDArray[np.float64] | None:
+    """Return when each point of a PointCloud2 was measured, seconds after the stamp.
 
     | type | values | are |
     |---|---|---|
@@ -41,14 +46,17 @@ def point_times_ns(message: Any, stamp_ns: int) -> NDArray[np.int64] | None:
     | float64 | larger, over a span of up to 1 | s of the clock (Hesai, RoboSense) |
     | float64 | from 10^17 on, over a span of up to 10^9 | ns of the clock (Livox) |
 
-    A scan takes at most a second; other values are an error.
+    A scan takes at most a second; other values are an error. Values are those of nine tenths of the
+    returns: single ones may be broken.
 
     Args:
         message: sensor_msgs/PointCloud2.
         stamp_ns: of its header.
+        points: float32 (N, 3) or wider, as `decode_points`.
 
     Returns:
-        int64 (N,), None where it has no such field, or the same time for all points.
+        float64 (N,), NaN where the field is; None where the message has no such field, or the same
+        time for all returns.
 
     Raises:
         InputError: for a field of another type or beyond a point, and for truncated data.
@@ -57,30 +65,31 @@ def point_times_ns(message: Any, stamp_ns: int) -> NDArray[np.int64] | None:
     if field is None:
         return None
     times = view_fields(message, [field], _TIMES)[field.name].ravel()
-    if not np.isfinite(times).all():
-        raise InputError(f"the field {field.name} of a PointCloud2 holds NaN or infinity")
-    if not times.size or times.min() == times.max():
+    values: NDArray[np.float64] = times.astype(np.float64)
+    known = values[is_return(points) & np.isfinite(values)]
+    if not known.size or known.min() == known.max():
         return None  # drivers that do not fill it
-    return _to_ns(times, stamp_ns, field.name)
-
-
-def _to_ns(times: NDArray[Any], stamp_ns: int, name: str) -> NDArray[np.int64]:
-    """Convert the times of points by the table of `point_times_ns`."""
     if times.dtype.kind in "iu":
-        return stamp_ns + times.astype(np.int64)
-    values = times.astype(np.float64)
-    lowest, highest = values.min(), values.max()
+        return values / 1e9
+    lowest, highest = np.percentile(known, (5, 95))
+    unit_ns, is_clock = _unit(lowest, highest, times.dtype.itemsize, field.name)
+    # float64 cannot hold nanoseconds since 1970 exactly: a whole number is subtracted first.
+    first = int(lowest) if is_clock else 0
+    shift_ns = first * unit_ns - stamp_ns if is_clock else 0
+    return ((values - first) * unit_ns + shift_ns) / 1e9
+
+
+def _unit(lowest: float, highest: float, size: int, name: str) -> tuple[int, bool]:
+    """(Nanoseconds, whether they are of the clock) of floats, by the table of `point_times_s`."""
     largest, span = max(abs(lowest), abs(highest)), highest - lowest
     if largest <= _LONGEST_SCAN_S:
-        return stamp_ns + np.rint(values * 1e9).astype(np.int64)
-    if times.dtype.itemsize == 8 and span <= _LONGEST_SCAN_S:
-        whole = np.floor(values)  # float64 cannot hold nanoseconds since 1970 exactly
-        seconds = whole.astype(np.int64)
-        return seconds * 10**9 + np.rint((values - whole) * 1e9).astype(np.int64)
+        return 10**9, False
+    if size == 8 and span <= _LONGEST_SCAN_S:
+        return 10**9, True
     if lowest >= _LEAST_EPOCH_NS and span <= _LONGEST_SCAN_S * 1e9:
-        return np.rint(values).astype(np.int64)
+        return 1, True
     if largest <= _LONGEST_SCAN_S * 1e6 and span > _LEAST_SPAN_US:
-        return stamp_ns + np.rint(values * 1e3).astype(np.int64)
+        return 10**3, False
     raise InputError(
         f"the field {name} of a PointCloud2 has values from {lowest:g} to {highest:g}, expected "
         "seconds or microseconds after the stamp, or seconds or nanoseconds of the clock"
@@ -140,21 +149,21 @@ def transform_poses(
 
 
 class TransformTree:
-    """The transforms of /tf_static between frames; the last one of a child counts.
+    """The transforms of /tf_static between frames; of several of a child the last counts.
+
+    Its methods raise InputError for an invalid rotation and for numbers that are not finite on
+    their way; other transforms may be invalid.
 
     Args:
         messages: tf2_msgs/TFMessage.
-
-    Raises:
-        InputError: for an invalid rotation and for numbers that are not finite.
     """
 
     def __init__(self, messages: Iterable[Any]) -> None:
-        self._parents: dict[str, tuple[str, NDArray[np.float64]]] = {}
+        self._parents: dict[str, list[tuple[str, Any]]] = {}
         for message in messages:
             for stamped in message.transforms:
-                parent = frame_name(stamped.header.frame_id)
-                self._parents[frame_name(stamped.child_frame_id)] = parent, _transform_pose(stamped)
+                child, parent = map(frame_name, (stamped.child_frame_id, stamped.header.frame_id))
+                self._parents.setdefault(child, []).append((parent, stamped))
 
     def between(self, source: str, target: str) -> NDArray[np.float64]:
         """Return the matrix, float64 (4, 4), from the frame `source` to the frame `target` [m].
@@ -166,14 +175,19 @@ class TransformTree:
         from_target = self._ancestors(frame_name(target))
         common = next((frame for frame in from_source if frame in from_target), None)
         if common is None:
-            frames = {*self._parents, *(parent for parent, _ in self._parents.values())}
             raise InputError(
                 f"/tf_static does not connect the frame {shown(source)} to {shown(target)}, it has "
-                f"{cut(', '.join(sorted(frames)), 300) or 'no frames'}: give --calibration"
+                f"{cut(', '.join(self.frames), 300) or 'no frames'}: give --calibration"
             )
         matrix: NDArray[np.float64] = np.linalg.inv(from_target[common]) @ from_source[common]
         matrix[3] = (0, 0, 0, 1)  # to the last bit
         return matrix
+
+    @property
+    def frames(self) -> list[str]:
+        """The names of all frames."""
+        parents = (parent for stated in self._parents.values() for parent, _ in stated)
+        return sorted({*self._parents, *parents})
 
     def carriers(self, frame: str) -> list[str]:
         """A frame and the frames that it is fixed to, the nearest first."""
@@ -183,12 +197,21 @@ class TransformTree:
         """Each ancestor and the matrix from `frame` to it, the nearest first."""
         matrices = {frame: np.eye(4)}
         while frame in self._parents:
-            parent, to_parent = self._parents[frame]
+            *others, (parent, stamped) = self._parents[frame]
             if parent in matrices:
                 raise InputError(f"/tf_static has a cycle at the frame {shown(parent)}")
-            matrices[parent] = to_parent @ matrices[frame]
+            pose = _transform_pose(stamped)
+            if not all(each == parent and _is_pose(other, pose) for each, other in others):
+                assume(f"the last of several transforms of {frame}", "/tf_static has others")
+            matrices[parent] = pose @ matrices[frame]
             frame = parent
         return matrices
+
+
+def _is_pose(stamped: Any, pose: NDArray[np.float64]) -> bool:
+    with contextlib.suppress(InputError):
+        return np.allclose(_transform_pose(stamped), pose, rtol=0, atol=1e-3)
+    return False
 
 
 def frame_name(frame: Any) -> str:

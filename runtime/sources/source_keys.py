@@ -39,6 +39,9 @@ def _read_path(text: str) -> Path:
     return Path(os.path.expanduser(_read_text(text)))  # the shell does not expand KEY=~/FILE
 
 
+_TRUTH = SourceKey("true or false", lambda text: bool(("false", "true").index(text)))
+
+
 #: Keyword of the class of a source -> what --source takes for it. The other keywords are flags.
 SOURCE_KEYS = {
     "camera": _number("the number of a camera of KITTI", 0, 3, int),
@@ -48,6 +51,8 @@ SOURCE_KEYS = {
     "pose_frame": SourceKey(" or ".join(PoseFrame), PoseFrame),
     "scan_stamp": SourceKey(" or ".join(MIDDLE_AFTER), check_scan_stamp),
     "point_time_column": _number("the number of a column after x, y, z", 3, 10**6, int),
+    "rectified": _TRUTH,
+    "registered": _TRUTH,
     "image_topic": SourceKey("a topic, or those of several cameras joined by +", _read_text),
     "depth_topic": SourceKey("a topic or none", _read_text),
     "info_topic": SourceKey("a topic", _read_text),

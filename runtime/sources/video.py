@@ -19,6 +19,7 @@ from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, by_number
 
 _SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm")
+_MOST_DAMAGED = 1000  # frames in a row; more are the end
 
 
 class VideoSource(FolderSource):
@@ -55,19 +56,30 @@ class VideoSource(FolderSource):
         sides = (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH)
         height, width = (int(self._video.get(side)) for side in sides)
         require_pixels((height, width), name=str(path))
-        self._count = int(self._video.get(cv2.CAP_PROP_FRAME_COUNT))
-        if not 0 < self._count <= path.stat().st_size:
-            raise InputError(
-                f"{path} states no number of frames: it is empty, truncated or damaged, or a "
-                "stream, which ffmpeg -i FILE -c copy NEW.mp4 makes a file"
-            )
+        self._most: int | None = None  # frames that are listed
 
     @staticmethod
     def accepts(path: Path) -> bool:
         """See `Source.accepts`."""
         return path.suffix.lower() in _SUFFIXES and os.path.isfile(path)
 
+    def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
+        """See `Source.list_frames`. Decodes the video to count its frames."""
+        self._most = limit if self._depth is None else None
+        return super().list_frames(limit=limit)
+
     def _list_images(self) -> Mapping[str, Any]:
+        video, self._count, tried = _open(self._rgb, threads=0), 0, 0
+        while self._count != self._most and tried - self._count < _MOST_DAMAGED:
+            tried += 1
+            if video.grab():
+                self._count = tried
+        stated = video.get(cv2.CAP_PROP_FRAME_COUNT)  # of the header, or from its rate and duration
+        video.release()
+        if self._count == 0:
+            raise InputError(f"{self._rgb} has no frame: it is empty, truncated or damaged")
+        if self._most is None and 0 < stated != self._count:
+            self._note(f"warning: {self._rgb} states {stated:.0f} frames, it has {self._count}")
         return {_name(number): number for number in range(self._count)}
 
     def _list_depths(self, folder: Path) -> dict[str, Path]:
@@ -111,10 +123,13 @@ def _name(number: int) -> str:
     return f"{number:06d}"
 
 
-def _open(path: Path) -> cv2.VideoCapture:
-    """The open video. Raises InputError unless OpenCV can decode it."""
-    # Decode in the calling thread, whose priority is lower than that of inference.
-    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
+def _open(path: Path, *, threads: int = 1) -> cv2.VideoCapture:
+    """The open video. Raises InputError unless OpenCV can decode it.
+
+    threads: 1: decode in the calling one, whose priority is lower than that of inference; 0: in as
+        many as there are cores.
+    """
+    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, threads])
     if not video.isOpened():
         raise InputError(f"cannot read the video {path}: it is damaged, or OpenCV lacks its codec")
     # As with images, pixels stay where the sensor has them.

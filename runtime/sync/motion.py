@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
-from runtime.prediction import DEPTH_REUSED, DEPTH_UNCOMPENSATED
-from runtime.projection import check_points
-from runtime.sync.poses import NoPoseError, PoseFrame, PoseTrack, check_pose
+from runtime.prediction import DEPTH_REUSED, DEPTH_UNCOMPENSATED, POINTS_UNTIMED
+from runtime.returns import axes_of, check_points, is_return
+from runtime.sync.poses import NoPoseError, PoseFrame, PoseTrack
 from runtime.sync.stamp import NS_PER_MS
 
 DepthMotion = Literal["each", "scan", "none"]
@@ -21,12 +21,57 @@ ScanStamp = Literal["start", "middle", "end"]
 MIDDLE_AFTER: dict[ScanStamp, float] = {"start": 0.5, "middle": 0.0, "end": -0.5}
 #: Duration of a scan until the LiDAR's period is known: that of 10 Hz.
 FIRST_SCAN_NS = 100 * NS_PER_MS
-_LONGEST_SCAN_NS = 1_000 * NS_PER_MS
+_LONGEST_SCAN_S = 1.0
 #: Poses are computed at so many times of a scan; between them, in 1.6 ms of 100, matrices are
 #: linear: off by 0.01 mm at 100 m in a turn of 0.5 rad/s.
 _KNOTS = 65
 #: Steps of the time grid to which times of points are rounded: 24 µs of 100 ms, 1 mm at 40 m/s.
 _STEPS = 64
+
+
+class Scan(NamedTuple):
+    """The returns of a scan, made by `of`.
+
+    Attributes:
+        points: float32 (N, 3) or wider, metres, LiDAR frame.
+        times: nanoseconds: int64 (N,), one time for all, or None = not known yet.
+        lost: number of points that were left out.
+        untimed: whether returns are among them, for want of a time.
+    """
+
+    points: NDArray[np.float32]
+    times: NDArray[np.int64] | int | None = None
+    lost: int = 0
+    untimed: bool = False
+
+    @classmethod
+    def of(
+        cls, points: Any, after_s: NDArray[np.float64] | None = None, stamp_ns: int = 0
+    ) -> "Scan":
+        """Leave out points that are no return, and returns whose time is not the scan's.
+
+        Args:
+            points: float32 (N, 3) or wider, see `is_return`; kept as they are if all are returns.
+            after_s: (N,), seconds after the stamp, see `point_times`; None = not known.
+            stamp_ns: of the scan.
+
+        Raises:
+            InputError: for an array of another type or shape, points that are none, and if half of
+                the returns are more than 1 s from the stamp.
+        """
+        check_points(points)
+        returns, times = is_return(points), None
+        kept = returns
+        if after_s is not None:
+            kept = returns & (np.abs(after_s) <= _LONGEST_SCAN_S)  # nor NaN
+            if 2 * np.count_nonzero(kept) < np.count_nonzero(returns):
+                raise InputError(
+                    f"times must be within {_LONGEST_SCAN_S:g} s of the stamp, got "
+                    f"{np.median(np.abs(after_s)):g} s: are they of another unit or clock?"
+                )
+            times = stamp_ns + np.rint(after_s[kept] * 1e9).astype(np.int64)
+        lost, untimed = int(np.count_nonzero(~kept)), bool((kept != returns).any())
+        return cls(points[kept] if lost else points, times, lost, untimed)
 
 
 class DepthInTime(NamedTuple):
@@ -37,17 +82,18 @@ class DepthInTime(NamedTuple):
         motion: "each" where each return was moved by its own time, "scan" where the scan was moved
             as one, "none" where it is as it was measured.
         degraded: reasons as in `Prediction.degraded`.
+        lost_points: as in `Cleaned`.
     """
 
     sparse_depth: NDArray[np.float32]
     motion: DepthMotion
     degraded: tuple[str, ...]
+    lost_points: int = 0
 
 
 def project_in_time(
     calibration: Calibration,
-    points: NDArray[np.float32],
-    times: NDArray[np.int64] | int,
+    scan: Scan,
     poses: PoseTrack | None,
     to: int,
     size: tuple[int, int],
@@ -58,26 +104,27 @@ def project_in_time(
 
     Args:
         calibration: of camera and LiDAR.
-        points: see `move_points`.
-        times: see `move_points`.
+        scan: its times are not None where there are poses.
         poses: of the LiDAR; None = of a car without poses.
         to: nanoseconds, the time of the image.
         size: its (height, width).
         reused: whether it is an older scan than the image's own.
 
     Raises:
-        InputError: if the size is not the calibration's, and for invalid arrays.
+        InputError: if the size is not the calibration's.
     """
+    points, times, lost, untimed = scan
     reasons: tuple[str, ...] = (DEPTH_REUSED,) if reused else ()
-    if poses is not None:
+    reasons += (POINTS_UNTIMED,) if untimed else ()
+    if poses is not None and times is not None:
         try:
             moved = project_moved(calibration, points, times, poses, to, size)
-            return DepthInTime(moved, "scan" if isinstance(times, int) else "each", reasons)
+            return DepthInTime(moved, "scan" if isinstance(times, int) else "each", reasons, lost)
         except NoPoseError as error:
             reasons += (DEPTH_UNCOMPENSATED, error.reason)
     elif reused:
         reasons += (DEPTH_UNCOMPENSATED,)
-    return DepthInTime(calibration.project(points, size), "none", reasons)
+    return DepthInTime(calibration.project(points, size), "none", reasons, lost)
 
 
 def keep_map(
@@ -105,8 +152,8 @@ def check_scan_stamp(value: Any) -> ScanStamp:
     return known
 
 
-def point_times(times: Any, count: int, stamp_ns: int) -> NDArray[np.int64]:
-    """Return when the points of a scan were measured, int64 (N,), nanoseconds.
+def point_times(times: Any, count: int, stamp_ns: int) -> NDArray[np.float64]:
+    """Return when the points of a scan were measured, float64 (N,), seconds after the stamp.
 
     Args:
         times: (N,), seconds after the stamp as floats, or nanoseconds of its clock as integers.
@@ -114,7 +161,7 @@ def point_times(times: Any, count: int, stamp_ns: int) -> NDArray[np.int64]:
         stamp_ns: of the scan.
 
     Raises:
-        InputError: for another type or shape, and for times that are more than 1 s from the stamp.
+        InputError: for another type or shape.
     """
     kind = times.dtype.kind if isinstance(times, np.ndarray) else None
     if kind not in ("f", "i", "u") or times.shape != (count,):
@@ -123,14 +170,9 @@ def point_times(times: Any, count: int, stamp_ns: int) -> NDArray[np.int64]:
             f"times must have the shape ({count},), seconds after the stamp as floats or "
             f"nanoseconds of its clock as integers, got {got}"
         )
-    after_ns = times.astype(np.float64) * 1e9 if kind == "f" else times.astype(np.int64) - stamp_ns
-    farthest_ns = np.abs(after_ns.astype(np.float64)).max(initial=0)
-    if not farthest_ns <= _LONGEST_SCAN_NS:  # nor NaN
-        raise InputError(
-            f"times must be within {_LONGEST_SCAN_NS / 1e9:g} s of the stamp, got "
-            f"{farthest_ns / 1e9:g} s: are they of another unit or clock?"
-        )
-    return np.asarray(stamp_ns + np.rint(after_ns).astype(np.int64))
+    if kind == "f":
+        return np.asarray(times, np.float64)
+    return np.asarray((times.astype(np.int64) - stamp_ns) / 1e9)
 
 
 def move_points(
@@ -147,17 +189,18 @@ def move_points(
         to: nanoseconds, the time to move to, as that of an image.
 
     Returns:
-        float32 as `points`, a new array; the other columns as they are.
+        float32 as `points`, a new array; the other columns as they are; NaN where a point is no
+        return, see `is_return`.
 
     Raises:
         NoPoseError: if there is no pose for one of the times.
-        InputError: for arrays of another type or shape.
+        InputError: for arrays of another type or shape, and for points that are none.
     """
     check_points(points)
     moved = points.copy()
     if len(points):
         each = np.broadcast_to(np.int64(times), len(points))
-        _move(np.ascontiguousarray(points[:, :3].T), each, _table(each, poses, to), moved)
+        _move(axes_of(points), each, _table(each, poses, to), moved)
     return moved
 
 
@@ -193,7 +236,7 @@ def project_moved(
         (moved,) = relative_poses(poses, np.array([times], np.int64), to)
         extrinsics = extrinsics @ moved
     elif len(points):
-        table, xyz = _table(times, poses, to), np.ascontiguousarray(points[:, :3].T)
+        table, xyz = _table(times, poses, to), axes_of(points)
         rows = _in_front(xyz, table, extrinsics)
         points = np.empty((3, len(rows)), np.float32).T  # read fastest by the projection
         _move(xyz.take(rows, axis=1), times.take(rows), table, points)
@@ -234,7 +277,7 @@ def _move(
     place += np.float32(0.5)
     index = place.astype(np.intp)
     total, factor = np.empty_like(xyz[0]), np.empty_like(xyz[0])
-    with np.errstate(over="ignore", invalid="ignore"):  # returns that are not finite stay so
+    with np.errstate(invalid="ignore"):  # NaN stays so
         for row in range(3):
             *of_axes, shift = table.entries[4 * row : 4 * row + 4]
             shift.take(index, out=total, mode="clip")
@@ -255,33 +298,30 @@ def _in_front(
     spread = np.abs(ahead - middle).max(axis=0)
     farthest = max(float(np.fmax.reduce(xyz, axis=None)), -float(np.fmin.reduce(xyz, axis=None)))
     nearest = -(middle[3] + extrinsics[2, 3]) - spread[3] - 1e-3
-    with np.errstate(over="ignore", invalid="ignore"):
-        nearest -= (spread[:3].sum() + 1e-6) * farthest
-        depth, factor = xyz[0] * np.float32(middle[0]), np.empty_like(xyz[0])
-        for axis, along in zip(xyz[1:], middle[1:3], strict=True):
-            np.multiply(axis, np.float32(along), out=factor)
-            depth += factor
-        if not np.isfinite(nearest):  # a return is not finite: keep all points
-            return np.arange(len(depth))
-        return np.flatnonzero(depth >= np.float32(nearest))
+    nearest -= (spread[:3].sum() + 1e-6) * farthest
+    depth, factor = xyz[0] * np.float32(middle[0]), np.empty_like(xyz[0])
+    for axis, along in zip(xyz[1:], middle[1:3], strict=True):
+        np.multiply(axis, np.float32(along), out=factor)
+        depth += factor
+    return np.flatnonzero(depth >= np.float32(nearest))  # not of NaN
 
 
 def lidar_mount(pose_frame: PoseFrame, calibration: Calibration) -> NDArray[np.float64]:
     """Return the matrix float64 (4, 4) from the LiDAR to the frame of which poses are given.
 
     Raises:
-        InputError: if the calibration does not have it, or it is not rigid.
+        InputError: if the calibration does not have it.
     """
     if pose_frame is PoseFrame.LIDAR:
         return np.eye(4)
     if pose_frame is PoseFrame.CAMERA:
-        return check_pose(calibration.extrinsics, "extrinsics")
+        return calibration.extrinsics
     if calibration.body_from_lidar is None:
         raise InputError(
             'poses of the "body" need body_from_lidar, 4 x 4, in the calibration: add it to its '
             'TOML, or give poses of the "lidar" or the "camera"'
         )
-    return check_pose(calibration.body_from_lidar, "body_from_lidar")
+    return calibration.body_from_lidar
 
 
 def relative_poses(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from runtime.checks import check_integer, shown
 from runtime.errors import InputError
 from runtime.prediction import NO_POSE, POSE_CLOCK, POSE_GAP, POSE_JUMP
-from runtime.projection import check_transform
+from runtime.rigid import read_rigid
 from runtime.sync.outcome import Outcome
 from runtime.sync.stamp import JUMP_BACK_NS, NS_PER_MS
 
@@ -32,8 +32,6 @@ _MOST_NS = 2**62  # largest stamp: differences of two stamps fit into int64
 _MAX_GAP_NS = round(MAX_GAP_MS * NS_PER_MS)
 _REACH_NS = round(MAX_EXTRAPOLATION_MS * NS_PER_MS)
 _VELOCITY_NS = 100 * NS_PER_MS  # velocities are averaged over this time
-_RIGID_TOLERANCE = 1e-3  # float32 poses that were multiplied often
-_LARGEST_M = 1e7
 _stamp_ns = attrgetter("stamp_ns")
 # What a car can do between two poses; beyond it, the odometry jumped.
 _SPEED_M_S, _ACCELERATION_M_S2, _JUMP_M = 100.0, 10.0, 0.5
@@ -100,7 +98,7 @@ class PoseTrack:
                 raise InputError(
                     f"the stamps of poses must increase, got {stamp_ns} after a later one"
                 )
-            buffer.add(check_pose(pose), stamp_ns)
+            buffer.add(read_rigid("pose", pose), stamp_ns)
         return buffer.whole()
 
     def mounted(self, mount: NDArray[np.float64]) -> "PoseTrack":
@@ -179,7 +177,7 @@ class PoseBuffer:
         return self._poses[-1].stamp_ns if self._poses else None
 
     def add(self, pose: NDArray[np.float64], stamp_ns: int) -> Outcome:
-        """Take a pose as `check_pose` returns it: ANSWERED; or DUPLICATE or LATE: not taken."""
+        """Take a pose as `read_rigid` returns it: ANSWERED; or DUPLICATE or LATE: not taken."""
         newest_ns = self.newest_ns
         if newest_ns is not None and stamp_ns <= newest_ns:
             if stamp_ns == newest_ns:
@@ -273,28 +271,6 @@ class PoseBuffer:
             np.linalg.norm(pose.position - expected.position) > _JUMP_M + far_m
             or np.degrees(2 * np.arccos(cosine)) > _JUMP_DEG + far_deg
         )
-
-
-def check_pose(pose: Any, name: str = "pose") -> NDArray[np.float64]:
-    """Return a rigid transform as float64 (4, 4).
-
-    Raises:
-        InputError: if it is not rigid: a rotation without scale or mirror, finite metres, and the
-            last row 0, 0, 0, 1.
-    """
-    check_transform(name, pose)
-    matrix: NDArray[np.float64] = pose.astype(np.float64)
-    rotation = matrix[:3, :3]
-    if np.abs(matrix[:3, 3]).max() > _LARGEST_M:
-        raise InputError(f"{name} must have a position in metres, got {matrix[:3, 3].tolist()}")
-    with np.errstate(over="ignore", invalid="ignore"):
-        error = np.abs(rotation.T @ rotation - np.eye(3)).max()
-    if not error <= _RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
-        raise InputError(
-            f"{name} must be rigid, a rotation and a position, got {rotation.tolist()}: "
-            "it scales, shears or mirrors"
-        )
-    return matrix
 
 
 def _quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -38,6 +38,8 @@ class Opened:
     peak_memory_mb: float | None  # of the process after two runs
 
 
+#: Names of free axes.
+_NAMES = {"C": "c|.*channels?", "H": "h|rows|.*height", "W": "w|columns|.*width"}
 _process = threading.local()  # holds `run`, a call of the open model
 
 
@@ -48,8 +50,9 @@ def open_model(
     with _in_words():
         import_onnxruntime()  # not counted in load_ms
         started = time.perf_counter()
+        content, folder = read_onnx(path := find_model(model)), str(path.parent)
         session = open_session(
-            read_onnx(find_model(model)), provider=provider, device_id=0, threads=threads
+            content, provider=provider, device_id=0, threads=threads, weights_folder=folder
         )
         load_ms = (time.perf_counter() - started) * 1e3
         feeds, notes = make_feeds(session.get_inputs(), size=size, batch=batch)
@@ -98,21 +101,44 @@ def make_feeds(
 ) -> tuple[Feeds, tuple[str, ...]]:
     """Fill a session's inputs; return them and `Opened.notes`. Raises InputError.
 
-    A free first axis is the batch; of the other free axes the last two, if there are two, are
-    height and width, and others are 1.
+    Free axes are the batch, height, width and 3 channels, see `_free_axes`; others are fixed.
     """
     feeds, takes_size, takes_batch = {}, False, batch == 1
     for item in inputs:
-        free = [at for at, side in enumerate(item.shape) if not isinstance(side, int)]
-        shape = [1 if at in free else side for at, side in enumerate(item.shape)]
-        if 0 in free:
-            shape[0], takes_batch = batch, True
-            free.remove(0)
-        if len(free) > 1:
-            (shape[free[-2]], shape[free[-1]]), takes_size = size, True
+        axes, shape = _free_axes(item.shape), list(item.shape)
+        for role, at in axes.items():
+            shape[at] = {"N": batch, "C": 3, "H": size[0], "W": size[1]}[role]
+        if unknown := [side for side in shape if not isinstance(side, int)]:
+            raise InputError(
+                f"the input {shown(item.name)}: whether {shown(unknown[0])} of {list(item.shape)} "
+                "is height, width or else is not certain; fix that axis, or name it H, W or C"
+            )
+        takes_batch |= "N" in axes
+        takes_size |= bool(axes.keys() & {"H", "W"}) and {*size} <= {*shape}
         feeds[item.name] = make_input(item.name, item.type, shape)
     notes = {"its own size": takes_size, "its own batch": takes_batch}
     return feeds, tuple(note for note, taken in notes.items() if not taken)
+
+
+def _free_axes(shape: Sequence[Any]) -> dict[str, int]:
+    """Return the axes N, C, H and W of an input that are free, as far as they are certain.
+
+    H, W and C are known by their names; of others the first is N, and two neighbours of four axes,
+    beside channels that are fixed, are H and W.
+    """
+    free = [at for at, side in enumerate(shape) if not isinstance(side, int)]
+    axes = {
+        role: at
+        for role, pattern in _NAMES.items()
+        for at in free
+        if re.fullmatch(pattern, str(shape[at]), re.IGNORECASE)
+    }
+    rest = [at for at in free if at not in axes.values()]
+    if rest[:1] == [0]:
+        axes["N"] = rest.pop(0)
+    if len(shape) == 4 and rest in ([1, 2], [2, 3]):
+        axes |= dict(zip("HW", rest, strict=True))
+    return axes
 
 
 def make_input(name: str, element: str, shape: Sequence[int]) -> NDArray[Any]:

@@ -212,9 +212,9 @@ def _check_frame(
     rgb, sparse_depth = arrays.pop("rgb"), arrays.pop("sparse_depth")
     try:
         if rgb.shape not in warm:
-            predictor.predict(rgb, sparse_depth)
+            predictor.predict(rgb, sparse_depth, focal_length_px=frame.focal_length_px)
             warm.add(rgb.shape)
-        prediction = predictor.predict(rgb, sparse_depth)
+        prediction = predictor.predict(rgb, sparse_depth, focal_length_px=frame.focal_length_px)
     except InferenceError as error:
         return FrameCheck(frame.name, {}, (str(error),))
     degraded = prediction.degraded if frame.degraded is None else frame.degraded

@@ -6,15 +6,21 @@ import onnxruntime
 import pytest
 import torch
 from onnx import TensorProto, helper, numpy_helper
+from typer.testing import CliRunner
 
 from export.deploy import DeployGraph
+from export.errors import ExportError
+from export.exporter import export_checkpoint
 from export.half import to_half
+from export.precision import Precision
 from export.probe_frames import probe_frames
 from export.quantize import measure_ranges, quantize, strides
 from export.trace import trace
 from export.trunk import trunk
 from models import create_model
 from runtime.io.agreement import compare
+from runtime.tools.verify import app as verify_app
+from training.initial_weights import find_weights
 
 SIZE = (64, 96)
 
@@ -78,6 +84,43 @@ def test_half_precision_keeps_inputs_outputs_and_answers(dynamic_model, feeds):
         assert compare("semantic", found["semantic"], expected["semantic"])["agreement"] > 0.99
         assert compare("depth", found["depth"], expected["depth"])["mean_abs_m"] < 0.1
         assert not np.array_equal(found["depth"], expected["depth"])
+
+
+@pytest.mark.parametrize(
+    "name", ["ssdnet-nano", pytest.param("ssdnet-lite", marks=pytest.mark.slow)]
+)
+def test_the_bundled_weights_pass_in_half_precision(name, tmp_path):
+    """Their choice between two surfaces differs in single pixels, by more than half a metre."""
+    path = tmp_path / "half.onnx"
+    report = export_checkpoint(
+        find_weights(name),
+        path,
+        size=(96, 160),
+        precision=Precision.FP16,
+        record_dir=tmp_path / "r",
+    )
+    assert report.contract.precision == "fp16"
+    assert report.parity["depth"].figures["share_beyond"] < 0.01
+    verified = CliRunner().invoke(verify_app, [str(tmp_path / "r")])
+    assert verified.exit_code == 0, verified.output
+
+
+@pytest.mark.usefixtures("traced")
+def test_half_precision_that_answers_otherwise_is_refused(lite_checkpoint, tmp_path, monkeypatch):
+    def coarse(model):
+        half = to_half(model)
+        for weight in half.graph.initializer:
+            if weight.data_type == TensorProto.FLOAT16:
+                values = numpy_helper.to_array(weight) * np.float16(1.05)
+                weight.CopyFrom(numpy_helper.from_array(values, weight.name))
+        return half
+
+    monkeypatch.setattr("export.exporter.to_half", coarse)
+    with pytest.raises(ExportError, match="leave out --precision fp16"):
+        export_checkpoint(
+            lite_checkpoint, tmp_path / "half.onnx", size=SIZE, precision=Precision.FP16
+        )
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_quantised_answers_are_close_to_the_float_ones(dynamic_model, feeds):

@@ -6,6 +6,7 @@ import shlex
 import signal
 import subprocess
 import sys
+import time
 import tomllib
 from pathlib import Path
 
@@ -72,6 +73,49 @@ def test_a_process_ends_without_a_traceback(block, code):
     program = f"import signal, sys\nfrom runtime.command import *\nbegin_command()\n{block}"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (code, "", "")
+
+
+#: Computes for minutes in a library, where Python handles no signal.
+HANGS = """
+import hashlib
+from runtime.command import stop_requested
+with stop_requested(**OPTIONS) as stop:
+    print("ready", flush=True)
+    hashlib.pbkdf2_hmac("sha256", b"", b"", ROUNDS)
+    print(stop())
+"""
+
+
+@pytest.mark.parametrize("numbers", [(signal.SIGINT,) * 2, (signal.SIGTERM, signal.SIGINT)])
+def test_the_second_signal_ends_a_process_that_hangs(start_process, numbers):
+    program = HANGS.replace("OPTIONS", "{}").replace("ROUNDS", "2_000_000_000")
+    process = start_process(sys.executable, "-c", program)
+    assert process.stdout.readline() == "ready\n"
+    for number in numbers:
+        assert process.poll() is None
+        process.send_signal(number)
+        time.sleep(0.3)
+    assert process.communicate(timeout=60) == ("", "")
+    assert process.returncode == 130
+
+
+@pytest.mark.parametrize(
+    ("options", "numbers", "apart_s"),
+    [
+        ("{}", [signal.SIGTERM], 0),
+        ("{}", [signal.SIGTERM] * 2, 0),  # as timeout(1) sends it
+        ("{'second_ends': False}", [signal.SIGINT, signal.SIGTERM], 0.3),
+    ],
+)
+def test_one_signal_is_a_request_to_stop(start_process, options, numbers, apart_s):
+    program = HANGS.replace("OPTIONS", options).replace("ROUNDS", "3_000_000")
+    process = start_process(sys.executable, "-c", program)
+    assert process.stdout.readline() == "ready\n"
+    for number in numbers:
+        process.send_signal(number)
+        time.sleep(apart_s)
+    assert process.communicate(timeout=60) == ("True\n", "")
+    assert process.returncode == 0
 
 
 @pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])

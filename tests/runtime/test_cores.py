@@ -15,32 +15,59 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the s
 def machine(tmp_path, monkeypatch):
     """A machine of 16 processors, two of each core, of which the process may use those given."""
 
-    def make(*, usable=range(16), quota="max 100000", topology=True):
+    def make(*, usable=range(16), topology=True, cgroups="", files=()):
         for cpu in range(16):
             if topology:
                 (tmp_path / str(cpu)).write_text(f"{cpu % 8},{cpu % 8 + 8}\n")
-        if quota is not None:
-            (tmp_path / "cpu.max").write_text(quota + "\n")
+        for name, text in dict(files).items():
+            path = tmp_path / "sys" / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text + "\n")
+        (tmp_path / "cgroup").write_text(cgroups)
         monkeypatch.setattr(os, "sched_getaffinity", lambda process: set(usable))
         monkeypatch.setattr(runtime.cores, "_TOPOLOGY", str(tmp_path / "{}"))
-        monkeypatch.setattr(runtime.cores, "_CGROUP_QUOTA", tmp_path / "cpu.max")
+        monkeypatch.setattr(runtime.cores, "_CGROUPS", tmp_path / "cgroup")
+        monkeypatch.setattr(runtime.cores, "_MOUNT", tmp_path / "sys")
         monkeypatch.setattr(os, "cpu_count", lambda: 16)
 
     return make
 
 
+def v1(below, quota, period=100000, folder="cpu,cpuacct"):
+    start = f"{folder}/{below}cpu.cfs_"
+    return {f"{start}quota_us": str(quota), f"{start}period_us": str(period)}
+
+
 @pytest.mark.parametrize(
-    ("quota", "cores"),
+    ("cgroups", "files", "cores"),
     [
-        ("max 100000", 8),
-        ("300000 100000", 3),
-        ("200001 100000", 3),
-        (None, 8),  # no such file
-        ("a b", 8),
+        ("0::/\n", {"cpu.max": "300000 100000"}, 3),
+        ("0::/\n", {"cpu.max": "200001 100000"}, 3),
+        ("0::/\n", {"cpu.max": "max 100000"}, 8),
+        ("0::/\n", {"cpu.max": "a b"}, 8),
+        ("0::/\n", {}, 8),
+        ("", {}, 8),
+        # A service of systemd, and a slice above it: the least of them.
+        ("0::/a.slice/b\n", {"a.slice/b/cpu.max": "200000 100000"}, 2),
+        (
+            "0::/a.slice/b\n",
+            {"a.slice/cpu.max": "400000 200000", "a.slice/b/cpu.max": "max 100000"},
+            2,
+        ),
+        ("0::/a/b\n", {"a/cpu.max": "500000 100000", "a/b/cpu.max": "300000 100000"}, 3),
+        ("0::/a\n", {"b/cpu.max": "100000 100000"}, 8),  # of others
+        ("0::/../b\n", {"cpu.max": "100000 100000"}, 1),  # moved out of the container's cgroup
+        # Docker with cgroups of version 1: the host's path, where the container's is mounted.
+        ("4:cpu,cpuacct:/docker/id\n1:memory:/x\n", v1("", 250000), 3),
+        ("4:cpuacct,cpu:/x\n0::/\n", v1("", 250000, folder="cpu"), 3),
+        ("4:cpu,cpuacct:/x/y\n0::/\n", v1("x/", 400000), 4),
+        ("4:cpu,cpuacct:/x/y\n", {**v1("x/y/", 300000), **v1("x/", 200000)}, 2),
+        ("4:cpu,cpuacct:/x\n", v1("x/", -1), 8),
+        ("4:cpuset:/x\n1:cpu,cpuacct:/\n", v1("x/", 100000, folder="cpu"), 8),  # of others
     ],
 )
-def test_a_containers_quota(machine, quota, cores):
-    machine(quota=quota)
+def test_the_least_quota_from_the_cgroup_to_the_root(machine, cgroups, files, cores):
+    machine(cgroups=cgroups, files=files)
     assert available_cores() == cores
 
 

@@ -55,10 +55,11 @@ def test_each_kind_of_impossible_depth_is_counted_and_removed():
     depth[0] = [5, 80, np.nan, np.nan, np.nan]
     depth[1] = [np.inf, -np.inf, -1, -0.001, -2]
     depth[2] = [80.01, 655.35, -0.0, 1e-3, 0]
+    depth[3, :2] = 65535 / np.float32(1000), 65535 / np.float32(256)  # saturated 16 bits
     before = depth.copy()
     kept, cleaned, returns = clean_sparse_depth(depth, max_depth_m=80)
-    assert cleaned == Cleaned(nan=3, infinite=2, negative=3, too_far=2)
-    assert cleaned.total == 10
+    assert cleaned == Cleaned(nan=4, infinite=2, negative=3, too_far=3)
+    assert cleaned.total == 12
     assert sorted(kept[kept != 0].tolist()) == pytest.approx([1e-3, 5, 80, 80])
     assert returns == 4
     assert np.array_equal(depth, before, equal_nan=True), "the caller's array was written to"

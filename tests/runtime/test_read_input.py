@@ -9,7 +9,14 @@ import pytest
 
 import runtime.read_input
 from runtime import InputError
+from runtime.errors import SSDNetError
+from runtime.io.calibration import Calibration
+from runtime.io.images import read_rgb, read_sparse_depth
+from runtime.io.scan import read_scan
+from runtime.model_file import load_model_file
 from runtime.read_input import read_input, read_text, read_toml
+from runtime.sources.ros_bag import RosBag
+from runtime.sources.video import VideoSource
 
 #: Every reader of a path gets what it cannot read, where 400 MB are left, and prints its error.
 PROGRAM = """
@@ -101,6 +108,35 @@ def test_a_file_is_read_up_to_its_limit(tmp_path, monkeypatch):
     monkeypatch.setattr(runtime.read_input, "MAX_TEXT_BYTES", 4)
     with pytest.raises(InputError, match=r"a has 5 bytes, expected at most 4"):
         read_text(path)
+
+
+POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:" + b"0" * 64 + b"\nsize 9\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "read"),
+    [
+        ("a.png", read_rgb),
+        ("a.tif", read_sparse_depth),
+        ("a.bin", read_scan),
+        ("a.npy", read_scan),
+        ("a.toml", Calibration.from_file),
+        ("calib.txt", Calibration.from_file),
+        ("a.mp4", VideoSource),
+        ("a.mcap", RosBag),
+        ("a.onnx", load_model_file),
+    ],
+)
+def test_a_pointer_of_git_lfs_is_named(tmp_path, name, read):
+    (tmp_path / name).write_bytes(POINTER)
+    with pytest.raises(SSDNetError, match=r"is a pointer of Git LFS.*: get it by git lfs pull"):
+        read(tmp_path / name)
+
+
+@pytest.mark.parametrize("text", [POINTER[:20], POINTER + b"x" * 1024, b"# " + POINTER])
+def test_a_text_like_a_pointer_is_read(tmp_path, text):
+    (tmp_path / "a").write_bytes(text)
+    assert read_input(tmp_path / "a") == text
 
 
 def test_what_is_no_text_is_an_input_error(tmp_path):

@@ -135,7 +135,7 @@ def test_a_dry_run_draws_the_first_batch_and_writes_nothing_else(run, tmp_path):
     # What cannot start is refused as without --dry-run.
     for change, text in (
         ("schedule.warmup_steps = 11", "schedule.warmup_steps = 11: longer than the run of steps"),
-        ("optimizer.learning_rate = 0.0", "optimizer.learning_rate = 0: nothing would learn"),
+        ("optimizer.learning_rate = 0.0", "nothing would learn: no term"),
         ("optimizer.frozen = ['']", "nothing would learn"),
         ("validation.best = 'camvid/mae_m'", "best = 'camvid/mae_m'; camvid gives miou, accuracy"),
     ):

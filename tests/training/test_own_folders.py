@@ -84,19 +84,45 @@ def test_a_dry_run_shows_the_recipe(mine):
         assert cv2.imwrite(str(path), cv2.imread(str(path), -1).repeat(2, 0).repeat(2, 1))
     result = train(mine, "--dry-run")
     assert result.exit_code == 0, result.output
-    assert "size = [50, 67]" in result.stdout
+    assert "size = 50\n" in result.stdout
     assert "steps = 200" in result.stdout
     assert "lidar" not in result.stdout
     assert [path.name for path in (mine / "run").iterdir()] == ["batch.png"]
 
 
+@pytest.mark.parametrize(
+    ("rows", "found"),
+    [
+        ([40], "trained_height = 48 "),  # runs at its own size
+        ([70], "size = 48\n"),  # the engine would run it at 48 rows
+        ([34], "size = 48\n"),
+        ([97, 40, 23], "warning: .* 2 of 20 images .* the 48 rows of the others, such as 97; all"),
+        ([97, 97, 97], "error: .* 3 of 20 images .* such as 97. Train on a folder of each size"),
+    ],
+)
+def test_images_of_other_sizes_keep_their_aspect(mine, rows, found):
+    """The first image, which is narrow, does not speak for the others."""
+    for index, height in enumerate(rows):
+        for path in (mine / f"images/{index:02}.jpg", mine / f"labels/{index:02}.png"):
+            image = cv2.resize(cv2.imread(str(path), -1), (40, height), interpolation=0)
+            assert cv2.imwrite(str(path), image)
+    result = train(mine, "--dry-run", "--set", "data.augment.crop = [32, 32]")
+    assert re.search(found, result.output), result.output
+    assert result.exit_code == found.startswith("error")
+    assert ("\nsize = 48\n" in result.stdout) == found.startswith(("size", "warning"))
+
+
 @pytest.mark.parametrize(("units", "is_wrong"), [(256, False), (60 * 256, True)])
-def test_a_dry_run_doubts_depth_beyond_the_range(mine, units, is_wrong):
+def test_depth_beyond_the_range_is_reported(mine, units, is_wrong):
     for path in mine.glob("lidar/*"):
         assert cv2.imwrite(str(path), np.full((48, 64), 4 * units, np.uint16))
     result = train(mine, "--dry-run", depth="lidar")
     assert result.exit_code == 0, result.output
-    assert ("warning: 1 % of the depth is beyond the network's 200 m" in result.stdout) == is_wrong
+    text = "warning: train: 100% of the depth is beyond 100 m and not trained: check the unit"
+    assert (text in result.stderr) == is_wrong
+    alone = train(mine, "--dry-run", depth="lidar", labels=None, classes=None)
+    assert ("no frame of train has a target of the loss" in alone.stderr) == is_wrong
+    assert alone.exit_code == is_wrong
 
 
 @pytest.mark.parametrize(

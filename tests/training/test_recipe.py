@@ -4,7 +4,7 @@ import pytest
 
 from runtime.errors import InputError
 from training.datasets.cityscapes import CityscapesRecipe
-from training.recipe import AnySource, build, read_recipe
+from training.recipe import AnySource, build, parse_source, read_recipe
 
 MINIMAL = """
 [model]
@@ -75,6 +75,7 @@ def test_a_network_that_cannot_be_built_is_refused_as_it_is_read(tmp_path, chang
         ("scale = [1, 2]", "scale = [1, 2, 3]", r"scale = \[1, 2, 3\]: .* at most 2 items"),
         ("scale = [1, 2]", "scale = [2, 1]", r"scale = \[2, 1\]: expected low <= high"),
         ("scale = [1, 2]", "size = [1.5, 64]", r"size\[0\] = 1.5: .*valid integer"),
+        ("scale = [1, 2]", "size = 5", r"source\[\d\]\.size = 5: "),
         ('kind = "camvid"', "", r"missing key data\.source\[0\]\.kind"),
         ('path = "camvid"', "", r"missing key data\.source\[0\]\.path"),
         ('path = "camvid"', 'path = ""', r"data\.source\[0\]\.path = '': "),
@@ -269,3 +270,28 @@ def test_rare_classes_are_classes_of_the_model(tmp_path):
         read(tmp_path, text.replace("Sign", "sing"))
     with pytest.raises(InputError, match=r"augment\.rare_crops needs rare_classes"):
         read(tmp_path, MINIMAL + "[data.augment]\nrare_crops = 0.5")
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "value"),
+    [
+        ("folders:x,name=2011_09_26", "name", "2011_09_26"),
+        ("folders:x,name=2011-09-26", "name", "2011-09-26"),
+        ("folders:x,labels=0001", "labels", "0001"),
+        ("folders:x,labels=1e3", "labels", "1e3"),
+        ("folders:x,name=true", "name", "true"),
+        ('folders:x,name="a b"', "name", "a b"),
+        ("folders:x,depth_scale=1000", "depth_scale", 1000),
+        ("folders:x,last=7", "last", 7),
+        ("folders:x,size=400", "size", 400),
+        ("folders:x,size=[400, 640]", "size", (400, 640)),
+        ("folders:2011-09-26", "path", "2011-09-26"),
+        (
+            'kitti-raw:x,drives=["2011_09_26_drive_0001_sync"]',
+            "drives",
+            ("2011_09_26_drive_0001_sync",),
+        ),
+    ],
+)
+def test_a_value_of_data_is_text_where_its_key_takes_text(text, key, value):
+    assert getattr(parse_source(text), key) == value

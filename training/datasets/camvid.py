@@ -74,6 +74,7 @@ class CamVid(FrameList):
         labels = [f"{image.stem}.png" for image in images]
         require_folder(annotations, "CamVid's label images", files=labels)
         self._frames = [(image, annotations / f"{image.stem}.png") for image in images]
+        self.images = images
 
     def __getitem__(self, index: int) -> Sample:
         image_path, label_path = self._frames[index]

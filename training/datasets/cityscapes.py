@@ -76,6 +76,7 @@ class Cityscapes(FrameList):
             self._frames += [(city.name, stem) for stem in stems]
         if not self._frames:
             raise DatasetError(f"{images}: no <city>/*{_IMAGE} in it.")
+        self.images = [images / city / f"{stem}{_IMAGE}" for city, stem in self._frames]
 
     def __getitem__(self, index: int) -> Sample:
         city, stem = self._frames[index]

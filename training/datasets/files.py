@@ -1,5 +1,6 @@
 """Files of data sets as arrays; what the engine's readers find wrong is a DatasetError."""
 
+import io
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -9,9 +10,11 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from runtime.errors import DatasetError, InputError
 from runtime.io import images, scan
+from runtime.read_input import read_input
 
 
 @contextmanager
@@ -33,24 +36,53 @@ read_points = dataset_errors()(scan.read_scan)
 def read_gray(
     path: Path, dtype: type[np.uint8] | type[np.uint16], size: tuple[int, int]
 ) -> NDArray[Any]:
-    """Read a one-channel PNG of exactly `dtype` and (height, width). Raises DatasetError."""
-    image = images.decode(path, cv2.IMREAD_UNCHANGED)
-    if image.ndim != 2 or image.dtype != dtype:
+    """Read the numbers that a PNG of (height, width) stores: gray, or the indices of a palette.
+
+    A picture decoder stretches those of 1, 2 and 4 bits to 0..255 and replaces indices by colours.
+    For uint8, numbers of 16 bits may be up to 255. Raises DatasetError for another kind of file or
+    size, more than one channel, and a palette of grays that are not its indices.
+    """
+    content = read_input(path)
+    # Of the header IHDR: the bits of a number, and 0 = gray, 3 = palette.
+    bits, kind = content[24:26] if content[:4] == b"\x89PNG" and len(content) > 25 else (0, -1)
+    flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+    image = images.decode(content, flags, name=str(path))  # finds damage
+    if kind == 3:
+        image = _indices(content, path)
+    elif 0 < bits < 8:
+        image //= 255 // (2**bits - 1)
+    if dtype is np.uint8 and image.dtype == np.uint16 and image.max() < 256:
+        image = image.astype(np.uint8)
+    if kind not in (0, 3) or image.dtype != dtype:
         raise DatasetError(
-            f"{path}: expected one channel of {np.dtype(dtype).name}, got shape {image.shape} of "
-            f"{image.dtype}. Restore the data set's original file."
+            f"{path}: expected one channel of {np.dtype(dtype).name}, or a palette, in a PNG. "
+            "Convert it without colours, transparency or JPEG compression."
         )
     require_size(path, image.shape, size)
     return image
+
+
+def _indices(content: bytes, path: Path) -> NDArray[np.uint8]:
+    """The indices of a PNG with a palette."""
+    picture = Image.open(io.BytesIO(content))
+    indices = np.array(picture, np.uint8)
+    colors = np.array(picture.getpalette("RGB")).reshape(-1, 3)
+    if (colors == colors[:, :1]).all() and (colors[:, 0] != np.arange(len(colors))).any():
+        raise DatasetError(
+            f"{path}: its palette is of grays that are not its indices, so that a pixel has two "
+            "numbers. Convert it to 8-bit gray."
+        )
+    return indices
 
 
 @dataset_errors()
 def read_depth(path: Path, size: tuple[int, int], *, depth_scale: float) -> NDArray[np.float32]:
     """Read a 16-bit PNG of `depth_scale` units a metre: float32 (height, width) [m], 0 = none.
 
-    Raises DatasetError.
+    65535 is none, too. Raises DatasetError.
     """
     depth = images.read_sparse_depth(path, depth_scale=depth_scale)
+    depth = np.where(np.isfinite(depth), depth, np.float32(0))
     require_size(path, depth.shape, size)
     return depth
 
@@ -60,7 +92,7 @@ def require_size(path: Path, size: tuple[int, ...], expected: tuple[int, int]) -
     if size[:2] != expected:
         raise DatasetError(
             f"{path}: its size {size[0]}x{size[1]} differs from the frame's "
-            f"{expected[0]}x{expected[1]} (height x width). Restore the data set's original file."
+            f"{expected[0]}x{expected[1]} (height x width). Give files of the size of the image."
         )
 
 

@@ -1,5 +1,7 @@
 """A user's images, depth and labels: a folder each, files paired by their stem."""
 
+import json
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -8,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
+from tqdm import tqdm
 
 from runtime.contract import ClassInfo
 from runtime.errors import DatasetError
@@ -40,7 +43,7 @@ class FoldersRecipe(RangeRecipe):
     depth: _Folder | None = None
     #: 16-bit PNGs, a recorded input in addition to that target.
     sparse_depth: _Folder | None = None
-    #: 8-bit one-channel PNGs of ids in ``model.classes``, or of ``label_classes``.
+    #: PNGs of ids in ``model.classes``, or of ``label_classes``, see `read_gray`.
     labels: _Folder | None = None
     #: "cityscapes": trainIds, which are mapped to ``model.classes``.
     label_classes: Literal["cityscapes"] | None = None
@@ -62,6 +65,10 @@ class FoldersRecipe(RangeRecipe):
         """Check that the ids have one meaning."""
         if self.label_ids and self.label_classes is not None:
             raise ValueError("label_ids and label_classes both name the ids; set one of them")
+        if self.ignore != IGNORE and (self.label_ids or {}).get(self.ignore, "ignore") != "ignore":
+            raise ValueError(
+                f"ignore and label_ids give the id {self.ignore} two meanings; drop one"
+            )
 
     @property
     def label_table(self) -> ClassTable | None:
@@ -91,11 +98,11 @@ class Folders(FrameList):
     @dataset_errors()
     def __init__(self, root: Path, recipe: FoldersRecipe, classes: ClassTable) -> None:
         self._root, self._recipe = root, recipe
-        self._num_classes = len(list_classes(recipe.label_classes or classes))
+        self._names = [info.name for info in list_classes(recipe.label_classes or classes)]
         self._lookup = np.arange(256, dtype=np.uint8)
         if recipe.label_classes is not None:
             self._lookup = id_lookup(recipe.label_classes, classes, TRAIN_LABELS)
-        self._known = np.arange(256) < (0 if recipe.label_ids else self._num_classes)
+        self._known = np.arange(256) < (0 if recipe.label_ids else len(self._names))
         self._lookup[recipe.ignore], self._known[recipe.ignore] = IGNORE, True
         names = [info.name for info in list_classes(classes)]
         for index, name in (recipe.label_ids or {}).items():
@@ -114,6 +121,7 @@ class Folders(FrameList):
         images.sort(key=lambda frame: str(frame.image))
         self._frames = recipe.take(images, self._root / recipe.rgb)
         self._source.camera_alone = recipe.missing == "skip-target"
+        self.images = [frame.image for frame in self._frames]
         if depth is not None:
             self._require_files(depth, [frame.name for frame in self._frames if not frame.depth])
         for below in (recipe.sparse_depth, recipe.labels):
@@ -124,14 +132,22 @@ class Folders(FrameList):
                 self._require_files(folder, [name for name in names if f"{name}.png" not in there])
 
     def _require_files(self, folder: Path, lacking: Sequence[str]) -> None:
-        """Raise DatasetError for images without a file, as far as the recipe wants one."""
-        most = len(self._frames) - 1 if self._recipe.missing == "skip-target" else 0
-        if len(lacking) > most:
+        """Raise DatasetError for images without a file, or say how many there are if they may be.
+
+        A folder without the file of any image is an error.
+        """
+        if not lacking:
+            return
+        text = f"{folder}: has no file of the frame {lacking[0]} ({len(lacking)} of "
+        text += f"{len(self._frames)} frames lack it)"
+        if len(lacking) == len(self._frames):
+            raise DatasetError(f"{text}. Add the files, or leave the folder out.")
+        if self._recipe.missing == "error":
             raise DatasetError(
-                f"{folder}: has no file of the frame {lacking[0]} ({len(lacking)} of "
-                f"{len(self._frames)} frames lack it). Add the files, or leave out the target of "
-                'such frames with missing = "skip-target".'
+                f"{text}. Add the files, or leave out the target of such frames with missing = "
+                '"skip-target".'
             )
+        tqdm.write(f"warning: {text}: not a target, or no LiDAR, there", file=sys.stderr)
 
     @dataset_errors()
     def __getitem__(self, index: int) -> Sample:
@@ -169,19 +185,23 @@ class Folders(FrameList):
 
     def _read_labels(self, path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
         label = read_gray(path, np.uint8, size)
-        unknown = label[~self._known[label]]
-        if unknown.size:
-            recipe, found = self._recipe, unknown.max()
+        unknown = np.unique(label[~self._known[label]]).tolist()
+        if unknown:
+            recipe, names = self._recipe, self._recipe.label_ids
             table = recipe.label_classes or "the recipe's model.classes"
             expected = (
-                f"one of label_ids: {', '.join(map(str, recipe.label_ids))}"
-                if recipe.label_ids
-                else f"0..{self._num_classes - 1} of {table}"
+                f"one of label_ids: {', '.join(map(str, names))}"
+                if names
+                else f"0..{len(self._names) - 1} of {table}"
             )
+            # A table that names the ids replaces their order: it has all of them.
+            order = dict(enumerate(self._names))
+            ids = {**(names or order), **{id_: order.get(id_, "ignore") for id_ in unknown}}
+            pairs = ", ".join(f"{id_} = {json.dumps(name)}" for id_, name in ids.items())
+            advice = f"name the ids in the recipe: label_ids = {{ {pairs} }}"
             raise DatasetError(
-                f"{path}: class id {found}, expected {expected}, or {recipe.ignore} for none. "
-                "Correct the file, or name its ids in the recipe: label_ids = "
-                f'{{ {found} = "ignore" }}.'
+                f"{path}: class id {unknown[-1]}, expected {expected}, or {recipe.ignore} for none."
+                f" Correct the file, or {'give trainIds' if recipe.label_classes else advice}."
             )
         classes: NDArray[np.uint8] = self._lookup[label]
         return classes

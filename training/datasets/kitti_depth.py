@@ -64,6 +64,7 @@ class KittiDepth(FrameList):
             self._frames = _list_selection(root)
         else:
             self._frames = _list_drives(root, recipe.split, recipe.cameras)
+        self.images = [frame.image for frame in self._frames]
 
     def __getitem__(self, index: int) -> Sample:
         frame = self._frames[index]

@@ -75,6 +75,7 @@ class KittiRaw(FrameList):
             if recipe.drives is None or name in recipe.drives:
                 for camera in recipe.cameras:
                     self._add(drive, camera)
+        self.images = [listed.image for _, listed, _ in self._frames]
 
     @dataset_errors()
     def _add(self, drive: Path, camera: int) -> None:

@@ -66,6 +66,7 @@ class KittiStream(FrameList):
         self._name = "kitti_object" if self._calibration is None else "kitti_stream"
         images = root / ("image_2" if self._calibration is None else "image_02")
         self._frames = recipe.take(list_images(images, "the recording's images"), images)
+        self.images = self._frames
         self._weights = {"semantic": recipe.semantic_weight}
 
     def __getitem__(self, index: int) -> Sample:

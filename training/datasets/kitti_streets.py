@@ -76,6 +76,7 @@ class KittiStreets(FrameList):
         images = root / "image_02"
         found = [p for p in list_images(images, "the streets' images") if p.stem.isdecimal()]
         self._frames = recipe.take(found, images, lambda path: int(path.stem))
+        self.images = self._frames
         self._has_masks = (self._root / "road_mask").is_dir()
         folders = {"velodyne_fov": ".bin", "disp_occ_0": ".png"}
         if self._has_masks:

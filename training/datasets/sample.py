@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
@@ -113,9 +114,14 @@ class SampleSource(Protocol):
 
 
 class FrameList:
-    """The length of a data set that lists its frames."""
+    """The length of a data set that lists its frames.
+
+    Attributes:
+        images: the file of each frame's image, which tells whether two sets share frames.
+    """
 
     _frames: Sequence[Any]
+    images: Sequence[Path] = ()
 
     def __len__(self) -> int:
         return len(self._frames)

@@ -33,8 +33,9 @@ class SourceRecipe:
     path: Annotated[str, Field(min_length=1)]
     #: How often it is sampled, relative to the others.
     weight: Positive = 1.0
-    #: (height, width) that every frame is resized to first; its own size by default.
-    size: tuple[Side, Side] | None = None
+    #: (height, width) that every frame is resized to first, or rows, at which it keeps its aspect;
+    #: its own size by default.
+    size: tuple[Side, Side] | Side | None = None
     #: Range of the random magnification; the common one by default.
     scale: FactorRange | None = None
     #: Name in scores, curves and files; the path by default.

@@ -42,7 +42,6 @@ _RGB_1, _DEPTH_1, _CLASSES_1 = (f"vkitti_1.3.1_{kind}" for kind in ("rgb", "dept
 #: Of every frame of edition 1.3.1, from the set's description.
 _INTRINSICS_1 = np.array([[725.0, 0.0, 620.5], [0.0, 725.0, 187.0], [0.0, 0.0, 1.0]])
 _UNITS_A_METRE = 100.0
-_SKY_M = np.float32(65535) / np.float32(_UNITS_A_METRE)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -128,6 +127,7 @@ class VirtualKitti(FrameList):
 
     def __init__(self, frames: Sequence[_Frame], classes: ClassTable) -> None:
         self._frames = frames
+        self.images = [frame.rgb for frame in frames]
         self._colors = {path: _read_colors(path, classes) for path in {f.colors for f in frames}}
 
     def __getitem__(self, index: int) -> Sample:
@@ -142,7 +142,7 @@ class VirtualKitti(FrameList):
         return Sample(
             rgb=rgb,
             targets={
-                "depth": np.where(depth < _SKY_M, depth, np.float32(0)),
+                "depth": depth,
                 "semantic": _read_classes(frame.labels, self._colors[frame.colors], size),
             },
             sparse_depth=sparse_depth,

@@ -18,6 +18,7 @@ from runtime.network_size import NetworkSize
 from training.datasets.class_mapping import ClassTable, is_mapped, list_classes
 from training.datasets.sample import IGNORE, SampleSource
 from training.datasets.source_recipe import SourceRecipe
+from training.distributed import parse_device
 from training.evaluation.classical import METHODS
 from training.evaluation.score_report import Row
 from training.evaluation.scored_model import ScoredModel, open_method, open_model
@@ -137,6 +138,7 @@ def evaluate(
         OutputError: for depth that cannot be written.
     """
     rows: list[Row] = []
+    parse_device(device)  # of methods, too, which have none
     with ExitStack() as stack:
         paths = {name: _find_file(name) for name in models if name not in METHODS}
         titles = dict(zip(paths, short_names(list(paths.values())), strict=True))
@@ -268,7 +270,8 @@ def _score_all(
     for index in tqdm(indices, desc=f"{name}, {title}", disable=None):
         sample = source[int(index)]  # once: reading it may cost more than an answer
         labelled |= bool((sample.semantic != IGNORE).any())
-        sample = sample.with_targets(semantic=label_ids[sample.semantic])
+        if "semantic" in sample.targets:
+            sample = sample.with_targets(semantic=label_ids[sample.semantic])
         answers: dict[str, HeadMaps] = {}  # all inputs without returns share one answer
         for lidar, fault in inputs:
             rng = frame_generator(int(index))  # the same for every model, whatever the limit
@@ -280,8 +283,8 @@ def _score_all(
                     continue
                 raise InputError(
                     f"{sample.name}: with the LiDAR {str(lidar)!r} the input is the depth to "
-                    "score, so that an error of 0 would mean nothing. Feed a share (random:0.5), "
-                    "give denser depth, or leave out sparse_depth: a part of depth is then fed."
+                    "score, so that an error of 0 would mean nothing. Feed a share with --lidar "
+                    "random:0.5, or give denser depth."
                 )
             fed, label = frame.fed, "none"
             if fed.any():
@@ -321,5 +324,6 @@ def _score_all(
                 heads=sorted(total.heads),
                 labelled=total.labelled(classes.names),
                 left_out=classes.left_out if labelled and model.table else "",
+                unscored=total.unscored(),
             )
     return list(rows.values())

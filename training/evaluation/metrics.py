@@ -22,8 +22,9 @@ from training.losses.semantic import IGNORE
 FARTHEST_M = 100.0
 #: Ranges of true depth [m]: the two others of Table 1, and four that do not overlap.
 RANGES_M = ((0.0, 20.0), (0.0, 50.0), (0.0, 10.0), (10.0, 20.0), (20.0, 40.0), (40.0, 100.0))
-#: Bins of the errors' histogram, equal in the logarithm [m]: neighbours differ by 0.3 %.
-_ERROR_BINS_M = np.geomspace(1e-3, 1e3, 4097)
+#: Bins of the errors' histogram, equal in the logarithm [m]: neighbours differ by 0.3 %. The first
+#: is of smaller errors, of which the median is 0.
+_ERROR_BINS_M = np.concatenate([[0], np.geomspace(1e-3, 1e3, 4097)])
 #: The boundary's F-score is reported at the best of these thresholds over the whole set.
 BOUNDARY_THRESHOLDS = tuple(threshold / 20 for threshold in range(6, 20))
 #: Largest distance between predicted and true boundary pixels that match, and the pixels within it.
@@ -75,12 +76,14 @@ class SemanticScores(Accumulator):
     Attributes:
         confusion: int64 (C, C), pixels by label (row) and prediction (column).
         frames: int64 (C,), frames in which a class is labelled.
+        unscored: int64 (2,), pixels without a class, and all pixels.
     """
 
     def __init__(self, num_classes: int) -> None:
         self.num_classes = num_classes
         self.confusion: NDArray[np.int64] = np.zeros((num_classes, num_classes), dtype=np.int64)
         self.frames: NDArray[np.int64] = np.zeros(num_classes, dtype=np.int64)
+        self.unscored: NDArray[np.int64] = np.zeros(2, dtype=np.int64)
 
     def update(self, prediction: NDArray[np.integer], semantic: NDArray[np.integer]) -> None:
         """Count a frame.
@@ -96,6 +99,7 @@ class SemanticScores(Accumulator):
             num_classes=self.num_classes,
             validate_args=False,
         )
+        self.unscored += (known.size - known.sum(), known.size)
         self.confusion += counts.numpy()
         self.frames += counts.numpy().any(axis=1)
 
@@ -206,8 +210,8 @@ class ErrorMedian(Accumulator):
         self._counts = np.zeros(len(_ERROR_BINS_M) - 1)
 
     def add(self, error: NDArray[np.float64]) -> None:
-        """Count errors [m] of any shape; values beyond the bins count in the first or last bin."""
-        inside = np.clip(np.abs(error), _ERROR_BINS_M[0], _ERROR_BINS_M[-1])
+        """Count errors [m] of any shape; values beyond the bins count in the last bin."""
+        inside = np.minimum(np.abs(error), _ERROR_BINS_M[-1])
         self._counts += np.histogram(inside, _ERROR_BINS_M)[0]
 
     def compute(self) -> float:
@@ -241,9 +245,13 @@ class DepthScores(Accumulator):
 
     A range is the true depths above its first and up to its last [m]. Pixels whose true depth
     is beyond `FARTHEST_M` are not scored.
+
+    Attributes:
+        unscored: int64 (2,), pixels of these depths, and all with a true depth.
     """
 
     def __init__(self) -> None:
+        self.unscored: NDArray[np.int64] = np.zeros(2, dtype=np.int64)
         self._metres, self._per_km, self._median = ErrorSums(), ErrorSums(), ErrorMedian()
         self._ranges = {item: ErrorSums() for item in RANGES_M}
 
@@ -256,6 +264,7 @@ class DepthScores(Accumulator):
             depth: the true depth, float (H, W) [m]; 0, negative or not finite = unknown.
         """
         known = scored(depth)
+        self.unscored += np.count_nonzero(depth > FARTHEST_M), np.count_nonzero(depth > 0)
         truth = depth[known].astype(np.float64)
         answer = prediction[known].astype(np.float64)
         error = answer - truth

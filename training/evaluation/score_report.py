@@ -10,7 +10,8 @@ from typing import Any
 from runtime.errors import OutputError
 from runtime.io.atomic_write import atomic_write, require_writable
 from training.evaluation.depth_regions import REGIONS, RETURN_DISTANCES
-from training.evaluation.metrics import RANGES_M
+from training.evaluation.metrics import FARTHEST_M, RANGES_M
+from training.evaluation.scoring import scored_classes
 
 #: Columns of the table without --all.
 _MAIN = (
@@ -66,6 +67,11 @@ _COLUMNS = (
 )
 #: Head -> a figure of every set with its ground truth, and the key of that truth in `folders`.
 _TRUTH = {"semantic": ("miou", "labels"), "depth": ("mae_m", "depth")}
+#: Of that truth, what is not scored.
+_UNSCORED = {
+    "labels": "the labelled images has no class and is not scored",
+    "depth": f"the depth is beyond {FARTHEST_M:g} m and not scored; check its unit (depth_scale)",
+}
 
 
 @dataclass(frozen=True)
@@ -79,6 +85,7 @@ class Row:
         heads: what the model answered.
         labelled: class -> its labelled pixels, and the frames that show it.
         left_out: classes that are not scored, in words; empty without any.
+        unscored: "labels" or "depth" -> the share of its pixels that is not scored.
     """
 
     model: str
@@ -93,6 +100,7 @@ class Row:
     heads: Sequence[str] = ()
     labelled: dict[str, tuple[int, int]] = field(default_factory=dict)
     left_out: str = ""
+    unscored: dict[str, float] = field(default_factory=dict)
 
 
 def format_table(rows: Sequence[Row], *, all_columns: bool = False) -> str:
@@ -115,9 +123,13 @@ def format_table(rows: Sequence[Row], *, all_columns: bool = False) -> str:
     cells = [[*titles, *(title for _, title, _ in columns)]]
     for row in rows:
         notes += [row.left_out] if row.left_out else []
+        if over := scored_classes(row.figures):
+            notes.append(f"{row.model} on {row.data}: mIoU{over}, the others are not labelled")
         for head, (figure, truth) in _TRUTH.items():
             explained = head == "semantic" and row.left_out
-            if head in row.heads and figure not in row.figures and not explained:
+            if share := row.unscored.get(truth):
+                notes.append(f"{row.data}: {100 * share:.3g} % of {_UNSCORED[truth]}")
+            elif head in row.heads and figure not in row.figures and not explained:
                 notes.append(
                     f"{row.data}: none of the {row.frames} frames has {truth} as ground truth; "
                     f"use a set with it, for example folders:DIR,{truth}=FOLDER"

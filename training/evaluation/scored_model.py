@@ -18,6 +18,7 @@ from runtime.network_size import NetworkSize, check_network_size, network_size
 from runtime.predictor import Predictor
 from runtime.preprocess import clean_sparse_depth
 from training.datasets.class_mapping import ClassTable
+from training.distributed import open_device, parse_device
 from training.evaluation.classical import CompletionMethod, create_method
 from training.evaluation.metrics import FARTHEST_M
 from training.evaluation.scoring import HeadMaps, Predict, torch_predict
@@ -88,12 +89,7 @@ def open_model(
         torch.set_num_threads(threads)
         checkpoint = load_checkpoint(path)
         network = checkpoint.model
-        try:
-            network = network.to(device)
-        except (RuntimeError, AssertionError) as error:
-            raise InputError(
-                f"device {device!r} is not available: {error}. Choose another --device."
-            ) from error
+        network = network.to(open_device(device))
         asked = check_network_size(size, fixed=False)
         yield ScoredModel(
             torch_predict(
@@ -107,16 +103,15 @@ def open_model(
             _class_table(network.heads, network.config.classes, checkpoint.training),
         )
     elif path.suffix == ".onnx":
-        provider = "cuda" if device.startswith("cuda") else "cpu"
-        card = int(device.partition(":")[2] or 0)
+        place = parse_device(device)
         with Predictor(
-            path, provider=provider, device_id=card, size=size, threads=threads
+            path, provider=place.type, device_id=place.index or 0, size=size, threads=threads
         ) as predictor:
             contract = predictor.contract
             yield ScoredModel(
                 engine_predict(predictor),
                 contract.classes,
-                f"onnxruntime on {provider}",
+                f"onnxruntime on {place.type}",
                 _class_table(predictor.heads, contract.classes, contract.training),
             )
     else:

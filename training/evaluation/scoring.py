@@ -97,7 +97,7 @@ def torch_predict(
             if not np.isfinite(values).all() or (head == "semantic" and NO_CLASS in values):
                 raise SSDNetError(
                     f"the network's {head} is not finite: its training diverged. Take earlier "
-                    "weights."
+                    "weights, such as best.pt of its run."
                 )
         return HeadMaps(**to_frame(heads, frame))
 
@@ -127,7 +127,7 @@ class Scores:
         self.frames += 1
         self.heads |= answer.heads.keys()
         labelled = bool((sample.semantic != IGNORE).any())
-        if answer.semantic is not None and labelled:
+        if answer.semantic is not None and "semantic" in sample.targets:
             self.semantic.update(answer.semantic, sample.semantic)
         if answer.semantic is not None and "road_mask" in sample.targets:
             self.road.update(answer.semantic, sample.targets["road_mask"])
@@ -154,6 +154,11 @@ class Scores:
         pixels, frames = self.semantic.confusion.sum(axis=1), self.semantic.frames
         counts = zip(class_names, pixels[:-1].tolist(), frames[:-1].tolist(), strict=True)
         return {name: (n, shown) for name, n, shown in counts if n}
+
+    def unscored(self) -> dict[str, float]:
+        """Return the share of the pixels of labels and depth that no figure counts, above 0."""
+        counts = {"labels": self.semantic.unscored, "depth": self.depth.unscored}
+        return {truth: float(left / every) for truth, (left, every) in counts.items() if left}
 
     def figures(
         self, class_names: Sequence[str] = (), *, boundary_threshold: float | None = None
@@ -206,6 +211,13 @@ class Scores:
                 "boundary_threshold": boundary.threshold,
             }
         return figures
+
+
+def scored_classes(figures: Mapping[str, float]) -> str:
+    """Return over how many classes the mIoU of `Scores.figures` is, in words; "" for all."""
+    ious = [value for key, value in figures.items() if key.startswith("iou_")]
+    known = sum(not math.isnan(value) for value in ious)
+    return f" over {known} of {len(ious)} classes" if known < len(ious) else ""
 
 
 def _error_figures(errors: Errors, name: str = "m") -> dict[str, float]:
@@ -263,16 +275,14 @@ def split_frames(
         yield frame
 
 
-def require_lidar(sources: Mapping[str, SampleSource], lidar: LidarInput) -> None:
-    """Raise an InputError for a LiDAR that the first frame of a set cannot give."""
-    for source in sources.values():
-        next(split_frames(source, [0], lidar))
-
-
 def figure_names(
     network: Network, source: SampleSource, indices: Iterable[int], lidar: LidarInput
 ) -> list[str]:
-    """Return the names of the figures that a network gets on frames of a set; it does not run."""
+    """Return the names of the figures that a network gets on frames of a set; it does not run.
+
+    Raises:
+        InputError: for a LiDAR that a frame cannot give.
+    """
 
     def answer(rgb: NDArray[np.uint8], _: object, __: object) -> HeadMaps:
         heads = set(HeadMaps._fields) & set(network.heads)

@@ -14,7 +14,7 @@ from pydantic.dataclasses import dataclass
 from runtime.contract import MAX_RETURN_M, MIN_SIDE, farthest_return
 from runtime.errors import InputError
 from runtime.resize import move_returns, move_scan_lines, resize_by, resize_image, resize_nearest
-from training.datasets.sample import IGNORE, Sample, SampleSource, nothing_known, target_kind
+from training.datasets.sample import IGNORE, Sample, nothing_known, target_kind
 from training.lidar.faults import absorb, add_false_returns, drop_sectors, misalign
 from training.lidar.split import SENSOR_LINES, LidarInput, masked, split_lidar
 from training.limits import (
@@ -518,15 +518,14 @@ def choose_crop(
     return max(offsets, key=count)
 
 
-def with_crop(augment: AugmentConfig, sources: Sequence[SampleSource]) -> AugmentConfig:
-    """Return the ranges with a crop: as high as the first frame of each set, to `LARGEST_CROP`.
+def with_crop(augment: AugmentConfig, smallest: tuple[int, int]) -> AugmentConfig:
+    """Return the ranges with a crop: as high as the smallest frame, up to `LARGEST_CROP`.
 
     Raises:
         InputError: if that is too small for second views.
     """
     if augment.crop is not None:
         return augment
-    smallest = np.min([source[0].size for source in sources], axis=0)
     sides = np.minimum(smallest, LARGEST_CROP) // _CROP_STEP * _CROP_STEP
     height, width = (max(MIN_SIDE, int(side)) for side in sides)
     crop = (height, min(width, height * LARGEST_CROP[1] // LARGEST_CROP[0]))

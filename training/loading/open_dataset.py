@@ -1,6 +1,6 @@
 """Open the data sets of a recipe."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +39,12 @@ def _find_folder(recipe: SourceRecipe, roots: Sequence[Path]) -> Path:
         f"no folder {recipe.path!r} ({recipe.kind}){below}. Name the folder that holds it with "
         "--data."
     )
+
+
+def frame_files(sources: Iterable[SampleSource]) -> set[tuple[int, int]]:
+    """Return device and number of the file of each frame's image, the same by any path or link."""
+    found = (path.stat() for source in sources for path in getattr(source, "images", ()))
+    return {(item.st_dev, item.st_ino) for item in found}
 
 
 def spread_indices(source: SampleSource, count: int) -> list[int]:

@@ -18,8 +18,9 @@ class RunRecording:
 
     def write(self, frame: Frame, prediction: Prediction) -> None:
         """Record a frame. Raises OutputError."""
+        predict_ms, focal_px = prediction.latency.total_ms, frame.focal_length_px
         entry = RecordedFrame(
-            frame.name, prediction.valid, prediction.degraded, prediction.latency.total_ms
+            frame.name, prediction.valid, prediction.degraded, predict_ms, focal_px
         )
         self._recorder.add(entry, frame.rgb, frame.sparse_depth, prediction.heads)
 

@@ -48,6 +48,13 @@ def test_a_wrong_unit_is_found_with_its_factor(factor):
     assert "times as far as the depth predicted from the image" in found.cause
 
 
+@pytest.mark.parametrize("mark", [np.finfo(np.float32).max, np.inf, np.nan, -1])
+def test_marks_of_no_return_hide_nothing(mark):
+    sparse = returns(scene() * np.float32(10))
+    found = find(np.where(sparse > 0, sparse, np.float32(mark)))
+    assert found.ratio == pytest.approx(10, rel=0.05)
+
+
 @pytest.mark.parametrize("unit", [1, 384])
 def test_inverse_depth_is_found(unit):
     found = find(returns(unit / scene()))

@@ -95,7 +95,7 @@ def test_x_y_and_z_are_found_by_their_names(tmp_path, name):
     [("a.bin", None, 4), ("a.pcd.bin", None, 5), ("a.BIN", 6, 6), ("a.pcd.bin", 3, 3)],
 )
 def test_raw_floats_have_so_many_columns(tmp_path, name, columns, expected):
-    values = np.arange(60 * expected, dtype=np.float32).reshape(60, expected)
+    values = sweep(expected)
     values.tofile(tmp_path / name)
     np.testing.assert_array_equal(read_scan(tmp_path / name, columns=columns), values)
 
@@ -107,6 +107,16 @@ def test_an_array_may_be_of_any_floats(tmp_path, dtype):
     points = read_scan(tmp_path / "a.npy")
     assert points.dtype == np.float32
     np.testing.assert_array_equal(points, array)
+
+
+@pytest.mark.parametrize("columns", [3, 4, 6])
+def test_an_array_of_one_coordinate_after_the_other_is_turned(tmp_path, columns):
+    """As nuScenes' devkit holds points."""
+    scan = sweep(columns)
+    np.save(tmp_path / "a.npy", scan.T)
+    np.testing.assert_array_equal(read_scan(tmp_path / "a.npy"), scan)
+    np.save(tmp_path / "b.npy", scan[:5])  # a few points
+    np.testing.assert_array_equal(read_scan(tmp_path / "b.npy"), scan[:5])
 
 
 @pytest.mark.parametrize(
@@ -244,6 +254,56 @@ def test_points_in_no_order_are_read_as_asked(tmp_path):
     shuffled[::7] = np.nan
     shuffled.tofile(tmp_path / "a.bin")
     np.testing.assert_array_equal(read_scan(tmp_path / "a.bin"), shuffled)
+
+
+def ouster() -> np.ndarray:
+    """Packed records of 29 bytes."""
+    fields = [("xyz", "<f4", 3), ("i", "<f4"), ("t", "<u4"), ("u", "<u2"), ("ring", "u1")]
+    rows = np.zeros(3200, [*fields, ("ambient", "<u2"), ("range", "<u4")])
+    rows["xyz"], rows["i"], rows["t"] = sweep(3), 90, np.arange(3200) * 700
+    return rows
+
+
+def padded(scan: np.ndarray) -> np.ndarray:
+    """PCL's records of 32 bytes: x, y, z, 1, intensity, three gaps."""
+    rows = np.zeros((len(scan), 8), np.float32)
+    rows[:, :3], rows[:, 3], rows[:, 4] = scan[:, :3], 1, 0.3
+    return rows
+
+
+AHEAD = sweep(4)[np.abs(sweep(4)[:, 1]) < sweep(4)[:, 0]]  # as of a LiDAR that looks ahead
+OTHERS = {
+    "29 bytes": (ouster(), "no normal numbers"),
+    "float64": (sweep(4).astype("<f8"), "no normal numbers"),
+    "int32": ((1000 * sweep(4)).astype("<i4"), "no normal numbers"),
+    "padded": (padded(AHEAD), "give point_columns=8"),
+    "x, then y": (np.ascontiguousarray(sweep(4).T), "all x, then all y"),
+    "x, then y, ahead": (np.ascontiguousarray(AHEAD[:800].T), "all x, then all y"),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_raw_files_of_other_records_are_refused(tmp_path, name):
+    records, text = OTHERS[name]
+    (tmp_path / "a.bin").write_bytes(records.tobytes())
+    with pytest.raises(InputError, match=text):
+        read_scan(tmp_path / "a.bin")
+
+
+SEEN = np.random.default_rng(2).random((3200, 1)) < 0.03
+RAW = {
+    "ahead": AHEAD,
+    "a planar LiDAR": sweep(4) * np.float32([1, 1, 0, 1]),
+    "an empty road": np.where(SEEN, sweep(4), 0),
+    "a covered lens": np.zeros((3200, 4), np.float32),
+    "a beam straight ahead": sweep(4) * np.float32([1, 0, 0, 1]),
+}
+
+
+@pytest.mark.parametrize("name", RAW)
+def test_raw_files_that_look_like_others_are_read(tmp_path, name):
+    (tmp_path / "a.bin").write_bytes(RAW[name].astype(np.float32).tobytes())
+    np.testing.assert_array_equal(read_scan(tmp_path / "a.bin"), RAW[name])
 
 
 DATA = os.environ.get("SSDNET_DATA")

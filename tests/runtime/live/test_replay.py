@@ -98,6 +98,24 @@ def test_answers_are_those_of_the_engine_and_of_a_live_stream(model_file, make_f
     ]
 
 
+@pytest.mark.parametrize("is_live", [False, True])
+def test_the_image_of_an_answer_is_read_only(setup, checked_predictor, is_live):
+    """The next check predicts from it; the array that was given is still the caller's."""
+    given, sparse_depth = image(0), depth(0)
+    if is_live:
+        stream = setup().stream
+        stream.push_image(given, 0)
+        stream.push_depth(sparse_depth, 0)
+        answer = next(stream)
+    else:
+        recording = [("image", given, 0), ("depth", sparse_depth, 0)]
+        (answer,) = answer_recording(checked_predictor(), recording, check_depth=False)
+    with pytest.raises(ValueError, match="read-only"):
+        answer.rgb[:] = 0
+    np.testing.assert_array_equal(answer.rgb, given)
+    given[:] = 0
+
+
 # --- reuse and poses -----------------------------------------------------------------------------
 
 
@@ -115,6 +133,25 @@ def test_a_camera_of_20_hz_and_a_lidar_of_10_hz_have_depth_in_every_answer(repla
     assert (counts.images.answered, counts.depths.answered) == (20, 10)
     assert (counts.camera_only, counts.reused) == (0, 10)
     assert (counts.poses.pushed, counts.poses.answered, counts.poses.pending) == (100, 100, 0)
+
+
+@pytest.mark.parametrize("options", [{}, {"pose_frame": "lidar"}])
+@pytest.mark.parametrize("times", [False, True])
+def test_points_without_a_return_or_a_time_are_left_out_and_counted(replay, options, times):
+    """The LiDAR is 1 m ahead of the camera, which would see (0, 0, 0) there, moved or not."""
+    ahead = TO_CAMERA.copy()
+    ahead[2, 3] = 1.0
+    points = np.vstack([np.zeros((20, 3), np.float32), wall_scan(0)])
+    after = np.zeros(len(points))
+    after[:40:2] = 3.6, np.nan, *[3.6] * 18  # half of the marks, and ten of the wall
+    scan = ("points", points, 0, after) if times else ("points", points, 0)
+    poses = [("pose", car(time_ms), time_ms * MS) for time_ms in range(0, 200, 10)]
+    recording = [("image", image(1), 0), scan, *(poses if options else ())]
+    (answer,), _ = replay(recording, calibration=Calibration(INTRINSICS, ahead), **options)
+    assert measured(answer) == pytest.approx(WALL_M + 1, abs=2e-3)
+    assert answer.prediction.depth[16, 20] != 2, "1 m more than the mark"
+    assert answer.prediction.cleaned.lost_points == (30 if times else 20)
+    assert answer.prediction.degraded == (("points_untimed",) if times else ())
 
 
 @pytest.mark.parametrize("pose_frame", [None, "lidar"])

@@ -190,7 +190,7 @@ def test_a_picture_of_another_size_than_the_calibrations_is_skipped(tmp_path, ru
     ("spoil", "text"),
     [
         (lambda rgb, depth: [p.unlink() for p in rgb.iterdir()], "has no .png"),
-        (lambda rgb, depth: [p.rename(p.with_stem(p.stem + "00")) for p in depth.iterdir()],
+        (lambda rgb, depth: [p.rename(p.with_stem(p.stem + "70")) for p in depth.iterdir()],
          "no name occurs in both"),
         (lambda rgb, depth: depth.rename(depth.with_name("gone")), "cannot list the folder"),
     ],

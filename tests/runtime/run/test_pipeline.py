@@ -90,11 +90,11 @@ def test_reading_and_writing_overlap_with_inference(predictor, stream_of, monkey
         read_of[int(listed.name)].set()
         return frame
 
-    def predict_when_others_work(rgb, depth):
+    def predict_when_others_work(rgb, depth, **options):
         index = next(count)
         if index < 5 and read_of[index + 1].wait(5):
             met.append(f"read {index + 1}")
-        prediction = predict(rgb, depth)
+        prediction = predict(rgb, depth, **options)
         predicted_of[index].set()
         return prediction
 
@@ -190,7 +190,7 @@ def test_what_was_predicted_before_a_stop_is_written(predictor, stream_of):
 
 
 def test_an_interrupt_is_passed_on_and_leaves_no_thread(predictor, stream_of, monkeypatch):
-    def interrupt(rgb, depth):
+    def interrupt(rgb, depth, **options):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(predictor, "predict", interrupt)
@@ -222,9 +222,9 @@ def constant_stream(predictor, folders, monkeypatch, *, takes_s, **options):
     clock = ManualTime()
     predict, takes = predictor.predict, iter(takes_s)
 
-    def slow_predict(*frame):
+    def slow_predict(*frame, **options):
         clock.now += next(takes)
-        return predict(*frame)
+        return predict(*frame, **options)
 
     monkeypatch.setattr(runtime.run.pipeline, "time", clock)
     monkeypatch.setattr(predictor, "predict", slow_predict)

@@ -168,33 +168,37 @@ class BagMaker:
         model="plumb_bob",
         distortion=(),
         shift_px=0.0,
+        rectified=None,
+        turn=None,
+        roi=(0, 0, 0, 0),
+        binning=0,
+        stamp_ns=1,
     ):
+        """rectified: the first three columns of P, else K; roi: x, y, height, width."""
         k = np.asarray(intrinsics, np.float64)
-        p = np.hstack([k, [[shift_px], [0], [0]]])
+        p = np.hstack([k if rectified is None else rectified, [[shift_px], [0], [0]]])
+        r = np.eye(3) if turn is None else np.asarray(turn, np.float64)
         matrices = {"d": np.array(distortion, np.float64), "k": k.reshape(-1)}
-        matrices |= {"r": np.eye(3).reshape(-1), "p": p.reshape(-1)}
+        matrices |= {"r": r.reshape(-1), "p": p.reshape(-1)}
         if self.is_ros1:
             matrices = {name.upper(): matrix for name, matrix in matrices.items()}
         region = self.make(
             "sensor_msgs/msg/RegionOfInterest",
-            x_offset=0,
-            y_offset=0,
-            height=0,
-            width=0,
+            **dict(zip(("x_offset", "y_offset", "height", "width"), roi, strict=True)),
             do_rectify=False,
         )
         message = self.make(
             "sensor_msgs/msg/CameraInfo",
-            header=self.header(1, frame_id),
+            header=self.header(stamp_ns, frame_id),
             height=size[0],
             width=size[1],
             distortion_model=model,
-            binning_x=0,
-            binning_y=0,
+            binning_x=binning,
+            binning_y=binning,
             roi=region,
             **matrices,
         )
-        self.add(topic, message, 1)
+        self.add(topic, message, stamp_ns)
 
     def odometry(self, topic, position, stamp_ns, *, frame="odom", child="base", turn=(0, 0, 0, 1)):
         kinds = "geometry_msgs/msg/"

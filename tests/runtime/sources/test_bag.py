@@ -286,7 +286,6 @@ def test_images_that_are_not_rectified_have_the_lens(
         assert (source.calibration.lens, source.calibration.distortion) == (
             (lens, distortion) if lens else (None, None)
         )
-        assert (f"guessed: {topic} is not rectified, by its name" in source.notes) == bool(lens)
         # K of the raw images, P of the rectified ones, which are 6 px beside.
         right_m = 0.0 if lens else 6 / INTRINSICS[0][0]
         expected = [[0, -1, 0, right_m], [0, 0, -1, -0.3], [1, 0, 0, -0.5], [0, 0, 0, 1]]
@@ -428,7 +427,7 @@ def test_rosbags_that_cannot_be_imported_is_not_a_damaged_bag(
     path, real = bag.write(), builtins.__import__
 
     def fail(name, *arguments):
-        if name == "rosbags.highlevel":
+        if name == "rosbags.typesys":
             raise error
         return real(name, *arguments)
 
@@ -475,6 +474,8 @@ def test_messages_that_the_index_promises_and_the_bag_has_lost_are_counted(make_
     content[start : start + length] = bytes(length)
     path.write_bytes(content)
     with BagSource(path, depth_topic="none") as source:
-        assert len(source.list_frames()) == 191
-        assert source.inputs["left_out"] == {"image: listed in the index, but missing": 9}
-        assert "left out: image: listed in the index, but missing 9" in source.notes
+        for _ in range(2):
+            assert len(source.list_frames()) == 191
+        missing = "/cam/image_rect (only in the index)"
+        assert source.inputs["left_out"] == {missing: 9}
+        assert f"left out: {missing} 9" in source.notes

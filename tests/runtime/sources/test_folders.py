@@ -88,11 +88,17 @@ def test_a_calibration_sets_the_focal_length_unless_one_is_given(folders, run, t
 
 
 INTRINSICS = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
-EXTRINSICS = np.array([[0.0, -1, 0, 0], [0, 0, -1, -0.3], [1, 0, 0, 0], [0, 0, 0, 1]])
+EXTRINSICS = np.array([[0.0, -1, 0, 0], [0, 0, -1, -0.1], [1, 0, 0, 0.5], [0, 0, 0, 1]])
 
 
 def as_text(scan):
     return "".join(f"{x!r} {y!r} {z!r}\n" for x, y, z, _ in scan.astype(float).tolist())
+
+
+def with_marks(scan):
+    """A scan with ten points without a return; the camera would see them at the LiDAR."""
+    marks = np.repeat(np.float32([[0, 0, 0, 0], [np.nan] * 4]), 5, axis=0)
+    return np.vstack([marks, scan])
 
 
 @pytest.fixture
@@ -100,15 +106,15 @@ def scans(folders, make_scan, tmp_path):
     """Scans of cam/ in scans/, each in another format, without one of 1.png; a calibration."""
     folder = tmp_path / "scans"
     folder.mkdir()
-    count = len(make_scan())
-    make_scan(0).tofile(folder / "0.bin")
-    np.pad(make_scan(2), ((0, 0), (0, 1))).tofile(folder / "2.pcd.bin")
+    count = len(with_marks(make_scan()))
+    with_marks(make_scan(0)).tofile(folder / "0.bin")
+    np.pad(with_marks(make_scan(2)), ((0, 0), (0, 1))).tofile(folder / "2.pcd.bin")
     pcd = f"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS {count}\nDATA ascii\n"
-    (folder / "3.pcd").write_text(pcd + as_text(make_scan(3)))
+    (folder / "3.pcd").write_text(pcd + as_text(with_marks(make_scan(3))))
     ply = "".join(f"property float {axis}\n" for axis in "xyz") + "end_header\n"
     ply = f"ply\nformat ascii 1.0\nelement vertex {count}\n" + ply
-    (folder / "4.ply").write_text(ply + as_text(make_scan(4)))
-    np.save(folder / "5.npy", make_scan(5)[:, :3].astype(np.float64))
+    (folder / "4.ply").write_text(ply + as_text(with_marks(make_scan(4))))
+    np.save(folder / "5.npy", with_marks(make_scan(5))[:, :3].astype(np.float64))
     shutil.copy(folders[0] / "0.png", folders[0] / "3.png")
     shutil.copy(folders[0] / "0.png", folders[0] / "5.png")
     matrices = f"intrinsics = {INTRINSICS.tolist()}\nextrinsics = {EXTRINSICS.tolist()}\n"
@@ -121,6 +127,7 @@ def test_scans_of_every_format_are_projected_beside_their_images(folders, scans,
     assert answers.names == ["0", "1", "2", "3", "4", "5"]
     assert answers.column("status") == ["ok", "skipped", "ok", "ok", "ok", "ok"]
     assert answers.column("reason")[1] == "1 has an image, but no scan"
+    assert answers.column("lost_points") == ["10", "0", "10", "10", "10", "10"]
     for name in ("0", "2", "3", "4", "5"):
         expected = project_points(make_scan(int(name)), INTRINSICS, EXTRINSICS, (48, 64))
         assert (expected > 0).sum() > 100
@@ -243,6 +250,68 @@ def test_scans_take_the_place_of_depth_maps(folders, scans, run, tmp_path):
     assert "it has .png files: give another folder or option" in maps.text.replace("\n", " ")
 
 
+@pytest.fixture
+def kitti(tmp_path, make_frame, make_scan, write_rgb):
+    """An image in image_3/, a scan, and calibrations; extrinsics of the cameras, by number."""
+    write_rgb(tmp_path / "image_3/0.png", make_frame()[0])
+    (tmp_path / "scans").mkdir()
+    make_scan().tofile(tmp_path / "scans/0.bin")
+    for link, target in (("right", "image_3"), ("data", "image_3"), ("image_0", "image_3")):
+        (tmp_path / link).symlink_to(target)
+    (tmp_path / "plain").mkdir()
+    shutil.copy(tmp_path / "image_3/0.png", tmp_path / "plain/0.png")
+    (tmp_path / "image_1").symlink_to("plain")
+    shifts = {0: 0.0, 1: -32.4, 2: 2.7, 3: -20.4}
+
+    def write(name, shifts):
+        rows = [f"P{n}: 60 0 32 {shift} 0 60 24 0 0 0 1 0" for n, shift in shifts.items()]
+        rows += ["R0_rect: 1 0 0 0 1 0 0 0 1", "Tr_velo_to_cam: 0 -1 0 0 0 0 -1 0 1 0 0 0"]
+        (tmp_path / name).write_text("\n".join(rows))
+
+    write("calib.txt", shifts)
+    write("one_camera.txt", {2: 2.7})
+    write("rectified_alike.txt", dict.fromkeys(range(4), 0.0))
+    (tmp_path / "own.toml").write_text(
+        f"intrinsics = {INTRINSICS.tolist()}\nextrinsics = {EXTRINSICS.tolist()}\n"
+    )
+    return {camera: shift / 60 for camera, shift in shifts.items()}
+
+
+@pytest.mark.parametrize(
+    ("images", "calibration", "key", "camera", "warns"),
+    [
+        ("image_3", "calib.txt", None, 3, False),
+        (".", "calib.txt", None, 3, False),
+        ("0.png", "calib.txt", None, 3, False),
+        ("../right", "calib.txt", None, 3, False),
+        ("../right/0.png", "calib.txt", None, 3, False),
+        ("../image_0", "calib.txt", None, 3, False),  # the real name, not that of the link
+        ("../image_1", "calib.txt", None, 1, False),  # the real name says nothing
+        ("image_3", "calib.txt", 0, 0, False),
+        ("../plain", "calib.txt", None, 2, True),
+        ("../plain/0.png", "calib.txt", None, 2, True),
+        ("../plain", "calib.txt", 2, 2, False),
+        ("../plain", "one_camera.txt", None, 2, False),
+        ("../plain", "rectified_alike.txt", None, 0, False),
+        ("../plain", "own.toml", None, None, False),
+    ],
+)
+def test_the_camera_of_kitti_is_that_of_the_real_folder(
+    kitti, tmp_path, monkeypatch, images, calibration, key, camera, warns
+):
+    monkeypatch.chdir(tmp_path / "image_3")
+    path = tmp_path / images if images == "image_3" else images
+    options = {"points": tmp_path / "scans", "calibration": tmp_path / calibration}
+    with open_source("folders", path, camera=key, **options) as source:
+        shift = kitti[camera] if camera is not None else EXTRINSICS[0, 3]
+        assert source.calibration.extrinsics[0, 3] == pytest.approx(shift)
+        warning = f"warning: assumed camera 2 of KITTI for {path}: camera= in --source"
+        assert [note.startswith(warning) for note in source.notes] == [True] * warns
+    # Depth maps lie on the pixels of their image, whichever camera it is of.
+    with open_source("folders", path, calibration=tmp_path / calibration) as source:
+        assert source.notes == ()
+
+
 # --- listing ----------------------------------------------------------------------------------
 
 
@@ -279,8 +348,22 @@ def test_pairs_come_in_natural_order(empty_folders):
 
 
 @pytest.mark.parametrize(
+    ("rgb", "depth"),
+    [
+        (["1.png", "2.png", "10.png"], ["0001.png", "0002.png", "0010.png"]),
+        (["f_01_2.png", "f_1_10.png"], ["lidar1-02.png", "lidar1-10.png"]),
+    ],
+)
+def test_numbers_are_the_same_with_zeros_in_front(empty_folders, rgb, depth):
+    frames = listed(*empty_folders(rgb, depth))
+    assert [frame.image.name for frame in frames] == rgb
+    assert [frame.depth.name for frame in frames] == depth
+
+
+@pytest.mark.parametrize(
     ("rgb", "depth", "text"),
     [
+        (["1.png", "01.png"], ["001.png", "2.png"], "no name occurs in both"),
         ([], ["1.png"], r"rgb has no \.png or \.jpg or \.jpeg files"),
         (["1.png"], [], r"depth has no \.png or \.tif or \.tiff or \.npy files"),
         (["1.png"], ["1.jpg"], r"depth has no \.png or"),

@@ -1,14 +1,18 @@
 """KITTI's object layout through ssdnet-run: a calibration a frame."""
 
+import dataclasses
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 from small_rig import SIZE, projected
+from typer.testing import CliRunner
 
 from runtime import InputError
+from runtime.io.recording import read_recording
 from runtime.sources.kitti_object import KittiObjectSource
+from runtime.tools.verify import app as verify_app
 
 DATA = os.environ.get("SSDNET_DATA")
 
@@ -48,6 +52,27 @@ def test_each_frame_has_its_calibration(training, run, make_scan):
     inputs = answers.report["inputs"]
     assert inputs["source"] == f"kitti-object:{training}"
     assert inputs["focal_length_px"] == 60, "of the first frame"
+
+
+@pytest.mark.parametrize(("given", "focal_px"), [([], None), (["--focal-length", 200], 200)])
+def test_each_frame_is_predicted_with_its_focal_length(
+    training, run, model_file, contract, make_scan, tmp_path, given, focal_px
+):
+    """The graph adds 1.5 m of a camera of 100 px, which are 1.5 m times f / 100 of any other."""
+    canonical = dataclasses.replace(contract, canonical_focal_px=100.0, max_depth_m=400.0)
+    model = model_file(contract=canonical, heads=("semantic", "depth"))
+    answers = run(training, "--model", model, "--record", tmp_path / "recording", *given)
+    assert answers.exit_code == 0, answers.text
+    for number in range(5):
+        focal = focal_px or 60 + number
+        expected = projected(make_scan(number), focal_px=60 + number) + 1.5 * focal / 100
+        assert abs(answers.fed_depth(f"{number:06d}") + 1.5 - expected).max() < 0.01
+    recording = read_recording(tmp_path / "recording")
+    assert [each.focal_length_px for each in recording.frames] == [
+        focal_px or 60 + number for number in range(5)
+    ]
+    done = CliRunner().invoke(verify_app, [str(tmp_path / "recording")])
+    assert done.exit_code == 0, done.output
 
 
 @pytest.mark.parametrize(

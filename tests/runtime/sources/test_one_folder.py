@@ -60,6 +60,18 @@ def test_pairs_by_numbers_are_said_to_be_guessed(frames, run):
     assert "no name occurs in both folders" in run(data, out="twice").text
 
 
+def test_scans_beside_depth_maps_are_reported_as_not_read(frames, run):
+    data, depths = frames("image/{}.png", "depth/{}.png")
+    assert "nor read" not in run(data).text
+    for name in ("lidar", "velodyne"):
+        (data / name).mkdir()
+    answers = run(data, out="noted")
+    assert answers.exit_code == 0, answers.text
+    assert abs(answers.fed_depth("0") - depths[0]).max() < 0.01
+    for name in ("lidar", "velodyne"):
+        assert f"guessed: {name}/ is not the depth, nor read; --points names it" in answers.text
+
+
 # --- scans ------------------------------------------------------------------------------------
 
 

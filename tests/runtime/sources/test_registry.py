@@ -55,7 +55,7 @@ def test_keys_are_read_by_their_types(monkeypatch):
 def test_a_path_may_hold_commas_and_equals_signs(tmp_path):
     assert parse_source("bag:a, b,c.mcap,info_topic=/x=1,y").path == Path("a, b,c.mcap")
     assert parse_source("bag:a=b,depth_topic=none").path == Path("a=b")
-    for name in ("run=3,camera=2", "t,0=1"):
+    for name in ("run=3,sensor=2", "t,0=1"):
         (tmp_path / name).mkdir()
         given = f"folders:{tmp_path / name},timestamps={tmp_path / name}"
         assert parse_source(given).path == tmp_path / name
@@ -63,7 +63,7 @@ def test_a_path_may_hold_commas_and_equals_signs(tmp_path):
 
 
 FOLDERS = (
-    "a source of the kind folders takes the keys depth_scale, point_columns, timestamps, "
+    "a source of the kind folders takes the keys depth_scale, point_columns, camera, timestamps, "
     "pose_frame, scan_stamp, point_time_column"
 )
 
@@ -85,7 +85,7 @@ FOLDERS = (
         ("scan_stamp=first", "scan_stamp must be start or middle or end, got 'first'"),
         ("timestamps=", "timestamps must be a file, got ''"),
         ("depth_scale=1,depth_scale=2", "depth_scale is given twice, the second time as '2'"),
-        ("camera=2", f"{FOLDERS}, not camera, and there is no file 'no,camera=2'"),
+        ("topic=2", f"{FOLDERS}, not topic, and there is no file 'no,topic=2'"),
         ("depth-scale=2", f"{FOLDERS}, not depth-scale, and there is no file"),
         ("depth_scale=2,scale=3", f"{FOLDERS}, not scale, and there is no file '2,scale=3'"),
     ],

@@ -126,7 +126,8 @@ def image(encoding="rgb8", **changes):
 @pytest.mark.parametrize(
     ("decode", "message", "text"),
     [
-        (decode_image, image("bayer_rggb8"), "debayer it first"),
+        (decode_image, image("bayer_rggb16"), "expected one of .*bayer_rggb8"),
+        (decode_image, image("mono16"), "expected one of rgb8"),
         (decode_image, image("16UC1"), "that is a depth map: name it by depth_topic= in --source"),
         (decode_image, image("yuv422"), "expected one of rgb8, bgr8"),
         (decode_image, image(step=8), "has step 8, expected at least 9"),
@@ -142,14 +143,79 @@ def test_what_is_wrong_with_an_image_is_in_the_error(decode, message, text):
         decode(message)
 
 
+SIZE = (16, 24)
+PATTERNS = {"rggb": "RGGB", "bggr": "BGGR", "gbrg": "GBRG", "grbg": "GRBG"}
+
+
+def tiles():
+    """Red on the left, blue on the right."""
+    rgb = np.zeros((*SIZE, 3), np.uint8)
+    rgb[:, :12], rgb[:, 12:] = (200, 40, 40), (40, 40, 200)
+    return rgb
+
+
+def mosaic_of(rgb, pattern):
+    """What a sensor with this pattern of 2 x 2 pixels sees."""
+    mosaic = np.zeros(SIZE, np.uint8)
+    for place, color in enumerate(pattern):
+        y, x = divmod(place, 2)
+        mosaic[y::2, x::2] = rgb[y::2, x::2, "RGB".index(color)]
+    return mosaic
+
+
+def compressed(form, array, *, ending=".png"):
+    """array: as OpenCV takes it, BGR."""
+    content = cv2.imencode(ending, array)[1].ravel()
+    return SimpleNamespace(format=form, data=content)
+
+
+def raw(encoding, array):
+    height, width = array.shape
+    return image(encoding, height=height, width=width, step=width, data=array.ravel())
+
+
+@pytest.mark.parametrize("name", PATTERNS)
+def test_a_mosaic_becomes_a_picture(name):
+    rgb, encoding = tiles(), f"bayer_{name}8"
+    mosaic = mosaic_of(rgb, PATTERNS[name])
+    for decoded in (
+        decode_image(raw(encoding, mosaic)),
+        decode_compressed_image(compressed(f"{encoding}; png compressed ", mosaic)),
+        decode_compressed_image(compressed(f"{encoding}; jpeg compressed ", mosaic, ending=".jpg")),
+    ):
+        difference = np.abs(decoded[2:-2].astype(int) - rgb[2:-2]).max(axis=(0, 2))
+        assert difference[2:10].max() < 20, "the red half"
+        assert difference[14:22].max() < 20, "the blue half"
+
+
+@pytest.mark.parametrize(
+    ("form", "array"),
+    [
+        ("bayer_rggb8; png compressed bgr8", tiles()[..., ::-1]),  # converted by the publisher
+        ("bayer_rggb16; png compressed bgr8", tiles()[..., ::-1]),
+        ("yuv422; png compressed bgr8", tiles()[..., ::-1]),
+        ("mono8; png compressed ", mosaic_of(tiles(), "RGGB")),
+        ("png", mosaic_of(tiles(), "RGGB")),
+    ],
+)
+def test_what_is_no_mosaic_is_the_picture_itself(form, array):
+    expected = np.broadcast_to(
+        array[..., ::-1] if array.ndim == 3 else array[..., None], (*SIZE, 3)
+    )
+    np.testing.assert_array_equal(decode_compressed_image(compressed(form, array)), expected)
+
+
 @pytest.mark.parametrize(
     ("form", "array", "text"),
     [
-        ("16UC1; compressedDepth png", np.zeros((2, 2), np.uint16), "republish it as raw"),
+        ("16UC1; compressedDepth png", np.zeros((2, 2), np.uint16), "a depth map: republish it"),
+        ("16UC1; png compressed ", np.zeros((2, 2), np.uint16), "a depth map: republish it as raw"),
+        ("16UC1; jpeg compressed ", np.zeros((2, 2), np.uint8), "a depth map: republish it as raw"),
         ("mono16; png compressed", np.zeros((2, 2), np.uint16), "must hold 8 bits"),
+        ("bayer_rggb16; png compressed ", np.zeros((2, 2), np.uint16), "must hold 8 bits"),
+        ("bayer_rggb16; jpeg compressed ", np.zeros((2, 2), np.uint8), "expected .* bayer_rggb8"),
     ],
 )
 def test_what_is_wrong_with_a_compressed_image_is_in_the_error(form, array, text):
-    content = cv2.imencode(".png", array)[1].ravel()
     with pytest.raises(InputError, match=text):
-        decode_compressed_image(SimpleNamespace(format=form, data=content))
+        decode_compressed_image(compressed(form, array))

@@ -1,6 +1,7 @@
 """A video and the depth maps beside it through ssdnet-run."""
 
 import re
+import struct
 
 import cv2
 import numpy as np
@@ -101,16 +102,69 @@ def test_a_truncated_video_is_an_input_error(video, tmp_path, share):
         VideoSource(cut).list_frames()
 
 
-def test_a_video_that_ends_early_is_answered_up_to_there(tmp_path, run):
-    """Motion JPEG in AVI has its header first: what is missing shows when it is read."""
+def test_a_video_that_ends_early_is_read_to_its_end(tmp_path, run):
+    """Motion JPEG in AVI has its header first, which states the frames that are missing."""
     path = tmp_path / "drive.avi"
     write_video(path, "MJPG")
     content = path.read_bytes()
     path.write_bytes(content[: content.rindex(b"\xff\xd8\xff") - 100])
     answers = run("--source", f"video:{path}")
-    assert answers.exit_code == 3, answers.text
-    assert answers.column("status") == ["ok"] * (N - 2) + ["skipped"] * 2
-    assert "ends before its frame 7, or this frame is damaged" in answers.column("reason")[7]
+    assert answers.exit_code == 0, answers.text
+    assert answers.column("status") == ["ok"] * (N - 2)
+    assert f"warning: {path} states 8 frames, it has 6" in answers.text
+
+
+@pytest.mark.parametrize("stated", [0, 1, N, 3 * N, 2**31])
+def test_frames_are_those_of_the_video_not_of_its_header(tmp_path, stated):
+    path = tmp_path / "drive.avi"
+    write_video(path, "MJPG")
+    content = bytearray(path.read_bytes())
+    for mark, place in ((b"strh", 40), (b"avih", 24)):
+        struct.pack_into("<I", content, content.find(mark) + place, stated)
+    path.write_bytes(content)
+    with VideoSource(path) as source:
+        frames = source.list_frames()
+        reds = [source.read(frame).rgb[..., 0].mean() for frame in frames]
+        np.testing.assert_allclose(reds, [red_of(index) for index in range(N)], atol=6)
+        assert bool(source.notes) == (stated not in (0, N)), source.notes  # 0: it states none
+        assert len(source.list_frames(limit=3)) == 3
+
+
+def test_frames_of_a_variable_rate_are_all_read(tmp_path, write_mkv):
+    """Slow, then fast: from rate and duration OpenCV estimates many more."""
+    times_ms = [100 * index for index in range(20)] + [2000 + 33 * index for index in range(40)]
+    with VideoSource(write_mkv(tmp_path / "drive.mkv", times_ms)) as source:
+        frames = [source.read(frame) for frame in source.list_frames()]
+    assert [round(frame.image_stamp_ns / 1e6) for frame in frames] == times_ms
+
+
+@pytest.fixture
+def write_mkv():
+    """Write Motion JPEG in Matroska, a cluster a frame; times in milliseconds."""
+
+    def element(identity, content):
+        return bytes.fromhex(identity) + (1 << 56 | len(content)).to_bytes(8, "big") + content
+
+    def number(identity, value):
+        return element(identity, value.to_bytes(4, "big"))
+
+    def write(path, times_ms):
+        scale = number("2AD7B1", 10**6)
+        duration = element("4489", struct.pack(">d", times_ms[-1] + 33.0))
+        size = element("E0", number("B0", 64) + number("BA", 48))
+        codec = element("86", b"V_MJPEG")
+        track = number("D7", 1) + number("73C5", 1) + number("83", 1) + codec + size
+        body = element("1549A966", scale + duration)
+        body += element("1654AE6B", element("AE", track))
+        for index, time_ms in enumerate(times_ms):
+            jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), index, np.uint8))[1].tobytes()
+            block = element("A3", b"\x81\0\0\x80" + jpeg)
+            body += element("1F43B675", number("E7", time_ms) + block)
+        head = element("4282", b"matroska") + number("4287", 2) + number("4285", 2)
+        path.write_bytes(element("1A45DFA3", head) + element("18538067", body))
+        return path
+
+    return write
 
 
 def test_a_damaged_frame_does_not_shift_those_behind_it(tmp_path):

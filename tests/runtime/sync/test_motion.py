@@ -10,7 +10,14 @@ from car_poses import DAY_NS, MS, drive, pose
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.projection import OcclusionFilter
-from runtime.sync.motion import lidar_mount, move_points, point_times, project_moved
+from runtime.sync.motion import (
+    Scan,
+    lidar_mount,
+    move_points,
+    point_times,
+    project_in_time,
+    project_moved,
+)
 from runtime.sync.poses import PoseFrame, PoseTrack
 
 INTRINSICS = np.array([[60.0, 0, 40], [0, 60, 20], [0, 0, 1]])
@@ -81,6 +88,7 @@ def test_returns_that_are_not_finite_stay_so():
     moved = move_points(points, np.arange(4) * MS, PoseTrack.of(poses, stamps), 200 * MS)
     assert not np.isfinite(moved[:2]).all(axis=1).any()
     assert np.isfinite(moved[3]).all()
+    assert np.isnan(move_points(0 * points[3:], 0, PoseTrack.of(poses, stamps), 200 * MS)).all()
 
 
 @pytest.mark.parametrize("points", [
@@ -166,10 +174,29 @@ def test_returns_behind_the_lidar_may_be_before_the_camera():
 @pytest.mark.parametrize("stamp_ns", [0, 20_000 * DAY_NS, -DAY_NS])
 def test_times_of_points_are_seconds_after_the_stamp_or_nanoseconds_of_its_clock(stamp_ns):
     after = [0, 5 * MS, -100 * MS]
+    points = np.arange(9, dtype=np.float32).reshape(3, 3) + 1
     for times in (np.array(after) / 1e9, np.array(after, np.int64) + stamp_ns):
-        found = point_times(times, 3, stamp_ns)
-        assert found.dtype == np.int64
-        assert found.tolist() == [stamp_ns + each for each in after]
-    for wrong in (np.array([0, 0, 1.5]), np.array([0, 0, 2_000 * MS]) + stamp_ns, [0, 0, 0]):
+        scan = Scan.of(points, point_times(times, 3, stamp_ns), stamp_ns)
+        assert scan.times.dtype == np.int64
+        assert scan.times.tolist() == [stamp_ns + each for each in after]
+        assert (scan.lost, scan.untimed) == (0, False)
+    for wrong in (np.array([0, 2, 1.5]), np.array([0, -2000, 2000]) * MS + stamp_ns, [0, 0, 0]):
         with pytest.raises(InputError, match=r"times must (be within 1 s|have the shape)"):
-            point_times(wrong, 3, stamp_ns)
+            Scan.of(points, point_times(wrong, 3, stamp_ns), stamp_ns)
+
+
+@pytest.mark.parametrize("kind", ["f4", "f8", "i8", "u8"])
+def test_a_point_without_return_and_a_return_without_time_cost_themselves(kind):
+    """A time of any type is checked after its conversion; those of lost points are not."""
+    points = np.float32([[5, 0, 0], [0, 0, 0], [np.nan, 1, 1], [6, 0, 0], [7, 0, 0], [8, 0, 0]])
+    times = np.array([0, 3.6, 99, 3.6, 0.05, 0])
+    if kind[0] != "f":
+        times = DAY_NS + times * 1e9
+    scan = Scan.of(points, point_times(times.astype(kind), 6, DAY_NS), DAY_NS)
+    np.testing.assert_array_equal(scan.points[:, 0], [5, 7, 8])
+    np.testing.assert_allclose(scan.times - DAY_NS, [0, 50 * MS, 0], atol=10)
+    assert (scan.lost, scan.untimed) == (3, True)
+    depth = project_in_time(CALIBRATION, scan, None, 0, (40, 80), reused=False)
+    assert (depth.degraded, depth.lost_points) == (("points_untimed",), 3)
+    only_lost = Scan.of(points[:3], point_times(times[:3].astype(kind), 3, DAY_NS), DAY_NS)
+    assert (only_lost.lost, only_lost.untimed) == (2, False)

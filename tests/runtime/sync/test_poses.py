@@ -8,14 +8,15 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from car_poses import DAY_NS, MS, drive, pose
 from runtime.errors import InputError
+from runtime.rigid import read_rigid
 from runtime.sync.outcome import Outcome
-from runtime.sync.poses import NoPoseError, PoseBuffer, PoseTrack, check_pose
+from runtime.sync.poses import NoPoseError, PoseBuffer, PoseTrack
 
 
 def filled(poses, stamps, **options):
     buffer = PoseBuffer(**options)
     for each, stamp in zip(poses, stamps, strict=True):
-        assert buffer.add(check_pose(each), stamp) is Outcome.ANSWERED
+        assert buffer.add(read_rigid("pose", each), stamp) is Outcome.ANSWERED
     return buffer
 
 
@@ -143,7 +144,7 @@ def test_memory_is_bounded():
 ])  # fmt: skip
 def test_a_pose_that_is_not_rigid_is_refused(bad):
     with pytest.raises(InputError, match="pose"):
-        check_pose(bad)
+        read_rigid("pose", bad)
     with pytest.raises(InputError):
         PoseTrack.of([bad], [0])
 
@@ -201,4 +202,4 @@ def test_any_sequence_has_rigid_poses_or_a_reason(messages, times):
         why = error.reason
     assert why in {None, "no_pose", "pose_gap", "pose_jump", "pose_clock"}
     for each in found:
-        check_pose(each)
+        read_rigid("pose", each)

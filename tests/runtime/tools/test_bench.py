@@ -9,6 +9,7 @@ import time
 from types import SimpleNamespace
 
 import numpy as np
+import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 from typer.testing import CliRunner
@@ -100,6 +101,22 @@ def test_what_cannot_run_is_a_row_with_its_reason(run, model_file, tmp_path):
     assert rows[-1][5] == "1.00 to 1.00"
 
 
+def test_weights_beside_a_foreign_model_are_read(run, tmp_path):
+    """PyTorch writes them to such a file; our own models are one file."""
+    path = write_convolution(tmp_path / "foreign.onnx")
+    model = onnx.load(path)
+    onnx.save(
+        model, path, save_as_external_data=True, location="foreign.onnx.data", size_threshold=0
+    )
+    result, (_, row) = run(path)
+    assert result.exit_code == 0, result.output
+    assert row[1] == "1x3x32x48"
+    (tmp_path / "foreign.onnx.data").unlink()
+    result, (_, row) = run(path)
+    assert result.exit_code == 1
+    assert "which cannot be read" in row[9]
+
+
 def test_models_take_turns_after_runs_that_do_not_count(run, model_file, monkeypatch):
     order = []
 
@@ -165,12 +182,34 @@ def test_a_latency_counts_from_when_the_frame_is_due(monkeypatch, period_s, late
         (["N", 3, "H", "W"], (4, 3, 32, 48), ()),
         (["batch", None, None, 3], (4, 32, 48, 3), ()),
         ([1, 3, "H", "W"], (1, 3, 32, 48), ("its own batch",)),
-        (["N", "tokens", 8], (4, 1, 8), ("its own size",)),
+        (["N", "H", "W", "C"], (4, 32, 48, 3), ()),
+        (["N", "C", "H", "W"], (4, 3, 32, 48), ()),
+        (["batch_size", "in_channels", "img_height", "img_width"], (4, 3, 32, 48), ()),
+        (["N", 3, "H", 48], (4, 3, 32, 48), ()),
+        (["N", 3, "H", 96], (4, 3, 32, 96), ("its own size",)),
+        (["s0", 3, 32, "s1"], None, ("s1",)),
+        (["N", 3, 32, "width"], (4, 3, 32, 48), ()),
+        ([1, "x", "y", 1], (1, 32, 48, 1), ("its own batch",)),
+        (["N", 64, "a", "b"], (4, 64, 32, 48), ()),
+        (["N", "height", "width"], (4, 32, 48), ()),
+        (["N", "a", "b"], None, ("a",)),
+        ([3, "H", "W"], (3, 32, 48), ("its own batch",)),
+        (["H", "W", 3], (32, 48, 3), ("its own batch",)),
+        (["N", "W", "H", 3], (4, 48, 32, 3), ()),
+        (["N", 8], (4, 8), ("its own size",)),
+        (["N", "tokens", 8], None, ("tokens",)),
+        (["N", "x", "y", "z"], None, ("x",)),
+        (["N", 3, "a", 3], None, ("a",)),
+        (["N", "C", "x", 96], None, ("x",)),
         ([], (), ("its own size", "its own batch")),
     ],
 )
-def test_free_axes_are_filled_by_their_places(shape, filled, notes):
+def test_free_axes_are_filled_where_they_are_certain(shape, filled, notes):
     inputs = [SimpleNamespace(name="x", type="tensor(float)", shape=shape)]
+    if filled is None:
+        with pytest.raises(InputError, match=f"whether '{notes[0]}' of .* is height"):
+            bench_worker.make_feeds(inputs, size=(32, 48), batch=4)
+        return
     feeds, found = bench_worker.make_feeds(inputs, size=(32, 48), batch=4)
     assert (feeds["x"].shape, found) == (filled, notes)
 

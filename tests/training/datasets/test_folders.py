@@ -2,6 +2,8 @@
 
 import os
 import re
+import struct
+import zlib
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -147,13 +149,65 @@ def test_ids_are_named_by_the_recipe(mine, tmp_path):
     for keys, message in (
         ("label_classes = 'cityscapes', label_ids = {1 = 'lane'}", "label_ids and label_classes"),
         ("label_ids = {300 = 'lane'}", r"label_ids.*300"),
+        ("labels = 'l', ignore = 0, label_ids = {0 = 'lane'}", "give the id 0 two meanings"),
     ):
         source = f"data.source = [{{kind = 'folders', path = 'mine', {keys}}}]"
         with pytest.raises(InputError, match=message):
             read_recipe(tmp_path / "r.toml", [source])
 
 
-def test_frames_without_a_target_may_be_skipped(mine, tmp_path):
+@pytest.mark.parametrize(
+    ("ids", "keys"), [([1, 2, 3], ""), ([0, 7], 'label_ids = {0 = "lane", 1 = "rest"}')]
+)
+def test_the_advice_for_unknown_ids_can_be_followed(mine, tmp_path, ids, keys):
+    for name in "ab":
+        write(mine / "labels" / f"{name}.png", np.uint8([ids * 64])[:, :64].repeat(40, 0))
+    (tmp_path / "r.toml").write_text(
+        RECIPE.replace('labels = "labels"', f'labels = "labels"\n{keys}')
+    )
+    with pytest.raises(DatasetError, match=f"class id {ids[-1]}, expected") as refused:
+        train(read_recipe(tmp_path / "r.toml"), data=[tmp_path], out=tmp_path / "run")
+    (advice,) = re.findall(r"label_ids = {.*}", str(refused.value))
+    (tmp_path / "r.toml").write_text(
+        RECIPE.replace('labels = "labels"', f'labels = "labels"\n{advice}')
+    )
+    recipe = read_recipe(tmp_path / "r.toml")
+    train(recipe, data=[tmp_path], out=tmp_path / "run")
+    unknown = [255 if id_ > 1 else id_ for id_ in ids]
+    labels = recipe.data.source[0].open(mine, CLASSES)[0].semantic
+    assert labels[0, : len(ids)].tolist() == unknown
+
+
+def write_png(path, ids, bits, kind):
+    """Write ids as gray values (kind 0) or palette indices (3), with no encoder's help."""
+    values = np.unpackbits(ids[..., None], axis=2)[..., 8 - bits :]
+    rows = np.packbits(values.reshape(len(ids), -1), axis=1)
+    pixels = zlib.compress(b"".join(b"\0" + row.tobytes() for row in rows))
+    header = struct.pack(">2I5B", ids.shape[1], ids.shape[0], bits, kind, 0, 0, 0)
+    palette = [(b"PLTE", bytes(range(1, 4)) * 2**bits)] if kind == 3 else []
+    content = b"\x89PNG\r\n\x1a\n"
+    for name, body in ((b"IHDR", header), *palette, (b"IDAT", pixels), (b"IEND", b"")):
+        content += struct.pack(">I", len(body)) + name + body
+        content += struct.pack(">I", zlib.crc32(name + body))
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("kind", [0, 3], ids=["gray", "palette"])
+@pytest.mark.parametrize("bits", [1, 2, 4, 8])
+def test_labels_are_the_ids_that_a_file_stores(mine, bits, kind):
+    """A picture decoder gives the ids 0 and 1 of one bit as 0 and 255, and colours of a palette."""
+    ids = np.random.default_rng(0).integers(0, 2**bits, (40, 64), dtype=np.uint8)
+    classes = tuple(ClassInfo(f"class {number}", (0, 0, 0)) for number in range(255))
+    write_png(mine / "labels" / "a.png", ids, bits, kind)
+    source = FoldersRecipe(path="mine", labels="labels").open(mine, classes)
+    np.testing.assert_array_equal(source[0].semantic, ids)
+    content = (mine / "labels" / "a.png").read_bytes()
+    (mine / "labels" / "a.png").write_bytes(content[:-24])
+    with pytest.raises(DatasetError, match="truncated or damaged"):
+        source[0]
+
+
+def test_frames_without_a_target_may_be_skipped(mine, tmp_path, capsys):
     keys = {"depth": "depth", "sparse_depth": "scans", "labels": "labels", "path": "mine"}
     for folder in ("depth", "scans", "labels"):
         (mine / folder / "b.png").unlink()
@@ -163,6 +217,8 @@ def test_frames_without_a_target_may_be_skipped(mine, tmp_path):
             )
     recipe = FoldersRecipe(missing="skip-target", **keys)
     first, second = recipe.open(mine, CLASSES)[0], recipe.open(mine, CLASSES)[1]
+    said = re.findall(r"(\w+): has no file of the frame b \(1 of 2 frames", capsys.readouterr().err)
+    assert said == 2 * ["depth", "scans", "labels"]
     assert first.targets.keys() == {"depth", "semantic"}
     assert first.sparse_depth.any()
     assert not second.targets
@@ -172,7 +228,9 @@ def test_frames_without_a_target_may_be_skipped(mine, tmp_path):
     run = replace(run, data=replace(run.data, source=(recipe,)))
     assert train(run, data=[tmp_path], out=tmp_path / "run").name == "model.pt"
     (mine / "labels" / "a.png").unlink()
-    with pytest.raises(DatasetError, match="2 of 2 frames lack it"):
+    with pytest.raises(
+        DatasetError, match=r"2 of 2 frames lack it\)\. Add the files, or leave the"
+    ):
         recipe.open(mine, CLASSES)
 
 

@@ -19,7 +19,7 @@ def assert_depth_is_of_both_maps(sample):
     assert sample.sparse_depth[2, 3] == 10.25
     assert np.count_nonzero(sample.depth) == 2
     assert sample.depth[2, 3] == 1 / 256
-    assert sample.depth[4, 7] == 255.99609375
+    assert sample.depth[4, 7] == 65534 / 256
     assert sample.scan_line is None
     assert (sample.semantic == 255).all()
 

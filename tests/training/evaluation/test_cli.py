@@ -268,6 +268,13 @@ def test_errors_say_what_to_do(folder, tmp_path):
         ),
         ([folder / "lite.pt", "--data", data, "--lidar", "5"], "divides 64"),
         ([folder / "lite.pt", "--data", data, "--faults", "rain"], "known: nan"),
+        ([folder / "lite.pt", "--data", f"{data},name=a,name=b"], "name is given twice"),
+        ([folder / "lite.pt", "--data", f"{data},path=b"], "path is given twice"),
+        *(
+            ([model, "--data", data, "--device", device], f"unknown device '{device}'")
+            for model in (folder / "lite.pt", folder / "lite.onnx", "linear")
+            for device in ("gpu", "mps", "CUDA", "meta", "cuda:", "cuda:x", "cpu:0")
+        ),
         ([tmp_path / "x.tflite", "--data", data], "expected a checkpoint"),
         ([tmp_path / "x.pt", "--data", data], "x.pt"),
     ):
@@ -305,6 +312,34 @@ def test_data_without_ground_truth_says_what_to_give(tmp_path):
     assert "has labels to score" not in result.output
     assert re.search("street: " + lacks.format("depth"), result.output)
     assert "| street |" in result.output
+
+
+def test_truth_that_is_not_scored_is_counted(tmp_path):
+    """Depth beyond 100 m, as of a wrong unit, pixels without a class, and classes not shown."""
+    data = f"folders:{tmp_path},labels=labels,depth=depth,sparse_depth=lidar,name=2011-09-26"
+
+    def write(folder, values):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        values = np.array(values, np.uint8 if folder in ("images", "labels") else np.uint16)
+        values = values.repeat(40, 0).repeat(64 // values.size, 1)
+        cv2.imwrite(str(tmp_path / folder / "a.png"), values)
+
+    def scored():
+        result = run("ssdnet-nano", "--data", data)
+        assert result.exit_code == 0, result.output
+        return result.output
+
+    for folder, value in (("images", 90), ("labels", 3), ("depth", 120 * 256), ("lidar", 5 * 256)):
+        write(folder, [[value]])
+    output = scored()
+    assert "2011-09-26: 100 % of the depth is beyond 100 m and not scored" in output
+    assert "as ground truth" not in output
+    assert re.search(r"ssdnet-nano\S* on 2011-09-26: mIoU over \d of 11 classes", output)
+    write("depth", [[5000, 5000, 5000, 30_000]])
+    write("labels", [[3, 255]])
+    output = scored()
+    assert "25 % of the depth is beyond" in output
+    assert "50 % of the labelled images has no class" in output
 
 
 def write_halves(root):

@@ -28,9 +28,9 @@ def lidar():
 
 
 def truth():
-    """That return and one more, at 1 / 256 m and 255.99609375 m."""
+    """That return and one more, at 1 / 256 m and 65534 / 256 m."""
     stored = np.zeros(SIZE, np.uint16)
-    stored[2, 3], stored[4, 7] = 1, 65535
+    stored[2, 3], stored[4, 7] = 1, 65534
     return stored
 
 

@@ -40,6 +40,7 @@ _MEANINGS = {
     "sparse_depth_low": "LiDAR returns in too few places",
     "depth_reused": "returns of an older scan",
     "depth_uncompensated": "returns not at the time of the image",
+    "points_untimed": "returns with times that are not of their scan were left out",
     "no_pose": "no pose at the time of scan or image",
     "pose_gap": "too long without a pose",
     "pose_jump": "the odometry jumped",

@@ -1,0 +1,35 @@
+"""Assumptions: what a reader takes for granted where a recording does not prove it.
+
+An assumption that changes where a return lands is said, in one form: "warning: assumed ...". A
+source collects those of its recording as notes; elsewhere Python shows them.
+"""
+
+import contextlib
+import warnings
+from collections.abc import Iterator
+from contextvars import ContextVar
+
+_notes: ContextVar[list[str] | None] = ContextVar("notes", default=None)
+
+
+class AssumptionWarning(UserWarning):
+    """A value was used in a way that its file does not prove."""
+
+
+def assume(what: str, remedy: str) -> None:
+    """Say what is assumed, and what states it; the same assumption is collected once."""
+    notes, line = _notes.get(), f"warning: assumed {what}: "
+    if notes is None:
+        warnings.warn(f"{line}{remedy}".removeprefix("warning: "), AssumptionWarning, stacklevel=3)
+    elif not any(note.startswith(line) for note in notes):
+        notes.append(line + remedy)
+
+
+@contextlib.contextmanager
+def collect_assumptions(notes: list[str]) -> Iterator[None]:
+    """Append what this thread assumes inside the block to the notes of a source."""
+    token = _notes.set(notes)
+    try:
+        yield
+    finally:
+        _notes.reset(token)

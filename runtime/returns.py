@@ -1,0 +1,94 @@
+"""What a sensor writes for "no return", recognised before anything is computed with it."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.contract import MAX_DEPTH_RANGE_M
+from runtime.errors import InputError
+from runtime.rigid import kind_of
+
+_NEAREST_M = 0.01  # nearer points are rounded (0, 0, 0), by which Ouster, Livox and SICK mark none
+_LEAST_JUDGED, _MOST_IMPLAUSIBLE = 50, 0.25
+_WIDEST_POINT = 16  # numbers per point; a longer row of a few is an axis of (3, N)
+_SATURATED = 65535  # of 16-bit depth: no measurement
+#: The same in metres, of the usual units: KITTI's, millimetres, centimetres.
+_SATURATED_M = tuple(np.float32(_SATURATED / units) for units in (256, 1000, 100))
+
+
+def to_metres(depth: NDArray[Any], units_a_metre: float) -> NDArray[np.float32]:
+    """Return a depth map in metres, float32; NaN where 16 bits are saturated: no measurement."""
+    scale = np.float32(units_a_metre)
+    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is no measurement
+        metres: NDArray[np.float32] = np.divide(depth, scale, dtype=np.float32, casting="same_kind")
+    if depth.dtype.kind == "u":
+        metres[depth == _SATURATED] = np.nan
+    return metres
+
+
+def drop_saturated(metres: NDArray[np.float32], farthest: float) -> NDArray[np.float32]:
+    """Return a depth map with NaN where others made it of saturated 16 bits.
+
+    metres: float32 (H, W), returned if nothing changes. farthest: largest value to look at.
+    """
+    for mark in _SATURATED_M:
+        if mark <= farthest and (is_mark := metres == mark).any():
+            metres = np.where(is_mark, np.float32(np.nan), metres)
+    return metres
+
+
+def is_measured(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Where a depth map has a number of metres: not 0, negative, NaN, Inf or the largest float."""
+    return (depth > 0) & (depth < np.finfo(np.float32).max)
+
+
+def check_points(points: Any) -> None:
+    """Raise InputError unless `points` is a scan, float32 (N, 3) or wider."""
+    if (kind := kind_of(points)) != np.float32:
+        hint = "use points.astype(np.float32)"
+        raise InputError(f"points must be a plain float32 array [m], got {kind}: {hint}")
+    hint = ": use points.T" if is_transposed(points.shape) else ""
+    if hint or points.ndim != 2 or points.shape[1] < 3:
+        raise InputError(f"points must have the shape (N, 3) or wider, got {points.shape}{hint}")
+
+
+def is_transposed(shape: tuple[int, ...]) -> bool:
+    """Whether an array of points is (3, N) or, with other columns, (4, N) to (6, N)."""
+    return len(shape) == 2 and 3 <= shape[0] <= 6 and shape[1] > _WIDEST_POINT
+
+
+def is_return(points: NDArray[np.float32], *, name: str = "a scan") -> NDArray[np.bool_]:
+    """Return which points of a scan are returns, bool (N,).
+
+    None is at (0, 0, 0), or where a coordinate is NaN, infinite or beyond 10 km.
+
+    Args:
+        points: float32 (N, 3) or wider, x, y, z first, metres.
+        name: for the error.
+
+    Raises:
+        InputError: if they are no points: a quarter is beyond 10 km, or integers read as floats.
+    """
+    extent = np.maximum.reduce([np.abs(points[:, axis]) for axis in range(3)])  # NaN if one is
+    returns: NDArray[np.bool_] = (extent >= _NEAREST_M) & (extent <= MAX_DEPTH_RANGE_M)
+    count = np.count_nonzero(returns)
+    if count == len(points):
+        return returns
+    limits = np.finfo(np.float32)
+    far = (extent > MAX_DEPTH_RANGE_M) & (extent < limits.max)
+    wrong = np.count_nonzero(far | ((extent > 0) & (extent < limits.tiny)))
+    if wrong + count >= _LEAST_JUDGED and wrong > _MOST_IMPLAUSIBLE * (wrong + count):
+        raise InputError(
+            f"{wrong:,} of {wrong + count:,} points of {name} are farther than 10,000 m or no "
+            "normal numbers: expected float32, metres. Are they of another type (float64, "
+            "integers), of records with other fields, or not metres?"
+        )
+    return returns
+
+
+def axes_of(points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return x, y and z of a scan, float32 (3, N), contiguous; NaN where there is no return."""
+    axes = np.ascontiguousarray(points[:, :3].T)
+    returns = is_return(points)
+    return axes if returns.all() else np.where(returns, axes, np.float32(np.nan))

@@ -1,0 +1,72 @@
+"""Rotations and rigid transforms: checked where they are read, from whatever file or message."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.assumptions import assume
+from runtime.errors import InputError
+
+_EXACT = 1e-3  # of float32, and of files with four digits
+_LARGEST_M = 1e7
+_NEAR = 0.02  # of DAIR-V2X's calibrations; a lost sign or a scale is beyond it
+
+
+def read_rotation(name: str, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a rotation matrix, float64 (3, 3): as it is, or the nearest where it is nearly one.
+
+    Raises:
+        InputError: if it is none: it scales, shears or mirrors.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = np.abs(rotation.T @ rotation - np.eye(3)).max()
+    if not error <= _NEAR or np.linalg.det(rotation) < 0:
+        raise InputError(
+            f"{name} must be rigid, a rotation and a position, got {rotation.tolist()}: it scales, "
+            "shears or mirrors, or a sign is lost, or its quaternion is not of unit length"
+        )
+    if error <= _EXACT:
+        return rotation
+    remedy = f"give more digits, first of {name}"
+    assume(f"the nearest rotations to some that are none to {_EXACT:g}", remedy)
+    left, _, right = np.linalg.svd(rotation)
+    return np.asarray(left @ right)
+
+
+def read_rigid(name: str, matrix: Any) -> NDArray[np.float64]:
+    """Return a rigid transform, float64 (4, 4), a new array, see `read_rotation`.
+
+    Raises:
+        InputError: also for another shape or type, for numbers that are not finite, a position
+            farther than 10,000 km, and unless the last row is 0, 0, 0, 1.
+    """
+    check_matrix(name, matrix, 4)
+    if not np.array_equal(matrix[3], (0, 0, 0, 1)):
+        raise InputError(
+            f"the last row of {name} must be 0, 0, 0, 1, got {matrix[3].tolist()}: is the matrix "
+            "transposed?"
+        )
+    if not np.abs(matrix[:3, 3]).max() <= _LARGEST_M:
+        raise InputError(f"{name} must have a position in metres, got {matrix[:3, 3].tolist()}")
+    rigid: NDArray[np.float64] = matrix.astype(np.float64)
+    rigid[:3, :3] = read_rotation(name, rigid[:3, :3])
+    return rigid
+
+
+def check_matrix(name: str, matrix: Any, side: int) -> None:
+    """Raise InputError unless `matrix` is a plain array of finite floats, (side, side)."""
+    kind = kind_of(matrix)
+    if not (isinstance(kind, np.dtype) and kind.kind == "f"):
+        raise InputError(f"{name} must be an array of floats, got {kind}")
+    if matrix.shape != (side, side):
+        raise InputError(f"{name} must have the shape ({side}, {side}), got {matrix.shape}")
+    if not np.isfinite(matrix).all():
+        raise InputError(f"{name} must be finite: check the calibration")
+
+
+def kind_of(array: Any) -> Any:
+    """Return the dtype of a plain numpy array, the name of any other type."""
+    if isinstance(array, np.ndarray) and not isinstance(array, np.ma.MaskedArray | np.matrix):
+        return array.dtype
+    return type(array).__name__

@@ -1,0 +1,133 @@
+"""The calibration of a camera in a bag: what its CameraInfo, frames and /tf_static prove.
+
+Some fields of CameraInfo are used in two ways. What the bag does not prove is assumed and said.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from runtime.assumptions import assume
+from runtime.errors import InputError
+from runtime.io.calibration import Calibration
+from runtime.io.image_header import image_size
+from runtime.lens import Lens
+from runtime.rigid import read_rotation
+from runtime.sources.ros_bag import RosBag
+from runtime.sources.ros_poses import TransformTree, frame_name
+
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+#: Words, between / and _, of the names of topics of images that are, or are not, rectified.
+_RECTIFIED, _RAW = {"rect", "rectified"}, {"raw", "unrectified", "distorted"}
+_OFF_CENTRE = 0.05  # of the image's sides; a principal point beyond it is of images of another size
+_SHIFT_M, _TURN = 1e-3, 2e-3  # same place; same axes, radians: a pixel at 500 px
+_SHIFT_SHARE, _PAIR_TURN = 0.1, 0.1  # of the baseline, and of the axes of a pair: before R
+_STATE = "give --calibration"
+
+
+def calibrate(
+    bag: RosBag, tree: TransformTree, topic: str, beside: str, source: str, rectified: bool | None
+) -> Calibration:
+    """Return the calibration of a camera for the points of a sensor.
+
+    Args:
+        bag: of both.
+        tree: of /tf_static.
+        topic: of the images.
+        beside: topic of their CameraInfo; the first that is set counts.
+        source: frame of the points; "" = that of the images.
+        rectified: whether the images are; None = by the CameraInfo and the name of the topic.
+
+    Raises:
+        InputError: if no CameraInfo is set, if it is invalid, or if /tf_static lacks a frame.
+    """
+    image = bag.first(topic)
+    for info in bag.decoded(beside):
+        fields = _fields(info)
+        if np.any(fields["k"]) or np.any(fields["p"]):  # drivers send zeros before they know
+            break
+    else:
+        raise InputError(f"{beside} has no CameraInfo with K or P: {_STATE}")
+    stated = frame_name(info.header.frame_id)
+    frame = frame_name(image.header.frame_id) or stated
+    extrinsics = tree.between(source or frame, frame)
+    if stated and stated != frame and not _is_at(tree, stated, frame, (0, 0, 0)):
+        assume(f"{frame} is the frame of the images, not {stated} of their CameraInfo", _STATE)
+    size = getattr(image, "height", 0), getattr(image, "width", 0)
+    if not all(size):
+        size = image_size(bytes(memoryview(image.data))) or size
+    if size == (fields["height"], fields["width"]):  # of K and P: these are not cut
+        fields |= {"binning_x": 0, "binning_y": 0, "roi": {}}
+    try:
+        if rectified is None:
+            rectified = is_rectified(fields, topic)
+        if np.any(fields["r"]):
+            turn = read_rotation("R", np.reshape(fields["r"], (3, 3)))
+            if np.abs(turn - np.eye(3)).max() > _TURN:
+                kind = "rectified" if rectified else "raw"
+                assume(f"{frame} is the frame of the {kind} images, so R is not used", _STATE)
+        found = Calibration.from_camera_info(fields, extrinsics, rectified=rectified)
+    except InputError as error:
+        raise InputError(f"the CameraInfo of {beside}: {error}; or {_STATE}") from error
+    shift = found.extrinsics[:3, 3] - extrinsics[:3, 3]  # of the second camera of a pair, by P
+    if np.abs(shift).max() > _SHIFT_M and _has_own_frame(bag, tree, frame, shift):
+        return replace(found, extrinsics=extrinsics)
+    return found
+
+
+def is_rectified(fields: Mapping[str, Any], topic: str) -> bool:
+    """Whether P describes the images of a topic, and not K and D, as far as it matters."""
+    words = set(re.split("[/_]", topic.lower()))
+    camera, projection = np.reshape(fields["k"], (3, 3)), np.reshape(fields["p"], (3, 4))[:, :3]
+    if words & _RECTIFIED or not (camera.any() and projection.any()):
+        return bool(projection.any())
+    lens = Lens.of_ros(fields["distortion_model"], fields["d"])
+    if lens is None and np.allclose(camera, projection, rtol=1e-3):
+        return True
+    state = "state it with rectified=true or false in --source"
+    sides = np.array([fields["width"] or np.inf, fields["height"] or np.inf])
+    off, straight_off = (abs(each[:2, 2] / sides - 0.5).max() for each in (camera, projection))
+    if off > _OFF_CENTRE and straight_off < off / 2:  # as in bags of kitti2bag
+        assume(f"{topic} is rectified, because K is of images of another size than P", state)
+        return True
+    if not words & _RAW:
+        assume(f"{topic} is not rectified, because its name does not have the word rect", state)
+    return False
+
+
+def _has_own_frame(bag: RosBag, tree: TransformTree, frame: str, shift: Any) -> bool:
+    """Whether `frame` is already moved by the baseline, as ROS's of a stereo pair is not."""
+    if any(_is_at(tree, each, frame, shift) for each in tree.frames if each != frame):
+        return True
+    for topic in (topic for topic, kind in bag.types.items() if kind == CAMERA_INFO):
+        for info in bag.decoded(topic):
+            p = _fields(info)["p"]
+            if frame_name(info.header.frame_id) == frame and p[0] and not any(p[3::4]):
+                return False  # the first camera's
+            break
+    beside = f"{np.linalg.norm(shift):.3g} m beside"
+    assume(f"{frame} is the frame of a stereo pair's first camera, {beside} the images", _STATE)
+    return False
+
+
+def _is_at(tree: TransformTree, source: str, target: str, shift: Any) -> bool:
+    """Whether one frame is another one that is moved by `shift` [m] along the same axes."""
+    try:
+        matrix = tree.between(source, target)
+    except InputError:  # not connected
+        return False
+    length = np.linalg.norm(shift)
+    is_near = np.linalg.norm(matrix[:3, 3] - shift) < _SHIFT_M + _SHIFT_SHARE * length
+    turned = np.abs(matrix[:3, :3] - np.eye(3)).max()
+    return bool(is_near and turned < (_PAIR_TURN if length else _TURN))
+
+
+def _fields(info: Any) -> dict[str, Any]:
+    """The fields of a CameraInfo; ROS 1 has matrices in capitals."""
+    names = ("height", "width", "distortion_model", "binning_x", "binning_y", *"DKRPdkrp")
+    fields = {name.lower(): getattr(info, name) for name in names if hasattr(info, name)}
+    sides = ("x_offset", "y_offset", "height", "width")
+    return fields | {"roi": {name: getattr(info.roi, name) for name in sides}}

@@ -1,0 +1,240 @@
+"""What a bag proves of its camera, what is assumed and said, and what is refused."""
+
+import re
+
+import numpy as np
+import pytest
+from small_rig import INTRINSICS, MS, SIZE, START_NS, add_tree, projected
+
+from runtime import InputError
+from runtime.sources.bag import BagSource
+
+pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
+
+K = np.array(INTRINSICS)
+ZERO = np.zeros((3, 3))
+CURVED = (0.1, -0.02, 0.01, 0.02, 0)
+TURN = np.array([[0.9998, -0.02, 0], [0.02, 0.9998, 0], [0, 0, 1]])
+
+
+def scaled(across, down, x=0.0, y=0.0):
+    return np.array([[across, 0, x], [0, down, y], [0, 0, 1]]) @ K
+
+
+def camera(topic, *infos, frame_id="camera", others=(), rig=add_tree):
+    """Writes the camera beside CameraInfo messages into a bag."""
+
+    def write(bag, make_frame):
+        for index in range(2):
+            rgb, _ = make_frame(*SIZE, seed=index)
+            bag.image(topic, rgb, "rgb8", START_NS + 100 * MS * index, frame_id=frame_id)
+        for stamp_ns, info in enumerate(infos, 1):
+            given = {"intrinsics": K, "size": SIZE, "stamp_ns": stamp_ns} | info
+            bag.info("/cam/camera_info", given.pop("intrinsics"), given.pop("size"), **given)
+        for topic_of_other, frame in others:
+            bag.info(topic_of_other, K, SIZE, frame_id=frame)
+        rig(bag)
+
+    return write
+
+
+def pair(bag):
+    """The frame "camera" is 0.1 m to the right of the frame "left"."""
+    add_tree(bag)
+    bag.static_transform("camera", "left", (0, 0, 0, 1), (-0.1, 0, 0))
+
+
+def twice(bag):
+    add_tree(bag)
+    bag.static_transform("base", "lidar", (0, 0, 0, 1), (0, 0, 0.4))
+    bag.static_transform("base", "lidar", (0, 0, 0, 1), (0, 0, 0.3))
+
+
+RAW, RECT = "/cam/image_raw", "/cam/image_rect"
+BASELINE = {"shift_px": -6.0}  # 0.1 m
+OFF = scaled(1.3, 1.3, 3, 5)  # as of a larger image
+#: Case -> what the bag holds, and options.
+RIGHT = {
+    "a pinhole": (camera(RAW, {}), {}),
+    "rectified by its name": (
+        camera(RECT, {"intrinsics": OFF, "rectified": K, "distortion": CURVED}), {},
+    ),
+    "zeros first": (camera(RAW, {"intrinsics": ZERO}, {}), {}),
+    "never rectified": (camera(RAW, {"rectified": ZERO}), {}),
+    "K is not set": (camera(RAW, {"intrinsics": ZERO, "rectified": K}), {}),
+    "R is not set": (camera(RAW, {"turn": ZERO}), {}),
+    "the whole region": (camera(RAW, {"roi": (0, 0, *SIZE)}), {}),
+    "a region": (
+        camera(RAW, {"intrinsics": scaled(1, 1, 9, 4), "size": (60, 80), "roi": (9, 4, *SIZE)}), {},
+    ),
+    "binned": (
+        camera(RAW, {"intrinsics": scaled(2, 2, 0.5, 0.5), "size": (96, 128), "binning": 2}), {},
+    ),
+    "binned, with the size of the images": (camera(RAW, {"binning": 2}), {}),
+    "its own frame of a pair": (camera(RECT, BASELINE, rig=pair), {}),
+    "a slash before the frame": (camera(RAW, {"frame_id": "/camera"}), {}),
+    "the frame of the CameraInfo alone": (camera(RAW, {}, frame_id=""), {}),
+    "stated to be rectified": (
+        camera("/cam/image", {"intrinsics": OFF, "rectified": K, "distortion": CURVED}),
+        {"rectified": True},
+    ),
+    "stated to be raw": (
+        camera("/cam/image", {"rectified": OFF}), {"rectified": False},
+    ),
+}  # fmt: skip
+ASSUMED = {
+    "kitti2bag": (
+        camera(RAW, {"intrinsics": OFF, "rectified": K, "distortion": CURVED}), {},
+        f"{RAW} is rectified, because K is of images of another size .* rectified=true or false",
+    ),
+    "no word in the name": (
+        camera("/cam/image", {"rectified": OFF}), {},
+        "/cam/image is not rectified, because its name .* rectified=true or false in --source",
+    ),
+    "R": (camera(RECT, {"turn": TURN}), {}, "camera is the frame of the rectified images, so R"),
+    "another lens": (
+        camera(RAW, {"model": "omni", "distortion": (0, 0)}), {}, "a pinhole: all .* of 'omni' are",
+    ),
+    "two frames": (
+        camera(RAW, {"frame_id": "lidar"}), {}, "camera is the frame of the images, not lidar of",
+    ),
+    "two transforms": (camera(RAW, {}, rig=twice), {}, "the last of several transforms of lidar"),
+}  # fmt: skip
+REFUSED = {
+    "never set": (camera(RAW, {"intrinsics": ZERO}), "has no CameraInfo with K or P"),
+    "a region of another size": (
+        camera(RAW, {"size": (60, 80), "roi": (9, 4, 20, 20)}), "is for images of .20, 20.",
+    ),
+    "R is no rotation": (camera(RAW, {"turn": 1.1 * np.eye(3)}), "CameraInfo.*: R must be rigid"),
+    "a fisheye without coefficients": (
+        camera(RAW, {"model": "equidistant"}), "lens equidistant must be the 4",
+    ),
+}  # fmt: skip
+
+
+def read(make_bag, make_frame, make_scan, write, **options):
+    bag = make_bag("mcap")
+    write(bag, make_frame)
+    for index in range(2):
+        bag.cloud("/points", make_scan(index), START_NS + 100 * MS * index)
+    path = bag.write()
+    with BagSource(path, **options) as source:
+        (frame, *_) = source.list_frames(limit=1)
+        depth = source.read(frame).sparse_depth
+        return path, depth, source.calibration, [n for n in source.notes if "warning" in n]
+
+
+@pytest.mark.parametrize("case", RIGHT)
+def test_what_a_bag_proves_is_used_in_silence(make_bag, make_frame, make_scan, case):
+    write, options = RIGHT[case]
+    _, depth, _, notes = read(make_bag, make_frame, make_scan, write, **options)
+    np.testing.assert_allclose(depth, projected(make_scan(0), ahead_m=0.5), atol=1e-3)
+    assert not notes
+
+
+@pytest.mark.parametrize("case", ASSUMED)
+def test_what_it_leaves_open_is_assumed_and_said(make_bag, make_frame, make_scan, run, case):
+    write, options, text = ASSUMED[case]
+    path, depth, _, notes = read(make_bag, make_frame, make_scan, write, **options)
+    np.testing.assert_allclose(depth, projected(make_scan(0), ahead_m=0.5), atol=1e-3)
+    (note,) = notes
+    assert note.startswith("warning: assumed ")
+    assert re.search(text, note), note
+    if case == "kitti2bag":
+        answers = run("--source", f"bag:{path}")
+        assert note in answers.text.replace("\n", " ")
+        assert answers.report["inputs"]["assumptions"] == notes
+        answers = run("--source", f"bag:{path},rectified=true", out="stated")
+        assert "warning: assumed" not in answers.text
+        assert answers.report["inputs"]["assumptions"] == []
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_is_refused(make_bag, make_frame, make_scan, case):
+    write, text = REFUSED[case]
+    with pytest.raises(InputError, match=text):
+        read(make_bag, make_frame, make_scan, write)
+
+
+@pytest.mark.parametrize(("write", "right_m", "said"), [
+    (camera(RECT, BASELINE), -0.1, True),
+    (camera(RECT, {"intrinsics": ZERO}, BASELINE), -0.1, True),
+    (camera(RECT, {"shift_px": 1e-9}), 0, False),
+    (camera(RECT, BASELINE, others=[("/left/camera_info", "camera")]), -0.1, False),
+    (camera(RECT, BASELINE, rig=pair), 0, False),
+    (camera(RECT, BASELINE, rig=pair, others=[("/depth/camera_info", "camera")]), 0, False),
+    (camera(RECT, BASELINE, others=[("/left/camera_info", "left")]), -0.1, True),
+    (camera(RAW, BASELINE | {"distortion": CURVED}), 0, False),
+])  # fmt: skip
+def test_the_baseline_of_a_pair_is_applied_once(
+    make_bag, make_frame, make_scan, write, right_m, said
+):
+    """By P to a frame that it shares with the first camera, or by /tf_static."""
+    _, _, calibration, notes = read(make_bag, make_frame, make_scan, write)
+    expected = [[0, -1, 0, right_m], [0, 0, -1, -0.3], [1, 0, 0, -0.5], [0, 0, 0, 1]]
+    np.testing.assert_allclose(calibration.extrinsics, expected, atol=1e-9)
+    assert ["stereo pair's first camera, 0.1 m beside" in note for note in notes] == [True] * said
+
+
+@pytest.mark.parametrize(("model", "lens"), [
+    ("fisheye", "equidistant"), ("kannala_brandt4", "equidistant"), ("plumb_bob", None), ("", None),
+])  # fmt: skip
+def test_a_fisheye_of_zeros_is_one(make_bag, make_frame, make_scan, model, lens):
+    write = camera(RAW, {"model": model, "distortion": (0,) * 4})
+    _, _, calibration, notes = read(make_bag, make_frame, make_scan, write)
+    assert (calibration.lens, notes) == (lens, [])
+
+
+# --- depth images ---------------------------------------------------------------------------------
+
+FOCAL = 0.5
+
+
+def depth_bag(bag, make_frame, *, depth_frame="depth", frame_id="camera", info=True, tree=True):
+    """A depth camera beside the camera, of half its focal length; returns its depth of a wall."""
+    rgb, _ = make_frame(*SIZE)
+    depth = np.full(SIZE, 6000, np.uint16)
+    depth[:, ::2] = 65535
+    for stamp_ns in (START_NS, START_NS + 100 * MS):
+        bag.image("/rgb/image_raw", rgb, "rgb8", stamp_ns, frame_id=frame_id)
+        bag.image("/depth/image_raw", depth, "16UC1", stamp_ns, frame_id=depth_frame)
+    bag.info("/rgb/camera_info", K, SIZE, frame_id=frame_id)
+    if info:
+        half = np.diag([FOCAL, FOCAL, 1]) @ (K - [[0, 0, 32], [0, 0, 24], [0, 0, 0]])
+        half[:2, 2] = 32, 24
+        bag.info("/depth/camera_info", half, SIZE, frame_id=depth_frame)
+    if tree:
+        bag.static_transform("camera", "depth", (0, 0, 0, 1), (0, 0, -1.0))
+    return bag.write()
+
+
+@pytest.mark.parametrize(("changes", "options", "said"), [
+    ({"depth_frame": "camera"}, {}, False),
+    ({"depth_frame": "/camera", "info": False, "tree": False}, {}, False),
+    ({}, {"registered": True}, False),
+    ({"depth_frame": ""}, {}, True),
+    ({"frame_id": ""}, {}, True),
+])  # fmt: skip
+def test_depth_on_the_pixels_of_the_images_is_kept(make_bag, make_frame, changes, options, said):
+    with BagSource(depth_bag(make_bag("ros2"), make_frame, **changes), **options) as source:
+        depth = source.read(source.list_frames()[0]).sparse_depth
+        assert ["lies on the pixels" in n for n in source.notes[1:]] == [True] * said
+    assert np.isnan(depth[:, ::2]).all()
+    np.testing.assert_array_equal(depth[:, 1::2], 6)
+
+
+def test_depth_of_another_frame_is_moved_by_its_camera_and_tf(make_bag, make_frame):
+    with BagSource(depth_bag(make_bag("ros2"), make_frame)) as source:
+        frame = source.read(source.list_frames()[0])
+        assert not any("warning" in note for note in source.notes)
+    row, column = np.nonzero(frame.sparse_depth)
+    np.testing.assert_allclose(frame.sparse_depth[row, column], 5, rtol=1e-6)
+    expected = np.rint((np.arange(1, 64, 2) - 32) / (FOCAL * 60) * 6 / 5 * 60 + 32)
+    assert set(column) == set(expected[(expected >= 0) & (expected < 64)])
+
+
+@pytest.mark.parametrize("changes", [{"info": False}, {"tree": False}])
+def test_depth_that_cannot_be_moved_is_refused(make_bag, make_frame, changes):
+    text = "is of the frame depth, not of camera as the images: .* registered=true in --source"
+    with pytest.raises(InputError, match=text):
+        BagSource(depth_bag(make_bag("ros2"), make_frame, **changes))

@@ -1,0 +1,147 @@
+"""What a training refuses or reports before its first step."""
+
+import os
+
+import numpy as np
+import pytest
+import torch
+
+from layouts.pictures import write
+from models import SSDNetLite, SSDNetLiteConfig
+from models.registry import NETWORKS, Entry
+from runtime.errors import InputError
+from training.distributed import Processes
+from training.recipe import Recipe, build, merge
+from training.task import open_task
+
+RECIPE = {
+    "model": {
+        "name": "ssdnet-lite",
+        "classes": [{"name": name, "color": [0, 0, 0]} for name in ("lane", "car", "rest")],
+    },
+    "data": {
+        "workers": 0,
+        "batch_size": 2,
+        "source": [{"kind": "folders", "path": "mine", "labels": "labels", "last": 5}],
+    },
+    "validation": {
+        "source": [{"kind": "folders", "path": "mine", "labels": "labels", "first": 6}],
+    },
+    "schedule": {"steps": 1},
+}
+
+
+@pytest.fixture
+def start(tmp_path, capsys, monkeypatch):
+    """Open the recipe with changes for eight frames of three classes; return what is reported."""
+    config = SSDNetLiteConfig(encoder_widths=(8,) * 16, decoder_channels=(8, 8, 8))
+    monkeypatch.setitem(NETWORKS, "ssdnet-lite", Entry(SSDNetLite, config))
+    for index in range(8):
+        ids = np.uint8([[0, 1, 2]]).repeat(48, 0).repeat(20, 1)
+        write(tmp_path / f"mine/images/{index}.png", np.full((48, 60, 3), 90, np.uint8))
+        write(tmp_path / f"mine/labels/{index}.png", ids)
+        write(tmp_path / f"mine/lidar/{index}.png", np.full((48, 60), 5 * 256, np.uint16))
+
+    def call(changes):
+        recipe = build(Recipe, merge(RECIPE, changes))
+        open_task(recipe, Processes(0, 1, torch.device("cpu")), [tmp_path], None)
+        return capsys.readouterr().err
+
+    call.folder = tmp_path
+    return call
+
+
+def source(name="mine", **keys):
+    return [{"kind": "folders", "path": name, "labels": "labels", **keys}]
+
+
+def test_classes_that_no_pixel_shows_are_named(start):
+    assert "warning" not in start({})
+    for path in (start.folder / "mine/labels").iterdir():
+        write(path, np.uint8([[0, 2, 255]]).repeat(48, 0).repeat(20, 1))
+    err = start({})
+    assert (
+        "warning: no pixel of 6 frames of mine is labelled car: such a class is not trained" in err
+    )
+
+
+def test_labels_of_weight_0_do_not_train(start):
+    with pytest.raises(InputError, match="no frame of mine has a target of the loss"):
+        start({"data": {"source": source(semantic_weight=0.0)}})
+
+
+@pytest.mark.parametrize(
+    ("optimizer", "learns"),
+    [
+        ({"learning_rate": 0.0}, False),
+        ({"learning_rate": 0.0, "encoder_rate": 0.0}, False),
+        ({"learning_rate": 0.0, "encoder_rate": 1e-3}, True),
+        ({"learning_rate": 0.0, "encoder_rate": 1e-3, "only": ["semantic_"]}, False),
+        ({"learning_rate": 0.0, "encoder_rate": 1e-3, "frozen": ["encoder"]}, False),
+        ({"encoder_rate": 0.0, "only": ["encoder"]}, False),
+        ({"encoder_rate": 0.0}, True),
+    ],
+)
+def test_a_part_that_is_trained_must_have_a_rate(start, optimizer, learns):
+    if learns:
+        start({"optimizer": optimizer})
+        return
+    with pytest.raises(InputError, match="nothing would learn"):
+        start({"optimizer": optimizer})
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("fast-scnn", {}),
+        ("ssdnet-lite", {"augment": {"crop": [32, 32]}}),
+    ],
+)
+def test_batches_too_small_to_normalise_are_refused(start, name, changes):
+    model = {"name": name}
+    changes = {"augment": {"crop": [64, 96]}, **changes}
+    with pytest.raises(InputError, match=r"batches of 1 crops of .* Raise data\.batch_size"):
+        start({"model": model, "data": {**changes, "batch_size": 1}})
+    start({"model": model, "data": {**changes, "batch_size": 2}})
+
+
+def test_a_network_that_needs_more_classes_is_refused(start):
+    with pytest.raises(InputError, match="cannot be built with its classes"):
+        start({"model": {"name": "espnet"}})
+
+
+@pytest.mark.parametrize("link", [os.symlink, os.link], ids=["symbolic", "hard"])
+def test_frames_that_are_trained_on_and_validated_are_counted(start, link):
+    """By the files, not by the names that lead to them."""
+    same = "5 of the 7 frames of mine are also trained on"
+    assert same in start({"validation": {"source": source(first=1)}})
+    (start.folder / "other/images").mkdir(parents=True)
+    for index in range(4):
+        for kind in ("images", "labels"):
+            path = start.folder / f"other/{kind}/x{index}.png"
+            path.parent.mkdir(exist_ok=True)
+            link(start.folder / f"mine/{kind}/{index + 4}.png", path)
+    found = start({"validation": {"source": source("other")}})
+    assert "warning: 2 of the 4 frames of other are also trained on" in found
+
+
+def test_a_later_frame_of_a_validation_set_may_lack_the_lidar(start):
+    """The first frame has no depth, of which lines would be simulated without intrinsics."""
+    (start.folder / "mine/lidar/6.png").unlink()
+    validation = source(first=6, depth="lidar", missing="skip-target")
+    with pytest.raises(InputError, match="mine/7 cannot be validated with the LiDAR 'own'"):
+        start({"validation": {"source": validation}})
+
+
+def test_a_validation_set_without_scores_is_reported(start):
+    for index in (6, 7):
+        write(start.folder / f"mine/labels/{index}.png", np.full((48, 60), 255, np.uint8))
+    assert "warning: mine has no ground truth for a head: it gives no scores" in start({})
+
+
+def test_the_smallest_frame_decides_the_crop(start):
+    write(start.folder / "mine/images/3.png", np.zeros((32, 40, 3), np.uint8))
+    write(start.folder / "mine/labels/3.png", np.zeros((32, 40), np.uint8))
+    recipe = build(Recipe, RECIPE)
+    task = open_task(recipe, Processes(0, 1, torch.device("cpu")), [start.folder], None)
+    assert task.data.augment.crop == (32, 32)
