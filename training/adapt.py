@@ -6,6 +6,7 @@ before is scored beside the one after, and the better one is kept.
 """
 
 import math
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -46,7 +47,7 @@ from training.run_folder import FINAL, folder_errors
 Depth = NDArray[np.float32]
 
 #: Folders below a run's: the frames of the recording, and the training.
-FRAMES, TRAINING = "frames", "training"
+FRAMES, TRAINING = "recording", "training"
 #: Frames that are read at most, and the least number of them.
 MOST_FRAMES, LEAST_FRAMES = 600, 5
 #: Share of the recording's time, at its end, that is kept apart.
@@ -86,7 +87,7 @@ def adapt(
 ) -> Adapted:
     """Adapt the depth of a network to the rig of a recording.
 
-    Writes to ``out``: frames/ (the chosen frames as PNGs), training/ (the run, see `train`) and
+    Writes to ``out``: recording/ (the chosen frames as PNGs), training/ (the run, see `train`) and
     model.pt. The same call resumes what was stopped.
 
     Args:
@@ -105,14 +106,22 @@ def adapt(
     if "depth" not in network.heads:
         raise InputError(f"{init.path}: predicts no depth that could be adapted.")
     frames = out / FRAMES
-    if not frames.is_dir():
+    if frames.is_dir():
+        tqdm.write(f"{frames}: the frames of an earlier start are taken", file=sys.stderr)
+    else:
         _write_frames(source, frames, init.facts.trained_height)
     focal_px = float((frames / "focal_length_px.txt").read_text()) or None
     recipe = make_recipe(init, frames, focal_px, changes)
-    path = train(recipe, data=[frames], out=out / TRAINING, init=init, device=device, stop=stop)
+    if not isinstance(network, SSDNetLite):
+        tqdm.write(
+            f"warning: {network.config.name} has no layers that the depth alone reads: its classes "
+            "and boundaries change, too",
+            file=sys.stderr,
+        )
+    path = train(recipe, data=[out], out=out / TRAINING, init=init, device=device, stop=stop)
     if path.name != FINAL:
         return Adapted(path)
-    kept_apart = open_dataset(_frames_of("kept_apart", frames, focal_px), [frames], classes=())
+    kept_apart = open_dataset(_frames_of("kept_apart", frames, focal_px), [out], classes=())
     samples = [kept_apart[index] for index in range(len(kept_apart))]
     trained = load_checkpoint(path)
     models = {
@@ -177,7 +186,7 @@ def _write_frames(source: Source, folder: Path, trained_height: int | None) -> N
                 try:
                     frame = source.read(listed)
                 except InputError as error:
-                    tqdm.write(f"left out: {error}")
+                    tqdm.write(f"left out: {error}", file=sys.stderr)
                     continue
                 whole = (frame.rgb.shape[0], frame.rgb.shape[1])
                 size = network_size(None, whole, trained_height=trained_height)
@@ -207,7 +216,11 @@ def _frames_of(part: str, frames: Path, focal_px: float | None) -> FoldersRecipe
     height, width = read_rgb(first).shape[:2]
     intrinsics = (focal_px, focal_px, width / 2, height / 2) if focal_px else None
     return FoldersRecipe(
-        path=part, rgb="images", depth="lidar", sparse_depth="lidar", intrinsics=intrinsics
+        path=f"{FRAMES}/{part}",
+        rgb="images",
+        depth="lidar",
+        sparse_depth="lidar",
+        intrinsics=intrinsics,
     )
 
 

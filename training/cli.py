@@ -1,6 +1,8 @@
 """`ssdnet-train`: from a recipe to a checkpoint."""
 
+import shlex
 import tomllib
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -61,6 +63,21 @@ def train(
         Path | None,
         typer.Option(help="Text file for --labels: the name of a class a line, in order of ids."),
     ] = None,
+    adapt: Annotated[
+        str | None,
+        typer.Option(
+            metavar="RECORDING",
+            help="A recording of your camera and LiDAR, a path or --source of ssdnet-run. In place "
+            "of a recipe and --data: its returns train the depth of --init (ssdnet-lite), and "
+            "classes stay what they are. Folders of images need --depth, or --points and "
+            "--calibration.",
+        ),
+    ] = None,
+    points: Annotated[Path | None, typer.Option(help="Scans of --adapt, as of ssdnet-run.")] = None,
+    calibration: Annotated[
+        Path | None, typer.Option(help="Calibration of --adapt, as of ssdnet-run.")
+    ] = None,
+    poses: Annotated[Path | None, typer.Option(help="Poses of --adapt, as of ssdnet-run.")] = None,
     out: Annotated[
         Path, typer.Option(help="Folder of the run. A run of the same recipe is resumed.")
     ],
@@ -106,6 +123,17 @@ def train(
     _version: Version = False,
 ) -> None:
     """Train a network; writes checkpoints, TensorBoard curves, scores and the resolved recipe."""
+    if adapt is not None:
+        if recipe or data or images or labels or classes or teacher or stop_after or dry_run:
+            raise typer.BadParameter(
+                "--adapt goes with --depth, --points, --calibration, --poses, --out, --init, "
+                "--set, --device and --threads alone"
+            )
+        files = {"depth": depth, "points": points, "calibration": calibration, "poses": poses}
+        _adapt(adapt, files, out, init or "ssdnet-lite", change or (), device, threads)
+        return
+    if points or calibration or poses:
+        raise typer.BadParameter("--points, --calibration and --poses go with --adapt")
     if recipe is not None and (not data or images or labels or depth or classes):
         raise typer.BadParameter(
             "a recipe needs --data, and none of --images and what goes with it"
@@ -179,3 +207,42 @@ def train(
     if stop() and path.name == "last.pt":
         typer.echo(f"stopped; the same command resumes from {path}", err=True)
         raise typer.Exit(INTERRUPTED)
+
+
+def _adapt(
+    text: str,
+    files: Mapping[str, Path | None],
+    out: Path,
+    init: str,
+    changes: Sequence[str],
+    device: str,
+    threads: int | None,
+) -> None:
+    """Adapt ``init`` to a recording, and print what came of it and what to run next."""
+    with reported_errors("train"):
+        import torch
+
+        from runtime.sources.registry import SOURCES, detect_source, open_source, parse_source
+        from training.adapt import adapt
+        from training.initial_weights import find_weights, read_weights
+
+        if threads is not None:
+            torch.set_num_threads(threads)
+        is_named = text.partition(":")[0] in SOURCES
+        kind, path, keys = parse_source(text) if is_named else detect_source(Path(text))
+        with stop_signal() as stop, open_source(kind, path, **files, **keys) as source:
+            for note in source.notes:
+                typer.echo(note, err=True)
+            weights = read_weights(find_weights(init))
+            found = adapt(source, weights, out, changes=changes, device=device, stop=stop)
+    for line in found.lines:
+        typer.echo(line)
+    if not found.lines:
+        typer.echo(f"stopped; the same command resumes from {found.path}", err=True)
+        raise typer.Exit(INTERRUPTED)
+    model = str(found.path.with_suffix(".onnx"))
+    recording = ["--source", text] if is_named else [text]
+    for name, file in files.items():
+        recording += [] if file is None else [f"--{name}", str(file)]
+    typer.echo(shlex.join(["ssdnet-export", str(found.path), model]))
+    typer.echo(shlex.join(["ssdnet-run", *recording, "--model", model]))

@@ -1,0 +1,180 @@
+"""The depth adapted to a recording: its frames, what is trained, and what is kept."""
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from typer.testing import CliRunner
+
+from models import SSDNetLite, SSDNetLiteConfig, create_model, load_checkpoint, save_checkpoint
+from runtime.errors import InputError
+from runtime.sources.registry import open_source
+from runtime.sources.source import ListedFrame
+from training import adapt as adapting
+from training.adapt import FEEDS, adapt, choose_frames, every_second_line
+from training.cli import app
+from training.datasets.sample import Sample
+from training.initial_weights import read_weights
+
+SIZE, FOCAL_PX = (96, 160), 120.0
+STEPS = ["schedule.steps = 2", "schedule.warmup_steps = 0", "data.augment.crop = [64, 96]"]
+CALIBRATION = f"""
+intrinsics = [[{FOCAL_PX}, 0, 80], [0, {FOCAL_PX}, 48], [0, 0, 1]]
+extrinsics = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+"""
+
+
+@pytest.fixture
+def rig(tmp_path):
+    """Twelve frames of a tilted plane: a folder of images and one of depth."""
+    rng = np.random.default_rng(0)
+    rows = np.arange(SIZE[0])[:, None]
+    plane = 100 / (2 + 0.1 * rows + np.zeros(SIZE))
+    for folder in ("images", "lidar"):
+        (tmp_path / "rig" / folder).mkdir(parents=True)
+    for number in range(12):
+        depth = np.where(rng.random(SIZE) < 0.05, plane * (1 + 0.02 * number), 0)
+        picture = rng.integers(0, 255, (*SIZE, 3), dtype=np.uint8)
+        cv2.imwrite(str(tmp_path / "rig" / "images" / f"{number}.png"), picture)
+        cv2.imwrite(
+            str(tmp_path / "rig" / "lidar" / f"{number}.png"), (256 * depth).astype(np.uint16)
+        )
+    return tmp_path / "rig"
+
+
+def open_rig(rig):
+    return open_source("folders", rig / "images", depth=rig / "lidar")
+
+
+@pytest.fixture
+def weights(tmp_path):
+    """A small network whose depth is not the base."""
+    torch.manual_seed(0)
+    config = SSDNetLiteConfig(
+        encoder_widths=(16,) * 16, decoder_channels=(16, 16, 16), geometry_channels=8
+    )
+    network = SSDNetLite(config)
+    torch.nn.init.normal_(network.surface_depth.image.weight)
+    path = tmp_path / "small.pt"
+    save_checkpoint(path, network, training={"data": ["made"], "trained_height": 96})
+    return path
+
+
+def test_only_layers_of_the_depth_alone_are_trained(rig, weights, tmp_path):
+    init = read_weights(weights)
+    found = adapt(open_rig(rig), init, tmp_path / "out", changes=STEPS)
+    trained = load_checkpoint(tmp_path / "out" / "training" / "model.pt").model
+    before, after = init.network.state_dict(), trained.state_dict()
+    changed = {name for name in before if not torch.equal(before[name], after[name])}
+    assert changed
+    assert {name.split(".")[0] for name in changed} <= {"depth_decoder", "surface_depth"}
+    assert not any(name.startswith("surface_depth.embed") for name in changed)
+    rgb, sparse = torch.rand(1, 3, *SIZE) * 255, torch.zeros(1, 1, *SIZE)
+    sparse[..., ::12, ::3], sparse[..., 6::12, ::3] = 12.0, 30.0
+    with torch.no_grad():
+        one, other = init.network.eval()(rgb, sparse), trained.eval()(rgb, sparse)
+    assert torch.equal(one.semantic_logits, other.semantic_logits)
+    assert torch.equal(one.boundary_logits, other.boundary_logits)
+    assert not torch.equal(one.depths[0], other.depths[0])
+    assert found.path == tmp_path / "out" / "model.pt"
+    # The same call does not train again.
+    assert adapt(open_rig(rig), init, tmp_path / "out", changes=STEPS).lines == found.lines
+
+
+@pytest.mark.parametrize("better", ["before", "after"])
+def test_the_better_model_is_kept_and_its_scores_are_shown(
+    rig, weights, tmp_path, monkeypatch, better
+):
+    init, errors = (
+        read_weights(weights),
+        iter((9.0, *((2.0, 3.0, 4.0), (4.0, 3.0, 2.0))[better == "after"])),
+    )
+
+    def score(predict, samples):
+        assert len(samples) == 2  # of twelve, in the last tenth of the time
+        return dict.fromkeys(FEEDS, np.full(3, next(errors)))
+
+    monkeypatch.setattr(adapting, "score", score)
+    found = adapt(open_rig(rig), init, tmp_path / "out", changes=STEPS)
+    assert found.paid == (better == "after")
+    trained = load_checkpoint(tmp_path / "out" / "training" / "model.pt")
+    expected = init.network if better == "before" else trained.model
+    kept = load_checkpoint(found.path)
+    for name, value in kept.model.state_dict().items():
+        assert torch.equal(value, expected.state_dict()[name]), name
+    assert kept.facts.data == (("made",) if better == "before" else ("recording/train", "made"))
+    text = "\n".join(found.lines)
+    assert "9000 / 9000, 9000" in text
+    assert ("does not pay" in text) == (better == "before")
+    assert ("-50.0 %" in text) == (better == "after")
+    assert "0.0 % of the pixels change class" in text
+
+
+def listed(count, step_ns=10**8, **keys):
+    return [ListedFrame(i, str(i), i, i, image_stamp_ns=i * step_ns, **keys) for i in range(count)]
+
+
+def test_the_last_tenth_of_the_time_is_kept_apart():
+    frames = listed(50) + [
+        ListedFrame(50 + i, "", 0, 0, image_stamp_ns=5 * 10**9 + i * 10**7) for i in range(100)
+    ]
+    train, apart = choose_frames(frames)
+    assert len(train) + len(apart) == 150
+    assert max(frame.image_stamp_ns for frame in train) <= 0.9 * frames[-1].image_stamp_ns
+    assert min(frame.image_stamp_ns for frame in apart) > 0.9 * frames[-1].image_stamp_ns
+
+
+def test_of_a_long_recording_frames_at_equal_distances_are_taken():
+    train, apart = choose_frames(listed(5000))
+    assert adapting.MOST_FRAMES - 2 <= len(train) + len(apart) <= adapting.MOST_FRAMES
+    steps = np.diff([frame.sequence for frame in (*train, *apart)])
+    assert steps.min() >= 8
+    assert steps.max() <= 9
+
+
+def test_a_recording_without_returns_is_refused():
+    with pytest.raises(InputError, match="has 0 frames with LiDAR returns"):
+        choose_frames([ListedFrame(i, "", i, None) for i in range(20)])
+
+
+def test_a_network_without_depth_is_refused(rig, tmp_path):
+    path = tmp_path / "classes.pt"
+    save_checkpoint(path, create_model("fast-scnn"))
+    with pytest.raises(InputError, match="no depth that could be adapted"):
+        adapt(open_rig(rig), read_weights(path), tmp_path / "out")
+
+
+def test_every_second_line_is_a_band_of_elevation():
+    depth = np.full(SIZE, 10, np.float32)
+    rgb = np.zeros((*SIZE, 3), np.uint8)
+    sample = Sample(rgb, targets={"depth": depth}, intrinsics=None, name="a")
+    first, second = (every_second_line(sample, number) for number in (0, 1))
+    assert not ((first > 0) & (second > 0)).any()
+    assert ((first > 0) | (second > 0)).all()
+    middle = first[:, SIZE[1] // 2] > 0
+    assert 0.4 < middle.mean() < 0.6
+    assert np.count_nonzero(np.diff(middle.astype(int))) > 20
+
+
+def test_the_command_prints_the_scores_and_what_to_run_next(rig, weights, tmp_path):
+    (rig / "camera.toml").write_text(CALIBRATION)
+    changes = [part for text in STEPS for part in ("--set", text)]
+    arguments = [
+        *("--adapt", str(rig / "images"), "--depth", str(rig / "lidar")),
+        *("--calibration", str(rig / "camera.toml"), "--out", str(tmp_path / "a run")),
+        *("--init", str(weights), *changes),
+    ]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    *_, export, run = result.stdout.splitlines()
+    model = f"'{tmp_path}/a run/model"
+    assert export == f"ssdnet-export {model}.pt' {model}.onnx'"
+    assert run == (
+        f"ssdnet-run {rig}/images --depth {rig}/lidar --calibration {rig}/camera.toml "
+        f"--model {model}.onnx'"
+    )
+    recipe = (tmp_path / "a run" / "training" / "recipe.json").read_text()
+    assert '"intrinsics": [\n' in recipe
+    assert str(FOCAL_PX) in recipe
+    result = CliRunner().invoke(app, [*arguments, "--labels", "x"])
+    assert result.exit_code == 2
