@@ -40,6 +40,7 @@ from training.lidar.split import masked, random_share
 from training.loading.open_dataset import open_dataset
 from training.loop import train
 from training.losses.total import TERMS
+from training.network import DEPTH_ALONE
 from training.recipe import Recipe, build_recipe
 from training.release import mix_weights
 from training.run_folder import FINAL, folder_errors
@@ -52,8 +53,6 @@ FRAMES, TRAINING = "recording", "training"
 MOST_FRAMES, LEAST_FRAMES = 600, 5
 #: Share of the recording's time, at its end, that is kept apart.
 KEPT_APART = 0.1
-#: Parts of the network that are trained, and what of them the encoder reads.
-_OWN_LAYERS, _SHARED_LAYERS = ("depth_decoder", "surface_depth"), ("surface_depth.embed",)
 _STEPS, _WARMUP = 200, 20
 #: Height [degrees] of the bands of elevation, every second of which is fed.
 _BAND_DEG = 0.5
@@ -229,7 +228,7 @@ def make_recipe(
 ) -> Recipe:
     """Return the recipe of the training; ``changes`` as of `build_recipe`."""
     config, facts = init.network.config, init.facts
-    is_lite = isinstance(init.network, SSDNetLite)
+    only, frozen = DEPTH_ALONE if isinstance(init.network, SSDNetLite) else ((), ())
     model: dict[str, Any] = {"name": config.name, "config": config_changes(config)}
     table = trained_classes(config.classes, facts.to_dict())
     if table:
@@ -260,11 +259,7 @@ def make_recipe(
                 "metric_log": 20.0,
                 "depth_uncertainty_weight": 0.2,
             },
-            "optimizer": {
-                "learning_rate": 5e-4,
-                "only": _OWN_LAYERS if is_lite else (),
-                "frozen": _SHARED_LAYERS if is_lite else (),
-            },
+            "optimizer": {"learning_rate": 5e-4, "only": only, "frozen": frozen},
             "schedule": {"steps": _STEPS, "warmup_steps": _WARMUP},
             "loop": {"ema_decay": 0.97, "clip_norm": 20.0},
         },

@@ -14,6 +14,9 @@ from training.initial_weights import Weights, start_from
 from training.prune import prune_trunk
 from training.recipe import ModelRecipe
 
+#: Parts of an `SSDNetLite` whose features the depth alone reads, but for those of the second tuple,
+#: which the encoder reads.
+DEPTH_ALONE = ("depth_decoder", "surface_depth"), ("surface_depth.embed",)
 #: Normalisation in `NetworkConfig` that the ImageNet weights were trained with.
 _IMAGENET_COLORS = {"rgb_mean": (RGB_MEAN,) * 3, "rgb_std": (RGB_STD,) * 3}
 

@@ -21,6 +21,7 @@ from runtime.network_size import LARGEST_RATIO, network_size
 from runtime.read_input import MAX_FILE_BYTES, open_input, read_text
 from training.datasets.folders import Folders, FoldersRecipe
 from training.initial_weights import Weights
+from training.network import DEPTH_ALONE
 from training.run_folder import folder_errors
 
 #: The file of the recipe in a run's folder.
@@ -67,7 +68,7 @@ class OwnFolders:
         The last tenth of the frames is for validation: neighbours of a recording are alike. Images
         of far more rows than those ``init`` was trained on are resized to its rows, and images of
         far different sizes to the median of their rows; each keeps its aspect. Classes are learned
-        by their own layers, so that the depth stays that of ``init``.
+        by their own layers, and so is the depth without labels: the others stay those of ``init``.
 
         Raises:
             InputError: if a folder or the classes cannot be read, for too few images, and where
@@ -106,8 +107,8 @@ class OwnFolders:
             keys["size"] = resized
         first = count - count // _VALIDATION
         lines = [*_describe(classes, resized, keys, first, count)]
-        if classes and isinstance(init.network, SSDNetLite):
-            lines += ["", *_CLASSES_ALONE] if "depth" in init.network.heads else []
+        if isinstance(init.network, SSDNetLite) and "depth" in init.network.heads:
+            lines += ["", *(_CLASSES_ALONE if classes else _depth_alone())]
         return "\n".join((f"# --data is {_quoted(str(self.root))}.", *lines, ""))
 
 
@@ -141,6 +142,12 @@ def _describe(
             yield "# intrinsics = [721.5, 721.5, 609.6, 172.9]  # fx, fy, cx, cy of the camera [px]"
     steps = min(max(_PASSES * first // _BATCH, _MIN_STEPS), _MAX_STEPS)
     yield f"\n[schedule]\nsteps = {steps}  # of {_BATCH} frames"
+
+
+def _depth_alone() -> Iterator[str]:
+    yield "[optimizer]  # only what the depth alone reads: classes and boundaries stay as they are"
+    for key, parts in zip(("only", "frozen"), DEPTH_ALONE, strict=True):
+        yield f"{key} = {json.dumps(parts)}"
 
 
 def _read_height(path: Path) -> int:

@@ -78,6 +78,17 @@ def test_a_recipe_is_made_for_the_folders_and_trained(mine):
     assert (mine / "run/recipe.toml").read_text() == text
 
 
+def test_without_labels_only_what_the_depth_alone_reads_is_trained(mine):
+    steps = ("--set", "schedule.steps = 2", "--set", "data.workers = 0")
+    result = train(mine, *steps, labels="", classes="", depth="lidar")
+    assert result.exit_code == 0, result.output
+    trained, first = (load_checkpoint(mine / name) for name in ("run/model.pt", "first.pt"))
+    before, after = first.model.state_dict(), trained.model.state_dict()
+    changed = {name for name in before if not before[name].equal(after[name])}
+    assert {name.split(".")[0] for name in changed} == {"depth_decoder", "surface_depth"}
+    assert not any(name.startswith("surface_depth.embed") for name in changed)
+
+
 def test_a_dry_run_shows_the_recipe(mine):
     """One for images of a higher camera, which are resized to the rows of the first weights."""
     for path in (*mine.glob("images/*"), *mine.glob("labels/*")):
