@@ -226,10 +226,10 @@ class HeadChannels(NamedTuple):
     position: Tensor
     #: Scale of the error where base and guess agree, C = 1.
     scale: Tensor
-    #: Confidence in the base, against the guess, C = 1.
+    #: Of the image: confidence in the base, against the guess, C = 1.
     in_base: Tensor
-    #: Confidence in a return before the predicted depth, in one behind it, and the reduction of the
-    #: error's scale beside a return, C = 3.
+    #: Of the geometry: confidence in a return before the predicted depth, in one behind it, and the
+    #: reduction of the error's scale beside a return, C = 3.
     returns: Tensor
 
     @classmethod
@@ -238,13 +238,14 @@ class HeadChannels(NamedTuple):
 
         image: (N, IMAGE_CHANNELS, h, w); geometry: (N, GEOMETRY_CHANNELS, h, w).
         """
-        both, in_base, returns = image.split([GEOMETRY_CHANNELS, 1, 3], dim=1)
-        position, scale = torch.lerp(both, geometry, beside).split(1, dim=1)
+        both, in_base = image.split([2, 1], dim=1)
+        near, returns = geometry.split([2, 3], dim=1)
+        position, scale = torch.lerp(both, near, beside).split(1, dim=1)
         return cls(position, scale, in_base, returns)
 
 
 #: Channels of the last convolution of each branch.
-GEOMETRY_CHANNELS, IMAGE_CHANNELS = 2, 6
+GEOMETRY_CHANNELS, IMAGE_CHANNELS = 5, 3
 #: Confidence in the base, before its activation, that a new head starts with.
 _FIRST_CONFIDENCE = 2.5
 #: Class-like channels of the geometry's branch.
@@ -300,10 +301,10 @@ class SurfaceDepthHead(nn.Module):
         # Positions within DEAD_ZONE, whose gradient reaches the layers before.
         last = self.geometry[-1]
         assert isinstance(last, nn.Conv2d)
-        for weights in (last.weight, self.image.weight[: 1 + GEOMETRY_CHANNELS]):
+        for weights in (last.weight[:1], self.image.weight):
             weights.mul_(0.01)
         assert self.image.bias is not None
-        self.image.bias[GEOMETRY_CHANNELS] = _FIRST_CONFIDENCE
+        self.image.bias[-1] = _FIRST_CONFIDENCE
 
     def propagate(self, depth: Tensor, mask: Tensor) -> Candidates:
         """Return the candidates around each cell; depth and mask as `measure`."""

@@ -66,9 +66,10 @@ def propagated(maps: Measured) -> Surfaces:
 
 def head_of(**logits: float) -> HeadChannels:
     """Logits of the named channels; the others are 0."""
-    channels = ("position", "scale", "in_base", "before", "behind", "reduction")
+    channels = ("position", "scale", "in_base")
     assert len(channels) == IMAGE_CHANNELS
-    values = [logits.get(name, 0.0) for name in channels]
+    values = [logits.pop(name, 0.0) for name in channels]
+    assert not logits
     image = torch.tensor(values).view(1, -1, 1, 1).expand(1, -1, *GRID)
     nothing = torch.zeros(1, 1, *GRID)
     return HeadChannels.join(image, torch.zeros(1, GEOMETRY_CHANNELS, *GRID), nothing)
@@ -245,8 +246,9 @@ def test_beside_returns_the_geometry_decides():
     geometry = torch.full((1, GEOMETRY_CHANNELS, *GRID), -1.0)
     beside = torch.full((1, 1, *GRID), 0.25)
     head = HeadChannels.join(image, geometry, beside)
-    for joined, expected in zip(head, (2.0, 2.0, 3.0, 3.0), strict=True):
+    for joined, expected in zip(head, (2.0, 2.0, 3.0, -1.0), strict=True):
         assert torch.allclose(joined, torch.tensor(expected))
+    assert [part.shape[1] for part in head] == [1, 1, 1, 3]
 
 
 def far_everywhere(found: Surfaces) -> Surfaces:
@@ -370,7 +372,7 @@ def test_the_scale_does_not_train_the_choice():
     geometry = torch.zeros(1, GEOMETRY_CHANNELS, *GRID)
     chosen(HeadChannels.join(image, geometry, found.beside), own, found)[1].sum().backward()
     trained = image.grad.abs().sum(dim=(0, 2, 3)) > 0
-    assert trained.tolist() == [False, True] + [False] * 4
+    assert trained.tolist() == [False, True, False]
     assert own.grad is None or not own.grad.any()
 
 
