@@ -141,7 +141,7 @@ def test_fixed_graph_pads_only_where_needed(fixed_model):
     def count_pads(model):
         return sum(node.op_type == "Pad" for node in model.graph.node)
 
-    assert count_pads(fixed_model) == 1  # of the cells in `limit_guess`
+    assert count_pads(fixed_model) == 2  # of the cells in `limit_guess` and in `anchor`
     cut = {head.name for head in fixed_model.graph.output}
     assert not [n for n in fixed_model.graph.node if n.op_type == "Slice" and n.output[0] in cut]
     odd = trace(DeployGraph(Halved(), with_logits=True), size=(HEIGHT - 1, WIDTH))
@@ -149,7 +149,7 @@ def test_fixed_graph_pads_only_where_needed(fixed_model):
     frame = probe_frames((HEIGHT - 1, WIDTH), max_depth_m=80.0, seeds=(2,))[0]
     logits = run(open_model(odd), [frame])["semantic_logits"][0]
     rgb = torch.from_numpy(frame.rgb).permute(2, 0, 1)[None].float()
-    expected = upsample(rgb[:, :, ::2, ::2])[0, :, : HEIGHT - 1]
+    expected = repeat(rgb[:, :, ::2, ::2], 2)[0, :, : HEIGHT - 1]
     np.testing.assert_allclose(logits, expected, atol=1e-3)
 
 
