@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from runtime.assumptions import assume, collect_assumptions
 from runtime.errors import InputError
@@ -306,14 +305,14 @@ class BagSource(Source):
         """See `Source.list_frames`."""
         self._left_out.clear()
         names: Counter[str] = Counter()
-        cameras: list[NDArray[np.float64]] = []
+        cameras: list[list[float]] = []
 
         def stamped() -> Iterator[tuple[Sensor, int, int]]:
             """The messages of both sensors, with their positions in `_recorded`."""
             for place, message in self._recorded():
                 if message.topic == self._info_topic:
-                    with contextlib.suppress(InputError):  # damaged, or not set
-                        cameras.append(projection_of(self._bag.decode(message)))
+                    with contextlib.suppress(InputError):  # damaged
+                        cameras.extend(projection_of(self._bag.decode(message)))
                     continue
                 sensor = Sensor.IMAGE if message.topic == self._image_topic else Sensor.DEPTH
                 stamp_ns = self._bag.stamp_ns(message)

@@ -3,14 +3,12 @@
 Some fields of CameraInfo are used in two ways. What the bag does not prove is assumed and said.
 """
 
-import contextlib
 import re
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from runtime.assumptions import assume
 from runtime.errors import InputError
@@ -48,11 +46,8 @@ def calibrate(
         InputError: if no CameraInfo is set, if it is invalid, or if /tf_static lacks a frame.
     """
     image = bag.first(topic)
-    for info in bag.decoded(beside):
-        with contextlib.suppress(InputError):
-            projection_of(info)
-            break
-    else:
+    info = next(filter(projection_of, bag.decoded(beside)), None)
+    if info is None:
         raise InputError(f"{beside} has no CameraInfo with K or P: {GIVE}")
     fields = _fields(info)
     stated = frame_name(info.header.frame_id)
@@ -82,16 +77,10 @@ def calibrate(
     return found
 
 
-def projection_of(info: Any) -> NDArray[np.float64]:
-    """Return K and P of a CameraInfo, float64 (21,).
-
-    Raises:
-        InputError: if neither is set: drivers send 0, 1 or NaN before they know.
-    """
-    fields = _fields(info)
-    if not (fields["k"][0] > 1 or fields["p"][0] > 1):
-        raise InputError("a CameraInfo has neither K nor P")
-    return np.array([*fields["k"], *fields["p"]])
+def projection_of(info: Any) -> list[list[float]]:
+    """Return the 21 numbers of K and P; none where a driver sent 0, 1 or NaN: it knew neither."""
+    k, p = (_fields(info)[name] for name in "kp")
+    return [[*k, *p]] if k[0] > 1 or p[0] > 1 else []
 
 
 def is_rectified(fields: Mapping[str, Any], topic: str) -> bool:
