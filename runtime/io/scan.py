@@ -35,7 +35,7 @@ _OF_PLY = {_ASCII: "", "binary_little_endian": "<", "binary_big_endian": ">"}
 # A raw file does not state how many columns a point has. They are judged by the angle between
 # successive points of a rotating scanner: 0.2 degrees along a ring, up to 21 between lasers; with a
 # wrong number of columns the median is 80 or more.
-_COLUMNS = (3, 4, 5, 6, 7, 8)  # 8: PCL's padded x, y, z, intensity
+_COLUMNS = (3, 4, 5, 6, 7, 8)  # the first is meant; 8: PCL's padded x, y, z, intensity
 _DOUBLES = 0.9  # share of numbers that are float64 and have a value of float32
 _MOST_ROWS = 6  # of .npy with a row for each coordinate
 _MAX_TURN_DEGREES = 40
@@ -102,15 +102,13 @@ def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
     values = np.frombuffer(content, "<f4", len(content) // 4)
     scans = {n: values.reshape(-1, n) for n in {columns, *_COLUMNS} if len(content) % (4 * n) == 0}
     ordered = {n: _is_of_a_scanner(points) for n, points in scans.items()}
-    if ordered.get(4):
-        ordered.pop(8, None)  # each second point
-    others = " or ".join(str(n) for n in _COLUMNS if n != columns and ordered.get(n))
-    if columns in scans and (ordered[columns] is not False or not others):
+    other = next((n for n in _COLUMNS if n != columns and ordered.get(n)), None)
+    if columns in scans and (ordered[columns] is not False or not other):
         if ordered[columns] is False and _is_of_a_scanner(values.reshape(columns, -1).T):
             raise ValueError("it holds all x, then all y, ...: write one point after the other")
         return scans[columns].astype(np.float32)
     fault = "do not follow scan lines as" if columns in scans else "are not whole"
-    remedy = f": give point_columns={others} in --source" if others else ""
+    remedy = f": give point_columns={other} in --source" if other else ""
     raise ValueError(
         f"its {len(content)} bytes {fault} points of {columns} float32: it is truncated, of "
         f"another format, or has other columns{remedy}"

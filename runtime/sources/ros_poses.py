@@ -201,17 +201,13 @@ class TransformTree:
             if parent in matrices:
                 raise InputError(f"/tf_static has a cycle at the frame {shown(parent)}")
             pose = _transform_pose(stamped)
-            if not all(each == parent and _is_pose(other, pose) for each, other in others):
-                assume(f"the last of several transforms of {frame}", "/tf_static has others")
+            for each, other in others:
+                with contextlib.suppress(InputError):  # invalid
+                    if each != parent or not np.allclose(_transform_pose(other), pose, atol=1e-3):
+                        assume(f"the last of several transforms of {frame}", "/tf_static has more")
             matrices[parent] = pose @ matrices[frame]
             frame = parent
         return matrices
-
-
-def _is_pose(stamped: Any, pose: NDArray[np.float64]) -> bool:
-    with contextlib.suppress(InputError):
-        return np.allclose(_transform_pose(stamped), pose, rtol=0, atol=1e-3)
-    return False
 
 
 def frame_name(frame: Any) -> str:

@@ -245,9 +245,9 @@ def test_another_number_of_columns_is_an_error_that_names_the_right_one(tmp_path
         read_scan(tmp_path / "a.bin", columns=given)
 
 
-def test_several_numbers_of_columns_that_fit_are_all_named(tmp_path):
+def test_of_numbers_of_columns_that_fit_the_one_that_takes_every_point_is_named(tmp_path):
     sweep(3).tofile(tmp_path / "a.bin")
-    with pytest.raises(InputError, match="give point_columns=3 or 6 in --source"):
+    with pytest.raises(InputError, match="give point_columns=3 in --source"):
         read_scan(tmp_path / "a.bin")
 
 
