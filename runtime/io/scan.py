@@ -94,8 +94,8 @@ def _check_array(array: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
-    wide = np.frombuffer(content, "<f8", len(content) // 8)
-    wide = wide[wide != 0]
+    words = np.frombuffer(content, "<u4", len(content) // 8 * 2)
+    wide = words.view("<f8")[words[::2] != 0]  # float32 0 before another number is a float64, too
     with np.errstate(over="ignore", invalid="ignore"):
         if np.count_nonzero(wide.astype(np.float32) == wide) > _DOUBLES * len(wide):
             raise ValueError("its numbers are float64: write them as float32")

@@ -243,7 +243,8 @@ class BagSource(Source):
             ours = self._camera(self._image_topic, self._info_topic)
             its = self._camera(depth, self._find_info(depth))
             is_near = np.abs(ours.intrinsics - its.intrinsics).max() < SAME_PX
-            is_proved &= bool(is_near) and ours.lens_model == its.lens_model
+            is_straight = ours.lens_model is not None and its.lens_model is None
+            is_proved &= bool(is_near) and not is_straight
         if not is_proved:
             remedy = "state it with registered=true or false in --source"
             assume(f"{depth} lies on the pixels of the images", remedy)

@@ -306,6 +306,7 @@ RAW = {
     "ahead": AHEAD,
     "a planar LiDAR": sweep(4) * np.float32([1, 1, 0, 1]),
     "an empty road": np.where(SEEN, sweep(4), 0),
+    "a light but no return": np.where(SEEN, sweep(4), np.float32([0, 0, 0, 7])),
     "a covered lens": np.zeros((3200, 4), np.float32),
     "a beam straight ahead": sweep(4) * np.float32([1, 0, 0, 1]),
 }

@@ -198,7 +198,15 @@ FOCAL = 0.5
 
 
 def depth_bag(
-    bag, make_frame, *, depth_frame="depth", frame_id="camera", info=True, tree=True, focal=FOCAL
+    bag,
+    make_frame,
+    *,
+    depth_frame="depth",
+    frame_id="camera",
+    info=True,
+    tree=True,
+    focal=FOCAL,
+    distortion=(),
 ):
     """A depth camera beside the camera, of half its focal length; returns its depth of a wall."""
     rgb, _ = make_frame(*SIZE)
@@ -207,7 +215,7 @@ def depth_bag(
     for stamp_ns in (START_NS, START_NS + 100 * MS):
         bag.image("/rgb/image_raw", rgb, "rgb8", stamp_ns, frame_id=frame_id)
         bag.image("/depth/image_raw", depth, "16UC1", stamp_ns, frame_id=depth_frame)
-    bag.info("/rgb/camera_info", K, SIZE, frame_id=frame_id)
+    bag.info("/rgb/camera_info", K, SIZE, frame_id=frame_id, distortion=distortion)
     if info:
         half = np.diag([focal, focal, 1]) @ (K - [[0, 0, 32], [0, 0, 24], [0, 0, 0]])
         half[:2, 2] = 32, 24
@@ -220,6 +228,7 @@ def depth_bag(
 @pytest.mark.parametrize(("changes", "options", "said"), [
     ({"depth_frame": "camera", "focal": 1}, {}, False),
     ({"depth_frame": "camera"}, {}, True),  # one name for two cameras
+    ({"depth_frame": "camera", "focal": 1, "distortion": CURVED}, {}, True),
     ({"depth_frame": "camera"}, {"registered": True}, False),
     ({"depth_frame": "/camera", "info": False, "tree": False}, {}, False),
     ({}, {"registered": True}, False),
