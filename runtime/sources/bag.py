@@ -377,7 +377,8 @@ class BagSource(Source):
             return frame_of(frame, rgb, calibration, scan=Scan.of(cloud.points))
         points, after_s = decode_points(message), None
         if self._poses is not None and frame.depth_stamp_ns is not None:
-            after_s = point_times_s(message, frame.depth_stamp_ns, points)
+            with collect_assumptions(self._notes):
+                after_s = point_times_s(message, frame.depth_stamp_ns, points)
         scan = Scan.of(points, after_s, frame.depth_stamp_ns or 0)
         return frame_of(frame, rgb, calibration, scan=scan, poses=self._poses)
 
