@@ -54,8 +54,8 @@ def check_points(points: Any) -> None:
 
 
 def is_transposed(shape: tuple[int, ...]) -> bool:
-    """Whether an array of points is (3, N) or, with other columns, (4, N) to (6, N)."""
-    return len(shape) == 2 and 3 <= shape[0] <= 6 and shape[1] > _WIDEST_POINT
+    """Whether an array of points is (3, N) or, with other columns, (4, N) and so on."""
+    return len(shape) == 2 and 3 <= shape[0] < shape[1] > _WIDEST_POINT
 
 
 def is_return(points: NDArray[np.float32], *, name: str = "a scan") -> NDArray[np.bool_]:

@@ -1,5 +1,6 @@
 """Calibration of a camera and a LiDAR, and the files that it is read from."""
 
+import contextlib
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -311,10 +312,10 @@ class FrameCalibrations:
         read: reads one file, such as `Calibration.from_file`.
 
     Attributes:
-        first: calibration of all frames, or of the first file of the folder.
+        first: calibration of all frames, or of the first file of the folder that can be read.
 
     Raises:
-        InputError: if `first` cannot be read. Other files are read by `of`.
+        InputError: if no file can be read. The file of a frame is read by `of`.
     """
 
     def __init__(self, path: Path, read: Callable[[Path], Calibration]) -> None:
@@ -322,7 +323,11 @@ class FrameCalibrations:
         is_raw = any(os.path.lexists(path / name) for name in (RAW_CAMERAS, RAW_SCANNER))
         if os.path.isdir(path) and not is_raw:
             self._files = list_files(path, (".txt", ".toml"))
-            path = self._files[min(self._files, key=natural_order)]
+            for name in sorted(self._files, key=natural_order):
+                path = self._files[name]
+                with contextlib.suppress(InputError):  # `of` reports it
+                    self.first = read(path)
+                    return
         self.first = read(path)
 
     def of(self, name: str) -> Calibration:

@@ -74,8 +74,11 @@ def read_oxts_poses(paths: Iterable[Path]) -> NDArray[np.float64]:
         if len(row) != 1:
             raise InputError(f"{path} must have one line of {_OXTS} numbers, it has {len(row)}")
         latitude, longitude, altitude, *angles = row[0, :6]
-        if not (abs(latitude) < 89 and abs(longitude) <= 360):
-            raise InputError(f"{path} must begin with latitude and longitude in degrees")
+        if not (abs(latitude) < 89 and abs(longitude) <= 360 and np.abs(angles).max() < 7):
+            raise InputError(
+                f"{path} must begin with latitude and longitude [degrees], altitude [m], roll, "
+                f"pitch and yaw [radians], got {shown(row[0, :6].tolist())}"
+            )
         scale = scale or _EARTH_RADIUS_M * np.cos(np.radians(latitude))
         roll, pitch, yaw = (
             cv2.Rodrigues(axis * angle)[0] for axis, angle in zip(np.eye(3), angles, strict=True)

@@ -5,7 +5,6 @@ Polygon File Format", 1994.
 """
 
 import contextlib
-import io
 import math
 import re
 from pathlib import Path
@@ -36,7 +35,9 @@ _OF_PLY = {_ASCII: "", "binary_little_endian": "<", "binary_big_endian": ">"}
 # A raw file does not state how many columns a point has. They are judged by the angle between
 # successive points of a rotating scanner: 0.2 degrees along a ring, up to 21 between lasers; with a
 # wrong number of columns the median is 80 or more.
-_COLUMNS = (3, 4, 5, 6, 8)  # 8: PCL's padded x, y, z, intensity
+_COLUMNS = (3, 4, 5, 6, 7, 8)  # the first is meant; 8: PCL's padded x, y, z, intensity
+_DOUBLES = 0.9  # share of numbers that are float64 and have a value of float32
+_MOST_ROWS = 6  # of .npy with a row for each coordinate
 _MAX_TURN_DEGREES = 40
 _MAX_DISTANCE_M = 250
 _DIAGONAL, _MOST_ON_AXIS = 0.85, 0.25
@@ -47,6 +48,7 @@ class _Header(NamedTuple):
     fields: list[tuple[str, str, int]]  # name, type and count of the numbers of a point
     points: int
     encoding: str
+    is_last: bool  # whether nothing follows the points
 
 
 def read_scan(path: Path | str, *, columns: int | None = None) -> NDArray[np.float32]:
@@ -83,26 +85,30 @@ def read_scan(path: Path | str, *, columns: int | None = None) -> NDArray[np.flo
 
 
 def _check_array(array: NDArray[Any]) -> NDArray[np.float32]:
-    if array.dtype.kind != "f" or array.ndim != 2 or array.shape[1] < 3:
+    array = array.T if is_transposed(array.shape) and len(array) <= _MOST_ROWS else array
+    is_scan = array.ndim == 2 and array.shape[1] >= 3 and not is_transposed(array.shape)
+    if array.dtype.kind != "f" or not is_scan:
         raise ValueError(f"expected floats of (N, 3) or wider, got {array.dtype} {array.shape}")
-    array = array.T if is_transposed(array.shape) else array
     with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is no return
         return np.ascontiguousarray(array, np.float32)
 
 
 def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
+    words = np.frombuffer(content, "<u4", len(content) // 8 * 2)
+    wide = words.view("<f8")[words[::2] != 0]  # float32 0 before another number is a float64, too
+    with np.errstate(over="ignore", invalid="ignore"):
+        if np.count_nonzero(wide.astype(np.float32) == wide) > _DOUBLES * len(wide):
+            raise ValueError("its numbers are float64: write them as float32")
     values = np.frombuffer(content, "<f4", len(content) // 4)
     scans = {n: values.reshape(-1, n) for n in {columns, *_COLUMNS} if len(content) % (4 * n) == 0}
     ordered = {n: _is_of_a_scanner(points) for n, points in scans.items()}
-    if ordered.get(4):
-        ordered.pop(8, None)  # each second point
-    others = " or ".join(str(n) for n in _COLUMNS if n != columns and ordered.get(n))
-    if columns in scans and (ordered[columns] is not False or not others):
+    other = next((n for n in _COLUMNS if n != columns and ordered.get(n)), None)
+    if columns in scans and (ordered[columns] is not False or not other):
         if ordered[columns] is False and _is_of_a_scanner(values.reshape(columns, -1).T):
             raise ValueError("it holds all x, then all y, ...: write one point after the other")
         return scans[columns].astype(np.float32)
     fault = "do not follow scan lines as" if columns in scans else "are not whole"
-    remedy = f": give point_columns={others} in --source" if others else ""
+    remedy = f": give point_columns={other} in --source" if other else ""
     raise ValueError(
         f"its {len(content)} bytes {fault} points of {columns} float32: it is truncated, of "
         f"another format, or has other columns{remedy}"
@@ -135,34 +141,29 @@ def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:
         raise ValueError("its header has no end: it is truncated or of another format")
     if not is_pcd and not content.startswith(b"ply"):
         raise ValueError("its first line is not 'ply': it is damaged or of another format")
-    header, body = content[: last.end()].decode("latin-1"), content[last.end() :]
-    lines = [line.split() for line in header.split("\n")]
-    fields, points, encoding = (_parse_pcd if is_pcd else _parse_ply)(lines)
+    text, body = content[: last.end()].decode("latin-1"), content[last.end() :]
+    words = [line.split() for line in text.split("\n")]
+    header = (_parse_pcd if is_pcd else _parse_ply)(words)
+    fields, points, encoding, _ = header
     encodings = _OF_PCD if is_pcd else _OF_PLY
     if encoding not in encodings:
         expected = ", ".join(encodings)
         raise ValueError(f"its points are {shown(encoding)}, expected one of {expected}")
-    places, width, size = _place(fields)
+    places, size = _place(fields)
     if encoding == _COMPRESSED and points > 0:
         body = _decompress(body, points * size)
-    least = 2 * points * width - 1 if encoding == _ASCII else points * size  # digits and spaces
-    if points < 0 or least > len(body):
+    lines = list(filter(bytes.strip, body.splitlines())) if encoding == _ASCII else []
+    there = len(lines) if encoding == _ASCII else len(body) // size
+    if not 0 <= points <= there or (there > points and header.is_last and encoding != _COMPRESSED):
         raise ValueError(
-            f"{points} points take {least} bytes, it has {len(body)}: is it truncated?"
+            f"its header states {points} points, it has {there}: is it truncated, or is it another "
+            "file's header?"
         )
     if points == 0:
         return np.zeros((0, 3), np.float32)
     if encoding == _ASCII:
         columns = [column for column, _, _ in places]
-        if not body.strip():
-            raise ValueError(f"it has 0 of {points} points: is it truncated?")
-        table = filter(bytes.strip, io.BytesIO(body))  # NumPy warns of blank ones
-        rows = np.loadtxt(
-            table, np.float32, comments=None, usecols=columns, ndmin=2, max_rows=points
-        )
-        if len(rows) < points:
-            raise ValueError(f"it has {len(rows)} of {points} points: is it truncated?")
-        return rows
+        return np.loadtxt(lines[:points], np.float32, comments=None, usecols=columns, ndmin=2)
     axes = []
     for _, start, code in places:
         # Compressed PCD stores field by field: all x, then all y, ...
@@ -180,7 +181,7 @@ def _parse_pcd(lines: list[list[str]]) -> _Header:
     counts = map(int, header.get("COUNT", ["1"] * len(names)))
     types = map("".join, zip(header["TYPE"], header["SIZE"], strict=True))
     fields = [(name, t.lower(), n) for name, t, n in zip(names, types, counts, strict=True)]
-    return _Header(fields, int(" ".join(header["POINTS"])), " ".join(header["DATA"]))
+    return _Header(fields, int(" ".join(header["POINTS"])), " ".join(header["DATA"]), True)
 
 
 def _parse_ply(lines: list[list[str]]) -> _Header:
@@ -195,11 +196,11 @@ def _parse_ply(lines: list[list[str]]) -> _Header:
                 fields.append((name, " ".join(types), 1))
     if not elements or elements[0][:1] != ["vertex"]:
         raise ValueError("its header does not have vertex as its first element")
-    return _Header(fields, int(" ".join(elements[0][1:])), encoding)
+    return _Header(fields, int(" ".join(elements[0][1:])), encoding, len(elements) == 1)
 
 
-def _place(fields: list[tuple[str, str, int]]) -> tuple[list[tuple[int, int, str]], int, int]:
-    """(Column, byte offset, type) of x, y and z; number of columns and of bytes of a point."""
+def _place(fields: list[tuple[str, str, int]]) -> tuple[list[tuple[int, int, str]], int]:
+    """(Column, byte offset, type) of x, y and z; number of bytes of a point."""
     places: dict[str, tuple[int, int, str]] = {}
     width = size = 0
     for name, kind, count in fields:
@@ -214,7 +215,7 @@ def _place(fields: list[tuple[str, str, int]]) -> tuple[list[tuple[int, int, str
     if len(places) < 3:
         names = ", ".join(name for name, _, _ in fields)
         raise ValueError(f"expected the fields x, y and z, it has {cut(names, 200) or 'none'}")
-    return [places[axis] for axis in "xyz"], width, size
+    return [places[axis] for axis in "xyz"], size
 
 
 def _decompress(body: bytes, size: int) -> bytes:

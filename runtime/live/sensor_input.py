@@ -5,6 +5,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.assumptions import assume
 from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
@@ -23,6 +24,7 @@ from runtime.sync.motion import (
 from runtime.sync.outcome import Sensor
 from runtime.sync.poses import PoseBuffer, PoseFrame, PoseTrack
 
+_SHORTEST_NS = 10**6  # between depth messages: shorter ones are of integers of another unit
 Kind = Literal["image", "depth", "points", "pose"]
 SENSORS: dict[str, Sensor] = {
     "image": Sensor.IMAGE,
@@ -87,10 +89,13 @@ class SensorInput:
 
         Called once for each depth message; a depth map is returned as it is.
         """
+        period_ns = self._scans.period_ns() or FIRST_SCAN_NS
+        if period_ns < _SHORTEST_NS:
+            assume(f"stamps of depth {period_ns} apart are nanoseconds", "give seconds as floats")
+        later = self._middle_after * period_ns
+        self._scans.add(stamp_ns)
         if not isinstance(depth, Scan):
             return depth
-        later = self._middle_after * (self._scans.period_ns() or FIRST_SCAN_NS)
-        self._scans.add(stamp_ns)
         return depth if depth.times is not None else depth._replace(times=stamp_ns + round(later))
 
     def reaches(self, pair: Pair) -> bool:

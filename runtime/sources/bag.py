@@ -9,6 +9,8 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from runtime.assumptions import assume, collect_assumptions
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
@@ -22,7 +24,7 @@ from runtime.sources.recorded_motion import (
     track_of,
 )
 from runtime.sources.ros_bag import RecordedMessage, RosBag
-from runtime.sources.ros_camera import CAMERA_INFO, calibrate
+from runtime.sources.ros_camera import CAMERA_INFO, GIVE, SAME_PX, calibrate, projection_of
 from runtime.sources.ros_messages import (
     decode_compressed_image,
     decode_depth_image,
@@ -73,7 +75,8 @@ class BagSource(Source):
         calibration: as `Calibration.from_file`, in place of CameraInfo and /tf_static.
         rectified: whether the images are; None: by their CameraInfo and the name of their topic.
         registered: whether depth images lie on the pixels of the images; None: if both are of one
-            frame. Others are moved by their CameraInfo and /tf_static or `calibration`.
+            frame, with a warning if their CameraInfo differ. Others are moved by their CameraInfo
+            and /tf_static or `calibration`.
         max_skew_ms: largest difference of the time stamps of an image and its depth.
         reuse_depth_ms: largest age of the depth that an image without depth of its own takes.
         scan_stamp: what instant of a scan its time stamp is.
@@ -230,10 +233,22 @@ class BagSource(Source):
 
     def _is_apart(self, depth: str) -> bool:
         """Whether depth images do not lie on the pixels of the images."""
+        if self._registered is not None:
+            return not self._registered
         frames = self._frame(depth), self._frame(self._image_topic)
-        if self._registered is None and not all(frames):
-            assume(f"{depth} lies on the pixels of the images", "state it with registered=true")
-        return not self._registered and all(frames) and frames[0] != frames[1]
+        if all(frames) and frames[0] != frames[1]:
+            return True
+        is_proved = all(frames)
+        with contextlib.suppress(InputError), collect_assumptions([]):  # one has no CameraInfo
+            ours = self._camera(self._image_topic, self._info_topic)
+            its = self._camera(depth, self._find_info(depth))
+            is_near = np.abs(ours.intrinsics - its.intrinsics).max() < SAME_PX
+            is_straight = ours.lens_model is not None and its.lens_model is None
+            is_proved &= bool(is_near) and not is_straight
+        if not is_proved:
+            remedy = "state it with registered=true or false in --source"
+            assume(f"{depth} lies on the pixels of the images", remedy)
+        return False
 
     def _camera(self, topic: str, info: str | None, source: str = "") -> Calibration:
         """The calibration of the images of a topic, or of its depth images. Raises InputError."""
@@ -291,10 +306,15 @@ class BagSource(Source):
         """See `Source.list_frames`."""
         self._left_out.clear()
         names: Counter[str] = Counter()
+        cameras: list[list[float]] = []
 
         def stamped() -> Iterator[tuple[Sensor, int, int]]:
-            """The messages, with their positions among those of both topics."""
+            """The messages of both sensors, with their positions in `_recorded`."""
             for place, message in self._recorded():
+                if message.topic == self._info_topic:
+                    with contextlib.suppress(InputError):  # damaged
+                        cameras.extend(projection_of(self._bag.decode(message)))
+                    continue
                 sensor = Sensor.IMAGE if message.topic == self._image_topic else Sensor.DEPTH
                 stamp_ns = self._bag.stamp_ns(message)
                 if stamp_ns is None:
@@ -318,6 +338,9 @@ class BagSource(Source):
             camera_only=self._depth_topic is None,
         )
         self._left_out.update(self._bag.left_out)
+        if cameras and self._calibration_path is None and np.ptp(cameras, axis=0).max() > SAME_PX:
+            with collect_assumptions(self._notes):
+                assume(f"the first CameraInfo of {self._info_topic}, others differ", GIVE)
         if not frames:
             raise InputError(
                 f"the topic {self._image_topic} of {self._bag.path} has no messages with a stamp"
@@ -328,8 +351,8 @@ class BagSource(Source):
         return frames
 
     def _recorded(self) -> Iterator[tuple[int, RecordedMessage]]:
-        """The messages of both topics with their positions, in the same order each time."""
-        topics = (self._image_topic, self._depth_topic)
+        """The messages of the camera and of depth with positions, in the same order each time."""
+        topics = (self._image_topic, self._depth_topic, self._info_topic)
         return enumerate(self._bag.messages([topic for topic in topics if topic is not None]))
 
     def read(self, frame: ListedFrame) -> Frame:
@@ -354,7 +377,8 @@ class BagSource(Source):
             return frame_of(frame, rgb, calibration, scan=Scan.of(cloud.points))
         points, after_s = decode_points(message), None
         if self._poses is not None and frame.depth_stamp_ns is not None:
-            after_s = point_times_s(message, frame.depth_stamp_ns, points)
+            with collect_assumptions(self._notes):
+                after_s = point_times_s(message, frame.depth_stamp_ns, points)
         scan = Scan.of(points, after_s, frame.depth_stamp_ns or 0)
         return frame_of(frame, rgb, calibration, scan=scan, poses=self._poses)
 

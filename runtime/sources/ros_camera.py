@@ -25,7 +25,8 @@ _RECTIFIED, _RAW = {"rect", "rectified"}, {"raw", "unrectified", "distorted"}
 _OFF_CENTRE = 0.05  # of the image's sides; a principal point beyond it is of images of another size
 _SHIFT_M, _TURN = 1e-3, 2e-3  # same place; same axes, radians: a pixel at 500 px
 _SHIFT_SHARE, _PAIR_TURN = 0.1, 0.1  # of the baseline, and of the axes of a pair: before R
-_STATE = "give --calibration"
+SAME_PX = 1.0  # of focal lengths and principal points
+GIVE = "give --calibration"
 
 
 def calibrate(
@@ -45,17 +46,15 @@ def calibrate(
         InputError: if no CameraInfo is set, if it is invalid, or if /tf_static lacks a frame.
     """
     image = bag.first(topic)
-    for info in bag.decoded(beside):
-        fields = _fields(info)
-        if np.any(fields["k"]) or np.any(fields["p"]):  # drivers send zeros before they know
-            break
-    else:
-        raise InputError(f"{beside} has no CameraInfo with K or P: {_STATE}")
+    info = next(filter(projection_of, bag.decoded(beside)), None)
+    if info is None:
+        raise InputError(f"{beside} has no CameraInfo with K or P: {GIVE}")
+    fields = _fields(info)
     stated = frame_name(info.header.frame_id)
     frame = frame_name(image.header.frame_id) or stated
     extrinsics = tree.between(source or frame, frame)
     if stated and stated != frame and not _is_at(tree, stated, frame, (0, 0, 0)):
-        assume(f"{frame} is the frame of the images, not {stated} of their CameraInfo", _STATE)
+        assume(f"{frame} is the frame of the images, not {stated} of their CameraInfo", GIVE)
     size = getattr(image, "height", 0), getattr(image, "width", 0)
     if not all(size):
         size = image_size(bytes(memoryview(image.data))) or size
@@ -68,14 +67,20 @@ def calibrate(
             turn = read_rotation("R", np.reshape(fields["r"], (3, 3)))
             if np.abs(turn - np.eye(3)).max() > _TURN:
                 kind = "rectified" if rectified else "raw"
-                assume(f"{frame} is the frame of the {kind} images, so R is not used", _STATE)
+                assume(f"{frame} is the frame of the {kind} images, so R is not used", GIVE)
         found = Calibration.from_camera_info(fields, extrinsics, rectified=rectified)
     except InputError as error:
-        raise InputError(f"the CameraInfo of {beside}: {error}; or {_STATE}") from error
+        raise InputError(f"the CameraInfo of {beside}: {error}; or {GIVE}") from error
     shift = found.extrinsics[:3, 3] - extrinsics[:3, 3]  # of the second camera of a pair, by P
     if np.abs(shift).max() > _SHIFT_M and _has_own_frame(bag, tree, frame, shift):
         return replace(found, extrinsics=extrinsics)
     return found
+
+
+def projection_of(info: Any) -> list[list[float]]:
+    """Return the 21 numbers of K and P; none where a driver sent 0, 1 or NaN: it knew neither."""
+    k, p = (_fields(info)[name] for name in "kp")
+    return [[*k, *p]] if k[0] > 1 or p[0] > 1 else []
 
 
 def is_rectified(fields: Mapping[str, Any], topic: str) -> bool:
@@ -83,7 +88,7 @@ def is_rectified(fields: Mapping[str, Any], topic: str) -> bool:
     words = set(re.split("[/_]", topic.lower()))
     camera, projection = np.reshape(fields["k"], (3, 3)), np.reshape(fields["p"], (3, 4))[:, :3]
     if words & _RECTIFIED or not (camera.any() and projection.any()):
-        return bool(projection.any())
+        return bool(words & _RECTIFIED or projection.any())
     lens = Lens.of_ros(fields["distortion_model"], fields["d"])
     if lens is None and np.allclose(camera, projection, rtol=1e-3):
         return True
@@ -109,7 +114,7 @@ def _has_own_frame(bag: RosBag, tree: TransformTree, frame: str, shift: Any) -> 
                 return False  # the first camera's
             break
     beside = f"{np.linalg.norm(shift):.3g} m beside"
-    assume(f"{frame} is the frame of a stereo pair's first camera, {beside} the images", _STATE)
+    assume(f"{frame} is the frame of a stereo pair's first camera, {beside} the images", GIVE)
     return False
 
 

@@ -20,7 +20,7 @@ TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")
 _TIMES = {6: "u4", 5: "i4", 7: "f4", 8: "f8"}
 _LONGEST_SCAN_S = 1.0
 #: Least value of nanoseconds since 1970 (here 1973), and least span of a scan in microseconds.
-_LEAST_EPOCH_NS, _LEAST_SPAN_US = 1e17, 1e3
+_LEAST_EPOCH_NS, _LEAST_SPAN_US, _LEAST_SPAN_NS = 1e17, 1e3, 1e6
 _FIXED = ("odom", "map", "earth")  # REP 105
 
 
@@ -40,7 +40,7 @@ def point_times_s(
 
     | type | values | are |
     |---|---|---|
-    | int32, uint32 | all | ns after the stamp (Ouster, Autoware, Livox) |
+    | int32, uint32 | all; below 1 ms it is said | ns after the stamp (Ouster, Autoware, Livox) |
     | float32, float64 | up to 1 | s after the stamp (Velodyne) |
     | float32, float64 | up to 10^6, over a span of more than 10^3 | us after the stamp |
     | float64 | larger, over a span of up to 1 | s of the clock (Hesai, RoboSense) |
@@ -69,9 +69,12 @@ def point_times_s(
     known = values[is_return(points) & np.isfinite(values)]
     if not known.size or known.min() == known.max():
         return None  # drivers that do not fill it
-    if times.dtype.kind in "iu":
-        return values / 1e9
     lowest, highest = np.percentile(known, (5, 95))
+    if times.dtype.kind in "iu":
+        if highest - lowest < _LEAST_SPAN_NS:
+            remedy = "pose_topic=none in --source leaves scans as they are"
+            assume(f"{field.name} of a scan is nanoseconds, although all are within 1 ms", remedy)
+        return values / 1e9
     unit_ns, is_clock = _unit(lowest, highest, times.dtype.itemsize, field.name)
     # float64 cannot hold nanoseconds since 1970 exactly: a whole number is subtracted first.
     first = int(lowest) if is_clock else 0
@@ -201,17 +204,13 @@ class TransformTree:
             if parent in matrices:
                 raise InputError(f"/tf_static has a cycle at the frame {shown(parent)}")
             pose = _transform_pose(stamped)
-            if not all(each == parent and _is_pose(other, pose) for each, other in others):
-                assume(f"the last of several transforms of {frame}", "/tf_static has others")
+            for each, other in others:
+                with contextlib.suppress(InputError):  # invalid
+                    if each != parent or not np.allclose(_transform_pose(other), pose, atol=1e-3):
+                        assume(f"the last of several transforms of {frame}", "/tf_static has more")
             matrices[parent] = pose @ matrices[frame]
             frame = parent
         return matrices
-
-
-def _is_pose(stamped: Any, pose: NDArray[np.float64]) -> bool:
-    with contextlib.suppress(InputError):
-        return np.allclose(_transform_pose(stamped), pose, rtol=0, atol=1e-3)
-    return False
 
 
 def frame_name(frame: Any) -> str:

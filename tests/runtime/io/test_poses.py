@@ -60,6 +60,7 @@ def test_oxts_are_metres_from_the_first_frame(tmp_path):
     (lambda path: read_oxts_poses([path]), "1 2\n", "30 finite numbers"),
     (lambda path: read_oxts_poses([path]), "", "one line"),
     (lambda path: read_oxts_poses([path]), "100 " + "0 " * 29, "latitude"),
+    (lambda path: read_oxts_poses([path]), "49 8 0 0 0 90 " + "0 " * 24, "yaw .radians."),
 ])  # fmt: skip
 def test_other_files_are_refused(tmp_path, read, text, message):
     path = tmp_path / "file.txt"

@@ -159,12 +159,18 @@ HOSTILE = {
     "cut.pcd.bin": (bytes(1604), "whole points of 5 float32"),
     "empty.pcd": (b"", "header has no end"),
     "endless.ply": (b"ply\n" * 10**5 + b"end_header\n", "header has no end"),
-    "cut.pcd": (FILES["binary.pcd"][:-1], "50 points take 750 bytes, it has 749"),
-    "cut-ascii.pcd": (FILES["ascii.pcd"].rstrip().rpartition(b"\n")[0], "49 of 50 points"),
+    "cut.pcd": (FILES["binary.pcd"][:-1], "states 50 points, it has 49"),
+    "cut-ascii.pcd": (
+        FILES["ascii.pcd"].rstrip().rpartition(b"\n")[0],
+        "states 50 points, it has 49",
+    ),
     "cut-line.pcd": (FILES["ascii.pcd"].rpartition(b" ")[0], "column"),
     "cut-compressed.pcd": (FILES["compressed.pcd"][:-1], "truncated or damaged"),
-    "cut.ply": (ply(records("<", *OF_PLY)[:-1], "binary_little_endian"), "take 850 bytes"),
-    "huge.pcd": (pcd(OF_PCD, "binary", BILLION), "1000000000 points take"),
+    "cut.ply": (
+        ply(records("<", *OF_PLY)[:-1], "binary_little_endian"),
+        "states 50 points, it has 49",
+    ),
+    "huge.pcd": (pcd(OF_PCD, "binary", BILLION), "states 1000000000 points"),
     "huge-compressed.pcd": (pcd(compressed(), "binary_compressed", BILLION), "expected at most"),
     "digits.pcd": (pcd(OF_PCD, "binary", POINTS="9" * 5000), "digits"),
     "negative.pcd": (pcd(OF_PCD, "binary", -1), "-1 points"),
@@ -172,7 +178,10 @@ HOSTILE = {
     "headless.ply": (FILES["little.ply"].removeprefix(b"ply\n"), "first line is not 'ply'"),
     "cut-literal.pcd": (cut_literal(), "truncated or damaged"),
     "longer.pcd": (pcd(longer(), "binary_compressed"), "truncated or damaged"),
-    "blank.pcd": (pcd(b" \n" * 400, "ascii"), "0 of 50 points"),
+    "blank.pcd": (pcd(b" \n" * 400, "ascii"), "states 50 points, it has 0"),
+    "more.pcd": (pcd(OF_PCD, "binary", 49), "states 49 points, it has 50"),
+    "unfinished.pcd": (pcd(OF_PCD, "binary", 0), "states 0 points, it has 50"),
+    "more-ascii.pcd": (FILES["ascii.pcd"] + b"1 2 3 4\n", "states 50 points, it has 51"),
     "other.pcd": (pcd(OF_PCD, "zip"), "'zip', expected one of ascii, binary"),
     "short.pcd": (pcd(OF_PCD, "binary", SIZE="1 4"), "zip"),
     "lacks.pcd": (pcd(OF_PCD, "binary", TYPE="", POINTS=""), "header lacks POINTS, TYPE"),
@@ -181,6 +190,7 @@ HOSTILE = {
     "list.ply": (ply(OF_PCD, "ascii", header=HEADERS["list"]), "x is 1 of list uchar float"),
     "face.ply": (ply(OF_PCD, "ascii", header=HEADERS["face first"]), "vertex as its first"),
     "flat.npy": (saved(POINTS.ravel()), r"\(N, 3\) or wider, got float32 \(150,\)"),
+    "radar.npy": (saved(np.zeros((18, 125), np.float32)), r"wider, got float32 \(18, 125\)"),
     "int.npy": (saved(np.zeros((50, 3), np.int32)), "expected floats"),
 }
 
@@ -223,10 +233,10 @@ def sweep(columns: int, *, lasers: int = 16, points: int = 3200) -> np.ndarray:
     return scan
 
 
-@pytest.mark.parametrize("right", [3, 4, 5, 6])
+@pytest.mark.parametrize("right", [3, 4, 5, 6, 7])
 @pytest.mark.parametrize("given", [None, 5, 6])
 def test_another_number_of_columns_is_an_error_that_names_the_right_one(tmp_path, right, given):
-    scan = sweep(right, points=15 * 16 * 16)
+    scan = sweep(right, points=15 * 16 * 28)
     scan.tofile(tmp_path / "a.bin")
     if (given or 4) == right or (right, given) == (3, 6):  # each second point is a scan, too
         assert read_scan(tmp_path / "a.bin", columns=given).size == scan.size
@@ -235,9 +245,9 @@ def test_another_number_of_columns_is_an_error_that_names_the_right_one(tmp_path
         read_scan(tmp_path / "a.bin", columns=given)
 
 
-def test_several_numbers_of_columns_that_fit_are_all_named(tmp_path):
+def test_of_numbers_of_columns_that_fit_the_one_that_takes_every_point_is_named(tmp_path):
     sweep(3).tofile(tmp_path / "a.bin")
-    with pytest.raises(InputError, match="give point_columns=3 or 6 in --source"):
+    with pytest.raises(InputError, match="give point_columns=3 in --source"):
         read_scan(tmp_path / "a.bin")
 
 
@@ -274,7 +284,8 @@ def padded(scan: np.ndarray) -> np.ndarray:
 AHEAD = sweep(4)[np.abs(sweep(4)[:, 1]) < sweep(4)[:, 0]]  # as of a LiDAR that looks ahead
 OTHERS = {
     "29 bytes": (ouster(), "no normal numbers"),
-    "float64": (sweep(4).astype("<f8"), "no normal numbers"),
+    "float64": (sweep(4).astype("<f8"), "are float64"),
+    "float64 of float64": (sweep(4).astype("<f8") * 1.000123457, "no normal numbers"),
     "int32": ((1000 * sweep(4)).astype("<i4"), "no normal numbers"),
     "padded": (padded(AHEAD), "give point_columns=8"),
     "x, then y": (np.ascontiguousarray(sweep(4).T), "all x, then all y"),
@@ -295,6 +306,7 @@ RAW = {
     "ahead": AHEAD,
     "a planar LiDAR": sweep(4) * np.float32([1, 1, 0, 1]),
     "an empty road": np.where(SEEN, sweep(4), 0),
+    "a light but no return": np.where(SEEN, sweep(4), np.float32([0, 0, 0, 7])),
     "a covered lens": np.zeros((3200, 4), np.float32),
     "a beam straight ahead": sweep(4) * np.float32([1, 0, 0, 1]),
 }

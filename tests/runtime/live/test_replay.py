@@ -1,5 +1,6 @@
 """What a replay answers: matching, reuse, poses, flags and counts, by the stamps alone."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -66,6 +67,19 @@ def replay(checked_predictor):
 
 def image_ms(answers):
     return [answer.image_stamp // MS for answer in answers]
+
+
+# --- integer stamps of another unit --------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("unit", "said"), [(1, False), (MS // 1000, True), (MS, True)])
+def test_integer_stamps_of_another_unit_are_said(replay, unit, said):
+    """Skew, age and motion would have no limits."""
+    recording = [(*rest, stamp // unit) for *rest, stamp in drive(until=1000)]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        replay(recording, **POSES)
+    assert any("apart are nanoseconds" in str(each.message) for each in caught) == said
 
 
 # --- as the live stream --------------------------------------------------------------------------

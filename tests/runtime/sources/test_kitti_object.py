@@ -123,6 +123,13 @@ def test_what_is_missing_is_named(training, run):
     assert "'P2' must be 12 finite numbers" in answers.column("reason")[3]
 
 
+def test_a_broken_first_calibration_costs_its_frame(training, run):
+    (training / "calib/000000.txt").write_text("P2: nan\n")
+    answers = run(training)
+    assert answers.column("status") == ["skipped", "ok", "ok", "ok", "ok"]
+    assert answers.report["inputs"]["focal_length_px"] > 0
+
+
 @pytest.mark.skipif(not DATA, reason="SSDNET_DATA names no folder of recordings")
 def test_recorded_frames_have_returns_where_there_are_scans():
     folder = Path(DATA) / "kitti_object"

@@ -60,6 +60,9 @@ RIGHT = {
         camera(RECT, {"intrinsics": OFF, "rectified": K, "distortion": CURVED}), {},
     ),
     "zeros first": (camera(RAW, {"intrinsics": ZERO}, {}), {}),
+    "NaN first": (camera(RAW, {"intrinsics": np.nan * K}, {}), {}),
+    "ones first": (camera(RAW, {"intrinsics": np.eye(3)}, {}), {}),
+    "autofocus of half a pixel": (camera(RAW, {}, {"intrinsics": scaled(1.008, 1.008)}), {}),
     "never rectified": (camera(RAW, {"rectified": ZERO}), {}),
     "K is not set": (camera(RAW, {"intrinsics": ZERO, "rectified": K}), {}),
     "R is not set": (camera(RAW, {"turn": ZERO}), {}),
@@ -95,6 +98,7 @@ ASSUMED = {
     "another lens": (
         camera(RAW, {"model": "omni", "distortion": (0, 0)}), {}, "a pinhole: all .* of 'omni' are",
     ),
+    "zoom": (camera(RAW, {}, {"intrinsics": scaled(2, 2)}), {}, "the first CameraInfo of /cam/"),
     "two frames": (
         camera(RAW, {"frame_id": "lidar"}), {}, "camera is the frame of the images, not lidar of",
     ),
@@ -104,6 +108,9 @@ REFUSED = {
     "never set": (camera(RAW, {"intrinsics": ZERO}), "has no CameraInfo with K or P"),
     "a region of another size": (
         camera(RAW, {"size": (60, 80), "roi": (9, 4, 20, 20)}), "is for images of .20, 20.",
+    ),
+    "rectified by its name, without P": (
+        camera(RECT, {"rectified": ZERO, "distortion": CURVED}), "distortion but no P",
     ),
     "R is no rotation": (camera(RAW, {"turn": 1.1 * np.eye(3)}), "CameraInfo.*: R must be rigid"),
     "a fisheye without coefficients": (
@@ -190,7 +197,17 @@ def test_a_fisheye_of_zeros_is_one(make_bag, make_frame, make_scan, model, lens)
 FOCAL = 0.5
 
 
-def depth_bag(bag, make_frame, *, depth_frame="depth", frame_id="camera", info=True, tree=True):
+def depth_bag(
+    bag,
+    make_frame,
+    *,
+    depth_frame="depth",
+    frame_id="camera",
+    info=True,
+    tree=True,
+    focal=FOCAL,
+    distortion=(),
+):
     """A depth camera beside the camera, of half its focal length; returns its depth of a wall."""
     rgb, _ = make_frame(*SIZE)
     depth = np.full(SIZE, 6000, np.uint16)
@@ -198,9 +215,9 @@ def depth_bag(bag, make_frame, *, depth_frame="depth", frame_id="camera", info=T
     for stamp_ns in (START_NS, START_NS + 100 * MS):
         bag.image("/rgb/image_raw", rgb, "rgb8", stamp_ns, frame_id=frame_id)
         bag.image("/depth/image_raw", depth, "16UC1", stamp_ns, frame_id=depth_frame)
-    bag.info("/rgb/camera_info", K, SIZE, frame_id=frame_id)
+    bag.info("/rgb/camera_info", K, SIZE, frame_id=frame_id, distortion=distortion)
     if info:
-        half = np.diag([FOCAL, FOCAL, 1]) @ (K - [[0, 0, 32], [0, 0, 24], [0, 0, 0]])
+        half = np.diag([focal, focal, 1]) @ (K - [[0, 0, 32], [0, 0, 24], [0, 0, 0]])
         half[:2, 2] = 32, 24
         bag.info("/depth/camera_info", half, SIZE, frame_id=depth_frame)
     if tree:
@@ -209,7 +226,10 @@ def depth_bag(bag, make_frame, *, depth_frame="depth", frame_id="camera", info=T
 
 
 @pytest.mark.parametrize(("changes", "options", "said"), [
-    ({"depth_frame": "camera"}, {}, False),
+    ({"depth_frame": "camera", "focal": 1}, {}, False),
+    ({"depth_frame": "camera"}, {}, True),  # one name for two cameras
+    ({"depth_frame": "camera", "focal": 1, "distortion": CURVED}, {}, True),
+    ({"depth_frame": "camera"}, {"registered": True}, False),
     ({"depth_frame": "/camera", "info": False, "tree": False}, {}, False),
     ({}, {"registered": True}, False),
     ({"depth_frame": ""}, {}, True),
@@ -223,8 +243,9 @@ def test_depth_on_the_pixels_of_the_images_is_kept(make_bag, make_frame, changes
     np.testing.assert_array_equal(depth[:, 1::2], 6)
 
 
-def test_depth_of_another_frame_is_moved_by_its_camera_and_tf(make_bag, make_frame):
-    with BagSource(depth_bag(make_bag("ros2"), make_frame)) as source:
+@pytest.mark.parametrize("options", [{}, {"registered": False}])
+def test_depth_of_another_frame_is_moved_by_its_camera_and_tf(make_bag, make_frame, options):
+    with BagSource(depth_bag(make_bag("ros2"), make_frame), **options) as source:
         frame = source.read(source.list_frames()[0])
         assert not any("warning" in note for note in source.notes)
     row, column = np.nonzero(frame.sparse_depth)

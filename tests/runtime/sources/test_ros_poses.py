@@ -64,8 +64,8 @@ def times_of(message, lost=()):
     ("t", 6, "u4", [0, 50_000_000, 99_000_000, 1], [0, 50_000_000, 99_000_000, 1]),  # Ouster
     ("time", 7, "f4", [-0.1, 0.0, 0.05, 0.0], [-100_000_001, 0, 50_000_001, 0]),  # Velodyne
     ("timestamp", 8, "f8", [0.0, 0.05, 0.1, 0.0], [0, 50_000_000, 100_000_000, 0]),
-    ("time_stamp", 6, "u4", [5, 6, 7, 8], [5, 6, 7, 8]),  # Autoware
-    ("offset_time", 6, "u4", [5, 6, 7, 8], [5, 6, 7, 8]),  # Livox
+    ("time_stamp", 6, "u4", [5, 6, 7, 9_000_008], [5, 6, 7, 9_000_008]),  # Autoware
+    ("offset_time", 6, "u4", [5, 6, 7, 9_000_008], [5, 6, 7, 9_000_008]),  # Livox
     ("time", 7, "f4", [0, 5e4, 99_999, 1], [0, 50_000_000, 99_999_000, 1000]),
     ("time", 8, "f8", [-5e4, 0, 5e4, 1], [-50_000_000, 0, 50_000_000, 1000]),
 ])  # fmt: skip
@@ -98,6 +98,12 @@ def test_large_eight_bytes_over_a_large_span_are_nanoseconds():
 def test_times_of_another_unit_are_refused(datatype, code, values):
     with pytest.raises(InputError, match=r"the field time of a PointCloud2 has values from"):
         times_of(cloud("time", datatype, code, values))
+
+
+def test_integers_within_a_millisecond_may_be_of_another_unit():
+    with pytest.warns(AssumptionWarning, match="t of a scan is nanoseconds, although"):
+        after = times_of(cloud("t", 6, "u4", [0, 50_000, 99_000]))  # microseconds
+    np.testing.assert_allclose(after, [0, 50_000, 99_000], atol=2)
 
 
 def test_a_field_that_is_missing_or_not_filled_is_no_time():
