@@ -178,7 +178,7 @@ DEPTH = derive(
     JOINT,
     data={
         "batch_size": 4,
-        "seed": 203,
+        "seed": 205,
         "rare_classes": (),
         "augment": {
             "rare_crops": 0.0,
@@ -206,7 +206,7 @@ DEPTH = derive(
     # Some squared error: where the image does not show an edge, the depth hedges.
     loss={
         **DEPTH_ALONE,
-        "metric_l2": 0.2,
+        "metric_l2": 0.02,
         "depth_consistency_weight": 1.0,
         "depth_seam_weight": 2.0,
     },
@@ -215,9 +215,9 @@ DEPTH = derive(
         "encoder_rate": 1e-3,
         "frozen": ("encoder", "context", "boundary", "semantic", "surface_depth.embed"),
     },
-    schedule=ScheduleRecipe(steps=2400, warmup_steps=50),
+    schedule=ScheduleRecipe(steps=2600, warmup_steps=50),
     loop={"ema_decay": 0.99},
-    validation={"every": 1200, "source": (VALIDATION_STREETS,)},
+    validation={"every": 1300, "source": (VALIDATION_STREETS,)},
     release=ReleaseRecipe(),
 )
 
