@@ -19,16 +19,18 @@ from unittest.mock import patch
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 import rigs
 from export.deploy import DeployGraph
 from models import Network, load_checkpoint, planes, surfaces
-from models.blocks import upsample
 from random_weights import export_graph
 from runtime.tools.bench import BenchOptions, bench
 from training.evaluation.scored_model import open_model
 
 SIZE = (512, 1024)
+#: Calls of `surfaces.replace` by a frame: the plane, the farthest and the nearest surface, returns.
+_CALLS = 4
 #: Column -> sets of `rigs.SETS`.
 COLUMNS = {
     "streets": ("streets, 64 lines", "16 lines", "4 lines"),
@@ -65,53 +67,38 @@ def main() -> None:
         print(f"| {part} | {' | '.join(cells)} | {saved_ms[part]:.1f} |", flush=True)
 
 
-def leave_out_surface(index: int) -> AbstractContextManager[object]:
-    """Leave out the nearest (0) or the farthest surface (1)."""
-    departures = surfaces.departures
+def skip_replacement(call: int) -> AbstractContextManager[object]:
+    """Leave out one call of `surfaces.replace` of every frame."""
+    replace, calls = surfaces.replace, [0]
 
-    def others(
-        found: surfaces.Surfaces,
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        near, far = departures(found)
-        return (0 * near, far) if index == 0 else (near, 0 * far)
+    def replace_others(
+        depth: Tensor, spread: Tensor | float, step: Tensor, weight: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        calls[0] += 1
+        if (calls[0] - 1) % _CALLS == call:
+            return depth, torch.zeros_like(depth) + spread
+        return replace(depth, spread, step, weight)
 
-    return patch.object(surfaces, "departures", others)
-
-
-def decide_by(beside: float) -> AbstractContextManager[object]:
-    """Take position and scale from the image (0) or from the geometry (1) everywhere."""
-    join = surfaces.HeadChannels.join
-    return patch.object(
-        surfaces.HeadChannels,
-        "join",
-        lambda image, geometry, share: join(image, geometry, torch.full_like(share, beside)),
-    )
-
-
-def leave_out_detail() -> AbstractContextManager[object]:
-    """Take the mean of the base in each cell."""
-    enlarge = surfaces.to_image_size
-    return patch.object(
-        surfaces,
-        "to_image_size",
-        lambda *maps: enlarge(*maps[:4], base=upsample(maps[3].base)),
-    )
+    return patch.object(surfaces, "replace", replace_others)
 
 
 #: Part -> leaves it out.
 PARTS: dict[str, Callable[[], AbstractContextManager[object]]] = {
     "nothing": nullcontext,
+    "the base beside returns": lambda: patch.object(
+        surfaces, "join_base", lambda inverse, scale, *_: (inverse, scale)
+    ),
+    "departures from it": lambda: patch.object(surfaces, "position", torch.zeros_like),
     "the anchoring": lambda: patch.object(planes, "anchor", lambda plane, _: plane),
-    "the detail of the base in a cell": leave_out_detail,
-    "the nearest surface": lambda: leave_out_surface(0),
-    "the farthest surface": lambda: leave_out_surface(1),
-    "the choice from the geometry": lambda: decide_by(0.0),
-    "the choice from the image": lambda: decide_by(1.0),
     "the limit of the guess": lambda: patch.object(
         surfaces, "limit_guess", lambda _, density: torch.ones_like(density)
     ),
-    "returns at full size": lambda: patch.object(
-        surfaces, "take_returns", lambda inverse, scale, *_, **__: (1.0 / inverse, scale)
+    "the nearest surface": lambda: skip_replacement(2),
+    "the farthest surface": lambda: skip_replacement(1),
+    "the correction": lambda: patch.object(surfaces, "correct", lambda depth, *_: depth),
+    "returns at full size": lambda: skip_replacement(3),
+    "the semantic features": lambda: patch.object(
+        surfaces.SurfaceDepthHead, "add_semantics", lambda head, features, _: features
     ),
 }
 

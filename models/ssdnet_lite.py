@@ -3,7 +3,7 @@
 | stride | tensor | channels |
 |---|---|---|
 | 1 | RGB; depth and mask; the depth with returns at full size | 3; 2; 1 |
-| 2 | `EfficientNetLite.early`; refined features of classes; the base of depth | 16; 16; 1 |
+| 2 | `EfficientNetLite.early`; refined features of classes and depth; the base | 16; 16; 1 |
 | 4 | `early`, with planes and surfaces added; decoders; boundary; geometry | 24; 32; 1; 24 |
 | 8, 16, 32 | `EfficientNetLite.late`; decoders at 8 and 16 | 40, 112, 320; 48, 64 |
 
@@ -55,9 +55,10 @@ class SSDNetLiteConfig(NetworkConfig):
     encoder_widths: tuple[int, ...] = _LITE_WIDTHS
     #: Channels of the decoders at strides 16, 8 and 4.
     decoder_channels: tuple[int, ...] = (64, 48, 32)
-    #: Channels at stride 2 of the classes; 0 = none, the prediction is made at stride 4. Poles and
-    #: signs are thinner than a cell of the coarser grid.
+    #: Channels at stride 2 of the classes and of the depth; 0 = none, the prediction is made at
+    #: stride 4. Poles and signs are thinner than a cell of the coarser grid.
     semantic_refine_channels: int = 16
+    depth_refine_channels: int = 16
     #: Channels of the convolutions that read the geometry of the returns, at stride 4.
     geometry_channels: int = 24
 
@@ -67,7 +68,8 @@ class SSDNetLiteConfig(NetworkConfig):
             raise ValueError("a network needs a semantic head, a depth head or both")
         check_counts("encoder_widths", self.encoder_widths)
         check_counts("decoder_channels", self.decoder_channels)
-        check_counts("semantic_refine_channels", [self.semantic_refine_channels], least=0)
+        for key in ("semantic_refine_channels", "depth_refine_channels"):
+            check_counts(key, [getattr(self, key)], least=0)
         check_counts("geometry_channels", [self.geometry_channels])
         super().__post_init__()
         if len(self.decoder_channels) != len(_SKIPS):
@@ -87,6 +89,7 @@ SSDNET_NANO = SSDNetLiteConfig(
     encoder_widths=(16, 24, 32, 32, 72, 72, *[144] * 3, *[208] * 3, *[352] * 4),
     decoder_channels=(32, 16, 16),
     semantic_refine_channels=0,
+    depth_refine_channels=0,
     geometry_channels=16,
 )
 
@@ -124,7 +127,9 @@ class SSDNetLite(Network):
             self.depth_decoder = TaskDecoder(bottom, skips, config.decoder_channels)
             self.surface_depth = SurfaceDepthHead(
                 config.decoder_channels[-1],
+                CHANNELS[2],
                 CHANNELS[4],
+                refine_channels=config.depth_refine_channels,
                 geometry_channels=config.geometry_channels,
                 semantics=config.semantic_head,
                 max_depth_m=config.max_depth_m,
@@ -154,7 +159,7 @@ class SSDNetLite(Network):
         if candidates is not None:
             features = self.depth_decoder(bottom, skips, gates)
             depth, scale, boundary_logits = self.surface_depth(
-                candidates, features, semantics, boundary_logits
+                candidates, features, semantics, at_2, boundary_logits
             )
             depths = (depth,)
         return NetworkOutput(logits, depths, boundary_logits, scale)

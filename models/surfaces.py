@@ -1,15 +1,16 @@
 """Depth that starts from a base that the returns give, and departs from it to measured surfaces.
 
-The base (`models.planes`) passes through the returns and is a plane between them. The network
-learns one number a pixel, where to depart from it: to the nearest or the farthest surface around,
-for a mean of 5 m and 80 m is the depth of no surface. Near returns it is from the geometry of the
-returns, the boundary and a few class-like channels, which travel to other cameras; far from them it
-is from the image, whose guess there replaces the base. At the image's size each return then
-replaces the depth of the pixels around it, weighted by the network's confidence in it. Near and far
-surfaces kept apart resemble twin surface extrapolation (Imran et al. 2021).
+Beside returns the depth is the base (`models.planes`), which passes through them, unless the
+geometry of the returns, the boundary and a few class-like channels say that a pixel is of the
+nearest or the farthest surface around: for a mean of 5 m and 80 m is the depth of no surface. These
+travel to other cameras; features of the image do not. Farther from returns the image decides: the
+plane between the returns, both surfaces, or its guess, where returns end or a car returns nothing.
+At the image's size each return then replaces the depth of the pixels around it, weighted by the
+network's confidence in it. Near and far surfaces kept apart resemble twin surface extrapolation
+(Imran et al. 2021).
 
 In the order of execution: `measure`, `propagate_surfaces`, `surface_features`, `limit_guess`; after
-the decoder `choose_surface`, `to_image_size`, `dilate_returns`, `take_returns`.
+the decoder `choose_surface`, `join_base`, `dilate_returns`, `take_returns`.
 """
 
 import math
@@ -20,7 +21,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from models.blocks import ConvBNReLU, ramp, upsample
-from models.planes import BASE_CELL, CELL, fit_base
+from models.lite_decoder import UpBlock
+from models.planes import BASE_CELL, CELL, Base, fit_base
 from models.pooling import cell_maxima, cell_means, maxima_around, maxima_beside, means_around
 
 #: Least normalised depth of a surface.
@@ -81,80 +83,41 @@ class Surfaces(NamedTuple):
     #: ``support`` is 0.
     nearest: Tensor
     farthest: Tensor
-    #: Inverse of the normalised depth, 1..1/NEAREST: the plane, and the base of which it is the
-    #: mean in a cell; undefined where ``reached`` is 0.
+    #: Inverse of the normalised depth, 1..1/NEAREST; undefined where ``reached`` is 0.
     plane: Tensor
-    base: Tensor
     #: 0..1: returns within reach of WINDOWS, and in reach of the plane's.
     support: Tensor
     reached: Tensor
-    #: 0..1: returns beside, 1 up to about 2 pixels from one, 0 beyond about 5.
-    beside: Tensor
-    #: 0..1: no return near, see `far_from_returns`.
-    far: Tensor
 
 
-def propagate_surfaces(measured: Measured) -> tuple[Surfaces, Tensor, Tensor]:
+def propagate_surfaces(measured: Measured) -> tuple[Surfaces, Base, Tensor]:
     """Propagate the measured depth to a grid of cells of CELL pixels.
 
     Height and width are multiples of ``planes.CELL * 2**planes.LEVELS``. The nearest surface is the
     maximum of inverse depth, smoothed over 3 x 3 cells, the farthest the maximum of depth.
 
     Returns:
-        The surfaces; the base, 1..1/NEAREST, on cells of BASE_CELL pixels; and the number of
-        measured pixels in a cell of CELL pixels, (N, 1, h, w).
+        The surfaces; the base; and the number of measured pixels in a cell, (N, 1, h, w).
     """
     depth, mask, inverse = measured
     extremes = cell_maxima(torch.cat([inverse, depth], dim=1), CELL)
-    both, distance = extremes, torch.zeros_like(mask[:, :, ::CELL, ::CELL])
+    both = extremes
     for window in WINDOWS:
-        unseen = 1.0 - both[:, :1].clamp(max=1.0)  # an inverse depth is at least 1
-        distance = distance + unseen * (window // 2)
         both = torch.where(both > 0, both, maxima_around(both, window))
     near, farthest = both.split(1, dim=1)
-    support = near.clamp(max=1.0)
+    support = near.clamp(max=1.0)  # an inverse depth is at least 1
     inverse_mean, known = means_around(torch.cat([near, support], dim=1), 3).split(1, dim=1)
     nearest = known.clamp(min=1e-6) / inverse_mean.clamp(min=1e-6)
-    plane, base, count = fit_base(inverse, mask, extremes)
-    base = base.clamp(1.0, 1.0 / NEAREST)
-    seen = count.clamp(max=1.0)
-    beside = maxima_around(seen, 3) + maxima_around(seen, 5)
-    means = cell_means(torch.cat([base, 0.5 * beside, 4.0 * count], dim=1), CELL // BASE_CELL)
-    coarse_base, beside, count = means.split(1, dim=1)
+    base = fit_base(inverse, mask, extremes)
     surfaces = Surfaces(
         nearest.clamp(NEAREST, 1.0),
         farthest.clamp(NEAREST, 1.0),
-        plane.clamp(1.0, 1.0 / NEAREST),
-        coarse_base,
+        base.plane.clamp(1.0, 1.0 / NEAREST),
         support,
-        plane.clamp(max=1.0),
-        beside,
-        far_from_returns(distance, support, count),
+        base.plane.clamp(max=1.0),
     )
-    return surfaces, base, count
-
-
-#: Distance to a return, in spacings of the returns, up to which nothing is far; all is from the
-#: second on.
-FAR = (2.0, 4.0)
-
-
-def far_from_returns(distance: Tensor, support: Tensor, count: Tensor) -> Tensor:
-    """0 between the returns, 1 where they end or a surface returns nothing, (N, 1, h, w).
-
-    The spacing is that of as many returns spread evenly over where they reach. A scan of few lines
-    has few returns: between its lines nothing is far that is far between many.
-
-    Args:
-        distance: to a return, at most, in cells; undefined without support.
-        support: see `Surfaces`.
-        count: of returns in a cell.
-    """
-    area, returns = (maps.sum(dim=(2, 3), keepdim=True) for maps in (support, count))
-    spacings = distance * torch.rsqrt(area.clamp(min=1.0) / returns.clamp(min=1.0))
-    start, end = FAR
-    far = ramp(spacings, 1.0 / (end - start), -start / (end - start))
-    return 1.0 - support * (1.0 - far)
+    base = base._replace(base=base.base.clamp(1.0, 1.0 / NEAREST))
+    return surfaces, base, 4.0 * cell_means(base.returns, CELL // BASE_CELL)
 
 
 #: Channels of `surface_features`.
@@ -194,11 +157,29 @@ APART = 0.08
 MOST_APART = 2.5
 
 
-def departures(surfaces: Surfaces) -> tuple[Tensor, Tensor]:
-    """Return the log ratios of the nearest (-MOST_APART..0) and farthest surface to the base."""
-    near = torch.log(surfaces.nearest * surfaces.base).clamp(-MOST_APART, 0.0)
-    far = torch.log(surfaces.farthest * surfaces.base).clamp(0.0, MOST_APART)
-    return near * surfaces.support, far * surfaces.support
+#: Largest share of the base; the image keeps the rest, and the mean of both is better than either.
+MOST_BESIDE = 0.5
+
+
+class Beside(NamedTuple):
+    """What decides the depth beside returns, each (N, 1, h, w) on the grid of CELL."""
+
+    #: Log ratios of the nearest (-MOST_APART..0) and of the farthest surface to the base.
+    near: Tensor
+    far: Tensor
+    #: Share of the base: MOST_BESIDE up to about 2 pixels from a return, 0 beyond about 5.
+    share: Tensor
+
+
+def look_beside(surfaces: Surfaces, base: Base) -> Beside:
+    """Compare the surfaces with the base."""
+    seen = base.returns.clamp(max=1.0)
+    share = (MOST_BESIDE / 2) * (maxima_around(seen, 3) + maxima_around(seen, 5))
+    maps = cell_means(torch.cat([base.base, share], dim=1), CELL // BASE_CELL)
+    inverse, share = maps.split(1, dim=1)
+    near = torch.log(surfaces.nearest * inverse).clamp(-MOST_APART, 0.0)
+    far = torch.log(surfaces.farthest * inverse).clamp(0.0, MOST_APART)
+    return Beside(near * surfaces.support, far * surfaces.support, share)
 
 
 def apart(log_ratio: Tensor) -> Tensor:
@@ -211,8 +192,8 @@ class Candidates(NamedTuple):
 
     measured: Measured
     surfaces: Surfaces
-    #: Inverse of the normalised depth on cells of BASE_CELL pixels.
-    base: Tensor
+    base: Base
+    beside: Beside
     #: (N, FEATURE_CHANNELS, h, w), on the grid of CELL.
     features: Tensor
     #: Greatest normalised depth of the guess from the image, (N, 1, h, w), see `limit_guess`.
@@ -220,36 +201,30 @@ class Candidates(NamedTuple):
 
 
 class HeadChannels(NamedTuple):
-    """What both branches of the head predict, each (N, C, h, w), before their activations."""
+    """The channels of the head's last convolution, each (N, C, h, w), before their activations."""
 
-    #: Where to depart from the base: -1 to the nearest, 1 to the farthest surface, C = 1.
-    position: Tensor
-    #: Scale of the error where base and guess agree, C = 1.
+    #: Confidence in the plane, in the farthest and in the nearest surface, C = 3.
+    surfaces: Tensor
+    #: Relative correction of the chosen depth, C = 1.
+    correction: Tensor
+    #: Scale of the error where the candidates agree, C = 1.
     scale: Tensor
-    #: Of the image: confidence in the base, against the guess, C = 1.
-    in_base: Tensor
-    #: Of the geometry: confidence in a return before the predicted depth, in one behind it, and the
-    #: reduction of the error's scale beside a return, C = 3.
+    #: Confidence in a return before the predicted depth, in one behind it, and the reduction of the
+    #: error's scale beside a return, C = 3.
     returns: Tensor
 
     @classmethod
-    def join(cls, image: Tensor, geometry: Tensor, beside: Tensor) -> Self:
-        """Join both branches: beside returns position and scale are from the geometry.
-
-        image: (N, IMAGE_CHANNELS, h, w); geometry: (N, GEOMETRY_CHANNELS, h, w).
-        """
-        both, in_base = image.split([2, 1], dim=1)
-        near, returns = geometry.split([2, 3], dim=1)
-        position, scale = torch.lerp(both, near, beside).split(1, dim=1)
-        return cls(position, scale, in_base, returns)
+    def split(cls, channels: Tensor) -> Self:
+        """Split (N, HEAD_CHANNELS, h, w)."""
+        return cls(*channels.split(_HEAD_SPLIT, dim=1))
 
 
-#: Channels of the last convolution of each branch.
-GEOMETRY_CHANNELS, IMAGE_CHANNELS = 5, 3
-#: Confidence in the base, before its activation, that a new head starts with.
-_FIRST_CONFIDENCE = 2.5
-#: Class-like channels of the geometry's branch.
-_CLASS_CHANNELS = 8
+#: Channels of each field of `HeadChannels`, and their sum; those that a new head starts with.
+_HEAD_SPLIT = [3, 1, 1, 3]
+HEAD_CHANNELS = sum(_HEAD_SPLIT)
+_FIRST_CONFIDENCES = (2.5, -4.0, -4.0)
+#: Class-like channels of the geometry's branch, and the others that it reads.
+_CLASS_CHANNELS, _RATIO_CHANNELS = 8, 9
 
 
 class SurfaceDepthHead(nn.Module):
@@ -257,8 +232,10 @@ class SurfaceDepthHead(nn.Module):
 
     Args:
         channels: of the decoders' features, at stride 4.
-        at_4_channels: of the encoder's features at stride 4.
-        geometry_channels: of the convolutions of the geometry's branch.
+        at_2_channels: of the encoder's features at stride 2.
+        at_4_channels: of those at stride 4.
+        refine_channels: at stride 2, where the choice is made; 0 = at stride 4.
+        geometry_channels: of the convolutions that decide beside returns.
         semantics: whether there are features of the semantic decoder.
         max_depth_m: depth of 1.0.
         farthest_guess: the farthest normalised depth without a return.
@@ -267,8 +244,10 @@ class SurfaceDepthHead(nn.Module):
     def __init__(
         self,
         channels: int,
+        at_2_channels: int,
         at_4_channels: int,
         *,
+        refine_channels: int,
         geometry_channels: int,
         semantics: bool,
         max_depth_m: float,
@@ -278,132 +257,119 @@ class SurfaceDepthHead(nn.Module):
         self.max_depth_m, self.farthest_guess = max_depth_m, farthest_guess
         self.embed = nn.Conv2d(FEATURE_CHANNELS, at_4_channels, 1)
         self.guess = nn.Conv2d(channels, 1, 1)
-        self.project = nn.Conv2d(FEATURE_CHANNELS + 3, channels, 1)
-        # Classes imply surfaces without returns: a car has a roof and windows. The geometry reads
-        # class-like channels of its own: other classes leave the depth as it is.
+        self.project = nn.Conv2d(FEATURE_CHANNELS, channels, 1)
+        # Classes imply surfaces without returns: a car has a roof and windows.
         self.semantics = nn.Conv2d(channels, channels, 1) if semantics else None
+        self.refinement = None
+        if refine_channels:
+            self.refinement = UpBlock(channels, at_2_channels, refine_channels)
+            self.coarse_head = nn.Conv2d(channels, HEAD_CHANNELS, 1)
+        self.head = nn.Conv2d(refine_channels or channels, HEAD_CHANNELS, 1)
+        self.cell = CELL // 2 if refine_channels else CELL
+        # Class-like channels of its own: other classes leave the depth as it is.
         self.classes = nn.Conv2d(channels, _CLASS_CHANNELS, 1) if semantics else None
-        self.compare = ConvBNReLU(channels, channels)
-        self.image = nn.Conv2d(channels, IMAGE_CHANNELS, 1)
-        read = 9 + (_CLASS_CHANNELS if semantics else 0)
         self.geometry = nn.Sequential(
-            ConvBNReLU(read, geometry_channels),
+            ConvBNReLU(_RATIO_CHANNELS + (_CLASS_CHANNELS if semantics else 0), geometry_channels),
             ConvBNReLU(geometry_channels, geometry_channels, dilation=2),
             ConvBNReLU(geometry_channels, geometry_channels),
-            nn.Conv2d(geometry_channels, GEOMETRY_CHANNELS, 1),
+            nn.Conv2d(geometry_channels, 2, 1),
         )
 
     @torch.no_grad()
     def start_as_base(self) -> None:
-        """Set the head to the base and the guess beyond it, without classes or departures."""
-        if self.semantics is not None:
-            nn.init.zeros_(self.semantics.weight)
-        # Positions within DEAD_ZONE, whose gradient reaches the layers before.
+        """Set the head to base, plane and the guess beyond, without classes or corrections."""
         last = self.geometry[-1]
         assert isinstance(last, nn.Conv2d)
-        for weights in (last.weight[:1], self.image.weight):
-            weights.mul_(0.01)
-        assert self.image.bias is not None
-        self.image.bias[-1] = _FIRST_CONFIDENCE
+        last.weight.mul_(0.01)  # within DEAD_ZONE, and the gradient reaches the layers before
+        if self.semantics is not None:
+            nn.init.zeros_(self.semantics.weight)
+        chosen = len(_FIRST_CONFIDENCES) + 1  # and the correction
+        for layer in [self.head] if self.refinement is None else [self.head, self.coarse_head]:
+            for weights in layer.parameters():
+                weights[:chosen].zero_()
+        *_, bias = self.head.parameters()
+        bias[: chosen - 1].copy_(torch.tensor(_FIRST_CONFIDENCES))
 
     def propagate(self, depth: Tensor, mask: Tensor) -> Candidates:
         """Return the candidates around each cell; depth and mask as `measure`."""
         measured = measure(depth, mask, max_depth_m=self.max_depth_m)
         surfaces, base, count = propagate_surfaces(measured)
-        features = surface_features(surfaces, count)
-        return Candidates(measured, surfaces, base, features, limit_guess(surfaces, count))
+        features, limit = surface_features(surfaces, count), limit_guess(surfaces, count)
+        beside = look_beside(surfaces, base)
+        return Candidates(measured, surfaces, base, beside, features, limit)
+
+    def add_semantics(self, features: Tensor, semantics: Tensor | None) -> Tensor:
+        """Add what the semantic decoder's features say of the depth."""
+        return features if self.semantics is None else features + self.semantics(semantics)
 
     def forward(
         self,
         candidates: Candidates,
         features: Tensor,
         semantics: Tensor | None,
+        at_2: Tensor,
         boundary_logits: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Return the depth, its error's scale and the boundary's logits at the image's size.
 
-        features, semantics: of the decoders, on the grid of CELL, as the boundary's logits, which
-        are upsampled with the depth.
+        features, semantics: of the decoders, on the grid of CELL, as the boundary's logits,
+        which are upsampled with the depth; at_2: of the encoder.
         """
-        surfaces = candidates.surfaces
-        guess = self.farthest_guess * torch.sigmoid(self.guess(features).float())
+        guess = self.farthest_guess * torch.sigmoid(self.guess(features))
         guess = torch.minimum(guess, candidates.guess_limit)
-        away = departures(surfaces)
-        of_guess = torch.log(guess.clamp(min=NEAREST) * surfaces.base) * surfaces.reached
-        ratios = torch.cat([candidates.features, *away, of_guess], dim=1)
-        features = features + self.project(ratios)
-        if self.semantics is not None:
-            features = features + self.semantics(semantics)
-        features = features + self.compare(features)
-        boundary_logits = boundary_logits.float()
-        geometry = self.geometry(self._geometry(candidates, away, semantics, boundary_logits))
-        head = HeadChannels.join(self.image(features).float(), geometry.float(), surfaces.beside)
-        depth, scale = choose_surface(head, guess, surfaces, away)
-        inverse, scale, boundary_logits = to_image_size(
-            depth, scale, boundary_logits, surfaces, candidates.base
+        geometry = self.geometry(self._geometry(candidates, semantics, boundary_logits)).float()
+        features = features + self.project(candidates.features)
+        features = self.add_semantics(features, semantics)
+        surfaces = candidates.surfaces
+        if self.refinement is None:
+            found = self.head(features)
+        else:
+            found = self.head(self.refinement(features, at_2)) + upsample(
+                self.coarse_head(features)
+            )
+            # One upsampling for all maps of a grid: ONNX Runtime splits a Resize by channels.
+            maps = upsample(torch.cat([*surfaces, guess, boundary_logits], dim=1))
+            *finer, guess, boundary_logits = maps.split(1, dim=1)
+            surfaces = Surfaces(*finer)
+        head = HeadChannels.split(found.float())
+        guess, boundary_logits = guess.float(), boundary_logits.float()
+        depth, scale = choose_surface(head, guess, surfaces, reach=self.farthest_guess)
+        maps = torch.cat([1.0 / depth, scale, boundary_logits], dim=1)
+        maps = upsample(maps, factor=self.cell // BASE_CELL)
+        inverse, scale, boundary_logits = maps.split(1, dim=1)
+        inverse, scale = join_base(
+            inverse, scale, geometry, candidates.base.base, candidates.beside
         )
+        maps = upsample(torch.cat([inverse, scale, boundary_logits], dim=1), factor=BASE_CELL)
+        inverse, scale, boundary_logits = maps.split(1, dim=1)
         # One value a cell is enough: the returns give the position of an edge.
         in_returns = torch.sigmoid(head.returns)
-        in_returns = F.interpolate(in_returns, scale_factor=float(CELL), mode="nearest")
+        in_returns = F.interpolate(in_returns, scale_factor=float(self.cell), mode="nearest")
         returns = dilate_returns(candidates.measured)
         depth, scale = take_returns(
-            inverse, scale, returns, in_returns, max_depth_m=self.max_depth_m
+            1.0 / inverse, scale, returns, in_returns, max_depth_m=self.max_depth_m
         )
         return depth, scale, boundary_logits
 
     def _geometry(
-        self,
-        candidates: Candidates,
-        away: tuple[Tensor, Tensor],
-        semantics: Tensor | None,
-        boundary_logits: Tensor,
+        self, candidates: Candidates, semantics: Tensor | None, boundary_logits: Tensor
     ) -> Tensor:
-        """What the geometry's branch reads: nothing that belongs to a rig."""
-        surfaces, density = candidates.surfaces, candidates.features[:, -1:]
-        ratios = torch.cat(away, dim=1)
-        read = [
-            ratios,
-            apart(ratios) * 5.0,
-            surfaces.support,
-            surfaces.reached,
-            surfaces.beside,
+        """What decides beside returns: nothing that belongs to a rig."""
+        surfaces, beside = candidates.surfaces, candidates.beside
+        ratios, density = torch.cat(beside[:2], dim=1), candidates.features[:, -1:]
+        read = [ratios, 5.0 * apart(ratios), surfaces.support, surfaces.reached]
+        read += [
+            beside.share * (1.0 / MOST_BESIDE),
             density,
-            torch.sigmoid(boundary_logits),
+            torch.sigmoid(boundary_logits.float()),
         ]
         if self.classes is not None:
             read.append(torch.sigmoid(self.classes(semantics)))
         return torch.cat(read, dim=1)
 
 
-#: Of the sigmoid of a confidence, beyond 0 and 1.
-STRETCH = 0.1
 #: A position up to this is on the base; beyond, so much less.
 DEAD_ZONE = 0.1
-#: Least and greatest log of the ratio of the error's scale to the depth: 0.25 % to 2.7 times the
-#: depth, so that neither the loss nor its gradient grows without bound. Not tuned.
-LOG_SCALE = (-6.0, 1.0)
-#: Share of the spread of the candidates, see `replace`, that is added to the error's scale.
-SPREAD_SHARE = 0.5
-
-
-def choose_surface(
-    head: HeadChannels, guess: Tensor, surfaces: Surfaces, away: tuple[Tensor, Tensor]
-) -> tuple[Tensor, Tensor]:
-    """Depart from the base where surfaces differ, and replace it by the guess far from returns.
-
-    away: see `departures`. Returns the normalised depth, (N, 1, h, w), NEAREST..1, and the scale of
-    its error's Laplace distribution.
-    """
-    near, far = (apart(log_ratio) for log_ratio in away)
-    place = position(head.position)
-    departure = place.clamp(min=0.0) * far - place.clamp(max=0.0) * near
-    measured = torch.exp(departure) / surfaces.base
-    in_base = (1.0 - surfaces.far * (1.0 - confidence(head.in_base))) * surfaces.reached
-    depth, spread = replace(guess, 0.0, measured - guess, in_base)
-    depth = depth.clamp(NEAREST, 1.0)
-    least, greatest = LOG_SCALE
-    scale = torch.exp(least + (greatest - least) * torch.sigmoid(head.scale))
-    return depth, depth.detach() * scale + SPREAD_SHARE * spread.detach()
 
 
 def position(x: Tensor) -> Tensor:
@@ -412,6 +378,81 @@ def position(x: Tensor) -> Tensor:
     if not torch.is_grad_enabled():
         return limited
     return x + (limited - x).detach()
+
+
+def join_base(
+    inverse: Tensor, scale: Tensor, geometry: Tensor, base: Tensor, beside: Beside
+) -> tuple[Tensor, Tensor]:
+    """Replace the choice beside returns by the base, or by a departure where surfaces differ.
+
+    Args:
+        inverse: of the chosen normalised depth, (N, 1, H, W), on the grid of BASE_CELL.
+        scale: of its error, same shape.
+        geometry: position, -1 = nearest surface, 1 = farthest, and scale of the error, before their
+            activations, (N, 2, h, w), on the grid of CELL.
+        base: inverse depth, shape of ``inverse``.
+        beside: on the grid of CELL.
+    """
+    place, log_scale = geometry.split(1, dim=1)
+    place = position(place)
+    departure = place.clamp(min=0.0) * apart(beside.far) - place.clamp(max=0.0) * apart(beside.near)
+    maps = torch.cat([departure, _relative_scale(log_scale), beside.share], dim=1)
+    departure, relative, share = upsample(maps, factor=CELL // BASE_CELL).split(1, dim=1)
+    measured = (base * torch.exp(-departure)).clamp(1.0, 1.0 / NEAREST)
+    inverse = torch.lerp(inverse, measured, share)
+    return inverse, torch.lerp(scale, relative / inverse.detach(), share)
+
+
+#: Of the sigmoid of a confidence, beyond 0 and 1.
+STRETCH = 0.1
+#: Greatest log of the factor that corrects the chosen depth: 0.61 to 1.65 times. Not tuned.
+MAX_LOG_CORRECTION = 0.5
+#: Least and greatest log of the ratio of the error's scale to the depth: 0.25 % to 2.7 times the
+#: depth, so that neither the loss nor its gradient grows without bound. Not tuned.
+LOG_SCALE = (-6.0, 1.0)
+#: Share of the spread of the candidates, see `replace`, that is added to the error's scale.
+SPREAD_SHARE = 0.5
+
+
+def choose_surface(
+    head: HeadChannels, guess: Tensor, surfaces: Surfaces, *, reach: float = 1.0
+) -> tuple[Tensor, Tensor]:
+    """Choose among the candidates and the guess: the depth, and its error's scale.
+
+    Each candidate replaces what was chosen before, weighted by the confidence in it: the plane the
+    guess, then the farthest surface, then the nearest. The choice is corrected. No depth is beyond
+    ``reach``, that of the guess, unless the farthest surface is.
+
+    Returns the normalised depth, (N, 1, h, w), NEAREST..1, and the scale of its error's Laplace
+    distribution.
+    """
+    in_plane, in_farthest, in_nearest = confidence(head.surfaces).split(1, dim=1)
+    farthest, nearest = surfaces.farthest, surfaces.nearest
+    plane = 1.0 / surfaces.plane
+    depth, spread = replace(guess, 0.0, plane - guess, in_plane * surfaces.reached)
+    for candidate, weight in ((farthest, in_farthest), (nearest, in_nearest)):
+        depth, spread = replace(depth, spread, candidate - depth, weight * surfaces.support)
+    depth = correct(depth, surfaces, head.correction).clamp(min=NEAREST)
+    depth = torch.minimum(depth, (farthest * surfaces.support).clamp(min=reach))
+    scale = _relative_scale(head.scale)
+    return depth, depth.detach() * scale + SPREAD_SHARE * spread.detach()
+
+
+def _relative_scale(logits: Tensor) -> Tensor:
+    """The error's scale as a share of the depth, see LOG_SCALE."""
+    least, greatest = LOG_SCALE
+    return torch.exp(least + (greatest - least) * torch.sigmoid(logits))
+
+
+def correct(depth: Tensor, surfaces: Surfaces, logits: Tensor) -> Tensor:
+    """Scale the depth, near returns at most by what both surfaces leave open.
+
+    Where they agree there is no room; without returns it is MAX_LOG_CORRECTION.
+    """
+    disagreement = surfaces.farthest / surfaces.nearest
+    room = torch.log(disagreement).clamp(0.0, MAX_LOG_CORRECTION)
+    room = MAX_LOG_CORRECTION + surfaces.support * (room - MAX_LOG_CORRECTION)
+    return depth * torch.exp(room * torch.tanh(logits))
 
 
 def confidence(logits: Tensor) -> Tensor:
@@ -438,30 +479,6 @@ def replace(
     """
     taken = weight * step
     return depth + taken, (1.0 - weight) * (spread + taken.abs())
-
-
-#: Log ratio to the base up to which the depth of a cell takes the base's detail inside it; from
-#: twice as much on it takes none.
-ON_BASE = 0.05
-
-
-def to_image_size(
-    depth: Tensor, scale: Tensor, boundary_logits: Tensor, surfaces: Surfaces, base: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Upsample the choice; where it is the base, with the detail of the base inside a cell.
-
-    Returns the inverse of the normalised depth, the scale and the boundary's logits.
-    """
-    on_base = ramp(torch.log(depth * surfaces.base).abs(), -1.0 / ON_BASE, 2.0) * surfaces.reached
-    # One upsampling for all maps of a grid: ONNX Runtime splits a Resize by channels.
-    maps = [1.0 / depth, scale, boundary_logits, surfaces.base, on_base]
-    finer = upsample(torch.cat(maps, dim=1), factor=CELL // BASE_CELL)
-    others, coarse_base, on_base = finer.split([3, 1, 1], dim=1)
-    inverse, *others = others.split(1, dim=1)
-    inverse = (inverse + on_base * (base - coarse_base)).clamp(1.0, 1.0 / NEAREST)
-    full = upsample(torch.cat([inverse, *others], dim=1), factor=BASE_CELL)
-    inverse, scale, boundary_logits = full.split(1, dim=1)
-    return inverse, scale, boundary_logits
 
 
 #: Radius [pixels] of the square around a return in which it may replace the depth.
@@ -494,31 +511,39 @@ def dilate_returns(measured: Measured) -> Returns:
 #: nearer one: 1.3 pixels of parallax for 1 m between both, at 721.5 pixels of focal length. Up to
 #: twice as much counts in part.
 PARALLAX = 1.8e-3
+#: Relative difference of depths two pixels apart on one slanted surface. Up to twice as much counts
+#: in part.
+SLOPE = 0.03
 #: Largest share by which a return beside a pixel reduces the error's scale, which stays positive.
 #: Not tuned.
 MAX_SCALE_REDUCTION = 0.9
 
 
 def take_returns(
-    inverse: Tensor, scale: Tensor, returns: Returns, confidence: Tensor, *, max_depth_m: float
+    depth: Tensor, scale: Tensor, returns: Returns, confidence: Tensor, *, max_depth_m: float
 ) -> tuple[Tensor, Tensor]:
     """Replace the predicted depth by the closest return, weighted by the confidence in it.
 
     At an edge the choice on a coarser grid is a ramp; a return is on one side of it. A LiDAR beside
     the camera sees past near edges, so returns before and behind the predicted depth have
-    confidences of their own. Where the parallax between both depths is too small for that, a return
-    is the depth of its pixel.
+    confidences of their own. Where the parallax between both depths is too small for that, the
+    return is the pixel's: in any case if it is at the pixel itself, and beside it if it is behind
+    by more than a slope explains.
 
-    inverse, scale (N, 1, H, W): the inverse depth, normalised by ``max_depth_m``, and its error's
-    scale; confidence (N, 3, H, W): the sigmoids of `HeadChannels.returns`. Returns the depth, and
-    the scale, reduced beside a return, with the spread of the two depths.
+    depth, scale (N, 1, H, W): normalised by ``max_depth_m``; confidence (N, 3, H, W): the sigmoids
+    of `HeadChannels.returns`. Returns the depth, and the scale, reduced beside a return, with the
+    spread of the two depths.
     """
     before, behind, reduction = confidence.split(1, dim=1)
-    depth = 1.0 / inverse
-    parallax = returns.inverse - inverse
-    aligned = ramp(parallax.abs(), -1.0 / (max_depth_m * PARALLAX), 2.0)
-    weight = torch.where(parallax > 0, before, behind) * returns.near
-    weight = torch.maximum(weight, aligned * returns.here)
-    depth, spread = replace(depth, 0.0, 1.0 / returns.inverse - depth, weight)
+    inverse = 1.0 / depth
+    measured = 1.0 / returns.inverse
+    step = measured - depth
+    parallax = (inverse - returns.inverse).abs()
+    aligned = ramp(parallax, -1.0 / (max_depth_m * PARALLAX), 2.0)
+    # From a relative difference of SLOPE on, in full from twice as much.
+    beyond = ramp(measured * inverse, 1.0 / SLOPE, -1.0 / SLOPE - 1.0)
+    weight = torch.where(step < 0, before, behind)
+    weight = torch.maximum(weight, aligned * torch.maximum(returns.here, beyond)) * returns.near
+    depth, spread = replace(depth, 0.0, step, weight)
     scale = scale * ramp(reduction * returns.near, -MAX_SCALE_REDUCTION, 1.0)
     return depth, scale + SPREAD_SHARE * spread.detach()

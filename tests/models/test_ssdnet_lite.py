@@ -82,7 +82,7 @@ def trained(name):
     torch.manual_seed(0)
     network = create_model(name).eval()
     head = network.surface_depth
-    for layer in (head.image, head.geometry[-1], head.semantics):
+    for layer in (head.head, head.geometry[-1], head.semantics):
         torch.nn.init.normal_(layer.weight)
     return network
 

@@ -5,39 +5,41 @@ import pytest
 import torch
 
 from models.blocks import upsample
-from models.planes import CELL
+from models.planes import BASE_CELL, CELL, Base
 from models.surfaces import (
     APART,
     DEAD_ZONE,
-    GEOMETRY_CHANNELS,
-    IMAGE_CHANNELS,
+    HEAD_CHANNELS,
     ISOLATED_CELLS,
     ISOLATED_M,
     ISOLATED_RATIO,
     LOG_SCALE,
     MAX_SCALE_REDUCTION,
+    MOST_BESIDE,
     NEAREST,
     PARALLAX,
     RETURN_REACH,
+    SLOPE,
     SPREAD_SHARE,
     STRETCH,
     WINDOWS,
+    Beside,
     HeadChannels,
     Measured,
     Surfaces,
     apart,
     choose_surface,
     confidence,
-    departures,
     dilate_returns,
+    join_base,
     limit_guess,
+    look_beside,
     measure,
     position,
     propagate_surfaces,
     replace,
     surface_features,
     take_returns,
-    to_image_size,
 )
 
 SIZE = (128, 192)
@@ -66,17 +68,19 @@ def propagated(maps: Measured) -> Surfaces:
 
 def head_of(**logits: float) -> HeadChannels:
     """Logits of the named channels; the others are 0."""
-    channels = ("position", "scale", "in_base")
-    assert len(channels) == IMAGE_CHANNELS
-    values = [logits.pop(name, 0.0) for name in channels]
-    assert not logits
-    image = torch.tensor(values).view(1, -1, 1, 1).expand(1, -1, *GRID)
-    nothing = torch.zeros(1, 1, *GRID)
-    return HeadChannels.join(image, torch.zeros(1, GEOMETRY_CHANNELS, *GRID), nothing)
-
-
-def chosen(head: HeadChannels, guess: torch.Tensor, surfaces: Surfaces):
-    return choose_surface(head, guess, surfaces, departures(surfaces))
+    channels = (
+        "plane",
+        "farthest",
+        "nearest",
+        "correction",
+        "scale",
+        "before",
+        "behind",
+        "reduction",
+    )
+    assert len(channels) == HEAD_CHANNELS
+    values = [logits.get(name, -30.0 if name in channels[:3] else 0.0) for name in channels]
+    return HeadChannels.split(torch.tensor(values).view(1, -1, 1, 1).expand(1, -1, *GRID))
 
 
 def scanned(lines: int, value: float = 0.2) -> torch.Tensor:
@@ -185,43 +189,153 @@ def test_the_nearest_surface_is_the_nearest_of_a_plain_loop_before_smoothing():
 
 def test_nothing_measured_supports_nothing():
     found, _, count = propagate_surfaces(measured())
-    for maps in (found.support, found.reached, found.beside, surface_features(found, count)):
-        assert not maps.any()
+    assert not found.support.any()
+    assert not found.reached.any()
+    assert not surface_features(found, count).any()
     own = torch.full((1, 1, *GRID), 0.4)
-    depth, scale = chosen(head_of(position=1.0, in_base=30.0), own, found)
+    confident = head_of(plane=30.0, farthest=30.0, nearest=30.0)
+    depth, scale = choose_surface(confident, own, found)
     assert torch.allclose(depth, own)
-    assert torch.equal(scale, chosen(head_of(), own, found)[1])  # nothing to disagree with
+    assert torch.equal(scale, choose_surface(head_of(), own, found)[1])  # nothing to disagree with
+
+
+@pytest.mark.parametrize("candidate", ["farthest", "nearest"])
+def test_a_candidate_of_full_confidence_is_the_answer(candidate):
+    found = propagated(measured(r40c40=0.05, r41c41=0.8))
+    own = torch.full((1, 1, *GRID), 0.4)
+    chosen = choose_surface(head_of(**{candidate: 30.0}), own, found)[0][0, 0, 10, 10]
+    assert chosen.item() == pytest.approx(getattr(found, candidate)[0, 0, 10, 10].item(), rel=1e-3)
+    largest = head_of(**{candidate: 30.0}, correction=30.0)
+    corrected = choose_surface(largest, own, found)[0][0, 0, 10, 10]
+    assert corrected.item() == pytest.approx(min(1.0, chosen.item() * np.exp(0.5)), rel=1e-3)
+
+
+def test_the_guess_replaces_the_plane_by_the_confidence_that_it_lacks():
+    found = propagated(measured_where(scanned(8)))
+    own = torch.full((1, 1, *GRID), 0.45)
+    for plane, expected in ((-30.0, 0.45), (0.0, (0.2 + 0.45) / 2), (30.0, 0.2)):
+        # A correction has no room where both surfaces agree.
+        chosen = choose_surface(head_of(plane=plane, correction=30.0), own, found)[0]
+        assert torch.allclose(chosen[..., 8:-8, 8:-8], torch.tensor(expected), rtol=1e-3)
+
+
+def test_a_confidence_reaches_0_and_1():
+    found = confidence(torch.tensor([-9.0, -2.5, -2.3, 0.0, 2.3, 2.5, 9.0]))
+    assert found[[0, 1, 5, 6]].tolist() == [0, 0, 1, 1]
+    assert found[3] == 0.5
+    assert 0 < found[2] < 0.02 < 0.98 < found[4] < 1
+
+
+def test_a_closed_confidence_can_be_trained_to_open():
+    logits = torch.tensor([-4.0, 4.0, 0.5], requires_grad=True)
+    found = confidence(logits)
+    assert torch.allclose(found[:2], torch.tensor([0.0, 1.0]))
+    found.sum().backward()
+    share = torch.sigmoid(logits.detach())
+    assert torch.allclose(logits.grad, (1 + 2 * STRETCH) * share * (1 - share))
+
+
+def test_near_returns_of_one_surface_leave_no_room_for_a_correction():
+    found = propagated(measured_where(scanned(8, 0.3)))
+    own = torch.full((1, 1, *GRID), 0.45)
+    corrected = choose_surface(head_of(plane=30.0, correction=30.0), own, found)[0]
+    assert torch.allclose(corrected, torch.tensor(0.3), rtol=1e-3)
+    # Between 0.3 and 0.36 there is room for a fifth.
+    two = found._replace(farthest=torch.full_like(found.farthest, 0.36))
+    corrected = choose_surface(head_of(plane=30.0, correction=30.0), own, two)[0]
+    assert torch.allclose(corrected, torch.tensor(0.36), rtol=1e-3)
+
+
+def test_a_plane_is_the_answer_of_a_head_without_confidence_in_surfaces():
+    rows = torch.arange(SIZE[0]).float().view(1, 1, -1, 1).expand(1, 1, *SIZE)
+    inverse = 2 + 0.1 * rows
+    mask = (scanned(8) > 0).float()
+    found = propagated(Measured(mask / inverse, mask, mask * inverse))
+    own = torch.full((1, 1, *GRID), 0.45)
+    chosen = 1 / choose_surface(head_of(plane=30.0), own, found)[0]
+    expected = 2 + 0.1 * (torch.arange(GRID[0]) * CELL + 1.5).view(1, 1, -1, 1)
+    assert torch.allclose(chosen[..., 3:-3, :], expected.expand_as(chosen)[..., 3:-3, :], rtol=1e-3)
+
+
+def compared(maps: Measured) -> tuple[Surfaces, Base, Beside]:
+    surfaces, base, _ = propagate_surfaces(maps)
+    return surfaces, base, look_beside(surfaces, base)
 
 
 def test_beside_is_what_lies_within_a_few_pixels_of_a_return():
-    beside = propagated(measured(r41c41=0.3)).beside[0, 0]
+    share = compared(measured(r41c41=0.3))[2].share[0, 0]
     # The return is in cell 20 of two pixels: cells 19 to 21 count in full, 18 and 22 by half.
     expected = torch.zeros(6)
     for column, shares in ((9, (0.5, 1.0)), (10, (1.0, 1.0)), (11, (0.5, 0.0))):
-        expected[column - 8] = sum(shares) / 2
-    assert torch.allclose(beside[10, 8:14], expected)
-    assert not beside[10, 13:].any()
+        expected[column - 8] = MOST_BESIDE * sum(shares) / 2
+    assert torch.allclose(share[10, 8:14], expected)
+    assert not share[10, 13:].any()
+    assert not compared(measured())[2].share.any()
 
 
-@pytest.mark.parametrize(("place", "surface"), [(-1.2, "nearest"), (1.2, "farthest")])
-def test_a_position_of_a_surface_is_answered_with_it(place, surface):
-    found = propagated(measured(r40c40=0.1, r41c41=0.8))
-    own = torch.full((1, 1, *GRID), 0.4)
+def test_surfaces_are_compared_with_the_base():
+    surfaces, base, beside = compared(measured(r40c40=0.1, r41c41=0.8))
     cell = (0, 0, 10, 10)
-    answer = chosen(head_of(position=place, in_base=30.0), own, found)[0][cell]
-    assert answer.item() == pytest.approx(getattr(found, surface)[cell].item(), rel=1e-3)
-    base = chosen(head_of(position=0.9 * DEAD_ZONE, in_base=30.0), own, found)[0][cell]
-    assert base.item() == pytest.approx(1 / found.base[cell].item(), rel=1e-4)
+    inverse = base.base[0, 0, 20:22, 20:22].mean()
+    assert beside.near[cell] == pytest.approx((surfaces.nearest[cell] * inverse).log().item())
+    assert beside.far[cell] == pytest.approx((surfaces.farthest[cell] * inverse).log().item())
+    assert beside.near[cell] < -APART < APART < beside.far[cell]
 
 
-@pytest.mark.parametrize(("ratio", "departs"), [(1 + 0.9 * APART, False), (1.3, True)])
-def test_there_is_no_departure_where_surfaces_are_one(ratio, departs):
-    found = propagated(measured_where(scanned(8, 0.3)))
-    found = found._replace(farthest=ratio / found.base)
-    own = torch.full((1, 1, *GRID), 0.45)
-    answer = chosen(head_of(position=2.0, in_base=30.0), own, found)[0][..., 4:-4, 4:-4]
-    expected = 0.3 * (ratio if departs else 1.0)
-    assert torch.allclose(answer, torch.tensor(expected), rtol=1e-3)
+def joined(place: float, maps: Measured, inverse: float = 2.0) -> torch.Tensor:
+    """The inverse depth at full share of the base, where the network chose another."""
+    _, base, beside = compared(maps)
+    beside = beside._replace(share=torch.ones_like(beside.share))
+    geometry = torch.zeros(1, 2, *GRID)
+    geometry[:, 0] = place
+    chosen = torch.full_like(base.base, inverse)
+    return join_base(chosen, 0.1 / chosen, geometry, base.base, beside)[0]
+
+
+def test_beside_returns_the_answer_is_the_base_with_its_detail():
+    rows = torch.arange(SIZE[0]).float().view(1, 1, -1, 1).expand(1, 1, *SIZE)
+    plane = 2 + 0.1 * rows
+    mask = (scanned(8) > 0).float()
+    for place in (0.0, 0.9 * DEAD_ZONE, -0.9 * DEAD_ZONE):
+        found = joined(place, Measured(mask / plane, mask, mask * plane))
+        inverse = upsample(found, factor=BASE_CELL)[..., 12:-12, 12:-12]
+        assert torch.allclose(inverse, plane[..., 12:-12, 12:-12], rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("place", "near", "far", "log_ratio"),
+    [
+        (-1.2, -1.0, 0.5, -1.0),
+        (1.2, -1.0, 0.5, 0.5),
+        (0.5 + DEAD_ZONE, -1.0, 0.5, 0.25),
+        (-0.5 - DEAD_ZONE, -1.0, 0.5, -0.5),
+        (1.2, -1.0, 0.9 * APART, 0.0),  # one surface
+        (-1.2, -0.9 * APART, 0.5, 0.0),
+    ],
+)
+def test_a_departure_is_to_a_surface_and_only_where_there_are_two(place, near, far, log_ratio):
+    base = torch.full((1, 1, SIZE[0] // 2, SIZE[1] // 2), 4.0)
+    beside = Beside(*(torch.full((1, 1, *GRID), value) for value in (near, far, 1.0)))
+    geometry = torch.tensor([place, 0.0]).view(1, 2, 1, 1).expand(1, 2, *GRID)
+    inverse, _ = join_base(base / 2, 1 / base, geometry, base, beside)
+    assert torch.allclose(-(inverse / base).log(), torch.tensor(log_ratio), atol=1e-5)
+
+
+def test_the_image_keeps_its_share_beside_returns_and_all_of_it_farther():
+    one = measured_where(scanned(8, 0.25))
+    _, base, beside = compared(one)
+    chosen = torch.full_like(base.base, 2.0)
+    geometry = torch.zeros(1, 2, *GRID)
+    inverse, scale = join_base(chosen, 0.1 / chosen, geometry, base.base, beside)
+    share = upsample(beside.share)
+    assert 0.9 * MOST_BESIDE < share.max() <= MOST_BESIDE
+    inside = (..., slice(12, -12), slice(12, -12))
+    assert torch.allclose(inverse[inside], (2.0 + 2.0 * share)[inside], rtol=1e-3)
+    relative = float(np.exp(sum(LOG_SCALE) / 2))
+    expected = 0.05 + share * (relative / inverse - 0.05)
+    assert torch.allclose(scale[inside], expected[inside], rtol=1e-3)
+    far = beside._replace(share=torch.zeros_like(beside.share))
+    assert torch.equal(join_base(chosen, 0.1 / chosen, geometry, base.base, far)[0], chosen)
 
 
 def test_a_log_ratio_counts_in_full_from_twice_apart_on():
@@ -241,72 +355,14 @@ def test_a_position_has_a_dead_zone_and_can_be_trained_out_of_it():
         assert torch.allclose(position(x), expected, atol=1e-6)
 
 
-def test_beside_returns_the_geometry_decides():
-    image = torch.full((1, IMAGE_CHANNELS, *GRID), 3.0)
-    geometry = torch.full((1, GEOMETRY_CHANNELS, *GRID), -1.0)
-    beside = torch.full((1, 1, *GRID), 0.25)
-    head = HeadChannels.join(image, geometry, beside)
-    for joined, expected in zip(head, (2.0, 2.0, 3.0, -1.0), strict=True):
-        assert torch.allclose(joined, torch.tensor(expected))
-    assert [part.shape[1] for part in head] == [1, 1, 1, 3]
-
-
-def far_everywhere(found: Surfaces) -> Surfaces:
-    return found._replace(far=torch.ones_like(found.far))
-
-
-def test_far_from_returns_the_guess_replaces_the_base_by_the_confidence_that_it_lacks():
-    found = propagated(measured_where(scanned(8)))
+def test_beyond_the_reach_of_the_guess_only_returns_are_answered():
+    found = propagated(measured(r40c40=0.05, r41c41=0.8))
     own = torch.full((1, 1, *GRID), 0.45)
-    for in_base, expected in ((-30.0, 0.45), (0.0, (0.2 + 0.45) / 2), (30.0, 0.2)):
-        for surfaces, depth in ((far_everywhere(found), expected), (found, 0.2)):
-            answer = chosen(head_of(in_base=in_base), own, surfaces)[0]
-            assert torch.allclose(answer[..., 8:-8, 8:-8], torch.tensor(depth), rtol=1e-3)
-
-
-@pytest.mark.parametrize(("lines", "farthest"), [(4, 0.0), (16, 0.0), (40, 0.363)])
-def test_between_many_lines_nothing_is_far_and_where_returns_end_all_is(lines, farthest):
-    depth = scanned(lines)
-    depth[..., :64, 96:] = 0
-    far = propagated(measured_where(depth)).far[0, 0]
-    assert far[20:, :20].max().item() == pytest.approx(farthest, abs=1e-3)
-    assert (far[:6, 36:] == 1).all()
-    assert (propagated(measured()).far == 1).all()
-
-
-def test_a_confidence_reaches_0_and_1():
-    found = confidence(torch.tensor([-9.0, -2.5, -2.3, 0.0, 2.3, 2.5, 9.0]))
-    assert found[[0, 1, 5, 6]].tolist() == [0, 0, 1, 1]
-    assert found[3] == 0.5
-    assert 0 < found[2] < 0.02 < 0.98 < found[4] < 1
-
-
-def test_a_closed_confidence_can_be_trained_to_open():
-    logits = torch.tensor([-4.0, 4.0, 0.5], requires_grad=True)
-    found = confidence(logits)
-    assert torch.allclose(found[:2], torch.tensor([0.0, 1.0]))
-    found.sum().backward()
-    share = torch.sigmoid(logits.detach())
-    assert torch.allclose(logits.grad, (1 + 2 * STRETCH) * share * (1 - share))
-
-
-def test_the_base_at_the_size_of_the_image_is_a_plane_and_keeps_its_detail():
-    rows = torch.arange(SIZE[0]).float().view(1, 1, -1, 1).expand(1, 1, *SIZE)
-    plane = 2 + 0.1 * rows
-    mask = (scanned(8) > 0).float()
-    found, base, _ = propagate_surfaces(Measured(mask / plane, mask, mask * plane))
-    own = torch.full((1, 1, *GRID), 0.45)
-    depth, scale = chosen(head_of(in_base=30.0), own, found)
-    inside = (..., slice(12, -12), slice(12, -12))
-    inverse = to_image_size(depth, scale, 0 * scale, found, base)[0]
-    assert torch.allclose(inverse[inside], plane[inside], rtol=1e-3)
-    # A finer pattern than a cell of the choice.
-    detail = torch.ones_like(base)
-    detail[..., ::2] = 1.02
-    finer = to_image_size(depth, scale, 0 * scale, found, base * detail)[0]
-    assert torch.allclose(finer[inside], upsample(base * detail)[inside], rtol=2e-3)
-    away = to_image_size(1.3 * depth, scale, 0 * scale, found, base * detail)[0]
-    assert torch.allclose(away[inside], plane[inside] / 1.3, rtol=3e-3)
+    largest = head_of(correction=30.0)
+    chosen, _ = choose_surface(largest, own, found, reach=0.5)
+    assert chosen[0, 0, 30, 40].item() == pytest.approx(0.5)  # no return is near
+    far, _ = choose_surface(head_of(farthest=30.0, correction=30.0), own, found, reach=0.5)
+    assert far[0, 0, 10, 10].item() == pytest.approx(0.8, rel=1e-4)
 
 
 def test_features_lie_in_0_1():
@@ -335,7 +391,8 @@ def test_what_returns_nothing_is_no_farther_than_the_returns_around():
 def test_where_nothing_disagrees_the_error_is_a_bounded_share_of_the_depth():
     own, found = torch.full((1, 1, *GRID), 0.5), propagated(measured())
     scales = [
-        chosen(head_of(scale=logit), own, found)[1][0, 0, 0, 0].item() for logit in (-99, 0, 99)
+        choose_surface(head_of(scale=logit), own, found)[1][0, 0, 0, 0].item()
+        for logit in (-99, 0, 99)
     ]
     middle = sum(LOG_SCALE) / 2
     assert scales == pytest.approx(
@@ -343,14 +400,16 @@ def test_where_nothing_disagrees_the_error_is_a_bounded_share_of_the_depth():
     )
 
 
-def test_the_error_grows_with_the_distance_of_guess_and_base():
-    """Half of 0.4 and half of 0.2."""
-    found = propagated(measured_where(scanned(8)))
-    found = far_everywhere(found)
+def test_the_error_grows_with_the_spread_of_the_candidates():
+    """Half of 0.8 and half of 0.4; then half of 0.05 and half of what that gave."""
     own = torch.full((1, 1, *GRID), 0.4)
-    depth, scale = (maps[0, 0, 10, 10].item() for maps in chosen(head_of(scale=-99.0), own, found))
-    assert depth == pytest.approx(0.3, rel=1e-3)
-    assert scale == pytest.approx(0.3 * np.exp(LOG_SCALE[0]) + SPREAD_SHARE * 0.05, rel=1e-3)
+    found = propagated(measured(r40c40=0.05, r41c41=0.8))
+    found = found._replace(plane=torch.full_like(found.plane, 2.5))
+    halves = head_of(farthest=0.0, nearest=0.0, scale=-99.0)
+    depth, scale = (maps[0, 0, 10, 10].item() for maps in choose_surface(halves, own, found))
+    assert depth == pytest.approx(0.325, rel=1e-3)
+    spread = 0.5 * (0.1 + 0.275)
+    assert scale == pytest.approx(0.325 * np.exp(LOG_SCALE[0]) + SPREAD_SHARE * spread, rel=1e-3)
 
 
 @pytest.mark.parametrize("weight", [0.0, 0.3, 1.0])
@@ -367,12 +426,11 @@ def test_the_spread_of_two_depths_is_half_their_mean_distance_from_their_mean(we
 
 def test_the_scale_does_not_train_the_choice():
     own = torch.full((1, 1, *GRID), 0.4, requires_grad=True)
-    image = torch.zeros(1, IMAGE_CHANNELS, *GRID, requires_grad=True)
+    head = torch.cat(head_of(plane=0.0, farthest=0.0, nearest=0.0), dim=1).requires_grad_()
     found = propagated(measured(r40c40=0.05, r41c41=0.8))
-    geometry = torch.zeros(1, GEOMETRY_CHANNELS, *GRID)
-    chosen(HeadChannels.join(image, geometry, found.beside), own, found)[1].sum().backward()
-    trained = image.grad.abs().sum(dim=(0, 2, 3)) > 0
-    assert trained.tolist() == [False, True, False]
+    choose_surface(HeadChannels.split(head), own, found)[1].sum().backward()
+    trained = head.grad.abs().sum(dim=(0, 2, 3)) > 0
+    assert trained.tolist() == [False] * 4 + [True] + [False] * 3
     assert own.grad is None or not own.grad.any()
 
 
@@ -402,6 +460,15 @@ def test_the_nearest_return_is_that_of_a_plain_loop():
     assert 0.3 < found / (43 * 64) < 0.7
 
 
+def test_the_head_is_split_into_its_channels_in_their_order():
+    head = HeadChannels.split(torch.arange(8.0).view(1, 8, 1, 1))
+    assert [part.flatten().tolist() for part in head] == [[0, 1, 2], [3], [4], [5, 6, 7]]
+    named = head_of(before=30.0, behind=-30.0, plane=30.0, scale=30.0)
+    confidence = torch.sigmoid(named.returns)
+    assert confidence.shape == (1, 3, *GRID)
+    assert torch.allclose(confidence[0, :, 3, 5], torch.tensor([1.0, 0.0, 0.5]))
+
+
 DEPTH = torch.full((1, 1, *SIZE), 0.5)
 SCALE = torch.full((1, 1, *SIZE), 0.04)
 
@@ -412,7 +479,7 @@ def taken(
     confidence = torch.tensor([before, behind, reduction]).view(1, 3, 1, 1).expand(1, 3, *SIZE)
     around = dilate_returns(measured(**returns))
     found = take_returns(
-        torch.full_like(DEPTH, 1 / depth), SCALE, around, confidence, max_depth_m=RANGE_M
+        torch.full_like(DEPTH, depth), SCALE, around, confidence, max_depth_m=RANGE_M
     )
     return found[0][0, 0], found[1][0, 0]
 
@@ -472,11 +539,30 @@ def test_a_return_at_the_pixel_that_cannot_show_through_is_taken_without_confide
             assert depth[row, column + 1].item() == 0.5
 
 
+@pytest.mark.parametrize(
+    ("depth", "step", "weight"),
+    [
+        (0.4, 2.1 * SLOPE, 1.0),
+        (0.4, 1.5 * SLOPE, 0.5),
+        (0.4, 0.9 * SLOPE, 0.0),  # a slope, which is predicted better than copied
+        (0.05, 2.1 * SLOPE, 0.0),  # 10 m: past a surface as near a LiDAR sees
+        (0.4, -2.1 * SLOPE, 0.0),  # before it
+    ],
+)
+def test_beside_a_return_one_behind_that_cannot_show_through_is_taken(depth, step, weight):
+    returned = depth * (1 + step)
+    found, _ = taken(0.0, 0.0, depth, r40c40=returned)
+    for row, column in ((38, 38), (40, 42), (39, 41)):
+        assert found[row, column].item() == pytest.approx(
+            depth + weight * (returned - depth), rel=1e-4
+        )
+    assert found[40, 43].item() == pytest.approx(depth)
+
+
 @pytest.mark.parametrize(("range_m", "weight"), [(50.0, 0.0), (200.0, 1.0)])
 def test_parallax_is_counted_in_metres(range_m, weight):
     """A return a tenth behind 0.4: 20 and 80 m."""
     around, nothing = dilate_returns(measured(r40c40=0.44)), torch.zeros(1, 3, *SIZE)
-    inverse = torch.full_like(DEPTH, 1 / 0.4)
-    found, _ = take_returns(inverse, SCALE, around, nothing, max_depth_m=range_m)
-    assert found[0, 0, 40, 40].item() == pytest.approx(0.4 + weight * 0.04)
-    assert found[0, 0, 41, 41].item() == pytest.approx(0.4)
+    depth = torch.full_like(DEPTH, 0.4)
+    found, _ = take_returns(depth, SCALE, around, nothing, max_depth_m=range_m)
+    assert found[0, 0, 41, 41].item() == pytest.approx(0.4 + weight * 0.04)

@@ -54,7 +54,7 @@ def weights(tmp_path):
         encoder_widths=(16,) * 16, decoder_channels=(16, 16, 16), geometry_channels=8
     )
     network = SSDNetLite(config)
-    torch.nn.init.normal_(network.surface_depth.image.weight)
+    torch.nn.init.normal_(network.surface_depth.head.weight)
     path = tmp_path / "small.pt"
     save_checkpoint(path, network, training={"data": ["made"], "trained_height": 96})
     return path

@@ -25,7 +25,7 @@ def test_changes_are_of_every_stage():
     changed = read_stages("nano", ["schedule.steps = 600", "data.augment.lines = [4]"])
     assert [stage.recipe.schedule.steps for stage in changed] == [600] * 3
     assert [stage.recipe.data.augment.lines for stage in changed] == [(4,)] * 3
-    assert [stage.recipe.data.seed for stage in changed] == [61, 62, 64]
+    assert [stage.recipe.data.seed for stage in changed] == [61, 62, 202]
     widths = "model.config.encoder_widths = [8]"
     with pytest.raises(InputError, match=r"lite: model\.config\.encoder_widths is not the same in"):
         read_stages("lite", [widths])  # the trunk is pruned between two stages

@@ -178,7 +178,7 @@ DEPTH = derive(
     JOINT,
     data={
         "batch_size": 4,
-        "seed": 205,
+        "seed": 201,
         "rare_classes": (),
         "augment": {
             "rare_crops": 0.0,
@@ -203,7 +203,7 @@ DEPTH = derive(
             replace(_VARIED, weight=0.06, scans=False, scale=None),
         ),
     },
-    # Some squared error: where the image does not show an edge, the depth hedges.
+    # A little squared error hedges at edges. Of 0.1 and more, few-line scans dominate the gradient.
     loss={
         **DEPTH_ALONE,
         "metric_l2": 0.02,
@@ -215,9 +215,9 @@ DEPTH = derive(
         "encoder_rate": 1e-3,
         "frozen": ("encoder", "context", "boundary", "semantic", "surface_depth.embed"),
     },
-    schedule=ScheduleRecipe(steps=2600, warmup_steps=50),
+    schedule=ScheduleRecipe(steps=4500, warmup_steps=50),
     loop={"ema_decay": 0.99},
-    validation={"every": 1300, "source": (VALIDATION_STREETS,)},
+    validation={"every": 1500, "source": (VALIDATION_STREETS,)},
     release=ReleaseRecipe(),
 )
 

@@ -265,7 +265,7 @@ def test_create_model_lists_the_known_names():
 def test_only_gated_decoders_depend_on_the_boundary(name, gating):
     model = build(name, **({"boundary_gating": gating} if name != "ssdnet-lite" else {})).eval()
     if name == "ssdnet-lite":  # a new one answers with the base
-        torch.nn.init.normal_(model.surface_depth.image.weight)
+        torch.nn.init.normal_(model.surface_depth.head.weight)
     inputs = frame(64, 96)
     free = model(*inputs)
     for side in model.boundary_decoder.sides:
