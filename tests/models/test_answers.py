@@ -3,7 +3,7 @@
 import torch
 
 from models.answers import answers, class_ids, with_thin_boundary
-from models.network import NetworkOutput
+from models.network import CLASS_STRIDE, NetworkOutput, class_scores
 from runtime.contract import NO_CLASS
 
 
@@ -36,3 +36,12 @@ def test_pixels_of_scores_that_are_not_finite_have_no_class():
     expected = torch.full((1, 4, 5), 2, dtype=torch.uint8)
     expected[0, 0, 0] = expected[0, 3, 4] = NO_CLASS
     assert torch.equal(class_ids(scores), expected)
+
+
+def test_classes_are_decided_on_a_grid_of_at_most_two_pixels():
+    scores = torch.randn(1, 3, 4, 5)
+    for stride, factor in ((1, 1), (2, 1), (4, 2), (8, 4)):
+        finer, decided = class_scores(scores, stride)
+        assert decided == min(stride, CLASS_STRIDE)
+        assert finer.shape[2:] == (4 * factor, 5 * factor)
+    assert torch.equal(class_scores(scores, 2)[0], scores)

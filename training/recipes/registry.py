@@ -29,12 +29,8 @@ _SINGLE = {
 RECIPES: Mapping[str, PackageRecipe] = {
     "lite": _described(lite, lite.STAGES),
     "nano": _described(nano, nano.STAGES),
-    "lite-depth": PackageRecipe(
-        "the last stage of lite alone: its depth", (Stage("", lite.DEPTH),)
-    ),
-    "nano-depth": PackageRecipe(
-        "the last stage of nano alone: its depth", (Stage("", nano.DEPTH),)
-    ),
+    "lite-depth": PackageRecipe("The last stage of lite: its depth.", (Stage("", lite.DEPTH),)),
+    "nano-depth": PackageRecipe("The last stage of nano: its depth.", (Stage("", nano.DEPTH),)),
     "kitti-depth": _described(kitti_depth, (Stage("", kitti_depth.RECIPE),)),
     **{name: PackageRecipe(text, (Stage("", recipe),)) for name, (text, recipe) in _SINGLE.items()},
 }
