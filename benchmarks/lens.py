@@ -18,11 +18,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rigs import FARTHEST_M
 from runtime import Predictor
 from runtime.io.calibration import Calibration
 from runtime.lens import rays
 from runtime.projection import project_with_rows
+from training.evaluation.metrics import FARTHEST_M
 
 K1, ENLARGED = -0.35, 1.12
 SIDES = 1 / 6

@@ -36,13 +36,13 @@ from training.datasets.source_recipe import SourceRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.classical import METHODS
 from training.evaluation.evaluate import short_names
+from training.evaluation.metrics import FARTHEST_M, frame_errors
 from training.evaluation.scored_model import open_method, open_model
 from training.evaluation.scoring import Predict
 from training.lidar.split import LidarInput, frame_generator, random_share, split_lidar
 from training.loading.open_dataset import open_dataset
 
 ROWS = 400
-FARTHEST_M = 100.0
 WIDE_DEG = 80.0
 REFERENCES = ("linear", "planes")
 Depth = NDArray[np.float32]
@@ -185,15 +185,14 @@ SETS: Mapping[str, tuple[str, Read]] = {
 }
 
 
-def score(predict: Predict, frames: Sequence[Frame], *, focal: bool = True) -> NDArray[np.float64]:
+def score(predict: Predict, frames: Sequence[Frame]) -> NDArray[np.float64]:
     """Return MAE, RMSE and median error [m] up to FARTHEST_M, means over frames, (3,)."""
     figures = []
     for frame in frames:
         fed = np.where(frame.fed > FARTHEST_M, np.float32(0), frame.fed)
-        answer = predict(frame.rgb, fed, frame.focal_length_px if focal else None)
-        known = (frame.truth > 0) & (frame.truth <= FARTHEST_M)
-        error = np.abs(np.minimum(answer.depth[known], FARTHEST_M) - frame.truth[known])
-        figures.append((error.mean(), math.sqrt(np.square(error).mean()), np.median(error)))
+        answer = predict(frame.rgb, fed, frame.focal_length_px)
+        assert answer.depth is not None
+        figures.append(frame_errors(answer.depth, frame.truth))
     return np.mean(figures, axis=0)
 
 

@@ -1,10 +1,11 @@
 """Depth that starts from a base that the returns give, and departs from it to measured surfaces.
 
-Beside returns the depth is the base (`models.planes`), which passes through them, unless the
-geometry of the returns, the boundary and a few class-like channels say that a pixel is of the
-nearest or the farthest surface around: for a mean of 5 m and 80 m is the depth of no surface. These
-travel to other cameras; features of the image do not. Farther from returns the image decides: the
-plane between the returns, both surfaces, or its guess, where returns end or a car returns nothing.
+Beside returns the depth is the mean of two. One is the base (`models.planes`), which passes through
+them, unless the geometry of the returns, the boundary and a few class-like channels say that a
+pixel is of the nearest or the farthest surface around: for a mean of 5 m and 80 m is the depth of
+no surface. These travel to other cameras; features of the image do not. The other is the choice of
+the image, which alone decides farther from returns: the plane between the returns, both surfaces,
+or its guess, where returns end or a car returns nothing.
 At the image's size each return then replaces the depth of the pixels around it, weighted by the
 network's confidence in it. Near and far surfaces kept apart resemble twin surface extrapolation
 (Imran et al. 2021).
@@ -155,8 +156,6 @@ def limit_guess(surfaces: Surfaces, count: Tensor) -> Tensor:
 APART = 0.08
 #: Greatest log ratio of a surface to the base.
 MOST_APART = 2.5
-
-
 #: Largest share of the base; the image keeps the rest, and the mean of both is better than either.
 MOST_BESIDE = 0.5
 
@@ -383,7 +382,7 @@ def position(x: Tensor) -> Tensor:
 def join_base(
     inverse: Tensor, scale: Tensor, geometry: Tensor, base: Tensor, beside: Beside
 ) -> tuple[Tensor, Tensor]:
-    """Replace the choice beside returns by the base, or by a departure where surfaces differ.
+    """Average the choice beside returns with the base, departed from where surfaces differ.
 
     Args:
         inverse: of the chosen normalised depth, (N, 1, H, W), on the grid of BASE_CELL.

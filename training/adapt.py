@@ -5,7 +5,6 @@ are trained, so that classes and boundaries stay what they are. On frames kept a
 before is scored beside the one after, and the better one is kept.
 """
 
-import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -32,7 +31,7 @@ from training.chosen_recipe import config_changes
 from training.datasets.folders import FoldersRecipe
 from training.datasets.sample import Sample
 from training.evaluation.classical import create_method
-from training.evaluation.metrics import FARTHEST_M
+from training.evaluation.metrics import FARTHEST_M, frame_errors
 from training.evaluation.scored_model import method_predict, trained_classes
 from training.evaluation.scoring import Predict, torch_predict
 from training.initial_weights import Weights
@@ -275,13 +274,10 @@ def score(predict: Predict, samples: Sequence[Sample]) -> dict[str, NDArray[np.f
         for name, feed in FEEDS.items():
             fed = feed(sample, number)
             truth = OcclusionFilter().apply(masked(sample.depth, fed == 0), sample.depth)
-            known = (truth > 0) & (truth <= FARTHEST_M)
-            if known.any():
+            if ((truth > 0) & (truth <= FARTHEST_M)).any():
                 answer = predict(sample.rgb, fed, sample.focal_length_px).depth
                 assert answer is not None
-                error = np.abs(np.minimum(answer[known], FARTHEST_M) - truth[known])
-                figures = error.mean(), math.sqrt(np.square(error).mean()), np.median(error)
-                found[name].append(figures)
+                found[name].append(frame_errors(answer, truth))
     return {name: np.mean(figures, axis=0) for name, figures in found.items() if figures}
 
 

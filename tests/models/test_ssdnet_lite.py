@@ -89,10 +89,15 @@ def trained(name):
 
 def test_the_choice_reads_the_features_of_the_semantic_decoder():
     """The layer is zero at first, so that weights without it give the same depth."""
-    network = trained("ssdnet-nano")
-    network(*scanned()).depths[0].sum().backward()
+    network, frame = trained("ssdnet-nano"), scanned()
+    before = network(*frame).depths[0]
+    before.sum().backward()
     for layer in (network.surface_depth.semantics, network.surface_depth.classes):
         assert layer.weight.grad.abs().max() > 0
+    with torch.no_grad():
+        network.surface_depth.semantics.weight.fill_(0.5)
+        changed = network(*frame).depths[0]
+    assert (changed - before).abs().max() > 1e-3
 
 
 @pytest.mark.parametrize("name", ["ssdnet-lite", "ssdnet-nano"])
@@ -132,12 +137,15 @@ def test_features_that_no_activation_bounds_do_not_drown_what_they_are_added_to(
         assert torch.allclose(scaled, plain, atol=1e-3)
 
 
-def test_an_additive_refinement_adds_to_the_scores_at_stride_4():
+def test_an_additive_refinement_adds_to_what_both_heads_answer_at_stride_4():
     torch.manual_seed(0)
     network = create_model("ssdnet-lite").eval()
     rgb, sparse = torch.rand(1, 3, 64, 96) * 255, torch.zeros(1, 1, 64, 96)
     sparse[..., ::4, ::4] = 12.0
     both = network.predict_coarse(rgb, sparse)
+    both.depths[0].sum().backward()
+    assert network.surface_depth.coarse_head.weight.grad.abs().max() > 0
+    assert network.surface_depth.head.weight.grad.abs().max() > 0
     parts = []
     for silent in (network.semantic_head, network.semantic_coarse_head):
         kept = {name: value.clone() for name, value in silent.state_dict().items()}

@@ -5,6 +5,7 @@ Each `...Scores` accumulates over frames with `update`, adds another's sums with
 averaged over frames. A number that nothing was measured for is NaN.
 """
 
+import math
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any, Self
@@ -390,3 +391,20 @@ def _ratio(numerator: Any, denominator: Any) -> NDArray[np.float64]:
 
 def _mean(values: NDArray[np.float64]) -> float:
     return float(values.mean()) if values.size else float("nan")
+
+
+def frame_errors(
+    depth: NDArray[np.float32], truth: NDArray[np.float32]
+) -> tuple[float, float, float]:
+    """Return MAE, RMSE and median of the absolute errors [m] of a frame with truth.
+
+    A depth beyond `FARTHEST_M` counts as that: otherwise a method that does not know the limit
+    would be behind.
+
+    Args:
+        depth: (H, W), metres.
+        truth: (H, W), metres, 0 = none; not scored beyond `FARTHEST_M`.
+    """
+    known = (truth > 0) & (truth <= FARTHEST_M)
+    error = np.abs(np.minimum(depth[known], FARTHEST_M) - truth[known])
+    return float(error.mean()), math.sqrt(np.square(error).mean()), float(np.median(error))
