@@ -79,13 +79,17 @@ class OwnFolders:
         images = self.images.resolve()
         # The set is the images' folder: a run's files beside it are not files of the data.
         keys: dict[str, Any] = {"path": images.name, "rgb": "."}
+        # Without labels the depth is trained: what is not fed is the target.
+        fed = None if self.labels is None else self.depth
         for key, folder in (
             ("labels", self.labels),
             ("depth", self.depth),
-            ("sparse_depth", self.depth),
+            ("sparse_depth", fed),
         ):
             if folder is not None:
                 keys[key] = os.path.relpath(folder.resolve(), images)
+        if self.labels is None:
+            keys["scan"] = True
         frames = Folders(images, FoldersRecipe(**keys), classes or "camvid")
         count = len(frames)
         if count < _VALIDATION:
@@ -116,7 +120,7 @@ def _describe(
     classes: Sequence[ClassInfo], rows: int, keys: Mapping[str, Any], first: int, count: int
 ) -> Iterator[str]:
     """Yield the lines of a recipe whose validation begins with the frame of number ``first``."""
-    has_depth = "depth" in keys
+    has_depth, is_scan = "depth" in keys, "scan" in keys
     yield "[model]"
     if classes:
         yield "classes = ["
@@ -126,14 +130,19 @@ def _describe(
     yield f"trained_height = {rows}  # of the images [px]"
     yield "\n[data]"
     yield f"batch_size = {_BATCH}"
-    if has_depth:
+    if has_depth and not is_scan:
         yield "augment.lidar_random = 1.0  # a random share of the returns is the input"
     for table, chosen in (
         ("data", f"last = {first - 1}  # of {count} frames"),
         ("validation", f"first = {first}"),
     ):
         if table == "validation" and has_depth:
-            yield '\n[validation]\nlidar = "random:0.5"  # half of the returns are the input'
+            yield "\n[validation]"
+            yield (
+                'lidar = "own"  # every second line is the input'
+                if is_scan
+                else 'lidar = "random:0.5"  # half of the returns are the input'
+            )
         yield f"\n[[{table}.source]]"
         yield f'kind = "folders"\nname = "{"train" if table == "data" else "val"}"'
         yield from (f"{key} = {_quoted(value)}" for key, value in keys.items())
@@ -177,8 +186,8 @@ def keep_recipe(text: str, out: Path) -> None:
         atomic_write(path, text.encode())
 
 
-def _quoted(value: str | int) -> str:
-    """Return a text or a number as TOML."""
+def _quoted(value: str | int | bool) -> str:
+    """Return a text, a number or a truth value as TOML."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 

@@ -11,10 +11,11 @@ from runtime.errors import InputError
 from runtime.sources.registry import open_source
 from runtime.sources.source import ListedFrame
 from training import adapt as adapting
-from training.adapt import FEEDS, adapt, choose_frames, every_second_line
+from training.adapt import FEEDS, adapt, choose_frames, every_second_line, make_recipe
 from training.cli import app
-from training.datasets.sample import Sample
 from training.initial_weights import read_weights
+from training.loading.augment import draw_lidar
+from training.loading.open_dataset import open_dataset
 
 SIZE, FOCAL_PX = (96, 160), 120.0
 STEPS = ["schedule.steps = 2", "schedule.warmup_steps = 0", "data.augment.crop = [64, 96]"]
@@ -95,6 +96,7 @@ def test_the_better_model_is_kept_and_its_scores_are_shown(
         return dict.fromkeys(FEEDS, np.full(3, next(errors)))
 
     monkeypatch.setattr(adapting, "score", score)
+    monkeypatch.setattr(adapting, "MOST_CHANGE", 1.0)
     found = adapt(open_rig(rig), init, tmp_path / "out", changes=STEPS)
     assert found.paid == (better == "after")
     trained = load_checkpoint(tmp_path / "out" / "training" / "model.pt")
@@ -107,7 +109,22 @@ def test_the_better_model_is_kept_and_its_scores_are_shown(
     assert "9000 / 9000, 9000" in text
     assert ("does not pay" in text) == (better == "before")
     assert ("-50.0 %" in text) == (better == "after")
-    assert "0.0 % of the pixels change class" in text
+    assert "0.0 % of the classes" in text
+
+
+def test_what_forgets_other_rigs_is_not_kept(rig, weights, tmp_path, monkeypatch):
+    errors = iter((9.0, 4.0, 3.0, 2.0))  # linear, before, between, after
+    monkeypatch.setattr(
+        adapting, "score", lambda *_: dict.fromkeys(FEEDS, np.full(3, next(errors)))
+    )
+    changes = {"before": 0.0, "between": 0.02, "after": 0.04}
+    found = iter(changes.values())
+    monkeypatch.setattr(adapting, "bundled_changes", lambda *_: adapting.Changes(0.0, next(found)))
+    text = "\n".join(
+        adapt(open_rig(rig), read_weights(weights), tmp_path / "out", changes=STEPS).lines
+    )
+    assert "kept: between, -25.0 %" in text
+    assert "4.0 %, too much to be kept" in text
 
 
 def listed(count, step_ns=10**8, **keys):
@@ -144,16 +161,22 @@ def test_a_network_without_depth_is_refused(rig, tmp_path):
         adapt(open_rig(rig), read_weights(path), tmp_path / "out")
 
 
-def test_every_second_line_is_a_band_of_elevation():
-    depth = np.full(SIZE, 10, np.float32)
-    rgb = np.zeros((*SIZE, 3), np.uint8)
-    sample = Sample(rgb, targets={"depth": depth}, intrinsics=None, name="a")
-    first, second = (every_second_line(sample, number) for number in (0, 1))
-    assert not ((first > 0) & (second > 0)).any()
-    assert ((first > 0) | (second > 0)).all()
-    middle = first[:, SIZE[1] // 2] > 0
-    assert 0.4 < middle.mean() < 0.6
-    assert np.count_nonzero(np.diff(middle.astype(int))) > 20
+def test_what_is_not_fed_is_the_target(rig, weights, tmp_path):
+    recording = tmp_path / "out" / "recording"
+    adapt(open_rig(rig), read_weights(weights), tmp_path / "out", changes=STEPS)
+    recipe = make_recipe(read_weights(weights), recording, FOCAL_PX)
+    frames = open_dataset(recipe.data.source[0], [tmp_path / "out"], classes=())
+    sample = frames[0]
+    returns = sample.depth > 0
+    for seed in range(8):
+        drawn = draw_lidar(sample, recipe.data.augment, np.random.default_rng(seed))
+        fed, target = drawn.sparse_depth > 0, drawn.depth > 0
+        assert 0.02 < fed.sum() / returns.sum() < 0.9
+        assert target.any()
+        assert not (fed & target).any()
+        assert not ((fed | target) & ~returns).any()
+    first, second = (every_second_line(sample, number) > 0 for number in (0, 1))
+    np.testing.assert_array_equal(first ^ second, returns)
 
 
 def test_the_command_prints_the_scores_and_what_to_run_next(rig, weights, tmp_path):

@@ -27,6 +27,7 @@ from training.datasets.files import (
 )
 from training.datasets.sample import IGNORE, FrameList, Sample, nothing_known
 from training.datasets.source_recipe import RangeRecipe
+from training.lidar.scan import elevation_bands
 from training.limits import STRICT, Positive, Share
 
 _Folder = Annotated[str, Field(min_length=1)]
@@ -43,6 +44,8 @@ class FoldersRecipe(RangeRecipe):
     depth: _Folder | None = None
     #: 16-bit PNGs, a recorded input in addition to that target.
     sparse_depth: _Folder | None = None
+    #: The depth is a LiDAR's: a part of the returns is the input, the others are the target.
+    scan: bool = False
     #: PNGs of ids in ``model.classes``, or of ``label_classes``, see `read_gray`.
     labels: _Folder | None = None
     #: "cityscapes": trainIds, which are mapped to ``model.classes``.
@@ -62,7 +65,9 @@ class FoldersRecipe(RangeRecipe):
     semantic_weight: Share = 1.0
 
     def __post_init__(self) -> None:
-        """Check that the ids have one meaning."""
+        """Check that the ids have one meaning, and the returns one use."""
+        if self.scan and self.sparse_depth is not None:
+            raise ValueError("scan and sparse_depth both say what the input is; set one of them")
         if self.label_ids and self.label_classes is not None:
             raise ValueError("label_ids and label_classes both name the ids; set one of them")
         if self.ignore != IGNORE and (self.label_ids or {}).get(self.ignore, "ignore") != "ignore":
@@ -164,6 +169,7 @@ class Folders(FrameList):
             sparse_depth = nothing_known(size)
             if path := self._find(recipe.sparse_depth, listed.name):
                 sparse_depth = read_depth(path, size, depth_scale=recipe.depth_scale)
+        scan_line = elevation_bands(frame.sparse_depth, intrinsics) if recipe.scan else None
         targets: dict[str, NDArray[Any]] = {}
         if listed.depth is not None:
             targets["depth"] = frame.sparse_depth
@@ -175,6 +181,7 @@ class Folders(FrameList):
             intrinsics=intrinsics,
             name=f"{self._root.name}/{listed.name}",
             sparse_depth=sparse_depth,
+            scan_line=scan_line,
             weights={"semantic": recipe.semantic_weight},
         )
 

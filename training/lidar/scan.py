@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from runtime.projection import project_with_rows
 
+#: Height of the bands of `elevation_bands`: about the distance of two lines [degrees].
+_BAND_DEG = 0.5
 #: Steps back in azimuth smaller than this are jitter inside one line, not the next line [degrees].
 _LINE_BREAK_DEG = 5.0
 
@@ -29,6 +31,25 @@ def scan_line_of(points: NDArray[np.float32]) -> NDArray[np.int16]:
     line = np.zeros(len(points), dtype=np.int16)
     line[1:] = np.cumsum(np.diff(azimuth) < -_LINE_BREAK_DEG)
     return line
+
+
+def elevation_bands(
+    depth: NDArray[np.float32], intrinsics: NDArray[np.float64] | None
+) -> NDArray[np.int16]:
+    """Number bands of elevation, top to bottom: lines of a scan whose points have no order.
+
+    depth: (H, W), 0 = no return. intrinsics: (3, 3); None = a focal length of the larger side.
+    Returns int16 (H, W), from 0, -1 where there is no return.
+    """
+    height, width = depth.shape
+    if intrinsics is None:
+        side = float(max(height, width))
+        intrinsics = np.array([[side, 0, width / 2], [0, side, height / 2], [0, 0, 1]])
+    rows, columns = np.mgrid[:height, :width]
+    across = (columns - intrinsics[0, 2]) / intrinsics[0, 0]
+    down = (rows - intrinsics[1, 2]) / intrinsics[1, 1]
+    band = np.degrees(np.arctan2(down, np.hypot(across, 1.0))) // _BAND_DEG
+    return np.where(depth > 0, band - band.min(), -1).astype(np.int16)
 
 
 def project_lines(

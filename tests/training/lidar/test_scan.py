@@ -10,7 +10,7 @@ import pytest
 from runtime import project_points
 from runtime.io.calibration import Calibration
 from training.datasets.files import read_points
-from training.lidar.scan import project_lines, scan_line_of
+from training.lidar.scan import elevation_bands, project_lines, scan_line_of
 
 
 @pytest.fixture(scope="module")
@@ -77,3 +77,21 @@ def test_projection_equals_the_recorded_depth_maps(stream):
         other = np.abs(depth * 256 - recorded) > 0.51
         assert np.count_nonzero(other) < 10
         assert np.count_nonzero(recorded) > 15000
+
+
+def test_bands_of_elevation_without_and_with_intrinsics():
+    depth = np.ones((101, 201), np.float32)
+    depth[::2] = 0
+    intrinsics = np.array([[200.0, 0, 100], [0, 200, 50], [0, 0, 1]])
+    band = elevation_bands(depth, intrinsics)
+    assert band.dtype == np.int16
+    np.testing.assert_array_equal(band < 0, depth == 0)
+    middle = band[1::2, 100]
+    degrees = np.degrees(np.arctan((np.arange(1, 101, 2) - 50) / 200))
+    expected = np.floor(degrees / 0.5) - np.floor(np.degrees(np.arctan(-50 / 200)) / 0.5)
+    np.testing.assert_array_equal(middle, expected)
+    # A line of a scan is bent towards the image's middle row at the sides.
+    assert band[1, 0] > band[1, 100]
+    assert band[99, 0] < band[99, 100]
+    near = elevation_bands(depth, None)
+    assert np.abs(near[1::2, 100] - middle).max() <= 1
