@@ -336,9 +336,11 @@ class SurfaceDepthHead(nn.Module):
         maps = torch.cat([1.0 / depth, scale, boundary_logits], dim=1)
         maps = upsample(maps, factor=self.cell // BASE_CELL)
         inverse, scale, boundary_logits = maps.split(1, dim=1)
-        inverse, scale = join_base(
-            inverse, scale, geometry, candidates.base.base, candidates.beside
-        )
+        beside = candidates.beside
+        if self.training:
+            # One of both alone in two of three steps: neither learns to make up for the other.
+            beside = beside._replace(share=beside.share * torch.randint(3, ()).to(beside.share))
+        inverse, scale = join_base(inverse, scale, geometry, candidates.base.base, beside)
         maps = upsample(torch.cat([inverse, scale, boundary_logits], dim=1), factor=BASE_CELL)
         inverse, scale, boundary_logits = maps.split(1, dim=1)
         # One value a cell is enough: the returns give the position of an edge.

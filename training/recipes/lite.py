@@ -211,13 +211,12 @@ DEPTH = derive(
         "depth_seam_weight": 2.0,
     },
     optimizer={
-        "learning_rate": 1.5e-3,
-        "encoder_rate": 1e-3,
+        "learning_rate": 1e-3,
         "frozen": ("encoder", "context", "boundary", "semantic", "surface_depth.embed"),
     },
-    schedule=ScheduleRecipe(steps=4500, warmup_steps=50),
+    schedule=ScheduleRecipe(steps=3600, warmup_steps=50),
     loop={"ema_decay": 0.99},
-    validation={"every": 1500, "source": (VALIDATION_STREETS,)},
+    validation={"every": 1200, "source": (VALIDATION_STREETS,)},
     release=ReleaseRecipe(),
 )
 

@@ -49,8 +49,8 @@ DEPTH = derive(
     lite.DEPTH,
     model={"name": "ssdnet-nano"},
     data={"seed": 202},
-    schedule={"steps": 6000},
-    validation={"every": 2000},
+    schedule={"steps": 4500},
+    validation={"every": 1500},
 )
 
 #: What the training frames then still found too often or too seldom (benchmarks/logit_offsets.py).
