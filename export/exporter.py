@@ -24,6 +24,7 @@ from export.probe_frames import ProbeFrame, probe_frames, recorded_frames
 from export.trace import DEFAULT_OPSET, trace
 from export.triton import require_replaceable, write_triton_model
 from models import Checkpoint, Network, load_checkpoint
+from models.answers import check_output
 from runtime import Contract, InputError, OutputError, __version__
 from runtime.contract import MIN_SIDE, SCHEMA_VERSION, check_size
 from runtime.io.atomic_write import atomic_file
@@ -98,7 +99,8 @@ def export_checkpoint(
         InputError: for an invalid size, and for sets of too few frames or that cannot tell the
             accuracy.
         OutputError: for a target that exists (without `overwrite`) or cannot be written.
-        ExportError: for weights that are not finite, if the graph cannot be made or differs
+        ExportError: for weights that are not finite, a network that does not return what it
+            declares, see `models.answers.check_output`, if the graph cannot be made or differs
             from PyTorch by more than rounding, and for a gate that is missed.
         DatasetError: for data that cannot be read.
     """
@@ -114,6 +116,10 @@ def export_checkpoint(
     _check_target(target, Path(checkpoint_path), overwrite=overwrite)
     checkpoint = load_checkpoint(checkpoint_path)
     _require_finite(checkpoint.model)
+    try:
+        check_output(checkpoint.model)
+    except ValueError as error:
+        raise ExportError(f"{checkpoint_path}: {error}") from error
     if isinstance(precision, Int8Options):
         from export.int8 import require_frames  # needs the packages of training
 

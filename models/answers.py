@@ -5,7 +5,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from models.blocks import repeat
-from models.network import CLASS_STRIDE, NetworkOutput
+from models.network import CLASS_STRIDE, Network, NetworkOutput
 from runtime.contract import NO_CLASS
 from runtime.heads import HEADS, Unit
 
@@ -85,3 +85,76 @@ def with_thin_boundary(found: dict[str, Tensor]) -> dict[str, Tensor]:
     height, width = found["boundary"].shape[-2:]
     differences = repeat(differences, CLASS_STRIDE)[:, 0, :height, :width]
     return found | {"boundary": found["boundary"] * differences}
+
+
+#: Odd sides that no stride divides.
+_PROBED = (37, 53)
+
+
+def check_output(network: Network) -> None:
+    """Check what a network returns against what it declares, on one small image of odd sides.
+
+    Raises:
+        ValueError: if the network fails on it, lacks a head of `Network.heads` or the layer
+            `semantic_head`, or returns other heads, numbers of channels or grids, NaN or Inf, or
+            a depth outside 0..1.
+    """
+    training = network.training
+    noise = torch.rand(1, 4, *_PROBED, generator=torch.Generator().manual_seed(0))
+    sparse_depth = 50.0 * (noise[:, 3:] - 0.5)  # half of the pixels have no return
+    try:
+        with torch.no_grad():
+            output = network.eval().predict_coarse(255.0 * noise[:, :3], sparse_depth)
+    except RuntimeError as error:
+        raise ValueError(
+            f"predict_coarse fails on an image of {_PROBED[0]}x{_PROBED[1]} ({error}). Pad the "
+            "image at the bottom and right to a multiple of the stride: models.blocks."
+            "pad_to_multiple."
+        ) from error
+    finally:
+        network.train(training)
+    if not isinstance(output, NetworkOutput) or not isinstance(output.depths, tuple | None):
+        raise ValueError(
+            "predict_coarse returned another type; expected a NetworkOutput, whose depths are a "
+            "tuple, the finest first."
+        )
+    maps = head_maps(output)
+    if found := set(maps).symmetric_difference(network.heads):
+        raise ValueError(
+            f"heads = {network.heads}, but predict_coarse returned {tuple(maps)}; "
+            f"{', '.join(sorted(found))} must be in both or in none."
+        )
+    for head, values in maps.items():
+        _check_map(network, head, values)
+    if "semantic" in maps:
+        last = getattr(network, "semantic_head", None)
+        if not isinstance(getattr(last, "bias", None), Tensor):
+            raise ValueError(
+                "the last convolution of the classes must be called semantic_head, and have a bias."
+            )
+
+
+def _check_map(network: Network, head: str, values: Tensor) -> None:
+    channels = network.config.num_classes if head == "semantic" else 1
+    stride = network.head_stride(head)
+    least = [-(-side // stride) for side in _PROBED]
+    most = [-(-side // network.stride) * network.stride // stride for side in _PROBED]
+    shape = tuple(values.shape)
+    if shape[:2] != (1, channels) or not all(
+        low <= side <= max(low, high)
+        for low, side, high in zip(least, shape[2:], most, strict=True)
+    ):
+        raise ValueError(
+            f"predict_coarse returned {head} as {shape} for an image of {_PROBED[0]}x{_PROBED[1]}; "
+            f"expected {(1, channels, *least)}, or as many cells as cover the image padded to a "
+            f"multiple of stride = {network.stride}. The grid is declared by {head}_stride = "
+            f"{stride}."
+        )
+    if not values.isfinite().all():
+        raise ValueError(f"predict_coarse returned NaN or Inf as {head}.")
+    if head == "depth" and not 0 <= float(values.min()) <= float(values.max()) <= 1 + 1e-5:
+        raise ValueError(
+            f"predict_coarse returned a depth of {float(values.min()):.3g} to "
+            f"{float(values.max()):.3g}; expected 0..1, shares of max_depth_m = "
+            f"{network.config.max_depth_m:g} m."
+        )

@@ -128,8 +128,8 @@ def _document(content: bytes) -> str:
     key = content.rfind(_KEY + _VALUE)
     if key < 0:
         raise ContractError(
-            f"the ONNX file has no metadata {METADATA_KEY!r}: it is truncated or damaged, or not a "
-            "model for this engine; get it again, or export one with ssdnet-export"
+            f"the ONNX file has no metadata {METADATA_KEY!r}: it was not written by ssdnet-export, "
+            "or is truncated; export a checkpoint with ssdnet-export"
         )
     length = _LENGTH.match(content, key + len(_KEY + _VALUE))
     if length is None:

@@ -54,7 +54,8 @@ def survey(recipe: Recipe, sources: Sequence[SampleSource], config: NetworkConfi
                 f"{number} of {len(frames)} frames of {item.title} have no {target} to learn from"
             )
             notes.append((target, text))
-        if known - near > _FAR_SHARE * known:
+        # Only where the user states the unit can it be wrong.
+        if known - near > _FAR_SHARE * known and hasattr(item, "depth_scale"):
             text = f"{item.title}: {1 - near / known:.0%} of the depth is beyond "
             text += f"{config.target_depth_m:g} m and not trained: check the unit (depth_scale)"
             notes.append(("depth", text))

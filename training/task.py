@@ -16,6 +16,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from models import Network
+from models.answers import check_output
 from runtime.contract import MIN_SIDE
 from runtime.cores import available_cores
 from runtime.errors import InputError
@@ -113,6 +114,10 @@ def open_task(
     train_parts(network, recipe.optimizer.only, recipe.optimizer.frozen)
     if recipe.optimizer.encoder_rate is not None:
         require_encoder(network)
+    try:
+        check_output(network)
+    except ValueError as error:
+        raise InputError(f"the network {network.config.name!r}: {error}") from error
     _require_batches(network, decided, processes)
     _require_learning(recipe, network, sources)
     targets = recipe.loss.targets_for(network.heads)

@@ -101,13 +101,17 @@ def make_feeds(
 ) -> tuple[Feeds, tuple[str, ...]]:
     """Fill a session's inputs; return them and `Opened.notes`. Raises InputError.
 
-    Free axes are the batch, height, width and 3 channels, see `_free_axes`; others are fixed.
+    Free axes are the batch, height, width and 3 channels, see `_free_axes`; others are fixed. A
+    name of an axis means the same in all inputs.
     """
     feeds, takes_size, takes_batch = {}, False, batch == 1
+    sides = {"N": batch, "C": 3, "H": size[0], "W": size[1]}
+    roles = {item.shape[at]: role for item in inputs for role, at in _free_axes(item.shape).items()}
     for item in inputs:
-        axes, shape = _free_axes(item.shape), list(item.shape)
+        named = {roles[side]: at for at, side in enumerate(item.shape) if side and side in roles}
+        axes, shape = named | _free_axes(item.shape), list(item.shape)
         for role, at in axes.items():
-            shape[at] = {"N": batch, "C": 3, "H": size[0], "W": size[1]}[role]
+            shape[at] = sides[role]
         if unknown := [side for side in shape if not isinstance(side, int)]:
             raise InputError(
                 f"the input {shown(item.name)}: whether {shown(unknown[0])} of {list(item.shape)} "

@@ -1,9 +1,14 @@
-"""Answers: thin boundaries, and classes of scores that are not finite."""
+"""Answers: thin boundaries, classes of scores that are not finite, and outputs as declared."""
 
+import pytest
 import torch
+from torch import nn
+from torch.nn import functional as F
 
-from models.answers import answers, class_ids, with_thin_boundary
-from models.network import CLASS_STRIDE, NetworkOutput, class_scores
+from models import create_model
+from models.answers import answers, check_output, class_ids, with_thin_boundary
+from models.blocks import pad_to_multiple
+from models.network import CLASS_STRIDE, Network, NetworkConfig, NetworkOutput, class_scores
 from runtime.contract import NO_CLASS
 
 
@@ -45,3 +50,68 @@ def test_classes_are_decided_on_a_grid_of_at_most_two_pixels():
         assert decided == min(stride, CLASS_STRIDE)
         assert finer.shape[2:] == (4 * factor, 5 * factor)
     assert torch.equal(class_scores(scores, 2)[0], scores)
+
+
+class Small(Network):
+    """A network of both heads on half the grid, right unless a test changes it."""
+
+    heads = ("semantic", "depth")
+    stride, semantic_stride, depth_stride = 4, 2, 2
+
+    def __init__(self):
+        super().__init__(NetworkConfig("small"))
+        self.semantic_head = nn.Conv2d(3, self.config.num_classes, 1)
+
+    def predict_coarse(self, rgb, sparse_depth):
+        x = F.avg_pool2d(pad_to_multiple(rgb, self.stride), 2)
+        return NetworkOutput(self.semantic_head(x), (torch.sigmoid(x[:, :1]),))
+
+
+def returns(change):
+    def predict_coarse(self, rgb, sparse_depth):
+        found = Small.predict_coarse(self, rgb, sparse_depth)
+        return change(found)
+
+    return {"predict_coarse": predict_coarse}
+
+
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        ({"depth_stride": 1}, "depth_stride = 1"),
+        ({"heads": ("semantic", "depth", "boundary")}, "boundary must be in both"),
+        (returns(lambda found: found._replace(semantic_logits=None)), "semantic must be in both"),
+        (returns(lambda found: found._replace(depths=found.depths[0])), "a tuple"),
+        (returns(lambda found: found.depths), "NetworkOutput"),
+        (returns(lambda found: found._replace(depths=(80 * found.depths[0],))), "expected 0..1"),
+        (returns(lambda found: found._replace(depths=(float("nan") * found.depths[0],))), "NaN"),
+        (
+            returns(lambda found: found._replace(semantic_logits=found.semantic_logits[:, :5])),
+            r"\(1, 11, 19, 27\)",
+        ),
+        ({"predict_coarse": lambda self, rgb, depth: rgb + rgb[..., ::2]}, "pad_to_multiple"),
+    ],
+)
+def test_a_network_that_does_not_return_what_it_declares_is_named(changed, named):
+    check_output(Small())
+    network = type("Changed", (Small,), changed)()
+    with pytest.raises(ValueError, match=named):
+        check_output(network)
+    assert network.training
+
+
+def test_the_last_layer_of_the_classes_has_its_name():
+    network = Small()
+    network.scores = network.semantic_head
+    del network.semantic_head
+    network.predict_coarse = lambda rgb, depth: NetworkOutput(
+        network.scores(pad_to_multiple(rgb, 4)[:, :, ::2, ::2]),
+        (torch.zeros(1, 1, 20, 28),),
+    )
+    with pytest.raises(ValueError, match="semantic_head"):
+        check_output(network)
+
+
+@pytest.mark.parametrize("name", ["ssdnet-small", "ssdnet-nano", "erfnet", "nconv"])
+def test_networks_return_what_they_declare(name):
+    check_output(create_model(name))

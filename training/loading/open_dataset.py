@@ -34,7 +34,9 @@ def _find_folder(recipe: SourceRecipe, roots: Sequence[Path]) -> Path:
     for root in roots:
         if (root / recipe.path).is_dir():
             return root / recipe.path
-    below = "" if Path(recipe.path).is_absolute() else f" below {', '.join(map(str, roots))}"
+    below = (
+        "" if Path(recipe.path).is_absolute() else f" in {', '.join(map(repr, map(str, roots)))}"
+    )
     raise DatasetError(
         f"no folder {recipe.path!r} ({recipe.kind}){below}. Name the folder that holds it with "
         "--data."

@@ -214,6 +214,14 @@ def test_free_axes_are_filled_where_they_are_certain(shape, filled, notes):
     assert (feeds["x"].shape, found) == (filled, notes)
 
 
+def test_names_of_axes_mean_the_same_in_all_inputs():
+    shapes = {"image": [1, "s62", "s73", 3], "lidar": [1, "s62", "s73"]}
+    inputs = [SimpleNamespace(name=n, type="tensor(float)", shape=s) for n, s in shapes.items()]
+    for order in (inputs, inputs[::-1]):
+        feeds, _ = bench_worker.make_feeds(order, size=(32, 48), batch=1)
+        assert (feeds["image"].shape, feeds["lidar"].shape) == ((1, 32, 48, 3), (1, 32, 48))
+
+
 @pytest.mark.parametrize(
     ("element", "dtype", "values"),
     [
