@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from runtime import Predictor, PushStream, project_points
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
-from runtime.sources.frames import Frame
+from runtime.sync.frame import Frame
 
 FAULTS = (
     "healthy",

@@ -21,9 +21,9 @@ import numpy as np
 
 from runtime import Predictor, PushStream
 from runtime.io.engine_facts import machine_facts
-from runtime.live.frame_result import FrameResult
 from runtime.run.process import dedicate_process
-from runtime.sources.frames import Frame
+from runtime.streams.frame_result import FrameResult
+from runtime.sync.frame import Frame
 from soak import resized_frames
 
 SIZES = ("125x414", "375x1242")

@@ -42,13 +42,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime import InputError, Predictor, PushStream
-from runtime.live.stream_counter import StreamCounts
 from runtime.resize import move_returns
 from runtime.run.process import dedicate_process
 from runtime.sources.bundled_stream import bundled_frames, bundled_stream
-from runtime.sources.frames import Frame
 from runtime.sources.registry import open_source
-from runtime.sync.latency import StreamStatistics
+from runtime.streams.statistics import StreamStatistics
+from runtime.streams.stream_counter import StreamCounts
+from runtime.sync.frame import Frame
 
 _LARGEST_GROWTH_MB = 64
 _FAULTY = 0.1  # share of the messages

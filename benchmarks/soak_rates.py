@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 
 from runtime import Predictor, PushStream
 from runtime.io.calibration import Calibration
-from runtime.live.frame_result import FrameResult
 from runtime.run.process import dedicate_process
+from runtime.streams.frame_result import FrameResult
 
 SIZE = (64, 96)
 SPEED, JUMP_M, WALLS_M = 15.0, 3.0, 60.0

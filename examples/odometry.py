@@ -21,8 +21,8 @@ from runtime import Predictor, replay
 from runtime.io.calibration import Calibration
 from runtime.io.images import read_rgb
 from runtime.io.scan import read_scan
-from runtime.live.replay import ReplayMessage
-from runtime.live.stream_counter import StreamCounter
+from runtime.streams.replay import ReplayMessage
+from runtime.streams.stream_counter import StreamCounter
 
 PERIOD_S = 0.1
 

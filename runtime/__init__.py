@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from runtime.errors import OutputError as OutputError
     from runtime.errors import ProviderError as ProviderError
     from runtime.errors import SSDNetError as SSDNetError
-    from runtime.live.push_stream import PushStream as PushStream
-    from runtime.live.replay import replay as replay
     from runtime.prediction import Cleaned as Cleaned
     from runtime.prediction import Latency as Latency
     from runtime.prediction import Prediction as Prediction
     from runtime.predictor import Predictor as Predictor
     from runtime.projection import project_points as project_points
+    from runtime.streams.push_stream import PushStream as PushStream
+    from runtime.streams.replay import replay as replay
 
     __version__: str
 
@@ -39,8 +39,8 @@ _MODULES = {
     "bundled_models": "list_bundled_models",
     "contract": "ClassInfo Contract",
     "errors": "ContractError InferenceError InputError OutputError ProviderError SSDNetError",
-    "live.push_stream": "PushStream",
-    "live.replay": "replay",
+    "streams.push_stream": "PushStream",
+    "streams.replay": "replay",
     "prediction": "Cleaned Latency Prediction",
     "predictor": "Predictor",
     "projection": "project_points",

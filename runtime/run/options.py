@@ -25,7 +25,6 @@ from runtime.io.scan import SCAN_SUFFIXES
 from runtime.network_size import NetworkSize, parse_network_size
 from runtime.run.run_folder import KINDS, SUFFIXES
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.sources.frames import Frame
 from runtime.sources.registry import (
     SOURCES,
     SourcePath,
@@ -36,6 +35,7 @@ from runtime.sources.registry import (
 )
 from runtime.sources.source import ListedFrame, Source
 from runtime.sources.source_keys import SOURCE_KEYS
+from runtime.sync.frame import Frame
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 
 MAX_OVERLAY_WIDTH = 8192  # five panels side by side fit into a JPEG

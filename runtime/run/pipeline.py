@@ -13,10 +13,10 @@ from runtime.errors import SSDNetError
 from runtime.health.frame_health import FrameHealth
 from runtime.prediction import Prediction
 from runtime.predictor import Predictor
-from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame
-from runtime.sync.frame_outcome import FrameOutcome
-from runtime.sync.latency import Jitter
+from runtime.streams.frame_outcome import FrameOutcome
+from runtime.streams.statistics import Jitter
+from runtime.sync.frame import Frame
 from runtime.sync.stamp import NS_PER_MS
 
 _READ_AHEAD, _WRITE_BEHIND = 2, 2  # frames held in memory on either side

@@ -19,7 +19,7 @@ from runtime.run.process import dedicate_process
 from runtime.run.run_folder import CLOUD, KINDS, SAVED_HEADS, make_run_folder
 from runtime.run.run_report import RunReport, describe_predictor, group_reasons, write_report
 from runtime.sources.source import ListedFrame, Source
-from runtime.sync.frame_outcome import FrameOutcome
+from runtime.streams.frame_outcome import FrameOutcome
 
 _FIRST_FRAMES = 20  # a stream is refused if none of them can be predicted
 

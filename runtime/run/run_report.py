@@ -19,8 +19,8 @@ from runtime.predictor import Predictor
 from runtime.run.options import RunOptions
 from runtime.run.pipeline import StreamResult
 from runtime.run.run_folder import FRAMES_FILE, OVERLAY, REPORT_FILE
-from runtime.sync.frame_outcome import FIGURES, OK, FrameOutcome
-from runtime.sync.latency import MissCounter, StreamStatistics, latency_statistics
+from runtime.streams.frame_outcome import FIGURES, OK, FrameOutcome
+from runtime.streams.statistics import MissCounter, StreamStatistics, latency_statistics
 
 REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "2.0"
 FRAMES_SKIPPED, DEADLINE_MISSED = 3, 4  # exit codes

@@ -15,7 +15,6 @@ from runtime.assumptions import assume, collect_assumptions
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.point_cloud import to_points
-from runtime.sources.frames import Frame
 from runtime.sources.recorded_motion import (
     RecordedPoses,
     frame_of,
@@ -41,6 +40,7 @@ from runtime.sources.ros_poses import (
     transform_poses,
 )
 from runtime.sources.source import ListedFrame, Source
+from runtime.sync.frame import Frame
 from runtime.sync.matching import Message
 from runtime.sync.motion import Scan, ScanStamp
 from runtime.sync.outcome import Outcome, Sensor

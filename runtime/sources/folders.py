@@ -27,7 +27,6 @@ from runtime.io.images import (
 from runtime.io.poses import read_poses
 from runtime.io.scan import SCAN_SUFFIXES, read_scan
 from runtime.io.timestamps import read_timestamps
-from runtime.sources.frames import Frame
 from runtime.sources.recorded_motion import (
     RecordedPoses,
     frame_of,
@@ -35,6 +34,7 @@ from runtime.sources.recorded_motion import (
     match_frames,
 )
 from runtime.sources.source import ListedFrame, Source, pair_up
+from runtime.sync.frame import Frame
 from runtime.sync.motion import Scan, ScanStamp, lidar_mount, point_times
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.poses import PoseFrame, PoseTrack

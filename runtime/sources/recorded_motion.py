@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.io.calibration import Calibration
-from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, no_depth, up_to
+from runtime.sync.frame import Frame
 from runtime.sync.matching import Decided, Message, match_by_stamp
 from runtime.sync.motion import (
     FIRST_SCAN_NS,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
-from runtime.sources.frames import Frame
+from runtime.sync.frame import Frame
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from runtime.errors import InputError
 from runtime.io.images import DEPTH_SUFFIXES, KITTI_DEPTH_SCALE, list_files, require_pixels
 from runtime.read_input import require_regular
 from runtime.sources.folders import FolderSource
-from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, by_number
+from runtime.sync.frame import Frame
 
 _SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm")
 _MOST_DAMAGED = 1000  # frames in a row; more are the end

@@ -1,1 +1,1 @@
-"""Time stamps, the matching of two sensors by them, and latency statistics."""
+"""Time stamps of two sensors, their matching, and poses: a frame as it was measured."""

@@ -39,7 +39,7 @@ from runtime.errors import OutputError
 from runtime.io.atomic_write import atomic_file
 from runtime.io.engine_facts import MachineFacts, machine_facts
 from runtime.session import import_onnxruntime
-from runtime.sync.latency import LatencyStatistics, latency_statistics
+from runtime.streams.statistics import LatencyStatistics, latency_statistics
 from runtime.tools.bench_worker import Opened, open_model, time_model
 
 _WARM_UP = 2  # runs of each model

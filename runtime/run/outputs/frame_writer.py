@@ -15,7 +15,7 @@ from runtime.prediction import Prediction
 from runtime.run.outputs.output import OpenRun
 from runtime.run.run_folder import CLOUD, OVERLAY, SAVED_HEADS, SUFFIXES, make_run_folder
 from runtime.run.run_report import write_report
-from runtime.sources.frames import Frame
+from runtime.sync.frame import Frame
 
 
 class FrameWriter:

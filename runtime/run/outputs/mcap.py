@@ -16,7 +16,7 @@ from runtime.io.encode import encode_jpeg
 from runtime.prediction import Prediction
 from runtime.run.options import DEFAULT_RATE_HZ, FILE_SUFFIXES
 from runtime.run.outputs.output import OpenRun
-from runtime.sources.frames import Frame
+from runtime.sync.frame import Frame
 
 _ENCODINGS = {"uint8": "mono8", "float32": "32FC1"}  # dtype -> encoding of sensor_msgs/msg/Image
 #: Head that is a picture -> topic and encoding of its `sensor_msgs/msg/Image`.

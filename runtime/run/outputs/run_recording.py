@@ -7,7 +7,7 @@ from pathlib import Path
 from runtime.io.recording import RecordedFrame, Recorder, Settings, record
 from runtime.prediction import Prediction
 from runtime.run.outputs.output import OpenRun
-from runtime.sources.frames import Frame
+from runtime.sync.frame import Frame
 
 
 class RunRecording:

@@ -11,7 +11,7 @@ from runtime.io.atomic_write import atomic_path
 from runtime.prediction import Prediction
 from runtime.run.options import DEFAULT_RATE_HZ
 from runtime.run.outputs.output import OpenRun
-from runtime.sources.frames import Frame
+from runtime.sync.frame import Frame
 
 _CODEC = "mp4v"  # MPEG-4 part 2: what OpenCV's wheels encode on every system, without licences
 _LARGEST_SIDE = 4096  # pixels: what players decode

@@ -1,7 +1,7 @@
 """Outcomes of frames, made by hand."""
 
 from runtime.prediction import Latency, Prediction
-from runtime.sync.frame_outcome import OK, SKIPPED, FrameOutcome
+from runtime.streams.frame_outcome import OK, SKIPPED, FrameOutcome
 
 
 def outcome(number=0, status=OK, *, degraded=(), returns=0, **others):

@@ -8,8 +8,8 @@ import pytest
 from outcomes import outcome
 from runtime.run.pipeline import StreamResult
 from runtime.run.run_report import RunReport, frames_csv
-from runtime.sync.frame_outcome import INVALID, OK, SKIPPED
-from runtime.sync.latency import MissedDeadlines
+from runtime.streams.frame_outcome import INVALID, OK, SKIPPED
+from runtime.streams.statistics import MissedDeadlines
 
 
 @pytest.fixture

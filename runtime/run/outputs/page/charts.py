@@ -8,8 +8,8 @@ from functools import cached_property
 from itertools import groupby
 from typing import Any
 
-from runtime.sync.frame_outcome import INVALID, OK, SKIPPED, FrameOutcome
-from runtime.sync.latency import LatencyStatistics
+from runtime.streams.frame_outcome import INVALID, OK, SKIPPED, FrameOutcome
+from runtime.streams.statistics import LatencyStatistics
 
 DROPS = (SKIPPED, INVALID)  # frames without a usable answer
 LATE = "late"

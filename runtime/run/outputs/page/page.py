@@ -19,9 +19,9 @@ from runtime.prediction import Prediction
 from runtime.run.outputs.output import OpenRun
 from runtime.run.outputs.page import charts
 from runtime.run.run_report import RunReport, running_providers
-from runtime.sources.frames import Frame
-from runtime.sync.frame_outcome import INVALID, SKIPPED
-from runtime.sync.latency import LatencyStatistics
+from runtime.streams.frame_outcome import INVALID, SKIPPED
+from runtime.streams.statistics import LatencyStatistics
+from runtime.sync.frame import Frame
 
 _PARTS = ("preprocess", "inference", "postprocess")  # of a prediction
 _BAD = (*charts.DROPS, charts.LATE)

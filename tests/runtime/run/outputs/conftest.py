@@ -6,7 +6,7 @@ from runtime import Predictor
 from runtime.drawing.overlay import Overlay
 from runtime.run.options import RunOptions
 from runtime.run.outputs.output import OpenRun
-from runtime.sources.frames import Frame
+from runtime.sync.frame import Frame
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 from runtime import OutputError, Predictor
 from runtime.drawing.overlay import Overlay
 from runtime.run.outputs.mcap import open_mcap
-from runtime.sources.frames import Frame
+from runtime.sync.frame import Frame
 
 rosbags = pytest.importorskip("rosbags", reason="the extra bag is not installed")
 

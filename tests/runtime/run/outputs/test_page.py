@@ -15,7 +15,7 @@ from outcomes import outcome
 from runtime.prediction import Latency
 from runtime.run.outputs.page import charts
 from runtime.run.outputs.page.page import RunPage, render_template
-from runtime.sync.frame_outcome import OK, SKIPPED
+from runtime.streams.frame_outcome import OK, SKIPPED
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
 

@@ -11,7 +11,7 @@ from runtime import OutputError, Predictor
 from runtime.drawing.overlay import Overlay
 from runtime.run.cli import app
 from runtime.run.outputs.video import open_video
-from runtime.sources.frames import Frame
+from runtime.sync.frame import Frame
 
 
 def read_video(path):

@@ -8,12 +8,12 @@ import weakref
 
 import pytest
 
-from runtime.live.push_stream import PushStream
+from runtime.streams.push_stream import PushStream
 
 CLOSED_BY_A_SIGNAL = """
 import signal, threading, time
 import numpy as np
-from runtime.live.push_stream import PushStream
+from runtime.streams.push_stream import PushStream
 from runtime.prediction import Latency, Prediction
 
 class Stub:

@@ -31,13 +31,13 @@ from numpy.typing import NDArray
 from runtime.checks import check_number, shown
 from runtime.errors import InferenceError, InputError, SSDNetError
 from runtime.io.calibration import Calibration
-from runtime.live.answerer import Answerer, FramePredictor
-from runtime.live.frame_result import FrameResult
-from runtime.live.sensor_input import SENSORS, Kind, SensorInput
-from runtime.live.stream_counter import StreamCounter, StreamCounts
-from runtime.live.watchdog import WatchdogLimits, WatchdogState
 from runtime.process_guard import ProcessGuard
-from runtime.sync.latency import Jitter, StreamStatistics
+from runtime.streams.answerer import Answerer, FramePredictor
+from runtime.streams.frame_result import FrameResult
+from runtime.streams.sensor_input import SENSORS, Kind, SensorInput
+from runtime.streams.statistics import Jitter, StreamStatistics
+from runtime.streams.stream_counter import StreamCounter, StreamCounts
+from runtime.streams.watchdog import WatchdogLimits, WatchdogState
 from runtime.sync.matching import Decided, Message, Pair, Synchronizer
 from runtime.sync.motion import ScanStamp
 from runtime.sync.outcome import Outcome, Sensor

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from runtime.sync.latency import (
+from runtime.streams.statistics import (
     DurationHistogram,
     Jitter,
     StreamStatistics,

@@ -1,8 +1,8 @@
 import pytest
 
 from runtime.errors import InferenceError, InputError
-from runtime.live.stream_counter import StreamCounter
-from runtime.live.watchdog import Level, WatchdogLimits
+from runtime.streams.stream_counter import StreamCounter
+from runtime.streams.watchdog import Level, WatchdogLimits
 from runtime.sync.matching import Message, Pair
 from stream_messages import result
 

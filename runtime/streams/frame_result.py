@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from runtime.health.consistency import Consistency
 from runtime.prediction import Prediction
-from runtime.sync.frame_outcome import FrameOutcome
+from runtime.streams.frame_outcome import FrameOutcome
 from runtime.sync.stamp import Stamp
 
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from runtime.live.frame_result import FrameResult
 from runtime.prediction import Latency, Prediction
+from runtime.streams.frame_result import FrameResult
 
 
 def image(value=0):

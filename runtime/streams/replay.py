@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from runtime.checks import shown
 from runtime.errors import InputError, SSDNetError
 from runtime.io.calibration import Calibration
-from runtime.live.answerer import Answerer, FramePredictor
-from runtime.live.frame_result import FrameResult
-from runtime.live.sensor_input import SENSORS, Kind, SensorInput
-from runtime.live.stream_counter import StreamCounter
+from runtime.streams.answerer import Answerer, FramePredictor
+from runtime.streams.frame_result import FrameResult
+from runtime.streams.sensor_input import SENSORS, Kind, SensorInput
+from runtime.streams.stream_counter import StreamCounter
 from runtime.sync.matching import Message, Pair, match_by_stamp
 from runtime.sync.motion import ScanStamp
 from runtime.sync.outcome import Outcome, Sensor

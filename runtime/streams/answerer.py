@@ -11,8 +11,8 @@ from runtime.health.consistency import ConsistencyCheck
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.health.frame_health import FrameHealth
 from runtime.io.calibration import Calibration
-from runtime.live.frame_result import FrameResult
 from runtime.prediction import IMPLAUSIBLE_DEPTH, Prediction
+from runtime.streams.frame_result import FrameResult
 from runtime.sync.matching import Pair
 from runtime.sync.motion import DepthInTime, Scan, keep_map, project_in_time
 from runtime.sync.poses import PoseTrack

@@ -5,8 +5,8 @@ import threading
 import numpy as np
 
 from runtime.io.calibration import Calibration
-from runtime.live.push_stream import PushStream
 from runtime.predictor import Predictor
+from runtime.streams.push_stream import PushStream
 from stream_messages import depth, image, push_pair
 
 MS = 1_000_000

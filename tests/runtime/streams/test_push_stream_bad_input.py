@@ -7,9 +7,9 @@ import pytest
 
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
-from runtime.live.push_stream import PushStream
-from runtime.live.replay import replay
-from runtime.live.stream_counter import StreamCounter
+from runtime.streams.push_stream import PushStream
+from runtime.streams.replay import replay
+from runtime.streams.stream_counter import StreamCounter
 from stream_messages import add_up, depth, image
 
 

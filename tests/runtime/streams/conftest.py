@@ -11,9 +11,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from runtime.live.push_stream import PushStream
 from runtime.prediction import Latency, Prediction
 from runtime.preprocess import preprocess
+from runtime.streams.push_stream import PushStream
 
 pytest.register_assert_rewrite("stream_messages")  # so that `add_up` shows the counts
 

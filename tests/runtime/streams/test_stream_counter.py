@@ -1,7 +1,7 @@
 import json
 
-from runtime.live.stream_counter import MessageCounts, StreamCounter
-from runtime.sync.latency import MissedDeadlines
+from runtime.streams.statistics import MissedDeadlines
+from runtime.streams.stream_counter import MessageCounts, StreamCounter
 from runtime.sync.matching import Decided, Discarded, Message, Pair
 from runtime.sync.outcome import Outcome, Sensor
 from stream_messages import result

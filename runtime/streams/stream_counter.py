@@ -5,11 +5,11 @@ from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 
 from runtime.errors import InferenceError, SSDNetError
-from runtime.live.frame_result import FrameResult
-from runtime.live.watchdog import Level, WatchdogLimits, WatchdogState
 from runtime.prediction import DEPTH_REUSED
-from runtime.sync.frame_outcome import FIGURES
-from runtime.sync.latency import DurationHistogram, MissCounter, StreamStatistics
+from runtime.streams.frame_outcome import FIGURES
+from runtime.streams.frame_result import FrameResult
+from runtime.streams.statistics import DurationHistogram, MissCounter, StreamStatistics
+from runtime.streams.watchdog import Level, WatchdogLimits, WatchdogState
 from runtime.sync.matching import Decided, Pair
 from runtime.sync.outcome import DROPPED, ERRORS, UNMATCHED, Outcome, Sensor
 from runtime.sync.stamp import NS_PER_MS

@@ -24,7 +24,7 @@ from moving_car import (
 from runtime import InputError, Predictor, PushStream
 from runtime import replay as answer_recording
 from runtime.io.calibration import Calibration
-from runtime.live.stream_counter import StreamCounter
+from runtime.streams.stream_counter import StreamCounter
 from stream_messages import add_up, depth, image
 
 TIMES = ("latency_ms", "age_ms", "jitter_ms")  # differ in a live stream

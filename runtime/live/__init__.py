@@ -1,1 +1,0 @@
-"""Streams of sensors that push from their own threads, and the replay of recordings."""

@@ -1,0 +1,1 @@
+"""Frames answered in their order: of sensors that push, of recordings, of ssdnet-run."""
