@@ -17,11 +17,12 @@ from runtime.drawing.overlay import Overlay
 from runtime.run.options import RunOptions
 from runtime.run.outputs.frame_writer import FrameWriter
 from runtime.run.outputs.output import OpenRun
-from runtime.run.pipeline import run_stream
+from runtime.run.pipeline import FrameReader, run_stream
 from runtime.run.process import dedicate_process
 from runtime.run.run_folder import KINDS, make_run_folder
 from runtime.sources.bundled_stream import bundled_stream
 from runtime.sources.folders import FolderSource
+from runtime.streams.answerer import Answerer
 
 
 def main() -> None:
@@ -61,7 +62,7 @@ def main() -> None:
             print(f"| {done} | {resident_mb():.1f} |", flush=True)
             if done < arguments.frames:
                 repeated = [listed[index % len(listed)] for index in range(part)]
-                run_stream(engine, repeated, read=source.read, outputs=[writer])
+                run_stream(Answerer(engine), repeated, FrameReader(source), outputs=[writer])
 
 
 if __name__ == "__main__":

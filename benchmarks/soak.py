@@ -48,7 +48,7 @@ from runtime.sources.bundled_stream import bundled_frames, bundled_stream
 from runtime.sources.registry import open_source
 from runtime.streams.statistics import StreamStatistics
 from runtime.streams.stream_counter import StreamCounts
-from runtime.sync.frame import Frame
+from runtime.sync.frame import Frame, Message
 
 _LARGEST_GROWTH_MB = 64
 _FAULTY = 0.1  # share of the messages
@@ -360,10 +360,12 @@ def resident_mb() -> float:
 
 def resized_frames(size: tuple[int, int]) -> list[Frame]:
     """The bundled stream at another size."""
-    frames = bundled_frames()
     return [
-        Frame(cv2.resize(frame.rgb, size[::-1]), move_returns(frame.sparse_depth, size))
-        for frame in frames
+        Frame(
+            Message(data=cv2.resize(frame.rgb, size[::-1])),
+            Message(data=move_returns(frame.sparse_depth, size)),
+        )
+        for frame in bundled_frames()
     ]
 
 

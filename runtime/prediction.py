@@ -28,6 +28,11 @@ NO_POSE = "no_pose"  # no poses for the times of scan and image
 POSE_GAP = "pose_gap"  # too much time between two poses
 POSE_JUMP = "pose_jump"  # the odometry jumped
 POSE_CLOCK = "pose_clock"  # the stamps of the poses are of another clock
+#: Those that are of the frame in its stream, not of `Predictor.predict`.
+OF_THE_STREAM = {
+    *(IMPLAUSIBLE_DEPTH, DEPTH_REUSED, DEPTH_UNCOMPENSATED, POINTS_UNTIMED),
+    *(NO_POSE, POSE_GAP, POSE_JUMP, POSE_CLOCK),
+}
 # Reasons that make the answer unusable (valid is False): `postprocess.faults`.
 
 

@@ -16,6 +16,7 @@ from runtime.predictor import Predictor
 from runtime.preprocess import check_sparse_depth, clean_sparse_depth
 from runtime.returns import is_measured
 from runtime.run.options import RunOptions
+from runtime.run.pipeline import FrameReader
 from runtime.sources.source import ListedFrame, Source
 from runtime.sync.outcome import Sensor
 
@@ -54,7 +55,11 @@ def find_lens_fault(calibration: Calibration | None, size: tuple[int, int] | Non
 
 
 def find_depth_fault(
-    predictor: Predictor, frames: Sequence[ListedFrame], source: Source, options: RunOptions
+    predictor: Predictor,
+    frames: Sequence[ListedFrame],
+    source: Source,
+    reader: FrameReader,
+    options: RunOptions,
 ) -> str | None:
     """Return why the depth of a stream cannot be right, and what to try; None = nothing found.
 
@@ -71,7 +76,7 @@ def find_depth_fault(
     returns: list[int] = []  # of each scan or depth map
     for listed in frames[:FIRST_FRAMES]:
         with contextlib.suppress(SSDNetError):  # the run itself reports it
-            frame = source.read(listed)
+            frame = reader.read_first(listed)
             size = (frame.rgb.shape[0], frame.rgb.shape[1])
             check_sparse_depth(frame.sparse_depth, size=size)
             if listed.depth is None:

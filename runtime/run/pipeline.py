@@ -1,4 +1,4 @@
-"""Run a stream of frames: read the next and write the last while the present one is predicted."""
+"""Run a stream of frames: read the next and write the last while the present one is answered."""
 
 import os
 import sys
@@ -10,11 +10,9 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from runtime.errors import SSDNetError
-from runtime.health.frame_health import FrameHealth
-from runtime.prediction import Prediction
-from runtime.predictor import Predictor
-from runtime.sources.source import ListedFrame
-from runtime.streams.frame_outcome import FrameOutcome
+from runtime.sources.source import ListedFrame, Source
+from runtime.streams.answerer import Answerer
+from runtime.streams.frame_result import FrameResult
 from runtime.streams.statistics import Jitter
 from runtime.sync.frame import Frame
 from runtime.sync.stamp import NS_PER_MS
@@ -23,21 +21,19 @@ _READ_AHEAD, _WRITE_BEHIND = 2, 2  # frames held in memory on either side
 _NICENESS = 10
 _STOP_POLL_S = 0.1  # between two looks at `stop` while waiting
 
-TimedFrame = tuple[Frame, float]  # a frame and the ms of reading it
-
 
 @dataclass(frozen=True)
 class StreamResult:
     """The outcome of a stream.
 
     Attributes:
-        records: outcomes of the frames, in order.
+        records: results of the frames, in order, without arrays.
         wall_s: from the first read to the last write.
         interrupted: whether `stop` ended the stream.
         rate_hz: of a constant stream; None = a single stream.
     """
 
-    records: tuple[FrameOutcome, ...]
+    records: tuple[FrameResult, ...]
     wall_s: float
     interrupted: bool
     rate_hz: float | None = None
@@ -50,105 +46,100 @@ class Output(Protocol):
     ends, and is removed after an error there.
     """
 
-    def write(self, frame: Frame, prediction: Prediction) -> None:
+    def write(self, frame: Frame, result: FrameResult) -> None:
         """Write the answer to a frame; always called from one thread. Raises OutputError."""
 
 
+class FrameReader:
+    """Reads the frames of a source; the first frames may be read before the stream, once."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._kept: dict[int, tuple[Frame, float]] = {}
+
+    def read_first(self, listed: ListedFrame) -> Frame:
+        """Read a frame and keep it until `read` takes it or a later one. Raises InputError."""
+        if listed.sequence not in self._kept:
+            self._kept[listed.sequence] = self._read(listed)
+        return self._kept[listed.sequence][0]
+
+    def read(self, listed: ListedFrame) -> tuple[Frame, float]:
+        """Return a frame and the time of reading it [ms]; called in order. Raises InputError."""
+        timed = self._kept.get(listed.sequence)
+        self._kept = {n: each for n, each in self._kept.items() if n > listed.sequence}
+        return timed or self._read(listed)
+
+    def _read(self, listed: ListedFrame) -> tuple[Frame, float]:
+        started = time.perf_counter()
+        frame = self._source.read(listed)
+        return frame, (time.perf_counter() - started) * 1e3
+
+
 def run_stream(
-    predictor: Predictor,
+    answerer: Answerer,
     frames: Sequence[ListedFrame],
+    reader: FrameReader,
     *,
-    read: Callable[[ListedFrame], Frame],
-    focal_length_px: Callable[[Frame], float | None] = lambda frame: None,
     rate_hz: float | None = None,
     deadline_ms: float | None = None,
-    degraded: tuple[str, ...] = (),
     outputs: Sequence[Output] = (),
     recorders: Sequence[Output] = (),
-    on_record: Callable[[FrameOutcome], None] = lambda record: None,
+    on_record: Callable[[FrameResult], None] = lambda record: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> StreamResult:
-    """Predict every frame, in order.
+    """Answer every frame, in order.
 
     One thread reads ahead and one writes behind; each holds at most two frames, so memory does not
     grow. A frame that cannot be read or predicted is skipped.
 
     Args:
-        predictor: predicts the frames, in the calling thread.
+        answerer: answers the frames, in the calling thread.
         frames: to read.
-        read: reads one of `frames`; called in order, in the reading thread.
-        focal_length_px: gives that of a frame; None = the predictor's.
+        reader: reads them in order, in the reading thread.
         rate_hz: frames are due at this rate from the start on, and none is predicted earlier
             (constant stream of MLPerf); None = each when the one before is done (single stream).
-        deadline_ms: limit of `FrameOutcome.latency_ms`; None = no limit.
-        degraded: reasons that hold for the whole stream, added to those of each prediction.
+        deadline_ms: limit of `FrameResult.latency_ms`; None = no limit.
         outputs: get each valid answer, in the writing thread.
-        recorders: get each answer as the predictor gave it, valid or not, in the calling thread,
-            while nothing is predicted.
-        on_record: called with the outcome of each frame when it is done.
+        recorders: get each answer, valid or not, in the calling thread, while nothing is predicted.
+        on_record: called with the result of each frame when it is done.
         stop: called before each frame; True ends the stream.
 
     Raises:
         Exception: what an output raises ends the stream.
     """
-    reads: deque[tuple[int, str, Future[TimedFrame]]] = deque()
-    writes: deque[tuple[FrameOutcome, Future[float] | None]] = deque()
-    records: list[FrameOutcome] = []
+    reads: deque[tuple[int, str, Future[tuple[Frame, float]]]] = deque()
+    writes: deque[tuple[FrameResult, Future[float] | None]] = deque()
+    records: list[FrameResult] = []
     waiting = iter(enumerate(frames))
-    health, jitter = FrameHealth(), Jitter()
-
-    def read_checked(listed: ListedFrame) -> TimedFrame:
-        started = time.perf_counter()
-        frame = read(listed)
-        read_ms = (time.perf_counter() - started) * 1e3
-        size, focal_px = frame.rgb.shape[:2], focal_length_px(frame)
-        range_m = predictor.camera_scale(size, focal_length_px=focal_px).range_m
-        found = health.check(frame.rgb, frame.sparse_depth, range_m=range_m)
-        return replace(frame, name=listed.name, health=found, focal_length_px=focal_px), read_ms
+    jitter = Jitter()
 
     def read_next() -> None:
         for index, listed in waiting:
-            reads.append((index, listed.name, reading_thread.submit(read_checked, listed)))
+            reads.append((index, listed.name, reading_thread.submit(reader.read, listed)))
             return
 
     def answer(
-        index: int, name: str, reading: Future[TimedFrame], due: float | None
-    ) -> tuple[FrameOutcome, Future[float] | None]:
-        """Predict a frame and start writing its answer; return the outcome and the write."""
+        index: int, name: str, reading: Future[tuple[Frame, float]], due: float | None
+    ) -> tuple[FrameResult, Future[float] | None]:
+        """Answer a frame and start writing the answer; return the result and the write."""
         try:
             frame, read_ms = reading.result()
-            rgb, depth, focal_px = frame.rgb, frame.sparse_depth, frame.focal_length_px
-            prediction = predictor.predict(rgb, depth, focal_length_px=focal_px)
+            result = answerer.answer(frame)
         except SSDNetError as error:
-            return FrameOutcome(sequence=index, name=name, reason=str(error)), None
-        latency_ms, age_ms, jitter_ms = prediction.latency.total_ms, None, None
+            return FrameResult(sequence=index, name=name, reason=str(error)), None
+        record = replace(result.in_report(index), read_ms=read_ms)
         if due is not None:
-            latency_ms = age_ms = (time.perf_counter() - due) * 1e3
+            age_ms = (time.perf_counter() - due) * 1e3
             jitter_ms = jitter.record(round(age_ms * NS_PER_MS))
+            record = replace(record, latency_ms=age_ms, age_ms=age_ms, jitter_ms=jitter_ms)
+        if deadline_ms is not None:
+            record = replace(record, deadline_met=record.latency_ms <= deadline_ms)
         for recorder in recorders:
-            recorder.write(frame, prediction)
-        reason = "" if prediction.valid else ", ".join(prediction.degraded)
-        prediction = prediction.after_reading(frame.degraded + degraded, frame.lost_points)
+            recorder.write(frame, result)
         written = None
-        if outputs and prediction.valid:
-            written = writing_thread.submit(_write, outputs, frame, prediction)
-        outcome = FrameOutcome(
-            sequence=index,
-            name=name,
-            reason=reason,
-            prediction=replace(prediction, heads={}),
-            health=frame.health,
-            image_stamp=frame.image_stamp_ns,
-            depth_stamp=frame.depth_stamp_ns,
-            depth_reused=frame.depth_reused,
-            depth_motion=frame.depth_motion,
-            read_ms=read_ms,
-            latency_ms=latency_ms,
-            age_ms=age_ms,
-            jitter_ms=jitter_ms,
-            deadline_met=None if deadline_ms is None else latency_ms <= deadline_ms,
-        )
-        return outcome, written
+        if outputs and result.prediction.valid:
+            written = writing_thread.submit(_write, outputs, frame, result)
+        return record, written
 
     def finish_oldest() -> None:
         done, written = writes.popleft()
@@ -200,9 +191,9 @@ def _lower_priority() -> None:
         os.nice(_NICENESS)
 
 
-def _write(outputs: Sequence[Output], frame: Frame, prediction: Prediction) -> float:
+def _write(outputs: Sequence[Output], frame: Frame, result: FrameResult) -> float:
     """Write to all outputs in order; return the time in ms."""
     started = time.perf_counter()
     for output in outputs:
-        output.write(frame, prediction)
+        output.write(frame, result)
     return (time.perf_counter() - started) * 1e3

@@ -7,25 +7,25 @@ from runtime.command import stop_requested
 from runtime.drawing.overlay import Overlay
 from runtime.errors import InputError, SSDNetError
 from runtime.io.engine_facts import engine_facts
-from runtime.prediction import IMPLAUSIBLE_DEPTH
 from runtime.predictor import Predictor
 from runtime.preprocess import check_sparse_depth
 from runtime.run.depth_check import NoDepth, find_depth_fault, find_lens_fault
 from runtime.run.options import RunOptions
 from runtime.run.outputs.output import OpenRun
 from runtime.run.outputs.registry import open_outputs, require_outputs
-from runtime.run.pipeline import StreamResult, run_stream
+from runtime.run.pipeline import FrameReader, StreamResult, run_stream
 from runtime.run.process import dedicate_process
 from runtime.run.run_folder import CLOUD, KINDS, SAVED_HEADS, make_run_folder
 from runtime.run.run_report import RunReport, describe_predictor, group_reasons, write_report
 from runtime.sources.source import ListedFrame, Source
-from runtime.streams.frame_outcome import FrameOutcome
+from runtime.streams.answerer import Answerer
+from runtime.streams.frame_result import FrameResult
 
 _FIRST_FRAMES = 20  # a stream is refused if none of them can be predicted
 
-OnRecord = Callable[[FrameOutcome], None]
+OnRecord = Callable[[FrameResult], None]
 #: Called before the first frame with a text about the run and the number of frames. Returns a
-#: function that is called with the outcome of each frame.
+#: function that is called with the result of each frame.
 OnStart = Callable[[str, int], OnRecord]
 
 
@@ -40,7 +40,7 @@ def run(
     Args:
         options: what to run, and what to write.
         on_start: called before the first frame with a text about the run and the number of frames;
-            returns a function that is called with the outcome of each frame.
+            returns a function that is called with the result of each frame.
 
     Returns:
         What was also written as report.json.
@@ -104,10 +104,11 @@ def _run_camera(
         warmup=0,
     ) as predictor:
         kinds = _answered_kinds(options, predictor)
-        frame_size = _warm_up(predictor, frames, source, runs=options.warmup)
+        reader = FrameReader(source)
+        frame_size = _warm_up(predictor, frames, reader, runs=options.warmup)
         require_outputs(options, source)
-        fault = find_depth_fault(predictor, listed, source, options)  # the same for all shards
-        degraded = () if fault is None or isinstance(fault, NoDepth) else (IMPLAUSIBLE_DEPTH,)
+        # Of the first frames of all shards, which so have the same finding.
+        fault = find_depth_fault(predictor, listed, source, reader, options)
         about = [*source.notes, describe_predictor(predictor, frame_size)]
         faults = (find_lens_fault(source.calibration, frame_size), fault)
         about += [f"warning: {each}" for each in faults if each]
@@ -117,14 +118,18 @@ def _run_camera(
             contextlib.nullcontext(stop) if stop else stop_requested() as stopped,
             open_outputs(opened) as (outputs, recorders),
         ):
-            result = run_stream(
+            answerer = Answerer(
                 predictor,
-                frames,
-                read=source.read,
                 focal_length_px=options.focal_length_px,
+                check_depth=False,
+                is_implausible=fault is not None and not isinstance(fault, NoDepth),
+            )
+            result = run_stream(
+                answerer,
+                frames,
+                reader,
                 rate_hz=options.rate,
                 deadline_ms=options.deadline_ms,
-                degraded=degraded,
                 outputs=outputs,
                 recorders=recorders,
                 on_record=on_start("\n".join(about), len(frames)),
@@ -156,7 +161,7 @@ def _answered_kinds(options: RunOptions, predictor: Predictor) -> tuple[str, ...
 
 
 def _warm_up(
-    predictor: Predictor, frames: Sequence[ListedFrame], source: Source, *, runs: int
+    predictor: Predictor, frames: Sequence[ListedFrame], reader: FrameReader, *, runs: int
 ) -> tuple[int, int] | None:
     """Warm up at the size of the first frame that can be predicted; returns that size.
 
@@ -166,7 +171,7 @@ def _warm_up(
     reasons = []
     for listed in frames[:_FIRST_FRAMES]:
         try:
-            frame = source.read(listed)
+            frame = reader.read_first(listed)
             size = (frame.rgb.shape[0], frame.rgb.shape[1])
             check_sparse_depth(frame.sparse_depth, size=size)
             predictor.warm_up(size, runs=runs)

@@ -19,7 +19,7 @@ from runtime.predictor import Predictor
 from runtime.run.options import RunOptions
 from runtime.run.pipeline import StreamResult
 from runtime.run.run_folder import FRAMES_FILE, OVERLAY, REPORT_FILE
-from runtime.streams.frame_outcome import FIGURES, OK, FrameOutcome
+from runtime.streams.frame_result import FIGURES, OK, FrameResult
 from runtime.streams.statistics import MissCounter, StreamStatistics, latency_statistics
 
 REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "2.0"
@@ -40,8 +40,8 @@ class RunReport:
         inputs: where the frames came from, as the user gave it; ready for JSON.
         out: folder of the results.
         saved: kinds of files that were written of each frame.
-        stream: outcomes of the frames.
-        deadline_ms: limit of `FrameOutcome.latency_ms`; None = there was none.
+        stream: results of the frames.
+        deadline_ms: limit of `FrameResult.latency_ms`; None = there was none.
         implausible_depth: why the returns cannot be right; None = nothing was found.
     """
 
@@ -90,8 +90,8 @@ class RunReport:
         )
 
     @property
-    def records(self) -> tuple[FrameOutcome, ...]:
-        """Outcomes of the frames, in order."""
+    def records(self) -> tuple[FrameResult, ...]:
+        """Results of the frames, in order."""
         return self.stream.records
 
     @property
@@ -134,7 +134,7 @@ class RunReport:
         return Counter(_size_text(each.network_size) for each in self.predictions)
 
     @property
-    def not_ok(self) -> list[FrameOutcome]:
+    def not_ok(self) -> list[FrameResult]:
         """Frames without an answer that can be used."""
         return [record for record in self.records if record.status != OK]
 
@@ -204,7 +204,7 @@ def _size_text(size: tuple[int, int] | None) -> str:
     return "any size" if size is None else f"{size[0]} x {size[1]}"
 
 
-def _depth_source(record: FrameOutcome) -> str:
+def _depth_source(record: FrameResult) -> str:
     """Depth of the image's "own" scan, "reused" from an older one, or "" without depth."""
     if record.depth_motion is None:
         return ""

@@ -17,7 +17,6 @@ from runtime.io.calibration import Calibration
 from runtime.point_cloud import to_points
 from runtime.sources.recorded_motion import (
     RecordedPoses,
-    frame_of,
     left_out_note,
     match_frames,
     track_of,
@@ -40,8 +39,7 @@ from runtime.sources.ros_poses import (
     transform_poses,
 )
 from runtime.sources.source import ListedFrame, Source
-from runtime.sync.frame import Frame
-from runtime.sync.matching import Message
+from runtime.sync.frame import Frame, Message
 from runtime.sync.motion import Scan, ScanStamp
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.poses import PoseFrame
@@ -365,22 +363,24 @@ class BagSource(Source):
         has_map = frame.depth is not None and not is_moved
         rgb, calibration = self._rectified(rgb, self.calibration, has_map=has_map)
         if frame.depth is None:
-            return frame_of(frame, rgb, calibration)
+            return frame.measured(rgb, calibration=calibration)
         message = self._bag.decode(messages[frame.depth])
         if not self._has_clouds:
             depth = decode_depth_image(message)
             if self._depth_camera is None:
-                return frame_of(frame, rgb, calibration, sparse_depth=depth)
+                return frame.measured(rgb, depth, calibration=calibration)
             camera = self._depth_camera
             camera.require_size(depth.shape)
             cloud = to_points(depth, camera.intrinsics, lens=camera.lens_model)
-            return frame_of(frame, rgb, calibration, scan=Scan.of(cloud.points))
+            return frame.measured(rgb, Scan.of(cloud.points), calibration=calibration)
         points, after_s = decode_points(message), None
         if self._poses is not None and frame.depth_stamp_ns is not None:
             with collect_assumptions(self._notes):
                 after_s = point_times_s(message, frame.depth_stamp_ns, points)
         scan = Scan.of(points, after_s, frame.depth_stamp_ns or 0)
-        return frame_of(frame, rgb, calibration, scan=scan, poses=self._poses)
+        assert calibration is not None  # scans require one
+        poses = None if self._poses is None else self._poses.of_lidar(calibration)
+        return frame.measured(rgb, scan, calibration=calibration, poses=poses)
 
     def _take(self, frame: ListedFrame) -> dict[int, RecordedMessage]:
         """The messages of a frame by position; messages of later frames are read ahead and kept."""

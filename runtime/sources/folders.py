@@ -29,7 +29,6 @@ from runtime.io.scan import SCAN_SUFFIXES, read_scan
 from runtime.io.timestamps import read_timestamps
 from runtime.sources.recorded_motion import (
     RecordedPoses,
-    frame_of,
     left_out_note,
     match_frames,
 )
@@ -250,10 +249,10 @@ class FolderSource(Source):
         has_map = frame.depth is not None and not self._has_scans
         rgb, calibration = self._rectified(rgb, found, has_map=has_map)
         if frame.depth is None:
-            return frame_of(frame, rgb, calibration)
+            return frame.measured(rgb, calibration=calibration)
         if has_map:
             sparse_depth = read_sparse_depth(frame.depth, depth_scale=self._depth_scale)
-            return frame_of(frame, rgb, calibration, sparse_depth=sparse_depth)
+            return frame.measured(rgb, sparse_depth, calibration=calibration)
         points, after_s = read_scan(frame.depth, columns=self._point_columns), None
         column = self._point_time_column
         if column is not None and column >= points.shape[1]:
@@ -264,7 +263,9 @@ class FolderSource(Source):
         if column is not None and frame.depth_stamp_ns is not None:
             after_s = point_times(points[:, column], len(points), frame.depth_stamp_ns)
         scan = Scan.of(points, after_s, frame.depth_stamp_ns or 0)
-        return frame_of(frame, rgb, calibration, scan=scan, poses=self._poses)
+        assert calibration is not None  # scans require one
+        poses = None if self._poses is None else self._poses.of_lidar(calibration)
+        return frame.measured(rgb, scan, calibration=calibration, poses=poses)
 
     @property
     def inputs(self) -> dict[str, Any]:

@@ -9,19 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.io.calibration import Calibration
-from runtime.sources.source import ListedFrame, no_depth, up_to
-from runtime.sync.frame import Frame
-from runtime.sync.matching import Decided, Message, match_by_stamp
+from runtime.sources.source import ListedFrame, up_to
+from runtime.sync.frame import Message
+from runtime.sync.matching import Decided, match_by_stamp
 from runtime.sync.motion import (
     FIRST_SCAN_NS,
     MIDDLE_AFTER,
-    DepthInTime,
-    Scan,
     ScanStamp,
     check_scan_stamp,
-    keep_map,
     lidar_mount,
-    project_in_time,
 )
 from runtime.sync.outcome import Sensor
 from runtime.sync.poses import PoseFrame, PoseTrack
@@ -96,20 +92,22 @@ def match_frames(
         left_out.update(f"{gone.sensor}: {gone.outcome}" for gone in decided.discarded)
 
     def listed() -> Iterator[ListedFrame]:
-        pairs = match_by_stamp(
+        matched = match_by_stamp(
             ((sensor, Message(stamp_ns, stamp_ns, data)) for sensor, stamp_ns, data in messages),
             max_skew_ms=max_skew_ms,
             reuse_depth_ms=reuse_depth_ms,
             waiting=_WAITING,
             on_decided=count,
         )
-        for sequence, (image, depth, reused) in enumerate(pairs):
+        for sequence, frame in enumerate(matched):
+            image, depth = frame.image, frame.depth
             of_image = sequence, name(image), image.data
             if depth is None:
                 yield ListedFrame(*of_image, None, image.stamp_ns, complete=camera_only)
             else:
                 stamps_ns = image.stamp_ns, depth.stamp_ns
-                yield ListedFrame(*of_image, depth.data, *stamps_ns, not reused, reused)
+                own = not frame.reused
+                yield ListedFrame(*of_image, depth.data, *stamps_ns, own, frame.reused)
 
     frames = up_to(listed(), limit)
     scans_ns = sorted({each.depth_stamp_ns for each in frames if each.depth_stamp_ns is not None})
@@ -129,47 +127,3 @@ def left_out_note(left_out: Counter[str]) -> tuple[str, ...]:
         return ()
     counts = ", ".join(f"{reason} {count}" for reason, count in sorted(left_out.items()))
     return (f"left out: {counts}",)
-
-
-def frame_of(
-    listed: ListedFrame,
-    rgb: NDArray[np.uint8],
-    calibration: Calibration | None,
-    *,
-    sparse_depth: NDArray[np.float32] | None = None,
-    scan: Scan | None = None,
-    poses: RecordedPoses | None = None,
-) -> Frame:
-    """Make the frame of an image with a depth map, with a scan, or with neither.
-
-    Args:
-        listed: the frame in the list.
-        rgb: its image.
-        calibration: of the camera, for `scan` also of the LiDAR.
-        sparse_depth: the depth map as recorded.
-        scan: its times are None where they are not known.
-        poses: of the recording, None = it has none.
-    """
-    reused = listed.reused
-    depth = DepthInTime(no_depth(rgb), "none", ())
-    if sparse_depth is not None:
-        depth = keep_map(sparse_depth, apart=False, has_poses=False, reused=reused)
-    elif scan is not None:
-        assert calibration is not None  # each source requires one for scans
-        size, to_ns, at_ns = rgb.shape[:2], listed.image_stamp_ns, listed.scan_time_ns
-        track = None
-        if poses is not None and to_ns is not None and at_ns is not None:
-            track = poses.of_lidar(calibration)
-            scan = scan if scan.times is not None else scan._replace(times=at_ns)
-        depth = project_in_time(calibration, scan, track, to_ns or 0, size, reused=reused)
-    return Frame(
-        rgb,
-        depth.sparse_depth,
-        listed.image_stamp_ns,
-        listed.depth_stamp_ns,
-        calibration,
-        depth_reused=reused,
-        depth_motion=None if listed.depth is None else depth.motion,
-        degraded=depth.degraded,
-        lost_points=depth.lost_points,
-    )

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
-from runtime.sync.frame import Frame
+from runtime.sync.frame import Frame, Message
+from runtime.sync.motion import Scan
+from runtime.sync.poses import PoseTrack
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,41 @@ class ListedFrame:
     complete: bool = True
     reused: bool = False
     scan_time_ns: int | None = None
+
+    def measured(
+        self,
+        rgb: NDArray[np.uint8],
+        depth: NDArray[np.float32] | Scan | None = None,
+        *,
+        calibration: Calibration | None = None,
+        poses: PoseTrack | None = None,
+    ) -> Frame:
+        """Return the frame with what its sensors measured, the depth projected into the image.
+
+        Args:
+            rgb: uint8 (H, W, 3), RGB.
+            depth: a depth map, float32 (H, W) in metres, 0 where there is no return; or a scan,
+                which has no times where they are not known.
+            calibration: of the camera, for a scan also of the LiDAR.
+            poses: of the LiDAR, by which a scan is moved to the time of the image.
+
+        Raises:
+            InputError: if the calibration is of images of another size, which would silently
+                falsify clouds and the focal length.
+        """
+        if calibration is not None:
+            calibration.require_size(rgb.shape[:2])
+        if self.image_stamp_ns is None or self.scan_time_ns is None:
+            poses = None
+        elif isinstance(depth, Scan) and depth.times is None and poses is not None:
+            depth = depth._replace(times=self.scan_time_ns)
+        measured = None
+        if depth is not None:
+            measured = Message(self.depth_stamp_ns, self.depth_stamp_ns or 0, depth)
+        image = Message(self.image_stamp_ns, self.image_stamp_ns or 0, rgb)
+        frame = Frame(image, measured, self.reused, calibration, poses, self.name)
+        _ = frame.in_time  # projected here, in the thread that reads
+        return frame
 
 
 class Source(ABC):
@@ -208,8 +245,3 @@ def by_number(files: Mapping[str, Path]) -> dict[int, Path]:
             raise InputError(f"{numbers[number]} and {path} have the same number: remove one")
         numbers[number] = path
     return numbers
-
-
-def no_depth(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """The depth map of a frame that has none: float32 (H, W) of zeros."""
-    return np.zeros(rgb.shape[:2], np.float32)

@@ -16,7 +16,7 @@ from runtime.io.images import DEPTH_SUFFIXES, KITTI_DEPTH_SCALE, list_files, req
 from runtime.read_input import require_regular
 from runtime.sources.folders import FolderSource
 from runtime.sources.source import ListedFrame, by_number
-from runtime.sync.frame import Frame
+from runtime.sync.frame import Frame, Message
 
 _SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm")
 _MOST_DAMAGED = 1000  # frames in a row; more are the end
@@ -96,7 +96,7 @@ class VideoSource(FolderSource):
         read = super().read(frame)
         milliseconds = self._video.get(cv2.CAP_PROP_POS_MSEC)
         stamp_ns = round(milliseconds * 1e6) if math.isfinite(milliseconds) else None
-        return replace(read, image_stamp_ns=stamp_ns)
+        return replace(read, image=Message(stamp_ns, stamp_ns or 0, read.rgb))
 
     def _read_image(self, image: Any) -> NDArray[np.uint8]:
         """Frame number `image` of the video; one before the last is read from the beginning."""

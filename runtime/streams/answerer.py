@@ -1,6 +1,7 @@
-"""The prediction of a matched frame, and the checks of its sensors."""
+"""The answer to a frame: its prediction, and the checks of its sensors."""
 
 import contextlib
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
@@ -10,12 +11,9 @@ from runtime.errors import SSDNetError
 from runtime.health.consistency import ConsistencyCheck
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.health.frame_health import FrameHealth
-from runtime.io.calibration import Calibration
 from runtime.prediction import IMPLAUSIBLE_DEPTH, Prediction
 from runtime.streams.frame_result import FrameResult
-from runtime.sync.matching import Pair
-from runtime.sync.motion import DepthInTime, Scan, keep_map, project_in_time
-from runtime.sync.poses import PoseTrack
+from runtime.sync.frame import Frame
 
 _CHECK_EVERY = 100  # frames with depth, after the first FIRST_FRAMES
 
@@ -36,81 +34,80 @@ class FramePredictor(Protocol):
 
 
 class Answerer:
-    """Projects, predicts and checks one frame of a stream after another. Not thread-safe."""
+    """Predicts and checks one frame of a stream after another. Not thread-safe.
+
+    Args:
+        predictor: a `Predictor`, or a drop-in replacement.
+        focal_length_px: gives that of a frame; None = that of its calibration, where the predictor
+            has none.
+        consistency: share of the returns that is held out, see `ConsistencyCheck`; None = no check.
+        check_depth: whether `check_last` compares returns with a prediction from the image alone.
+        is_implausible: whether returns are known to be implausible until `check_last` clears them.
+
+    Raises:
+        InputError: if `consistency` is out of range.
+    """
 
     def __init__(
         self,
         predictor: FramePredictor,
-        calibration: Calibration | None,
-        consistency: float | None,
         *,
+        focal_length_px: Callable[[Frame], float | None] | None = None,
+        consistency: float | None = None,
         check_depth: bool = True,
+        is_implausible: bool = False,
     ) -> None:
-        self._predictor, self._calibration = predictor, calibration
+        self._predictor = predictor
+        self._focal_length_px = focal_length_px or self._calibrated_focal_length
         self._health, self._plausibility = FrameHealth(), DepthPlausibility()
-        self._is_implausible = False
+        self._is_implausible = is_implausible
         self._check_depth = check_depth
-        self._last: tuple[Pair, NDArray[np.float32]] | None = None  # of the next check
+        self._last: Frame | None = None  # of the next check
         self._checks = self._since = 0  # checked frames; frames with depth since the last check
         self._answers = 0
         self._consistency = None if consistency is None else ConsistencyCheck(consistency)
 
-    def answer(self, pair: Pair, poses: PoseTrack | None) -> FrameResult:
-        """Answer a frame; raises what `Predictor.predict` raises.
-
-        poses: of the LiDAR over the time of the frame; None = of a stream without poses.
-        """
-        image, depth, reused = pair
-        rgb = image.data
-        sparse_depth, motion, reasons, lost = self._sparse_depth(pair, poses)
-        if self._consistency is None or pair.own_depth is None:
-            prediction, consistency = self._predict(rgb, sparse_depth, pair), None
+    def answer(self, frame: Frame) -> FrameResult:
+        """Answer a frame; raises what `Predictor.predict` raises."""
+        rgb, image, depth = frame.rgb, frame.image, frame.depth
+        sparse_depth, motion, reasons, lost_points = frame.in_time
+        consistency = None
+        if self._consistency is None or frame.own_depth is None:
+            prediction = self._predict(frame, sparse_depth)
         else:
             left, held_out = self._consistency.hold_out(sparse_depth)
-            prediction, camera_only = self._predict(rgb, left, pair), None
+            prediction, camera_only = self._predict(frame, left), None
             if self._consistency.scale_is_due:
-                camera_only = self._predict(rgb, np.zeros(rgb.shape[:2], np.float32), pair)
+                camera_only = self._predict(frame, np.zeros_like(sparse_depth))
                 if self._check_depth:
                     self._judge(camera_only, sparse_depth)
             consistency = self._consistency.score(
                 prediction, camera_only, sparse_depth, held_out, stamp_ns=image.stamp_ns
             )
+        reason = "" if prediction.valid else ", ".join(prediction.degraded)
         if depth is not None:
             self._since += 1
-            self._last = None if prediction.depth is None else (pair, sparse_depth)
+            self._last = None if prediction.depth is None or not self._check_depth else frame
             if self._is_implausible:
                 reasons = (IMPLAUSIBLE_DEPTH, *reasons)
-        prediction = prediction.after_reading(reasons, lost)
+        prediction = prediction.after_reading(reasons, lost_points)
         # `predict` has checked that they fit.
         health = self._health.check(rgb, sparse_depth, range_m=prediction.range_m)
         self._answers += 1
         return FrameResult(
             sequence=self._answers - 1,
+            name=frame.name,
+            reason=reason,
             rgb=np.broadcast_to(rgb, rgb.shape),  # read-only
             prediction=prediction,
             health=health,
             consistency=consistency,
             image_stamp=image.stamp,
             depth_stamp=None if depth is None else depth.stamp,
-            depth_reused=reused,
+            depth_reused=frame.reused,
             depth_motion=None if depth is None else motion,
             latency_ms=prediction.latency.total_ms,
             age_ms=prediction.latency.total_ms,
-        )
-
-    def _sparse_depth(self, pair: Pair, poses: PoseTrack | None) -> DepthInTime:
-        """The depth map, how its returns were moved, and what is wrong with it."""
-        depth, image = pair.depth, pair.image
-        size = image.data.shape[:2]
-        if depth is None:
-            return DepthInTime(np.zeros(size, np.float32), "none", ())
-        scan = depth.data
-        if not isinstance(scan, Scan):
-            apart = depth.stamp_ns != image.stamp_ns
-            return keep_map(scan, apart=apart, has_poses=poses is not None, reused=pair.reused)
-        assert self._calibration is not None  # push_points requires it
-        return project_in_time(
-            self._calibration, scan, poses, image.stamp_ns, size, reused=pair.reused
         )
 
     def check_last(self, *, idle: bool) -> None:
@@ -120,26 +117,28 @@ class Answerer:
         With `consistency` its predictions serve.
         """
         last, self._last = self._last, None
-        if last is None or self._consistency is not None or not self._check_depth:
+        if last is None or self._consistency is not None:
             return
         if self._checks >= FIRST_FRAMES and not (idle and self._since >= _CHECK_EVERY):
             return
         self._checks, self._since = self._checks + 1, 0
-        pair, sparse_depth = last
         with contextlib.suppress(SSDNetError):  # the next frame's own prediction reports it
-            camera_only = self._predict(pair.image.data, np.zeros_like(sparse_depth), pair)
-            self._judge(camera_only, sparse_depth)
+            camera_only = self._predict(last, np.zeros_like(last.sparse_depth))
+            self._judge(camera_only, last.sparse_depth)
 
     def _judge(self, camera_only: Prediction, sparse_depth: NDArray[np.float32]) -> None:
         self._plausibility.add(camera_only, sparse_depth)
         self._is_implausible = self._plausibility.finding() is not None
 
-    def _predict(
-        self, rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], pair: Pair
-    ) -> Prediction:
-        focal_px = None
-        if self._calibration is not None and self._predictor.focal_length_px is None:
-            focal_px = self._calibration.focal_length_px
+    def _predict(self, frame: Frame, sparse_depth: NDArray[np.float32]) -> Prediction:
         return self._predictor.predict(
-            rgb, sparse_depth, focal_length_px=focal_px, stamp=pair.image.stamp
+            frame.rgb,
+            sparse_depth,
+            focal_length_px=self._focal_length_px(frame),
+            stamp=frame.image.stamp,
         )
+
+    def _calibrated_focal_length(self, frame: Frame) -> float | None:
+        if frame.calibration is None or self._predictor.focal_length_px is not None:
+            return None
+        return frame.calibration.focal_length_px

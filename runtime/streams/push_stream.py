@@ -38,10 +38,10 @@ from runtime.streams.sensor_input import SENSORS, Kind, SensorInput
 from runtime.streams.statistics import Jitter, StreamStatistics
 from runtime.streams.stream_counter import StreamCounter, StreamCounts
 from runtime.streams.watchdog import WatchdogLimits, WatchdogState
-from runtime.sync.matching import Decided, Message, Pair, Synchronizer
+from runtime.sync.frame import Frame, Message
+from runtime.sync.matching import Decided, Synchronizer
 from runtime.sync.motion import ScanStamp
 from runtime.sync.outcome import Outcome, Sensor
-from runtime.sync.poses import PoseTrack
 from runtime.sync.stamp import (
     DEFAULT_MAX_SKEW_MS,
     DEFAULT_REUSE_DEPTH_MS,
@@ -152,7 +152,7 @@ class PushStream:
             deadline_ms = check_number("deadline_ms", deadline_ms, *limits, "ms", error=InputError)
         self.deadline_ms = deadline_ms
         # The worker's alone.
-        self._answerer = Answerer(predictor, calibration, consistency, check_depth=check_depth)
+        self._answerer = Answerer(predictor, consistency=consistency, check_depth=check_depth)
         self._on_result, self._on_error, self._on_state = on_result, on_error, on_state
         self._sensor_clock = sensor_clock
         self._clock = clock or MonotonicClock()
@@ -167,8 +167,8 @@ class PushStream:
         self._sensors = SensorInput(pose_frame, scan_stamp, calibration)
         self._counter, self._jitter = StreamCounter(self.deadline_ms, watchdog), Jitter()
         self._reported_state = self._counter.state(0)
-        self._ready: Pair | None = None  # waits for its prediction
-        self._unread: tuple[Pair, FrameResult] | None = None  # waits to be fetched
+        self._ready: Frame | None = None  # waits for its prediction
+        self._unread: tuple[Frame, FrameResult] | None = None  # waits to be fetched
         self._closed = self._ended = self._failure_raised = False
         self._guard = ProcessGuard("PushStream")
         self._failure: BaseException | None = None
@@ -364,21 +364,21 @@ class PushStream:
     # --- the worker ----------------------------------------------------------------------------
 
     def _step(self) -> bool:
-        """Answer the next pair, if there is one, and report the state; False = the end."""
+        """Answer the next frame, if there is one, and report the state; False = the end."""
         with self._changed:
             now_ns = self._clock.now_ns()
             if self._closed:
                 self._queue(self._synchronizer.flush())
             else:
                 self._queue(self._synchronizer.advance(now_ns))
-            pair, self._ready = self._ready, None
-            if pair is not None:
-                poses = self._sensors.track(pair)
+            frame, self._ready = self._ready, None
+            if frame is not None:
+                frame = self._sensors.complete(frame)
             elif self._closed:
                 self._end()
                 return False
-        if pair is not None:
-            self._answer(pair, poses)
+        if frame is not None:
+            self._answer(frame)
             with self._changed:
                 idle = self._ready is None
             self._answerer.check_last(idle=idle)
@@ -397,36 +397,36 @@ class PushStream:
         due_ns = [self._synchronizer.due_ns(), self._counter.due_ns(now_ns)]
         return min((each - now_ns for each in due_ns if each is not None), default=None)
 
-    def _answer(self, pair: Pair, poses: PoseTrack | None) -> None:
-        """Predict, count the pair's outcome, and hand the result over."""
+    def _answer(self, frame: Frame) -> None:
+        """Predict, count the frame's outcome, and hand the result over."""
         try:
-            answer = self._answerer.answer(pair, poses)
+            answer = self._answerer.answer(frame)
             now_ns = self._clock.now_ns()
-            result = self._result(pair, answer, now_ns)
+            result = self._result(frame, answer, now_ns)
         except BaseException as error:
             with self._changed:
-                self._counter.record_failed(pair, error)
+                self._counter.record_failed(frame, error)
             if not isinstance(error, SSDNetError):
                 raise
             if self._on_error is not None:
                 self._on_error(error)
             return
         with self._changed:
-            self._counter.record_answer(pair, result, now_ns)
+            self._counter.record_answer(frame, result, now_ns)
             if self._on_result is None:
                 if self._unread is not None:
                     self._counter.record_unread(self._unread[0])
-                self._unread = pair, result
+                self._unread = frame, result
                 self._changed.notify_all()
         if self._on_result is not None:
             self._on_result(result)
 
-    def _result(self, pair: Pair, answer: FrameResult, now_ns: int) -> FrameResult:
-        latency_ms = age_ms = (now_ns - pair.image.arrived_ns) / NS_PER_MS
+    def _result(self, frame: Frame, answer: FrameResult, now_ns: int) -> FrameResult:
+        latency_ms = age_ms = (now_ns - frame.image.arrived_ns) / NS_PER_MS
         if self._sensor_clock is not None:
-            age_ms = (stamp_ns(self._sensor_clock()) - pair.image.stamp_ns) / NS_PER_MS
+            age_ms = (stamp_ns(self._sensor_clock()) - frame.image.stamp_ns) / NS_PER_MS
         with self._changed:
-            jitter_ms = self._jitter.record(now_ns - pair.image.stamp_ns)
+            jitter_ms = self._jitter.record(now_ns - frame.image.stamp_ns)
         return replace(
             answer,
             latency_ms=latency_ms,
@@ -448,23 +448,23 @@ class PushStream:
     # --- with the lock held --------------------------------------------------------------------
 
     def _queue(self, decided: Decided) -> None:
-        """Count what was discarded and make the newest complete pair ready."""
+        """Count what was discarded and make the newest complete frame ready."""
         self._counter.record_decided(decided)
         if decided.jumped_back:
             self._jitter.reset()
-        for pair in decided.pairs:
-            if self._ready is not None and self._ready.depth is not None and pair.depth is None:
-                self._counter.record_pair(pair, Outcome.INCOMPLETE)
+        for frame in decided.frames:
+            if self._ready is not None and self._ready.depth is not None and frame.depth is None:
+                self._counter.record_frame(frame, Outcome.INCOMPLETE)
                 continue
             if self._ready is not None:
-                self._counter.record_pair(self._ready, Outcome.OVERTAKEN)
-            self._ready = pair
+                self._counter.record_frame(self._ready, Outcome.OVERTAKEN)
+            self._ready = frame
 
     def _discard_all(self) -> None:
         self._closed = True
         self._queue(self._synchronizer.flush())
         if self._ready is not None:
-            self._counter.record_pair(self._ready, Outcome.CLOSED)
+            self._counter.record_frame(self._ready, Outcome.CLOSED)
             self._ready = None
 
     def _end(self) -> None:

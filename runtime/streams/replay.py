@@ -17,7 +17,8 @@ from runtime.streams.answerer import Answerer, FramePredictor
 from runtime.streams.frame_result import FrameResult
 from runtime.streams.sensor_input import SENSORS, Kind, SensorInput
 from runtime.streams.stream_counter import StreamCounter
-from runtime.sync.matching import Message, Pair, match_by_stamp
+from runtime.sync.frame import Frame, Message
+from runtime.sync.matching import match_by_stamp
 from runtime.sync.motion import ScanStamp
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS, Stamp, stamp_ns
@@ -86,7 +87,7 @@ def replay(
         InferenceError: from the iterator without `on_error`, if the provider fails.
     """
     counter = StreamCounter() if counter is None else counter
-    answerer = Answerer(predictor, calibration, consistency, check_depth=check_depth)
+    answerer = Answerer(predictor, consistency=consistency, check_depth=check_depth)
     sensors = SensorInput(pose_frame, scan_stamp, calibration)
 
     def report(error: SSDNetError) -> None:
@@ -94,7 +95,7 @@ def replay(
             raise error
         on_error(error)
 
-    def matched() -> Iterator[tuple[Sensor, Message]]:
+    def accepted() -> Iterator[tuple[Sensor, Message]]:
         """Check the messages and yield those to be matched; poses are taken."""
         for message in messages:
             kind, data, stamp, times = _parts(message)
@@ -114,35 +115,35 @@ def replay(
             else:
                 yield sensor, Message(stamp, nanoseconds, sensors.timed(data, nanoseconds))
 
-    pairs = match_by_stamp(
-        matched(),
+    matched = match_by_stamp(
+        accepted(),
         max_skew_ms=max_skew_ms,
         reuse_depth_ms=reuse_depth_ms,
         waiting=_WAITING,
         on_decided=counter.record_decided,
     )
 
-    def answered(pair: Pair) -> Iterator[FrameResult]:
+    def answered(frame: Frame) -> Iterator[FrameResult]:
         """Yield the answer to a frame, or nothing after an error."""
         try:
-            answer = answerer.answer(pair, sensors.track(pair))
+            answer = answerer.answer(sensors.complete(frame))
         except SSDNetError as error:
-            counter.record_failed(pair, error)
+            counter.record_failed(frame, error)
             report(error)
             return
-        counter.record_answer(pair, answer)
+        counter.record_answer(frame, answer)
         yield answer
         answerer.check_last(idle=True)
 
     def answers() -> Iterator[FrameResult]:
         """Answer the frames as soon as poses reach them."""
-        waiting: deque[Pair] = deque()
-        for pair in pairs:
-            waiting.append(pair)
+        waiting: deque[Frame] = deque()
+        for frame in matched:
+            waiting.append(frame)
             while waiting and (len(waiting) > _WAITING or sensors.reaches(waiting[0])):
                 yield from answered(waiting.popleft())
-        for pair in waiting:
-            yield from answered(pair)
+        for frame in waiting:
+            yield from answered(frame)
 
     return answers()
 

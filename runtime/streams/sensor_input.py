@@ -1,5 +1,6 @@
 """What sensors send: its checks, the poses of the car, and the time of each scan."""
 
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -12,7 +13,8 @@ from runtime.io.calibration import Calibration
 from runtime.preprocess import check_rgb, check_sparse_depth
 from runtime.returns import check_points
 from runtime.rigid import read_rigid
-from runtime.sync.matching import Intervals, Pair
+from runtime.sync.frame import Frame
+from runtime.sync.matching import Intervals
 from runtime.sync.motion import (
     FIRST_SCAN_NS,
     MIDDLE_AFTER,
@@ -22,7 +24,7 @@ from runtime.sync.motion import (
     point_times,
 )
 from runtime.sync.outcome import Sensor
-from runtime.sync.poses import PoseBuffer, PoseFrame, PoseTrack
+from runtime.sync.poses import PoseBuffer, PoseFrame
 
 _SHORTEST_NS = 10**6  # between depth messages: shorter ones are of integers of another unit
 Kind = Literal["image", "depth", "points", "pose"]
@@ -98,23 +100,24 @@ class SensorInput:
             return depth
         return depth if depth.times is not None else depth._replace(times=stamp_ns + round(later))
 
-    def reaches(self, pair: Pair) -> bool:
+    def reaches(self, frame: Frame) -> bool:
         """Whether poses were given up to the end of a frame; for a car without poses, always."""
         newest_ns = self.poses.newest_ns
-        return self._mount is None or (newest_ns is not None and newest_ns >= _span_ns(pair)[1])
+        return self._mount is None or (newest_ns is not None and newest_ns >= _span_ns(frame)[1])
 
-    def track(self, pair: Pair) -> PoseTrack | None:
-        """The poses of the LiDAR over the time of a frame; None for a car without poses."""
-        if self._mount is None:
-            return None
-        return self.poses.between(*_span_ns(pair)).mounted(self._mount)
+    def complete(self, matched: Frame) -> Frame:
+        """The frame with the calibration, and with the poses of the LiDAR over its time."""
+        poses = None
+        if self._mount is not None:
+            poses = self.poses.between(*_span_ns(matched)).mounted(self._mount)
+        return replace(matched, calibration=self._calibration, poses=poses)
 
 
-def _span_ns(pair: Pair) -> tuple[int, int]:
+def _span_ns(frame: Frame) -> tuple[int, int]:
     """(Earliest, latest) of the times of a frame's image and returns."""
-    times = [np.int64(pair.image.stamp_ns)]
-    if pair.depth is not None and isinstance(pair.depth.data, Scan):
-        of_points = np.asarray(pair.depth.data.times)
+    times = [np.int64(frame.image.stamp_ns)]
+    if frame.depth is not None and isinstance(frame.depth.data, Scan):
+        of_points = np.asarray(frame.depth.data.times)
         if of_points.size:
             times += [of_points.min(), of_points.max()]
     return int(min(times)), int(max(times))

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 
 from runtime.errors import InferenceError, SSDNetError
 from runtime.prediction import DEPTH_REUSED
-from runtime.streams.frame_outcome import FIGURES
-from runtime.streams.frame_result import FrameResult
+from runtime.streams.frame_result import FIGURES, FrameResult
 from runtime.streams.statistics import DurationHistogram, MissCounter, StreamStatistics
 from runtime.streams.watchdog import Level, WatchdogLimits, WatchdogState
-from runtime.sync.matching import Decided, Pair
+from runtime.sync.frame import Frame
+from runtime.sync.matching import Decided
 from runtime.sync.outcome import DROPPED, ERRORS, UNMATCHED, Outcome, Sensor
 from runtime.sync.stamp import NS_PER_MS
 
@@ -102,18 +102,18 @@ class StreamCounter:
             self.record(discarded.sensor, discarded.outcome)
         self._jumps_back += decided.jumped_back
 
-    def record_pair(self, pair: Pair, outcome: Outcome, times: int = 1) -> None:
-        """Count the outcome of an image and of its own depth map; times=-1 subtracts it again."""
+    def record_frame(self, frame: Frame, outcome: Outcome, times: int = 1) -> None:
+        """Count the outcome of an image and of its own depth; times=-1 subtracts it again."""
         self._outcomes[Sensor.IMAGE][outcome] += times
-        if pair.own_depth is not None:
+        if frame.own_depth is not None:
             self._outcomes[Sensor.DEPTH][outcome] += times
         elif outcome is Outcome.ANSWERED:
-            self._reused += times * pair.reused
-            self._camera_only += times * (not pair.reused)
+            self._reused += times * frame.reused
+            self._camera_only += times * (not frame.reused)
 
-    def record_answer(self, pair: Pair, result: FrameResult, now_ns: int = 0) -> None:
+    def record_answer(self, frame: Frame, result: FrameResult, now_ns: int = 0) -> None:
         """A frame was answered."""
-        self.record_pair(pair, Outcome.ANSWERED)
+        self.record_frame(frame, Outcome.ANSWERED)
         for name, histogram in self._histograms.items():
             if (value_ms := FIGURES[name](result)) is not None:
                 histogram.record(value_ms)
@@ -124,16 +124,16 @@ class StreamCounter:
         self._faults["reused"].record(result.depth_reused)
         self._faults["failed"].record(not result.prediction.valid)
 
-    def record_failed(self, pair: Pair, error: BaseException) -> None:
+    def record_failed(self, frame: Frame, error: BaseException) -> None:
         """A frame was an error instead of an answer."""
         self._faults["failed"].record(True)
         is_input = isinstance(error, SSDNetError) and not isinstance(error, InferenceError)
-        self.record_pair(pair, Outcome.INPUT_ERROR if is_input else Outcome.INFERENCE_ERROR)
+        self.record_frame(frame, Outcome.INPUT_ERROR if is_input else Outcome.INFERENCE_ERROR)
 
-    def record_unread(self, pair: Pair) -> None:
+    def record_unread(self, frame: Frame) -> None:
         """An answer was not fetched: its messages count as dropped instead."""
-        self.record_pair(pair, Outcome.ANSWERED, -1)
-        self.record_pair(pair, Outcome.UNREAD)
+        self.record_frame(frame, Outcome.ANSWERED, -1)
+        self.record_frame(frame, Outcome.UNREAD)
 
     def counts(self) -> StreamCounts:
         """A copy of the present counts."""

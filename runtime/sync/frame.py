@@ -1,50 +1,90 @@
-"""A frame that a source read."""
+"""A frame as it was measured: an image and the depth of its time."""
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.io.calibration import Calibration
-from runtime.sync.motion import DepthMotion
+from runtime.prediction import DEPTH_REUSED, DEPTH_UNCOMPENSATED
+from runtime.sync.motion import DepthInTime, Scan, project_in_time
+from runtime.sync.poses import PoseTrack
+
+
+@dataclass(frozen=True, eq=False)
+class Message:
+    """An image, a scan or a depth map.
+
+    Attributes:
+        stamp: as given, see `Stamp`; nanoseconds in a recording; None = not known.
+        stamp_ns: the same in nanoseconds; 0 = not known.
+        data: uint8 (H, W, 3), a `Scan`, or float32 (H, W) in metres; while messages of a recording
+            are matched, where the source finds it.
+        arrived_ns: when it was pushed, by the clock of the stream.
+    """
+
+    stamp: Any = None
+    stamp_ns: int = 0
+    data: Any = None
+    arrived_ns: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """An image with its sparse depth map.
+    """An image, the depth that belongs to it, and what moves the depth into the image.
 
     Attributes:
-        rgb: uint8 (H, W, 3), RGB.
-        sparse_depth: float32 (H, W), metres along the optical axis, 0 where there is no return.
-        image_stamp_ns: time of the image by its sensor's clock [ns], None if unknown.
-        depth_stamp_ns: the same of the depth; None without depth.
-        calibration: of the camera and the LiDAR, None if unknown.
-        focal_length_px: fx for its prediction, None if unknown; a run sets it.
-        name: of the frame in its stream; a run sets it.
-        health: what `runtime.health` found in the frame; a run sets it.
-        depth_reused: whether the depth is an older scan's.
-        depth_motion: as of `DepthInTime`; None without depth.
-        degraded: reasons that reading found, as of `Prediction.degraded`.
-        lost_points: as of `Cleaned`.
-
-    Raises:
-        InputError: if the calibration is of images of another size.
+        image: its message.
+        depth: its message; None = the camera alone.
+        reused: whether the depth is an older one, which is accounted for elsewhere.
+        calibration: of the camera and, for a scan, of the LiDAR; None = not known.
+        poses: of the LiDAR over the time of the frame; None = of a car without poses.
+        name: in its recording.
     """
 
-    rgb: NDArray[np.uint8]
-    sparse_depth: NDArray[np.float32]
-    image_stamp_ns: int | None = None
-    depth_stamp_ns: int | None = None
+    image: Message
+    depth: Message | None = None
+    reused: bool = False
     calibration: Calibration | None = None
-    focal_length_px: float | None = None
+    poses: PoseTrack | None = None
     name: str = ""
-    health: tuple[str, ...] = ()
-    depth_reused: bool = False
-    depth_motion: DepthMotion | None = None
-    degraded: tuple[str, ...] = ()
-    lost_points: int = 0
 
-    def __post_init__(self) -> None:
-        """Check the size, which would silently falsify clouds and the focal length."""
-        if self.calibration is not None:
-            self.calibration.require_size(self.rgb.shape[:2])
+    @property
+    def own_depth(self) -> Message | None:
+        """The depth that has the same outcome as the image."""
+        return None if self.reused else self.depth
+
+    @property
+    def rgb(self) -> NDArray[np.uint8]:
+        """The image: uint8 (H, W, 3), RGB."""
+        rgb: NDArray[np.uint8] = self.image.data
+        return rgb
+
+    @property
+    def sparse_depth(self) -> NDArray[np.float32]:
+        """The returns in the image: float32 (H, W), metres along the optical axis, 0 = none."""
+        return self.in_time.sparse_depth
+
+    @cached_property
+    def in_time(self) -> DepthInTime:
+        """The depth at the time of the image: a scan is moved and projected, a map stays.
+
+        Raises:
+            InputError: if the calibration that projects a scan is of images of another size.
+        """
+        size = (self.rgb.shape[0], self.rgb.shape[1])
+        depth, is_reused = self.depth, self.reused
+        if depth is None:
+            return DepthInTime(np.zeros(size, np.float32), "none", ())
+        if isinstance(depth.data, Scan):
+            assert self.calibration is not None  # required by what takes scans
+            to_ns, scan = self.image.stamp_ns, depth.data
+            return project_in_time(
+                self.calibration, scan, self.poses, to_ns, size, reused=is_reused
+            )
+        is_apart = self.poses is not None and depth.stamp_ns != self.image.stamp_ns
+        reasons: tuple[str, ...] = (DEPTH_REUSED,) if is_reused else ()
+        reasons += (DEPTH_UNCOMPENSATED,) if is_reused or is_apart else ()
+        return DepthInTime(depth.data, "none", reasons)

@@ -16,46 +16,18 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from statistics import median_low
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from runtime.checks import check_number
 from runtime.errors import InputError
+from runtime.sync.frame import Frame, Message
 from runtime.sync.outcome import MATCHED, Outcome, Sensor
-from runtime.sync.stamp import JUMP_BACK_NS, NS_PER_MS, Stamp
+from runtime.sync.stamp import JUMP_BACK_NS, NS_PER_MS
 
 _REMEMBERED_STAMPS = 64  # latest of a sensor, to detect duplicates
 _REMEMBERED_INTERVALS = 16
 _KNOWN_INTERVALS = 5  # from which the period is known
 _MAX_WAIT_NS = 50 * NS_PER_MS  # of a recording: how far a sensor's messages may be out of order
-
-
-@dataclass(frozen=True, eq=False)
-class Message:
-    """An image or a depth map.
-
-    stamp: as given; arrived_ns: by the clock of a live stream.
-    """
-
-    stamp: Stamp
-    stamp_ns: int
-    data: Any = None
-    arrived_ns: int = 0
-
-
-class Pair(NamedTuple):
-    """An image and its depth map; None = none was near enough in time.
-
-    reused: the depth map is an older one, which is accounted for elsewhere.
-    """
-
-    image: Message
-    depth: Message | None
-    reused: bool = False
-
-    @property
-    def own_depth(self) -> Message | None:
-        """The depth map that has the same outcome as the image."""
-        return None if self.reused else self.depth
 
 
 class Discarded(NamedTuple):
@@ -70,11 +42,14 @@ class Discarded(NamedTuple):
 class Decided:
     """What one step decided.
 
-    pairs: in the order of their images. jumped_back: whether the message of the step was older than
-    the newest of its sensor by more than a second.
+    Attributes:
+        frames: in the order of their images, without calibration and poses.
+        discarded: messages that are in none of them.
+        jumped_back: whether the message of the step was older than the newest of its sensor by more
+            than a second.
     """
 
-    pairs: list[Pair] = field(default_factory=list)
+    frames: list[Frame] = field(default_factory=list)
     discarded: list[Discarded] = field(default_factory=list)
     jumped_back: bool = False
 
@@ -224,7 +199,7 @@ class Matching(ABC):
                 self._discard_depth(decided, depth, Outcome.NO_IMAGE)
 
     def _decide_image(self, decided: Decided, image: Message) -> None:
-        """Make the pair of an image; older images that still wait are overtaken."""
+        """Make the frame of an image; older images that still wait are overtaken."""
         depth = self._partner(image)
         older_depth = self._older_depth(image) if depth is None else None
         self._decided_ns = image.stamp_ns
@@ -236,9 +211,9 @@ class Matching(ABC):
         if depth is not None:
             self._depths.remove(depth)
             self._keep(decided, depth, None)
-            decided.pairs.append(Pair(image, depth))
+            decided.frames.append(Frame(image, depth))
         else:
-            decided.pairs.append(Pair(image, older_depth, reused=older_depth is not None))
+            decided.frames.append(Frame(image, older_depth, reused=older_depth is not None))
         if older_depth is not None:
             self._mark_reused(decided, older_depth)
         for dead in list(self._depths):
@@ -458,7 +433,7 @@ def match_by_stamp(
     reuse_depth_ms: float,
     waiting: int,
     on_decided: Callable[[Decided], object],
-) -> Iterator[Pair]:
+) -> Iterator[Frame]:
     """Return an iterator over each image with its depth map or None, by the images' stamps.
 
     Args:
@@ -481,12 +456,12 @@ def match_by_stamp(
             yield matching.add(sensor, message)
         yield matching.flush()
 
-    def pairs() -> Iterator[Pair]:
+    def frames() -> Iterator[Frame]:
         for decided in steps():
             on_decided(decided)
-            yield from decided.pairs
+            yield from decided.frames
 
-    return pairs()
+    return frames()
 
 
 def _checked_ns(name: str, value_ms: float) -> int:

@@ -127,23 +127,6 @@ def project_in_time(
     return DepthInTime(calibration.project(points, size), "none", reasons, lost)
 
 
-def keep_map(
-    sparse_depth: NDArray[np.float32], *, apart: bool, has_poses: bool, reused: bool
-) -> DepthInTime:
-    """Take a depth map, which cannot be moved.
-
-    Args:
-        sparse_depth: float32 (H, W), metres.
-        apart: whether its stamp is not the image's.
-        has_poses: whether the car has poses, so that returns ought to be moved.
-        reused: whether it is an older map than the image's own.
-    """
-    reasons: tuple[str, ...] = (DEPTH_REUSED,) if reused else ()
-    if reused or (has_poses and apart):
-        reasons += (DEPTH_UNCOMPENSATED,)
-    return DepthInTime(sparse_depth, "none", reasons)
-
-
 def check_scan_stamp(value: Any) -> ScanStamp:
     """Return the instant of a scan that its stamp is; InputError for another word."""
     if value not in MIDDLE_AFTER:

@@ -15,6 +15,7 @@ from runtime.prediction import Prediction
 from runtime.run.outputs.output import OpenRun
 from runtime.run.run_folder import CLOUD, OVERLAY, SAVED_HEADS, SUFFIXES, make_run_folder
 from runtime.run.run_report import write_report
+from runtime.streams.frame_result import FrameResult
 from runtime.sync.frame import Frame
 
 
@@ -24,12 +25,12 @@ class FrameWriter:
     def __init__(self, run: OpenRun) -> None:
         self._run = run
 
-    def write(self, frame: Frame, prediction: Prediction) -> None:
+    def write(self, frame: Frame, result: FrameResult) -> None:
         """Write the files of one frame: all of them, or, on an error, none. Raises OutputError."""
         written: list[Path] = []
         try:
             for kind in self._run.kinds:
-                content = self._encode(kind, frame, prediction)
+                content = self._encode(kind, frame, result.prediction)
                 if content is not None:
                     path = self._run.options.folder / kind / (frame.name + SUFFIXES[kind])
                     atomic_write(path, content)

@@ -16,6 +16,7 @@ from runtime.io.encode import encode_jpeg
 from runtime.prediction import Prediction
 from runtime.run.options import DEFAULT_RATE_HZ, FILE_SUFFIXES
 from runtime.run.outputs.output import OpenRun
+from runtime.streams.frame_result import FrameResult
 from runtime.sync.frame import Frame
 
 _ENCODINGS = {"uint8": "mono8", "float32": "32FC1"}  # dtype -> encoding of sensor_msgs/msg/Image
@@ -44,10 +45,10 @@ class McapWriter:
         self._connections: dict[str, Any] = {}
         self._frames = 0
 
-    def write(self, frame: Frame, prediction: Prediction) -> None:
+    def write(self, frame: Frame, result: FrameResult) -> None:
         """Append the answers to a frame. Raises OutputError for a stamp out of range for ROS."""
-        stamp_ns = frame.image_stamp_ns
-        if stamp_ns is None:
+        prediction, stamp_ns = result.prediction, frame.image.stamp_ns
+        if frame.image.stamp is None:
             stamp_ns = round(self._frames / self._rate_hz * _S)
         if not 0 <= stamp_ns < _LAST_NS:
             raise OutputError(

@@ -5,22 +5,28 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from runtime.io.recording import RecordedFrame, Recorder, Settings, record
-from runtime.prediction import Prediction
+from runtime.prediction import OF_THE_STREAM
+from runtime.run.options import RunOptions
 from runtime.run.outputs.output import OpenRun
+from runtime.streams.frame_result import FrameResult
 from runtime.sync.frame import Frame
 
 
 class RunRecording:
     """Record each frame and its answers, valid or not; see `open_recording`."""
 
-    def __init__(self, recorder: Recorder) -> None:
-        self._recorder = recorder
+    def __init__(self, recorder: Recorder, options: RunOptions) -> None:
+        self._recorder, self._options = recorder, options
 
-    def write(self, frame: Frame, prediction: Prediction) -> None:
-        """Record a frame. Raises OutputError."""
-        predict_ms, focal_px = prediction.latency.total_ms, frame.focal_length_px
+    def write(self, frame: Frame, result: FrameResult) -> None:
+        """Record a frame and what `Predictor.predict` answered. Raises OutputError."""
+        prediction = result.prediction
         entry = RecordedFrame(
-            frame.name, prediction.valid, prediction.degraded, predict_ms, focal_px
+            frame.name,
+            prediction.valid,
+            tuple(reason for reason in prediction.degraded if reason not in OF_THE_STREAM),
+            prediction.latency.total_ms,
+            self._options.focal_length_px(frame),
         )
         self._recorder.add(entry, frame.rgb, frame.sparse_depth, prediction.heads)
 
@@ -33,5 +39,5 @@ def open_recording(run: OpenRun) -> Iterator[RunRecording]:
     focal_length_px, provider = predictor.focal_length_px, str(options.provider)
     settings = Settings("ssdnet-run", options.network_size, focal_length_px, provider)
     with record(options.record, settings, overwrite=options.overwrite) as recorder:
-        yield RunRecording(recorder)
+        yield RunRecording(recorder, options)
         recorder.finish(Path(predictor.model), sha256=predictor.digest)

@@ -8,9 +8,9 @@ import cv2
 
 from runtime.errors import OutputError
 from runtime.io.atomic_write import atomic_path
-from runtime.prediction import Prediction
 from runtime.run.options import DEFAULT_RATE_HZ
 from runtime.run.outputs.output import OpenRun
+from runtime.streams.frame_result import FrameResult
 from runtime.sync.frame import Frame
 
 _CODEC = "mp4v"  # MPEG-4 part 2: what OpenCV's wheels encode on every system, without licences
@@ -28,10 +28,10 @@ class VideoWriter:
         self._size = (0, 0)
         self._frames = 0
 
-    def write(self, frame: Frame, prediction: Prediction) -> None:
+    def write(self, frame: Frame, result: FrameResult) -> None:
         """Draw a frame and append it, resized to the size of the first one. Raises OutputError."""
         widest = self._overlay_width or frame.rgb.shape[1]
-        picture = self._overlay.draw(frame.rgb, prediction, widest=widest)
+        picture = self._overlay.draw(frame.rgb, result.prediction, widest=widest)
         if self._file is None:
             self._size = _video_size(*picture.shape[:2])
             codec = cv2.VideoWriter.fourcc(*_CODEC)

@@ -1,7 +1,7 @@
 """Outcomes of frames, made by hand."""
 
 from runtime.prediction import Latency, Prediction
-from runtime.streams.frame_outcome import OK, SKIPPED, FrameOutcome
+from runtime.streams.frame_result import OK, SKIPPED, FrameResult
 
 
 def outcome(number=0, status=OK, *, degraded=(), returns=0, **others):
@@ -11,4 +11,4 @@ def outcome(number=0, status=OK, *, degraded=(), returns=0, **others):
         {}, size, size, latency, valid=status == OK, degraded=degraded, depth_returns=returns
     )
     known = {} if status == SKIPPED else {"prediction": prediction}
-    return FrameOutcome(sequence=number, **{"name": str(number), **known, **others})
+    return FrameResult(sequence=number, **{"name": str(number), **known, **others})

@@ -13,8 +13,9 @@ import pytest
 import runtime.io.images
 import runtime.run.pipeline
 from runtime import OutputError, Predictor
-from runtime.run.pipeline import run_stream
+from runtime.run.pipeline import FrameReader, run_stream
 from runtime.sources.folders import FolderSource
+from runtime.streams.answerer import Answerer
 
 
 @pytest.fixture
@@ -44,7 +45,9 @@ def run(predictor, folders, **options):
     source = FolderSource(folders[0], depth=folders[1])
     if write := options.pop("write", None):
         options["outputs"] = [SimpleNamespace(write=write)]
-    return run_stream(predictor, source.list_frames(), **{"read": source.read, **options})
+    reader = FrameReader(SimpleNamespace(read=options.pop("read", source.read)))
+    answerer = Answerer(predictor, check_depth=False)
+    return run_stream(answerer, source.list_frames(), reader, **options)
 
 
 def test_every_frame_is_predicted_and_written_in_order(predictor, stream_of, make_frame):
@@ -53,7 +56,7 @@ def test_every_frame_is_predicted_and_written_in_order(predictor, stream_of, mak
     result = run(
         predictor,
         stream_of(12),
-        write=lambda frame, prediction: written.append((frame.name, frame.rgb, prediction)),
+        write=lambda frame, result: written.append((frame.name, frame.rgb, result.prediction)),
         on_record=lambda record: seen.append(record.sequence),
     )
     names = [str(index) for index in range(12)]
@@ -98,7 +101,7 @@ def test_reading_and_writing_overlap_with_inference(predictor, stream_of, monkey
         predicted_of[index].set()
         return prediction
 
-    def write(frame, prediction):
+    def write(frame, result):
         # Ends only when the next frame was predicted: without overlap it would wait in vain.
         if int(frame.name) < 5 and predicted_of[int(frame.name) + 1].wait(5):
             met.append(f"written {frame.name}")
@@ -160,7 +163,7 @@ def test_an_answer_with_nan_is_flagged_and_not_written(predictor, stream_of):
 def test_a_full_disk_stops_the_run_and_keeps_what_was_finished(predictor, stream_of):
     written = []
 
-    def write(frame, prediction):
+    def write(frame, result):
         if frame.name == "3":
             raise OutputError("No space left on device")
         written.append(frame.name)

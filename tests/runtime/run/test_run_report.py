@@ -8,7 +8,7 @@ import pytest
 from outcomes import outcome
 from runtime.run.pipeline import StreamResult
 from runtime.run.run_report import RunReport, frames_csv
-from runtime.streams.frame_outcome import INVALID, OK, SKIPPED
+from runtime.streams.frame_result import INVALID, OK, SKIPPED
 from runtime.streams.statistics import MissedDeadlines
 
 

@@ -11,7 +11,6 @@ from runtime.run.options import RunOptions, UsageError
 from runtime.sources.folders import FolderSource
 from runtime.sources.registry import SOURCES, open_source, parse_source
 from runtime.sources.source import ListedFrame, Source, up_to
-from runtime.sync.frame import Frame
 from runtime.sync.poses import PoseFrame
 
 KINDS = "one of the kinds kitti-raw, kitti-object, video, bag, one-folder, folders"
@@ -145,7 +144,7 @@ class ArchiveSource(Source):
 
     def read(self, frame):
         depth = np.float32(self._depth[frame.depth] / self._scale)
-        return Frame(self._rgb[frame.image], depth)
+        return frame.measured(self._rgb[frame.image], depth)
 
     @property
     def inputs(self):

@@ -135,7 +135,7 @@ def test_frames_of_a_variable_rate_are_all_read(tmp_path, write_mkv):
     times_ms = [100 * index for index in range(20)] + [2000 + 33 * index for index in range(40)]
     with VideoSource(write_mkv(tmp_path / "drive.mkv", times_ms)) as source:
         frames = [source.read(frame) for frame in source.list_frames()]
-    assert [round(frame.image_stamp_ns / 1e6) for frame in frames] == times_ms
+    assert [round(frame.image.stamp_ns / 1e6) for frame in frames] == times_ms
 
 
 @pytest.fixture

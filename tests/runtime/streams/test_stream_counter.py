@@ -2,12 +2,13 @@ import json
 
 from runtime.streams.statistics import MissedDeadlines
 from runtime.streams.stream_counter import MessageCounts, StreamCounter
-from runtime.sync.matching import Decided, Discarded, Message, Pair
+from runtime.sync.frame import Frame, Message
+from runtime.sync.matching import Decided, Discarded
 from runtime.sync.outcome import Outcome, Sensor
 from stream_messages import result
 
 IMAGE, SCAN = Message(1.0, 10**9), Message(0.9, 9 * 10**8)
-BOTH, ALONE, REUSED = Pair(IMAGE, SCAN), Pair(IMAGE, None), Pair(IMAGE, SCAN, reused=True)
+BOTH, ALONE, REUSED = Frame(IMAGE, SCAN), Frame(IMAGE, None), Frame(IMAGE, SCAN, reused=True)
 
 
 def test_each_message_is_counted_once_with_its_outcome():
@@ -16,7 +17,7 @@ def test_each_message_is_counted_once_with_its_outcome():
         counter.push(sensor)
     for pair in (BOTH, ALONE, REUSED):
         counter.record_answer(pair, result())
-    counter.record_pair(BOTH, Outcome.OVERTAKEN)
+    counter.record_frame(BOTH, Outcome.OVERTAKEN)
     gone = [Discarded(Sensor.DEPTH, SCAN, Outcome.NO_IMAGE)]
     counter.record_decided(Decided(discarded=gone, jumped_back=True))
     counts = counter.counts()

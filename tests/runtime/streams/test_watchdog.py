@@ -3,15 +3,15 @@ import pytest
 from runtime.errors import InferenceError, InputError
 from runtime.streams.stream_counter import StreamCounter
 from runtime.streams.watchdog import Level, WatchdogLimits
-from runtime.sync.matching import Message, Pair
+from runtime.sync.frame import Frame, Message
 from stream_messages import result
 
 MS = 1_000_000
-PAIR = Pair(Message(1.0, 10**9), None)
+FRAME = Frame(Message(1.0, 10**9), None)
 
 
 def answered(counter, at_ms=0, *, late=False, **wrong):
-    counter.record_answer(PAIR, result(deadline_met=not late, **wrong), at_ms * MS)
+    counter.record_answer(FRAME, result(deadline_met=not late, **wrong), at_ms * MS)
 
 
 def levels(counter, at_ms=0):
@@ -50,9 +50,9 @@ def test_runs_warn_then_are_an_error_and_end(wrong, limits):
 def test_frames_that_were_errors_count_as_failed():
     counter = StreamCounter(limits=WatchdogLimits(failed=(1, 2)))
     counter.start(0)
-    counter.record_failed(PAIR, InferenceError())
+    counter.record_failed(FRAME, InferenceError())
     assert levels(counter) == ("WARN", ("failed",))
-    counter.record_failed(PAIR, InferenceError())
+    counter.record_failed(FRAME, InferenceError())
     assert levels(counter) == ("ERROR", ("failed",))
 
 

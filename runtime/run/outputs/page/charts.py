@@ -8,7 +8,7 @@ from functools import cached_property
 from itertools import groupby
 from typing import Any
 
-from runtime.streams.frame_outcome import INVALID, OK, SKIPPED, FrameOutcome
+from runtime.streams.frame_result import INVALID, OK, SKIPPED, FrameResult
 from runtime.streams.statistics import LatencyStatistics
 
 DROPS = (SKIPPED, INVALID)  # frames without a usable answer
@@ -23,7 +23,7 @@ _STEPS = tuple(step * 10.0**power for power in range(-6, 10) for step in (1, 2, 
 Bar = tuple[float, float, float, float]  # left, width, height, and opacity 0..1
 
 
-def marks_of(record: FrameOutcome) -> set[str]:
+def marks_of(record: FrameResult) -> set[str]:
     """What is wrong with a frame: status, "late", `Prediction.degraded`, and health."""
     marks = {*record.health, *(record.prediction.degraded if record.prediction else ())}
     if record.status != OK:
@@ -38,7 +38,7 @@ class Span:
     """Successive frames at one place of the charts; `first` is the number of the first."""
 
     first: int
-    records: Sequence[FrameOutcome]
+    records: Sequence[FrameResult]
 
     @property
     def last(self) -> int:
@@ -78,7 +78,7 @@ class Span:
         return sum(returns) / len(returns) if returns else None
 
 
-def join_frames(records: Sequence[FrameOutcome]) -> list[Span]:
+def join_frames(records: Sequence[FrameResult]) -> list[Span]:
     """The spans of a run, of one frame each unless there are too many frames."""
     several = -(-len(records) // _MOST_SPANS) or 1
     return [Span(at, records[at : at + several]) for at in range(0, len(records), several)]

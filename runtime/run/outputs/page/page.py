@@ -15,11 +15,10 @@ from runtime.contract import Contract
 from runtime.drawing.overlay import Overlay
 from runtime.io.atomic_write import atomic_write
 from runtime.io.encode import encode_jpeg, encode_png
-from runtime.prediction import Prediction
 from runtime.run.outputs.output import OpenRun
 from runtime.run.outputs.page import charts
 from runtime.run.run_report import RunReport, running_providers
-from runtime.streams.frame_outcome import INVALID, SKIPPED
+from runtime.streams.frame_result import INVALID, SKIPPED, FrameResult
 from runtime.streams.statistics import LatencyStatistics
 from runtime.sync.frame import Frame
 
@@ -78,10 +77,11 @@ class RunPage:
         self._kept: dict[int, Sample] = {}  # evenly spaced, and the first of each set of marks
         self._slowest: Sample | None = None
 
-    def write(self, frame: Frame, prediction: Prediction) -> None:
+    def write(self, frame: Frame, result: FrameResult) -> None:
         """Keep a frame and its answer as a sample, perhaps; nothing is written yet."""
         index, self._seen = self._seen, self._seen + 1
-        marks = (*prediction.degraded, *frame.health)
+        prediction = result.prediction
+        marks = (*prediction.degraded, *result.health)
         time_ms = prediction.latency.total_ms
         slowest = self._slowest is None or time_ms > self._slowest.predict_ms
         known = {sample.marks for sample in self._kept.values()}

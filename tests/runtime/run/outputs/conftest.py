@@ -6,15 +6,18 @@ from runtime import Predictor
 from runtime.drawing.overlay import Overlay
 from runtime.run.options import RunOptions
 from runtime.run.outputs.output import OpenRun
-from runtime.sync.frame import Frame
+from runtime.streams.frame_result import FrameResult
+from runtime.sync.frame import Frame, Message
 
 
 @pytest.fixture
 def answered(all_heads, make_frame):
-    """(frame, prediction)."""
+    """(frame, result)."""
     rgb, depth = make_frame(60, 80)
     rgb[..., 1] = rgb[..., 2] // 2  # boundary = green / blue stays within 0..1
-    return Frame(rgb, depth, name="a"), Predictor(all_heads).predict(rgb, depth)
+    prediction = Predictor(all_heads).predict(rgb, depth)
+    frame = Frame(Message(data=rgb), Message(data=depth), name="a")
+    return frame, FrameResult(sequence=0, name="a", rgb=rgb, prediction=prediction)
 
 
 @pytest.fixture

@@ -21,11 +21,14 @@ def write(open_run, answered):
     def make(out, *names, kinds=KINDS, heads=None):
         make_run_folder(out, kinds=kinds, names=names, overwrite=True)
         writer = FrameWriter(open_run(out=out, kinds=kinds))
-        frame, prediction = answered
-        kept = {head: prediction.heads[head] for head in heads or prediction.heads}
+        frame, result = answered
+        given = result.prediction.heads
+        kept = {head: given[head] for head in heads or given}
+        prediction = dataclasses.replace(result.prediction, heads=kept)
         for name in names:
             writer.write(
-                dataclasses.replace(frame, name=name), dataclasses.replace(prediction, heads=kept)
+                dataclasses.replace(frame, name=name),
+                dataclasses.replace(result, name=name, prediction=prediction),
             )
         return writer
 
@@ -33,7 +36,7 @@ def write(open_run, answered):
 
 
 def test_a_frame_is_written(tmp_path, write, answered):
-    prediction = answered[1]
+    prediction = answered[1].prediction
     out = tmp_path / "deep" / "out"
     write(out, "7")
     files = {"semantic/7.png", "depth/7.png", "uncertainty/7.png", "boundary/7.png"}

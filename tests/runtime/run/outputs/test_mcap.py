@@ -1,5 +1,6 @@
 """The MCAP file holds every answer as standard messages, and is whole or not there."""
 
+import dataclasses
 import json
 
 import cv2
@@ -9,7 +10,7 @@ import pytest
 from runtime import OutputError, Predictor
 from runtime.drawing.overlay import Overlay
 from runtime.run.outputs.mcap import open_mcap
-from runtime.sync.frame import Frame
+from runtime.sync.frame import Frame, Message
 
 rosbags = pytest.importorskip("rosbags", reason="the extra bag is not installed")
 
@@ -33,13 +34,14 @@ def read_mcap(path):
 def test_the_answers_are_read_back_with_the_stamps_of_the_camera(
     tmp_path, contract, answered, open_run
 ):
-    frame, prediction = answered
+    frame, result = answered
+    prediction = result.prediction
     path = tmp_path / "deep" / "a.mcap"
     with open_mcap(open_run(mcap=path)) as mcap:
         for number in range(3):
             stamp_ns = STAMP_NS + number * 100_000_000
-            stamped = Frame(frame.rgb, frame.sparse_depth, stamp_ns, name=f"f{number}")
-            mcap.write(stamped, prediction)
+            stamped = Frame(Message(stamp_ns, stamp_ns, frame.rgb), name=f"f{number}")
+            mcap.write(stamped, result)
         assert not path.exists()
     topics = read_mcap(path)
     for head, dtype in HEADS.items():
@@ -67,11 +69,11 @@ def test_the_answers_are_read_back_with_the_stamps_of_the_camera(
 
 
 def test_what_is_degraded_is_a_warning(tmp_path, answered, model_file, open_run):
-    frame, _ = answered
+    frame, result = answered
     with Predictor(model_file()) as predictor:
         camera_only = predictor.predict(frame.rgb, np.zeros_like(frame.sparse_depth))
     with open_mcap(open_run(mcap=tmp_path / "a.mcap")) as mcap:
-        mcap.write(frame, camera_only)
+        mcap.write(frame, dataclasses.replace(result, prediction=camera_only))
     topics = read_mcap(tmp_path / "a.mcap")
     ((_, diagnostics),) = topics["/diagnostics"]
     assert (diagnostics.status[0].level, diagnostics.status[0].message) == (1, "no_depth")
@@ -86,13 +88,13 @@ def test_frames_without_stamps_come_at_the_rate(tmp_path, run):
 
 
 def test_a_stamp_that_ros_cannot_hold_leaves_no_file(tmp_path, answered, open_run):
-    frame, prediction = answered
+    frame, result = answered
     path = tmp_path / "made" / "a.mcap"
 
     def fail():
         with open_mcap(open_run(mcap=path)) as mcap:
-            mcap.write(frame, prediction)
-            mcap.write(Frame(frame.rgb, frame.sparse_depth, 2**31 * 10**9), prediction)
+            mcap.write(frame, result)
+            mcap.write(Frame(Message(2.0**31, 2**31 * 10**9, frame.rgb)), result)
 
     with pytest.raises(OutputError, match="has the stamp"):
         fail()

@@ -15,7 +15,7 @@ from outcomes import outcome
 from runtime.prediction import Latency
 from runtime.run.outputs.page import charts
 from runtime.run.outputs.page.page import RunPage, render_template
-from runtime.streams.frame_outcome import OK, SKIPPED
+from runtime.streams.frame_result import OK, SKIPPED
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
 
@@ -220,13 +220,17 @@ def test_strips_show_where_a_mark_was_and_how_many_returns_were_used():
 @pytest.fixture
 def look(contract, answered):
     """Let a page see n frames, the time of frame i by `time_ms`, its marks by `marks`."""
-    frame, prediction = answered
+    frame, result = answered
 
     def run(n, time_ms=lambda i: 1.0, marks=lambda i: ()):
         page = RunPage(contract, n)
         for index in range(n):
-            timed = dataclasses.replace(prediction, latency=Latency(0, 0, 0, time_ms(index)))
-            page.write(dataclasses.replace(frame, name=f"f{index}", health=marks(index)), timed)
+            latency = Latency(0, 0, 0, time_ms(index))
+            timed = dataclasses.replace(result.prediction, latency=latency)
+            page.write(
+                dataclasses.replace(frame, name=f"f{index}"),
+                dataclasses.replace(result, prediction=timed, health=marks(index)),
+            )
         return page.samples()
 
     return run

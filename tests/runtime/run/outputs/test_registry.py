@@ -20,8 +20,8 @@ def test_another_output_is_a_row_and_an_option(tmp_path, stream, all_heads, monk
         lines = []
 
         class Nearest:
-            def write(self, frame, prediction):
-                lines.append(f"{frame.name} {prediction.depth.min():.2f}")
+            def write(self, frame, result):
+                lines.append(f"{frame.name} {result.prediction.depth.min():.2f}")
 
         yield Nearest()
         lines.append(f"{len(run.report.records)} frames")

@@ -1,5 +1,6 @@
 """The video holds the overlay of every frame that was written, and is whole or not there."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import cv2
@@ -11,7 +12,7 @@ from runtime import OutputError, Predictor
 from runtime.drawing.overlay import Overlay
 from runtime.run.cli import app
 from runtime.run.outputs.video import open_video
-from runtime.sync.frame import Frame
+from runtime.sync.frame import Frame, Message
 
 
 def read_video(path):
@@ -30,13 +31,13 @@ def mean_difference(one, other):
 
 
 def test_it_shows_the_overlays_in_their_order(tmp_path, contract, answered, open_run):
-    frame, prediction = answered
+    frame, result = answered
     overlay, expected = Overlay(contract.classes, contract.max_depth_m), []
     with open_video(open_run(video=tmp_path / "deep" / "a.mp4")) as video:
         for brightness in (40, 120, 200):
-            frame = Frame(np.full_like(frame.rgb, brightness), frame.sparse_depth)
-            video.write(frame, prediction)
-            expected.append(overlay.draw(frame.rgb, prediction))
+            frame = Frame(Message(data=np.full_like(frame.rgb, brightness)))
+            video.write(frame, result)
+            expected.append(overlay.draw(frame.rgb, result.prediction))
         assert not (tmp_path / "deep" / "a.mp4").exists()
     rate_hz, pictures = read_video(tmp_path / "deep" / "a.mp4")
     assert rate_hz == 10
@@ -50,16 +51,16 @@ def test_it_shows_the_overlays_in_their_order(tmp_path, contract, answered, open
 
 @pytest.mark.parametrize("size", [(61, 81), (30, 400)])
 def test_frames_of_other_sizes_get_that_of_the_first(tmp_path, answered, size, open_run):
-    frame, prediction = answered
+    frame, result = answered
     other = cv2.resize(frame.rgb, size[::-1])
     resized = {
-        head: cv2.resize(getattr(prediction, head), size[::-1])
+        head: cv2.resize(getattr(result.prediction, head), size[::-1])
         for head in ("semantic", "depth", "boundary", "depth_uncertainty")
     }
-    answer = SimpleNamespace(heads=resized)
+    answer = dataclasses.replace(result, prediction=SimpleNamespace(heads=resized))
     with open_video(open_run(video=tmp_path / "a.mp4", rate=30)) as video:
-        video.write(frame, prediction)
-        video.write(Frame(other, frame.sparse_depth), answer)
+        video.write(frame, result)
+        video.write(Frame(Message(data=other)), answer)
     rate_hz, pictures = read_video(tmp_path / "a.mp4")
     assert rate_hz == 30
     assert len(pictures) == 2
@@ -105,7 +106,7 @@ def test_a_full_disk_is_an_output_error(mount_disk, answered, open_run):
         with open_video(open_run(video=folder / "a.mp4")) as video:
             for _ in range(200):
                 rgb = noise.integers(0, 255, answered[0].rgb.shape, dtype=np.uint8)
-                video.write(Frame(rgb, answered[0].sparse_depth), answered[1])
+                video.write(Frame(Message(data=rgb)), answered[1])
 
     with pytest.raises(OutputError, match="free some space or choose another location"):
         fill()
