@@ -8,8 +8,8 @@ live     A camera and a LiDAR thread push for `--minutes` at `--load` times the 
          reaches here. Both send faults now and then: bursts of NaN, empty, half and wrongly sized
          depth maps, black, frozen and wrongly sized images, late, double, missing and jumping
          stamps; readers are killed and started again.
-signals  `--rounds` programs push, read or iterate until a signal handler closes the stream, then
-         exit while another stream predicts.
+signals  `--rounds` programs push, read or iterate until a signal handler stops them, close the
+         stream, then exit while another stream predicts.
 sources  `--rounds` copies of the bundled recording have a damaged or special file each; reading
          must end in an InputError or in a frame, and all other frames must be read as they are.
 
@@ -240,7 +240,7 @@ def _stamp_fault(kind: str, stamp: float, shift: float) -> tuple[Any, float]:
     return stamp, shift
 
 
-_CLOSED_BY_SIGNALS = """
+_STOPPED_BY_SIGNALS = """
 import random, signal, sys, threading, time
 import numpy as np
 from runtime import Predictor, PushStream
@@ -248,13 +248,13 @@ from runtime import Predictor, PushStream
 chance = random.Random(int(sys.argv[1]))
 predictor = Predictor("ssdnet-nano", threads=1)
 rgb, depth = np.zeros((64, 96, 3), np.uint8), np.ones((64, 96), np.float32)
-signal.signal(signal.SIGALRM, lambda *_: (stream.close(), closed.append(True)))
+signal.signal(signal.SIGALRM, lambda *_: stopped.append(True))
 for _ in range(20):
-    on_result, closed = chance.choice([None, lambda result: None]), []
+    on_result, stopped = chance.choice([None, lambda result: None]), []
     stream = PushStream(predictor, on_result=on_result, max_wait_ms=0)
     number, read = 0, chance.choice(["counts", "statistics", "state", "close_elsewhere"])
     signal.setitimer(signal.ITIMER_REAL, chance.uniform(0.001, 0.05))
-    while not closed:
+    while not stopped:
         stream.push_image(rgb, number / 10)
         stream.push_depth(depth, number / 10)
         number += 1
@@ -262,7 +262,7 @@ for _ in range(20):
             threading.Thread(target=stream.close).start()
         else:
             getattr(stream, read)
-    stream._worker.join()
+    stream.close()
     assert stream.counts.pending == 0, stream.counts
     assert stream.counts.pushed == 2 * number, stream.counts
 stream = PushStream(predictor, max_wait_ms=0)
@@ -277,7 +277,7 @@ def soak_signals(*, rounds: int, seed: int) -> list[str]:
     for number in range(seed, seed + rounds):
         try:
             subprocess.run(
-                [sys.executable, "-c", _CLOSED_BY_SIGNALS, str(number)],
+                [sys.executable, "-c", _STOPPED_BY_SIGNALS, str(number)],
                 check=True,
                 capture_output=True,
                 text=True,

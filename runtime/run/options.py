@@ -238,25 +238,19 @@ class RunOptions:
             )
         return tuple(kind for kind in SUFFIXES if kind in requested)
 
-    @cached_property
+    @property
     def folder(self) -> Path:
         """The folder of the results: --out, else ssdnet-run, ssdnet-run-2 and so on, a new one."""
-        if self.out is not None or self.overwrite:
-            return self.out or _OUT
-        later = (_OUT.with_name(f"{_OUT}-{number}") for number in itertools.count(2))
-        return next(path for path in itertools.chain([_OUT], later) if not os.path.lexists(path))
+        return self._named_folder or next(path for path in _names() if not os.path.lexists(path))
 
-    def claim_folder(self) -> None:
-        """Make a folder that was not named; another run may have taken its name meanwhile."""
-        while self.out is None and not self.overwrite:
-            try:
-                self.folder.mkdir()
-            except FileExistsError:
-                del self.__dict__["folder"]  # choose another name
-                continue
-            except OSError:
-                pass  # reported where the folder is used
-            return
+    def with_folder(self) -> "RunOptions":
+        """The options with --out; a folder that was not named is made, so that no run shares it."""
+        named = self._named_folder or next(path for path in _names() if _is_made(path))
+        return dataclasses.replace(self, out=named)
+
+    @property
+    def _named_folder(self) -> Path | None:
+        return _OUT if self.out is None and self.overwrite else self.out
 
     @cached_property
     def network_size(self) -> NetworkSize:
@@ -322,6 +316,22 @@ class RunOptions:
                 f"--shard is I/N with 1 <= I <= N, such as 2/4, got {shown(self.shard)}"
             )
         return part, parts
+
+
+def _names() -> Iterator[Path]:
+    """Names of folders that a run may take without --out."""
+    yield _OUT
+    yield from (_OUT.with_name(f"{_OUT}-{number}") for number in itertools.count(2))
+
+
+def _is_made(path: Path) -> bool:
+    """Make a folder; False if there is one, or another run has just made it."""
+    with contextlib.suppress(OSError):  # others are reported where the folder is used
+        try:
+            path.mkdir()
+        except FileExistsError:
+            return False
+    return True
 
 
 @contextlib.contextmanager

@@ -66,7 +66,7 @@ def _run_rig(options: RunOptions, cameras: Mapping[str, Source], on_start: OnSta
         )
     for camera, source in cameras.items():
         require_outputs(options.of_camera(camera), source)
-    options.claim_folder()
+    options = options.with_folder()
     make_run_folder(options.folder, kinds=(), overwrite=options.overwrite)
     reports: dict[str, RunReport] = {}
     with stop_requested() as stop:
@@ -113,6 +113,7 @@ def _run_camera(
         faults = (find_lens_fault(source.calibration, frame_size), fault)
         about += [f"warning: {each}" for each in faults if each]
         overlay = Overlay(predictor.contract.classes, predictor.contract.max_depth_m)
+        options = options.with_folder()
         opened = OpenRun(options, predictor, overlay, kinds, [each.name for each in frames])
         with (
             contextlib.nullcontext(stop) if stop else stop_requested() as stopped,

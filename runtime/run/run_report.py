@@ -321,9 +321,10 @@ def list_results(report: RunReport, options: RunOptions) -> Iterator[str]:
     if options.record is not None:
         yield f"recording: {os.path.realpath(options.record)}"
     cameras = report.inputs.get("cameras", ())
-    for each in [options.of_camera(camera) for camera in cameras] or [options]:
+    folders = {report.out / camera: options.of_camera(camera) for camera in cameras}
+    for folder, each in (folders or {report.out: options}).items():
         for option, path in each.named_files.items():
             if path.exists():
                 yield f"{option}: {os.path.realpath(path)}"
         if OVERLAY in report.saved and report.by_status["ok"]:
-            yield f"pictures: {os.path.realpath(each.folder / OVERLAY)}"
+            yield f"pictures: {os.path.realpath(folder / OVERLAY)}"

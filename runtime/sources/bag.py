@@ -88,6 +88,18 @@ class BagSource(Source):
     """
 
     accepted = f"a bag ({', '.join(_SUFFIXES)}, or a folder that holds metadata.yaml)"
+    options = (
+        "image_topic",
+        "depth_topic",
+        "info_topic",
+        "calibration",
+        "rectified",
+        "registered",
+        "max_skew_ms",
+        "reuse_depth_ms",
+        "scan_stamp",
+        "pose_topic",
+    )
 
     def __init__(
         self,

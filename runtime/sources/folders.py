@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +76,20 @@ class FolderSource(Source):
     """
 
     accepted = "a folder of images, or one image"
+    options: ClassVar[tuple[str, ...]] = (
+        "depth",
+        "points",
+        "depth_scale",
+        "point_columns",
+        "calibration",
+        "camera",
+        "timestamps",
+        "reuse_depth_ms",
+        "poses",
+        "pose_frame",
+        "scan_stamp",
+        "point_time_column",
+    )
     #: True: an image without depth is a camera-only frame, and depth without an image is ignored.
     #: False: both are frames that cannot be read.
     camera_alone = False

@@ -25,6 +25,7 @@ class KittiObjectSource(FolderSource):
     """
 
     accepted = "KITTI's object layout (holds image_2/, velodyne/ and calib/)"
+    options = ("camera", "points", "point_columns", "calibration")
     camera_alone = True
 
     def __init__(

@@ -52,6 +52,7 @@ class KittiRawSource(FolderSource):
     """
 
     accepted = "a drive of KITTI raw data (holds velodyne_points/data/)"
+    options = ("camera", "calibration", "max_skew_ms", "reuse_depth_ms", "scan_stamp")
     camera_alone = True
     calibration: Calibration
 

@@ -1,6 +1,5 @@
 """The interface of every source of frames: it lists its frames and reads each of them."""
 
-import inspect
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
@@ -97,11 +96,6 @@ class Source(ABC):
     folders: tuple[Path, ...] = ()
     recordings: tuple[Path, ...] = ()
     _rectify = False
-
-    def __init_subclass__(cls) -> None:
-        parameters = inspect.signature(cls.__init__).parameters.values()
-        keywords = tuple(each.name for each in parameters if each.kind is each.KEYWORD_ONLY)
-        cls.options = keywords or cls.options
 
     @abstractmethod
     def __init__(self, path: Path, **options: Any) -> None:

@@ -39,6 +39,7 @@ class VideoSource(FolderSource):
     """
 
     accepted = f"a video ({', '.join(_SUFFIXES)})"
+    options = ("depth", "depth_scale", "calibration")
 
     def __init__(
         self,

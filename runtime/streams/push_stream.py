@@ -10,11 +10,9 @@ notified at every change. Invariants:
 3. `_ready` and `_unread` hold one frame each and the synchronizer `_WAITING` messages of a sensor.
 4. `_closed` never becomes False again. Once it is True no message is accepted, and the worker
    decides what waits, answers what was accepted, which is bounded by 3, and ends.
-5. `close` may run in the middle of any other method in the same thread, as a signal handler does:
-   where that method holds the lock, `close` only sets `_closed` and returns.
-6. The worker references the stream only while it works, so that a dropped stream is collected. That
+5. The worker references the stream only while it works, so that a dropped stream is collected. That
    ends the worker, as does the interpreter's exit, which must not happen during a prediction.
-7. The worker copies the poses of a frame when it takes it (`_step`). No image waits for a pose.
+6. The worker copies the poses of a frame when it takes it (`_step`). No image waits for a pose.
 """
 
 import contextlib
@@ -305,18 +303,17 @@ class PushStream:
 
         Messages that wait for a partner are decided with what is there. Returns when the worker has
         ended; a result that was not fetched yet stays. Returns at once, and the stream ends by
-        itself, where a callback of the stream calls it, or a signal handler that interrupted
-        another method of the stream. May be called again, and from any thread.
+        itself, where a callback of the stream calls it. May be called again, and from any thread,
+        but not in a signal handler, which may interrupt another method of the stream.
 
         Raises:
             Exception: what a callback raised, or any other unexpected error of the worker; once.
         """
         self._guard.check()
-        inside = self._lock_is_held()
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-        if not inside and threading.current_thread() is not self._worker:
+        if threading.current_thread() is not self._worker:
             self._worker.join()
             self._raise_failure()
 
@@ -352,14 +349,6 @@ class PushStream:
             raised, self._failure_raised = self._failure_raised, True
         if self._failure is not None and not raised:
             raise self._failure
-
-    def _lock_is_held(self) -> bool:
-        """Whether this thread holds the lock: a signal handler interrupted a method."""
-        try:
-            self._changed.notify(0)
-        except RuntimeError:
-            return False
-        return True
 
     # --- the worker ----------------------------------------------------------------------------
 

@@ -71,7 +71,6 @@ def open_frame_files(run: OpenRun) -> Iterator[FrameWriter | None]:
     Yields None where no file of a frame is to be written.
     """
     options = run.options
-    options.claim_folder()
     make_run_folder(options.folder, kinds=run.kinds, names=run.names, overwrite=options.overwrite)
     yield FrameWriter(run) if run.kinds else None
     if run.report is not None:

@@ -1,5 +1,6 @@
 """Sources by their kind, and their options. A source is a file and a line of SOURCES."""
 
+import inspect
 import re
 from pathlib import Path
 
@@ -121,6 +122,13 @@ def test_a_path_that_is_not_there_is_an_input_error(kind, tmp_path, run):
     answers = run("--source", f"{kind}:{tmp_path / 'none'}")
     assert answers.exit_code == 1
     assert str(tmp_path / "none") in answers.text
+
+
+@pytest.mark.parametrize("source", SOURCES.values())
+def test_the_options_are_the_keywords_of_the_constructor(source):
+    owner = next(each for each in source.__mro__ if "options" in vars(each))
+    parameters = inspect.signature(owner.__init__).parameters.values()
+    assert source.options == tuple(p.name for p in parameters if p.kind is p.KEYWORD_ONLY)
 
 
 class ArchiveSource(Source):
