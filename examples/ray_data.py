@@ -48,7 +48,7 @@ class PredictorActor:
             )
         except SSDNetError as error:
             return {**row, "reason": str(error), **none}
-        row["degraded"] = ",".join(prediction.degraded + frame.in_time.degraded)
+        row["degraded"] = ",".join(prediction.degraded + frame.degraded)
         return {**row, **(prediction.heads if prediction.valid else none)}
 
 

@@ -70,7 +70,7 @@ class Answerer:
     def answer(self, frame: Frame) -> FrameResult:
         """Answer a frame; raises what `Predictor.predict` raises."""
         rgb, image, depth = frame.rgb, frame.image, frame.depth
-        sparse_depth, motion, reasons, lost_points = frame.in_time
+        sparse_depth, reasons = frame.sparse_depth, frame.degraded
         consistency = None
         if self._consistency is None or frame.own_depth is None:
             prediction = self._predict(frame, sparse_depth)
@@ -90,7 +90,7 @@ class Answerer:
             self._last = None if prediction.depth is None or not self._check_depth else frame
             if self._is_implausible:
                 reasons = (IMPLAUSIBLE_DEPTH, *reasons)
-        prediction = prediction.after_reading(reasons, lost_points)
+        prediction = prediction.after_reading(reasons, frame.in_time.lost_points)
         # `predict` has checked that they fit.
         health = self._health.check(rgb, sparse_depth, range_m=prediction.range_m)
         self._answers += 1
@@ -105,7 +105,7 @@ class Answerer:
             image_stamp=image.stamp,
             depth_stamp=None if depth is None else depth.stamp,
             depth_reused=frame.reused,
-            depth_motion=None if depth is None else motion,
+            depth_motion=frame.depth_motion,
             latency_ms=prediction.latency.total_ms,
             age_ms=prediction.latency.total_ms,
         )

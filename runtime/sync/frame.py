@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from runtime.io.calibration import Calibration
 from runtime.prediction import DEPTH_REUSED, DEPTH_UNCOMPENSATED
-from runtime.sync.motion import DepthInTime, Scan, project_in_time
+from runtime.sync.motion import DepthInTime, DepthMotion, Scan, project_in_time
 from runtime.sync.poses import PoseTrack
 
 
@@ -66,6 +66,16 @@ class Frame:
     def sparse_depth(self) -> NDArray[np.float32]:
         """The returns in the image: float32 (H, W), metres along the optical axis, 0 = none."""
         return self.in_time.sparse_depth
+
+    @property
+    def depth_motion(self) -> DepthMotion | None:
+        """How the returns were moved, as of `DepthInTime`; None without depth."""
+        return None if self.depth is None else self.in_time.motion
+
+    @property
+    def degraded(self) -> tuple[str, ...]:
+        """What is wrong with the depth: reasons as of `Prediction.degraded`."""
+        return self.in_time.degraded
 
     @cached_property
     def in_time(self) -> DepthInTime:

@@ -15,6 +15,7 @@ from cli_runs import N, arguments, files_in, rows_of
 from runtime.io.recording import read_recording
 from runtime.run.cli import app
 from runtime.run.run_folder import KINDS
+from runtime.sources.folders import FolderSource
 
 
 def scaled(given, scale):
@@ -203,6 +204,21 @@ def test_folders_that_make_no_stream_are_exit_code_1(tmp_path, run, stream, spoi
     assert result.stderr.startswith("error: ")
     assert text in result.stderr
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("given", [(), ("--shard", "2/3")])
+def test_each_frame_is_read_once(tmp_path, run, given, monkeypatch):
+    """Also the first ones, on which the run warms up and checks the depth."""
+    names, read = [], FolderSource.read
+
+    def count(self, listed):
+        names.append(listed.name)
+        return read(self, listed)
+
+    monkeypatch.setattr(FolderSource, "read", count)
+    assert run("--save", "none", *given).exit_code == 0
+    assert {row["name"] for row in rows_of(tmp_path / "out")} <= {*names}
+    assert len(names) == len({*names})
 
 
 @pytest.mark.parametrize("n", [19, 21])

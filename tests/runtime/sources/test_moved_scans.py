@@ -216,7 +216,7 @@ def test_a_drive_says_why_its_poses_are_not_used(drive, missing, note):
     (drive / missing).unlink()
     source = KittiRawSource(drive, max_skew_ms=20)
     frame = source.read(source.list_frames()[1])
-    assert frame.in_time.degraded == ("depth_reused", "depth_uncompensated")
+    assert frame.degraded == ("depth_reused", "depth_uncompensated")
     assert any(note in line for line in source.notes)
 
 
@@ -284,7 +284,7 @@ def test_clouds_with_a_time_for_each_point_are_deskewed(make_bag, make_frame, ma
     bag.cloud("/lidar/points", scan, START_NS + 100 * MS, data=data, **more)
     with BagSource(bag.write(), max_skew_ms=20) as source:
         frame = source.read(source.list_frames()[3])
-    assert (frame.in_time.motion, frame.reused) == ("each", True)
+    assert (frame.depth_motion, frame.reused) == ("each", True)
     scan[:, 0] += SPEED * after_s
     assert agree(frame.sparse_depth, projected(scan, 0.05 * SPEED))
 
@@ -305,7 +305,7 @@ def test_a_bag_says_why_its_poses_are_not_used(make_bag, make_frame, make_scan, 
     path = bag.write()
     with BagSource(path, max_skew_ms=20) as source:
         frame = source.read(source.list_frames()[1])
-        assert frame.in_time.degraded == ("depth_reused", "depth_uncompensated")
+        assert frame.degraded == ("depth_reused", "depth_uncompensated")
         assert any(note in line for line in source.notes), source.notes
     topic = "/tf" if poses.get("kind") == "tf" else "/odom"
     with pytest.raises(InputError, match=note.partition(" the frame")[0]):
@@ -336,8 +336,8 @@ def test_a_depth_map_is_reused_as_it_is_and_flagged(folders, write_depth, make_f
     frames = source.list_frames()
     assert "guessed: the images are 100 ms apart; timestamps= in --source says when" in source.notes
     own, reused = (source.read(frame) for frame in frames[:2])
-    assert own.in_time.degraded == ()
-    assert (reused.in_time.degraded, reused.in_time.motion) == (
+    assert own.degraded == ()
+    assert (reused.degraded, reused.depth_motion) == (
         ("depth_reused", "depth_uncompensated"),
         "none",
     )

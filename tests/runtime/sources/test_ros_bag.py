@@ -183,7 +183,7 @@ def test_an_invalid_pose_is_left_out(recorded):
         frames = source.list_frames()
         assert source.inputs["left_out"] == {"/odom (damaged)": 1}
         assert source.inputs["pose_topic"] == "/odom"
-        assert source.read(frames[2]).in_time.motion == "scan"
+        assert source.read(frames[2]).depth_motion == "scan"
 
 
 def test_a_topic_of_damaged_images_does_not_spoil_the_others(recorded):
