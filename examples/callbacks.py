@@ -10,9 +10,8 @@ import argparse
 import threading
 import time
 
-from runtime import Predictor, PushStream
+from runtime import FrameResult, Predictor, PushStream
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
-from runtime.streams.frame_result import FrameResult
 
 DEADLINE_MS = 80.0
 LIDAR_LATE_S = 0.01  # its stamps minus the camera's

@@ -17,12 +17,9 @@ import numpy as np
 from kiss_icp.config import load_config
 from kiss_icp.kiss_icp import KissICP
 
-from runtime import Predictor, replay
-from runtime.io.calibration import Calibration
+from runtime import Calibration, Predictor, ReplayMessage, StreamCounter, replay
 from runtime.io.images import read_rgb
 from runtime.io.scan import read_scan
-from runtime.streams.replay import ReplayMessage
-from runtime.streams.stream_counter import StreamCounter
 
 PERIOD_S = 0.1
 

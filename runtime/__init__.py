@@ -24,13 +24,19 @@ if TYPE_CHECKING:
     from runtime.errors import OutputError as OutputError
     from runtime.errors import ProviderError as ProviderError
     from runtime.errors import SSDNetError as SSDNetError
+    from runtime.io.calibration import Calibration as Calibration
     from runtime.prediction import Cleaned as Cleaned
     from runtime.prediction import Latency as Latency
     from runtime.prediction import Prediction as Prediction
     from runtime.predictor import Predictor as Predictor
     from runtime.projection import project_points as project_points
+    from runtime.sources.registry import open_source as open_source
+    from runtime.streams.frame_result import FrameResult as FrameResult
     from runtime.streams.push_stream import PushStream as PushStream
+    from runtime.streams.replay import ReplayMessage as ReplayMessage
     from runtime.streams.replay import replay as replay
+    from runtime.streams.stream_counter import StreamCounter as StreamCounter
+    from runtime.streams.watchdog import WatchdogLimits as WatchdogLimits
 
     __version__: str
 
@@ -39,11 +45,16 @@ _MODULES = {
     "bundled_models": "list_bundled_models",
     "contract": "ClassInfo Contract",
     "errors": "ContractError InferenceError InputError OutputError ProviderError SSDNetError",
-    "streams.push_stream": "PushStream",
-    "streams.replay": "replay",
+    "io.calibration": "Calibration",
     "prediction": "Cleaned Latency Prediction",
     "predictor": "Predictor",
     "projection": "project_points",
+    "sources.registry": "open_source",
+    "streams.frame_result": "FrameResult",
+    "streams.push_stream": "PushStream",
+    "streams.replay": "ReplayMessage replay",
+    "streams.stream_counter": "StreamCounter",
+    "streams.watchdog": "WatchdogLimits",
 }
 _HOMES = {name: f"runtime.{home}" for home, names in _MODULES.items() for name in names.split()}
 
