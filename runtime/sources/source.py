@@ -161,7 +161,7 @@ class Source(ABC):
         self._rectify = True
 
     def _rectified(
-        self, rgb: NDArray[np.uint8], calibration: Calibration | None, *, has_map: bool = False
+        self, rgb: NDArray[np.uint8], calibration: Calibration | None, *, has_map: bool
     ) -> tuple[NDArray[np.uint8], Calibration | None]:
         """The image of a frame and its calibration, rectified after `rectify_images`.
 

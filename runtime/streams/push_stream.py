@@ -472,7 +472,8 @@ def _work(
                 return
             with changed:
                 idle_ns = stream._idle_ns()
-                stream = None  # so that it can be collected meanwhile, or is at this line
+                # A stream that nobody else references is collected here; others, while this waits.
+                stream = None
                 if idle_ns != 0 and reference() is not None:
                     clock.wait(changed, idle_ns)
         except BaseException as failure:

@@ -22,10 +22,11 @@ MIDDLE_AFTER: dict[ScanStamp, float] = {"start": 0.5, "middle": 0.0, "end": -0.5
 #: Duration of a scan until the LiDAR's period is known: that of 10 Hz.
 FIRST_SCAN_NS = 100 * NS_PER_MS
 _LONGEST_SCAN_S = 1.0
-#: Poses are computed at so many times of a scan; between them, in 1.6 ms of 100, matrices are
-#: linear: off by 0.01 mm at 100 m in a turn of 0.5 rad/s.
+#: Times of a scan at which its pose is computed. Between two of them, 1.6 ms in a scan of 100 ms,
+#: matrices are interpolated linearly: off by 0.01 mm at 100 m in a turn of 0.5 rad/s.
 _KNOTS = 65
-#: Steps of the time grid to which times of points are rounded: 24 µs of 100 ms, 1 mm at 40 m/s.
+#: Steps between two of these times. The time of a point is rounded to a step: 24 µs in a scan of
+#: 100 ms, in which a car of 40 m/s drives 1 mm.
 _STEPS = 64
 
 
@@ -36,7 +37,7 @@ class Scan(NamedTuple):
         points: float32 (N, 3) or wider, metres, LiDAR frame.
         times: nanoseconds: int64 (N,), one time for all, or None = not known yet.
         lost: number of points that were left out.
-        untimed: whether returns are among them, for want of a time.
+        untimed: whether returns were left out, because their times are not those of the scan.
     """
 
     points: NDArray[np.float32]

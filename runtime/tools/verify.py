@@ -101,8 +101,8 @@ def _tolerances(texts: Sequence[str]) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class FrameCheck:
-    """The comparison of one frame.
+class Comparison:
+    """The answers to one frame, compared with the recorded ones.
 
     Attributes:
         name: of the frame.
@@ -130,11 +130,11 @@ class VerifyReport:
 
     recording: Recording
     limits: Figures
-    checks: tuple[FrameCheck, ...]
+    checks: tuple[Comparison, ...]
     max_slowdown: float | None = None
 
     @property
-    def failed(self) -> list[FrameCheck]:
+    def failed(self) -> list[Comparison]:
         """Frames whose answers differ."""
         return [check for check in self.checks if check.faults]
 
@@ -207,7 +207,7 @@ def _check_frame(
     arrays: dict[str, NDArray[Any]],
     limits: Figures,
     warm: set[tuple[int, ...]],
-) -> FrameCheck:
+) -> Comparison:
     """Predict a frame again. warm: shapes of pictures that were predicted before."""
     rgb, sparse_depth = arrays.pop("rgb"), arrays.pop("sparse_depth")
     try:
@@ -216,7 +216,7 @@ def _check_frame(
             warm.add(rgb.shape)
         prediction = predictor.predict(rgb, sparse_depth, focal_length_px=frame.focal_length_px)
     except InferenceError as error:
-        return FrameCheck(frame.name, {}, (str(error),))
+        return Comparison(frame.name, {}, (str(error),))
     degraded = prediction.degraded if frame.degraded is None else frame.degraded
     pairs = {
         "valid": (str(prediction.valid), str(frame.valid)),
@@ -239,7 +239,7 @@ def _check_frame(
         figures[head] = compare(head, answer, expected)
         if not within(figures[head], limits[head]):
             faults.append(f"{head}: {_text(figures[head])} (limit {_text(limits[head])})")
-    return FrameCheck(frame.name, figures, tuple(faults), prediction.latency.total_ms)
+    return Comparison(frame.name, figures, tuple(faults), prediction.latency.total_ms)
 
 
 def _text(figures: Mapping[str, float]) -> str:
