@@ -20,7 +20,7 @@ from importlib.metadata import version
 import numpy as np
 
 from runtime import Predictor, PushStream
-from runtime.io.engine_facts import machine_facts
+from runtime.run.engine_facts import machine_facts
 from runtime.run.process import dedicate_process
 from runtime.streams.frame_result import FrameResult
 from runtime.sync.frame import Frame

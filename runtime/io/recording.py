@@ -24,10 +24,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.agreement import compare, recording_limits
 from runtime.checks import check_number, cut, shown
 from runtime.errors import InputError, OutputError
 from runtime.heads import HEADS
-from runtime.io.agreement import compare, recording_limits
 from runtime.io.atomic_write import atomic_folder, require_folder_free
 from runtime.model_file import load_model_file
 from runtime.network_size import NetworkSize
@@ -88,7 +88,7 @@ class Recording:
         settings: of the predictor.
         model_name: of the model that answered.
         model_sha256: digest of that model's file.
-        limits: head -> limits of its figures, see `runtime.io.agreement`.
+        limits: head -> limits of its figures, see `runtime.agreement`.
         frames: facts about each frame.
     """
 

@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from runtime.command import stop_requested
 from runtime.drawing.overlay import Overlay
 from runtime.errors import InputError, SSDNetError
-from runtime.io.engine_facts import engine_facts
 from runtime.predictor import Predictor
 from runtime.preprocess import check_sparse_depth
 from runtime.run.depth_check import NoDepth, find_depth_fault, find_lens_fault
+from runtime.run.engine_facts import engine_facts
 from runtime.run.options import RunOptions
 from runtime.run.outputs.output import OpenRun
 from runtime.run.outputs.registry import open_outputs, require_outputs

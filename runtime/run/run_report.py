@@ -13,9 +13,9 @@ from typing import Any
 
 from runtime.io.atomic_write import atomic_write
 from runtime.io.encode import METRES_PNG_MAX_M, METRES_PNG_SCALE
-from runtime.io.engine_facts import EngineFacts
 from runtime.prediction import Cleaned, Prediction
 from runtime.predictor import Predictor
+from runtime.run.engine_facts import EngineFacts
 from runtime.run.options import RunOptions
 from runtime.run.pipeline import StreamResult
 from runtime.run.run_folder import FRAMES_FILE, OVERLAY, REPORT_FILE

@@ -37,7 +37,7 @@ from runtime.command_options import Version
 from runtime.cores import available_cores
 from runtime.errors import OutputError
 from runtime.io.atomic_write import atomic_file
-from runtime.io.engine_facts import MachineFacts, machine_facts
+from runtime.run.engine_facts import MachineFacts, machine_facts
 from runtime.session import import_onnxruntime
 from runtime.streams.statistics import LatencyStatistics, latency_statistics
 from runtime.tools.bench_worker import Opened, open_model, time_model

@@ -18,7 +18,7 @@ import typer
 from runtime.command import ERROR, Provider, print_result, reported_errors
 from runtime.command_options import Version
 from runtime.errors import SSDNetError
-from runtime.io.engine_facts import machine_facts
+from runtime.run.engine_facts import machine_facts
 
 #: "note" is a fact, or something missing that is not needed; only "fault" fails.
 Status = Literal["ok", "note", "warning", "fault"]

@@ -18,7 +18,7 @@ from export.quantize import measure_ranges, quantize, strides
 from export.trace import trace
 from export.trunk import trunk
 from models import create_model
-from runtime.io.agreement import compare
+from runtime.agreement import compare
 from runtime.tools.verify import app as verify_app
 from training.initial_weights import find_weights
 

@@ -16,7 +16,7 @@ from runtime.streams.statistics import MissedDeadlines
 def report_of(model_file):
     """Make the report of these records."""
     from runtime import Predictor
-    from runtime.io.engine_facts import engine_facts
+    from runtime.run.engine_facts import engine_facts
 
     with Predictor(model_file(), warmup=0) as predictor:
         engine = engine_facts(predictor)

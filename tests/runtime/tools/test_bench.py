@@ -15,7 +15,7 @@ from onnx import TensorProto, helper, numpy_helper
 from typer.testing import CliRunner
 
 from runtime.errors import InputError
-from runtime.io.engine_facts import machine_facts
+from runtime.run.engine_facts import machine_facts
 from runtime.tools import bench_worker
 from runtime.tools.bench import app
 

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from runtime import Predictor, list_bundled_models
 from runtime.errors import ProviderError
-from runtime.io.engine_facts import machine_facts
+from runtime.run.engine_facts import machine_facts
 from runtime.tools.doctor import app, examine, self_test
 
 

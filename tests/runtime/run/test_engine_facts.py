@@ -5,7 +5,7 @@ from dataclasses import asdict, replace
 
 import runtime
 from runtime import Predictor
-from runtime.io.engine_facts import engine_facts
+from runtime.run.engine_facts import engine_facts
 
 
 def test_the_facts_are_those_of_the_predictor(model_file, contract):

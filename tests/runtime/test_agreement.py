@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from runtime.agreement import compare, file_limits, recording_limits, within, worst
 from runtime.heads import HEADS
-from runtime.io.agreement import compare, file_limits, recording_limits, within, worst
 
 
 def test_classes_are_counted():
