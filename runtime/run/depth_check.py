@@ -77,12 +77,11 @@ def find_depth_fault(
     for listed in frames[:FIRST_FRAMES]:
         with contextlib.suppress(SSDNetError):  # the run itself reports it
             frame = reader.read_first(listed)
-            size = (frame.rgb.shape[0], frame.rgb.shape[1])
-            check_sparse_depth(frame.sparse_depth, size=size)
+            check_sparse_depth(frame.sparse_depth, size=frame.size)
             if listed.depth is None:
                 continue
             focal_px = options.focal_length_px(frame)
-            range_m = predictor.camera_scale(size, focal_length_px=focal_px).range_m
+            range_m = predictor.camera_scale(frame.size, focal_length_px=focal_px).range_m
             returns.append(clean_sparse_depth(frame.sparse_depth, max_depth_m=range_m)[2])
             camera_only = None
             if is_measured(frame.sparse_depth).any():

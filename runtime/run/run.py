@@ -173,13 +173,12 @@ def _warm_up(
     for listed in frames[:_FIRST_FRAMES]:
         try:
             frame = reader.read_first(listed)
-            size = (frame.rgb.shape[0], frame.rgb.shape[1])
-            check_sparse_depth(frame.sparse_depth, size=size)
-            predictor.warm_up(size, runs=runs)
+            check_sparse_depth(frame.sparse_depth, size=frame.size)
+            predictor.warm_up(frame.size, runs=runs)
         except SSDNetError as error:
             reasons.append((listed.name, str(error)))
             continue
-        return size
+        return frame.size
     if len(reasons) == _FIRST_FRAMES:
         raise InputError(
             f"none of the first {_FIRST_FRAMES} frames can be predicted, nothing was written: "

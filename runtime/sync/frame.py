@@ -63,6 +63,11 @@ class Frame:
         return rgb
 
     @property
+    def size(self) -> tuple[int, int]:
+        """(height, width) of the image."""
+        return self.rgb.shape[0], self.rgb.shape[1]
+
+    @property
     def sparse_depth(self) -> NDArray[np.float32]:
         """The returns in the image: float32 (H, W), metres along the optical axis, 0 = none."""
         return self.in_time.sparse_depth
@@ -84,15 +89,18 @@ class Frame:
         Raises:
             InputError: if the calibration that projects a scan is of images of another size.
         """
-        size = (self.rgb.shape[0], self.rgb.shape[1])
         depth, is_reused = self.depth, self.reused
         if depth is None:
-            return DepthInTime(np.zeros(size, np.float32), "none", ())
+            return DepthInTime(np.zeros(self.size, np.float32), "none", ())
         if isinstance(depth.data, Scan):
             assert self.calibration is not None  # required by what takes scans
-            to_ns, scan = self.image.stamp_ns, depth.data
             return project_in_time(
-                self.calibration, scan, self.poses, to_ns, size, reused=is_reused
+                self.calibration,
+                depth.data,
+                self.poses,
+                self.image.stamp_ns,
+                self.size,
+                reused=is_reused,
             )
         is_apart = self.poses is not None and depth.stamp_ns != self.image.stamp_ns
         reasons: tuple[str, ...] = (DEPTH_REUSED,) if is_reused else ()
