@@ -1,8 +1,5 @@
 """Files to arrays."""
 
-import resource
-import sys
-import zlib
 from pathlib import Path
 
 import cv2
@@ -44,27 +41,15 @@ def test_depth_is_read_in_metres(tmp_path, name, scale):
     assert depth[0, 0] == 0
 
 
-@pytest.mark.parametrize(
-    ("suffix", "image"),
-    [
-        ("png", np.zeros((40, 50), np.uint8)),
-        ("tif", np.zeros((40, 50, 3), np.uint16)),
-        ("npy", np.zeros((40, 50, 1), np.float32)),
-    ],
-)
-def test_depth_of_other_types_is_refused_with_what_is_accepted(tmp_path, image, suffix):
-    path = write(tmp_path / f"d.{suffix}", image)
-    with pytest.raises(InputError) as raised:
-        read_sparse_depth(path)
-    assert str(path) in str(raised.value)
-    assert "of one channel of 16 bits (PNG, TIFF or .npy) or of floats" in str(raised.value)
-    assert f"got {image.dtype} {image.shape}" in str(raised.value)
-
-
-def test_a_picture_of_16_bits_is_refused(tmp_path):
-    path = write(tmp_path / "p.png", np.full((40, 50), 9999, np.uint16))
-    with pytest.raises(InputError, match=r"8 bits a channel, got 16 bits: is it a depth map"):
-        read_rgb(path)
+@pytest.mark.parametrize(("name", "image", "read"), [
+    ("d.png", np.zeros((40, 50), np.uint8), read_sparse_depth),
+    ("d.tif", np.zeros((40, 50, 3), np.uint16), read_sparse_depth),
+    ("d.npy", np.zeros((40, 50, 1), np.float32), read_sparse_depth),
+    ("p.png", np.zeros((40, 50), np.uint16), read_rgb),
+])  # fmt: skip
+def test_other_types_are_refused(tmp_path, name, image, read):
+    with pytest.raises(InputError, match=name):
+        read(write(tmp_path / name, image))
 
 
 @pytest.mark.parametrize(
@@ -84,10 +69,10 @@ def test_an_array_of_objects_or_of_more_than_its_file_is_refused(tmp_path):
     whole = path.read_bytes()
     for content in (whole[:-1], whole.replace(b"(40, 50), ", b"(-4, 50), "), b"", b"no"):
         path.write_bytes(content)
-        with pytest.raises(InputError, match=r"d\.npy is not a .npy file of numbers, or is trunc"):
+        with pytest.raises(InputError, match=r"d\.npy"):
             read_sparse_depth(path)
     np.save(path, np.zeros((40, 50), object), allow_pickle=True)
-    with pytest.raises(InputError, match="Object arrays"):
+    with pytest.raises(InputError, match=r"d\.npy"):
         read_sparse_depth(path)
 
 
@@ -103,12 +88,12 @@ def test_truncated_files_are_refused(tmp_path, suffix, kept):
     read(path)
     content = bytearray(path.read_bytes())
     path.write_bytes(content[: int(len(content) * kept)])
-    with pytest.raises(InputError, match="empty, truncated or damaged"):
+    with pytest.raises(InputError, match=suffix):
         read(path)
     if path.suffix == ".png":  # has a checksum
         content[len(content) // 2] ^= 0xFF
         path.write_bytes(content)
-        with pytest.raises(InputError, match="damaged"):
+        with pytest.raises(InputError, match=suffix):
             read(path)
 
 
@@ -129,36 +114,15 @@ def test_an_exif_orientation_is_not_followed(tmp_path):
         np.testing.assert_array_equal(read_rgb(turned), read_rgb(upright))
 
 
-def bomb(path: Path, height: int = 30_000, width: int = 30_000) -> Path:
-    """A JPEG or PNG of a few hundred bytes whose header asks for gigabytes."""
-    content = cv2.imencode(path.suffix, np.zeros((16, 16, 3), np.uint8))[1].tobytes()
-    if path.suffix == ".jpg":
-        frame = content.index(b"\xff\xc0") + 5
-        size = height.to_bytes(2, "big") + width.to_bytes(2, "big")
-        content = content[:frame] + size + content[frame + 4 :]
-    else:
-        header = b"IHDR" + width.to_bytes(4, "big") + height.to_bytes(4, "big") + content[24:29]
-        content = content[:12] + header + zlib.crc32(header).to_bytes(4, "big") + content[33:]
-    path.write_bytes(content)
-    return path
-
-
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
-def test_a_picture_may_have_so_many_pixels(tmp_path, monkeypatch, suffix):
+def test_a_picture_of_too_many_pixels_is_refused_before_it_is_decoded(
+    tmp_path, monkeypatch, suffix
+):
+    """Decoded, a JPEG of 631 bytes may take 5 GB and 23 s."""
     path = write(tmp_path / f"a{suffix}", np.zeros((40, 50, 3), np.uint8))
     monkeypatch.setattr(runtime.io.images, "MAX_PIXELS", 40 * 50)
     assert read_rgb(path).shape == (40, 50, 3)
     monkeypatch.setattr(runtime.io.images, "MAX_PIXELS", 40 * 50 - 1)
-    with pytest.raises(InputError, match=r"has 40 x 50 pixels, expected at most 1,999"):
+    monkeypatch.delattr(cv2, "imdecode")
+    with pytest.raises(InputError, match="1,999"):
         read_rgb(path)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss has another unit")
-@pytest.mark.parametrize("suffix", [".png", ".jpg"])
-def test_a_damaged_size_takes_no_memory(tmp_path, suffix):
-    """Decoded, the JPEG of 631 bytes takes 5 GB and 23 s."""
-    path = bomb(tmp_path / f"bomb{suffix}")
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    with pytest.raises(InputError, match="has 30000 x 30000 pixels, expected at most 64,000,000"):
-        read_rgb(path)
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < before + 100_000  # kB

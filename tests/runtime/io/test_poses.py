@@ -49,23 +49,26 @@ def test_oxts_are_metres_from_the_first_frame(tmp_path):
     )
 
 
-@pytest.mark.parametrize(("read", "text", "message"), [
-    (read_kitti_poses, "1 2 3\n", "line 1 .*12 finite numbers"),
-    (read_kitti_poses, "1 0 0 0 0 1 0 0 0 0 1 nan\n", "12 finite numbers"),
-    (read_kitti_poses, "1 0 0 x 0 1 0 0 0 0 1 0\n", "12 finite numbers"),
-    (read_kitti_poses, "1" * 500, "got '1{79}…$"),
-    (read_tum_poses, "0 0 0 0 0 0 0\n", "8 finite numbers"),
-    (read_tum_poses, "0 0 0 0 0 0 0 0\n", "unit quaternion"),
-    (read_tum_poses, "1e300 0 0 0 0 0 0 1\n", "seconds"),
-    (lambda path: read_oxts_poses([path]), "1 2\n", "30 finite numbers"),
-    (lambda path: read_oxts_poses([path]), "", "one line"),
-    (lambda path: read_oxts_poses([path]), "100 " + "0 " * 29, "latitude"),
-    (lambda path: read_oxts_poses([path]), "49 8 0 0 0 90 " + "0 " * 24, "yaw .radians."),
+@pytest.mark.parametrize(("read", "text"), [
+    (read_kitti_poses, "1 2 3\n"),
+    (read_kitti_poses, "1 0 0 0 0 1 0 0 0 0 1 nan\n"),
+    (read_kitti_poses, "1 0 0 x 0 1 0 0 0 0 1 0\n"),
+    (read_tum_poses, "0 0 0 0 0 0 0\n"),
+    (read_tum_poses, "0 0 0 0 0 0 0 0\n"),
+    (read_tum_poses, "1e300 0 0 0 0 0 0 1\n"),
+    (lambda path: read_oxts_poses([path]), "1 2\n"),
+    (lambda path: read_oxts_poses([path]), ""),
+    (lambda path: read_oxts_poses([path]), "100 " + "0 " * 29),
+    (lambda path: read_oxts_poses([path]), "49 8 0 0 0 90 " + "0 " * 24),
 ])  # fmt: skip
-def test_other_files_are_refused(tmp_path, read, text, message):
-    path = tmp_path / "file.txt"
-    path.write_text(text)
-    with pytest.raises(InputError, match=message):
-        read(path)
-    with pytest.raises(InputError):
-        read(tmp_path / "missing.txt")
+def test_other_files_are_refused(tmp_path, read, text):
+    (tmp_path / "file.txt").write_text(text)
+    for name in ("file", "missing"):
+        with pytest.raises(InputError, match=name):
+            read(tmp_path / f"{name}.txt")
+
+
+def test_the_line_that_is_wrong_is_named(tmp_path):
+    (tmp_path / "file.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n1 2\n")
+    with pytest.raises(InputError, match="line 2"):
+        read_kitti_poses(tmp_path / "file.txt")
