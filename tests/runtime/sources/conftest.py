@@ -108,55 +108,37 @@ class BagMaker:
         serialize = self.store.serialize_ros1 if self.is_ros1 else self.store.serialize_cdr
         self.messages.append((topic, kind, bytes(serialize(message, kind)), recorded_ns))
 
+    def send(self, kind, topic, stamp_ns, frame_id, recorded_ns=None, **fields):
+        message = self.make(kind, header=self.header(stamp_ns, frame_id), **fields)
+        self.add(topic, message, recorded_ns or stamp_ns)
+
     def image(
         self, topic, array, encoding, stamp_ns, *, frame_id="camera", recorded_ns=None, **more
     ):
         height, width = array.shape[:2]
-        fields = {
-            "height": height,
-            "width": width,
-            "encoding": encoding,
-            "is_bigendian": 0,
-            "step": array[0].nbytes,
-            "data": np.ascontiguousarray(array).reshape(-1).view(np.uint8),
-            **more,
-        }
-        header = self.header(stamp_ns, frame_id)
-        message = self.make("sensor_msgs/msg/Image", header=header, **fields)
-        self.add(topic, message, recorded_ns or stamp_ns)
+        fields = {"height": height, "width": width, "encoding": encoding, "is_bigendian": 0}
+        fields["data"] = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
+        fields |= {"step": array[0].nbytes, **more}
+        self.send("sensor_msgs/msg/Image", topic, stamp_ns, frame_id, recorded_ns, **fields)
 
     def compressed(self, topic, content, text, stamp_ns, *, frame_id="camera"):
-        message = self.make(
-            "sensor_msgs/msg/CompressedImage",
-            header=self.header(stamp_ns, frame_id),
-            format=text,
-            data=np.frombuffer(content, np.uint8),
-        )
-        self.add(topic, message, stamp_ns)
+        fields = {"format": text, "data": np.frombuffer(content, np.uint8)}
+        self.send("sensor_msgs/msg/CompressedImage", topic, stamp_ns, frame_id, **fields)
+
+    def field(self, name, offset):
+        kind = "sensor_msgs/msg/PointField"
+        return self.make(kind, name=name, offset=offset, datatype=7, count=1)
 
     def cloud(self, topic, points, stamp_ns, *, frame_id="lidar", recorded_ns=None, **more):
         """points: (N, 4) of x, y, z, intensity; written as float32 with a gap of 4 bytes."""
         records = np.zeros((len(points), 5), np.float32)
         records[:, [0, 1, 2, 4]] = points
-        fields = {
-            "height": 1,
-            "width": len(points),
-            "fields": [
-                self.make(
-                    "sensor_msgs/msg/PointField", name=name, offset=offset, datatype=7, count=1
-                )
-                for name, offset in (("x", 0), ("y", 4), ("z", 8), ("intensity", 16))
-            ],
-            "is_bigendian": False,
-            "point_step": 20,
-            "row_step": 20 * len(points),
-            "data": records.reshape(-1).view(np.uint8),
-            "is_dense": True,
-            **more,
-        }
-        header = self.header(stamp_ns, frame_id)
-        message = self.make("sensor_msgs/msg/PointCloud2", header=header, **fields)
-        self.add(topic, message, recorded_ns or stamp_ns)
+        places = {"x": 0, "y": 4, "z": 8, "intensity": 16}
+        fields = {"height": 1, "width": len(points), "is_bigendian": False, "is_dense": True}
+        fields["fields"] = [self.field(name, offset) for name, offset in places.items()]
+        fields |= {"point_step": 20, "row_step": 20 * len(points)}
+        fields |= {"data": records.reshape(-1).view(np.uint8), **more}
+        self.send("sensor_msgs/msg/PointCloud2", topic, stamp_ns, frame_id, recorded_ns, **fields)
 
     def info(
         self,
@@ -187,56 +169,39 @@ class BagMaker:
             **dict(zip(("x_offset", "y_offset", "height", "width"), roi, strict=True)),
             do_rectify=False,
         )
-        message = self.make(
-            "sensor_msgs/msg/CameraInfo",
-            header=self.header(stamp_ns, frame_id),
-            height=size[0],
-            width=size[1],
-            distortion_model=model,
-            binning_x=binning,
-            binning_y=binning,
-            roi=region,
-            **matrices,
-        )
-        self.add(topic, message, stamp_ns)
+        fields = {"height": size[0], "width": size[1], "distortion_model": model, "roi": region}
+        fields |= {"binning_x": binning, "binning_y": binning, **matrices}
+        self.send("sensor_msgs/msg/CameraInfo", topic, stamp_ns, frame_id, **fields)
+
+    def vector(self, kind, values):
+        fields = dict(zip("xyzw", map(float, values), strict=False))
+        return self.make(f"geometry_msgs/msg/{kind}", **fields)
 
     def odometry(self, topic, position, stamp_ns, *, frame="odom", child="base", turn=(0, 0, 0, 1)):
-        kinds = "geometry_msgs/msg/"
-        x, y, z = position
-        zero = self.make(f"{kinds}Vector3", x=0.0, y=0.0, z=0.0)
-        pose = self.make(
-            f"{kinds}Pose",
-            position=self.make(f"{kinds}Point", x=x, y=y, z=z),
-            orientation=self.make(
-                f"{kinds}Quaternion", **dict(zip("xyzw", map(float, turn), strict=True))
-            ),
-        )
+        kinds, zero = "geometry_msgs/msg/", self.vector("Vector3", (0, 0, 0))
+        place, turned = self.vector("Point", position), self.vector("Quaternion", turn)
+        pose = self.make(f"{kinds}Pose", position=place, orientation=turned)
         twist = self.make(f"{kinds}Twist", linear=zero, angular=zero)
-        message = self.make(
+        self.send(
             "nav_msgs/msg/Odometry",
-            header=self.header(stamp_ns, frame),
+            topic,
+            stamp_ns,
+            frame,
             child_frame_id=child,
             pose=self.make(f"{kinds}PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
             twist=self.make(f"{kinds}TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
         )
-        self.add(topic, message, stamp_ns)
 
     def static_transform(self, parent, child, quaternion, shift):
         self.transform(parent, child, quaternion, shift, 1, topic="/tf_static")
 
     def transform(self, parent, child, quaternion, shift, stamp_ns, *, topic="/tf"):
-        x, y, z, w = quaternion
+        turn, place = self.vector("Quaternion", quaternion), self.vector("Vector3", shift)
         stamped = self.make(
             "geometry_msgs/msg/TransformStamped",
             header=self.header(stamp_ns, parent),
             child_frame_id=child,
-            transform=self.make(
-                "geometry_msgs/msg/Transform",
-                translation=self.make(
-                    "geometry_msgs/msg/Vector3", x=shift[0], y=shift[1], z=shift[2]
-                ),
-                rotation=self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w),
-            ),
+            transform=self.make("geometry_msgs/msg/Transform", translation=place, rotation=turn),
         )
         self.add(topic, self.make("tf2_msgs/msg/TFMessage", transforms=[stamped]), stamp_ns)
 

@@ -1,11 +1,11 @@
 """Bags of ROS 1 and ROS 2 and MCAP files, written by rosbags, through ssdnet-run."""
 
 import builtins
+import contextlib
 import os
-import re
+import sqlite3
 import struct
 
-import cv2
 import numpy as np
 import pytest
 from small_rig import INTRINSICS, MS, OPTICAL, SIZE, START_NS, add_tree, projected
@@ -79,72 +79,20 @@ def test_the_pictures_are_those_that_were_recorded(recorded, make_frame):
             assert np.count_nonzero(frame.sparse_depth) > 100
 
 
-def test_each_encoding_gives_the_same_picture(make_bag, make_frame, kind):
-    rgb, _ = make_frame(*SIZE)
-    grey = np.repeat(rgb[..., :1], 3, axis=-1)
-    alpha = np.full((*SIZE, 1), 255, np.uint8)
-    done, png = cv2.imencode(".png", rgb[..., ::-1])
-    assert done
-    bag = make_bag(kind)
-    bag.image("/rgb8", rgb, "rgb8", START_NS)
-    bag.image("/bgr8", rgb[..., ::-1], "bgr8", START_NS)
-    bag.image("/rgba8", np.concatenate([rgb, alpha], axis=-1), "rgba8", START_NS)
-    bag.image("/bgra8", np.concatenate([rgb[..., ::-1], alpha], axis=-1), "bgra8", START_NS)
-    bag.image("/mono8", rgb[..., 0], "mono8", START_NS)
-    padded = np.concatenate([rgb.reshape(SIZE[0], -1), np.zeros((SIZE[0], 5), np.uint8)], axis=1)
-    bag.image("/padded", padded, "rgb8", START_NS, width=SIZE[1])
-    bag.compressed("/png", png.tobytes(), "rgb8; png compressed bgr8", START_NS)
-    path = bag.write()
-    for topic in ("/rgb8", "/bgr8", "/rgba8", "/bgra8", "/mono8", "/padded", "/png"):
-        with BagSource(path, image_topic=topic, depth_topic="none") as source:
-            (frame,) = source.list_frames()
-            picture = source.read(frame).rgb
-            assert picture.flags.c_contiguous
-            assert np.array_equal(picture, grey if topic == "/mono8" else rgb), topic
-
-
 @pytest.mark.parametrize(
     ("encoding", "dtype", "units", "big"),
-    [
-        ("16UC1", "<u2", 1000, 0),
-        ("16UC1", ">u2", 1000, 1),
-        ("32FC1", "<f4", 1, 0),
-        ("32FC1", ">f4", 1, 1),
-    ],
+    [("16UC1", "<u2", 1000, 0), ("16UC1", ">u2", 1000, 1), ("32FC1", ">f4", 1, 1)],
 )
-def test_depth_images_are_metres(make_bag, make_frame, run, kind, encoding, dtype, units, big):
+def test_depth_images_are_metres(make_bag, make_frame, kind, encoding, dtype, units, big):
     bag = make_bag(kind)
     add_camera(bag, make_frame)
-    depths = [make_frame(*SIZE, seed=index)[1] * 0.8 for index in range(N)]  # 65 m are 16 bits
-    for index, depth in enumerate(depths):
-        units_of = np.rint(depth * units) if units > 1 else depth
-        stamp_ns = START_NS + (100 * index + 3) * MS
-        bag.image("/depth", units_of.astype(dtype), encoding, stamp_ns, is_bigendian=big)
-    answers = run("--source", f"bag:{bag.write()}")
-    assert answers.exit_code == 0, answers.text
-    for index, depth in enumerate(depths):
-        assert abs(answers.fed_depth(name_of(index)) - depth).max() < 0.01
-    assert answers.report["inputs"]["focal_length_px"] == 60
-
-
-def test_sensors_of_their_own_rate_are_matched_by_their_stamps(
-    make_bag, make_frame, make_scan, run
-):
-    """The camera at 20 Hz, the LiDAR at 10 Hz, and one scan alone long after."""
-    bag = make_bag("mcap")
-    for index in range(2 * N):
-        rgb, _ = make_frame(*SIZE, seed=index)
-        bag.image("/cam/image_rect", rgb, "rgb8", START_NS + 50 * MS * index)
-    bag.info("/cam/camera_info", INTRINSICS, SIZE)
-    add_lidar(bag, make_scan)
-    bag.cloud("/lidar/points", make_scan(9), START_NS + 5000 * MS)
-    add_tree(bag)
-    path = bag.write()
-    answers = run("--source", f"bag:{path}", "--max-skew-ms", 20, "--reuse-depth-ms", 0)
-    assert answers.exit_code == 0, answers.text
-    assert answers.column("degraded") == ["", "no_depth"] * N
-    assert answers.report["inputs"]["left_out"] == {"depth: no_image": 1}
-    assert "left out: depth: no_image 1" in answers.text
+    depth = make_frame(*SIZE)[1] * 0.8  # 65 m are 16 bits
+    values = (np.rint(depth * units) if units > 1 else depth).astype(dtype)
+    bag.image("/depth", values, encoding, START_NS + 3 * MS, is_bigendian=big)
+    with BagSource(bag.write()) as source:
+        frame = source.read(source.list_frames()[0])
+        assert source.calibration.focal_length_px == 60
+    np.testing.assert_allclose(frame.sparse_depth, depth, atol=1e-3)
 
 
 def test_the_order_of_recording_does_not_matter(make_bag, make_frame, make_scan):
@@ -207,61 +155,52 @@ def test_a_raw_topic_is_preferred_to_the_same_compressed(make_bag, make_frame):
         assert source.inputs["image_topic"] == "/cam/image_rect"
 
 
-def test_topics_that_cannot_be_guessed_are_listed(make_bag, make_frame, make_scan, run):
+def test_topics_that_cannot_be_guessed_are_listed(make_bag, make_frame, make_scan):
     bag = make_bag("mcap")
-    add_camera(bag, make_frame)
-    add_camera(bag, make_frame, topic="/rear/image_rect")
-    add_lidar(bag, make_scan)
+    for topic in ("/cam/image_rect", "/rear/image_rect"):
+        add_camera(bag, make_frame, topic=topic, n=2)
+    add_lidar(bag, make_scan, n=2)
     add_tree(bag)
-    path = bag.write()
-    answers = run("--source", f"bag:{path}")
-    text = answers.text.replace("\n", " ")
-    assert answers.exit_code == 1
-    assert f"has 2 topics of images, give --source bag:{path},image_topic=TOPIC" in text
-    assert "/rear/image_rect (sensor_msgs/msg/Image)" in text
-    assert run("--source", f"bag:{path},image_topic=/cam/image_rect").exit_code == 0
-    answers = run("--source", f"bag:{path},image_topic=/nowhere")
-    assert "image_topic=/nowhere is not a topic of its kind" in answers.text.replace("\n", " ")
-    answers = run("--source", f"bag:{path},image_topic=/rear/image_rect")
-    assert "no CameraInfo beside /rear/image_rect" in answers.text.replace("\n", " ")
-    given = f"bag:{path},image_topic=/rear/image_rect,info_topic="
-    assert run("--source", f"{given}/cam/camera_info", out="rear").exit_code == 0
-    answers = run("--source", f"{given}/none")
-    assert "info_topic=/none is not a topic of its kind" in answers.text.replace("\n", " ")
+    path, rear = bag.write(), {"image_topic": "/rear/image_rect"}
+    for options, named in (
+        ({}, "/rear/image_rect"),
+        ({"image_topic": "/nowhere"}, "image_topic=/nowhere"),
+        (rear, "CameraInfo"),
+        (rear | {"info_topic": "/none"}, "info_topic=/none"),
+    ):
+        with pytest.raises(InputError, match=named):
+            BagSource(path, **options)
+    for options in ({"image_topic": "/cam/image_rect"}, rear | {"info_topic": "/cam/camera_info"}):
+        with BagSource(path, **options) as source:
+            assert len(source.list_frames()) == 2
 
 
 def test_a_bag_without_pictures_or_depth_says_what_it_has(make_bag, make_frame, make_scan):
     bag = make_bag("ros1")
     add_lidar(bag, make_scan)
-    with pytest.raises(InputError, match=r"no topics of images.* It has the topics /lidar/points"):
+    with pytest.raises(InputError, match="/lidar/points"):
         BagSource(bag.write("blind"))
     bag = make_bag("ros1")
     add_camera(bag, make_frame)
-    with pytest.raises(InputError, match="depth_topic=none for the camera alone"):
+    with pytest.raises(InputError, match="depth_topic=none"):
         BagSource(bag.write("flat"))
 
 
-def test_clouds_need_a_calibration_and_take_a_file(make_bag, make_frame, make_scan, run, tmp_path):
+def test_clouds_need_a_calibration_and_take_a_file(make_bag, make_frame, make_scan, tmp_path):
     bag = make_bag("ros2")
-    add_camera(bag, make_frame)
-    add_lidar(bag, make_scan)
+    add_camera(bag, make_frame, n=1)
+    add_lidar(bag, make_scan, n=1)
     bag.static_transform("base", "camera", OPTICAL, (0, 0, 0))
-    path = bag.write()
-    answers = run("--source", f"bag:{path}")
-    assert answers.exit_code == 1
-    assert re.search(
-        r"does not connect the frame 'lidar' to 'camera', it has base, camera: give --calibration",
-        answers.text.replace("\n", " "),
-    )
-    extrinsics = [[0, -1.0, 0, 0], [0, 0, -1, -0.3], [1, 0, 0, -0.5], [0, 0, 0, 1]]
-    text = f"intrinsics = {INTRINSICS}\nextrinsics = {extrinsics}\n"
-    (tmp_path / "own.toml").write_text(text)
+    path, own = bag.write(), tmp_path / "own.toml"
     (tmp_path / "camera.txt").write_text("60 0 32 0 60 24 0 0 1")
-    answers = run("--source", f"bag:{path}", "--calibration", tmp_path / "camera.txt")
-    assert "holds the intrinsics alone" in answers.text.replace("\n", " ")
-    answers = run("--source", f"bag:{path}", "--calibration", tmp_path / "own.toml")
-    assert answers.exit_code == 0, answers.text
-    assert abs(answers.fed_depth(name_of(2)) - projected(make_scan(2), ahead_m=0.5)).max() < 0.01
+    extrinsics = [[0, -1.0, 0, 0], [0, 0, -1, -0.3], [1, 0, 0, -0.5], [0, 0, 0, 1]]
+    own.write_text(f"intrinsics = {INTRINSICS}\nextrinsics = {extrinsics}\n")
+    for options in ({}, {"calibration": tmp_path / "camera.txt"}):
+        with pytest.raises(InputError, match=r"lidar|intrinsics alone"):
+            BagSource(path, **options)
+    with BagSource(path, calibration=own) as source:
+        depth = source.read(source.list_frames()[0]).sparse_depth
+    assert abs(depth - projected(make_scan(0), ahead_m=0.5)).max() < 0.01
 
 
 @pytest.mark.parametrize(
@@ -301,17 +240,6 @@ def test_images_that_are_not_rectified_have_the_lens(
     assert fed.any()
 
 
-def test_a_lens_that_is_not_known_is_named(make_bag, make_frame, make_scan):
-    bag = make_bag("ros1")
-    add_camera(bag, make_frame, topic="/left/image_raw")
-    bag.info("/left/camera_info", INTRINSICS, SIZE, model="omni", distortion=(0.1, 0, 0, 0))
-    add_lidar(bag, make_scan)
-    add_tree(bag)
-    message = "CameraInfo of /left/camera_info: lens must be .* got 'omni': .* give --calibration"
-    with pytest.raises(InputError, match=message):
-        BagSource(bag.write(), image_topic="/left/image_raw")
-
-
 def test_a_broken_message_is_a_frame_that_is_skipped(make_bag, make_frame, make_scan, run, kind):
     bag = make_bag(kind)
     add_camera(bag, make_frame)
@@ -324,47 +252,34 @@ def test_a_broken_message_is_a_frame_that_is_skipped(make_bag, make_frame, make_
         bag.messages[index] = (topic, type_name, raw[:keep], recorded_ns)
     answers = run("--source", f"bag:{bag.write()}")
     assert answers.exit_code == 3, answers.text
-    status = dict(zip(answers.names, answers.column("status"), strict=True))
-    assert status == {
-        name_of(0): "ok",
-        name_of(1): "skipped",
-        name_of(2): "skipped",
-        name_of(3): "ok",
-        name_of(4): "skipped",
-    }
+    assert answers.names == [name_of(index) for index in range(N - 1)]
+    assert answers.column("status") == ["ok", "skipped", "skipped", "ok", "skipped"]
     reasons = answers.column("reason")
     assert "message of /cam/image_rect" in reasons[1]
     assert "message of /lidar/points" in reasons[2]
     assert answers.report["inputs"]["left_out"] == {"image: bad_stamp": 1, "depth: no_image": 1}
 
 
-def test_a_bag_without_definitions_is_read_by_those_of_ros_2(make_bag, make_frame, make_scan, run):
+def test_a_bag_without_definitions_is_read_by_those_of_ros_2(make_bag, make_frame):
     """As before ROS 2 Iron."""
-    import sqlite3
-
     bag = make_bag("ros2")
     add_camera(bag, make_frame)
-    add_lidar(bag, make_scan)
-    add_tree(bag)
     path = bag.write()
-    connection = sqlite3.connect(next(path.glob("*.db3")))
-    connection.execute("DELETE FROM message_definitions")
-    connection.commit()
-    connection.close()
-    answers = run("--source", f"bag:{path}")
-    assert answers.exit_code == 0, answers.text
+    with contextlib.closing(sqlite3.connect(next(path.glob("*.db3")))) as connection, connection:
+        connection.execute("DELETE FROM message_definitions")
+    with BagSource(path, depth_topic="none") as source:
+        assert len(source.list_frames()) == N
 
 
 @pytest.mark.parametrize("name", ["empty.bag", "text.mcap", "folder", "drive.db3"])
-def test_what_is_no_bag_is_an_error(tmp_path, run, name):
+def test_what_is_no_bag_is_an_error(tmp_path, name):
     path = tmp_path / name
     if name == "folder":
         path.mkdir()
     else:
         path.write_bytes(b"" if name == "empty.bag" else b"no bag" * 100)
-    answers = run("--source", f"bag:{path}")
-    assert answers.exit_code == 1
-    assert "cannot read" in answers.text.replace("\n", " ")
+    with pytest.raises(InputError, match=name):
+        BagSource(path)
 
 
 @pytest.fixture(params=KINDS)
@@ -413,14 +328,11 @@ def test_a_pipe_in_a_bag_is_not_waited_for(make_bag, make_frame, name):
 
 
 @pytest.mark.parametrize(
-    ("error", "message"),
-    [
-        (ImportError("undefined symbol"), "undefined symbol.*installed but cannot be loaded"),
-        (ModuleNotFoundError("No module named 'rosbags'"), "pip install -c constraints.txt"),
-    ],
+    ("error", "remedy"),
+    [(ImportError("undefined symbol"), "cannot be loaded"), (ModuleNotFoundError(), "pip install")],
 )
 def test_rosbags_that_cannot_be_imported_is_not_a_damaged_bag(
-    make_bag, make_frame, monkeypatch, error, message
+    make_bag, make_frame, monkeypatch, error, remedy
 ):
     bag = make_bag("mcap")
     add_camera(bag, make_frame, n=2)
@@ -432,7 +344,7 @@ def test_rosbags_that_cannot_be_imported_is_not_a_damaged_bag(
         return real(name, *arguments)
 
     monkeypatch.setattr(builtins, "__import__", fail)
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match=remedy):
         BagSource(path)
 
 

@@ -275,10 +275,7 @@ def test_clouds_with_a_time_for_each_point_are_deskewed(make_bag, make_frame, ma
     scan = make_scan(7)
     records = np.column_stack([scan[:, :3], after_s]).astype(np.float32)
     bag.messages = [each for each in bag.messages if each[0] != "/lidar/points"]
-    fields = [
-        bag.make("sensor_msgs/msg/PointField", name=name, offset=offset, datatype=7, count=1)
-        for name, offset in (("x", 0), ("y", 4), ("z", 8), ("time", 12))
-    ]
+    fields = [bag.field(name, 4 * place) for place, name in enumerate(("x", "y", "z", "time"))]
     more = {"fields": fields, "point_step": 16, "row_step": 16 * 300}
     data = records.reshape(-1).view(np.uint8)
     bag.cloud("/lidar/points", scan, START_NS + 100 * MS, data=data, **more)

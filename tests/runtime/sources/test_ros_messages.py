@@ -90,30 +90,18 @@ def test_points_are_those_of_a_plain_loop(written):
     assert np.array_equal(decoded, points, equal_nan=True)
 
 
-#: Messages are made of a seed a hundred at a time: drawing each field alone takes minutes.
-
-
-@pytest.mark.parametrize(
-    ("changes", "text"),
-    [
-        ({"fields": [field("x", 0), field("y", 4)]}, "must have one field z, it has x, y"),
-        ({"fields": [field("x", 0)] * 4}, "must have one field x, it has x, x, x, x"),
-        (
-            {"fields": [field("x", 0, 4), field("y", 4), field("z", 8)]},
-            "datatype 4, expected one of f4",
-        ),
-        ({"fields": [field("x", 0), field("y", 4, count=2), field("z", 8)]}, "y .* is 2 of the"),
-        ({"fields": [field("x", 0), field("y", 4), field("z", 9)]}, "z .* begins at byte 9 of 12"),
-        ({"data": np.zeros(35, np.uint8)}, "3 points has 35 bytes, expected 36: it is truncated"),
-        (
-            {"height": 2, "width": 2, "row_step": 23},
-            "2 points has row_step 23, expected .* 24",
-        ),
-        ({"width": -3}, "width of a message must be a whole number of 0 to .*, got -3"),
-    ],
-)
-def test_what_is_wrong_with_a_cloud_is_in_the_error(changes, text):
-    with pytest.raises(InputError, match=text):
+@pytest.mark.parametrize(("changes", "named"), [
+    ({"fields": [field("x", 0), field("y", 4)]}, "z"),
+    ({"fields": [field("x", 0)] * 4}, "x"),
+    ({"fields": [field("x", 0, 4), field("y", 4), field("z", 8)]}, "datatype 4"),
+    ({"fields": [field("x", 0), field("y", 4, count=2), field("z", 8)]}, "y"),
+    ({"fields": [field("x", 0), field("y", 4), field("z", 9)]}, "byte 9 of 12"),
+    ({"data": np.zeros(35, np.uint8)}, "35"),
+    ({"height": 2, "width": 2, "row_step": 23}, "row_step 23"),
+    ({"width": -3}, "width"),
+])  # fmt: skip
+def test_what_is_wrong_with_a_cloud_is_in_the_error(changes, named):
+    with pytest.raises(InputError, match=named):
         decode_points(cloud(**changes))
 
 
@@ -123,24 +111,39 @@ def image(encoding="rgb8", **changes):
     return SimpleNamespace(**{**fields, "data": np.arange(24, dtype=np.uint8), **changes})
 
 
-@pytest.mark.parametrize(
-    ("decode", "message", "text"),
-    [
-        (decode_image, image("bayer_rggb16"), "expected one of .*bayer_rggb8"),
-        (decode_image, image("mono16"), "expected one of rgb8"),
-        (decode_image, image("16UC1"), "that is a depth map: name it by depth_topic= in --source"),
-        (decode_image, image("yuv422"), "expected one of rgb8, bgr8"),
-        (decode_image, image(step=8), "has step 8, expected at least 9"),
-        (decode_image, image(height=3), "has 24 bytes, expected 33: it is truncated"),
-        (decode_image, image(height=0), "is empty"),
-        (decode_image, image(width=2**20, height=2**20), "expected at most 64,000,000"),
-        (decode_depth_image, image("mono16"), "expected 16UC1 .* or 32FC1"),
-        (decode_depth_image, image("32FC1", width=4), "has step 12, expected at least 16"),
-    ],
-)
-def test_what_is_wrong_with_an_image_is_in_the_error(decode, message, text):
-    with pytest.raises(InputError, match=text):
+@pytest.mark.parametrize(("decode", "message", "named"), [
+    (decode_image, image("bayer_rggb16"), "bayer_rggb8"),
+    (decode_image, image("mono16"), "mono16"),
+    (decode_image, image("16UC1"), "depth_topic="),
+    (decode_image, image("yuv422"), "yuv422"),
+    (decode_image, image(step=8), "step 8"),
+    (decode_image, image(height=3), "24 bytes"),
+    (decode_image, image(height=0), "empty"),
+    (decode_image, image(width=2**20, height=2**20), "64,000,000"),
+    (decode_depth_image, image("mono16"), "32FC1"),
+    (decode_depth_image, image("32FC1", width=4), "step 12"),
+])  # fmt: skip
+def test_what_is_wrong_with_an_image_is_in_the_error(decode, message, named):
+    with pytest.raises(InputError, match=named):
         decode(message)
+
+
+@pytest.mark.parametrize("padding", [0, 5])
+def test_each_encoding_gives_the_same_picture(padding):
+    rgb = np.random.default_rng(0).integers(0, 256, (*SIZE, 3), dtype=np.uint8)
+    rgba, mono = np.insert(rgb, 3, 255, axis=-1), np.repeat(rgb[..., :1], 3, axis=-1)
+    for encoding, array, expected in (
+        ("rgb8", rgb, rgb),
+        ("bgr8", rgb[..., ::-1], rgb),
+        ("rgba8", rgba, rgb),
+        ("bgra8", rgba[..., [2, 1, 0, 3]], rgb),
+        ("mono8", rgb[..., 0], mono),
+    ):
+        rows = np.pad(array.reshape(SIZE[0], -1), ((0, 0), (0, padding)))
+        size = {"height": SIZE[0], "width": SIZE[1], "step": rows.shape[1]}
+        decoded = decode_image(image(encoding, data=rows.ravel(), **size))
+        assert decoded.flags.c_contiguous
+        np.testing.assert_array_equal(decoded, expected)
 
 
 SIZE = (16, 24)
@@ -205,17 +208,14 @@ def test_what_is_no_mosaic_is_the_picture_itself(form, array):
     np.testing.assert_array_equal(decode_compressed_image(compressed(form, array)), expected)
 
 
-@pytest.mark.parametrize(
-    ("form", "array", "text"),
-    [
-        ("16UC1; compressedDepth png", np.zeros((2, 2), np.uint16), "a depth map: republish it"),
-        ("16UC1; png compressed ", np.zeros((2, 2), np.uint16), "a depth map: republish it as raw"),
-        ("16UC1; jpeg compressed ", np.zeros((2, 2), np.uint8), "a depth map: republish it as raw"),
-        ("mono16; png compressed", np.zeros((2, 2), np.uint16), "must hold 8 bits"),
-        ("bayer_rggb16; png compressed ", np.zeros((2, 2), np.uint16), "must hold 8 bits"),
-        ("bayer_rggb16; jpeg compressed ", np.zeros((2, 2), np.uint8), "expected .* bayer_rggb8"),
-    ],
-)
-def test_what_is_wrong_with_a_compressed_image_is_in_the_error(form, array, text):
-    with pytest.raises(InputError, match=text):
-        decode_compressed_image(compressed(form, array))
+@pytest.mark.parametrize(("form", "dtype", "named"), [
+    ("16UC1; compressedDepth png", np.uint16, "depth map"),
+    ("16UC1; png compressed ", np.uint16, "depth map"),
+    ("16UC1; jpeg compressed ", np.uint8, "depth map"),
+    ("mono16; png compressed", np.uint16, "8 bits"),
+    ("bayer_rggb16; png compressed ", np.uint16, "8 bits"),
+    ("bayer_rggb16; jpeg compressed ", np.uint8, "bayer_rggb8"),
+])  # fmt: skip
+def test_what_is_wrong_with_a_compressed_image_is_in_the_error(form, dtype, named):
+    with pytest.raises(InputError, match=named):
+        decode_compressed_image(compressed(form, np.zeros((2, 2), dtype)))

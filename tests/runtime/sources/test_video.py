@@ -66,31 +66,19 @@ def test_frames_may_be_read_in_any_order(video):
             assert abs(blue - 90) < 6
 
 
-def test_without_depth_maps_the_camera_alone_is_answered(video, run):
-    answers = run("--source", f"video:{video}", "--limit", 3)
-    assert answers.exit_code == 0, answers.text
-    assert answers.names == ["000000", "000001", "000002"]
-    assert set(answers.column("degraded")) == {"no_depth"}
-
-
-def test_frames_and_depth_maps_without_a_partner_are_counted(video, depth_maps, run):
+def test_frames_and_depth_maps_without_a_partner_are_listed(video, depth_maps):
     (depth_maps / "depth_003.png").unlink()
     (depth_maps / "depth_000.png").rename(depth_maps / f"depth_{N + 3:03d}.png")
-    answers = run("--source", f"video:{video}", "--depth", depth_maps)
-    assert answers.exit_code == 3
-    reasons = dict(zip(answers.names, answers.column("reason"), strict=True))
-    assert reasons.pop("000000") == "000000 has an image, but no depth map"
-    assert reasons.pop("000003") == "000003 has an image, but no depth map"
-    assert reasons.pop(f"{N + 3:06d}").endswith("has a depth map, but no image")
-    assert not any(reasons.values())
+    with VideoSource(video, depth=depth_maps) as source:
+        frames = source.list_frames()
+    assert {int(each.name) for each in frames if not each.complete} == {0, 3, N + 3}
 
 
-def test_maps_that_count_from_one_are_an_error(video, depth_maps, run):
+def test_maps_that_count_from_one_are_an_error(video, depth_maps):
     for index in reversed(range(N)):
         (depth_maps / f"depth_{index:03d}.png").rename(depth_maps / f"depth_{index + 1:03d}.png")
-    answers = run("--source", f"video:{video}", "--depth", depth_maps)
-    assert answers.exit_code == 1
-    assert "numbered from 0" in answers.text.replace("\n", " ")
+    with pytest.raises(InputError, match="from 0"):
+        VideoSource(video, depth=depth_maps).list_frames()
 
 
 @pytest.mark.parametrize("share", [0, 0.02, 0.5, None])
@@ -102,16 +90,15 @@ def test_a_truncated_video_is_an_input_error(video, tmp_path, share):
         VideoSource(cut).list_frames()
 
 
-def test_a_video_that_ends_early_is_read_to_its_end(tmp_path, run):
+def test_a_video_that_ends_early_is_read_to_its_end(tmp_path):
     """Motion JPEG in AVI has its header first, which states the frames that are missing."""
     path = tmp_path / "drive.avi"
     write_video(path, "MJPG")
     content = path.read_bytes()
     path.write_bytes(content[: content.rindex(b"\xff\xd8\xff") - 100])
-    answers = run("--source", f"video:{path}")
-    assert answers.exit_code == 0, answers.text
-    assert answers.column("status") == ["ok"] * (N - 2)
-    assert f"warning: {path} states 8 frames, it has 6" in answers.text
+    with VideoSource(path) as source:
+        assert len(source.list_frames()) == N - 2
+        assert source.notes == (f"warning: {path} states 8 frames, it has 6",)
 
 
 @pytest.mark.parametrize("stated", [0, 1, N, 3 * N, 2**31])
