@@ -9,23 +9,16 @@ from runtime.agreement import compare, file_limits, recording_limits, within, wo
 from runtime.heads import HEADS
 
 
-def test_classes_are_counted():
-    answer, expected = np.array([[1, 2], [3, 4]], np.uint8), np.array([[1, 2], [3, 5]], np.uint8)
-    assert compare("semantic", answer, expected) == {"agreement": 0.75}
-
-
-@pytest.mark.parametrize(
-    ("head", "names"),
-    [
-        ("depth", ["max_abs_m", "mean_abs_m", "mean_relative"]),
-        ("depth_uncertainty", ["max_abs_m", "mean_abs_m", "mean_relative"]),
-    ],
-)
-def test_differences_are_measured(head, names):
-    answer, expected = np.float32([[1, 2], [3, 4]]), np.float32([[1, 2.5], [3, 3]])
-    assert compare(head, answer, expected) == dict(
-        zip(names, [1.0, 0.375, 0.375 / 2.375], strict=True)
-    )
+@pytest.mark.parametrize(("head", "answer", "expected", "figures"), [
+    ("semantic", [[1, 2], [3, 4]], [[1, 2], [3, 5]], {"agreement": 0.75}),
+    *((head, [[1, 2], [3, 4]], [[1, 2.5], [3, 3]],
+       {"max_abs_m": 1.0, "mean_abs_m": 0.375, "mean_relative": 0.375 / 2.375})
+      for head in ("depth", "depth_uncertainty")),
+    ("semantic_logits", [[[1, -3]]], [[[1, -4]]], {"max_relative": 0.25, "mean_relative": 0.2}),
+])  # fmt: skip
+def test_the_figures_of_a_head(head, answer, expected, figures):
+    dtype = np.uint8 if head == "semantic" else np.float32
+    assert compare(head, np.array(answer, dtype), np.array(expected, dtype)) == figures
 
 
 def test_of_boundaries_the_mean_counts(contract):
@@ -39,14 +32,6 @@ def test_of_boundaries_the_mean_counts(contract):
     assert not within(compare("boundary", answer, expected), {"mean_abs": 2e-3})
     expected[0, 0] = np.nan
     assert not within(compare("boundary", answer, expected), {"mean_abs": 1.0})
-
-
-def test_scores_count_as_a_share_of_the_largest():
-    answer, expected = np.float32([[[1.0, -3.0]]]), np.float32([[[1.0, -4.0]]])
-    assert compare("semantic_logits", answer, expected) == {
-        "max_relative": 0.25,
-        "mean_relative": 0.2,
-    }
 
 
 def test_the_worst_is_the_least_agreement_and_the_largest_difference():

@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import json
 
+import numpy as np
 import pytest
 
 from runtime import ClassInfo, Contract, ContractError
@@ -40,10 +41,7 @@ def test_another_version_is_refused_and_named(contract, version):
         Contract.from_json(document(contract, schema_version=version))
 
 
-@pytest.mark.parametrize(
-    "key",
-    Contract.__dataclass_fields__,
-)
+@pytest.mark.parametrize("key", Contract.__dataclass_fields__)
 def test_a_missing_key_is_named(contract, key):
     content = json.loads(contract.to_json())
     del content[key]
@@ -67,49 +65,26 @@ def test_the_document_holds_its_own_digest(contract):
             Contract.from_json(fault)
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("model_name", 3),
-        ("classes", {}),
-        ("classes", ["road"]),
-        ("classes", [{"name": "a", "color": [1, 2]}]),
-        ("classes", [{"name": "a", "color": [1, 2, 256]}]),
-        ("classes", [{"name": "a", "color": [1, 2, "3), url(//host"]}]),  # pages write CSS of it
-        ("classes", [{"name": "a", "color": [1, 2, 3]}] * 2),
-        ("classes", [{"name": str(i), "color": [1, 2, 3]} for i in range(256)]),
-        ("classes", [{"name": "ro\nad", "color": [1, 2, 3]}]),
-        ("classes", [{"name": "\ud800", "color": [1, 2, 3]}]),
-        ("max_depth_m", 0),
-        ("max_depth_m", 1e39),
-        ("max_depth_m", "80"),
-        ("max_depth_m", float("nan")),
-        ("native_size", [48]),
-        ("canonical_focal_px", 1e7),
-        ("canonical_focal_px", "721.5"),
-        ("trained_height", 0),
-        ("native_size", [48, 64.5]),
-        ("native_size", [16_384, 16_384]),
-        ("stride", 0),
-        ("precision", None),
-        ("quantization", ""),
-        ("accuracy", []),
-        ("giga_macs", -1),
-        ("training", []),
-        ("versions", {"torch": 2}),
-        ("parity", "none"),
-        ("training", {"terms": "\ud800"}),
-        ("parity", {"depth": {"max_abs_m": float("inf")}}),
-        ("content", None),
-        ("content", {"bytes": 7.0, "sha256": "1" * 64}),
-        ("content", {"bytes": 7, "sha256": 1}),
-    ],
-)
+@pytest.mark.parametrize(("key", "value"), [
+    ("model_name", 3), ("classes", {}), ("classes", ["road"]),
+    ("classes", [{"name": "a", "color": [1, 2]}]),
+    ("classes", [{"name": "a", "color": [1, 2, 256]}]),
+    ("classes", [{"name": "a", "color": [1, 2, "3), url(//host"]}]),  # pages write CSS of it
+    ("classes", [{"name": "a", "color": [1, 2, 3]}] * 2),
+    ("classes", [{"name": str(i), "color": [1, 2, 3]} for i in range(256)]),
+    ("classes", [{"name": "ro\nad", "color": [1, 2, 3]}]),
+    ("classes", [{"name": "\ud800", "color": [1, 2, 3]}]),
+    ("max_depth_m", 0), ("max_depth_m", 1e39), ("max_depth_m", "80"), ("max_depth_m", np.nan),
+    ("canonical_focal_px", 1e7), ("canonical_focal_px", "721.5"), ("trained_height", 0),
+    ("native_size", [48]), ("native_size", [48, 64.5]), ("native_size", [16_384, 16_384]),
+    ("stride", 0), ("precision", None), ("quantization", ""), ("accuracy", []), ("giga_macs", -1),
+    ("training", []), ("training", {"terms": "\ud800"}), ("versions", {"torch": 2}),
+    ("parity", "none"), ("parity", {"depth": {"max_abs_m": np.inf}}),
+    ("content", None), ("content", {"bytes": 7.0, "sha256": "1" * 64}),
+    ("content", {"bytes": 7, "sha256": 1}),
+])  # fmt: skip
 def test_a_wrong_value_is_named(contract, key, value):
-    with pytest.raises(
-        ContractError,
-        match=rf"damaged: ({key}|.*surrogates|Out of range)",
-    ):
+    with pytest.raises(ContractError, match=rf"damaged: ({key}|.*surrogates|Out of range)"):
         Contract.from_json(document(contract, **{key: value}))
 
 

@@ -38,34 +38,25 @@ def v1(below, quota, period=100000, folder="cpu,cpuacct"):
     return {f"{start}quota_us": str(quota), f"{start}period_us": str(period)}
 
 
-@pytest.mark.parametrize(
-    ("cgroups", "files", "cores"),
-    [
-        ("0::/\n", {"cpu.max": "300000 100000"}, 3),
-        ("0::/\n", {"cpu.max": "200001 100000"}, 3),
-        ("0::/\n", {"cpu.max": "max 100000"}, 8),
-        ("0::/\n", {"cpu.max": "a b"}, 8),
-        ("0::/\n", {}, 8),
-        ("", {}, 8),
-        # A service of systemd, and a slice above it: the least of them.
-        ("0::/a.slice/b\n", {"a.slice/b/cpu.max": "200000 100000"}, 2),
-        (
-            "0::/a.slice/b\n",
-            {"a.slice/cpu.max": "400000 200000", "a.slice/b/cpu.max": "max 100000"},
-            2,
-        ),
-        ("0::/a/b\n", {"a/cpu.max": "500000 100000", "a/b/cpu.max": "300000 100000"}, 3),
-        ("0::/a\n", {"b/cpu.max": "100000 100000"}, 8),  # of others
-        ("0::/../b\n", {"cpu.max": "100000 100000"}, 1),  # moved out of the container's cgroup
-        # Docker with cgroups of version 1: the host's path, where the container's is mounted.
-        ("4:cpu,cpuacct:/docker/id\n1:memory:/x\n", v1("", 250000), 3),
-        ("4:cpuacct,cpu:/x\n0::/\n", v1("", 250000, folder="cpu"), 3),
-        ("4:cpu,cpuacct:/x/y\n0::/\n", v1("x/", 400000), 4),
-        ("4:cpu,cpuacct:/x/y\n", {**v1("x/y/", 300000), **v1("x/", 200000)}, 2),
-        ("4:cpu,cpuacct:/x\n", v1("x/", -1), 8),
-        ("4:cpuset:/x\n1:cpu,cpuacct:/\n", v1("x/", 100000, folder="cpu"), 8),  # of others
-    ],
-)
+@pytest.mark.parametrize(("cgroups", "files", "cores"), [
+    ("0::/\n", {"cpu.max": "200001 100000"}, 3),
+    ("0::/\n", {"cpu.max": "max 100000"}, 8),
+    ("0::/\n", {"cpu.max": "a b"}, 8),
+    ("0::/\n", {}, 8),
+    ("", {}, 8),
+    # A service of systemd, and a slice above it: the least of them.
+    ("0::/a.slice/b\n", {"a.slice/b/cpu.max": "200000 100000"}, 2),
+    ("0::/a/b\n", {"a/cpu.max": "500000 100000", "a/b/cpu.max": "300000 100000"}, 3),
+    ("0::/a\n", {"b/cpu.max": "100000 100000"}, 8),  # of others
+    ("0::/../b\n", {"cpu.max": "100000 100000"}, 1),  # moved out of the container's cgroup
+    # Docker with cgroups of version 1: the host's path, where the container's is mounted.
+    ("4:cpu,cpuacct:/docker/id\n1:memory:/x\n", v1("", 250000), 3),
+    ("4:cpuacct,cpu:/x\n0::/\n", v1("", 250000, folder="cpu"), 3),
+    ("4:cpu,cpuacct:/x/y\n0::/\n", v1("x/", 400000), 4),
+    ("4:cpu,cpuacct:/x/y\n", {**v1("x/y/", 300000), **v1("x/", 200000)}, 2),
+    ("4:cpu,cpuacct:/x\n", v1("x/", -1), 8),
+    ("4:cpuset:/x\n1:cpu,cpuacct:/\n", v1("x/", 100000, folder="cpu"), 8),  # of others
+])  # fmt: skip
 def test_the_least_quota_from_the_cgroup_to_the_root(machine, cgroups, files, cores):
     machine(cgroups=cgroups, files=files)
     assert available_cores() == cores

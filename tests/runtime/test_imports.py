@@ -26,15 +26,12 @@ def loaded_after(statement: str) -> set[str]:
     return {name.partition(".")[0] for name in modules}
 
 
-@pytest.mark.parametrize(
-    "statement",
-    [
-        "import runtime",
-        pytest.param("from models import load_checkpoint, save_checkpoint", marks=needs_torch),
-        "from runtime.contract import Contract",
-        "from runtime import Contract, SSDNetError, __version__",
-    ],
-)
+@pytest.mark.parametrize("statement", [
+    "import runtime",
+    pytest.param("from models import load_checkpoint, save_checkpoint", marks=needs_torch),
+    "from runtime.contract import Contract",
+    "from runtime import Contract, SSDNetError, __version__",
+])  # fmt: skip
 def test_the_leaves_load_neither_opencv_nor_onnxruntime(statement):
     loaded = loaded_after(statement)
     assert "runtime" in loaded
@@ -49,19 +46,16 @@ def test_the_leaves_of_files_and_errors_need_nothing_but_python():
 HEAVY = {"torch", "onnx", "models", "training", "export", "scipy"}
 
 
-@pytest.mark.parametrize(
-    ("statement", "needed", "unwanted"),
-    [
-        ("from runtime import Predictor; Predictor", {"numpy", "cv2"}, {"typer"}),
-        (
-            "import runtime.run.cli",
-            {"numpy", "cv2", "typer"},
-            {"onnxruntime", "rosbags", "ruamel", "apsw", "jinja2"},
-        ),
-        ("import runtime.tools.doctor", {"typer"}, {*ENGINE, "numpy"}),
-        ("import runtime.tools.bench", {"numpy", "typer"}, {*ENGINE, "psutil"}),
-    ],
-)
+@pytest.mark.parametrize(("statement", "needed", "unwanted"), [
+    ("from runtime import Predictor; Predictor", {"numpy", "cv2"}, {"typer"}),
+    (
+        "import runtime.run.cli",
+        {"numpy", "cv2", "typer"},
+        {"onnxruntime", "rosbags", "ruamel", "apsw", "jinja2"},
+    ),
+    ("import runtime.tools.doctor", {"typer"}, {*ENGINE, "numpy"}),
+    ("import runtime.tools.bench", {"numpy", "typer"}, {*ENGINE, "psutil"}),
+])  # fmt: skip
 def test_a_command_loads_nothing_that_it_does_not_need(statement, needed, unwanted):
     loaded = loaded_after(statement)
     assert {"runtime", *needed} <= loaded

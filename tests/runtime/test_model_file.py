@@ -117,16 +117,13 @@ def test_metadata_of_many_megabytes_is_not_parsed(model_file):
         load_model_file(path)
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"\x08\xff",  # a number that does not end
-        b"\x08\x01\x72\x05",  # an entry longer than the file
-        b"\x08\x01\x72\x02\x0a\x05",  # a key longer than its entry
-        b"\x08\x01\x72" + b"\xff" * 8 + b"\x7f",  # an entry of 2^63 bytes
-        b"\x08\x01" + b"\x72\x00" * 10_000,  # entries that would fill the memory
-    ],
-)
+@pytest.mark.parametrize("content", [
+    b"\x08\xff",  # a number that does not end
+    b"\x08\x01\x72\x05",  # an entry longer than the file
+    b"\x08\x01\x72\x02\x0a\x05",  # a key longer than its entry
+    b"\x08\x01\x72" + b"\xff" * 8 + b"\x7f",  # an entry of 2^63 bytes
+    b"\x08\x01" + b"\x72\x00" * 10_000,  # entries that would fill the memory
+])  # fmt: skip
 def test_what_is_no_protobuf(content):
     with pytest.raises(ContractError, match="damaged"):
         parse_model_file(content)

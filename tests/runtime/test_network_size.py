@@ -7,23 +7,20 @@ from runtime import InputError
 from runtime.network_size import check_network_size, network_size, parse_network_size
 
 
-@pytest.mark.parametrize(
-    ("asked", "frame", "trained", "expected"),
-    [
-        # None: the trained height, where the frame is larger by more than a quarter.
-        (None, (1216, 1936), 400, (400, 637)),
-        (None, (900, 1600), 400, (400, 711)),
-        (None, (501, 1000), 400, (400, 798)),
-        (None, (500, 1000), 400, (500, 1000)),
-        (None, (375, 1242), 400, (375, 1242)),
-        (None, (1216, 1936), None, (1216, 1936)),
-        (None, (2000, 40), 400, (400, 32)),
-        ("frame", (1216, 1936), 400, (1216, 1936)),
-        # Rows, up and down; (height, width) exactly.
-        (400, (200, 300), None, (400, 600)),
-        ((256, 832), (1216, 1936), 400, (256, 832)),
-    ],
-)
+@pytest.mark.parametrize(("asked", "frame", "trained", "expected"), [
+    # None: the trained height, where the frame is larger by more than a quarter.
+    (None, (1216, 1936), 400, (400, 637)),
+    (None, (900, 1600), 400, (400, 711)),
+    (None, (501, 1000), 400, (400, 798)),
+    (None, (500, 1000), 400, (500, 1000)),
+    (None, (375, 1242), 400, (375, 1242)),
+    (None, (1216, 1936), None, (1216, 1936)),
+    (None, (2000, 40), 400, (400, 32)),
+    ("frame", (1216, 1936), 400, (1216, 1936)),
+    # Rows, up and down; (height, width) exactly.
+    (400, (200, 300), None, (400, 600)),
+    ((256, 832), (1216, 1936), 400, (256, 832)),
+])  # fmt: skip
 def test_the_rule(asked, frame, trained, expected):
     asked = check_network_size(asked, fixed=False)
     assert network_size(asked, frame, trained_height=trained) == expected

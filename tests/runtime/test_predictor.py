@@ -7,13 +7,12 @@ import os
 import pickle
 import subprocess
 import sys
-import threading
 
 import numpy as np
 import pytest
 from onnxruntime import InferenceSession
 
-from runtime import ContractError, InferenceError, InputError, Predictor, PushStream
+from runtime import ContractError, InferenceError, InputError, Predictor
 
 DEPTH_OFFSET_M = 1.5  # of the models by hand
 
@@ -107,17 +106,6 @@ def test_the_uncertainty_comes_where_the_model_has_it(model_file, make_frame):
         assert np.array_equal(resized.depth_uncertainty, resized.depth / 16)
 
 
-def test_logits_come_where_the_model_has_them(model_file, make_frame):
-    rgb, depth = make_frame()
-    heads = ("semantic", "semantic_logits")
-    prediction = Predictor(model_file(heads=heads)).predict(rgb, depth)
-    assert prediction.semantic_logits.shape == (2, 48, 64)
-    assert np.array_equal(prediction.semantic_logits[0], rgb[..., 0])
-    fixed = Predictor(model_file("fixed.onnx", heads=heads, size=(40, 40))).predict(rgb, depth)
-    assert fixed.semantic_logits.shape == (2, 48, 64)
-    assert np.array_equal(fixed.semantic_logits[1], -fixed.semantic_logits[0])
-
-
 # --- a frame of another size than a fixed model ------------------------------------------------
 
 
@@ -138,18 +126,15 @@ def assert_right_after_whole_factor(prediction, rgb, depth):
     assert np.allclose(prediction.boundary, 1)
 
 
-@pytest.mark.parametrize(
-    ("size", "trained", "frame", "runs_at"),
-    [
-        (None, 40, (80, 96), (40, 48)),
-        (None, 40, (50, 60), (50, 60)),
-        (None, None, (80, 96), (80, 96)),
-        ("frame", 40, (80, 96), (80, 96)),
-        (64, 40, (80, 100), (64, 80)),
-        (96, None, (48, 64), (96, 128)),
-        ((33, 70), None, (48, 64), (33, 70)),
-    ],
-)
+@pytest.mark.parametrize(("size", "trained", "frame", "runs_at"), [
+    (None, 40, (80, 96), (40, 48)),
+    (None, 40, (50, 60), (50, 60)),
+    (None, None, (80, 96), (80, 96)),
+    ("frame", 40, (80, 96), (80, 96)),
+    (64, 40, (80, 100), (64, 80)),
+    (96, None, (48, 64), (96, 128)),
+    ((33, 70), None, (48, 64), (33, 70)),
+])  # fmt: skip
 def test_a_model_of_free_size_runs_at_the_size_asked_for(
     model_file, make_frame, contract, size, trained, frame, runs_at
 ):
@@ -304,16 +289,6 @@ def test_a_predictor_that_is_pickled_names_what_to_do(model_file, copy_it):
         copy_it(Predictor(model_file(), warmup=0))
 
 
-def test_a_session_without_memory_says_so(model_file, make_frame, change_run):
-    def fail(run, feed):
-        raise RuntimeError("Failed to allocate memory for requested buffer of size 96256000")
-
-    predictor = Predictor(model_file())
-    change_run(fail)
-    with pytest.raises(InferenceError, match="out of memory, choose a smaller size or fewer"):
-        predictor.predict(*make_frame())
-
-
 def test_a_prediction_names_its_classes_and_is_short(model_file, make_frame):
     prediction = Predictor(model_file()).predict(make_frame()[0])
     assert prediction.class_names == ("dark", "red")
@@ -359,21 +334,3 @@ def test_reset_runs_no_other_model_than_before(model_file, make_frame):
         with pytest.raises(ContractError):
             predictor.reset()
         assert predictor.predict(*frame).semantic is not None, "the old session stays"
-
-
-def test_a_stream_goes_on_after_a_reset(model_file, make_frame, lose_device):
-    rgb, sparse_depth = make_frame()
-    failed = threading.Event()
-    with (
-        Predictor(model_file(), threads=1) as predictor,
-        PushStream(predictor, on_error=lambda error: failed.set()) as stream,
-    ):
-        lose_device()
-        stream.push_image(rgb, 0)
-        stream.push_depth(sparse_depth, 0)
-        assert failed.wait(60)
-        predictor.reset()
-        stream.push_image(rgb, 1)
-        stream.push_depth(sparse_depth, 1)
-        assert next(stream).image_stamp == 1
-        assert stream.counts.errors == {"inference_error": 2}

@@ -94,19 +94,16 @@ def test_a_bad_frame_is_named_before_any_runs(model_file, make_frame, counted):
     good = make_frame()
     with Predictor(model_file()) as predictor:
         batches = counted()
-        for bad, text in [
-            ((good[0], good[1][:-1]), "frame 1 of 3: sparse_depth must have the shape"),
-            ((good[0],), r"frame 1 of 3 must be \(rgb, sparse_depth\)"),
-            (None, r"frame 1 of 3 must be \(rgb, sparse_depth\)"),
+        for frames, options, named in [
+            ([good, (good[0], good[1][:-1]), good], {}, "frame 1 of 3: sparse_depth"),
+            ([good, (good[0],), good], {}, "frame 1 of 3"),
+            ([good, None, good], {}, "frame 1 of 3"),
+            ([good, good], {"stamps": [1]}, "each of 2"),
+            ([good], {"focal_lengths_px": [-1.0]}, "frame 0 of 1: focal_length_px"),
+            (iter([good]), {}, "list"),
         ]:
-            with pytest.raises(InputError, match=text):
-                predictor.predict_batch([good, bad, good])
-        with pytest.raises(InputError, match="one entry for each of 2"):
-            predictor.predict_batch([good, good], stamps=[1])
-        with pytest.raises(InputError, match="frame 0 of 1: focal_length_px"):
-            predictor.predict_batch([good], focal_lengths_px=[-1.0])
-        with pytest.raises(InputError, match="must be a list"):
-            predictor.predict_batch(iter([good]))
+            with pytest.raises(InputError, match=named):
+                predictor.predict_batch(frames, **options)
         assert batches == []
 
 

@@ -13,19 +13,11 @@ from runtime import ClassInfo, ContractError, InputError, Predictor
 from runtime.model_file import with_contract
 
 
-@pytest.mark.parametrize(
-    ("content", "text"),
-    [
-        (None, r"cannot read the model .*model\.onnx"),
-        (b"", "empty file"),
-        (b"\x89PNG\r\n", r"cannot be loaded: .* not ONNX"),
-        (b"\0" * 100, r"cannot be loaded: .* not ONNX"),
-    ],
-)
-def test_a_file_that_is_no_model(tmp_path, content, text):
+@pytest.mark.parametrize("content", [None, b"", b"\x89PNG\r\n", b"\0" * 100])
+def test_a_file_that_is_no_model(tmp_path, content):
     if content is not None:
         (tmp_path / "model.onnx").write_bytes(content)
-    with pytest.raises(ContractError, match=text):
+    with pytest.raises(ContractError, match=r"model\.onnx"):
         Predictor(tmp_path / "model.onnx")
 
 
@@ -104,38 +96,27 @@ def free_width(graph):
 FIXED = {"size": (48, 64)}
 
 
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"contract": None}, "no metadata 'ssdnet'"),
-        ({"contract": None, "metadata": "{"}, "not JSON"),
-        ({"opset": 999}, "newer ONNX version"),
-        ({"rgb_type": TensorProto.FLOAT}, r"rgb to be tensor\(uint8\).*tensor\(float\)"),
-        ({"size": (48, 20_000)}, "the size of images"),
-        ({"edit": rename_input}, r"expected inputs .*found .*image"),
-        ({"edit": rename_output, "heads": ("depth",)}, "at least one output"),
-        (FIXED | {"edit": put_channels_first}, r"rgb of shape \(N, H, W, 3\)"),
-        ({"edit": take_four_frames}, "one frame at a time.*batch of 4"),
-        (FIXED | {"edit": widen_one_input, "heads": ("semantic",)}, "one size"),
-        (FIXED | {"edit": free_width}, "both fixed or both free"),
-    ],
-)
-def test_a_foreign_model_is_refused_with_its_fault(model_file, options, text):
-    with pytest.raises(ContractError, match=text):
+@pytest.mark.parametrize(("options", "named"), [
+    ({"contract": None}, "ssdnet"), ({"contract": None, "metadata": "{"}, "JSON"),
+    ({"opset": 999}, "newer"), ({"rgb_type": TensorProto.FLOAT}, "uint8"),
+    ({"size": (48, 20_000)}, "size"), ({"edit": rename_input}, "found .*image"),
+    ({"edit": rename_output, "heads": ("depth",)}, "output"),
+    (FIXED | {"edit": put_channels_first}, "N, H, W, 3"),
+    ({"edit": take_four_frames}, "batch of 4"),
+    (FIXED | {"edit": widen_one_input, "heads": ("semantic",)}, "one size"),
+    (FIXED | {"edit": free_width}, "both free"),
+])  # fmt: skip
+def test_a_foreign_model_is_refused_with_its_fault(model_file, options, named):
+    with pytest.raises(ContractError, match=named):
         Predictor(model_file(**options))
 
 
-@pytest.mark.parametrize(
-    ("names", "heads", "text"),
-    [
-        ((), ("semantic",), "names of the classes"),
-        (("a", "b", "c"), ("semantic_logits",), "of the 3 classes in the metadata, found 2"),
-    ],
-)
-def test_heads_that_do_not_fit_the_classes(model_file, contract, names, heads, text):
-    classes = tuple(ClassInfo(name, (0, 0, 0)) for name in names)
-    with pytest.raises(ContractError, match=text):
-        Predictor(model_file(contract=dataclasses.replace(contract, classes=classes), heads=heads))
+@pytest.mark.parametrize(("count", "head"), [(0, "semantic"), (3, "semantic_logits")])
+def test_heads_that_do_not_fit_the_classes(model_file, contract, count, head):
+    classes = tuple(ClassInfo(f"class {n}", (0, 0, 0)) for n in range(count))
+    path = model_file(contract=dataclasses.replace(contract, classes=classes), heads=(head,))
+    with pytest.raises(ContractError, match="classes"):
+        Predictor(path)
 
 
 def test_an_unknown_further_output_does_no_harm(model_file, make_frame):

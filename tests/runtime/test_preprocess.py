@@ -15,38 +15,28 @@ from runtime.preprocess import (
 )
 
 
-@pytest.mark.parametrize(
-    ("rgb", "text"),
-    [
-        (np.zeros((40, 50, 3), np.float32), "uint8.*float32"),
-        (np.zeros((3, 40, 50), np.uint8), r"channels come last.*transpose\(1, 2, 0\)"),
-        (np.zeros((40, 50), np.uint8), r"\(H, W, 3\), got \(40, 50\): it is a grey image, use cv2"),
-        (np.zeros((40, 50, 1), np.uint8), r"got \(40, 50, 1\): it is a grey image, use cv2"),
-        (np.zeros((40, 50, 4), np.uint8), r"got \(40, 50, 4\): .*alpha.*use rgb\[..., :3\]"),
-        (np.zeros((31, 50, 3), np.uint8), "at least 32 x 32"),
-        ([[1]], r"numpy array, got list: use np.asarray\(rgb\)$"),
-        (None, "numpy array, got NoneType"),
-        (np.ma.zeros((40, 50, 3), np.uint8), r"a masked one: use rgb\.filled"),
-    ],
-)
-def test_other_pictures_are_refused(rgb, text):
-    with pytest.raises(InputError, match=text):
+@pytest.mark.parametrize(("rgb", "named"), [
+    (np.zeros((40, 50, 3), np.float32), "float32"),
+    (np.zeros((3, 40, 50), np.uint8), r"transpose\(1, 2, 0\)"),
+    (np.zeros((40, 50), np.uint8), "grey"),
+    (np.zeros((40, 50, 1), np.uint8), "grey"),
+    (np.zeros((40, 50, 4), np.uint8), "alpha"),
+    (np.zeros((31, 50, 3), np.uint8), "32 x 32"),
+    ([[1]], "list"), (None, "NoneType"),
+    (np.ma.zeros((40, 50, 3), np.uint8), "masked"),
+])  # fmt: skip
+def test_other_pictures_are_refused(rgb, named):
+    with pytest.raises(InputError, match=named):
         check_rgb(rgb)
 
 
-@pytest.mark.parametrize(
-    ("depth", "text"),
-    [
-        (np.zeros((40, 50), np.uint16), "unit of integers is not known: convert to metres"),
-        (np.zeros((40, 50), np.float64), r"astype\(np.float32\)"),
-        (np.zeros((40, 50, 1), np.float32), r"\(40, 50\), got \(40, 50, 1\)"),
-        (np.zeros((50, 40), np.float32), r"\(40, 50\), got \(50, 40\)"),
-        ([[1]], r"got list: use np.asarray\(sparse_depth, np.float32\)$"),
-        (np.ma.zeros((40, 50), np.float32), r"masked.*filled\(0\)"),
-    ],
-)
-def test_other_depth_maps_are_refused(depth, text):
-    with pytest.raises(InputError, match=text):
+@pytest.mark.parametrize(("depth", "named"), [
+    (np.zeros((40, 50), np.uint16), "metres"), (np.zeros((40, 50), np.float64), "float32"),
+    (np.zeros((40, 50, 1), np.float32), "40, 50, 1"), (np.zeros((50, 40), np.float32), "50, 40"),
+    ([[1]], "list"), (np.ma.zeros((40, 50), np.float32), "masked"),
+])  # fmt: skip
+def test_other_depth_maps_are_refused(depth, named):
+    with pytest.raises(InputError, match=named):
         check_sparse_depth(depth, size=(40, 50))
 
 
@@ -65,14 +55,11 @@ def test_each_kind_of_impossible_depth_is_counted_and_removed():
     assert np.array_equal(depth, before, equal_nan=True), "the caller's array was written to"
 
 
-@pytest.mark.parametrize(
-    ("range_m", "fed"),
-    [
-        (80.0, [0, 80, 80, 80, 0, 0]),
-        (200.0, [0, 100, 200, 200, 0, 0]),
-        (400.0, [0, 100, 201, 250, 251, 0]),
-    ],
-)
+@pytest.mark.parametrize(("range_m", "fed"), [
+    (80.0, [0, 80, 80, 80, 0, 0]),
+    (200.0, [0, 100, 200, 200, 0, 0]),
+    (400.0, [0, 100, 201, 250, 251, 0]),
+])  # fmt: skip
 def test_a_return_beyond_the_range_is_fed_as_its_end(range_m, fed):
     """Up to what a LiDAR of a car can reach; 655 m is another unit, or the mark of no return."""
     depth = np.array([[0, 100, 201, 250, 251, 655.35]], np.float32)

@@ -113,34 +113,18 @@ def test_occlusion_filter_takes_away_what_shows_through_a_near_object():
     assert ((rows >= 0) == (filtered > 0)).all()
 
 
-@pytest.mark.parametrize(
-    ("changes", "text"),
-    [
-        ({"points": np.zeros((5, 3))}, "points must be a plain float32 array .* got float64"),
-        ({"points": np.zeros((5, 2), np.float32)}, r"points must have the shape .* \(5, 2\)"),
-        ({"intrinsics": K.astype(int)}, "intrinsics must be an array of floats, got int64"),
-        ({"intrinsics": K[:2]}, r"intrinsics must have the shape \(3, 3\), got \(2, 3\)"),
-        ({"intrinsics": K * np.nan}, "intrinsics must be finite"),
-        ({"intrinsics": K.T}, "intrinsics must have .* the last row .* transposed"),
-        ({"intrinsics": np.ma.masked_less(K, 1)}, "intrinsics must .* got MaskedArray"),
-        ({"intrinsics": np.diag([-1.0, 1, 1])}, "positive focal lengths"),
-        ({"extrinsics": LIDAR_TO_CAMERA[:3]}, r"extrinsics must have the shape \(4, 4\)"),
-        ({"extrinsics": LIDAR_TO_CAMERA.T}, "last row of extrinsics must be 0, 0, 0, 1"),
-        ({"intrinsics": np.diag([1e300, 1, 1])}, "beyond float32"),
-        ({"size": (0, 5)}, "size must be"),
-        ({"size": (10**6, 10**6)}, "size must be"),
-    ],
-)
-def test_other_inputs_are_named(changes, text):
-    arguments = {
-        "points": scan(5, 0),
-        "intrinsics": K,
-        "extrinsics": LIDAR_TO_CAMERA,
-        "size": SIZE,
-        **changes,
-    }
-    with pytest.raises(InputError, match=text):
-        project_points(**arguments)
+@pytest.mark.parametrize(("key", "value"), [
+    ("points", np.zeros((5, 3))), ("points", np.zeros((5, 2), np.float32)),
+    ("intrinsics", K.astype(int)), ("intrinsics", K[:2]), ("intrinsics", K * np.nan),
+    ("intrinsics", K.T), ("intrinsics", np.ma.masked_less(K, 1)),
+    ("intrinsics", np.diag([-1.0, 1, 1])), ("intrinsics", np.diag([1e300, 1, 1])),
+    ("extrinsics", LIDAR_TO_CAMERA[:3]), ("extrinsics", LIDAR_TO_CAMERA.T),
+    ("size", (0, 5)), ("size", (10**6, 10**6)),
+])  # fmt: skip
+def test_other_inputs_are_named(key, value):
+    arguments = {"points": scan(5, 0), "intrinsics": K, "extrinsics": LIDAR_TO_CAMERA, "size": SIZE}
+    with pytest.raises(InputError, match=key):
+        project_points(**arguments | {key: value})
 
 
 @pytest.mark.parametrize("options", [

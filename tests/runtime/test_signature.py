@@ -44,18 +44,13 @@ def repeated(head: str, *times: int) -> Callable[..., None]:
     )
 
 
-@pytest.mark.parametrize(
-    ("head", "times"),
-    [
-        ("depth", (2, 1, 1)),
-        ("semantic", (0, 1, 1)),
-        ("boundary", (1, 1, 2)),
-        ("semantic_logits", (1, 2, 1, 1)),
-    ],
-)
+@pytest.mark.parametrize(("head", "times"), [
+    ("depth", (2, 1, 1)), ("semantic", (0, 1, 1)), ("boundary", (1, 1, 2)),
+    ("semantic_logits", (1, 2, 1, 1)),
+])  # fmt: skip
 def test_an_answer_of_another_shape_is_an_inference_error(model_file, head, times):
     path = model_file(edit=repeated(head, *times), heads=HEADS)
-    with pytest.raises(InferenceError, match=rf"gave {head} of the shape"):
+    with pytest.raises(InferenceError, match=head):
         Predictor(path, warmup=0)
 
 
@@ -73,12 +68,7 @@ def test_an_uncertainty_of_no_depth_is_refused_at_load(model_file):
 
 
 @pytest.mark.parametrize(
-    ("head", "offset"),
-    [
-        ("depth", -500.0),
-        ("boundary", 500.0),
-        ("depth_uncertainty", -500.0),
-    ],
+    ("head", "offset"), [("depth", -500.0), ("boundary", 500.0), ("depth_uncertainty", -500.0)]
 )
 def test_impossible_values_make_a_frame_invalid(model_file, make_frame, head, offset):
     edit = behind(

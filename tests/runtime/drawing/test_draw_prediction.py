@@ -119,14 +119,11 @@ def test_a_name_of_a_class_does_not_break_the_header(tmp_path, answered, read_pl
     assert "comment label 1 a element vertex 9 0 0 128" in lines
 
 
-@pytest.mark.parametrize(
-    ("name", "error", "text"),
-    [
-        ("a.ply", InputError, "give intrinsics="),
-        ("a.tiff", InputError, r"must end in one of \.png, \.jpg, \.jpeg, \.npz, \.ply"),
-        ("none/a.png", OutputError, "cannot write"),
-    ],
-)
+@pytest.mark.parametrize(("name", "error", "text"), [
+    ("a.ply", InputError, "give intrinsics="),
+    ("a.tiff", InputError, r"must end in one of \.png, \.jpg, \.jpeg, \.npz, \.ply"),
+    ("none/a.png", OutputError, "cannot write"),
+])  # fmt: skip
 def test_what_cannot_be_saved_leaves_nothing(tmp_path, answered, name, error, text):
     with pytest.raises(error, match=text):
         answered[1].save(tmp_path / name)

@@ -86,13 +86,6 @@ def test_the_depth_colours_are_the_same_for_every_frame(contract, answered):
     assert color_at_10_m(1) == color_at_10_m(70)
 
 
-def depth_panels(overlay, answered, **changes):
-    """The panels of the depth and of its uncertainty: 60 x 80 pixels each."""
-    rgb, prediction = answered
-    drawn = overlay.draw(rgb, change(prediction, **changes))
-    return drawn[:60, 2 * 80 : 3 * 80], drawn[:60, 3 * 80 : 4 * 80]
-
-
 def test_the_sky_has_no_depth(contract, answered):
     rgb, prediction = answered
     grey = [110, 110, 110]
@@ -113,10 +106,12 @@ def test_the_sky_has_no_depth(contract, answered):
 
 
 def test_a_depth_that_is_none_is_not_drawn_as_near(contract, answered):
+    rgb, prediction = answered
     depth = np.full((60, 80), 20, np.float32)
     depth[40:, :40], depth[40:, 40:] = 0, -1
-    plain = Overlay(contract.classes, contract.max_depth_m)
-    for panel in depth_panels(plain, answered, depth=depth):
+    overlay = Overlay(contract.classes, contract.max_depth_m)
+    drawn = overlay.draw(rgb, change(prediction, depth=depth))
+    for panel in (drawn[:60, 2 * 80 : 3 * 80], drawn[:60, 3 * 80 : 4 * 80]):
         assert (panel[40:] == 110).all()
         assert not (panel[20:40] == 110).all(axis=-1).any()
 
@@ -149,19 +144,3 @@ def test_the_overlay_leaves_out_missing_heads(contract, answered):
     assert overlay.draw(rgb, prediction).shape[1] == 5 * 80
     only_boundary = change(no_uncertainty, semantic=None, depth=None)
     assert Overlay((), contract.max_depth_m).draw(rgb, only_boundary).shape == (60, 2 * 80, 3)
-
-
-def test_the_legend_speaks_of_the_uncertainty_where_it_is_drawn(contract, answered):
-    _, prediction = answered
-    wide = {
-        name: cv2.resize(getattr(prediction, name), (200, 60))
-        for name in ("semantic", "depth", "boundary", "depth_uncertainty")
-    }
-    prediction = change(prediction, **wide)
-    overlay = Overlay(contract.classes, contract.max_depth_m)
-    rgb = np.zeros((60, 200, 3), np.uint8)
-    with_it = overlay.draw(rgb, prediction)
-    without = overlay.draw(rgb, change(prediction, depth_uncertainty=None))
-    lines = (with_it.shape[0] - 5 * 60) - (without.shape[0] - 4 * 60)
-    assert lines == 22
-    assert np.array_equal(with_it[5 * 60 : -lines], without[4 * 60 :])

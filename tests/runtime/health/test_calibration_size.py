@@ -110,13 +110,12 @@ def test_an_image_that_no_return_falls_into(bundled):
         assert (check.finding() is not None) == expected
 
 
-@pytest.mark.parametrize("scale", [1, 2])
-def test_a_run_warns_reports_and_degrades(bundled, tmp_path, scale):
+def test_a_run_warns_reports_and_degrades(bundled, tmp_path):
     frames, intrinsics = bundled
     for name in ("image", "points"):
         (tmp_path / f"data/{name}").mkdir(parents=True)
     for index, (rgb, points) in enumerate(frames):
-        small = cv2.resize(rgb, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
+        small = cv2.resize(rgb, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
         assert cv2.imwrite(str(tmp_path / f"data/image/{index}.png"), small[..., ::-1])
         points.tofile(tmp_path / f"data/points/{index}.bin")
     text = f'intrinsics = {intrinsics.tolist()}\npoints_in = "camera"\n'
@@ -125,12 +124,8 @@ def test_a_run_warns_reports_and_degrades(bundled, tmp_path, scale):
     arguments = ["--source", source, "--model", "ssdnet-nano"]
     arguments += ["--out", tmp_path / "out", "--save", "none", "--warmup", 0]
     result = CliRunner().invoke(app, [str(each) for each in arguments])
-    report = json.loads((tmp_path / "out/report.json").read_text())
-    is_wrong = scale > 1
-    assert ("warning: the calibration seems to be for images of another size" in result.output) == (
-        is_wrong
-    ), result.output
-    assert ("another size" in str(report["frames"]["implausible_depth"])) == is_wrong
-    degraded = {1: {}, 2: {"implausible_depth": 3}}
-    assert report["frames"]["degraded"] == degraded[scale]
-    assert report["frames"]["by_status"] == {"ok": 3}
+    frames_of = json.loads((tmp_path / "out/report.json").read_text())["frames"]
+    assert "another size" in result.output
+    assert "another size" in str(frames_of["implausible_depth"])
+    assert frames_of["degraded"] == {"implausible_depth": 3}
+    assert frames_of["by_status"] == {"ok": 3}

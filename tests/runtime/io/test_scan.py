@@ -305,16 +305,13 @@ DATA = os.environ.get("SSDNET_DATA")
 
 
 @pytest.mark.skipif(not DATA, reason="SSDNET_DATA names no folder of recordings")
-@pytest.mark.parametrize(
-    ("folder", "columns"),
-    [
-        ("kitti_stream/velodyne_fov", 4),
-        ("kitti_streets/velodyne_fov", 4),
-        ("kitti_object/velodyne_fov", 4),
-        ("kitti_drive_0009/velodyne_fov", 4),
-        ("pandaset_front/points", 6),
-    ],
-)
+@pytest.mark.parametrize(("folder", "columns"), [
+    ("kitti_stream/velodyne_fov", 4),
+    ("kitti_streets/velodyne_fov", 4),
+    ("kitti_object/velodyne_fov", 4),
+    ("kitti_drive_0009/velodyne_fov", 4),
+    ("pandaset_front/points", 6),
+])  # fmt: skip
 def test_recorded_scans_have_one_number_of_columns(folder, columns):
     for path in sorted((Path(DATA) / folder).iterdir()):
         points = read_scan(path, columns=columns)

@@ -6,6 +6,7 @@ import os
 import sqlite3
 import struct
 
+import cv2
 import numpy as np
 import pytest
 from small_rig import INTRINSICS, MS, OPTICAL, SIZE, START_NS, add_tree, projected
@@ -147,12 +148,18 @@ def test_no_output_takes_the_place_of_a_bag_that_is_read(make_bag, make_frame, r
         assert file.read_bytes() == before
 
 
-def test_a_raw_topic_is_preferred_to_the_same_compressed(make_bag, make_frame):
-    bag = make_bag("ros2")
-    add_camera(bag, make_frame)
-    bag.compressed("/cam/image_rect/compressed", b"", "jpeg", START_NS)
-    with BagSource(bag.write(), depth_topic="none") as source:
+def test_a_raw_topic_is_preferred_to_the_same_compressed(make_bag, make_frame, kind):
+    bag = make_bag(kind)
+    add_camera(bag, make_frame, n=1)
+    rgb, _ = make_frame(*SIZE, seed=1)
+    png = cv2.imencode(".png", rgb[..., ::-1])[1].tobytes()
+    packed = "/cam/image_rect/compressed"
+    bag.compressed(packed, png, "rgb8; png compressed bgr8", START_NS)
+    path = bag.write()
+    with BagSource(path, depth_topic="none") as source:
         assert source.inputs["image_topic"] == "/cam/image_rect"
+    with BagSource(path, depth_topic="none", image_topic=packed) as source:
+        np.testing.assert_array_equal(source.read(source.list_frames()[0]).rgb, rgb)
 
 
 def test_topics_that_cannot_be_guessed_are_listed(make_bag, make_frame, make_scan):
@@ -203,15 +210,12 @@ def test_clouds_need_a_calibration_and_take_a_file(make_bag, make_frame, make_sc
     assert abs(depth - projected(make_scan(0), ahead_m=0.5)).max() < 0.01
 
 
-@pytest.mark.parametrize(
-    ("topic", "lens"),
-    [
-        ("/direct/image_raw", "plumb_bob"),
-        ("/direct/image_unrectified", "plumb_bob"),
-        ("/direct/image_rect_color", None),
-        ("/direct/Rectified/image", None),
-    ],
-)
+@pytest.mark.parametrize(("topic", "lens"), [
+    ("/direct/image_raw", "plumb_bob"),
+    ("/direct/image_unrectified", "plumb_bob"),
+    ("/direct/image_rect_color", None),
+    ("/direct/Rectified/image", None),
+])  # fmt: skip
 def test_images_that_are_not_rectified_have_the_lens(
     make_bag, make_frame, make_scan, kind, topic, lens
 ):

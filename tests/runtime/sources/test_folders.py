@@ -145,6 +145,18 @@ def test_scans_are_projected_through_the_lens_or_into_rectified_images(folders, 
     assert (straight != expected).any()
 
 
+def test_a_run_rectifies(folders, scans, run, make_scan):
+    folder, path = scans
+    path.write_text(path.read_text() + LENS)
+    options = ["--rgb", folders[0], "--points", folder, "--calibration", path]
+    answers = run(*options, "--rectify")
+    assert answers.exit_code == 3, answers.text  # 1.png has no scan
+    inputs = answers.report["inputs"]
+    assert (inputs["rectified_by_this_run"], inputs["lens"]) == (True, "plumb_bob")
+    straight = Calibration.from_file(path).rectified.project(make_scan(0), (48, 64))
+    assert abs(answers.fed_depth("0") - straight).max() < 0.01
+
+
 def test_scans_need_extrinsics_and_paths_may_be_text(folders, scans, tmp_path):
     options = {"points": str(scans[0]), "calibration": str(scans[1])}
     assert open_source("folders", str(folders[0]), **options).calibration.focal_length_px == 60
@@ -223,25 +235,22 @@ def kitti(tmp_path, make_frame, make_scan, write_rgb):
     return {camera: shift / 60 for camera, shift in shifts.items()}
 
 
-@pytest.mark.parametrize(
-    ("images", "calibration", "key", "camera", "warns"),
-    [
-        ("image_3", "calib.txt", None, 3, False),
-        (".", "calib.txt", None, 3, False),
-        ("0.png", "calib.txt", None, 3, False),
-        ("../right", "calib.txt", None, 3, False),
-        ("../right/0.png", "calib.txt", None, 3, False),
-        ("../image_0", "calib.txt", None, 3, False),  # the real name, not that of the link
-        ("../image_1", "calib.txt", None, 1, False),  # the real name says nothing
-        ("image_3", "calib.txt", 0, 0, False),
-        ("../plain", "calib.txt", None, 2, True),
-        ("../plain/0.png", "calib.txt", None, 2, True),
-        ("../plain", "calib.txt", 2, 2, False),
-        ("../plain", "one_camera.txt", None, 2, False),
-        ("../plain", "rectified_alike.txt", None, 0, False),
-        ("../plain", "own.toml", None, None, False),
-    ],
-)
+@pytest.mark.parametrize(("images", "calibration", "key", "camera", "warns"), [
+    ("image_3", "calib.txt", None, 3, False),
+    (".", "calib.txt", None, 3, False),
+    ("0.png", "calib.txt", None, 3, False),
+    ("../right", "calib.txt", None, 3, False),
+    ("../right/0.png", "calib.txt", None, 3, False),
+    ("../image_0", "calib.txt", None, 3, False),  # the real name, not that of the link
+    ("../image_1", "calib.txt", None, 1, False),  # the real name says nothing
+    ("image_3", "calib.txt", 0, 0, False),
+    ("../plain", "calib.txt", None, 2, True),
+    ("../plain/0.png", "calib.txt", None, 2, True),
+    ("../plain", "calib.txt", 2, 2, False),
+    ("../plain", "one_camera.txt", None, 2, False),
+    ("../plain", "rectified_alike.txt", None, 0, False),
+    ("../plain", "own.toml", None, None, False),
+])  # fmt: skip
 def test_the_camera_of_kitti_is_that_of_the_real_folder(
     kitti, tmp_path, monkeypatch, images, calibration, key, camera, warns
 ):
@@ -293,13 +302,10 @@ def test_pairs_come_in_natural_order(empty_folders):
     assert frames[3].depth.name == "f9.png"
 
 
-@pytest.mark.parametrize(
-    ("rgb", "depth"),
-    [
-        (["1.png", "2.png", "10.png"], ["0001.png", "0002.png", "0010.png"]),
-        (["f_01_2.png", "f_1_10.png"], ["lidar1-02.png", "lidar1-10.png"]),
-    ],
-)
+@pytest.mark.parametrize(("rgb", "depth"), [
+    (["1.png", "2.png", "10.png"], ["0001.png", "0002.png", "0010.png"]),
+    (["f_01_2.png", "f_1_10.png"], ["lidar1-02.png", "lidar1-10.png"]),
+])  # fmt: skip
 def test_numbers_are_the_same_with_zeros_in_front(empty_folders, rgb, depth):
     frames = listed(*empty_folders(rgb, depth))
     assert [frame.image.name for frame in frames] == rgb

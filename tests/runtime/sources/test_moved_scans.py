@@ -128,21 +128,18 @@ def test_each_return_is_moved_by_the_column_of_its_time(folders, run, make_scan)
     assert beyond.exit_code == 3 or "point_time_column is 5" in beyond.text
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"poses": "poses.txt"}, "--poses and pose_frame= in --source together"),
-        ({"pose_frame": "lidar"}, "--poses and pose_frame= in --source together"),
-        ({"timestamps": "short.txt"}, "short.txt has 2 lines, there are 12 images"),
-        ({"timestamps": "back.txt"}, "line 2 of .*back.txt is '1.0', expected a later time"),
-        ({"timestamps": "words.txt"}, "line 1 of .*words.txt is 'noon', expected seconds"),
-        ({"poses": "short_poses.txt", "pose_frame": "lidar"}, "has 1 poses, there are 12 images"),
-        ({"poses": "tum.txt", "pose_frame": "lidar", "timestamps": None}, "give timestamps="),
-        ({"poses": "scaled.txt", "pose_frame": "lidar"}, "pose must be rigid"),
-        ({"poses": "poses.txt", "pose_frame": "body", "calibration": "plain.toml"}, "body_from"),
-        ({"points": None, "poses": "poses.txt", "pose_frame": "lidar"}, "give --points"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    ({"poses": "poses.txt"}, "--poses and pose_frame= in --source together"),
+    ({"pose_frame": "lidar"}, "--poses and pose_frame= in --source together"),
+    ({"timestamps": "short.txt"}, "short.txt has 2 lines, there are 12 images"),
+    ({"timestamps": "back.txt"}, "line 2 of .*back.txt is '1.0', expected a later time"),
+    ({"timestamps": "words.txt"}, "line 1 of .*words.txt is 'noon', expected seconds"),
+    ({"poses": "short_poses.txt", "pose_frame": "lidar"}, "has 1 poses, there are 12 images"),
+    ({"poses": "tum.txt", "pose_frame": "lidar", "timestamps": None}, "give timestamps="),
+    ({"poses": "scaled.txt", "pose_frame": "lidar"}, "pose must be rigid"),
+    ({"poses": "poses.txt", "pose_frame": "body", "calibration": "plain.toml"}, "body_from"),
+    ({"points": None, "poses": "poses.txt", "pose_frame": "lidar"}, "give --points"),
+])  # fmt: skip
 def test_what_does_not_fit_is_an_error_that_says_which(folders, change, message):
     (folders / "short.txt").write_text("1.0\n2.0\n")
     (folders / "back.txt").write_text("2.0\n1.0\n")
@@ -205,13 +202,10 @@ def test_a_drive_is_moved_by_its_oxts(drive, run, make_scan):
     assert answers.report["inputs"]["poses"] == str(drive / "oxts")
 
 
-@pytest.mark.parametrize(
-    ("missing", "note"),
-    [
-        ("../calib_imu_to_velo.txt", "calib_imu_to_velo.txt is missing"),
-        ("oxts/timestamps.txt", "oxts/timestamps.txt is missing"),
-    ],
-)
+@pytest.mark.parametrize(("missing", "note"), [
+    ("../calib_imu_to_velo.txt", "calib_imu_to_velo.txt is missing"),
+    ("oxts/timestamps.txt", "oxts/timestamps.txt is missing"),
+])  # fmt: skip
 def test_a_drive_says_why_its_poses_are_not_used(drive, missing, note):
     (drive / missing).unlink()
     source = KittiRawSource(drive, max_skew_ms=20)
@@ -286,14 +280,11 @@ def test_clouds_with_a_time_for_each_point_are_deskewed(make_bag, make_frame, ma
     assert agree(frame.sparse_depth, projected(scan, 0.05 * SPEED))
 
 
-@pytest.mark.parametrize(
-    ("poses", "note"),
-    [
-        ({"child": "elsewhere"}, "/tf_static does not connect the frame 'lidar' to 'elsewhere'"),
-        ({"kind": "tf", "child": "elsewhere"}, "/tf moves none of the frames lidar, base"),
-        ({"kind": "tf", "fixed": "footprint"}, "'footprint', which moves itself in 'odom'"),
-    ],
-)
+@pytest.mark.parametrize(("poses", "note"), [
+    ({"child": "elsewhere"}, "/tf_static does not connect the frame 'lidar' to 'elsewhere'"),
+    ({"kind": "tf", "child": "elsewhere"}, "/tf moves none of the frames lidar, base"),
+    ({"kind": "tf", "fixed": "footprint"}, "'footprint', which moves itself in 'odom'"),
+])  # fmt: skip
 def test_a_bag_says_why_its_poses_are_not_used(make_bag, make_frame, make_scan, poses, note):
     bag = make_bag("mcap")
     fill(bag, make_frame, make_scan)
@@ -311,19 +302,19 @@ def test_a_bag_says_why_its_poses_are_not_used(make_bag, make_frame, make_scan, 
         assert source.notes[0].startswith("topics")
 
 
-def test_one_of_several_topics_of_odometry_is_chosen(make_bag, make_frame, make_scan, run):
+def test_one_of_several_topics_of_odometry_is_chosen(make_bag, make_frame, make_scan):
     bag = make_bag("mcap")
     fill(bag, make_frame, make_scan)
     add_poses(bag)
     bag.odometry("/gps/odom", (0.0, 0.0, 0.0), START_NS)
     path = bag.write()
-    answers = run(path, "--max-skew-ms", 20)
-    assert "choose one of /gps/odom, /odom by pose_topic= in --source" in answers.text
-    assert answers.column("degraded")[1] == "depth_reused;depth_uncompensated"
-    chosen = run("--source", f"bag:{path},pose_topic=/odom", "--max-skew-ms", 20, out="chosen")
-    assert chosen.column("degraded") == ["", "depth_reused"] * N
-    wrong = run("--source", f"bag:{path},pose_topic=/imu", out="wrong")
-    assert "pose_topic=/imu is not a topic of its kind" in wrong.text.replace("\n", " ")
+    with BagSource(path) as source:
+        assert any("/gps/odom, /odom by pose_topic=" in note for note in source.notes)
+        assert source.inputs["pose_topic"] is None
+    with BagSource(path, pose_topic="/odom") as source:
+        assert source.inputs["pose_topic"] == "/odom"
+    with pytest.raises(InputError, match="pose_topic=/imu"):
+        BagSource(path, pose_topic="/imu")
 
 
 def test_a_depth_map_is_reused_as_it_is_and_flagged(folders, write_depth, make_frame):

@@ -38,20 +38,6 @@ def options(drive):
     return {"points": drive / "points", "calibration": drive / "calib"}
 
 
-def test_no_frame_is_without_depth_after_the_first_scan(drive, run):
-    keys = f"timestamps={drive / 'image_02_timestamps.txt'},pose_frame=lidar"
-    given = ["--source", f"folders:{drive / 'image'},{keys}", "--points", drive / "points"]
-    given += ["--calibration", drive / "calib", "--limit", FRAMES // 2]
-    answers = run(*given, "--poses", drive / "poses.txt")
-    assert answers.exit_code in (0, 3), answers.text  # the model by hand judges no depth
-    reasons = [set(row.split(";")) for row in answers.column("degraded")]
-    assert len(reasons) == FRAMES - 1, "up to the tenth complete one"
-    assert not any("no_depth" in each or "depth_uncompensated" in each for each in reasons)
-    assert ["depth_reused" in each for each in reasons] == [n % 2 == 1 for n in range(FRAMES - 1)]
-    ages = [float(age) for age in answers.column("depth_age_ms")[1::2]]
-    assert 100 < min(ages) < max(ages) < 110
-
-
 def test_moved_returns_lie_where_the_withheld_scan_has_them(drive):
     moved, as_it_is = (
         FolderSource(

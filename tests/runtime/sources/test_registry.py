@@ -1,7 +1,6 @@
 """Sources by their kind, and their options. A source is a file and a line of SOURCES."""
 
 import inspect
-import re
 from pathlib import Path
 
 import numpy as np
@@ -62,44 +61,22 @@ def test_a_path_may_hold_commas_and_equals_signs(tmp_path):
         assert parse_source(given).keys == {"timestamps": tmp_path / name}
 
 
-FOLDERS = (
-    "a source of the kind folders takes the keys depth_scale, point_columns, camera, timestamps, "
-    "pose_frame, scan_stamp, point_time_column"
-)
-
-
-@pytest.mark.parametrize(
-    ("keys", "text"),
-    [
-        (
-            "depth_scale=0",
-            f"depth_scale must be units per metre, 0.001 to 1e+06, got '0': {FOLDERS}",
-        ),
-        ("depth_scale=nan", "depth_scale must be units per metre, 0.001 to 1e+06, got 'nan'"),
-        ("depth_scale=1e-50", "depth_scale must be units per metre"),
-        ("depth_scale=", "depth_scale must be units per metre, 0.001 to 1e+06, got ''"),
-        ("point_columns=2", "point_columns must be the number of float32 per point, 3 to 1e+06"),
-        ("point_columns=4.5", "point_columns must be"),
-        ("point_time_column=1", "point_time_column must be the number of a column"),
-        ("pose_frame=wheel", "pose_frame must be lidar or camera or body, got 'wheel'"),
-        ("scan_stamp=first", "scan_stamp must be start or middle or end, got 'first'"),
-        ("timestamps=", "timestamps must be a file, got ''"),
-        ("depth_scale=1,depth_scale=2", "depth_scale is given twice, the second time as '2'"),
-        ("topic=2", f"{FOLDERS}, not topic, and there is no file 'no,topic=2'"),
-        ("depth-scale=2", f"{FOLDERS}, not depth-scale, and there is no file"),
-        ("depth_scale=2,scale=3", f"{FOLDERS}, not scale, and there is no file '2,scale=3'"),
-    ],
-)
-def test_a_wrong_key_is_a_usage_error_with_what_is_expected(keys, text):
-    with pytest.raises(UsageError, match=re.escape(text)):
+@pytest.mark.parametrize("keys", [
+    "depth_scale=0", "depth_scale=nan", "depth_scale=1e-50", "depth_scale=", "point_columns=2",
+    "point_columns=4.5", "point_time_column=1", "pose_frame=wheel", "scan_stamp=first",
+    "timestamps=", "depth_scale=1,depth_scale=2", "topic=2", "depth-scale=2",
+    "depth_scale=2,scale=3",
+])  # fmt: skip
+def test_a_wrong_key_is_a_usage_error_that_names_it(keys):
+    wrong = keys.split(",")[-1].split("=")[0]
+    with pytest.raises(UsageError, match=wrong):
         RunOptions(source=f"folders:no,{keys}")
 
 
 def test_options_of_another_kind_are_wrong_usage_of_the_command(run, tmp_path):
     answers = run("--source", f"kitti-raw:{tmp_path}", "--depth", tmp_path)
     assert answers.exit_code == 2
-    assert "takes camera=, --calibration, --max-skew-ms, --reuse-depth-ms" in answers.text
-    assert "scan_stamp=, not --depth" in answers.text
+    assert "not --depth" in answers.text
     assert run("--source", "nothing:here").exit_code == 2
     assert not (tmp_path / "out").exists()
 
@@ -116,12 +93,9 @@ def test_a_path_that_is_no_source_is_an_error_with_what_is_accepted(run, tmp_pat
 
 
 @pytest.mark.parametrize("kind", SOURCES)
-def test_a_path_that_is_not_there_is_an_input_error(kind, tmp_path, run):
-    if kind == "bag":
-        pytest.importorskip("rosbags")
-    answers = run("--source", f"{kind}:{tmp_path / 'none'}")
-    assert answers.exit_code == 1
-    assert str(tmp_path / "none") in answers.text
+def test_a_path_that_is_not_there_is_an_input_error(kind, tmp_path):
+    with pytest.raises(InputError, match="nothing"):
+        open_source(kind, tmp_path / "nothing").list_frames()
 
 
 @pytest.mark.parametrize("source", SOURCES.values())

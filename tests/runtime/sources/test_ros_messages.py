@@ -191,16 +191,13 @@ def test_a_mosaic_becomes_a_picture(name):
         assert difference[14:22].max() < 20, "the blue half"
 
 
-@pytest.mark.parametrize(
-    ("form", "array"),
-    [
-        ("bayer_rggb8; png compressed bgr8", tiles()[..., ::-1]),  # converted by the publisher
-        ("bayer_rggb16; png compressed bgr8", tiles()[..., ::-1]),
-        ("yuv422; png compressed bgr8", tiles()[..., ::-1]),
-        ("mono8; png compressed ", mosaic_of(tiles(), "RGGB")),
-        ("png", mosaic_of(tiles(), "RGGB")),
-    ],
-)
+@pytest.mark.parametrize(("form", "array"), [
+    ("bayer_rggb8; png compressed bgr8", tiles()[..., ::-1]),  # converted by the publisher
+    ("bayer_rggb16; png compressed bgr8", tiles()[..., ::-1]),
+    ("yuv422; png compressed bgr8", tiles()[..., ::-1]),
+    ("mono8; png compressed ", mosaic_of(tiles(), "RGGB")),
+    ("png", mosaic_of(tiles(), "RGGB")),
+])  # fmt: skip
 def test_what_is_no_mosaic_is_the_picture_itself(form, array):
     expected = np.broadcast_to(
         array[..., ::-1] if array.ndim == 3 else array[..., None], (*SIZE, 3)

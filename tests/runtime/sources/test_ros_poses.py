@@ -113,12 +113,14 @@ def test_a_field_that_is_missing_or_not_filled_is_no_time():
 
 
 @pytest.mark.parametrize("change", [
-    {"datatype": 2, "code": "u1"}, {"offset": 22}, {"offset": -1}, {"count": 3},
+    {"datatype": 2, "code": "u1"}, {"offset": 22}, {"offset": -1}, {"count": 3}, {},
 ])  # fmt: skip
-def test_another_layout_is_refused(change):
+def test_another_layout_and_truncated_data_are_refused(change):
     arguments = {"name": "t", "datatype": 6, "code": "u4", "values": [1, 2]} | change
-    with pytest.raises(InputError, match=r"the field (t|offset)"):
-        times_of(cloud(**arguments))
+    message = cloud(**arguments)
+    message.data = message.data[:-1] if not change else message.data
+    with pytest.raises(InputError, match=r"the field (t|offset)|truncated"):
+        times_of(message)
 
 
 ENDS = np.linspace(0, 0.1, 99)
@@ -136,13 +138,6 @@ def test_a_broken_time_decides_on_no_unit(code, offset, unit, broken):
     after = times_of(cloud("t", datatype, code, values), lost=[99])
     np.testing.assert_allclose(np.delete(after, [7, 99]) / 1e9, np.delete(ENDS, 7), atol=3e-7)
     assert not abs(after[7]) <= 1e9
-
-
-def test_truncated_data_is_refused():
-    message = cloud("t", 6, "u4", [1, 2])
-    message.data = message.data[:-1]
-    with pytest.raises(InputError, match="truncated"):
-        times_of(message)
 
 
 def stamped(parent, child, quaternion=(0, 0, 0, 1), shift=(0, 0, 0)):
@@ -173,16 +168,13 @@ def test_a_point_goes_up_to_the_common_frame_and_down_again():
     assert np.array_equal(tree().between("lidar", "lidar"), np.eye(4))
 
 
-@pytest.mark.parametrize(
-    ("transforms", "text"),
-    [
-        ([], "does not connect the frame 'b' to 'a', it has no frames: give --calibration"),
-        ([stamped("a", "c")], "it has a, c: give --calibration"),
-        ([stamped("a", "b"), stamped("b", "a")], "a cycle at the frame 'b'"),
-        ([stamped("a", "b", (0, 0, 0, 0))], "a unit quaternion, must be finite"),
-        ([stamped("a", "b", shift=(np.inf, 0, 0))], "a unit quaternion, must be finite"),
-    ],
-)
-def test_invalid_trees_are_refused(transforms, text):
-    with pytest.raises(InputError, match=text):
+@pytest.mark.parametrize(("transforms", "named"), [
+    ([], "no frames"),
+    ([stamped("a", "c")], "it has a, c"),
+    ([stamped("a", "b"), stamped("b", "a")], "cycle at the frame 'b'"),
+    ([stamped("a", "b", (0, 0, 0, 0))], "quaternion"),
+    ([stamped("a", "b", shift=(np.inf, 0, 0))], "finite"),
+])  # fmt: skip
+def test_invalid_trees_are_refused(transforms, named):
+    with pytest.raises(InputError, match=named):
         tree(*transforms).between("b", "a")

@@ -149,25 +149,15 @@ def test_a_pose_that_is_not_rigid_is_refused(bad):
         PoseTrack.of([bad], [0])
 
 
-def test_a_recording_must_have_rising_stamps():
+def test_a_recording_has_a_later_stamp_for_each_pose():
     poses, stamps = drive(5)
     assert len(PoseTrack.of(poses, stamps).stamps_ns) == 7, "with both extrapolations"
-    for wrong in (stamps[::-1], [0] * 5, [10**12, *stamps[1:]]):
-        with pytest.raises(InputError, match="must increase"):
-            PoseTrack.of(poses, wrong)
-
-
-@pytest.mark.parametrize("wrong", [np.nan, None, 1.5, 2**63, True])
-def test_a_stamp_of_a_recording_is_a_whole_number(wrong):
-    poses, stamps = drive(5)
-    with pytest.raises(InputError, match="a stamp must be a whole number"):
-        PoseTrack.of(poses, [*stamps[:4], wrong])
-
-
-@pytest.mark.parametrize("given", [(None, [0]), ([np.eye(4)], None), ([np.eye(4)], [0, 1])])
-def test_a_recording_has_a_stamp_for_each_pose(given):
-    with pytest.raises(InputError, match="a stamp for each pose"):
-        PoseTrack.of(*given)
+    of_one = ((None, [0]), ([np.eye(4)], None), ([np.eye(4)], [0, 1]))
+    orders = (stamps[::-1], [0] * 5, [10**12, *stamps[1:]])
+    numbers = ([*stamps[:4], wrong] for wrong in (np.nan, None, 1.5, 2**63, True))
+    for case in (*of_one, *((poses, wrong) for wrong in (*orders, *numbers))):
+        with pytest.raises(InputError, match="stamp"):
+            PoseTrack.of(*case)
 
 
 def test_a_mounted_frame_moves_with_the_car():
