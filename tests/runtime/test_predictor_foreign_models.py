@@ -17,7 +17,7 @@ from runtime.model_file import with_contract
 def test_a_file_that_is_no_model(tmp_path, content):
     if content is not None:
         (tmp_path / "model.onnx").write_bytes(content)
-    with pytest.raises(ContractError, match=r"model\.onnx"):
+    with pytest.raises(ContractError, match=r"model\.onnx|ONNX"):
         Predictor(tmp_path / "model.onnx")
 
 
