@@ -58,18 +58,18 @@ def test_a_file_of_a_models_name_in_the_current_folder_is_not_taken(
     with Predictor("other", warmup=0) as by_name, Predictor("./other", warmup=0) as by_path:
         assert by_name.model == str(assets / "other.onnx")
         assert by_path.model == "other"
-    with pytest.raises(ContractError, match="no bundled model is called 'mine'"):
+    with pytest.raises(ContractError, match="mine"):
         find_model("mine")
 
 
 @pytest.mark.parametrize("name", ["ssdnet-huge", "", ".", "other.bin", "\0", "x" * 5000])
 def test_an_unknown_name_lists_those_that_are_there(assets, name):
-    with pytest.raises(ContractError, match=r"there are: other, ssdnet-lite\. Name one") as error:
+    with pytest.raises(ContractError, match="other, ssdnet-lite") as error:
         Predictor(name)
     assert len(str(error.value)) < 600
 
 
 @pytest.mark.parametrize("thing", [3, 1.5, ["ssdnet-lite"], object()])
 def test_what_is_no_text_is_refused(thing):
-    with pytest.raises(InputError, match="must be a path or a name, got"):
+    with pytest.raises(InputError, match="path or a name"):
         find_model(thing)

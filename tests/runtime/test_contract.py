@@ -37,7 +37,7 @@ def test_what_is_written_comes_back(contract):
 
 @pytest.mark.parametrize("version", ["1.0", "1.3", "1.5", "2.0", "1.40", "new"])
 def test_another_version_is_refused_and_named(contract, version):
-    with pytest.raises(ContractError, match=rf"version '{version}', this engine reads 1\.4: "):
+    with pytest.raises(ContractError, match=rf"'{version}'.* 1\.4"):
         Contract.from_json(document(contract, schema_version=version))
 
 

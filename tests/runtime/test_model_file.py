@@ -113,7 +113,7 @@ def test_metadata_that_is_no_text(model_file, value):
 
 def test_metadata_of_many_megabytes_is_not_parsed(model_file):
     path = model_file(contract=None, metadata=" " * 2**22 + "{}")
-    with pytest.raises(ContractError, match="metadata has 4194306 bytes"):
+    with pytest.raises(ContractError, match="4194306"):
         load_model_file(path)
 
 

@@ -36,19 +36,19 @@ def test_the_rule(asked, frame, trained, expected):
     ids=str,
 )
 def test_nonsense_is_refused(asked):
-    with pytest.raises(InputError, match=r"size.*(number of rows|\(height, width\))"):
+    with pytest.raises(InputError, match="size"):
         check_network_size(asked, fixed=False)
 
 
 @pytest.mark.parametrize("asked", ["frame", 400, (48, 64), True])
 def test_a_model_of_fixed_size_takes_none_but_its_own(asked):
     assert check_network_size(None, fixed=True) is None
-    with pytest.raises(InputError, match="the model has a fixed size"):
+    with pytest.raises(InputError, match="fixed"):
         check_network_size(asked, fixed=True)
 
 
 def test_rows_that_a_long_frame_makes_too_wide_are_refused():
-    with pytest.raises(InputError, match=r"4000 rows would be 4000 x 1200000 pixels"):
+    with pytest.raises(InputError, match="4000 x 1200000"):
         network_size(4000, (40, 12_000), trained_height=None)
     with pytest.raises(InputError, match="at most"):
         network_size(16_000, (400, 400), trained_height=None)
@@ -61,5 +61,5 @@ def test_words_of_the_command_line():
     assert parse_network_size("400x640") == (400, 640)
     for text in ("", "x", "400x", "x640", "-400", "4e2", "400x640x3", "31", "1" * 5000, "four"):
         # In the words that can be typed.
-        with pytest.raises(InputError, match=f"--size {text[:9]!r:.9}.*; expected auto .about"):
+        with pytest.raises(InputError, match=f"--size {text[:9]!r:.9}"):
             parse_network_size(text)

@@ -52,14 +52,13 @@ def test_a_prediction_gives_its_cloud(model_file, make_frame):
     rgb, sparse_depth = make_frame()
     with Predictor(model_file(), threads=1) as predictor:
         prediction = predictor.predict(rgb, sparse_depth)
-        cloud = prediction.points(K, rgb)
-        np.testing.assert_array_equal(
-            cloud.points[:, 2], prediction.depth[prediction.boundary <= 0.25]
-        )
-        np.testing.assert_array_equal(cloud.rgb, rgb[prediction.boundary <= 0.25])
-        np.testing.assert_array_equal(
-            cloud.semantic, prediction.semantic[prediction.boundary <= 0.25]
-        )
+        cloud, kept = prediction.points(K, rgb), prediction.boundary <= 0.25
+        for found, values in (
+            (cloud.points[:, 2], prediction.depth),
+            (cloud.rgb, rgb),
+            (cloud.semantic, prediction.semantic),
+        ):
+            np.testing.assert_array_equal(found, values[kept])
         assert len(prediction.points(K, edge_boundary=None).points) == 48 * 64
         assert prediction.points(K).rgb is None
 

@@ -78,7 +78,7 @@ def test_the_farthest_return_is_not_lost_by_rounding(canonical, make_frame, chan
     "focal", [0, -1.0, 0.99, 1e7, float("nan"), float("inf"), "721", True, (700, 700), 3 + 4j]
 )
 def test_what_no_camera_has_is_refused(canonical, make_frame, focal):
-    with pytest.raises(InputError, match=r"focal_length_px must be 1 to 1e\+06 pixels.*fx"):
+    with pytest.raises(InputError, match="focal_length_px"):
         Predictor(canonical, focal_length_px=focal)
     with Predictor(canonical) as predictor:
         with pytest.raises(InputError, match="focal_length_px"):

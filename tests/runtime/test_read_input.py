@@ -87,10 +87,10 @@ def test_a_file_is_read_up_to_its_limit(tmp_path, monkeypatch):
     path = tmp_path / "a"
     path.write_bytes(b"12345")
     assert read_input(path, max_bytes=5) == b"12345"
-    with pytest.raises(InputError, match=r"a has 5 bytes, expected at most 4"):
+    with pytest.raises(InputError, match="at most 4"):
         read_input(path, max_bytes=4)
     monkeypatch.setattr(runtime.read_input, "MAX_TEXT_BYTES", 4)
-    with pytest.raises(InputError, match=r"a has 5 bytes, expected at most 4"):
+    with pytest.raises(InputError, match="at most 4"):
         read_text(path)
 
 
@@ -104,7 +104,7 @@ POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:" + b"0" * 64
 ])  # fmt: skip
 def test_a_pointer_of_git_lfs_is_named(tmp_path, name, read):
     (tmp_path / name).write_bytes(POINTER)
-    with pytest.raises(SSDNetError, match=r"is a pointer of Git LFS.*: get it by git lfs pull"):
+    with pytest.raises(SSDNetError, match="git lfs pull"):
         read(tmp_path / name)
 
 

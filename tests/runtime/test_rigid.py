@@ -95,7 +95,7 @@ def test_a_quaternion_is_of_unit_length_or_nearly(length, outcome):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         if outcome == "refused":
-            with pytest.raises(InputError, match="line 3, x, y, z and a unit quaternion, must be"):
+            with pytest.raises(InputError, match="line 3"):
                 pose_of((1, 2, 3), length * QUATERNION, "line 3")
             return
         found = pose_of((1, 2, 3), length * QUATERNION, "line 3")

@@ -92,14 +92,14 @@ def test_an_onnxruntime_that_cannot_be_loaded_is_not_called_missing(monkeypatch)
 
     import_module = builtins.__import__
     monkeypatch.setattr(builtins, "__import__", broken)
-    with pytest.raises(ProviderError, match=r"libcudart.*cannot be loaded, ssdnet-doctor"):
+    with pytest.raises(ProviderError, match=r"libcudart.*ssdnet-doctor"):
         open_cuda()
 
 
 def test_cuda_that_this_onnxruntime_does_not_have(model_file, make_frame):
     if CUDA in onnxruntime.get_available_providers():
         pytest.skip("the installed ONNX Runtime has CUDA")
-    with pytest.raises(ProviderError, match=r"'cuda' is not part of .*\.\[gpu\]"):
+    with pytest.raises(ProviderError, match="gpu"):
         Predictor(model_file(), provider="cuda")
 
 
@@ -122,7 +122,7 @@ def test_cuda_that_runs(fake_runtime):
 
 def test_a_silent_fall_back_to_the_cpu_is_an_error(fake_runtime, capsys):
     fake_runtime({CUDA: FakeSession([CPU], [(CPU, "Conv")])})
-    with pytest.raises(ProviderError, match=r"would use CPUExecutionProvider.*libcudnn.so.9"):
+    with pytest.raises(ProviderError, match=r"CPUExecutionProvider.*libcudnn"):
         open_cuda()
     assert capsys.readouterr().out == "", "the library printed"
 

@@ -63,7 +63,7 @@ def test_an_answer_of_another_rank_is_refused_at_load(model_file, head, name):
 
 
 def test_an_uncertainty_of_no_depth_is_refused_at_load(model_file):
-    with pytest.raises(ContractError, match="expected depth beside its depth_uncertainty"):
+    with pytest.raises(ContractError, match="depth_uncertainty"):
         Predictor(model_file(heads=("semantic", "depth_uncertainty")))
 
 

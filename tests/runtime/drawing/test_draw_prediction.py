@@ -55,7 +55,7 @@ def test_an_answer_that_cannot_be_used_is_drawn(answered):
 
 @pytest.mark.parametrize("rgb", [np.zeros((48, 63, 3), np.uint8), np.zeros((48, 64, 3)), "x"])
 def test_a_picture_of_another_frame_is_refused(answered, rgb):
-    with pytest.raises(InputError, match=r"uint8 \(48, 64, 3\), got "):
+    with pytest.raises(InputError, match="48, 64, 3"):
         answered[1].draw(rgb)
 
 

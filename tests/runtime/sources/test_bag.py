@@ -357,7 +357,7 @@ def test_a_compressed_bag_is_read_up_to_a_declared_size(
     if compression == "message":
         return  # no size is declared before the message itself
     monkeypatch.setattr(runtime.sources.ros_bag, "MAX_CHUNK_BYTES", 1000)
-    with pytest.raises(InputError, match=r"a compressed part has .* bytes, expected at most 1,"):
+    with pytest.raises(InputError, match="1,000"):
         BagSource(path)
 
 

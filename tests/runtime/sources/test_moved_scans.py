@@ -93,9 +93,6 @@ def test_without_poses_an_older_scan_is_flagged_as_it_is(folders, run, make_scan
     assert answers.column("degraded") == ["", "depth_reused;depth_uncompensated"] * N
     assert agree(answers.fed_depth("1"), np.round(projected(make_scan(0)) * 256) / 256)
     assert set(answers.column("depth_motion")) == {"none"}
-    off = run(*arguments(folders, poses=None), "--reuse-depth-ms", 0, out="off")
-    assert off.column("degraded") == ["", "no_depth"] * N
-    assert off.column("depth_source") == ["own", ""] * N
 
 
 def test_tums_poses_have_their_own_times(folders, run, make_scan):
@@ -216,7 +213,7 @@ def test_a_drive_says_why_its_poses_are_not_used(drive, missing, note):
 
 def test_a_transform_of_the_imu_that_is_not_rigid_is_an_error(drive):
     (drive / "../calib_imu_to_velo.txt").write_text("R: 2 0 0 0 2 0 0 0 2\nT: 0 0 0\n")
-    with pytest.raises(InputError, match=r"calib_imu_to_velo.txt must be rigid"):
+    with pytest.raises(InputError, match=r"calib_imu_to_velo\.txt"):
         KittiRawSource(drive)
 
 

@@ -33,7 +33,7 @@ def test_the_pose_of_an_odometry():
 @pytest.mark.parametrize("wrong", [{"quaternion": (0, 0, 0, 0)}, {"quaternion": (0, 0, 0, 1.03)},
                                    {"position": (np.nan, 0, 0)}])  # fmt: skip
 def test_a_pose_that_is_none_is_refused(wrong):
-    with pytest.raises(InputError, match=r"an Odometry, x, y, z and a unit quaternion, must"):
+    with pytest.raises(InputError, match="Odometry"):
         odometry_pose(odometry(**wrong))
 
 
@@ -96,12 +96,12 @@ def test_large_eight_bytes_over_a_large_span_are_nanoseconds():
     (8, "f8", [STAMP_NS, STAMP_NS + 2e9]),
 ])  # fmt: skip
 def test_times_of_another_unit_are_refused(datatype, code, values):
-    with pytest.raises(InputError, match=r"the field time of a PointCloud2 has values from"):
+    with pytest.raises(InputError, match="time"):
         times_of(cloud("time", datatype, code, values))
 
 
 def test_integers_within_a_millisecond_may_be_of_another_unit():
-    with pytest.warns(AssumptionWarning, match="t of a scan is nanoseconds, although"):
+    with pytest.warns(AssumptionWarning, match="nanoseconds"):
         after = times_of(cloud("t", 6, "u4", [0, 50_000, 99_000]))  # microseconds
     np.testing.assert_allclose(after, [0, 50_000, 99_000], atol=2)
 
@@ -154,7 +154,7 @@ QUARTER = (0, 0, np.sqrt(0.5), np.sqrt(0.5))  # about z, x to y
 
 
 def test_a_point_goes_up_to_the_common_frame_and_down_again():
-    with pytest.warns(AssumptionWarning, match="first of the transform from base to roof"):
+    with pytest.warns(AssumptionWarning, match="base to roof"):
         between = tree(
             stamped("base", "roof", 1.01 * np.array(QUARTER), (1, 2, 3)),
             stamped("roof", "lidar", shift=(4, 0, 0.5)),

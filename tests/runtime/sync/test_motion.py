@@ -109,7 +109,7 @@ def test_a_scan_is_projected_where_the_picture_sees_it():
         depth = project_moved(CALIBRATION, points, times, track, 100 * MS, (40, 80))
         assert np.count_nonzero(depth) == 1
         assert depth[20, 40] == pytest.approx(8.5, abs=1e-3)
-    with pytest.raises(InputError, match="the calibration is for images"):
+    with pytest.raises(InputError, match="calibration"):
         project_moved(CALIBRATION, points, 0, track, 0, (40, 81))
 
 
@@ -181,7 +181,7 @@ def test_times_of_points_are_seconds_after_the_stamp_or_nanoseconds_of_its_clock
         assert scan.times.tolist() == [stamp_ns + each for each in after]
         assert (scan.lost, scan.untimed) == (0, False)
     for wrong in (np.array([0, 2, 1.5]), np.array([0, -2000, 2000]) * MS + stamp_ns, [0, 0, 0]):
-        with pytest.raises(InputError, match=r"times must (be within 1 s|have the shape)"):
+        with pytest.raises(InputError, match="times"):
             Scan.of(points, point_times(wrong, 3, stamp_ns), stamp_ns)
 
 
