@@ -81,16 +81,6 @@ def test_no_depth_map_is_the_camera_alone(model_file, make_frame):
             assert prediction.degraded == ("no_depth",)
 
 
-def test_a_head_that_the_model_lacks_is_none(model_file, make_frame):
-    with Predictor(model_file(heads=("depth",))) as predictor:
-        prediction = predictor.predict(*make_frame())
-        assert prediction.semantic is None
-        assert prediction.boundary is None
-        assert prediction.depth_uncertainty is None
-        assert prediction.depth is not None
-        assert predictor.heads == ("depth",)
-
-
 def test_the_uncertainty_comes_where_the_model_has_it(model_file, make_frame):
     rgb, depth = make_frame()
     heads = ("semantic", "depth", "boundary", "depth_uncertainty")

@@ -210,25 +210,6 @@ def test_clouds_need_a_calibration_and_take_a_file(make_bag, make_frame, make_sc
     assert abs(depth - projected(make_scan(0), ahead_m=0.5)).max() < 0.01
 
 
-def test_images_that_are_not_rectified_have_the_lens(make_bag, make_frame, make_scan, kind):
-    distortion = (0.1, -0.02, 0.01, 0.02, 0)
-    bag = make_bag(kind)
-    add_camera(bag, make_frame, topic="/raw/image_raw", n=1)
-    bag.info("/raw/camera_info", INTRINSICS, SIZE, distortion=distortion, shift_px=6.0)
-    add_lidar(bag, make_scan, n=1)
-    add_tree(bag)
-    with BagSource(bag.write(), info_topic="/raw/camera_info") as source:
-        raw, (frame,) = source.calibration, source.list_frames()
-        assert (raw.lens, raw.distortion) == ("plumb_bob", distortion)
-        fed = source.read(frame).sparse_depth
-        np.testing.assert_array_equal(fed, raw.project(make_scan(0), SIZE))
-        source.rectify_images()
-        straight = source.read(source.list_frames()[0]).sparse_depth
-    np.testing.assert_array_equal(straight, raw.rectified.project(make_scan(0), SIZE))
-    assert fed.any()
-    assert (fed != straight).any()
-
-
 def test_a_broken_message_is_a_frame_that_is_skipped(make_bag, make_frame, make_scan, run, kind):
     bag = make_bag(kind)
     add_camera(bag, make_frame)

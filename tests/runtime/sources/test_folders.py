@@ -61,16 +61,6 @@ def test_a_limit_counts_complete_frames(folders):
     assert [f.complete for f in source.list_frames()] == [True, False, True, False, True]
 
 
-def test_a_calibration_sets_the_focal_length_unless_one_is_given(folders, run, tmp_path):
-    rows = [[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]
-    text = f"intrinsics = {rows}\nextrinsics = {np.eye(4).tolist()}\n"
-    (tmp_path / "camera.toml").write_text(text)
-    given = ["--rgb", folders[0], "--calibration", tmp_path / "camera.toml"]
-    assert run(*given).report["inputs"]["focal_length_px"] == 50
-    given += ["--focal-length", 70, "--overwrite"]
-    assert run(*given).report["inputs"]["focal_length_px"] == 70
-
-
 # --- depth in other formats, and scans --------------------------------------------------------
 
 

@@ -42,19 +42,6 @@ def training(tmp_path, make_frame, make_scan, write_rgb):
     return folder
 
 
-def test_each_frame_has_its_calibration(training, run, make_scan):
-    answers = run(training)
-    assert answers.exit_code == 0, answers.text
-    assert answers.names == [f"{number:06d}" for number in range(5)]
-    for number in range(5):
-        expected = projected(make_scan(number), focal_px=60 + number)
-        assert np.count_nonzero(expected) > 100
-        assert abs(answers.fed_depth(f"{number:06d}") - expected).max() < 0.01
-    inputs = answers.report["inputs"]
-    assert inputs["source"] == f"kitti-object:{training}"
-    assert inputs["focal_length_px"] == 60, "of the first frame"
-
-
 @pytest.mark.parametrize(("given", "focal_px"), [([], None), (["--focal-length", 200], 200)])
 def test_each_frame_is_predicted_with_its_focal_length(
     training, run, model_file, contract, make_scan, tmp_path, given, focal_px

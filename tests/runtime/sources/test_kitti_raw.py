@@ -95,16 +95,6 @@ def test_a_drive_that_is_not_rectified_has_the_lens(drive, make_scan):
     np.testing.assert_allclose(found[::-1], pixel[0, 0], atol=0.5)
 
 
-def test_a_scan_that_is_missing_is_a_frame_of_the_camera_alone(drive):
-    (drive / "velodyne_points/data/0000000002.bin").unlink()
-    (drive / "image_02/data/0000000004.png").unlink()
-    source = KittiRawSource(drive, reuse_depth_ms=0)
-    frames = source.list_frames()
-    assert [int(each.name) for each in frames] == [0, 1, 2, 3, 5]
-    assert [each.depth is None for each in frames] == [False, False, True, False, False]
-    assert source.inputs["left_out"] == {"depth: no_image": 1}
-
-
 def test_stamps_decide_and_not_numbers(drive, make_scan):
     """The scanner started one turn later: its number 0 belongs to image 1."""
     (drive / "velodyne_points/timestamps.txt").write_text(stamps(range(187, 787, 100)))

@@ -57,6 +57,14 @@ RIGHT = {
     "rectified by its name": (
         camera(RECT, {"intrinsics": OFF, "rectified": K, "distortion": CURVED}), {},
     ),
+    "rectified, in colour": (
+        camera("/cam/image_rect_color", {"intrinsics": OFF, "rectified": K}), {},
+    ),
+    "rectified by its folder": (
+        camera("/cam/Rectified/image", {"intrinsics": OFF, "rectified": K}),
+        {"info_topic": "/cam/camera_info"},
+    ),
+    "unrectified by its name": (camera("/cam/image_unrectified", {"rectified": OFF}), {}),
     "zeros first": (camera(RAW, {"intrinsics": ZERO}, {}), {}),
     "NaN first": (camera(RAW, {"intrinsics": np.nan * K}, {}), {}),
     "ones first": (camera(RAW, {"intrinsics": np.eye(3)}, {}), {}),
@@ -172,13 +180,16 @@ def test_the_baseline_of_a_pair_is_applied_once(
     assert ["stereo pair's first camera, 0.1 m beside" in note for note in notes] == [True] * said
 
 
-@pytest.mark.parametrize(("model", "lens"), [
-    ("fisheye", "equidistant"), ("kannala_brandt4", "equidistant"), ("plumb_bob", None), ("", None),
+@pytest.mark.parametrize(("model", "distortion", "lens"), [
+    ("fisheye", (0,) * 4, "equidistant"), ("kannala_brandt4", (0,) * 4, "equidistant"),
+    ("plumb_bob", (0,) * 4, None), ("", (0,) * 4, None), ("plumb_bob", CURVED, "plumb_bob"),
 ])  # fmt: skip
-def test_a_fisheye_of_zeros_is_one(make_bag, make_frame, make_scan, model, lens):
-    write = camera(RAW, {"model": model, "distortion": (0,) * 4})
-    _, _, calibration, notes = read(make_bag, make_frame, make_scan, write)
+def test_a_raw_image_has_the_lens(make_bag, make_frame, make_scan, model, distortion, lens):
+    """A fisheye of zeros is one."""
+    write = camera(RAW, {"model": model, "distortion": distortion})
+    _, depth, calibration, notes = read(make_bag, make_frame, make_scan, write)
     assert (calibration.lens, notes) == (lens, [])
+    np.testing.assert_array_equal(depth, calibration.project(make_scan(0), SIZE))
 
 
 # --- depth images ---------------------------------------------------------------------------------

@@ -90,17 +90,6 @@ def test_a_truncated_video_is_an_input_error(video, tmp_path, share):
         VideoSource(cut).list_frames()
 
 
-def test_a_video_that_ends_early_is_read_to_its_end(tmp_path):
-    """Motion JPEG in AVI has its header first, which states the frames that are missing."""
-    path = tmp_path / "drive.avi"
-    write_video(path, "MJPG")
-    content = path.read_bytes()
-    path.write_bytes(content[: content.rindex(b"\xff\xd8\xff") - 100])
-    with VideoSource(path) as source:
-        assert len(source.list_frames()) == N - 2
-        assert source.notes == (f"warning: {path} states 8 frames, it has 6",)
-
-
 @pytest.mark.parametrize("stated", [0, 1, N, 3 * N, 2**31])
 def test_frames_are_those_of_the_video_not_of_its_header(tmp_path, stated):
     path = tmp_path / "drive.avi"
