@@ -66,9 +66,7 @@ class ListedFrame:
         """
         if calibration is not None:
             calibration.require_size(rgb.shape[:2])
-        if self.image_stamp_ns is None or self.scan_time_ns is None:
-            poses = None
-        elif isinstance(depth, Scan) and depth.times is None and poses is not None:
+        if isinstance(depth, Scan) and depth.times is None and poses is not None:
             depth = depth._replace(times=self.scan_time_ns)
         measured = None
         if depth is not None:

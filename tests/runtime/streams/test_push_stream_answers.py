@@ -145,7 +145,10 @@ def test_points_are_projected_and_the_focal_length_is_the_cameras(setup):
     expected = np.ones((32, 40), np.float32)
     expected[16, [20, 26]] = 11
     np.testing.assert_array_equal(result.prediction.depth, expected)
-    assert made.predictor.focal_lengths_px == [30]
+    made.predictor.focal_length_px = 50.0
+    push_pair(made.stream, 1)
+    next(made.stream)
+    assert made.predictor.focal_lengths_px == [30, None], "the predictor's own comes first"
 
 
 def test_returns_are_checked_after_their_result_and_in_no_latency(setup):
