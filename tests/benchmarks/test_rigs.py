@@ -37,6 +37,8 @@ def test_one_lidar_is_fed_and_the_returns_of_the_other_that_are_seen_are_the_tru
     np.testing.assert_array_equal(frame.truth, truth)
     (turned,) = rigs.read_pandaset(1, 0, 1.0, pandaset)
     assert (turned.fed[20, 30], turned.fed[20, 45], np.count_nonzero(turned.truth)) == (9, 20, 0)
+    (narrow,) = rigs.read_pandaset(0, 1, 1.0, pandaset, hidden=rigs.NARROW)
+    assert narrow.truth[22, 30] == 25
 
 
 def test_a_reduced_picture_keeps_the_pixels_of_its_returns(pandaset):
