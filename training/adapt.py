@@ -163,10 +163,14 @@ def choose_frames(listed: Sequence[ListedFrame]) -> tuple[list[ListedFrame], lis
     Without stamps their order is the time. InputError for too few frames with depth.
     """
     found = [frame for frame in listed if frame.complete and frame.depth is not None]
+    if not found:
+        raise InputError(
+            "the recording has no frame with a scan or depth. Give --points and --calibration, or "
+            "--depth, for a folder of images."
+        )
     if len(found) < LEAST_FRAMES:
         raise InputError(
-            f"the recording has {len(found)} frames with LiDAR returns; expected at least "
-            f"{LEAST_FRAMES}. Give --points and --calibration, or --depth, for a folder of images."
+            f"the recording has {len(found)} frames with a scan; expected at least {LEAST_FRAMES}."
         )
     stamped = all(frame.image_stamp_ns is not None for frame in found)
     times = np.array([frame.image_stamp_ns if stamped else i for i, frame in enumerate(found)])
@@ -184,6 +188,7 @@ def _write_frames(source: Source, folder: Path, trained_height: int | None) -> N
     parts = dict(zip(("train", "kept_apart"), choose_frames(source.list_frames()), strict=True))
     sizes: set[tuple[int, int]] = set()
     focals: set[float] = set()
+    returns_count = 0
     with folder_errors(folder), atomic_folder(folder) as made:
         for part, frames in parts.items():
             for kind in ("images", "lidar"):
@@ -206,6 +211,12 @@ def _write_frames(source: Source, folder: Path, trained_height: int | None) -> N
                     returns = move_returns(returns, size)
                 (made / part / "images" / name).write_bytes(encode_png(np.asarray(picture)))
                 (made / part / "lidar" / name).write_bytes(encode_metres(returns))
+                returns_count += int(np.count_nonzero(returns))
+        if not returns_count:
+            raise InputError(
+                "no frame has a return in the image: check the extrinsics of the calibration, or "
+                "/tf_static of a bag; the camera looks along z."
+            )
         if len(sizes) > 1 or (focals and max(focals) > 1.01 * min(focals)):
             raise InputError(
                 f"the frames have {len(sizes)} sizes and {len(focals)} focal lengths; expected one "

@@ -13,7 +13,7 @@ from runtime.command import INTERRUPTED, reported_errors
 from runtime.command_options import Version
 from training.stop_signal import stop_signal
 
-app = typer.Typer(pretty_exceptions_enable=False)
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
 
 def _print_recipes(wanted: bool) -> None:
@@ -240,6 +240,8 @@ def _adapt(
     if not found.lines:
         typer.echo(f"stopped; the same command resumes from {found.path}", err=True)
         raise typer.Exit(INTERRUPTED)
+    if not found.paid:
+        return
     model = str(found.path.with_suffix(".onnx"))
     recording = ["--source", text] if is_named else [text]
     for name, file in files.items():

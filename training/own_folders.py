@@ -12,6 +12,7 @@ from typing import Any
 from tqdm import tqdm
 
 from models import SSDNetLite
+from runtime.checks import shown
 from runtime.contract import ClassInfo
 from runtime.errors import InputError
 from runtime.io.atomic_write import atomic_write
@@ -79,16 +80,10 @@ class OwnFolders:
         images = self.images.resolve()
         # The set is the images' folder: a run's files beside it are not files of the data.
         keys: dict[str, Any] = {"path": images.name, "rgb": "."}
-        # Without labels the depth is trained: what is not fed is the target.
-        fed = None if self.labels is None else self.depth
-        for key, folder in (
-            ("labels", self.labels),
-            ("depth", self.depth),
-            ("sparse_depth", fed),
-        ):
+        for key, folder in (("labels", self.labels), ("depth", self.depth)):
             if folder is not None:
                 keys[key] = os.path.relpath(folder.resolve(), images)
-        if self.labels is None:
+        if self.depth is not None:
             keys["scan"] = True
         frames = Folders(images, FoldersRecipe(**keys), classes or "camvid")
         count = len(frames)
@@ -120,7 +115,7 @@ def _describe(
     classes: Sequence[ClassInfo], rows: int, keys: Mapping[str, Any], first: int, count: int
 ) -> Iterator[str]:
     """Yield the lines of a recipe whose validation begins with the frame of number ``first``."""
-    has_depth, is_scan = "depth" in keys, "scan" in keys
+    has_depth = "depth" in keys
     yield "[model]"
     if classes:
         yield "classes = ["
@@ -130,19 +125,12 @@ def _describe(
     yield f"trained_height = {rows}  # of the images [px]"
     yield "\n[data]"
     yield f"batch_size = {_BATCH}"
-    if has_depth and not is_scan:
-        yield "augment.lidar_random = 1.0  # a random share of the returns is the input"
     for table, chosen in (
         ("data", f"last = {first - 1}  # of {count} frames"),
         ("validation", f"first = {first}"),
     ):
         if table == "validation" and has_depth:
-            yield "\n[validation]"
-            yield (
-                'lidar = "own"  # every second line is the input'
-                if is_scan
-                else 'lidar = "random:0.5"  # half of the returns are the input'
-            )
+            yield '\n[validation]\nlidar = "own"  # every second line is the input'
         yield f"\n[[{table}.source]]"
         yield f'kind = "folders"\nname = "{"train" if table == "data" else "val"}"'
         yield from (f"{key} = {_quoted(value)}" for key, value in keys.items())
@@ -170,6 +158,11 @@ def _read_classes(path: Path) -> tuple[ClassInfo, ...]:
     names = read_text(path).rstrip().splitlines()
     if not names:
         raise InputError(f"{path}: is empty; expected the name of a class a line.")
+    for line, name in enumerate(names, 1):
+        first = [other.strip() for other in names].index(name.strip()) + 1
+        if not name.strip() or first < line:
+            fault = f"{shown(name.strip())}, as line {first} does" if name.strip() else "nothing"
+            raise InputError(f"{path}: line {line} names {fault}; expected one class a line.")
     return tuple(ClassInfo(name.strip(), _color(index + 1)) for index, name in enumerate(names))
 
 

@@ -93,7 +93,7 @@ class ScoreTable:
                 yield (
                     f"warning: {name} became worse, from {first:.4g} to {last:.4g}. Compare the "
                     "data and the loss with those of --init, or lower optimizer.learning_rate; "
-                    "best.pt holds the best step."
+                    "best.pt is chosen by validation.best alone."
                 )
 
 

@@ -14,7 +14,7 @@ from training.loading.open_dataset import FREQUENCY_SAMPLES, spread_indices
 from training.recipe import Recipe
 
 #: Share of a set's depth beyond the network's range from which it is reported.
-_FAR_SHARE = 0.01
+_FAR_SHARE = 0.1
 
 
 class Survey(NamedTuple):

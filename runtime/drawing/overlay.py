@@ -58,19 +58,26 @@ class Overlay:
         self._legends: dict[tuple[int, tuple[ColorScale, ...]], NDArray[np.uint8]] = {}
 
     def draw(
-        self, rgb: NDArray[np.uint8] | None, prediction: Drawable, *, widest: int | None = None
+        self,
+        rgb: NDArray[np.uint8] | None,
+        prediction: Drawable,
+        returns: NDArray[np.float32] | None = None,
+        *,
+        widest: int | None = None,
     ) -> NDArray[np.uint8]:
         """Draw one frame.
 
         Args:
             rgb: uint8 (H, W, 3), RGB; None = the answers alone.
             prediction: answers at the image's size.
+            returns: float32 (H, W) [m], not above 0 = none: drawn on the image, to see whether
+                the LiDAR is where it should be.
             widest: largest width of a panel; None = 640, of stacked ones 960.
 
         Returns:
             uint8 (H', W', 3), BGR, as OpenCV writes it.
         """
-        panels = self.panels(rgb, prediction, widest=widest)
+        panels = self.panels(rgb, prediction, returns, widest=widest)
         height, width = _size(rgb, prediction)
         stacked = width >= _STACK_ASPECT * height
         for title, panel in panels.items():
@@ -82,18 +89,26 @@ class Overlay:
         return cv2.vconcat([strip, self._legend(strip.shape[1], bars)])  # type: ignore[return-value]
 
     def panels(
-        self, rgb: NDArray[np.uint8] | None, prediction: Drawable, *, widest: int | None = None
+        self,
+        rgb: NDArray[np.uint8] | None,
+        prediction: Drawable,
+        returns: NDArray[np.float32] | None = None,
+        *,
+        widest: int | None = None,
     ) -> dict[str, NDArray[np.uint8]]:
         """Draw the panels of `draw`: title -> uint8 (H', W', 3), BGR, without text, of one size.
 
         Args:
             rgb: uint8 (H, W, 3), RGB; None = the answers alone.
             prediction: answers at the image's size.
+            returns: see `draw`.
             widest: largest width of a panel; None = that of `draw`.
         """
         step = _step(*_size(rgb, prediction), widest)
         image = None if rgb is None else cv2.cvtColor(_shrink(rgb, step), cv2.COLOR_RGB2BGR)
         panels: dict[str, NDArray[Any]] = {} if image is None else {"image": image}
+        if image is not None and returns is not None and (returns > 0).any():
+            panels = {"image with returns": self._paint_returns(image, returns, step)}
         heads = prediction.heads
         ids = _shrink_nearest(heads["semantic"], step) if "semantic" in heads else None
         depth = _shrink_nearest(heads["depth"], step) if "depth" in heads else None
@@ -122,6 +137,21 @@ class Overlay:
     def draw_depth_bar(self, width: int) -> NDArray[np.uint8]:
         """Draw the colour bar of the depth: uint8 (H', width, 3), BGR."""
         return self._depth_scale.draw_bar(width, _LEGEND_LINE)
+
+    def _paint_returns(
+        self, image: NDArray[Any], returns: NDArray[np.float32], step: int
+    ) -> NDArray[Any]:
+        """Draw each return as a dot of the depth's colour; the nearest is in front."""
+        rows, columns = np.nonzero(returns > 0)
+        order = np.argsort(-returns[rows, columns])
+        rows, columns = rows[order], columns[order]
+        colors = self._depth_scale.paint(returns[rows, columns][:, np.newaxis])[:, 0]
+        painted = image.copy()
+        last_row, last_column = image.shape[0] - 1, image.shape[1] - 1
+        painted[np.minimum(rows // step, last_row), np.minimum(columns // step, last_column)] = (
+            colors
+        )
+        return painted
 
     def _paint_classes(self, ids: NDArray[np.uint8], image: NDArray[Any] | None) -> NDArray[Any]:
         classes = cv2.applyColorMap(ids, self._class_colors)

@@ -149,9 +149,21 @@ def test_of_a_long_recording_frames_at_equal_distances_are_taken():
     assert steps.max() <= 9
 
 
-def test_a_recording_without_returns_is_refused():
-    with pytest.raises(InputError, match="has 0 frames with LiDAR returns"):
-        choose_frames([ListedFrame(i, "", i, None) for i in range(20)])
+@pytest.mark.parametrize("with_scans", [0, adapting.LEAST_FRAMES - 1])
+def test_a_recording_of_too_few_scans_is_refused(with_scans):
+    frames = [ListedFrame(i, "", i, i if i < with_scans else None) for i in range(20)]
+    with pytest.raises(InputError, match=f"{with_scans} frames" if with_scans else "no frame"):
+        choose_frames(frames)
+
+
+def test_scans_without_a_return_in_the_image_are_refused_and_nothing_is_kept(
+    rig, weights, tmp_path
+):
+    for path in (rig / "lidar").iterdir():
+        cv2.imwrite(str(path), np.zeros(SIZE, np.uint16))
+    with pytest.raises(InputError, match="no frame has a return in the image"):
+        adapt(open_rig(rig), read_weights(weights), tmp_path / "out", changes=STEPS)
+    assert not list(tmp_path.glob("out/*"))
 
 
 def test_a_network_without_depth_is_refused(rig, tmp_path):
@@ -179,7 +191,15 @@ def test_what_is_not_fed_is_the_target(rig, weights, tmp_path):
     np.testing.assert_array_equal(first ^ second, returns)
 
 
-def test_the_command_prints_the_scores_and_what_to_run_next(rig, weights, tmp_path):
+@pytest.mark.parametrize("pays", [True, False])
+def test_the_command_prints_the_scores_and_what_to_run_next(
+    rig, weights, tmp_path, monkeypatch, pays
+):
+    errors = iter((9.0, 4.0, 3.0, 2.0) if pays else (9.0, 4.0, 5.0, 5.0))
+    monkeypatch.setattr(
+        adapting, "score", lambda *_: dict.fromkeys(FEEDS, np.full(3, next(errors)))
+    )
+    monkeypatch.setattr(adapting, "MOST_CHANGE", 1.0)
     (rig / "camera.toml").write_text(CALIBRATION)
     changes = [part for text in STEPS for part in ("--set", text)]
     arguments = [
@@ -189,6 +209,9 @@ def test_the_command_prints_the_scores_and_what_to_run_next(rig, weights, tmp_pa
     ]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
+    if not pays:
+        assert "does not pay" in result.stdout.splitlines()[-1]
+        return
     *_, export, run = result.stdout.splitlines()
     model = f"'{tmp_path}/a run/model"
     assert export == f"ssdnet-export {model}.pt' {model}.onnx'"

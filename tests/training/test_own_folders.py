@@ -143,6 +143,16 @@ def test_depth_beyond_the_range_is_reported(mine, units, is_wrong):
         (lambda folder: None, {"classes": "names.txt"}, r"cannot read .*names\.txt"),
         (lambda folder: (folder / "classes.txt").write_text("\n"), {}, "classes.txt: is empty"),
         (
+            lambda folder: (folder / "classes.txt").write_text("lane\n\nverge\n"),
+            {},
+            "classes.txt: line 2 ",
+        ),
+        (
+            lambda folder: (folder / "classes.txt").write_text("lane\nverge\nlane\n"),
+            {},
+            "classes.txt: line 3 .* line 1",
+        ),
+        (
             lambda folder: (folder / "classes.txt").write_text("lane\n"),
             {},
             r"00\.png: class id 1, expected 0\.\.0 .* or 255 for none",

@@ -12,7 +12,7 @@ from runtime.errors import InputError
 if TYPE_CHECKING:
     from training.evaluation.score_report import Row
 
-app = typer.Typer(pretty_exceptions_enable=False)
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
 
 @app.command()

@@ -48,7 +48,9 @@ class FrameWriter:
             return encode_ply(cloud, run.predictor.contract.classes)
         if kind == OVERLAY:
             widest = run.options.overlay_width
-            return encode_jpeg(run.overlay.draw(frame.rgb, prediction, widest=widest))
+            return encode_jpeg(
+                run.overlay.draw(frame.rgb, prediction, frame.sparse_depth, widest=widest)
+            )
         head, encoding = SAVED_HEADS[kind]
         values = prediction.heads.get(head)
         return None if values is None else ENCODERS[encoding](values)

@@ -76,7 +76,11 @@ class McapWriter:
                     step=image.shape[1] * image.itemsize,
                     data=np.ascontiguousarray(image).reshape(-1).view(np.uint8),
                 )
-        overlay = encode_jpeg(self._overlay.draw(frame.rgb, prediction, widest=self._overlay_width))
+        overlay = encode_jpeg(
+            self._overlay.draw(
+                frame.rgb, prediction, frame.sparse_depth, widest=self._overlay_width
+            )
+        )
         self._add(
             OVERLAY,
             "sensor_msgs/msg/CompressedImage",

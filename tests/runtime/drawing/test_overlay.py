@@ -63,6 +63,32 @@ def test_the_overlay_shows_what_was_predicted(contract, answered):
     assert strip.shape[0] > 5 * height, "the legend"
 
 
+@pytest.mark.parametrize("step", [1, 3])
+def test_returns_are_dots_on_the_image_in_the_colours_of_the_depth(contract, answered, step):
+    _, prediction = answered
+    height, width = 40 * step, 90 * step
+    rgb = np.full((height, width, 3), 128, np.uint8)
+    returns, depth = np.zeros((2, height, width), np.float32)
+    depth[:] = 2
+    # At step 3 both are of one pixel: the nearest is in front.
+    returns[10 * step, 20 * step : 21 * step] = np.linspace(70, 2, step) if step > 1 else 2
+    returns[-1, -1] = np.nan
+    prediction = change(
+        prediction,
+        semantic=None,
+        depth=depth,
+        boundary=None,
+        depth_uncertainty=None,
+        frame_size=(height, width),
+    )
+    overlay = Overlay(contract.classes, contract.max_depth_m)
+    panels = overlay.panels(rgb, prediction, returns, widest=90)
+    changed = np.argwhere((panels["image with returns"] != 128).any(axis=-1)).tolist()
+    assert changed == [[10, 20]]
+    np.testing.assert_array_equal(panels["image with returns"][10, 20], panels["depth"][0, 0])
+    assert "image" in overlay.panels(rgb, prediction, 0 * depth)
+
+
 def test_the_legend_has_the_colours_of_the_classes(contract, answered):
     _, prediction = answered
     only_classes = change(prediction, depth=None, boundary=None, depth_uncertainty=None)

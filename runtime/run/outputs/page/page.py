@@ -89,7 +89,7 @@ class RunPage:
         kept = index % self._step == 0 or flagged
         if not (kept or slowest):
             return
-        drawn = self._overlay.panels(frame.rgb, prediction, widest=_WIDEST)
+        drawn = self._overlay.panels(frame.rgb, prediction, frame.sparse_depth, widest=_WIDEST)
         panels = tuple(
             (title, bytes(encode_jpeg(panel, quality=_JPEG_QUALITY)))
             for title, panel in list(drawn.items())[:_PANELS]

@@ -255,7 +255,7 @@ def test_the_slowest_and_the_first_of_each_fault_are_kept(look, answered):
     assert kept["f37"].marks == ("image_frozen",)
     assert not {"f38", "f39"} & kept.keys()
     assert [sample.name for sample in samples if sample.slowest] == ["f101"]
-    assert [title for title, _ in samples[0].panels] == ["image", "classes", "depth"]
+    assert [title for title, _ in samples[0].panels] == ["image with returns", "classes", "depth"]
     image = np.frombuffer(samples[0].panels[0][1], np.uint8)
     image = cv2.imdecode(image, cv2.IMREAD_COLOR_RGB).astype(int)
     assert abs(image - answered[0].rgb).mean() < 50, "noise is hard to encode"
