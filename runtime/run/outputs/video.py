@@ -31,7 +31,9 @@ class VideoWriter:
     def write(self, frame: Frame, result: FrameResult) -> None:
         """Draw a frame and append it, resized to the size of the first one. Raises OutputError."""
         widest = self._overlay_width or frame.rgb.shape[1]
-        picture = self._overlay.draw(frame.rgb, result.prediction, frame.sparse_depth, widest=widest)
+        picture = self._overlay.draw(
+            frame.rgb, result.prediction, frame.sparse_depth, widest=widest
+        )
         if self._file is None:
             self._size = _video_size(*picture.shape[:2])
             codec = cv2.VideoWriter.fourcc(*_CODEC)
