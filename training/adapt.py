@@ -56,7 +56,7 @@ _STEPS, _WARMUP = 200, 20
 _BETWEEN = 0.5
 #: Largest relative change of the depth on the bundled recording: what changes more has forgotten
 #: other rigs.
-MOST_CHANGE = 0.03
+MOST_CHANGE = 0.04
 
 
 @dataclass(frozen=True)
