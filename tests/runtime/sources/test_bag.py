@@ -210,6 +210,19 @@ def test_clouds_need_a_calibration_and_take_a_file(make_bag, make_frame, make_sc
     assert abs(depth - projected(make_scan(0), ahead_m=0.5)).max() < 0.01
 
 
+def test_scans_are_projected_into_rectified_images(make_bag, make_frame, make_scan):
+    bag = make_bag("mcap")
+    add_camera(bag, make_frame, topic="/raw/image_raw", n=1)
+    bag.info("/raw/camera_info", INTRINSICS, SIZE, distortion=(0.1, -0.02, 0.01, 0.02, 0))
+    add_lidar(bag, make_scan, n=1)
+    add_tree(bag)
+    with BagSource(bag.write(), info_topic="/raw/camera_info") as source:
+        expected = source.calibration.rectified.project(make_scan(0), SIZE)
+        source.rectify_images()
+        depth = source.read(source.list_frames()[0]).sparse_depth
+    np.testing.assert_array_equal(depth, expected)
+
+
 def test_a_broken_message_is_a_frame_that_is_skipped(make_bag, make_frame, make_scan, run, kind):
     bag = make_bag(kind)
     add_camera(bag, make_frame)
