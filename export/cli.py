@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from export.precision import LEAST_FRAMES, Int8Options, Precision
-from runtime.command import interruptible, reported_errors
+from runtime.command import reported_errors, stop_requested
 from runtime.command_options import Version
 from runtime.contract import MIN_SIDE, Contract
 
@@ -121,7 +121,7 @@ def export(
             tuple(calibrate or ()), max_drop_miou=max_drop_miou, max_rise_mae=max_rise_mae
         )
 
-        with interruptible():
+        with stop_requested(interrupts=True):
             report = export_checkpoint(
                 checkpoint,
                 model,

@@ -26,38 +26,23 @@ class Provider(StrEnum):
 
 
 def begin_command() -> None:
-    """The first call of every command: prepare the process for closed streams and for signals."""
-    # A result must not be opened as the descriptor of a closed stream, where others print.
-    while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
-        os.set_inheritable(handle, True)
-    os.close(handle)
-    sys.stdout = sys.stdout or open(1, "w", closefd=False)  # noqa: SIM115
-    sys.stderr = sys.stderr or open(2, "w", closefd=False)  # noqa: SIM115
-    _end_at_once()
-
-
-def _end_at_once() -> None:
-    """Let Ctrl-C and SIGTERM end the process at once.
+    """The first call of every command: until `stop_requested`, a signal ends the process at once.
 
     During imports a KeyboardInterrupt would end as a traceback, or as another error.
     """
     _handle(lambda number, frame: os._exit(INTERRUPTED))
 
 
-@contextlib.contextmanager
-def interruptible() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM raise KeyboardInterrupt in the block; the second ends the process."""
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        _end_at_once()
-        raise KeyboardInterrupt
-
-    with _handled(interrupt):
-        yield
+def leave_signals_to_parent() -> None:
+    """Ignore the signals in a worker process: the parent gets the same signals and ends it."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
 
 
 @contextlib.contextmanager
-def stop_requested(*, notice: str = "", second_ends: bool = True) -> Iterator[Callable[[], bool]]:
+def stop_requested(
+    *, notice: str = "", second_ends: bool = True, interrupts: bool = False
+) -> Iterator[Callable[[], bool]]:
     """Yield a function that returns whether Ctrl-C or SIGTERM was received in the block.
 
     The first has no other effect there: an exception could be raised between the writing of a frame
@@ -67,17 +52,21 @@ def stop_requested(*, notice: str = "", second_ends: bool = True) -> Iterator[Ca
     Args:
         notice: printed on stderr at the first one.
         second_ends: whether a second one ends the process.
+        interrupts: whether the first one raises KeyboardInterrupt, for a block that saves nothing.
     """
     received: list[int] = []
     arrived, wakeup = os.pipe()
     os.set_blocking(wakeup, False)
 
     def record(number: int, frame: FrameType | None) -> None:
-        if not received and notice:
-            # Not through the buffer of sys.stderr: a write to it may have been interrupted.
-            with contextlib.suppress(OSError, ValueError):
-                os.write(sys.stderr.fileno(), notice.encode())
         received.append(number)
+        if len(received) > 1:
+            return
+        with contextlib.suppress(OSError):
+            # Not through the buffer of sys.stderr: a write to it may have been interrupted.
+            os.write(2, notice.encode())
+        if interrupts:
+            raise KeyboardInterrupt
 
     def watch() -> None:
         first_s = float("inf")
@@ -89,18 +78,12 @@ def stop_requested(*, notice: str = "", second_ends: bool = True) -> Iterator[Ca
                         os._exit(INTERRUPTED)
 
     threading.Thread(target=watch, name="signals", daemon=True).start()
-    with _handled(record), contextlib.ExitStack() as ended:
-        ended.callback(os.close, wakeup)
-        ended.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(wakeup))
-        yield lambda: bool(received)
-
-
-@contextlib.contextmanager
-def _handled(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    before = _handle(handler)
+    before, wakeup_before = _handle(record), signal.set_wakeup_fd(wakeup)
     try:
-        yield
+        yield lambda: bool(received)
     finally:
+        signal.set_wakeup_fd(wakeup_before)
+        os.close(wakeup)
         for number, old in before.items():
             signal.signal(number, old or signal.SIG_DFL)
 
@@ -138,8 +121,7 @@ def print_result(text: str) -> None:
     A closed pipe is no error. Raises OutputError for other failures.
     """
     try:
-        sys.stdout.write(_plain(text) + "\n")
-        sys.stdout.flush()
+        print(_plain(text), flush=True)  # noqa: T201 - sys.stdout may be None
     except OSError as error:
         # Otherwise Python flushes stdout at exit and fails.
         with contextlib.suppress(OSError, ValueError):

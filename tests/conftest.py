@@ -281,7 +281,7 @@ def start_process():
 @pytest.fixture
 def bench_in_threads(monkeypatch):
     """Let ssdnet-bench start threads: processes take seconds to start."""
-    threads = lambda workers, mp_context: ThreadPoolExecutor(workers)  # noqa: E731
+    threads = lambda workers, *_, **__: ThreadPoolExecutor(workers)  # noqa: E731
     monkeypatch.setattr("runtime.tools.bench.ProcessPoolExecutor", threads)
 
 

@@ -2,10 +2,9 @@
 
 import contextlib
 import os
-import signal
 from collections.abc import Callable, Iterator
 
-from runtime.command import SIGNALS, stop_requested
+from runtime.command import stop_requested
 
 
 @contextlib.contextmanager
@@ -20,9 +19,3 @@ def stop_signal() -> Iterator[Callable[[], bool]]:
     notice = f"\nstopping after this step{again}\n"
     with stop_requested(notice=notice, second_ends=alone) as stop:
         yield stop
-
-
-def leave_signals_to_parent() -> None:
-    """Ignore the signals in a worker process: the parent gets the same signals and ends it."""
-    for number in SIGNALS:
-        signal.signal(number, signal.SIG_IGN)

@@ -11,8 +11,7 @@ import math
 import multiprocessing
 import os
 import re
-import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, field
@@ -27,11 +26,11 @@ from runtime.checks import shown
 from runtime.command import (
     ERROR,
     INTERRUPTED,
-    SIGNALS,
     Provider,
-    interruptible,
+    leave_signals_to_parent,
     print_result,
     reported_errors,
+    stop_requested,
 )
 from runtime.command_options import Version
 from runtime.cores import available_cores
@@ -99,7 +98,7 @@ def main(
         if json_file is not None and os.path.lexists(json_file):
             raise OutputError(f"{json_file} exists: choose another name for --json")
         file = written.enter_context(atomic_file(json_file, overwrite=False)) if json_file else None
-        with interruptible():
+        with stop_requested(interrupts=True):
             report = bench(BenchOptions(tuple(models), *cases, rounds, rate, provider.value))
         print_result(to_markdown(report))
         if file is not None:
@@ -187,29 +186,19 @@ def _measure(group: Sequence[BenchRow], options: BenchOptions) -> None:
     with contextlib.ExitStack() as stack:
         workers = []
         for row in group:
-            executor = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
+            executor = ProcessPoolExecutor(
+                1, multiprocessing.get_context("spawn"), initializer=leave_signals_to_parent
+            )
             workers.append((row, stack.enter_context(executor)))
-            with _ignored_signals():
-                opening = executor.submit(
-                    open_model, row.model, row.size, row.batch, row.threads, options.provider
-                )
+            opening = executor.submit(
+                open_model, row.model, row.size, row.batch, row.threads, options.provider
+            )
             row.opened = _result(row, opening)
         for row, executor in workers:
             _run(row, executor, _WARM_UP, period_s)
         for at in range(0, rounds, most):
             for row, executor in workers:
                 row.times_ms += _run(row, executor, min(most, rounds - at), period_s)
-
-
-@contextlib.contextmanager
-def _ignored_signals() -> Iterator[None]:
-    """Let a process that is started in the block ignore Ctrl-C, which is for the command alone."""
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in SIGNALS}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _run(row: BenchRow, executor: Executor, frames: int, period_s: float | None) -> list[float]:

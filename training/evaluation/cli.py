@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
-from runtime.command import interruptible, reported_errors
+from runtime.command import reported_errors, stop_requested
 from runtime.command_options import Version
 from runtime.errors import InputError
 
@@ -92,7 +92,7 @@ def evaluate(
         folder = None if save is None else DepthFolder(save, overwrite)
         if folder is not None:
             folder.require_free()
-        with interruptible():
+        with stop_requested(interrupts=True):
             rows: list[Row] = run(
                 models,
                 [parse_source(text) for text in data],

@@ -9,12 +9,12 @@ from functools import partial
 import cv2
 from torch.utils.data import DataLoader
 
+from runtime.command import leave_signals_to_parent
 from runtime.errors import DatasetError
 from training.datasets.sample import SampleSource
 from training.distributed import Processes
 from training.loading.mixture import Batch, CachedSource, Mixture, MixturePart
 from training.recipe import DataRecipe, Recipe
-from training.stop_signal import leave_signals_to_parent
 from training.task import Task
 
 

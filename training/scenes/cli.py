@@ -1,16 +1,14 @@
 """`ssdnet-render`: render driving scenes into the Virtual KITTI 2 layout."""
 
-import signal
 from contextlib import ExitStack
 from functools import partial
 from multiprocessing import get_context
-from multiprocessing.pool import Pool
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from runtime.command import interruptible, reported_errors
+from runtime.command import leave_signals_to_parent, reported_errors, stop_requested
 from runtime.command_options import Version
 from runtime.contract import MIN_SIDE
 from training.scenes.names import CameraName, StreetKind, Variant
@@ -62,10 +60,11 @@ def render(
         SceneJob(seed + k, variants[k % len(variants)], frames, step_s, pixels, camera, kind=street)
         for k in range(scenes)
     ]
-    with reported_errors("train"), interruptible(), ExitStack() as stack:
+    with reported_errors("train"), stop_requested(interrupts=True), ExitStack() as stack:
         from tqdm import tqdm
 
-        run = map if workers == 1 else stack.enter_context(_start_pool(workers)).imap_unordered
+        pool = None if workers == 1 else get_context("spawn").Pool(workers, leave_signals_to_parent)
+        run = map if pool is None else stack.enter_context(pool).imap_unordered
         counts = run(partial(run_job, out=out, overwrite=overwrite), jobs)
         # None: no bar without a terminal.
         total = sum(tqdm(counts, total=len(jobs), unit="scene", disable=None))
@@ -79,12 +78,3 @@ def _parse_size(text: str) -> tuple[int, int]:
             f"{text!r} is not HEIGHTxWIDTH of {MIN_SIDE} pixels or more", param_hint="--size"
         )
     return int(height), int(width)
-
-
-def _start_pool(workers: int) -> Pool:
-    """Start processes that ignore Ctrl-C; the parent terminates them."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # is inherited
-    try:
-        return get_context("spawn").Pool(workers)
-    finally:
-        signal.signal(signal.SIGINT, before)
