@@ -19,7 +19,9 @@ from runtime.errors import InputError
 
 PLUMB_BOB, RATIONAL_POLYNOMIAL, EQUIDISTANT = "plumb_bob", "rational_polynomial", "equidistant"
 #: Other names of these models: Kalibr's, OpenCV's, librealsense's.
-ALIASES = {"radtan": PLUMB_BOB} | dict.fromkeys(("equi", "fisheye", "kannala_brandt4"), EQUIDISTANT)
+_ALIASES = {"radtan": PLUMB_BOB} | dict.fromkeys(
+    ("equi", "fisheye", "kannala_brandt4"), EQUIDISTANT
+)
 #: Model -> the accepted numbers of coefficients, and these.
 _COEFFICIENTS = {
     PLUMB_BOB: ((4, 5), "k1, k2, p1, p2[, k3]"),
@@ -93,7 +95,7 @@ class Lens:
     @classmethod
     def of_ros(cls, model: Any, coefficients: Any) -> "Lens | None":
         """Make the lens of a ROS CameraInfo; None for a pinhole. Raises InputError."""
-        name = ALIASES.get(str(model), str(model))
+        name = _ALIASES.get(str(model), str(model))
         if name == EQUIDISTANT or np.any(coefficients):
             return cls.of(name, coefficients)
         if model and name not in (PLUMB_BOB, RATIONAL_POLYNOMIAL, "none", "pinhole"):

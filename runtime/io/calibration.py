@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from runtime.checks import shown
 from runtime.errors import InputError
-from runtime.io.foreign_calibration import refuse
 from runtime.io.images import list_files, natural_order
 from runtime.io.kitti_calibration import NumbersFile, chain, is_kitti
 from runtime.lens import PLUMB_BOB, Lens, rectifying_maps
@@ -22,6 +21,14 @@ from runtime.read_input import read_toml
 from runtime.rigid import read_rigid
 
 RAW_CAMERAS, RAW_SCANNER = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
+#: Of a camera, to be filled in for another.
+_EXAMPLE = """\
+intrinsics = [[721.5, 0.0, 609.6], [0.0, 721.5, 172.9], [0.0, 0.0, 1.0]]  # pixels
+# From the LiDAR's frame to the camera's, metres; points_in = "camera" where they are the same.
+extrinsics = [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, -0.08], [1.0, 0.0, 0.0, -0.27], [0, 0, 0, 1]]
+size = [375, 1242]  # height, width of the images
+# lens = "plumb_bob"  # only of images that are not rectified
+# distortion = [-0.369, 0.197, 0.0014, 0.0006, -0.068]"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,15 +158,19 @@ class Calibration:
             for_scans: refuse a file that holds the intrinsics alone.
 
         Raises:
-            InputError: if the calibration cannot be read; of a file of another tool with its
-                content as TOML, to copy.
+            InputError: if the calibration cannot be read; for a file of another tool with a TOML
+                file to fill in.
         """
         path = Path(path)
         if path.suffix.lower() == ".toml":
             return cls.from_toml(path)
         is_one_of_two = path.name in (RAW_CAMERAS, RAW_SCANNER)
         if os.path.isfile(path) and not is_one_of_two and not is_kitti(path):
-            raise refuse(path)
+            raise InputError(
+                f"{path} is neither TOML nor a calibration of KITTI: write a .toml file as this "
+                "one of another camera (docs/recordings.md has lines of Python that print it from "
+                f"files of ROS, OpenCV and Kalibr):\n{_EXAMPLE}"
+            )
         if for_scans and os.path.isfile(path) and "" in NumbersFile(path):
             raise InputError(
                 f"{path} holds the intrinsics alone: scans need a .toml file with intrinsics and "

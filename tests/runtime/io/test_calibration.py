@@ -1,6 +1,8 @@
 """Calibrations from every kind of file come to the same pixels."""
 
 import dataclasses
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -188,3 +190,71 @@ def test_projection_is_project_points_and_minds_the_size():
     assert np.count_nonzero(filtered.project(points, SIZE)) < np.count_nonzero(expected)
     with pytest.raises(InputError, match="scale the intrinsics"):
         calibration.project(points, (120, 320))
+
+
+PAGE = Path(__file__).parents[3] / "docs" / "recordings.md"
+OTHER_TOOLS = {
+    "left.yaml": """image_width: 640
+image_height: 240
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [700, 0, 320, 0, 710, 120, 0, 0, 1]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [-0.3, 0.1, 0.001, -0.002, 0.0]
+""",
+    "camera.yml": """%YAML:1.0
+---
+image_width: 640
+image_height: 240
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 7.0e+02, 0., 320., 0., 7.1e+02, 120., 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 5
+   cols: 1
+   dt: d
+   data: [ -0.3, 0.1, 0.001, -0.002, 0. ]
+""",
+    "camchain.yaml": """cam0:
+  camera_model: pinhole
+  distortion_coeffs: [-0.3, 0.1, 0.001, -0.002]
+  distortion_model: radtan
+  intrinsics: [700, 710, 320, 120]
+  resolution: [640, 240]
+""",
+}
+
+
+@pytest.mark.parametrize("name", OTHER_TOOLS)
+def test_the_page_prints_files_of_other_tools_as_toml(tmp_path, monkeypatch, capsys, name):
+    (example,) = (code for code in re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+                  if f'"{name}"' in code)  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / name
+    path.write_text(OTHER_TOOLS[name])
+    exec(example, {})
+    toml = tmp_path / "camera.toml"
+    toml.write_text(capsys.readouterr().out + "points_in = 'camera'")
+    calibration = Calibration.from_file(toml)
+    np.testing.assert_array_equal(calibration.intrinsics, K)
+    assert calibration.size == SIZE
+    assert calibration.lens == "plumb_bob"
+    assert tuple(calibration.distortion[:4]) == (-0.3, 0.1, 0.001, -0.002)
+
+
+@pytest.mark.parametrize("text", [OTHER_TOOLS["left.yaml"], "", "1 0 0 0\n0 1 0 0"])
+def test_a_file_of_another_tool_is_answered_with_toml_to_fill_in(tmp_path, text):
+    path, toml = tmp_path / "camera.yaml", tmp_path / "camera.toml"
+    path.write_text(text)
+    with pytest.raises(
+        InputError, match=r"camera\.yaml is neither .*docs/recordings\.md"
+    ) as caught:
+        Calibration.from_file(path)
+    toml.write_text(str(caught.value).split(":\n", 1)[1])
+    assert Calibration.from_file(toml).size == (375, 1242)
