@@ -113,8 +113,8 @@ def train(
 
         scores = ScoreTable(out / SCORES, state.step) if processes.is_first else None
         last_step = steps if stop_after is None else min(steps, stop_after)
-        board = Board(out / TENSORBOARD if processes.is_first else None, state.step)
         with (
+            Board(out / TENSORBOARD if processes.is_first else None, state.step) as board,
             tqdm(
                 total=steps,
                 initial=state.step,

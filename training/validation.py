@@ -1,18 +1,13 @@
 """Validations during a training, and its curves and pictures in TensorBoard."""
 
-import os
-import socket
 import sys
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from tensorboard.compat.proto.event_pb2 import Event, SessionLog
-from tensorboard.compat.proto.summary_pb2 import Summary
-from tensorboard.summary.writer.record_writer import RecordWriter
 from torch import Tensor
-from torch.utils.tensorboard.summary import image, scalar
+from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from models import Network
@@ -28,24 +23,26 @@ from training.state import Step
 
 
 class Board:
-    """A file of TensorBoard's in ``folder``, or nothing in processes that do not write.
+    """TensorBoard's file of a run in ``folder``; none in processes that do not write.
 
-    PyTorch's `SummaryWriter` writes in a thread, whose errors come late and as tracebacks. Here
-    InputError says at once that the file cannot be written.
+    A context manager that ends the file. InputError if it cannot be written.
     """
 
     def __init__(self, folder: Path | None, step: int) -> None:
-        self._path: Path | None = None
-        if folder is None:
-            return
-        name = f"events.out.tfevents.{time.time():.6f}.{socket.gethostname()}.{os.getpid()}"
-        self._path = folder / name
-        with folder_errors(folder):
-            folder.mkdir(exist_ok=True)
-        events = [Event(file_version="brain.Event:2")]
-        if step:  # entries of later steps, of an interrupted run, are hidden
-            events.append(Event(session_log=SessionLog(status=SessionLog.START)))
-        self._write(events, step + 1)
+        self._folder, self._writer = folder, None
+        if folder is not None:
+            with folder_errors(folder):
+                # Entries of later steps, of an interrupted run, are hidden.
+                purge = step + 1 if step else None
+                self._writer = SummaryWriter(folder, purge_step=purge)
+
+    def __enter__(self) -> "Board":
+        """Return the board."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Write what is left."""
+        self._write("close")
 
     def add_step(self, done: Step, log_variances: Mapping[str, Tensor], step: int) -> None:
         """Add the terms of a step, the weights that the loss learned, and the rate."""
@@ -55,23 +52,17 @@ class Board:
 
     def add_scalars(self, values: Mapping[str, float], step: int) -> None:
         """Add a point to each curve."""
-        self._add([scalar(*item) for item in values.items()], step)  # type: ignore[no-untyped-call]
+        for name, value in values.items():
+            self._write("add_scalar", name, value, step)
 
     def add_picture(self, name: str, rgb: np.ndarray, step: int) -> None:
         """Add a picture, uint8 (H, W, 3)."""
-        self._add([image(name, rgb, dataformats="HWC")], step)  # type: ignore[no-untyped-call]
+        self._write("add_image", name, rgb, step, dataformats="HWC")
 
-    def _add(self, summaries: Sequence[Summary], step: int) -> None:
-        self._write([Event(summary=summary) for summary in summaries], step)
-
-    def _write(self, events: Sequence[Event], step: int) -> None:
-        if self._path is None:
-            return
-        with folder_errors(self._path), self._path.open("ab") as file:
-            writer = RecordWriter(file)
-            for event in events:
-                event.step, event.wall_time = step, time.time()
-                writer.write(event.SerializeToString())
+    def _write(self, call: str, *arguments: Any, **options: Any) -> None:
+        if self._folder is not None:
+            with folder_errors(self._folder):  # of the writer's thread, at the call that follows
+                getattr(self._writer, call)(*arguments, **options)
 
 
 def validate(
