@@ -459,32 +459,19 @@ def _read_value(text: str, kind: Any) -> Any:
 
 
 def _describe(error: Mapping[str, Any], kind: Any) -> str:
-    """Return the message for an error of pydantic, in terms of the recipe."""
+    """Return the message of an error of pydantic, with its key as in the recipe."""
     place = error["loc"]
     key = _join(place)
-    value, context = error["input"], error.get("ctx", {})
-    text = shown(value, 200)
     match error["type"]:
         case "unexpected_keyword_argument":
             known = ", ".join(item.name for item in fields(_table_at(kind, place[:-1])))
             return f"unknown key {key}; known here: {known}. Correct its name."
-        case "missing" if isinstance(place[-1], int):
-            return f"{_join(place[:-1])} = {text} has too few values."
         case "missing":
             return f"missing key {key}."
-        case "union_tag_not_found":
-            return f"missing key {key + '.' * bool(key)}kind."
-        case "union_tag_invalid":
-            tag, known = context["tag"], context["expected_tags"]
-            return f"{key + '.' * bool(key)}kind = {tag!r}; choose one of {known}."
-        case "literal_error":
-            return f"{key} = {text}; choose one of {context['expected']}."
-        case "value_error" if isinstance(value, dict):  # of a table; its text starts with the key
-            return f"{key + '.' * bool(key)}{context['error']}."
-        case "value_error":
-            return f"{key} = {text}: {context['error']}."
+        case "value_error" if isinstance(error["input"], dict):  # its text starts with the key
+            return f"{key + '.' * bool(key)}{error['ctx']['error']}."
         case _:
-            return f"{key} = {text}: {error['msg'].lower()}."
+            return f"{key} = {shown(error['input'], 200)}: {error['msg']}."
 
 
 def _table_at(kind: Any, place: Sequence[str | int]) -> Any:

@@ -305,6 +305,6 @@ def test_recipes_choose_edition_split_and_list(tmp_path):
     with pytest.raises(DatasetError, match=rf"no folder 'vkitti3' \(rendered\) below {tmp_path}"):
         names("rendered", "vkitti3")
     with pytest.raises(
-        InputError, match="split = 'trainval'; choose one of 'train', 'val', 'test' or"
+        InputError, match="split = 'trainval': Input should be 'train', 'val', 'test' or"
     ):
         names("virtual-kitti", "vkitti2", split="trainval")

@@ -260,7 +260,7 @@ def test_errors_say_what_to_do(folder, tmp_path):
     data = f"rendered:{folder}/scenes"
     for arguments, text in (
         ([folder / "lite.pt", "--data", "camvid"], "KIND:FOLDER"),
-        ([folder / "lite.pt", "--data", f"lyft:{folder}"], "choose one of"),
+        ([folder / "lite.pt", "--data", f"lyft:{folder}"], "lyft"),
         ([folder / "lite.pt", "--data", f"rendered:{folder}/nothing"], "no folder"),
         (
             [folder / "lite.pt", "--data", f"{data},split=val"],
