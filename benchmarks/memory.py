@@ -47,7 +47,7 @@ def main() -> None:
         listed = source.list_frames()
         frames = [source.read(frame) for frame in listed]
         options = RunOptions(demo=True, out=Path(scratch) / "out")
-        make_run_folder(options.folder)
+        make_run_folder(options.folder, names={frame.name for frame in listed})
         overlay = Overlay(engine.contract.classes, engine.contract.max_depth_m)
         writer = FrameWriter(OpenRun(options, engine, overlay, KINDS))
         print("| frames | Predictor.predict [MB] |\n|---|---|")

@@ -12,7 +12,7 @@ import onnx
 
 from export.errors import ExportError
 from runtime.errors import OutputError
-from runtime.io.atomic_write import atomic_folder, require_folder_free
+from runtime.io.own_folder import atomic_folder, require_folder_free
 
 #: Frames that the server may put into one run of a model whose batch axis is free.
 MAX_BATCH_SIZE = 8
@@ -72,8 +72,7 @@ def write_triton_model(
     config = triton_config(model, name=name)
     folder = repository / name
     require_replaceable(folder, overwrite=overwrite)
-    own = (folder / CONFIG_FILE, folder / "1", folder / "1" / MODEL_FILE)
-    with atomic_folder(folder, own=(lambda: own) if overwrite else None) as temporary:
+    with atomic_folder(folder, overwrite=overwrite) as temporary:
         (temporary / "1").mkdir()
         (temporary / "1" / MODEL_FILE).write_bytes(content)
         (temporary / CONFIG_FILE).write_text(config)

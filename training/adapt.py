@@ -18,9 +18,9 @@ from tqdm import tqdm
 
 from models import Network, SSDNetLite, load_checkpoint, save_checkpoint
 from runtime.errors import InputError
-from runtime.io.atomic_write import atomic_folder
 from runtime.io.encode import encode_metres, encode_png
 from runtime.io.images import read_rgb
+from runtime.io.own_folder import atomic_folder
 from runtime.network_size import network_size
 from runtime.projection import OcclusionFilter
 from runtime.resize import move_returns, resize_image

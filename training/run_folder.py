@@ -5,7 +5,6 @@ import fcntl
 import hashlib
 import json
 import os
-import socket
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,6 +16,7 @@ from tqdm import tqdm
 
 from runtime.errors import InputError
 from runtime.io.atomic_write import atomic_write
+from runtime.io.own_folder import mark_folder
 from training.recipe import Recipe, build
 
 RECIPE = "recipe.json"
@@ -26,7 +26,8 @@ BEST = "best.pt"
 SCORES = "scores.csv"
 TENSORBOARD = "tensorboard"
 BATCH = "batch.png"
-LOCK = "lock"
+#: What a run writes and replaces.
+_FILES = [Path(name) for name in (RECIPE, LAST, FINAL, BEST, SCORES, TENSORBOARD)]
 #: The key of the data's files in recipe.json.
 _DATA = "data_files"
 #: Keys that may change when a run is resumed: they affect neither the weights nor the choice of
@@ -86,33 +87,26 @@ def list_data(roots: Sequence[Path], paths: Sequence[str]) -> dict[str, dict[str
 
 @contextmanager
 def lock_folder(out: Path) -> Iterator[None]:
-    """Keep other trainings from writing to ``out``; InputError that names the one that does.
+    """Keep other trainings from writing to ``out``, and this one from replacing files of others.
 
     The lock ends with the process. It is POSIX's, which workers of the process do not inherit. A
-    file system without locks has none.
+    file system without locks has none. Raises InputError and OutputError.
     """
-    path = out / LOCK
     with folder_errors(out):
         out.mkdir(parents=True, exist_ok=True)
-        file = path.open("ab+", buffering=0)
+        # A run of an earlier release has a recipe, but no list.
+        marker = mark_folder(out, [] if (out / RECIPE).is_file() else _FILES)
+        file = marker.open("ab")
     with file:
         try:
             fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            file.truncate(0)
-            file.write(f"process {os.getpid()} on {socket.gethostname()}".encode())
         except (BlockingIOError, PermissionError):
-            file.seek(0)
-            other = file.read(200).decode(errors="replace")
             raise InputError(
-                f"{out}: {other or 'another process'} trains in it. Wait for it, end it, or choose "
-                "another --out."
+                f"{out}: another process trains in it. Wait for it, or choose another --out."
             ) from None
-        except OSError:  # no locks, or no space for the name
+        except OSError:  # no locks
             pass
-        try:
-            yield
-        finally:
-            path.unlink(missing_ok=True)
+        yield
 
 
 @contextmanager

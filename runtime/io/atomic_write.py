@@ -1,4 +1,4 @@
-"""Files and folders that are whole or not there.
+"""Files that are whole or not there.
 
 They are written into a hidden, locked folder beside their target, and renamed when they are
 whole. A killed process loses its lock: a hidden folder that can be locked is a leftover, and the
@@ -11,7 +11,7 @@ import os
 import shutil
 import stat
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -48,42 +48,13 @@ def atomic_file(path: Path, *, overwrite: bool = True, durable: bool = False) ->
         OutputError: if the file cannot be written (also for an OSError of the block), if it exists
             and may not be replaced, or if another process is writing it at this moment.
     """
-    with _temporary(path) as made:
+    with temporary_path(path) as made:
         with open(made, "x+b") as file:
             yield file
             if durable:
                 file.flush()
                 os.fsync(file.fileno())
         _publish(made, path, overwrite=overwrite)
-
-
-@contextlib.contextmanager
-def atomic_folder(path: Path, *, own: Callable[[], Iterable[Path]] | None = None) -> Iterator[Path]:
-    """Make a folder that gets its name when the block ends; after an error it is removed.
-
-    Args:
-        path: the folder's name; its parents are made.
-        own: returns the files and folders below `path` that belong to an earlier result, which is
-            then removed just before; a folder that holds anything else is never replaced. None: a
-            folder that exists is not replaced.
-
-    Yields:
-        The folder to fill, until then of a hidden path.
-
-    Raises:
-        OutputError: as `atomic_file`, and for a file at `path` that is not of an earlier result;
-            what is there is then untouched.
-    """
-    with _temporary(path, make_parents=True) as made:
-        if os.path.lexists(path):
-            _earlier_entries(path, own)
-        made.mkdir()
-        yield made
-        if os.path.lexists(path):
-            for entry in reversed(_earlier_entries(path, own)):
-                entry.rmdir() if entry.is_dir() else entry.unlink()
-            path.rmdir()
-        made.rename(path)
 
 
 @contextlib.contextmanager
@@ -104,7 +75,7 @@ def atomic_path(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
     Raises:
         OutputError: as `atomic_file`.
     """
-    with _temporary(path, make_parents=True) as made:
+    with temporary_path(path, make_parents=True) as made:
         yield made
         if made.exists():
             _publish(made, path, overwrite=overwrite)
@@ -115,22 +86,15 @@ def atomic_path(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
 
 def require_writable(path: Path) -> None:
     """Raise the OutputError of `atomic_file` for a file that cannot be written; nothing is left."""
-    with _temporary(path):
+    with temporary_path(path):
         if path.is_dir():
             raise OutputError(f"{path} is a folder: name a file to write")
-
-
-def require_folder_free(path: Path, *, own: Callable[[], Iterable[Path]] | None = None) -> None:
-    """Raise the OutputError of `atomic_folder` for a folder that cannot be made or replaced."""
-    with _temporary(path, make_parents=True):
-        if os.path.lexists(path):
-            _earlier_entries(path, own)
 
 
 def remove_leftover(path: Path) -> None:
     """Remove the hidden folder of `path` that a killed process left; keep it if it is locked."""
     if os.path.isdir(_hidden_folder(path)):
-        with contextlib.suppress(OutputError), _temporary(path):
+        with contextlib.suppress(OutputError), temporary_path(path):
             pass
 
 
@@ -141,8 +105,11 @@ def _hidden_folder(path: Path) -> Path:
 
 
 @contextlib.contextmanager
-def _temporary(path: Path, *, make_parents: bool = False) -> Iterator[Path]:
-    """A path of the same name in the hidden folder of `path`, which is removed afterwards."""
+def temporary_path(path: Path, *, make_parents: bool = False) -> Iterator[Path]:
+    """Yield a path of the same name in the hidden folder of `path`, which is then removed.
+
+    Raises OutputError as `atomic_file`.
+    """
     if path.name in ("", ".."):  # of ".", ".." and "/"
         raise OutputError(f"{path} has no name that could be given to a result: name a new one")
     try:
@@ -214,31 +181,6 @@ def _publish(made: Path, path: Path, *, overwrite: bool) -> None:
             os.close(os.open(path, os.O_CREAT | os.O_EXCL))
             os.replace(made, path)
     except FileExistsError as error:
-        raise _taken(path) from error
-
-
-def _earlier_entries(path: Path, own: Callable[[], Iterable[Path]] | None) -> list[Path]:
-    """All that an earlier result holds, to be removed from the end. Raises OutputError for others.
-
-    Its own files come first, in the order of ``own``: what describes it goes last, so that the rest
-    of a removal that was killed is known for what it is. The last rest is an empty folder.
-    """
-    if own is None:
-        raise _taken(path)
-    if path.is_symlink() or not path.is_dir():
-        raise OutputError(f"{path} is a link or a file: choose another name")
-    found = sorted(path.rglob("*"))
-    expected = list(own()) if found else []
-    known = set(expected)
-    for entry in found:
-        if entry.is_symlink() or entry not in known:
-            raise OutputError(
-                f"{entry} does not belong to the result that would be replaced: move it away, or "
-                "choose another folder"
-            )
-    files = [entry for entry in expected if entry.parent == path and entry.is_file()]
-    return files + [entry for entry in found if entry.parent != path or entry.is_dir()]
-
-
-def _taken(path: Path) -> OutputError:
-    return OutputError(f"{path} exists: choose another name, or replace it with --overwrite")
+        raise OutputError(
+            f"{path} exists: choose another name, or replace it with --overwrite"
+        ) from error

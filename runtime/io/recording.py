@@ -15,7 +15,7 @@ run keeps its pace, and numpy's archive has a checksum of every array.
 import contextlib
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 
 from runtime.agreement import compare, recording_limits
 from runtime.checks import check_number, cut, shown
-from runtime.errors import InputError, OutputError
+from runtime.errors import InputError
 from runtime.heads import HEADS
-from runtime.io.atomic_write import atomic_folder, require_folder_free
+from runtime.io.own_folder import atomic_folder
 from runtime.model_file import load_model_file
 from runtime.network_size import NetworkSize
 from runtime.read_input import open_input, read_text
@@ -196,32 +196,8 @@ def record(path: Path, settings: Settings, *, overwrite: bool = False) -> Iterat
     Raises:
         OutputError: if the folder cannot be written or replaced.
     """
-    with atomic_folder(path, own=_own(path, overwrite=overwrite)) as folder:
+    with atomic_folder(path, overwrite=overwrite) as folder:
         yield Recorder(folder, settings)
-
-
-def require_recordable(path: Path, *, overwrite: bool = False) -> None:
-    """Raise the OutputError of `record` before anything is recorded; arguments as there."""
-    require_folder_free(path, own=_own(path, overwrite=overwrite))
-
-
-def _own(path: Path, *, overwrite: bool) -> Callable[[], list[Path]] | None:
-    return partial(_recorded_entries, path) if overwrite else None
-
-
-def _recorded_entries(path: Path) -> list[Path]:
-    """The entries of an earlier recording. Raises OutputError if it is not a recording."""
-    try:
-        if path.is_symlink():
-            raise InputError(f"{path} is a link")
-        count = len(read_recording(path).frames)
-    except InputError as error:
-        raise OutputError(
-            f"{path} is not a recording, and only recordings are replaced: choose another folder"
-        ) from error
-    frames = [_frame_path(path, index) for index in range(count)]
-    entries = [path / RECORDING_FILE, path / MODEL_FILE, path / _FRAMES, *frames]
-    return [entry for entry in entries if entry.is_dir() == (entry == path / _FRAMES)]
 
 
 def read_recording(folder: Path) -> Recording:

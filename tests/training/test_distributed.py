@@ -165,7 +165,7 @@ def test_two_processes_train_what_one_trains_with_the_large_batch(root):
     difference = joined(shipped[0], "") - joined(shipped[1], "")
     assert difference.norm() < 1e-3 * joined(shipped[0], "").norm()
     assert sorted(path.name for path in two.iterdir()) == [
-        *("best.pt", "last.pt", "model.pt"),
+        *(".ssdnet", "best.pt", "last.pt", "model.pt"),
         *("rank0.start", "rank0.weights", "rank1.start", "rank1.weights"),
         *("recipe.json", "scores.csv", "tensorboard"),
     ]

@@ -24,7 +24,7 @@ from models import (
     save_checkpoint,
 )
 from models.registry import NETWORKS, Entry
-from runtime.errors import CheckpointError, DatasetError, InputError
+from runtime.errors import CheckpointError, DatasetError, InputError, OutputError
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.initial_weights import read_weights
@@ -315,12 +315,20 @@ def test_a_folder_has_one_writer(data, tmp_path):
     other = multiprocessing.get_context("fork").Process(target=hold)
     other.start()
     assert held.wait(20)
-    with pytest.raises(InputError, match=rf"process {other.pid} on .* trains in it"):
+    with pytest.raises(InputError, match="another process trains in it"):
         train(recipe(steps=1), data=[data], out=tmp_path / "run")
     other.kill()
     other.join()
     assert train(recipe(steps=1), data=[data], out=tmp_path / "run").name == "model.pt"
-    assert not (tmp_path / "run/lock").exists()
+
+
+def test_files_of_others_are_not_replaced(data, tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "model.pt").write_text("mine")
+    with pytest.raises(OutputError, match=r"model\.pt does not belong"):
+        train(recipe(steps=1), data=[data], out=tmp_path / "run")
+    assert [path.name for path in (tmp_path / "run").iterdir()] == ["model.pt"]
+    assert (tmp_path / "run" / "model.pt").read_text() == "mine"
 
 
 def test_another_recipe_in_the_same_folder_is_refused(data, tmp_path):
@@ -463,7 +471,7 @@ def test_a_full_disk_leaves_the_last_good_checkpoint(data, tmp_path, mount_disk)
     kept = load_checkpoint(disk / "run" / "last.pt")
     assert kept.trainer["step"] == 1
     left = {path.name for path in (disk / "run").iterdir()}
-    assert left == {"last.pt", "recipe.json", "tensorboard"}
+    assert left == {".ssdnet", "last.pt", "recipe.json", "tensorboard"}
     filler.unlink()
     ended = weights(train(run, data=[data], out=disk / "run"))
     assert all(torch.equal(ended[name], value) for name, value in whole.items())

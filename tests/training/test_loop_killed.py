@@ -106,4 +106,4 @@ def test_killed_at_any_moment_it_resumes_to_the_same_weights(data, tmp_path, sta
     for name, value in expected.model.state_dict().items():
         assert torch.equal(reached.model.state_dict()[name], value), name
     left = sorted(path.name for path in out.iterdir() if path.name != "tensorboard")
-    assert left == ["last.pt", "model.pt", "recipe.json"]
+    assert left == [".ssdnet", "last.pt", "model.pt", "recipe.json"]

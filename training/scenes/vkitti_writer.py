@@ -1,8 +1,6 @@
 """Rendered frames on disk in the folder layout of Virtual KITTI 2 (Cabon et al. 2020)."""
 
-import re
 from collections.abc import Iterable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,20 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import OutputError
-from runtime.io.atomic_write import atomic_folder
 from runtime.io.encode import encode_jpeg, encode_png
+from runtime.io.own_folder import atomic_folder
 from training.scenes.arrays import Floats
 from training.scenes.names import SceneClass
 from training.scenes.rendering.render import RenderedFrame
 
 _JPEG_QUALITY = 92
 _SKY = 65535
-#: Paths below a variant.
-_LAYOUT = re.compile(
-    r"(colors|intrinsic|extrinsic|calib)\.txt"
-    r"|frames(/(rgb|depth|classSegmentation|lidar)(/Camera_0(/(rgb|depth|classgt|lidar)_\d{5,}"
-    r"\.(jpg|png|bin))?)?)?"
-)
 _EXTRINSIC = "r1,1 r1,2 r1,3 t1 r2,1 r2,2 r2,3 t2 r3,1 r3,2 r3,3 t3 0 0 0 1"
 
 
@@ -50,8 +42,7 @@ def write_variant(out: Path, frames: Iterable[RenderedFrame], *, overwrite: bool
     if out.exists() and not overwrite:
         advice = "Choose another folder or seed, or give --overwrite."
         raise OutputError(f"{out} exists already. {advice}")
-    own = partial(_written_entries, out) if overwrite else None
-    with atomic_folder(out, own=own) as temporary:
+    with atomic_folder(out, overwrite=overwrite) as temporary:
         kinds = ("rgb", "depth", "classSegmentation", "lidar")
         rgb, depth, classes, lidar = (temporary / "frames" / kind / "Camera_0" for kind in kinds)
         for folder in (rgb, depth, classes, lidar):
@@ -75,12 +66,6 @@ def write_variant(out: Path, frames: Iterable[RenderedFrame], *, overwrite: bool
         for file, lines in texts.items():
             (temporary / f"{file}.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return out
-
-
-def _written_entries(variant: Path) -> list[Path]:
-    """The files and folders of a variant that `write_variant` makes."""
-    paths = ((entry, entry.relative_to(variant).as_posix()) for entry in variant.rglob("*"))
-    return [entry for entry, path in paths if _LAYOUT.fullmatch(path)]
 
 
 def _numbers(matrix: Floats) -> str:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from runtime.errors import OutputError, install_command
 from runtime.io.atomic_write import atomic_path
-from runtime.io.recording import require_recordable
+from runtime.io.own_folder import require_folder_free
 from runtime.run.options import RunOptions
 from runtime.run.outputs.frame_writer import open_frame_files
 from runtime.run.outputs.mcap import open_mcap
@@ -87,7 +87,7 @@ def require_outputs(options: RunOptions, source: Source) -> None:
     for path in options.named_files.values():
         _require_free(path, overwrite=options.overwrite, inputs=source.recordings)
     if options.record is not None:
-        require_recordable(options.record, overwrite=options.overwrite)
+        require_folder_free(options.record, overwrite=options.overwrite)
 
 
 def _require_free(path: Path, *, overwrite: bool, inputs: Collection[Path]) -> None:

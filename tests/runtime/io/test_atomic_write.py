@@ -11,11 +11,11 @@ import pytest
 from runtime import OutputError
 from runtime.io.atomic_write import (
     atomic_file,
-    atomic_folder,
     atomic_path,
     atomic_write,
     remove_leftover,
 )
+from runtime.io.own_folder import MARKER, atomic_folder
 
 
 def names_in(folder):
@@ -43,6 +43,7 @@ def writer_in_another_process():
         }
         program = (
             "import sys; from pathlib import Path; from runtime.io.atomic_write import *\n"
+            "from runtime.io.own_folder import *\n"
             f"path = Path({str(path)!r})\n"
             f"with {call} as target:\n"
             f"    {fill[call.partition('(')[0]]}; print('half', flush=True); sys.stdin.readline()\n"
@@ -270,54 +271,58 @@ def test_a_folder_has_its_name_only_when_it_is_whole(tmp_path):
     with atomic_folder(path) as folder:
         (folder / "file").write_text("new")
         assert not path.exists()
-    assert names_in(path) == ["file"]
+    assert names_in(path) == [MARKER, "file"]
     assert names_in(path.parent) == ["a"]
 
 
 def test_a_folder_is_replaced_only_when_asked(tmp_path):
     path = tmp_path / "a"
-    path.mkdir()
-    (path / "old").touch()
 
-    def write(**options):
+    def write(name, **options):
         with atomic_folder(path, **options) as folder:
-            (folder / "new").touch()
+            (folder / name).mkdir()
+            (folder / name / "file").touch()
 
+    write("old")
     with pytest.raises(OutputError, match="exists"):
-        write()
-    assert names_in(path) == ["old"]
+        write("new")
+    assert names_in(path) == [MARKER, "old"]
     assert names_in(tmp_path) == ["a"]
-    write(own=lambda: [path / "old"])
-    assert names_in(path) == ["new"]
+    write("new", overwrite=True)
+    assert names_in(path) == [MARKER, "new"]
 
 
-@pytest.mark.parametrize("foreign", ["thesis.txt", "deep", "link", "deep/thesis.txt"])
+@pytest.mark.parametrize("foreign", ["thesis.txt", "deep", "link", "own/thesis.txt", MARKER])
 def test_a_folder_with_a_foreign_entry_is_not_replaced(tmp_path, foreign):
     path = tmp_path / "a"
-    (path / foreign).parent.mkdir(parents=True)
-    (path / "old").write_text("old")
-    if foreign == "deep":
+    with atomic_folder(path) as folder:
+        for name in ("old", "link"):
+            (folder / name).write_text("old")
+        (folder / "own").mkdir()
+    if foreign == MARKER:  # a folder that was not made here
+        (path / foreign).unlink()
+    elif foreign == "deep":
         (path / foreign).mkdir()
     elif foreign == "link":
+        (path / foreign).unlink()
         (path / foreign).symlink_to(path / "old")
     else:
         (path / foreign).write_text("mine")
-
-    def write():
-        with atomic_folder(path, own=lambda: [path / "old", path / "link"]) as folder:
-            (folder / "new").touch()
-
-    before = names_in(path)
-    with pytest.raises(OutputError, match="does not belong to the result that would be replaced"):
-        write()
-    assert names_in(path) == before
+    before = sorted(path.rglob("*"))
+    text = "did not write" if foreign == MARKER else "does not belong to the result"
+    with pytest.raises(OutputError, match=text), atomic_folder(path, overwrite=True):
+        pass
+    assert sorted(path.rglob("*")) == before
     assert (path / "old").read_text() == "old"
 
 
 def test_a_link_to_a_folder_is_not_replaced(tmp_path):
     (tmp_path / "real").mkdir()
     (tmp_path / "a").symlink_to(tmp_path / "real")
-    with pytest.raises(OutputError, match="is a link"), atomic_folder(tmp_path / "a", own=list):
+    with (
+        pytest.raises(OutputError, match="is a link"),
+        atomic_folder(tmp_path / "a", overwrite=True),
+    ):
         pass
     assert (tmp_path / "a").is_symlink()
 

@@ -58,7 +58,7 @@ def test_nothing_but_an_older_recording_is_replaced(recording, tmp_path, model_f
     others.mkdir()
     (others / "keep.txt").touch()
     with (
-        pytest.raises(OutputError, match="not a recording"),
+        pytest.raises(OutputError, match="did not write"),
         record(others, SETTINGS, overwrite=True),
     ):
         pass
@@ -189,7 +189,7 @@ def test_a_recording_with_a_foreign_file_is_not_replaced(recording, model_file, 
     (recording / name).parent.mkdir(exist_ok=True)
     (recording / name).write_text("mine")
     before = {path: path.read_bytes() for path in recording.rglob("*") if path.is_file()}
-    with pytest.raises(OutputError, match=r"(thesis|000002|deep)[.a-z]* does not belong to the"):
+    with pytest.raises(OutputError, match="does not belong to the"):
         overwrite(recording, model_file())
     assert before == {path: path.read_bytes() for path in recording.rglob("*") if path.is_file()}
 

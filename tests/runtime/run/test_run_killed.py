@@ -105,7 +105,7 @@ def require_whole(folder, read_mcap_frames):
     for path in folder.rglob("*"):
         hidden = [part for part in path.relative_to(folder).parts if part.startswith(".")]
         if hidden:
-            assert hidden[0].endswith(".part") or hidden == [".ssdnet-run"], path
+            assert hidden[0].endswith(".part") or hidden == [".ssdnet"], path
             continue
         if path.is_dir() or path.parent.name in ("cam", "lidar", "frames"):
             continue

@@ -40,7 +40,7 @@ def test_a_frame_is_written(tmp_path, write, answered):
     out = tmp_path / "deep" / "out"
     write(out, "7")
     files = {"semantic/7.png", "depth/7.png", "uncertainty/7.png", "boundary/7.png"}
-    assert files_in(out) == {".ssdnet-run", "overlay/7.jpg", *files}
+    assert files_in(out) == {".ssdnet", "overlay/7.jpg", *files}
     steps = {"semantic": 1, "depth": 256, "depth_uncertainty": 256, "boundary": 255}
     for head, scale in steps.items():
         path = out / head.removeprefix("depth_") / "7.png"
@@ -52,7 +52,7 @@ def test_a_frame_is_written(tmp_path, write, answered):
 def test_only_what_was_asked_for_and_what_the_model_has(tmp_path, write):
     kinds = ("semantic", "boundary", "uncertainty")
     write(tmp_path / "out", "a", kinds=kinds, heads=("semantic", "depth"))
-    assert files_in(tmp_path / "out") == {".ssdnet-run", "semantic/a.png"}
+    assert files_in(tmp_path / "out") == {".ssdnet", "semantic/a.png"}
 
 
 def test_a_frame_that_fails_half_way_leaves_none_of_its_files(tmp_path, write, answered):
@@ -83,9 +83,9 @@ def test_overwrite_replaces_our_own_run_and_nothing_else(tmp_path, write):
     for name in ("frames.csv", "report.json", leftover, *mine):
         (out / name).write_text("x")
     write(out, "new", kinds=("depth",))
-    assert files_in(out) == {".ssdnet-run", "depth/new.png", *mine}
+    assert files_in(out) == {".ssdnet", "depth/new.png", *mine}
     make_run_folder(out, kinds=(), overwrite=True)
-    assert files_in(out) == {".ssdnet-run", *mine}
+    assert files_in(out) == {".ssdnet", *mine}
 
 
 @pytest.fixture
@@ -112,7 +112,7 @@ def test_overwrite_writes_nothing_through_a_link(tmp_path, earlier_run):
         Path.touch,
     ):
         make(earlier_run / "depth")
-        refuse_to_overwrite(earlier_run, r"out/depth is a link or a file where")
+        refuse_to_overwrite(earlier_run, r"out/depth is a link or a file where", names=("a",))
         (earlier_run / "depth").unlink()
     (earlier_run / "depth").symlink_to(tmp_path / "pictures")
     make_run_folder(earlier_run, kinds=("semantic",), overwrite=True)
@@ -121,7 +121,7 @@ def test_overwrite_writes_nothing_through_a_link(tmp_path, earlier_run):
 
 def test_overwrite_replaces_no_file_of_another(tmp_path, earlier_run):
     foreign = earlier_run / "depth" / "b.png"
-    text = r"out/depth/b\.png does not belong to the earlier run"
+    text = r"out/depth/b\.png does not belong to the earlier result"
     foreign.write_text("mine")
     refuse_to_overwrite(earlier_run, text, names=("a", "b"))
     foreign.unlink()
@@ -137,14 +137,14 @@ def test_overwrite_replaces_no_file_of_another(tmp_path, earlier_run):
 
 @pytest.mark.parametrize("line", ["[", '"a\\u0000b"', '"../mine"', "9", "null", '{"a": 1}', "\xff"])
 def test_a_damaged_list_of_frames_names_no_file(earlier_run, line):
-    with (earlier_run / ".ssdnet-run").open("a", encoding="latin-1") as marker:
+    with (earlier_run / ".ssdnet").open("a", encoding="latin-1") as marker:
         marker.write(line + "\n")
     refuse_to_overwrite(earlier_run, "is damaged")
 
 
 def test_overwrite_names_what_it_could_not_remove(earlier_run, read_only):
     read_only(earlier_run / "depth")
-    with pytest.raises(OutputError, match=r"cannot remove the earlier run.*depth/a\.png"):
+    with pytest.raises(OutputError, match=r"cannot make the output folder .*depth/a\.png"):
         make_run_folder(earlier_run, overwrite=True)
     assert not (earlier_run / "report.json").exists(), "a run with a report is whole"
 
@@ -152,7 +152,7 @@ def test_overwrite_names_what_it_could_not_remove(earlier_run, read_only):
 def test_overwrite_never_touches_a_folder_that_is_not_ours(tmp_path):
     (tmp_path / "depth").mkdir()
     (tmp_path / "depth" / "0001.png").write_text("a data set")
-    with pytest.raises(OutputError, match="did not make"):
+    with pytest.raises(OutputError, match="did not write"):
         make_run_folder(tmp_path, overwrite=True)
     assert files_in(tmp_path) == {"depth/0001.png"}
 

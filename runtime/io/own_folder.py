@@ -1,0 +1,167 @@
+"""Folders whose content may be replaced: a hidden file in them lists what was written there.
+
+Only what this list names is ever removed or replaced; everything else is the user's.
+"""
+
+import json
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+
+from runtime.errors import InputError, OutputError
+from runtime.io.atomic_write import atomic_write, remove_leftover, temporary_path
+from runtime.read_input import read_text
+
+MARKER = ".ssdnet"
+_TEXT = "Written by ssdnet, which may replace the files of this list, and nothing else here.\n"
+
+
+@contextmanager
+def atomic_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """Make a folder that gets its name when the block ends; after an error it is removed.
+
+    Args:
+        path: the folder's name; its parents are made.
+        overwrite: whether an earlier folder of this function is replaced; one that holds anything
+            else never is.
+
+    Yields:
+        The folder to fill, until then of a hidden path.
+
+    Raises:
+        OutputError: as `atomic_file`, and for a folder that is not replaced; what is there is then
+            untouched.
+    """
+    with temporary_path(path, make_parents=True) as made:
+        _list_replaced(path, overwrite=overwrite)
+        made.mkdir()
+        yield made
+        _write_list(made, sorted(entry.relative_to(made) for entry in made.rglob("*")))
+        if os.path.lexists(path):
+            for entry in _list_replaced(path, overwrite=overwrite):
+                entry.rmdir() if entry.is_dir() else entry.unlink()
+            path.rmdir()
+        made.rename(path)
+
+
+def require_folder_free(path: Path, *, overwrite: bool = False) -> None:
+    """Raise the OutputError of `atomic_folder` for a folder that cannot be made or replaced."""
+    with temporary_path(path, make_parents=True):
+        _list_replaced(path, overwrite=overwrite)
+
+
+def make_own_folder(path: Path, files: Sequence[Path], *, overwrite: bool = False) -> None:
+    """Make a folder into which files will be written one by one.
+
+    Args:
+        path: a folder that exists must be empty, or, with `overwrite`, one of this function, whose
+            files are then removed in the order of their list.
+        files: paths below it.
+        overwrite: whether earlier files are replaced.
+
+    Raises:
+        OutputError: if the folder cannot be used, or if writing there would replace a file of
+            others or follow a link; what is there is then untouched.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        used = any(path.iterdir())
+        if used and not overwrite:
+            raise OutputError(
+                f"the output folder {path} is not empty: choose another --out, or replace an "
+                "earlier run with --overwrite"
+            )
+        earlier = _read_list(path) if used else []
+        _require_own(path, files, set(earlier))
+        for file in earlier:
+            if not (path / file.parent).is_symlink():
+                if _is_file(path / file):
+                    (path / file).unlink()
+                remove_leftover(path / file)
+        for folder in {path / file.parent for file in files}:
+            folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"cannot make the output folder {path} ({error.strerror}: {error.filename}): choose "
+            "another --out"
+        ) from error
+    _write_list(path, files, overwrite=True)
+
+
+def mark_folder(path: Path, files: Sequence[Path]) -> Path:
+    """Write the list of a folder whose files will be replaced while they grow; return its path.
+
+    A list that is there stays. Raises OutputError if one of the files is there and not listed.
+    """
+    if not (path / MARKER).exists():
+        _require_own(path, files, set())
+        _write_list(path, files)
+    return path / MARKER
+
+
+def _require_own(path: Path, files: Iterable[Path], earlier: set[Path]) -> None:
+    """Raise OutputError for a file that exists and is not of the list, and for links to folders."""
+    for folder in {path / file.parent for file in files}:
+        if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+            raise OutputError(
+                f"{folder} is a link or a file where a folder is written: remove it, or choose "
+                "another --out"
+            )
+    for file in files:
+        if os.path.lexists(path / file) and not (file in earlier and _is_file(path / file)):
+            raise OutputError(
+                f"{path / file} does not belong to the earlier result, but would be replaced: move "
+                "it away, or choose another --out"
+            )
+
+
+def _list_replaced(path: Path, *, overwrite: bool) -> list[Path]:
+    """All entries of an earlier folder, in the order of their removal, the list last.
+
+    Raises OutputError if the folder may not be replaced.
+    """
+    if not os.path.lexists(path):
+        return []
+    if not overwrite:
+        raise OutputError(f"{path} exists: choose another name, or replace it with --overwrite")
+    if path.is_symlink() or not path.is_dir():
+        raise OutputError(f"{path} is a link or a file: choose another name")
+    found = sorted(path.rglob("*"), reverse=True)
+    if not found:
+        return []
+    own = {path / MARKER, *(path / name for name in _read_list(path))}
+    for entry in found:
+        if entry.is_symlink() or entry not in own:
+            raise OutputError(
+                f"{entry} does not belong to the result that would be replaced: move it away, or "
+                "choose another folder"
+            )
+    return sorted(found, key=lambda entry: entry == path / MARKER)
+
+
+def _is_file(path: Path) -> bool:
+    """Whether there is a file or a link, which may have been written; never a folder."""
+    return path.is_file() or path.is_symlink()
+
+
+def _write_list(folder: Path, files: Iterable[Path], *, overwrite: bool = False) -> None:
+    lines = (json.dumps(file.as_posix()) + "\n" for file in files)  # names may have line feeds
+    atomic_write(folder / MARKER, (_TEXT + "".join(lines)).encode(), overwrite=overwrite)
+
+
+def _read_list(folder: Path) -> list[Path]:
+    """Return the paths of a folder's list, below it. Raises OutputError."""
+    marker = folder / MARKER
+    if not marker.is_file():
+        raise OutputError(
+            f"{folder} holds files that ssdnet did not write, and it replaces only its own: choose "
+            "another folder, or remove this one"
+        )
+    try:
+        names = [PurePosixPath(json.loads(line)) for line in read_text(marker).splitlines()[1:]]
+    except (InputError, ValueError, TypeError, RecursionError):
+        names = [PurePosixPath("/")]
+    if any(name.is_absolute() or {"..", ""} & {*name.parts} or "\0" in str(name) for name in names):
+        raise OutputError(f"{marker}, the list of own files, is damaged: choose another folder")
+    return [Path(name) for name in names]
