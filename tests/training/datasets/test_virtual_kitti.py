@@ -302,7 +302,7 @@ def test_recipes_choose_edition_split_and_list(tmp_path):
         32,
         48,
     )
-    with pytest.raises(DatasetError, match=rf"no folder 'vkitti3' \(rendered\) below {tmp_path}"):
+    with pytest.raises(DatasetError, match=rf"no folder 'vkitti3' \(rendered\) in '{tmp_path}'"):
         names("rendered", "vkitti3")
     with pytest.raises(
         InputError, match="split = 'trainval': Input should be 'train', 'val', 'test' or"
