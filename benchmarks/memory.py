@@ -25,22 +25,22 @@ from runtime.sources.folders import FolderSource
 from runtime.streams.answerer import Answerer
 
 
+def resident_mb() -> float:
+    """Return the memory of this process that is in use."""
+    return float(psutil.Process().memory_info().rss / 1e6)
+
+
 def main() -> None:
     """Print a table: frames done, resident MB of the predictor alone and of the pipeline."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--frames", type=int, default=2000)
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--model", help="bundled model or ONNX file; ssdnet-lite by default")
     arguments = parser.parse_args()
-    process = psutil.Process()
     part = max(1, arguments.frames // 10)
-
-    def resident_mb() -> float:
-        return process.memory_info().rss / 1e6
 
     with (
         tempfile.TemporaryDirectory() as scratch,
-        Predictor(arguments.model, size="frame", threads=arguments.threads) as engine,
+        Predictor(size="frame", threads=arguments.threads) as engine,
     ):
         rgb, depth = bundled_stream()
         source = FolderSource(rgb, depth=depth)

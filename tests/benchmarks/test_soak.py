@@ -1,6 +1,5 @@
-"""Short soaks with every kind of fault, and of three rates."""
+"""A short soak with every kind of fault."""
 
-import soak_rates
 from runtime import Predictor
 from soak import resized_frames, soak
 
@@ -9,10 +8,8 @@ def test_every_message_is_accounted_for_and_every_fault_is_found():
     with Predictor("ssdnet-nano", threads=1) as predictor:
         frames = resized_frames((64, 96))
         soaked = soak(predictor, frames, period_s=0, go_on=lambda number: number < 600)
-        found, report = soak_rates.soak_rates(predictor, seconds=1, seed=0)
-    assert soaked.problems() == found == []
+    assert soaked.problems() == []
     assert soaked.counts.pushed == soaked.called.total() > 1000
     assert len(soaked.faults) == 14
     assert {"bad_stamp", "bad_message"} <= soaked.counts.errors.keys()
     assert {"overtaken", "duplicate"} <= soaked.counts.dropped.keys()
-    assert "depth_reused" in report
