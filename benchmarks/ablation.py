@@ -27,33 +27,18 @@ from training.evaluation.scoring import score, split_frames, torch_predict
 from training.lidar.split import LidarInput
 from training.loading.open_dataset import open_dataset
 from training.loop import train
+from training.recipes.ablation import ROWS
 from training.run_folder import RECIPE, require_same
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
-ABLATION = ("ssdnet", "ssdnet-ind", "ssdnet-sem", "ssdnet-dep", "ssdnet-dep-d", "ssdnet-dep-rgb")
-READINGS = (
-    "joint-weights-01",
-    "joint-weights-1",
-    "hard-disagreement",
-    "ungated",
-    "uncertainty",
-    "paper-class-weights",
-    "depth-weight-10",
-    "depth-gain",
-    "depth-gain-dep",
-)
 FIGURES = {
     "miou": "mIoU [%]",
-    "fwiou": "fwIoU [%]",
     "boundary_f": "boundary F [%]",
-    "mae_m_0_20": "MAE 0-20 m [cm]",
-    "mae_m_0_50": "0-50 m",
-    "mae_m": "0-100 m",
+    "mae_m": "MAE 0-100 m [cm]",
     "rmse_m": "RMSE 0-100 m [cm]",
 }
-PLOTTED = ("miou", "boundary_f", "mae_m", "rmse_m")
 _INPUT = LidarInput("random", share=0.05)
 
 
@@ -62,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--runs", type=Path, required=True, help="folder for the run folders")
-    parser.add_argument("--rows", nargs="+", default=[*ABLATION, *READINGS])
+    parser.add_argument("--rows", nargs="+", default=list(ROWS), help="[default: all]")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument("--set", action="append", default=[], help="'table.key = value' in TOML")
     parser.add_argument("--device", default="cpu")
@@ -128,15 +113,15 @@ def markdown(results: Mapping[str, Sequence[Mapping[str, float]]]) -> str:
 
 def draw(results: Mapping[str, Sequence[Mapping[str, float]]], path: Path) -> None:
     """Every run as a point and the mean as a bar, a panel a figure."""
-    figure, panels = plt.subplots(1, len(PLOTTED), figsize=(14, 0.42 * len(results) + 1.4))
+    figure, panels = plt.subplots(1, len(FIGURES), figsize=(14, 0.42 * len(results) + 1.4))
     rows = list(results)
-    for panel, key in zip(panels, PLOTTED, strict=True):
+    for panel, key in zip(panels, FIGURES, strict=True):
         for index, row in enumerate(rows):
             values = [run[key] * 100 for run in results[row] if key in run]
             if values:
                 panel.plot(values, [index] * len(values), "o", color="tab:blue", alpha=0.6)
                 panel.plot([mean(values)] * 2, [index - 0.3, index + 0.3], color="black")
-        panel.set_title(FIGURES[key] if "[" in FIGURES[key] else f"MAE {FIGURES[key]} [cm]")
+        panel.set_title(FIGURES[key])
         panel.set_yticks(range(len(rows)), rows if panel is panels[0] else [""] * len(rows))
         panel.set_ylim(len(rows) - 0.5, -0.5)
         panel.grid(axis="x", alpha=0.3)

@@ -138,7 +138,12 @@ def main(argv: Sequence[str] | None = None) -> None:
 def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     """Read the command line."""
     common = argparse.ArgumentParser(add_help=False)
-    common.add_argument("--plan", type=Path, default=Path(__file__).with_suffix(".toml"))
+    common.add_argument(
+        "--plan",
+        type=Path,
+        default=Path(__file__).with_suffix(".toml"),
+        help="entries and their recipes [default: comparison.toml beside this file]",
+    )
     common.add_argument("--runs", type=Path, required=True, help="folder for the run folders")
     common.add_argument("--set", action="append", default=[], help="'table.key = value', for all")
     common.add_argument("--only", nargs="+", help="names of entries")
@@ -147,9 +152,18 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     verbs = parser.add_subparsers(required=True)
     verb = verbs.add_parser("train", parents=[common], help="train and score what is missing")
-    verb.add_argument("--data", type=Path, action="append", required=True)
+    verb.add_argument(
+        "--data",
+        type=Path,
+        action="append",
+        required=True,
+        metavar="DIR",
+        help="folder of the data sets; may be repeated, the first that has a set is taken",
+    )
     verb.add_argument("--limit", type=int, help="frames scored of each set, evenly spread")
-    verb.add_argument("--device", default="cpu")
+    verb.add_argument(
+        "--device", default="cpu", help="trains there, e.g. cuda [default: %(default)s]"
+    )
     verb.set_defaults(run=train_all)
     verb = verbs.add_parser("time", parents=[common], help="time all entries, interleaved")
     verb.add_argument("--sizes", nargs="+", default=SIZES, type=_size, help="HEIGHTxWIDTH")

@@ -1,35 +1,28 @@
 """Returns of an older scan in a picture of a moving car: left as they are, and moved by poses.
 
-    python benchmarks/motion.py drops [--data DIR] [--model ssdnet-lite] [--age 2]
-    python benchmarks/motion.py sweep
+    python benchmarks/motion.py drops [--data DIR] [--limit 51]
     python benchmarks/motion.py picture --out FILE.jpg
 
 drops  Every second scan of a drive is dropped. Depth of those frames is predicted from the camera
        alone (a), with the scan before as it is (b), moved by the poses (c), and with the frame's
-       own scan (d). --age 2 takes the scan two frames before. 32 of the 64 lines are fed; scored
-       are the own scan's other lines. With --data, DIR/kitti_drive_0009, whose poses were made from
-       all of its scans, moved to the time of the frame's own scan; without, a rendered
-       street, scored on its dense depth, with exact poses. "moving": car segments whose returns,
-       moved by the poses, lie more than 0.3 m off the frame's own. "flicker": the 90th percentile
-       of `stability.py`, over all frames.
-sweep  A scan of 100 ms on a street of planes, straight on at 15 m/s and in a curve of 0.5 rad/s.
-       Each column is measured at its own time, in closed form. Error of the returns in the picture
-       of the scan's middle, as they are and each moved by its own time; in a picture 50 ms later,
-       moved as one, too. Poses at 100 Hz.
+       own scan (d). 32 of the 64 lines are fed; scored are the own scan's other lines. With --data,
+       DIR/kitti_drive_0009, whose poses were made from all of its scans, moved to the time of the
+       frame's own scan; without, a rendered street, scored on its dense depth, with exact poses.
+       "moving": car segments whose returns, moved by the poses, lie more than 0.3 m off the frame's
+       own.
 picture  A rendered frame with the returns of the scan before, as they are and moved.
 """
 
 import argparse
-from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from projection import EXTRINSICS, INTRINSICS
 from runtime import Predictor
 from runtime.io.calibration import Calibration
 from runtime.io.images import read_rgb
@@ -38,17 +31,16 @@ from runtime.io.scan import read_scan
 from runtime.projection import OcclusionFilter
 from runtime.sync.motion import move_points
 from runtime.sync.poses import PoseTrack
-from stability import Frame as Followed
-from stability import optical_flow, probe_flicker
-from training.evaluation.scoring import HeadMaps
+from training.evaluation.metrics import ErrorSums
 from training.lidar.scan import project_lines, scan_line_of
 from training.scenes.scene_job import SceneClass, SceneJob, Variant, render_frames
 
 STEP_NS = 100_000_000
 WAYS = {"a": "camera alone", "b": "scan before, as it is", "c": "moved by poses", "d": "its own"}
 MOVING_M, NEAR_PX, LEAST_RETURNS = 0.3, 6, 20
+REGIONS = ("whole", "still", "moving")
 CARS = (13, 14, 15, 16)  # car, truck, bus, train in Cityscapes' training ids
-RENDERED_SIZE = (375, 1242)
+RENDERED_SIZE, SEED = (375, 1242), 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +78,9 @@ def recorded_drive(data: Path) -> Iterator[DriveFrame]:
         yield DriveFrame(rgb, points, target, cars, poses[index], calibration)
 
 
-def rendered_drive(seed: int, frames: int) -> Iterator[DriveFrame]:
+def rendered_drive(frames: int) -> Iterator[DriveFrame]:
     """Frames of a rendered street with traffic; the target is dense."""
-    job = SceneJob(seed, Variant.clone, frames, STEP_NS / 1e9, RENDERED_SIZE)
+    job = SceneJob(SEED, Variant.clone, frames, STEP_NS / 1e9, RENDERED_SIZE)
     for frame in render_frames(job):
         world_from_camera = np.linalg.inv(frame.world_to_camera.astype(np.float64))
         to_camera = frame.scan.to_camera
@@ -122,149 +114,34 @@ def moving_cars(frame: DriveFrame, before: NDArray[np.float32]) -> NDArray[np.bo
     return found
 
 
-def score_drops(
-    frames: list[DriveFrame], predictor: Predictor, *, age: int = 1, lines: int = 32
-) -> dict[str, dict[str, float]]:
-    """Return the figures of each way to answer the frames of odd number."""
+def score_drops(frames: list[DriveFrame], predictor: Predictor) -> dict[str, dict[str, ErrorSums]]:
+    """Return the errors of each way to answer the frames of odd number, in each of `REGIONS`."""
     track = PoseTrack.of(
         [frame.pose for frame in frames], [n * STEP_NS for n in range(len(frames))]
     )
-    errors: dict[str, dict[str, list[NDArray[np.float32]]]] = {
-        way: defaultdict(list) for way in WAYS
-    }
-    answers: dict[str, list[HeadMaps]] = {way: [] for way in WAYS}
-    for number, frame in enumerate(frames):
-        size = frame.rgb.shape[:2]
-
-        def answer(points: NDArray[np.float32] | None, frame: DriveFrame = frame) -> HeadMaps:
-            sparse = np.zeros(frame.rgb.shape[:2], np.float32)
-            if points is not None:
-                sparse = frame.calibration.project(points, frame.rgb.shape[:2])
-            focal_length_px = frame.calibration.focal_length_px
-            made = predictor.predict(frame.rgb, sparse, focal_length_px=focal_length_px)
-            return HeadMaps(made.semantic, made.depth, made.boundary)
-
-        own = answer(frame.points[scan_line_of(frame.points) % (64 // lines) == 0])
-        if number % 2 == 0 or number < age:
-            for way in WAYS:
-                answers[way].append(own)
-            continue
-        before = frames[number - age].points
-        times = (number - age) * STEP_NS
-        moved = move_points(before, times, track, number * STEP_NS)
-        kept = scan_line_of(before) % (64 // lines) == 0
-        answers["a"].append(answer(None))
-        answers["b"].append(answer(before[kept]))
-        answers["c"].append(answer(moved[kept]))
-        answers["d"].append(own)
+    errors = {way: {region: ErrorSums() for region in REGIONS} for way in WAYS}
+    for number in range(1, len(frames), 2):
+        frame, before = frames[number], frames[number - 1].points
+        moved = move_points(before, (number - 1) * STEP_NS, track, number * STEP_NS)
         moving = moving_cars(frame, moved)
-        for way in WAYS:
-            depth = answers[way][-1].depth
-            error = np.where(frame.target > 0, depth - frame.target, np.nan)
-            for name, region in (("whole", True), ("still", ~moving), ("moving", moving)):
-                errors[way][name].append(error[np.broadcast_to(region, size) & (frame.target > 0)])
-    table = {}
-    for way in WAYS:
-        row = {}
-        for name, parts in errors[way].items():
-            values = np.concatenate(parts).astype(np.float64)
-            row[f"{name} n"] = float(len(values))
-            row[f"{name} MAE"] = float(np.abs(values).mean()) if len(values) else float("nan")
-            row[f"{name} RMSE"] = (
-                float(np.sqrt((values**2).mean())) if len(values) else float("nan")
-            )
-        queue = iter(answers[way])
-        followed = (Followed(f.rgb, f.target, f.calibration.focal_length_px) for f in frames)
-        flicker = probe_flicker(lambda *frame: next(queue), followed, follow=optical_flow)  # noqa: B023
-        table[way] = row | flicker
-    return table
-
-
-# --- a scan of 100 ms --------------------------------------------------------------------------
-
-SWEEP_NS, COLUMNS = 100_000_000, 1800
-Motion = Callable[[float], NDArray[np.float64]]
-
-
-def car_pose(time_s: float, *, speed: float, turn: float) -> NDArray[np.float64]:
-    """Pose (4, 4) of a LiDAR 1.73 m above the road on a circle; turn [rad/s]."""
-    angle = turn * time_s
-    pose = np.eye(4)
-    pose[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    if turn:
-        radius = speed / turn
-        pose[:2, 3] = radius * np.sin(angle), radius * (1 - np.cos(angle))
-    else:
-        pose[0, 3] = speed * time_s
-    pose[2, 3] = 1.73
-    return pose
-
-
-#: Planes n . x = d of the street: the road, a house on each side, a wall across it.
-PLANES = (((0, 0, 1), 0.0), ((0, 1, 0), 7.0), ((0, 1, 0), -5.0), ((0.8, 0.6, 0), 45.0))
-
-
-def swept_scan(
-    pose_at: Motion,
-) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.float64]]:
-    """One turn: points (N, 3) as measured, times [ns], and the places hit, in the world (N, 3)."""
-    elevation = np.deg2rad(np.concatenate([2 - np.arange(32) / 3, -8.83 - np.arange(32) / 2]))
-    points, times, places = [], [], []
-    for column in range(COLUMNS):
-        time_ns = round(column * SWEEP_NS / COLUMNS)
-        # Clockwise from behind, as a Velodyne turns: ahead in the middle of the scan.
-        azimuth = np.pi - 2 * np.pi * column / COLUMNS
-        local = np.stack(
-            [
-                np.cos(elevation) * np.cos(azimuth),
-                np.cos(elevation) * np.sin(azimuth),
-                np.sin(elevation),
-            ],
-            axis=1,
-        )
-        pose = pose_at(time_ns / 1e9)
-        rays = local @ pose[:3, :3].T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ranges = np.stack([(d - pose[:3, 3] @ n) / (rays @ n) for n, d in PLANES])
-        distance = np.where(ranges > 0.5, ranges, np.inf).min(axis=0)
-        hit = distance < 100
-        points.append(local[hit] * distance[hit, None])
-        places.append(pose[:3, 3] + rays[hit] * distance[hit, None])
-        times.append(np.full(hit.sum(), time_ns, np.int64))
-    return np.concatenate(points).astype(np.float32), np.concatenate(times), np.concatenate(places)
-
-
-def sweep_errors(*, speed: float, turn: float, later_ms: int = 0) -> dict[str, NDArray[np.float64]]:
-    """Way -> error of each return that the picture should show: (N, 2), pixels and metres."""
-
-    def pose_at(time_s: float) -> NDArray[np.float64]:
-        return car_pose(time_s, speed=speed, turn=turn)
-
-    points, times, places = swept_scan(pose_at)
-    middle = SWEEP_NS // 2
-    to = middle + later_ms * 1_000_000
-    stamps = np.arange(-1, 12) * 10_000_000
-    track = PoseTrack.of([pose_at(stamp / 1e9) for stamp in stamps], stamps)
-    pose = pose_at(to / 1e9)
-    exact = (places - pose[:3, 3]) @ pose[:3, :3]
-    seen, exact_z = _pixels(exact)
-    ways = {"as they are": points}
-    if later_ms:
-        ways["as one"] = move_points(points, middle, track, to)
-    ways["each by its own time"] = move_points(points, times, track, to)
-    errors = {}
-    inside = (exact_z > 1) & (np.abs(seen - (620.5, 187)) <= (620.5, 187)).all(axis=1)
-    for name, moved in ways.items():
-        pixels, z = _pixels(moved.astype(np.float64))
-        off_px = np.linalg.norm(pixels - seen, axis=1)
-        errors[name] = np.stack([off_px, np.abs(z - exact_z)], axis=1)[inside]
+        is_fed = scan_line_of(before) % 2 == 0
+        fed = {
+            "a": before[:0],
+            "b": before[is_fed],
+            "c": moved[is_fed],
+            "d": frame.points[scan_line_of(frame.points) % 2 == 0],
+        }
+        calibration, known = frame.calibration, frame.target > 0
+        for way, points in fed.items():
+            sparse_depth = calibration.project(points, frame.rgb.shape[:2])
+            focal_length_px = calibration.focal_length_px
+            answer = predictor.predict(frame.rgb, sparse_depth, focal_length_px=focal_length_px)
+            error = (answer.depth - frame.target).astype(np.float64)
+            for region, pixels in zip(
+                REGIONS, (known, known & ~moving, known & moving), strict=True
+            ):
+                errors[way][region].add(error[pixels])
     return errors
-
-
-def _pixels(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    seen = points @ EXTRINSICS[:3, :3].T + EXTRINSICS[:3, 3]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return (seen @ INTRINSICS.T)[:, :2] / seen[:, 2:], seen[:, 2]
 
 
 def draw_returns(frames: list[DriveFrame]) -> NDArray[np.uint8]:
@@ -290,49 +167,30 @@ def draw_returns(frames: list[DriveFrame]) -> NDArray[np.uint8]:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=["drops", "sweep", "picture"])
+    parser.add_argument("part", choices=["drops", "picture"])
     parser.add_argument("--out", type=Path, help="of the picture")
     parser.add_argument("--data", type=Path)
-    parser.add_argument("--model", default="ssdnet-lite")
     parser.add_argument("--limit", type=int, default=51, help="frames of the drive")
-    parser.add_argument("--age", type=int, default=1, help="of the scan before, in frames")
-    parser.add_argument("--seed", type=int, default=3, help="of the rendered street")
-    parser.add_argument("--threads", type=int, default=1)
     arguments = parser.parse_args()
-    cv2.setNumThreads(arguments.threads)
-    if arguments.part == "sweep":
-        print("| motion, picture | returns | px median | px p95 | m median | m p95 |")
-        print("|" + "---|" * 6)
-        for turn in (0.0, 0.5):
-            for later_ms in (0, 50):
-                errors = sweep_errors(speed=15, turn=turn, later_ms=later_ms)
-                for way, values in errors.items():
-                    (px, m), (px95, m95) = np.percentile(values, [50, 95], axis=0)
-                    print(
-                        f"| 15 m/s, {turn:g} rad/s, {later_ms} ms later | {way} | {px:.2f} | "
-                        f"{px95:.2f} | {m:.4f} | {m95:.4f} |"
-                    )
-        return
     if arguments.part == "picture":
-        frames = list(rendered_drive(arguments.seed, 6))
-        picture = cv2.cvtColor(draw_returns(frames), cv2.COLOR_RGB2BGR)
+        picture = cv2.cvtColor(draw_returns(list(rendered_drive(6))), cv2.COLOR_RGB2BGR)
         if not cv2.imwrite(str(arguments.out), picture, [cv2.IMWRITE_JPEG_QUALITY, 85]):
             raise OSError(f"cannot write {arguments.out}")
         return
     if arguments.data is None:
-        drive = rendered_drive(arguments.seed, arguments.limit)
+        drive = rendered_drive(arguments.limit)
     else:
         drive = recorded_drive(arguments.data)
-    frames = [frame for frame, _ in zip(drive, range(arguments.limit), strict=False)]
-    with Predictor(arguments.model, threads=arguments.threads, size="frame") as predictor:
-        table = score_drops(frames, predictor, age=arguments.age)
-    names = ("whole", "still", "moving")
-    print("| returns | " + " | ".join(f"{n} MAE | RMSE" for n in names) + " | flicker % |")
-    print("|---|" + "---|" * 7)
-    for way, row in table.items():
-        cells = [f"{row[f'{name} {kind}']:.3f}" for name in names for kind in ("MAE", "RMSE")]
-        print(f"| ({way}) {WAYS[way]} | {' | '.join(cells)} | {100 * row['flicker_depth']:.2f} |")
-    counts = {name: round(table["d"][f"{name} n"]) for name in names}
+    frames = list(islice(drive, arguments.limit))
+    with Predictor("ssdnet-lite", threads=1, size="frame") as predictor:
+        errors = score_drops(frames, predictor)
+    print("| returns | " + " | ".join(f"{region} MAE | RMSE" for region in REGIONS) + " |")
+    print("|---" * 7 + "|")
+    for way, regions in errors.items():
+        found = [sums.compute() for sums in regions.values()]
+        cells = " | ".join(f"{each.mae:.3f} | {each.rmse:.3f}" for each in found)
+        print(f"| ({way}) {WAYS[way]} | {cells} |")
+    counts = {region: sums.compute().pixels for region, sums in errors["d"].items()}
     print(f"\n{len(frames) // 2} frames without their scan; scored pixels: {counts}")
 
 

@@ -1,6 +1,6 @@
 """How far answers change with what should hardly change them.
 
-    python benchmarks/stability.py MODEL [MODEL ...] --data DIR [--limit N] [--json FILE]
+    python benchmarks/stability.py MODEL [MODEL ...] --data DIR [--limit N]
 
 MODEL is a bundled name, an exported file or a checkpoint with semantic and depth. All 64 lines are
 fed, at the frames' own size. On the validation frames of DIR/kitti_streets:
@@ -15,7 +15,7 @@ fed, at the frames' own size. On the validation frames of DIR/kitti_streets:
   or against it; mean of the columns whose class does not change there and is not sky.
 - border: share of the first 6 rows that is not sky, of the columns with sky below them.
 
-On consecutive frames of DIR/kitti_drive_0009 (--drive, --flicker):
+On consecutive frames of DIR/kitti_drive_0009, 30 to 50:
 
 - flicker: pixels are followed by optical flow. 90th percentile of |log ratio of their depth and the
   depth expected, nearer by the median step|, the mean over pairs, and share of them that changes
@@ -27,9 +27,8 @@ On DIR/camvid, whose frames have no LiDAR:
 """
 
 import argparse
-import json
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -41,8 +40,6 @@ from numpy.typing import NDArray
 from runtime.bundled_models import find_model
 from runtime.contract import find_sky
 from runtime.errors import InputError
-from runtime.io.atomic_write import atomic_write
-from runtime.network_size import parse_network_size
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
@@ -56,7 +53,9 @@ from training.evaluation.scoring import HeadMaps, Predict
 from training.lidar.split import SENSOR_LINES, frame_generator, scan_lines
 from training.loading.open_dataset import open_dataset
 
-STREETS = (70, 98)
+STREETS = KittiStreetsRecipe(path="kitti_streets", first=70, last=98)
+DRIVE = KittiStreamRecipe(path="kitti_drive_0009", first=30, last=50)
+CAMVID = CamVidRecipe(path="camvid", split="val")
 CUT_COLUMNS = (1, 2, 3, 5, 8)
 SKIPPED_COLUMNS = 32
 NEAR_RETURN_PX = 6
@@ -106,31 +105,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("models", nargs="+", metavar="MODEL")
     parser.add_argument("--data", type=Path, required=True)
-    parser.add_argument("--drive", default="kitti_drive_0009", help="folder of consecutive frames")
-    parser.add_argument("--flicker", default="30:50", help="FIRST:LAST frame of the drive")
     parser.add_argument("--limit", type=int, help="frames of each set")
-    parser.add_argument("--size", default="frame", help="as in ssdnet-eval")
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
 
     def read(recipe: SourceRecipe, *, spread: bool = True) -> list[Sample]:
         source = open_dataset(recipe, [arguments.data], classes="camvid")
         return take(source, arguments.limit, spread=spread)
 
-    first, last = (int(number) for number in arguments.flicker.split(":"))
-    streets = read(KittiStreetsRecipe(path="kitti_streets", first=STREETS[0], last=STREETS[1]))
-    drive = read(KittiStreamRecipe(path=arguments.drive, first=first, last=last), spread=False)
-    camvid = read(CamVidRecipe(path="camvid", split="val"))
+    streets, drive, camvid = read(STREETS), read(DRIVE, spread=False), read(CAMVID)
     paths = [Path(name) if name.endswith(".pt") else find_model(name) for name in arguments.models]
     rows: dict[str, Figures] = {}
     for title, path in zip(short_names(paths), paths, strict=True):
-        size = parse_network_size(arguments.size)
-        with open_model(path, threads=arguments.threads, size=size) as model:
+        with open_model(path, threads=arguments.threads, size="frame") as model:
             rows[title] = run_probes(model, streets, drive, camvid)
     print(format_table(rows))
-    if arguments.json is not None:
-        atomic_write(arguments.json, json.dumps(rows, indent=2).encode())
 
 
 def take(source: SampleSource, limit: int | None, *, spread: bool) -> list[Sample]:
@@ -161,7 +150,7 @@ def run_probes(
     figures |= probe_seam(predict, frames, sky=sky)
     figures |= probe_border(predict, frames, sky=sky)
     consecutive = (Frame(item.rgb, item.depth, item.focal_length_px) for item in drive)
-    figures |= probe_flicker(predict, consecutive, follow=optical_flow)
+    figures |= probe_flicker(predict, consecutive)
     if model.table == "camvid":
         labelled = [(item.rgb, item.semantic) for item in camvid]
         figures |= probe_pseudo_lidar(predict, labelled, sky=sky, num_classes=len(model.classes))
@@ -255,16 +244,12 @@ def probe_border(predict: Predict, frames: Iterable[Frame], *, sky: int | None) 
     return {"border": share(classes)}
 
 
-#: (rgb, rgb of the next frame) -> float32 (H, W, 2), step of each pixel [px]: right, down.
-Flow = Callable[[NDArray[np.uint8], NDArray[np.uint8]], NDArray[np.float32]]
-
-
-def probe_flicker(predict: Predict, frames: Iterable[Frame], *, follow: Flow) -> Figures:
-    """Return what changes between consecutive frames at pixels that `follow` finds again."""
+def probe_flicker(predict: Predict, frames: Iterable[Frame]) -> Figures:
+    """Return what changes between consecutive frames at pixels that optical flow finds again."""
     deviations, classes = [], np.zeros(2)
     answers = ((frame.rgb, predict(*frame)) for frame in frames)
     for (rgb, one), (next_rgb, other) in pairwise(answers):
-        there, kept = match_pixels(follow(rgb, next_rgb), follow(next_rgb, rgb))
+        there, kept = match_pixels(optical_flow(rgb, next_rgb), optical_flow(next_rgb, rgb))
         if not kept.any():
             continue
         depth = cv2.remap(other.depth, there, None, cv2.INTER_LINEAR)
@@ -291,7 +276,10 @@ def match_pixels(
 
 
 def optical_flow(rgb: NDArray[np.uint8], next_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return dense inverse search flow (Kroeger et al. 2016), a `Flow`."""
+    """Return the step of each pixel to the next image [px], right and down: float32 (H, W, 2).
+
+    Dense inverse search (Kroeger et al. 2016).
+    """
     gray, next_gray = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (rgb, next_rgb))
     return cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(gray, next_gray, None)
 
