@@ -34,7 +34,7 @@ class Board:
             with folder_errors(folder):
                 # Entries of later steps, of an interrupted run, are hidden.
                 purge = step + 1 if step else None
-                self._writer = SummaryWriter(folder, purge_step=purge)
+                self._writer = SummaryWriter(folder, purge_step=purge, flush_secs=10)
 
     def __enter__(self) -> "Board":
         """Return the board."""
