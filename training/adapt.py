@@ -132,9 +132,10 @@ def adapt(
     # The mean over the feeds of MAE and of RMSE.
     figures = {name: np.mean(list(found.values()), axis=0)[:2] for name, found in scores.items()}
     ratio = {name: float((figures[name] / figures["before"]).mean()) for name in models}
-    changes_of = {name: bundled_changes(network, model) for name, model in models.items()}
-    allowed = [name for name, changed in changes_of.items() if changed.depth <= MOST_CHANGE]
-    best = min(allowed, key=lambda name: ratio[name])
+    changes_of = {name: bundled_changes(network, models[name]) for name in ("between", "after")}
+    forgetful = {name for name, changed in changes_of.items() if changed.depth > MOST_CHANGE}
+    allowed = [name for name in models if name not in forgetful]
+    best = min(allowed, key=lambda name: ratio[name])  # of equals that before
     with folder_errors(out):
         facts = dict(trained.training) if best != "before" else init.facts.to_dict()
         save_checkpoint(out / FINAL, models[best], training=facts)
@@ -145,9 +146,8 @@ def adapt(
             "the bundled recording, changed against before:",
             *(
                 f"{name:8} {100 * changed.classes:.1f} % of the classes, depth by "
-                f"{100 * changed.depth:.1f} %{'' if name in allowed else ', too much to be kept'}"
+                f"{100 * changed.depth:.1f} %{', too much to be kept' if name in forgetful else ''}"
                 for name, changed in changes_of.items()
-                if name != "before"
             ),
             f"kept: {best}, {100 * (ratio[best] - 1):+.1f} % in MAE and RMSE"
             if best != "before"

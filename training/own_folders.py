@@ -155,15 +155,15 @@ def _read_height(path: Path) -> int:
 
 
 def _read_classes(path: Path) -> tuple[ClassInfo, ...]:
-    names = read_text(path).rstrip().splitlines()
+    names = [line.strip() for line in read_text(path).rstrip().splitlines()]
     if not names:
         raise InputError(f"{path}: is empty; expected the name of a class a line.")
     for line, name in enumerate(names, 1):
-        first = [other.strip() for other in names].index(name.strip()) + 1
-        if not name.strip() or first < line:
-            fault = f"{shown(name.strip())}, as line {first} does" if name.strip() else "nothing"
+        first = names.index(name) + 1
+        if not name or first < line:
+            fault = f"{shown(name)}, as line {first} does" if name else "nothing"
             raise InputError(f"{path}: line {line} names {fault}; expected one class a line.")
-    return tuple(ClassInfo(name.strip(), _color(index + 1)) for index, name in enumerate(names))
+    return tuple(ClassInfo(name, _color(index + 1)) for index, name in enumerate(names))
 
 
 def keep_recipe(text: str, out: Path) -> None:
