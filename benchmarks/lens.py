@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime import Predictor
-from runtime.io.calibration import Calibration
-from runtime.lens import rays
-from runtime.projection import project_with_rows
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.lens import rays
+from runtime.geometry.projection import project_with_rows
 from training.evaluation.metrics import FARTHEST_M
 
 K1, ENLARGED = -0.35, 1.12

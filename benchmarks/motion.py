@@ -24,13 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime import Predictor
-from runtime.io.calibration import Calibration
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.motion import move_points
+from runtime.geometry.poses import PoseTrack
+from runtime.geometry.projection import OcclusionFilter
 from runtime.io.images import read_rgb
 from runtime.io.poses import read_kitti_poses
 from runtime.io.scan import read_scan
-from runtime.projection import OcclusionFilter
-from runtime.sync.motion import move_points
-from runtime.sync.poses import PoseTrack
 from training.evaluation.metrics import ErrorSums
 from training.lidar.scan import project_lines, scan_line_of
 from training.scenes.scene_job import SceneClass, SceneJob, Variant, render_frames

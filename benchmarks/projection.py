@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime import project_points
-from runtime.io.calibration import Calibration
-from runtime.projection import OcclusionFilter
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.motion import project_moved
+from runtime.geometry.poses import PoseTrack
+from runtime.geometry.projection import OcclusionFilter
 from runtime.run.process import dedicate_process
-from runtime.sync.motion import project_moved
-from runtime.sync.poses import PoseTrack
 
 SIZE = (375, 1242)
 INTRINSICS = np.array([[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1]])

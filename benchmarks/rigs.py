@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 
 from runtime import project_points
 from runtime.bundled_models import find_model
-from runtime.io.calibration import Calibration
-from runtime.projection import OcclusionFilter
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.projection import OcclusionFilter
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.source_recipe import SourceRecipe

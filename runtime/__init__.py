@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from runtime.errors import OutputError as OutputError
     from runtime.errors import ProviderError as ProviderError
     from runtime.errors import SSDNetError as SSDNetError
-    from runtime.io.calibration import Calibration as Calibration
+    from runtime.geometry.calibration import Calibration as Calibration
+    from runtime.geometry.projection import project_points as project_points
     from runtime.prediction import Cleaned as Cleaned
     from runtime.prediction import Latency as Latency
     from runtime.prediction import Prediction as Prediction
     from runtime.predictor import Predictor as Predictor
-    from runtime.projection import project_points as project_points
     from runtime.sources.registry import open_source as open_source
     from runtime.streams.frame_result import FrameResult as FrameResult
     from runtime.streams.push_stream import PushStream as PushStream

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from runtime.canonical_focal import CameraScale, camera_scale
 from runtime.contract import MIN_SIDE, farthest_return
+from runtime.degraded import IMAGE_CONSTANT, NO_DEPTH, SPARSE_DEPTH_LOW
 from runtime.errors import InputError
-from runtime.prediction import IMAGE_CONSTANT, NO_DEPTH, SPARSE_DEPTH_LOW, Cleaned
+from runtime.prediction import Cleaned
 from runtime.resize import Size, move_returns, resize_image
 from runtime.returns import drop_saturated
 

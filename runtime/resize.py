@@ -1,8 +1,8 @@
 """Resizing of frames and answers, the same for inference and training.
 
-Integers are pixel centres, as in `runtime.projection`. When a side of `old` pixels is resized to
-`new`, a centre u moves to u' = (u + 0.5) * new / old - 0.5, and a return there falls into the pixel
-rint(u'), half to even, as a projected return does.
+Integers are pixel centres, as in `runtime.geometry.projection`. When a side of `old` pixels is
+resized to `new`, a centre u moves to u' = (u + 0.5) * new / old - 0.5, and a return there falls
+into the pixel rint(u'), half to even, as a projected return does.
 """
 
 from typing import Any

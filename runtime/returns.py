@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from runtime.contract import MAX_DEPTH_RANGE_M
 from runtime.errors import InputError
-from runtime.rigid import kind_of
 
 _NEAREST_M = 0.01  # nearer points are rounded (0, 0, 0), by which Ouster, Livox and SICK mark none
 _LEAST_JUDGED, _MOST_IMPLAUSIBLE = 50, 0.25
@@ -92,3 +91,10 @@ def axes_of(points: NDArray[np.float32]) -> NDArray[np.float32]:
     axes = np.ascontiguousarray(points[:, :3].T)
     returns = is_return(points)
     return axes if returns.all() else np.where(returns, axes, np.float32(np.nan))
+
+
+def kind_of(array: Any) -> Any:
+    """Return the dtype of a plain numpy array, the name of any other type."""
+    if isinstance(array, np.ndarray) and not isinstance(array, np.ma.MaskedArray | np.matrix):
+        return array.dtype
+    return type(array).__name__

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from runtime.contract import ClassInfo
 from runtime.drawing.overlay import Overlay
 from runtime.errors import InputError, OutputError
+from runtime.geometry.calibration import Calibration
 from runtime.io.atomic_write import atomic_write
-from runtime.io.calibration import Calibration
 from runtime.io.ply import encode_ply
 from runtime.prediction import Prediction
 

@@ -8,9 +8,10 @@ returns to where they fit better to the depth that the model predicts from the i
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.degraded import IMAGE_CONSTANT
+from runtime.geometry.calibration import Calibration
 from runtime.health.depth_plausibility import BANDS, FIRST_FRAMES, correlations, log_depth
-from runtime.io.calibration import Calibration
-from runtime.prediction import IMAGE_CONSTANT, Prediction
+from runtime.prediction import Prediction
 from runtime.returns import is_measured
 
 _FAR = 0.08  # offset of the principal point / width; KITTI, PandaSet, View-of-Delft: at most 0.02

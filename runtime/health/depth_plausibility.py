@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.prediction import IMAGE_CONSTANT, Prediction
+from runtime.degraded import IMAGE_CONSTANT
+from runtime.prediction import Prediction
 from runtime.returns import is_measured
 
 FIRST_FRAMES = 5  # checked when a stream starts; the median of the last so many counts

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.contract import ClassInfo
-from runtime.point_cloud import PointCloud
+from runtime.geometry.point_cloud import PointCloud
 
 _PLY_TYPES = {"<f4": "float", "|u1": "uchar"}
 

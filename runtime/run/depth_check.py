@@ -7,11 +7,11 @@ from enum import StrEnum
 import numpy as np
 
 from runtime.errors import SSDNetError
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.lens import EQUIDISTANT, rays
 from runtime.health.calibration_size import CalibrationSize
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
-from runtime.io.calibration import Calibration
 from runtime.io.images import holds_metres
-from runtime.lens import EQUIDISTANT, rays
 from runtime.predictor import Predictor
 from runtime.preprocess import check_sparse_depth, clean_sparse_depth
 from runtime.returns import is_measured

@@ -35,8 +35,8 @@ from runtime.sources.registry import (
 )
 from runtime.sources.source import ListedFrame, Source
 from runtime.sources.source_keys import SOURCE_KEYS
+from runtime.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 from runtime.sync.frame import Frame
-from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 
 MAX_OVERLAY_WIDTH = 8192  # five panels side by side fit into a JPEG
 #: Option that names a file -> its suffix.

@@ -11,11 +11,11 @@ from typing import Protocol
 
 from runtime.errors import SSDNetError
 from runtime.sources.source import ListedFrame, Source
+from runtime.stamp import NS_PER_MS
 from runtime.streams.answerer import Answerer
 from runtime.streams.frame_result import FrameResult
 from runtime.streams.statistics import Jitter
 from runtime.sync.frame import Frame
-from runtime.sync.stamp import NS_PER_MS
 
 _READ_AHEAD, _WRITE_BEHIND = 2, 2  # frames held in memory on either side
 _NICENESS = 10

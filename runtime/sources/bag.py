@@ -13,8 +13,10 @@ import numpy as np
 
 from runtime.assumptions import assume, collect_assumptions
 from runtime.errors import InputError
-from runtime.io.calibration import Calibration
-from runtime.point_cloud import to_points
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.motion import Scan, ScanStamp
+from runtime.geometry.point_cloud import to_points
+from runtime.geometry.poses import PoseFrame
 from runtime.sources.recorded_motion import (
     RecordedPoses,
     left_out_note,
@@ -39,11 +41,9 @@ from runtime.sources.ros_poses import (
     transform_poses,
 )
 from runtime.sources.source import ListedFrame, Source
+from runtime.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 from runtime.sync.frame import Frame, Message
-from runtime.sync.motion import Scan, ScanStamp
 from runtime.sync.outcome import Outcome, Sensor
-from runtime.sync.poses import PoseFrame
-from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"

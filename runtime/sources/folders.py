@@ -4,7 +4,7 @@ import contextlib
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from runtime.assumptions import assume, collect_assumptions
 from runtime.errors import InputError
-from runtime.io.calibration import Calibration, FrameCalibrations
+from runtime.geometry.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration
+from runtime.geometry.motion import Scan, ScanStamp, lidar_mount, point_times
+from runtime.geometry.poses import PoseFrame, PoseTrack
 from runtime.io.images import (
     DEPTH_SUFFIXES,
     KITTI_DEPTH_SCALE,
@@ -33,11 +35,9 @@ from runtime.sources.recorded_motion import (
     match_frames,
 )
 from runtime.sources.source import ListedFrame, Source, pair_up
+from runtime.stamp import DEFAULT_REUSE_DEPTH_MS, NS_PER_MS
 from runtime.sync.frame import Frame
-from runtime.sync.motion import Scan, ScanStamp, lidar_mount, point_times
 from runtime.sync.outcome import Outcome, Sensor
-from runtime.sync.poses import PoseFrame, PoseTrack
-from runtime.sync.stamp import DEFAULT_REUSE_DEPTH_MS, NS_PER_MS
 
 _APART_NS = 100 * NS_PER_MS  # between images without times
 #: Camera of a folder of KITTI, or of an image in it: image_02, image_2/0.png, image_02/data.
@@ -311,6 +311,41 @@ class FolderSource(Source):
     def notes(self) -> tuple[str, ...]:
         """See `Source.notes`."""
         return (*self._notes, *left_out_note(self._left_out))
+
+
+class FrameCalibrations:
+    """The calibration of each frame: one for all, or a folder with one file per frame.
+
+    Args:
+        path: as `Calibration.from_file`, or a folder with a file of the name of each frame.
+        read: reads one file, such as `Calibration.from_file`.
+
+    Attributes:
+        first: calibration of all frames, or of the first file of the folder that can be read.
+
+    Raises:
+        InputError: if no file can be read. The file of a frame is read by `of`.
+    """
+
+    def __init__(self, path: Path, read: Callable[[Path], Calibration]) -> None:
+        self._path, self._files, self._read = path, dict[str, Path](), read
+        is_raw = any(os.path.lexists(path / name) for name in (RAW_CAMERAS, RAW_SCANNER))
+        if os.path.isdir(path) and not is_raw:
+            self._files = list_files(path, (".txt", ".toml"))
+            for name in sorted(self._files, key=natural_order):
+                path = self._files[name]
+                with contextlib.suppress(InputError):  # `of` reports it
+                    self.first = read(path)
+                    return
+        self.first = read(path)
+
+    def of(self, name: str) -> Calibration:
+        """Return the calibration of a frame. Raises InputError."""
+        if not self._files:
+            return self.first
+        if name not in self._files:
+            raise InputError(f"{name} has no calibration in {self._path}")
+        return self._read(self._files[name])
 
 
 def list_entries(path: Path) -> list[Path]:

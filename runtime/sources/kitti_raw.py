@@ -8,20 +8,20 @@ import numpy as np
 
 from runtime.assumptions import collect_assumptions
 from runtime.errors import InputError
-from runtime.io.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration, find_raw_calibration
+from runtime.geometry.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration, find_raw_calibration
+from runtime.geometry.kitti_calibration import NumbersFile
+from runtime.geometry.motion import ScanStamp
+from runtime.geometry.poses import PoseFrame
+from runtime.geometry.rigid import read_rigid
 from runtime.io.images import RGB_SUFFIXES, list_files
-from runtime.io.kitti_calibration import NumbersFile
 from runtime.io.poses import read_oxts_poses
 from runtime.io.timestamps import parse_date
 from runtime.read_input import read_text
-from runtime.rigid import read_rigid
 from runtime.sources.folders import FolderSource
 from runtime.sources.recorded_motion import RecordedPoses, track_of
 from runtime.sources.source import ListedFrame, by_number
-from runtime.sync.motion import ScanStamp
+from runtime.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 from runtime.sync.outcome import Sensor
-from runtime.sync.poses import PoseFrame
-from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 
 RAW_IMU = "calib_imu_to_velo.txt"
 _SCANS = (".bin",)

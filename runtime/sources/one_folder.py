@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from runtime.errors import InputError
-from runtime.io.calibration import find_raw_calibration
+from runtime.geometry.calibration import find_raw_calibration
 from runtime.io.images import DEPTH_SUFFIXES, RGB_SUFFIXES, list_files
 from runtime.io.scan import SCAN_SUFFIXES
 from runtime.sources.folders import FolderSource, list_entries

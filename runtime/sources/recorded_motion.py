@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.io.calibration import Calibration
-from runtime.sources.source import ListedFrame, up_to
-from runtime.sync.frame import Message
-from runtime.sync.matching import Decided, match_by_stamp
-from runtime.sync.motion import (
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.motion import (
     FIRST_SCAN_NS,
     MIDDLE_AFTER,
     ScanStamp,
     check_scan_stamp,
     lidar_mount,
 )
+from runtime.geometry.poses import PoseFrame, PoseTrack
+from runtime.sources.source import ListedFrame, up_to
+from runtime.sync.frame import Message
+from runtime.sync.matching import Decided, match_by_stamp
 from runtime.sync.outcome import Sensor
-from runtime.sync.poses import PoseFrame, PoseTrack
 
 _WAITING = 64  # messages of a sensor that wait for the other one, which may be recorded later
 

@@ -12,10 +12,10 @@ import numpy as np
 
 from runtime.assumptions import assume
 from runtime.errors import InputError
-from runtime.io.calibration import Calibration
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.lens import Lens
+from runtime.geometry.rigid import read_rotation
 from runtime.io.image_header import image_size
-from runtime.lens import Lens
-from runtime.rigid import read_rotation
 from runtime.sources.ros_bag import RosBag
 from runtime.sources.ros_poses import TransformTree, frame_name
 

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
-from runtime.io.calibration import Calibration
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.motion import Scan
+from runtime.geometry.poses import PoseTrack
 from runtime.sync.frame import Frame, Message
-from runtime.sync.motion import Scan
-from runtime.sync.poses import PoseTrack
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 from runtime.checks import check_number, shown
 from runtime.errors import InputError
-from runtime.sync.motion import MIDDLE_AFTER, check_scan_stamp
-from runtime.sync.poses import PoseFrame
+from runtime.geometry.motion import MIDDLE_AFTER, check_scan_stamp
+from runtime.geometry.poses import PoseFrame
 
 
 class SourceKey(NamedTuple):

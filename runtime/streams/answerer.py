@@ -7,11 +7,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.degraded import IMPLAUSIBLE_DEPTH
 from runtime.errors import SSDNetError
 from runtime.health.consistency import ConsistencyCheck
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.health.frame_health import FrameHealth
-from runtime.prediction import IMPLAUSIBLE_DEPTH, Prediction
+from runtime.prediction import Prediction
 from runtime.streams.frame_result import FrameResult
 from runtime.sync.frame import Frame
 

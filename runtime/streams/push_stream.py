@@ -28,8 +28,16 @@ from numpy.typing import NDArray
 
 from runtime.checks import check_number, shown
 from runtime.errors import InferenceError, InputError, SSDNetError
-from runtime.io.calibration import Calibration
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.motion import ScanStamp
 from runtime.process_guard import ProcessGuard
+from runtime.stamp import (
+    DEFAULT_MAX_SKEW_MS,
+    DEFAULT_REUSE_DEPTH_MS,
+    NS_PER_MS,
+    Stamp,
+    stamp_ns,
+)
 from runtime.streams.answerer import Answerer, FramePredictor
 from runtime.streams.frame_result import FrameResult
 from runtime.streams.sensor_input import SENSORS, Kind, SensorInput
@@ -38,15 +46,7 @@ from runtime.streams.stream_counter import StreamCounter, StreamCounts
 from runtime.streams.watchdog import WatchdogLimits, WatchdogState
 from runtime.sync.frame import Frame, Message
 from runtime.sync.matching import Decided, Synchronizer
-from runtime.sync.motion import ScanStamp
 from runtime.sync.outcome import Outcome, Sensor
-from runtime.sync.stamp import (
-    DEFAULT_MAX_SKEW_MS,
-    DEFAULT_REUSE_DEPTH_MS,
-    NS_PER_MS,
-    Stamp,
-    stamp_ns,
-)
 
 _WAITING = 16  # messages of a sensor that wait for their partner
 _EXIT_S = 10.0  # time that the exit of the interpreter waits for a prediction
@@ -271,7 +271,7 @@ class PushStream:
             now_ns = self._clock.now_ns()
             self._counter.start(now_ns)
             if sensor is Sensor.POSE:
-                self._counter.record(sensor, self._sensors.poses.add(data, nanoseconds))
+                self._counter.record(sensor, self._sensors.take_pose(data, nanoseconds))
             else:
                 data = self._sensors.timed(data, nanoseconds)
                 message = Message(stamp, nanoseconds, data, now_ns)

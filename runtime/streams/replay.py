@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 
 from runtime.checks import shown
 from runtime.errors import InputError, SSDNetError
-from runtime.io.calibration import Calibration
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.motion import ScanStamp
+from runtime.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS, Stamp, stamp_ns
 from runtime.streams.answerer import Answerer, FramePredictor
 from runtime.streams.frame_result import FrameResult
 from runtime.streams.sensor_input import SENSORS, Kind, SensorInput
 from runtime.streams.stream_counter import StreamCounter
 from runtime.sync.frame import Frame, Message
 from runtime.sync.matching import match_by_stamp
-from runtime.sync.motion import ScanStamp
 from runtime.sync.outcome import Outcome, Sensor
-from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS, Stamp, stamp_ns
 
 _WAITING = 16  # messages of a sensor that wait for their partner, and frames that wait for poses
 
@@ -111,7 +111,7 @@ def replay(
                 report(error)
                 continue
             if sensor is Sensor.POSE:
-                counter.record(sensor, sensors.poses.add(data, nanoseconds))
+                counter.record(sensor, sensors.take_pose(data, nanoseconds))
             else:
                 yield sensor, Message(stamp, nanoseconds, sensors.timed(data, nanoseconds))
 

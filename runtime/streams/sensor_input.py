@@ -9,13 +9,8 @@ from numpy.typing import NDArray
 from runtime.assumptions import assume
 from runtime.checks import shown
 from runtime.errors import InputError
-from runtime.io.calibration import Calibration
-from runtime.preprocess import check_rgb, check_sparse_depth
-from runtime.returns import check_points
-from runtime.rigid import read_rigid
-from runtime.sync.frame import Frame
-from runtime.sync.matching import Intervals
-from runtime.sync.motion import (
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.motion import (
     FIRST_SCAN_NS,
     MIDDLE_AFTER,
     Scan,
@@ -23,8 +18,13 @@ from runtime.sync.motion import (
     lidar_mount,
     point_times,
 )
-from runtime.sync.outcome import Sensor
-from runtime.sync.poses import PoseBuffer, PoseFrame
+from runtime.geometry.poses import PoseBuffer, PoseFrame
+from runtime.geometry.rigid import read_rigid
+from runtime.preprocess import check_rgb, check_sparse_depth
+from runtime.returns import check_points
+from runtime.sync.frame import Frame
+from runtime.sync.matching import Intervals
+from runtime.sync.outcome import Outcome, Sensor
 
 _SHORTEST_NS = 10**6  # between depth messages: shorter ones are of integers of another unit
 Kind = Literal["image", "depth", "points", "pose"]
@@ -99,6 +99,13 @@ class SensorInput:
         if not isinstance(depth, Scan):
             return depth
         return depth if depth.times is not None else depth._replace(times=stamp_ns + round(later))
+
+    def take_pose(self, pose: NDArray[np.float64], stamp_ns: int) -> Outcome:
+        """Keep a pose that is newer than the last one; a stamp far back is of a new clock."""
+        newest_ns = self.poses.newest_ns
+        if self.poses.add(pose, stamp_ns):
+            return Outcome.ANSWERED
+        return Outcome.DUPLICATE if stamp_ns == newest_ns else Outcome.LATE
 
     def reaches(self, frame: Frame) -> bool:
         """Whether poses were given up to the end of a frame; for a car without poses, always."""

@@ -4,15 +4,15 @@ from collections import Counter
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 
+from runtime.degraded import DEPTH_REUSED
 from runtime.errors import InferenceError, SSDNetError
-from runtime.prediction import DEPTH_REUSED
+from runtime.stamp import NS_PER_MS
 from runtime.streams.frame_result import FIGURES, FrameResult
 from runtime.streams.statistics import DurationHistogram, MissCounter, StreamStatistics
 from runtime.streams.watchdog import Level, WatchdogLimits, WatchdogState
 from runtime.sync.frame import Frame
 from runtime.sync.matching import Decided
 from runtime.sync.outcome import DROPPED, ERRORS, UNMATCHED, Outcome, Sensor
-from runtime.sync.stamp import NS_PER_MS
 
 _OF_A_RUN = ("read", "write")  # stages of `ssdnet-run` only
 _FAULTS = ("late", "degraded", "reused", "failed")  # fields of `WatchdogLimits`

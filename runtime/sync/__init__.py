@@ -1,1 +1,1 @@
-"""Time stamps of two sensors, their matching, and poses: a frame as it was measured."""
+"""Messages of two sensors, their matching, and the frame as it was measured."""

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.io.calibration import Calibration
-from runtime.prediction import DEPTH_REUSED, DEPTH_UNCOMPENSATED
-from runtime.sync.motion import DepthInTime, DepthMotion, Scan, project_in_time
-from runtime.sync.poses import PoseTrack
+from runtime.degraded import DEPTH_REUSED, DEPTH_UNCOMPENSATED
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.motion import DepthInTime, DepthMotion, Scan, project_in_time
+from runtime.geometry.poses import PoseTrack
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,9 +20,9 @@ from typing import NamedTuple
 
 from runtime.checks import check_number
 from runtime.errors import InputError
+from runtime.stamp import JUMP_BACK_NS, NS_PER_MS
 from runtime.sync.frame import Frame, Message
 from runtime.sync.outcome import MATCHED, Outcome, Sensor
-from runtime.sync.stamp import JUMP_BACK_NS, NS_PER_MS
 
 _REMEMBERED_STAMPS = 64  # latest of a sensor, to detect duplicates
 _REMEMBERED_INTERVALS = 16

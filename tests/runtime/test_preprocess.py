@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from runtime import Cleaned, InputError
-from runtime.prediction import SPARSE_DEPTH_LOW
+from runtime.degraded import SPARSE_DEPTH_LOW
 from runtime.preprocess import (
     check_rgb,
     check_sparse_depth,

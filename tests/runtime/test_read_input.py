@@ -11,7 +11,7 @@ import pytest
 import runtime.read_input
 from runtime import InputError
 from runtime.errors import SSDNetError
-from runtime.io.calibration import Calibration
+from runtime.geometry.calibration import Calibration
 from runtime.io.images import read_rgb, read_sparse_depth
 from runtime.io.scan import read_scan
 from runtime.model_file import load_model_file

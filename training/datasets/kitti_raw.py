@@ -9,7 +9,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
-from runtime.projection import OcclusionFilter
+from runtime.geometry.projection import OcclusionFilter
 from runtime.sources.kitti_raw import KittiRawSource
 from runtime.sources.source import ListedFrame
 from training.datasets.class_mapping import ClassTable

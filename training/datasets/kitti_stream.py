@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
-from runtime.io.calibration import Calibration
+from runtime.geometry.calibration import Calibration
 from training.datasets.cityscapes import TRAIN_LABELS
 from training.datasets.class_mapping import ClassTable, id_lookup
 from training.datasets.files import (

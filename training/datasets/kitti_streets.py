@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
-from runtime.io.calibration import Calibration
-from runtime.io.kitti_calibration import NumbersFile
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.kitti_calibration import NumbersFile
 from training.datasets.camvid import CamVidLabels
 from training.datasets.cityscapes import disparity_to_depth
 from training.datasets.class_mapping import ClassTable

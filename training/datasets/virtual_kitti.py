@@ -16,8 +16,8 @@ from pydantic.dataclasses import dataclass
 
 from runtime.checks import shown
 from runtime.errors import DatasetError
+from runtime.geometry.kitti_calibration import NumbersFile
 from runtime.io.images import RGB_SUFFIXES
-from runtime.io.kitti_calibration import NumbersFile
 from runtime.read_input import read_text
 from training.datasets.class_mapping import ClassTable, class_ids
 from training.datasets.files import (

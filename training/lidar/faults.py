@@ -7,7 +7,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from runtime.projection import project_points
+from runtime.geometry.projection import project_points
 
 Depth = NDArray[np.float32]
 Fault = Literal["none", "nan", "shift", "dropout"]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.projection import project_with_rows
+from runtime.geometry.projection import project_with_rows
 
 #: Height of the bands of `elevation_bands`: about the distance of two lines [degrees].
 _BAND_DEG = 0.5

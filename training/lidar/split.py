@@ -11,7 +11,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
-from runtime.projection import OcclusionFilter
+from runtime.geometry.projection import OcclusionFilter
 from training.datasets.sample import Sample, nothing_known
 
 Depth = NDArray[np.float32]

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.geometry.calibration import Calibration
 from runtime.io.atomic_write import atomic_write
-from runtime.io.calibration import Calibration
 from runtime.io.encode import ENCODERS, encode_jpeg
 from runtime.io.ply import encode_ply
 from runtime.prediction import Prediction

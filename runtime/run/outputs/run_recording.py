@@ -4,8 +4,8 @@ import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
+from runtime.degraded import OF_THE_STREAM
 from runtime.io.recording import RecordedFrame, Recorder, Settings, record
-from runtime.prediction import OF_THE_STREAM
 from runtime.run.options import RunOptions
 from runtime.run.outputs.output import OpenRun
 from runtime.streams.frame_result import FrameResult

@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from runtime import Predictor
+from runtime.geometry.calibration import Calibration
 from runtime.health.calibration_size import CalibrationSize
-from runtime.io.calibration import Calibration
 from runtime.io.images import read_rgb, read_sparse_depth
 from runtime.run.cli import app
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream

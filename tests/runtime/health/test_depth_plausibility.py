@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 
 from runtime import Predictor
+from runtime.degraded import IMAGE_CONSTANT, NO_DEPTH
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility, Implausible
 from runtime.io.images import read_rgb, read_sparse_depth
-from runtime.prediction import IMAGE_CONSTANT, NO_DEPTH, Latency, Prediction
+from runtime.prediction import Latency, Prediction
 from runtime.sources.bundled_stream import bundled_stream
 
 SIZE = (96, 160)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from runtime import InputError, project_points
-from runtime.io.calibration import Calibration
+from runtime.geometry.calibration import Calibration
 from runtime.sources.folders import FolderSource
 from runtime.sources.registry import open_source
 

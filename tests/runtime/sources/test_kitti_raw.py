@@ -9,7 +9,7 @@ import pytest
 from small_rig import SIZE, projected
 
 from runtime import InputError
-from runtime.io.calibration import Calibration
+from runtime.geometry.calibration import Calibration
 from runtime.sources.kitti_raw import KittiRawSource
 
 CAMERAS = """calib_time: 09-Jan-2012 13:57:47

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from runtime.geometry.poses import PoseFrame
 from runtime.sources.folders import FolderSource
-from runtime.sync.poses import PoseFrame
 
 DATA = os.environ.get("SSDNET_DATA")
 pytestmark = pytest.mark.skipif(not DATA, reason="SSDNET_DATA names no folder of recordings")

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from runtime import InputError
+from runtime.geometry.poses import PoseFrame
 from runtime.run.options import RunOptions, UsageError
 from runtime.sources.folders import FolderSource
 from runtime.sources.registry import SOURCES, open_source, parse_source
 from runtime.sources.source import ListedFrame, Source, up_to
-from runtime.sync.poses import PoseFrame
 
 KINDS = "one of the kinds kitti-raw, kitti-object, video, bag, one-folder, folders"
 

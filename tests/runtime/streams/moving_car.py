@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from car_poses import pose
-from runtime.io.calibration import Calibration
+from runtime.geometry.calibration import Calibration
 
 MS = 1_000_000
 INTRINSICS = np.array([[30.0, 0, 20], [0, 30, 16], [0, 0, 1]])

@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 
-from runtime.io.calibration import Calibration
+from runtime.geometry.calibration import Calibration
 from runtime.predictor import Predictor
 from runtime.streams.push_stream import PushStream
 from stream_messages import depth, image, push_pair

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from runtime.errors import InputError
-from runtime.io.calibration import Calibration
+from runtime.geometry.calibration import Calibration
 from runtime.streams.push_stream import PushStream
 from runtime.streams.replay import replay
 from runtime.streams.stream_counter import StreamCounter

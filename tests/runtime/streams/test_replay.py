@@ -23,7 +23,7 @@ from moving_car import (
 )
 from runtime import InputError, Predictor, PushStream
 from runtime import replay as answer_recording
-from runtime.io.calibration import Calibration
+from runtime.geometry.calibration import Calibration
 from runtime.streams.stream_counter import StreamCounter
 from stream_messages import add_up, depth, image
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from runtime import project_points
-from runtime.io.calibration import Calibration
+from runtime.geometry.calibration import Calibration
 from training.datasets.files import read_points
 from training.lidar.scan import elevation_bands, project_lines, scan_line_of
 

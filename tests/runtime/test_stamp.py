@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from runtime.errors import InputError
-from runtime.sync.stamp import stamp_ns
+from runtime.stamp import stamp_ns
 
 
 @pytest.mark.parametrize(("stamp", "nanoseconds"), [

@@ -7,7 +7,7 @@ import pytest
 
 from runtime import Predictor, project_points
 from runtime.errors import InputError
-from runtime.point_cloud import to_points
+from runtime.geometry.point_cloud import to_points
 
 K = np.array([[60.0, 0.5, 31.5], [0, 62, 20.25], [0, 0, 1]])
 SIZE = (48, 64)

@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from runtime import InputError
 from runtime.assumptions import AssumptionWarning
-from runtime.io.calibration import Calibration
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.poses import PoseTrack
+from runtime.geometry.rigid import read_rigid
 from runtime.io.poses import pose_of
-from runtime.rigid import read_rigid
-from runtime.sync.poses import PoseTrack
 
 K = np.array([[700.0, 0, 320], [0, 710, 120], [0, 0, 1]])
 TURN = Rotation.from_rotvec([0.1, -0.2, 1.4]).as_matrix()

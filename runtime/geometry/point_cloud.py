@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
+from runtime.geometry.lens import Lens, rays, to_plane
+from runtime.geometry.projection import check_intrinsics
 from runtime.heads import EDGE_BOUNDARY
-from runtime.lens import Lens, rays, to_plane
-from runtime.projection import check_intrinsics
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from runtime.assumptions import assume
 from runtime.errors import InputError
+from runtime.returns import kind_of
 
 _EXACT = 1e-3  # of float32, and of files with four digits
 _LARGEST_M = 1e7
@@ -63,10 +64,3 @@ def check_matrix(name: str, matrix: Any, side: int) -> None:
         raise InputError(f"{name} must have the shape ({side}, {side}), got {matrix.shape}")
     if not np.isfinite(matrix).all():
         raise InputError(f"{name} must be finite: check the calibration")
-
-
-def kind_of(array: Any) -> Any:
-    """Return the dtype of a plain numpy array, the name of any other type."""
-    if isinstance(array, np.ndarray) and not isinstance(array, np.ma.MaskedArray | np.matrix):
-        return array.dtype
-    return type(array).__name__

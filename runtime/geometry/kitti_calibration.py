@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from runtime.checks import shown
 from runtime.errors import InputError
-from runtime.projection import check_intrinsics
+from runtime.geometry.projection import check_intrinsics
 from runtime.read_input import read_text
 
 #: Names by one of which a file of object or odometry data is known.

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.checks import shown
+from runtime.degraded import DEPTH_REUSED, DEPTH_UNCOMPENSATED, POINTS_UNTIMED
 from runtime.errors import InputError
-from runtime.io.calibration import Calibration
-from runtime.prediction import DEPTH_REUSED, DEPTH_UNCOMPENSATED, POINTS_UNTIMED
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.poses import NoPoseError, PoseFrame, PoseTrack
 from runtime.returns import axes_of, check_points, is_return
-from runtime.sync.poses import NoPoseError, PoseFrame, PoseTrack
-from runtime.sync.stamp import NS_PER_MS
+from runtime.stamp import NS_PER_MS
 
 DepthMotion = Literal["each", "scan", "none"]
 #: The instant of a scan that its stamp marks.

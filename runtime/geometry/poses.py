@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.checks import check_integer, shown
+from runtime.degraded import NO_POSE, POSE_CLOCK, POSE_GAP, POSE_JUMP
 from runtime.errors import InputError
-from runtime.prediction import NO_POSE, POSE_CLOCK, POSE_GAP, POSE_JUMP
-from runtime.rigid import read_rigid
-from runtime.sync.outcome import Outcome
-from runtime.sync.stamp import JUMP_BACK_NS, NS_PER_MS
+from runtime.geometry.rigid import read_rigid
+from runtime.stamp import JUMP_BACK_NS, NS_PER_MS
 
 MAX_EXTRAPOLATION_MS = 100.0
 #: Longest time between two poses to interpolate over: at 10 m/s² a car leaves the straight line by
@@ -176,21 +175,19 @@ class PoseBuffer:
         """The stamp of the newest pose."""
         return self._poses[-1].stamp_ns if self._poses else None
 
-    def add(self, pose: NDArray[np.float64], stamp_ns: int) -> Outcome:
-        """Take a pose as `read_rigid` returns it: ANSWERED; or DUPLICATE or LATE: not taken."""
+    def add(self, pose: NDArray[np.float64], stamp_ns: int) -> bool:
+        """Take a pose as `read_rigid` returns it; False where it is not newer: not taken."""
         newest_ns = self.newest_ns
         if newest_ns is not None and stamp_ns <= newest_ns:
-            if stamp_ns == newest_ns:
-                return Outcome.DUPLICATE
             if stamp_ns >= newest_ns - JUMP_BACK_NS:
-                return Outcome.LATE
+                return False
             self._poses.clear()
         taken = _Pose(stamp_ns, _quaternion(pose[:3, :3]), pose[:3, 3].copy())
         jumped = bool(self._poses) and self._is_jump(taken)
         self._poses.append(taken._replace(jumped=jumped))
         if len(self._poses) >= 2 * self._capacity:  # rarely, because it copies the list
             del self._poses[: -self._capacity]
-        return Outcome.ANSWERED
+        return True
 
     def whole(self) -> PoseTrack:
         """All poses, with the extrapolation at both ends."""

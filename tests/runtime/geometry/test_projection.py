@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from runtime import InputError, project_points
-from runtime.projection import OcclusionFilter, project_with_rows
+from runtime.geometry.projection import OcclusionFilter, project_with_rows
 
 SIZE = (24, 60)
 K = np.array([[30.0, 0, 29.5], [0, 30.0, 11.5], [0, 0, 1]])

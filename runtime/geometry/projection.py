@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from runtime.checks import check_integer, check_number, shown
 from runtime.contract import MAX_DEPTH_RANGE_M, MAX_SIDE
 from runtime.errors import InputError
-from runtime.lens import Lens, ray_bounds
+from runtime.geometry.lens import Lens, ray_bounds
+from runtime.geometry.rigid import check_matrix, read_rigid
 from runtime.returns import axes_of, check_points
-from runtime.rigid import check_matrix, read_rigid
 
 _INDEX_BITS = 32
 _MAX_WINDOW = 1023  # pixels

@@ -8,9 +8,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from car_poses import DAY_NS, MS, drive, pose
 from runtime.errors import InputError
-from runtime.io.calibration import Calibration
-from runtime.projection import OcclusionFilter
-from runtime.sync.motion import (
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.motion import (
     Scan,
     lidar_mount,
     move_points,
@@ -18,7 +17,8 @@ from runtime.sync.motion import (
     project_in_time,
     project_moved,
 )
-from runtime.sync.poses import PoseFrame, PoseTrack
+from runtime.geometry.poses import PoseFrame, PoseTrack
+from runtime.geometry.projection import OcclusionFilter
 
 INTRINSICS = np.array([[60.0, 0, 40], [0, 60, 20], [0, 0, 1]])
 TO_CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, -0.1], [1, 0, 0, -0.3], [0, 0, 0, 1]])

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from runtime.errors import InputError
-from runtime.io.calibration import Calibration
-from runtime.lens import Lens
-from runtime.projection import OcclusionFilter, project_points
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.lens import Lens
+from runtime.geometry.projection import OcclusionFilter, project_points
 
 K = np.array([[700.0, 0, 320], [0, 710, 120], [0, 0, 1]])
 P2 = np.hstack([K, K @ [[0.06], [-0.01], [0.002]]])

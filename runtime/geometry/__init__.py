@@ -1,0 +1,1 @@
+"""Where returns land: lens, projection, calibration, poses, and the motion between them."""

@@ -1,0 +1,336 @@
+"""Calibration of a camera and a LiDAR, and the files that it is read from."""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.checks import shown
+from runtime.errors import InputError
+from runtime.geometry.kitti_calibration import NumbersFile, chain, is_kitti
+from runtime.geometry.lens import PLUMB_BOB, Lens, rectifying_maps
+from runtime.geometry.projection import OcclusionFilter, check_intrinsics, project_points
+from runtime.geometry.rigid import read_rigid
+from runtime.read_input import read_toml
+
+RAW_CAMERAS, RAW_SCANNER = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
+#: Of a camera, to be filled in for another.
+_EXAMPLE = """\
+intrinsics = [[721.5, 0.0, 609.6], [0.0, 721.5, 172.9], [0.0, 0.0, 1.0]]  # pixels
+# From the LiDAR's frame to the camera's, metres; points_in = "camera" where they are the same.
+extrinsics = [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, -0.08], [1.0, 0.0, 0.0, -0.27], [0, 0, 0, 1]]
+size = [375, 1242]  # height, width of the images
+# lens = "plumb_bob"  # only of images that are not rectified
+# distortion = [-0.369, 0.197, 0.0014, 0.0006, -0.068]"""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Intrinsics and extrinsics of one camera and one LiDAR.
+
+    Attributes:
+        intrinsics: float64 (3, 3), in pixels of the images.
+        extrinsics: float64 (4, 4) from the LiDAR's frame to the camera's [m]; the camera looks
+            along z, x to the right.
+        size: (height, width) of the images, None if unknown.
+        occlusion: removes returns that the camera cannot see; None: keeps them.
+        body_from_lidar: float64 (4, 4) from the LiDAR's frame to the vehicle's [m], needed for
+            poses of the frame "body"; None if unknown.
+        lens: model of the images' distortion, "plumb_bob", "rational_polynomial" or "equidistant"
+            (a fisheye); None: they are rectified. Returns are projected into the images as they
+            are: these are not resampled.
+        distortion: coefficients of the lens, in the order of OpenCV and ROS.
+
+    Raises:
+        InputError: for invalid matrices, see `read_rigid`, an unknown lens, and coefficients that
+            are not the lens's.
+    """
+
+    intrinsics: NDArray[np.float64]
+    extrinsics: NDArray[np.float64]
+    size: tuple[int, int] | None = None
+    occlusion: OcclusionFilter | None = None
+    body_from_lidar: NDArray[np.float64] | None = None
+    lens: str | None = None
+    distortion: Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the matrices and the lens; nearly rigid matrices are made so."""
+        for name in ("extrinsics", "body_from_lidar"):
+            if (matrix := getattr(self, name)) is not None:
+                object.__setattr__(self, name, read_rigid(name, matrix))
+        project_points(
+            np.zeros((0, 3), np.float32), self.intrinsics, self.extrinsics, self.size or (1, 1)
+        )
+        if (self.lens is None) != (self.distortion is None):
+            raise InputError(
+                "lens and distortion belong together: give the model of the lens and its "
+                f"coefficients, got lens {shown(self.lens)} and distortion {shown(self.distortion)}"
+            )
+        _ = self.lens_model
+
+    @property
+    def focal_length_px(self) -> float:
+        """The focal length fx."""
+        return float(self.intrinsics[0, 0])
+
+    @property
+    def lens_model(self) -> Lens | None:
+        """The lens with its coefficients; None where the images are not distorted."""
+        if self.lens is None:
+            return None
+        model = Lens.of(self.lens, self.distortion)
+        return None if model.is_ideal else model
+
+    @property
+    def rectified(self) -> "Calibration":
+        """The calibration without lens, for the images that `rectify` returns."""
+        return replace(self, lens=None, distortion=None)
+
+    def rectify(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return an image without distortion, of the same size and focal length.
+
+        What a lens sees beyond this size is lost; pixels that it does not see are black.
+
+        Args:
+            rgb: uint8 (H, W, 3).
+
+        Raises:
+            InputError: if the size is not the calibration's.
+        """
+        size = rgb.shape[0], rgb.shape[1]
+        self.require_size(size)
+        if (lens := self.lens_model) is None:
+            return rgb
+        maps = rectifying_maps(lens, self.intrinsics, size)
+        return cv2.remap(rgb, *maps, cv2.INTER_LINEAR)  # type: ignore[return-value]
+
+    def project(self, points: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+        """Project a scan into the image, through the lens, see `project_points`.
+
+        Args:
+            points: float32 (N, 3) or wider, metres, LiDAR frame.
+            size: (height, width) of the image.
+
+        Returns:
+            float32 (height, width), metres along the optical axis, 0 where there is no return.
+
+        Raises:
+            InputError: if the size is not the calibration's or the points are invalid.
+        """
+        self.require_size(size)
+        return project_points(
+            points,
+            self.intrinsics,
+            self.extrinsics,
+            size,
+            lens=self.lens_model,
+            occlusion=self.occlusion,
+        )
+
+    def require_size(self, size: tuple[int, ...]) -> None:
+        """Raise InputError if `size` is known and differs from this (height, width)."""
+        if self.size not in (None, size):
+            swapped = self.size == size[::-1]
+            remedy = "swap the two" if swapped else "scale the intrinsics with the image"
+            raise InputError(
+                f"the calibration is for images of {self.size} (height, width), got an image of "
+                f"{size}: {remedy}"
+            )
+
+    @classmethod
+    def from_file(
+        cls, path: Path | str, *, camera: int = 2, rectified: bool = True, for_scans: bool = False
+    ) -> "Calibration":
+        """Read a .toml file with `from_toml`, anything else with `from_kitti`.
+
+        Args:
+            path: TOML file, or KITTI's file or folder.
+            camera: whose images, 0 to 3; for KITTI only.
+            rectified: as of `from_kitti`.
+            for_scans: refuse a file that holds the intrinsics alone.
+
+        Raises:
+            InputError: if the calibration cannot be read; for a file of another tool with a TOML
+                file to fill in.
+        """
+        path = Path(path)
+        if path.suffix.lower() == ".toml":
+            return cls.from_toml(path)
+        is_one_of_two = path.name in (RAW_CAMERAS, RAW_SCANNER)
+        if os.path.isfile(path) and not is_one_of_two and not is_kitti(path):
+            raise InputError(
+                f"{path} is neither TOML nor a calibration of KITTI: write a .toml file as this "
+                "one of another camera (docs/recordings.md has lines of Python that print it from "
+                f"files of ROS, OpenCV and Kalibr):\n{_EXAMPLE}"
+            )
+        if for_scans and os.path.isfile(path) and "" in NumbersFile(path):
+            raise InputError(
+                f"{path} holds the intrinsics alone: scans need a .toml file with intrinsics and "
+                'extrinsics, or with points_in = "camera" where they are in the camera\'s frame'
+            )
+        return cls.from_kitti(path, camera=camera, rectified=rectified)
+
+    @classmethod
+    def from_kitti(
+        cls, path: Path | str, *, camera: int = 2, rectified: bool = True
+    ) -> "Calibration":
+        """Read KITTI's calibration.
+
+        Args:
+            path: folder of raw data's calib_cam_to_cam.txt and calib_velo_to_cam.txt, or one file
+                with P2, R0_rect and Tr_velo_to_cam (object), with P2 and Tr (odometry), or of nine
+                numbers, the intrinsics alone (depth selection).
+            camera: whose images, 0 to 3.
+            rectified: False: of the raw data's images as they were taken, with their lens.
+
+        Raises:
+            InputError: for a missing file, a missing name or a wrong count of numbers.
+        """
+        path = Path(path)
+        if path.name in (RAW_CAMERAS, RAW_SCANNER):
+            raise InputError(
+                f"{path} is one of the two files {RAW_CAMERAS} and {RAW_SCANNER}: give the folder "
+                "that contains both"
+            )
+        if os.path.isdir(path):
+            return cls._from_kitti_raw(path, f"{camera:02d}", rectified=rectified)
+        numbers = NumbersFile(path)
+        if "" in numbers:
+            return cls(numbers.matrix("", 3, 3), np.eye(4))
+        projection, is_odometry = numbers.matrix(f"P{camera}", 3, 4), "Tr" in numbers
+        rectify = np.eye(3) if is_odometry else numbers.matrix("R0_rect", 3, 3)
+        to_camera = numbers.matrix("Tr" if is_odometry else "Tr_velo_to_cam", 3, 4)
+        return cls(*chain(projection, rectify, to_camera))
+
+    @classmethod
+    def _from_kitti_raw(cls, folder: Path, camera: str, *, rectified: bool) -> "Calibration":
+        cameras, scanner = NumbersFile(folder / RAW_CAMERAS), NumbersFile(folder / RAW_SCANNER)
+        to_camera = np.hstack([scanner.matrix("R", 3, 3), scanner.matrix("T", 3, 1)])
+        name = f"S_rect_{camera}" if rectified else f"S_{camera}"
+        width, height = cameras.matrix(name, 1, 2)[0].astype(int).tolist()
+        if rectified:
+            projection = cameras.matrix(f"P_rect_{camera}", 3, 4)
+            rectify = cameras.matrix("R_rect_00", 3, 3)
+            return cls(*chain(projection, rectify, to_camera), (height, width))
+        beside = np.eye(4)
+        beside[:3, :3] = cameras.matrix(f"R_{camera}", 3, 3)
+        beside[:3, 3] = cameras.matrix(f"T_{camera}", 1, 3)[0]
+        return cls(
+            cameras.matrix(f"K_{camera}", 3, 3),
+            beside @ np.vstack([to_camera, np.eye(4)[3]]),
+            (height, width),
+            lens=PLUMB_BOB,
+            distortion=cameras.matrix(f"D_{camera}", 1, 5)[0].tolist(),
+        )
+
+    @classmethod
+    def from_camera_info(
+        cls, info: Mapping[str, Any], extrinsics: Any, *, rectified: bool
+    ) -> "Calibration":
+        """Take the fields of a ROS CameraInfo.
+
+        Args:
+            info: "p" or "P" (12 numbers), "k" or "K" (9), "d" or "D", "distortion_model",
+                "height" and "width", and, if set, "binning_x", "binning_y" and "roi", a mapping.
+            extrinsics: (4, 4) from the LiDAR's frame to the camera's optical frame, as in tf; where
+                P holds a baseline, to the frame of the stereo pair's first camera.
+            rectified: True for the images of image_rect, which P describes; False for those of
+                image_raw, which K and D describe. Of K and P, one that is not zero is used.
+
+        Raises:
+            InputError: if fields are missing, and for a distortion that is no `lens`.
+        """
+        fields = {str(key).lower(): value for key, value in info.items()}
+        distortion = fields.get("d", ())
+        lens = None if rectified else Lens.of_ros(fields.get("distortion_model"), distortion)
+        projection = _matrix("P of the CameraInfo", fields.get("p", [0] * 12), 3, 4)
+        shift, (crop, size) = np.eye(4), _crop(fields)
+        if projection.any() and (rectified or not np.any(fields.get("k", 0))):
+            intrinsics = projection[:, :3]
+            check_intrinsics(intrinsics, "P of the CameraInfo, without its last column,")
+            # P = K [I | t]: t is the baseline to the first camera of a stereo pair.
+            shift[:3, 3] = np.linalg.solve(intrinsics, projection[:, 3])
+        elif "k" in fields:
+            intrinsics = _matrix("K of the CameraInfo", fields["k"], 3, 3)
+            if rectified and np.any(distortion):
+                raise InputError(
+                    "the CameraInfo has distortion but no P of rectified images: give the P of "
+                    "image_proc, or rectified=False with the raw images"
+                )
+        else:
+            raise InputError("the CameraInfo has neither p nor k: give its fields as a mapping")
+        return cls(
+            crop @ intrinsics,
+            shift @ _matrix("extrinsics", extrinsics, 4, 4),
+            size,
+            lens=None if lens is None else lens.model,
+            distortion=None if lens is None else lens.coefficients,
+        )
+
+    @classmethod
+    def from_toml(cls, path: Path | str) -> "Calibration":
+        """Read a TOML file.
+
+        Args:
+            path: file of `intrinsics` (3 rows of 3), `extrinsics` (4 of 4) or, where the points
+                are in the camera's frame, `points_in = "camera"`, and optionally `size` ([height,
+                width]), `lens` with `distortion`, and `body_from_lidar` (4 of 4).
+
+        Raises:
+            InputError: if the file cannot be read, and for unknown and missing keys.
+        """
+        keys = read_toml(Path(path))
+        in_camera = keys.get("points_in") == "camera"
+        if keys.keys() - {"size", "body_from_lidar", "lens", "distortion"} != {
+            "intrinsics",
+            "points_in" if in_camera else "extrinsics",
+        }:
+            raise InputError(
+                f"{path} has the keys {', '.join(sorted(keys)) or 'none'}, expected intrinsics, "
+                'extrinsics (or points_in = "camera") and optionally size, lens with distortion, '
+                "and body_from_lidar"
+            )
+        size, body = keys.get("size"), keys.get("body_from_lidar")
+        return cls(
+            _matrix(f"intrinsics of {path}", keys["intrinsics"], 3, 3),
+            _matrix(f"extrinsics of {path}", keys.get("extrinsics", np.eye(4)), 4, 4),
+            tuple(size) if isinstance(size, list) else size,
+            body_from_lidar=None if body is None else _matrix(f"body of {path}", body, 4, 4),
+            lens=keys.get("lens"),
+            distortion=keys.get("distortion"),
+        )
+
+
+def find_raw_calibration(drive: Path) -> Path | None:
+    """The folder with KITTI raw data's calibration: `drive` or its parent; None without one."""
+    folders = (drive, Path(os.path.realpath(drive)).parent)
+    return next((each for each in folders if os.path.exists(each / RAW_CAMERAS)), None)
+
+
+def _crop(fields: Mapping[str, Any]) -> tuple[NDArray[np.float64], tuple[int, int] | None]:
+    """From pixels of the whole sensor to those of the images of a CameraInfo, and their size."""
+    roi = fields.get("roi") or {}
+    step = np.array([int(fields.get(f"binning_{axis}") or 1) for axis in "xy"])
+    # Of `step` pixels the centre is in their middle.
+    first = np.array([int(roi.get(f"{axis}_offset") or 0) for axis in "xy"]) + (step - 1) / 2
+    sides = np.array([int(roi.get(each) or fields.get(each) or 0) for each in ("height", "width")])
+    crop = np.diag([*(1 / step), 1.0])
+    crop[:2, 2] = -first / step
+    height, width = (sides // step[::-1]).tolist()
+    return crop, (height, width) if height and width else None
+
+
+def _matrix(name: str, numbers: Any, rows: int, columns: int) -> NDArray[np.float64]:
+    try:
+        matrix = np.asarray(numbers, dtype=np.float64)
+    except (OverflowError, TypeError, ValueError):
+        matrix = np.empty(0)
+    if matrix.size != rows * columns or not np.isfinite(matrix).all():
+        raise InputError(f"{name} must be {rows} x {columns} finite numbers, got {shown(numbers)}")
+    return matrix.reshape(rows, columns)
