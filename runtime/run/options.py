@@ -26,6 +26,7 @@ from runtime.network_size import NetworkSize, parse_network_size
 from runtime.run.run_folder import KINDS, SUFFIXES
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
 from runtime.sources.registry import (
+    SOURCE_KEYS,
     SOURCES,
     SourcePath,
     choose_cameras,
@@ -34,7 +35,6 @@ from runtime.sources.registry import (
     parse_source,
 )
 from runtime.sources.source import ListedFrame, Source
-from runtime.sources.source_keys import SOURCE_KEYS
 from runtime.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 from runtime.sync.frame import Frame
 
@@ -266,7 +266,7 @@ class RunOptions:
         if self.source is not None:
             with _usage_errors():
                 return parse_source(self.source)
-        return SourcePath("folders", bundled_stream()[0] if self.demo else Path(self.rgb or ""))
+        return SourcePath("folders", bundled_stream()[0] if self.demo else Path(self.rgb or ""), {})
 
     @cached_property
     def open_cameras(self) -> Callable[[], dict[str, Source]]:

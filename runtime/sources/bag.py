@@ -4,25 +4,20 @@ import contextlib
 import os
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from runtime.assumptions import assume, collect_assumptions
 from runtime.errors import InputError
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import Scan, ScanStamp
 from runtime.geometry.point_cloud import to_points
-from runtime.geometry.poses import PoseFrame
-from runtime.sources.recorded_motion import (
-    RecordedPoses,
-    left_out_note,
-    match_frames,
-    track_of,
-)
 from runtime.sources.ros_bag import RecordedMessage, RosBag
 from runtime.sources.ros_camera import CAMERA_INFO, GIVE, SAME_PX, calibrate, projection_of
 from runtime.sources.ros_messages import (
@@ -40,7 +35,7 @@ from runtime.sources.ros_poses import (
     point_times_s,
     transform_poses,
 )
-from runtime.sources.source import ListedFrame, Source
+from runtime.sources.source import ListedFrame, Source, left_out_note, track_of
 from runtime.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 from runtime.sync.frame import Frame, Message
 from runtime.sync.outcome import Outcome, Sensor
@@ -123,8 +118,6 @@ class BagSource(Source):
         path = self._bag.path
         self.folders = (path if os.path.isdir(path) else Path(os.path.realpath(path)).parent,)
         self.recordings = (path,)
-        self._left_out: Counter[str] = Counter()
-        self._notes: list[str] = []
         try:
             self._image_topic, self._depth_topic = self._find_topics(image_topic, depth_topic)
             self._has_clouds = self._depth_topic in self._of_kind(POINT_CLOUD)
@@ -132,7 +125,7 @@ class BagSource(Source):
             self._depth_camera: Calibration | None = None  # of depth images that are moved
             with collect_assumptions(self._notes):
                 self.calibration = self._calibrate()
-                self._pose_topic, self._poses = self._find_poses(pose_topic)
+                self._pose_topic = self._find_poses(pose_topic)
         except BaseException:
             self.close()
             raise
@@ -277,18 +270,21 @@ class BagSource(Source):
         topics = (topic for topic in self._of_kind(*TRANSFORMS) if topic.endswith("tf_static"))
         return TransformTree(chain.from_iterable(map(self._bag.decoded, topics)))
 
-    def _find_poses(self, requested: str | None) -> tuple[str | None, RecordedPoses | None]:
-        """Topic and poses of the car, where clouds can be moved by them. Raises InputError."""
+    def _find_poses(self, requested: str | None) -> str | None:
+        """Read the poses of the car, where clouds can be moved by them; their topic.
+
+        Raises InputError.
+        """
         odometry = self._of_kind(ODOMETRY)
         moving = [t for t in self._of_kind(*TRANSFORMS) if not t.endswith("tf_static")]
         if requested == NO_TOPIC or not self._has_clouds:
-            return None, None
+            return None
         topic = self._choose("pose_topic", requested, odometry + moving, odometry or moving[:1])
         if topic is None:
             if odometry:
                 names = ", ".join(odometry)
                 self._notes.append(f"no poses: choose one of {names} by pose_topic= in --source")
-            return None, None
+            return None
         try:
             lidar = self._frame(self._depth_topic or "")
             if topic in odometry:
@@ -296,15 +292,16 @@ class BagSource(Source):
             else:
                 carriers = self._tree.carriers(lidar)
                 body, stamped = transform_poses(self._bag.decoded(topic), carriers)
-            mount = None
-            if self.calibration is None or self.calibration.body_from_lidar is None:
+            if self.calibration is not None and self.calibration.body_from_lidar is None:
                 mount = self._tree.between(lidar, body)
-            return topic, RecordedPoses(track_of(stamped), PoseFrame.BODY, mount)
+                self.calibration = replace(self.calibration, body_from_lidar=mount)
+            self._poses = track_of(stamped)
+            return topic
         except InputError as error:
             if requested is not None:
                 raise
             self._notes.append(f"the poses of {topic} are not used: {error}")
-            return None, None
+            return None
 
     @staticmethod
     def accepts(path: Path) -> bool:
@@ -337,15 +334,12 @@ class BagSource(Source):
             names[stamp] += 1
             return stamp if names[stamp] == 1 else f"{stamp}-{names[stamp]}"  # looped recording
 
-        frames = match_frames(
+        frames = self._match(
             stamped(),
             max_skew_ms=self._max_skew_ms,
-            reuse_depth_ms=self._reuse_depth_ms,
-            scan_stamp=self._scan_stamp,
-            left_out=self._left_out,
             limit=limit,
-            name=name,
             camera_only=self._depth_topic is None,
+            name=name,
         )
         self._left_out.update(self._bag.left_out)
         if cameras and self._calibration_path is None and np.ptp(cameras, axis=0).max() > SAME_PX:
@@ -371,28 +365,24 @@ class BagSource(Source):
         image = self._bag.decode(messages[frame.image])
         is_compressed = self._bag.types[self._image_topic] == COMPRESSED_IMAGE
         rgb = decode_compressed_image(image) if is_compressed else decode_image(image)
-        is_moved = self._has_clouds or self._depth_camera is not None
-        has_map = frame.depth is not None and not is_moved
-        rgb, calibration = self._rectified(rgb, self.calibration, has_map=has_map)
-        if frame.depth is None:
-            return frame.measured(rgb, calibration=calibration)
-        message = self._bag.decode(messages[frame.depth])
-        if not self._has_clouds:
-            depth = decode_depth_image(message)
-            if self._depth_camera is None:
-                return frame.measured(rgb, depth, calibration=calibration)
-            camera = self._depth_camera
-            camera.require_size(depth.shape)
-            cloud = to_points(depth, camera.intrinsics, lens=camera.lens_model)
-            return frame.measured(rgb, Scan.of(cloud.points), calibration=calibration)
-        points, after_s = decode_points(message), None
-        if self._poses is not None and frame.depth_stamp_ns is not None:
-            with collect_assumptions(self._notes):
-                after_s = point_times_s(message, frame.depth_stamp_ns, points)
-        scan = Scan.of(points, after_s, frame.depth_stamp_ns or 0)
-        assert calibration is not None  # scans require one
-        poses = None if self._poses is None else self._poses.of_lidar(calibration)
-        return frame.measured(rgb, scan, calibration=calibration, poses=poses)
+        depth: NDArray[np.float32] | Scan | None = None
+        if frame.depth is not None:
+            depth = self._decode_depth(frame, self._bag.decode(messages[frame.depth]))
+        return self.measured(frame, rgb, depth, self.calibration)
+
+    def _decode_depth(self, frame: ListedFrame, message: Any) -> NDArray[np.float32] | Scan:
+        """The depth map of a frame, or its scan: a cloud, or a depth image to be moved."""
+        if self._has_clouds:
+            points, after_s = decode_points(message), None
+            if self._poses is not None and frame.depth_stamp_ns is not None:
+                with collect_assumptions(self._notes):
+                    after_s = point_times_s(message, frame.depth_stamp_ns, points)
+            return Scan.of(points, after_s, frame.depth_stamp_ns or 0)
+        depth = decode_depth_image(message)
+        if (camera := self._depth_camera) is None:
+            return depth
+        camera.require_size(depth.shape)
+        return Scan.of(to_points(depth, camera.intrinsics, lens=camera.lens_model).points)
 
     def _take(self, frame: ListedFrame) -> dict[int, RecordedMessage]:
         """The messages of a frame by position; messages of later frames are read ahead and kept."""
@@ -441,7 +431,7 @@ class BagSource(Source):
     def notes(self) -> tuple[str, ...]:
         """See `Source.notes`."""
         topics = ", ".join(f"{name}={topic}" for name, topic in self._topics.items() if topic)
-        return (f"topics: {topics}", *self._notes, *left_out_note(self._left_out))
+        return (f"topics: {topics}", *super().notes)
 
     def close(self) -> None:
         """See `Source.close`."""

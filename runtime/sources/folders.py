@@ -3,8 +3,7 @@
 import contextlib
 import os
 import re
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -29,13 +28,8 @@ from runtime.io.images import (
 from runtime.io.poses import read_poses
 from runtime.io.scan import SCAN_SUFFIXES, read_scan
 from runtime.io.timestamps import read_timestamps
-from runtime.sources.recorded_motion import (
-    RecordedPoses,
-    left_out_note,
-    match_frames,
-)
-from runtime.sources.source import ListedFrame, Source, pair_up
-from runtime.stamp import DEFAULT_REUSE_DEPTH_MS, NS_PER_MS
+from runtime.sources.source import ListedFrame, Source, up_to
+from runtime.stamp import NS_PER_MS
 from runtime.sync.frame import Frame
 from runtime.sync.outcome import Outcome, Sensor
 
@@ -123,36 +117,46 @@ class FolderSource(Source):
             raise InputError(f"the scans in {points} cannot be projected: give --calibration")
         self._rgb, self._depth, self._has_scans = rgb, depth or points, points is not None
         self._depth_scale, self._point_columns = depth_scale, point_columns
-        self._timestamps, self._poses_file, self._pose_frame = timestamps, poses, pose_frame
+        self._timestamps, self._poses_file = timestamps, poses
         self._scan_stamp, self._point_time_column = scan_stamp, point_time_column
         self._is_one, self._what = _is_image(rgb), "scan" if self._has_scans else "depth map"
-        self._left_out: Counter[str] = Counter()
-        self._notes: list[str] = []
         paths = (rgb,) if self._depth is None else (rgb, self._depth)
         self.folders = tuple(path.parent if os.path.isfile(path) else path for path in paths)
         self._is_timed = any(each is not None for each in (timestamps, poses, reuse_depth_ms))
         self.camera_alone = self.camera_alone or self._is_timed
-        self._reuse_depth_ms = DEFAULT_REUSE_DEPTH_MS if reuse_depth_ms is None else reuse_depth_ms
-        self._poses: RecordedPoses | None = None
-        self._calibration, self._calibrations = calibration, None
+        if reuse_depth_ms is not None:
+            self._reuse_depth_ms = reuse_depth_ms
+        self._calibration_path, self._calibration_files = calibration, dict[str, Path]()
         if calibration is not None:
-            read = partial(
-                Calibration.from_file, rectified=self._kitti_rectified, for_scans=self._has_scans
-            )
-            named = _KITTI_CAMERA.search(f"{os.path.realpath(rgb)}\n{rgb.as_posix()}")
-            known = int(named[1]) if camera is None and named else camera
-            of_camera = partial(read, camera=2 if known is None else known)
             with collect_assumptions(self._notes):
-                self._calibrations = FrameCalibrations(calibration, of_camera)
-            self.calibration = self._calibrations.first
-            for other in (0, 1, 3) if known is None and self._has_scans else ():
-                with contextlib.suppress(InputError), collect_assumptions([]):  # may be missing
-                    found = FrameCalibrations(calibration, partial(read, camera=other)).first
-                    if not np.allclose(found.extrinsics, self.calibration.extrinsics):
-                        with collect_assumptions(self._notes):
-                            assume(f"camera 2 of KITTI for {rgb}", "camera= in --source")
-            if pose_frame is not None:
-                lidar_mount(pose_frame, self.calibration)  # raises InputError if unknown
+                self._open_calibration(calibration, camera)
+        if pose_frame is not None and self.calibration is not None:
+            self._pose_frame = pose_frame
+            lidar_mount(pose_frame, self.calibration)  # raises InputError if unknown
+
+    def _open_calibration(self, path: Path, camera: int | None) -> None:
+        """Read the calibration, of a folder with one a frame the first that can be read."""
+        is_raw = any(os.path.lexists(path / name) for name in (RAW_CAMERAS, RAW_SCANNER))
+        if os.path.isdir(path) and not is_raw:
+            self._calibration_files = list_files(path, (".txt", ".toml"))
+        names = sorted(self._calibration_files, key=natural_order)
+        paths = [self._calibration_files[name] for name in names] or [path]
+        named = _KITTI_CAMERA.search(f"{os.path.realpath(self._rgb)}\n{self._rgb.as_posix()}")
+        known = int(named[1]) if camera is None and named else camera
+        read = partial(
+            Calibration.from_file,
+            camera=2 if known is None else known,
+            rectified=self._kitti_rectified,
+            for_scans=self._has_scans,
+        )
+        self._read_calibration, self.calibration = read, _first_readable(paths, read)
+        for other in (0, 1, 3) if known is None and self._has_scans else ():
+            is_same = True
+            with contextlib.suppress(InputError), collect_assumptions([]):  # may be missing
+                found = _first_readable(paths, partial(read, camera=other))
+                is_same = np.allclose(found.extrinsics, self.calibration.extrinsics)
+            if not is_same:
+                assume(f"camera 2 of KITTI for {self._rgb}", "camera= in --source")
 
     @staticmethod
     def accepts(path: Path) -> bool:
@@ -181,7 +185,17 @@ class FolderSource(Source):
         names = sorted(images.keys() | without_image, key=natural_order)
         if self._is_timed:
             return self._list_timed({name: images[name] for name in names}, depths, limit)
-        return pair_up(names, images, None if self._depth is None else depths, limit=limit)
+        frames = (
+            ListedFrame(
+                sequence,
+                name,
+                images.get(name),
+                depths.get(name),
+                complete=name in images and (self._depth is None or name in depths),
+            )
+            for sequence, name in enumerate(names)
+        )
+        return up_to(frames, limit)
 
     def _list_timed(
         self, images: Mapping[str, Path], depths: Mapping[str, Path], limit: int | None
@@ -197,30 +211,18 @@ class FolderSource(Source):
                     f"{self._timestamps} has {len(stamps_ns)} lines, there are {len(images)} "
                     "images: it must have a line for each image, in natural order"
                 )
-        if self._poses_file is not None and self._pose_frame is not None:
+        if self._poses_file is not None:
             of_clock = self._timestamps is not None
             with collect_assumptions(self._notes):
                 poses_ns, poses = read_poses(self._poses_file, stamps_ns, of_clock=of_clock)
-                self._poses = RecordedPoses(PoseTrack.of(poses, poses_ns), self._pose_frame)
+                self._poses = PoseTrack.of(poses, poses_ns)
         messages: list[tuple[Sensor, int, Path]] = []
         for (name, image), stamp_ns in zip(images.items(), stamps_ns, strict=True):
             if name in depths:
                 messages.append((Sensor.DEPTH, stamp_ns, depths[name]))
             messages.append((Sensor.IMAGE, stamp_ns, image))
-        return self._match(messages, max_skew_ms=0, limit=limit)
-
-    def _match(
-        self, messages: Iterable[tuple[Sensor, int, Path]], *, max_skew_ms: float, limit: int | None
-    ) -> tuple[ListedFrame, ...]:
-        return match_frames(
-            messages,
-            max_skew_ms=max_skew_ms,
-            reuse_depth_ms=self._reuse_depth_ms,
-            scan_stamp=self._scan_stamp,
-            left_out=self._left_out,
-            limit=limit,
-            camera_only=self._depth is None,
-        )
+        camera_only = self._depth is None
+        return self._match(messages, max_skew_ms=0, limit=limit, camera_only=camera_only)
 
     def _list_images(self) -> Mapping[str, Any]:
         return list_files(self._rgb)
@@ -257,29 +259,30 @@ class FolderSource(Source):
             raise InputError(f"{frame.name} has a {self._what}, but no image")
         if frame.depth is None and self._depth is not None and not self.camera_alone:
             raise InputError(f"{frame.name} has an image, but no {self._what}")
-        rgb = self._read_image(frame.image)
-        with collect_assumptions(self._notes):
-            found = None if self._calibrations is None else self._calibrations.of(frame.name)
-        has_map = frame.depth is not None and not self._has_scans
-        rgb, calibration = self._rectified(rgb, found, has_map=has_map)
-        if frame.depth is None:
-            return frame.measured(rgb, calibration=calibration)
-        if has_map:
-            sparse_depth = read_sparse_depth(frame.depth, depth_scale=self._depth_scale)
-            return frame.measured(rgb, sparse_depth, calibration=calibration)
+        rgb, calibration = self._read_image(frame.image), self.calibration
+        if self._calibration_files:
+            if frame.name not in self._calibration_files:
+                raise InputError(f"{frame.name} has no calibration in {self._calibration_path}")
+            with collect_assumptions(self._notes):
+                calibration = self._read_calibration(self._calibration_files[frame.name])
+        depth: NDArray[np.float32] | Scan | None = None
+        if frame.depth is not None and self._has_scans:
+            depth = self._read_scan(frame)
+        elif frame.depth is not None:
+            depth = read_sparse_depth(frame.depth, depth_scale=self._depth_scale)
+        return self.measured(frame, rgb, depth, calibration)
+
+    def _read_scan(self, frame: ListedFrame) -> Scan:
         points, after_s = read_scan(frame.depth, columns=self._point_columns), None
-        column = self._point_time_column
+        column, stamp_ns = self._point_time_column, frame.depth_stamp_ns or 0
         if column is not None and column >= points.shape[1]:
             raise InputError(
                 f"{frame.depth} has the columns 0 to {points.shape[1] - 1}, and point_time_column "
                 f"is {column}: beyond x, y and z only those of .bin and .npy are read"
             )
         if column is not None and frame.depth_stamp_ns is not None:
-            after_s = point_times(points[:, column], len(points), frame.depth_stamp_ns)
-        scan = Scan.of(points, after_s, frame.depth_stamp_ns or 0)
-        assert calibration is not None  # scans require one
-        poses = None if self._poses is None else self._poses.of_lidar(calibration)
-        return frame.measured(rgb, scan, calibration=calibration, poses=poses)
+            after_s = point_times(points[:, column], len(points), stamp_ns)
+        return Scan.of(points, after_s, stamp_ns)
 
     @property
     def inputs(self) -> dict[str, Any]:
@@ -289,11 +292,11 @@ class FolderSource(Source):
             "points" if self._has_scans else "depth": self._depth,
             "depth_scale": None if self._has_scans else self._depth_scale,
             "point_columns": self._point_columns,
-            "calibration": self._calibration,
+            "calibration": self._calibration_path,
             "timestamps": self._timestamps,
             "reuse_depth_ms": self._reuse_depth_ms if self._is_timed else None,
             "poses": self._poses_file,
-            "pose_frame": self._pose_frame,
+            "pose_frame": self._pose_frame if self._poses_file is not None else None,
             "scan_stamp": self._scan_stamp,
             "point_time_column": self._point_time_column,
         }
@@ -307,45 +310,13 @@ class FolderSource(Source):
         if line not in self._notes:  # the frames may be listed again
             self._notes.append(line)
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """See `Source.notes`."""
-        return (*self._notes, *left_out_note(self._left_out))
 
-
-class FrameCalibrations:
-    """The calibration of each frame: one for all, or a folder with one file per frame.
-
-    Args:
-        path: as `Calibration.from_file`, or a folder with a file of the name of each frame.
-        read: reads one file, such as `Calibration.from_file`.
-
-    Attributes:
-        first: calibration of all frames, or of the first file of the folder that can be read.
-
-    Raises:
-        InputError: if no file can be read. The file of a frame is read by `of`.
-    """
-
-    def __init__(self, path: Path, read: Callable[[Path], Calibration]) -> None:
-        self._path, self._files, self._read = path, dict[str, Path](), read
-        is_raw = any(os.path.lexists(path / name) for name in (RAW_CAMERAS, RAW_SCANNER))
-        if os.path.isdir(path) and not is_raw:
-            self._files = list_files(path, (".txt", ".toml"))
-            for name in sorted(self._files, key=natural_order):
-                path = self._files[name]
-                with contextlib.suppress(InputError):  # `of` reports it
-                    self.first = read(path)
-                    return
-        self.first = read(path)
-
-    def of(self, name: str) -> Calibration:
-        """Return the calibration of a frame. Raises InputError."""
-        if not self._files:
-            return self.first
-        if name not in self._files:
-            raise InputError(f"{name} has no calibration in {self._path}")
-        return self._read(self._files[name])
+def _first_readable(paths: Sequence[Path], read: Callable[[Path], Calibration]) -> Calibration:
+    """The first calibration that can be read. Raises the InputError of the last one."""
+    for path in paths[:-1]:
+        with contextlib.suppress(InputError):  # reported where its frame is read
+            return read(path)
+    return read(paths[-1])
 
 
 def list_entries(path: Path) -> list[Path]:

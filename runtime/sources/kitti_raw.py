@@ -1,6 +1,7 @@
 """A drive of KITTI raw data (Geiger et al. 2013), its scans projected into the camera."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +12,13 @@ from runtime.errors import InputError
 from runtime.geometry.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration, find_raw_calibration
 from runtime.geometry.kitti_calibration import NumbersFile
 from runtime.geometry.motion import ScanStamp
-from runtime.geometry.poses import PoseFrame
 from runtime.geometry.rigid import read_rigid
 from runtime.io.images import RGB_SUFFIXES, list_files
 from runtime.io.poses import read_oxts_poses
 from runtime.io.timestamps import parse_date
 from runtime.read_input import read_text
 from runtime.sources.folders import FolderSource
-from runtime.sources.recorded_motion import RecordedPoses, track_of
-from runtime.sources.source import ListedFrame, by_number
+from runtime.sources.source import ListedFrame, by_number, track_of
 from runtime.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 from runtime.sync.outcome import Sensor
 
@@ -106,7 +105,9 @@ class KittiRawSource(FolderSource):
         if self._max_skew_ms is None:
             return super().list_frames(limit=limit)
         self._left_out.clear()
-        return self._match(self._stamped, max_skew_ms=self._max_skew_ms, limit=limit)
+        return self._match(
+            self._stamped, max_skew_ms=self._max_skew_ms, limit=limit, camera_only=False
+        )
 
     def _read_oxts(self, folder: Path, mount: Path) -> None:
         """Read the poses of the car, where there are any. Raises InputError if they are damaged."""
@@ -116,12 +117,12 @@ class KittiRawSource(FolderSource):
             return
         numbers, lidar_from_body = NumbersFile(mount), np.eye(4)
         lidar_from_body[:3] = np.hstack([numbers.matrix("R", 3, 3), numbers.matrix("T", 3, 1)])
-        body_from_lidar = np.linalg.inv(read_rigid(str(mount), lidar_from_body))
+        body_from_lidar = np.linalg.inv(read_rigid(str(mount), lidar_from_body)).astype(np.float64)
         stamped = sorted(_read_stamps(Sensor.POSE, folder, (".txt",)), key=lambda each: each[1])
         poses = read_oxts_poses(path for _, _, path in stamped)
-        track = track_of(zip((stamp_ns for _, stamp_ns, _ in stamped), poses, strict=True))
+        self._poses = track_of(zip((stamp_ns for _, stamp_ns, _ in stamped), poses, strict=True))
         self._poses_file = folder
-        self._poses = RecordedPoses(track, PoseFrame.BODY, body_from_lidar.astype(np.float64))
+        self.calibration = replace(self.calibration, body_from_lidar=body_from_lidar)
 
     def _list_depths(self, folder: Path) -> dict[str, Path]:
         return list_files(folder, _SCANS)

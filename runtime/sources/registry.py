@@ -1,21 +1,21 @@
-"""The kinds of sources. A new one: its file and a line here."""
+"""The kinds of sources, and their options. A new kind: its file and a line of `SOURCES`."""
 
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from runtime.checks import shown
+from runtime.checks import check_number, shown
 from runtime.errors import InputError
+from runtime.geometry.motion import MIDDLE_AFTER, check_scan_stamp
+from runtime.geometry.poses import PoseFrame
 from runtime.sources.bag import BagSource
 from runtime.sources.folders import FolderSource
-from runtime.sources.kitti_object import KittiObjectSource
 from runtime.sources.kitti_raw import KittiRawSource
-from runtime.sources.one_folder import OneFolderSource
+from runtime.sources.layouts import KittiObjectSource, OneFolderSource
 from runtime.sources.source import Source
-from runtime.sources.source_keys import SOURCE_KEYS, read_keys
 from runtime.sources.video import VideoSource
 
 SOURCES: dict[str, type[Source]] = {
@@ -28,6 +28,50 @@ SOURCES: dict[str, type[Source]] = {
 }
 
 
+class SourceKey(NamedTuple):
+    """A key.
+
+    Attributes:
+        expected: what its value is, in words.
+        read: returns the value of a text; ValueError or InputError if it is another.
+    """
+
+    expected: str
+    read: Callable[[str], Any]
+
+
+def _number(what: str, least: float, most: float, kind: type[float] = float) -> SourceKey:
+    expected = f"{what}, {least:g} to {most:g}"
+    return SourceKey(expected, lambda text: kind(check_number("", kind(text), least, most)))
+
+
+def _text(text: str) -> str:
+    if not text:
+        raise ValueError
+    return text
+
+
+def _path(text: str) -> Path:
+    return Path(os.path.expanduser(_text(text)))  # the shell does not expand KEY=~/FILE
+
+
+_TRUTH = SourceKey("true or false", lambda text: bool(("false", "true").index(text)))
+#: Keyword of the class of a source -> what --source takes for it. The other keywords are flags.
+SOURCE_KEYS = {
+    "camera": _number("the number of a camera of KITTI", 0, 3, int),
+    "depth_scale": _number("units per metre", 1e-3, 1e6),
+    "point_columns": _number("the number of float32 per point", 3, 10**6, int),
+    "timestamps": SourceKey("a file", _path),
+    "pose_frame": SourceKey(" or ".join(PoseFrame), PoseFrame),
+    "scan_stamp": SourceKey(" or ".join(MIDDLE_AFTER), check_scan_stamp),
+    "point_time_column": _number("the number of a column after x, y, z", 3, 10**6, int),
+    "rectified": _TRUTH,
+    "registered": _TRUTH,
+    "image_topic": SourceKey("a topic, or those of several cameras joined by +", _text),
+    "depth_topic": SourceKey("a topic or none", _text),
+    "info_topic": SourceKey("a topic", _text),
+    "pose_topic": SourceKey("a topic or none", _text),
+}
 _PATHS = ("depth", "points", "calibration", "timestamps", "poses")  # options that are paths
 
 
@@ -36,23 +80,28 @@ class SourcePath(NamedTuple):
 
     kind: str
     path: Path
-    keys: Mapping[str, Any] = MappingProxyType({})
+    keys: Mapping[str, Any]
 
 
 def detect_source(path: Path) -> SourcePath:
     """Detect the kind of source of a path. Raises InputError with the accepted kinds."""
     for kind, source in SOURCES.items():
         if source.accepts(path):
-            return SourcePath(kind, path)
+            return SourcePath(kind, path, {})
     fault = "is none of these" if os.path.exists(path) else "does not exist; give one of these"
     accepted = "; ".join(source.accepted for source in SOURCES.values())
     raise InputError(f"{path} {fault}: {accepted}. --source KIND:PATH names the kind")
 
 
 def parse_source(text: str) -> SourcePath:
-    """Read "KIND:PATH" or "KIND:PATH,KEY=VALUE,...", see `read_keys`.
+    """Read "KIND:PATH" or "KIND:PATH,KEY=VALUE,...".
 
-    Raises InputError for another form, an unknown kind or key, and a wrong value.
+    The text is split at each comma that a known key and "=" follow. Path and values may hold other
+    commas and equals signs.
+
+    Raises:
+        InputError: for another form, an unknown kind, a key that is unknown or given twice, and a
+            wrong value.
     """
     kind, _, rest = text.partition(":")
     if kind not in SOURCES or not rest or rest.startswith(","):
@@ -60,9 +109,24 @@ def parse_source(text: str) -> SourcePath:
             f"a source is KIND:PATH[,KEY=VALUE...] with one of the kinds {', '.join(SOURCES)}, got "
             f"{shown(text)}"
         )
-    path, keys = read_keys(kind, keys_of(kind), rest)
-    # The shell does not expand the home in KIND:~/PATH.
-    return SourcePath(kind, Path(os.path.expanduser(path)), keys)
+    names = keys_of(kind)
+    path, *pairs = re.split(f",({'|'.join(names)})=", rest) if names else [rest]
+    takes = f"a source of the kind {kind} takes the keys {', '.join(names) or '(none)'}"
+    for part in (path, *pairs[1::2]):
+        unknown = re.search(r",([\w-]+)=", part)
+        if unknown and not os.path.lexists(os.path.expanduser(part)):
+            raise InputError(f"{takes}, not {unknown[1]}, and there is no file {shown(part)}")
+    keys: dict[str, Any] = {}
+    for name, value in zip(pairs[::2], pairs[1::2], strict=True):
+        if name in keys:
+            raise InputError(f"{name} is given twice, the second time as {shown(value)}")
+        try:
+            keys[name] = SOURCE_KEYS[name].read(value)
+        except (ValueError, InputError) as error:
+            raise InputError(
+                f"{name} must be {SOURCE_KEYS[name].expected}, got {shown(value)}: {takes}"
+            ) from error
+    return SourcePath(kind, _path(path), keys)
 
 
 def keys_of(kind: str) -> tuple[str, ...]:
@@ -84,14 +148,12 @@ def choose_source(kind: str, path: str | Path, **options: Any) -> Callable[[], S
     Raises:
         InputError: for an unknown kind, or for options that the kind does not take.
     """
-    given = _checked(kind, options)
-    return partial(SOURCES[kind], Path(path), **given)
+    return partial(SOURCES[kind], Path(path), **_checked(kind, options))
 
 
 def choose_cameras(kind: str, path: str | Path, **options: Any) -> Callable[[], dict[str, Source]]:
     """Return what opens a source for each camera; see `choose_source`, `Source.open_cameras`."""
-    given = _checked(kind, options)
-    return partial(SOURCES[kind].open_cameras, Path(path), **given)
+    return partial(SOURCES[kind].open_cameras, Path(path), **_checked(kind, options))
 
 
 def open_source(kind: str, path: str | Path, **options: Any) -> Source:

@@ -2,8 +2,10 @@
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -12,9 +14,21 @@ from numpy.typing import NDArray
 
 from runtime.errors import InputError
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.motion import Scan
-from runtime.geometry.poses import PoseTrack
+from runtime.geometry.motion import (
+    FIRST_SCAN_NS,
+    MIDDLE_AFTER,
+    Scan,
+    ScanStamp,
+    check_scan_stamp,
+    lidar_mount,
+)
+from runtime.geometry.poses import PoseFrame, PoseTrack
+from runtime.stamp import DEFAULT_REUSE_DEPTH_MS
 from runtime.sync.frame import Frame, Message
+from runtime.sync.matching import match_by_stamp
+from runtime.sync.outcome import Sensor
+
+_WAITING = 64  # messages of a sensor that wait for the other one, which may be recorded later
 
 
 @dataclass(frozen=True)
@@ -30,7 +44,6 @@ class ListedFrame:
         depth_stamp_ns: the same of the depth.
         complete: whether it has both, the depth of its own, or all that the source is to read.
         reused: whether the depth is an older scan, because the image has none of its own.
-        scan_time_ns: time of the middle of the scan, None if unknown.
     """
 
     sequence: int
@@ -41,40 +54,6 @@ class ListedFrame:
     depth_stamp_ns: int | None = None
     complete: bool = True
     reused: bool = False
-    scan_time_ns: int | None = None
-
-    def measured(
-        self,
-        rgb: NDArray[np.uint8],
-        depth: NDArray[np.float32] | Scan | None = None,
-        *,
-        calibration: Calibration | None = None,
-        poses: PoseTrack | None = None,
-    ) -> Frame:
-        """Return the frame with what its sensors measured, the depth projected into the image.
-
-        Args:
-            rgb: uint8 (H, W, 3), RGB.
-            depth: a depth map, float32 (H, W) in metres, 0 where there is no return; or a scan,
-                which has no times where they are not known.
-            calibration: of the camera, for a scan also of the LiDAR.
-            poses: of the LiDAR, by which a scan is moved to the time of the image.
-
-        Raises:
-            InputError: if the calibration is of images of another size, which would silently
-                falsify clouds and the focal length.
-        """
-        if calibration is not None:
-            calibration.require_size(rgb.shape[:2])
-        if isinstance(depth, Scan) and depth.times is None and poses is not None:
-            depth = depth._replace(times=self.scan_time_ns)
-        measured = None
-        if depth is not None:
-            measured = Message(self.depth_stamp_ns, self.depth_stamp_ns or 0, depth)
-        image = Message(self.image_stamp_ns, self.image_stamp_ns or 0, rgb)
-        frame = Frame(image, measured, self.reused, calibration, poses, self.name)
-        _ = frame.in_time  # projected here, in the thread that reads
-        return frame
 
 
 class Source(ABC):
@@ -93,6 +72,12 @@ class Source(ABC):
     calibration: Calibration | None = None
     folders: tuple[Path, ...] = ()
     recordings: tuple[Path, ...] = ()
+    # Of sources with stamps and poses:
+    _reuse_depth_ms: float = DEFAULT_REUSE_DEPTH_MS
+    _scan_stamp: ScanStamp = "middle"
+    _to_middle_ns = 0  # from the stamp of a scan to its middle
+    _poses: PoseTrack | None = None
+    _pose_frame = PoseFrame.BODY
     _rectify = False
 
     @abstractmethod
@@ -158,18 +143,46 @@ class Source(ABC):
             raise InputError(f"the images cannot be rectified: there is no {reason}")
         self._rectify = True
 
-    def _rectified(
-        self, rgb: NDArray[np.uint8], calibration: Calibration | None, *, has_map: bool
-    ) -> tuple[NDArray[np.uint8], Calibration | None]:
-        """The image of a frame and its calibration, rectified after `rectify_images`.
+    def measured(
+        self,
+        frame: ListedFrame,
+        rgb: NDArray[np.uint8],
+        depth: NDArray[np.float32] | Scan | None = None,
+        calibration: Calibration | None = None,
+    ) -> Frame:
+        """Return a frame with what its sensors measured, the depth projected into the image.
 
-        has_map: whether the frame has a depth map, of the distorted image, which raises InputError.
+        Args:
+            frame: of the list.
+            rgb: uint8 (H, W, 3), RGB.
+            depth: a depth map, float32 (H, W) in metres, 0 where there is no return; or a scan,
+                without times where they are not known.
+            calibration: of the camera, for a scan also of the LiDAR.
+
+        Raises:
+            InputError: if the calibration is of images of another size, which would silently
+                falsify clouds and the focal length; and for a depth map after `rectify_images`.
         """
-        if not self._rectify or calibration is None:
-            return rgb, calibration
-        if has_map:
-            raise InputError("a depth map lies on the pixels of the distorted image: no --rectify")
-        return calibration.rectify(rgb), calibration.rectified
+        poses = None
+        if calibration is not None:
+            calibration.require_size(rgb.shape[:2])
+            if self._rectify:
+                if isinstance(depth, np.ndarray):
+                    raise InputError(
+                        "a depth map lies on the pixels of the distorted image: no --rectify"
+                    )
+                rgb, calibration = calibration.rectify(rgb), calibration.rectified
+            if self._poses is not None:
+                poses = self._poses.mounted(lidar_mount(self._pose_frame, calibration))
+        if isinstance(depth, Scan) and depth.times is None and frame.depth_stamp_ns is not None:
+            depth = depth._replace(times=frame.depth_stamp_ns + self._to_middle_ns)
+        measured = None
+        if depth is not None:
+            measured = Message(frame.depth_stamp_ns, frame.depth_stamp_ns or 0, depth)
+        image = Message(frame.image_stamp_ns, frame.image_stamp_ns or 0, rgb)
+        found = Frame(image, measured, frame.reused, calibration, poses, frame.name)
+        _ = found.in_time  # projected here, in the thread that reads
+        return found
 
     @property
     @abstractmethod
@@ -179,7 +192,69 @@ class Source(ABC):
     @property
     def notes(self) -> tuple[str, ...]:
         """Lines for the terminal: guesses and, after listing, the skipped messages."""
-        return ()
+        return (*self._notes, *left_out_note(self._left_out))
+
+    @cached_property
+    def _notes(self) -> list[str]:
+        return []
+
+    @cached_property
+    def _left_out(self) -> Counter[str]:
+        """What is in no frame, as "image: duplicate" -> how often."""
+        return Counter()
+
+    def _match(
+        self,
+        messages: Iterable[tuple[Sensor, int, Any]],
+        *,
+        max_skew_ms: float,
+        limit: int | None,
+        camera_only: bool,
+        name: Callable[[Message], str] = lambda image: str(image.data.stem),
+    ) -> tuple[ListedFrame, ...]:
+        """List the frames of messages, see `match_by_stamp`.
+
+        Args:
+            messages: (sensor, stamp in nanoseconds, data) in the order of the recording; the data
+                are `ListedFrame.image` and `depth`.
+            max_skew_ms: largest difference between the stamps of a pair.
+            limit: as of `list_frames`.
+            camera_only: whether the recording has no depth, so that images alone are complete.
+            name: of the frame of an image; the default is for data that are paths.
+
+        Raises:
+            InputError: as `match_by_stamp`, and for an unknown `scan_stamp`.
+        """
+
+        def listed() -> Iterator[ListedFrame]:
+            matched = match_by_stamp(
+                ((sensor, Message(stamp, stamp, data)) for sensor, stamp, data in messages),
+                max_skew_ms=max_skew_ms,
+                reuse_depth_ms=self._reuse_depth_ms,
+                waiting=_WAITING,
+                on_decided=lambda decided: self._left_out.update(
+                    f"{gone.sensor}: {gone.outcome}" for gone in decided.discarded
+                ),
+            )
+            for sequence, frame in enumerate(matched):
+                image, depth = frame.image, frame.depth
+                yield ListedFrame(
+                    sequence,
+                    name(image),
+                    image.data,
+                    None if depth is None else depth.data,
+                    image.stamp_ns,
+                    None if depth is None else depth.stamp_ns,
+                    complete=camera_only if depth is None else not frame.reused,
+                    reused=frame.reused,
+                )
+
+        middle_after = MIDDLE_AFTER[check_scan_stamp(self._scan_stamp)]
+        frames = up_to(listed(), limit)
+        scans_ns = np.unique([f.depth_stamp_ns for f in frames if f.depth_stamp_ns is not None])
+        period_ns = np.median(np.diff(scans_ns)) if len(scans_ns) > 1 else FIRST_SCAN_NS
+        self._to_middle_ns = round(middle_after * float(period_ns))
+        return frames
 
     def close(self) -> None:  # noqa: B027 - most hold nothing open
         """Close open files. May be called again."""
@@ -203,28 +278,6 @@ def up_to(frames: Iterable[ListedFrame], limit: int | None) -> tuple[ListedFrame
     return tuple(listed)
 
 
-def pair_up(
-    names: Iterable[str],
-    images: Mapping[str, Any],
-    depths: Mapping[str, Any] | None,
-    *,
-    limit: int | None,
-) -> tuple[ListedFrame, ...]:
-    """List a frame for each name, complete with an image and, unless `depths` is None, depth."""
-    found = depths or {}
-    frames = (
-        ListedFrame(
-            sequence,
-            name,
-            images.get(name),
-            found.get(name),
-            complete=name in images and (depths is None or name in depths),
-        )
-        for sequence, name in enumerate(names)
-    )
-    return up_to(frames, limit)
-
-
 def by_number(files: Mapping[str, Path]) -> dict[int, Path]:
     """Number at the end of the stem -> file. Raises InputError."""
     numbers: dict[int, Path] = {}
@@ -237,3 +290,18 @@ def by_number(files: Mapping[str, Path]) -> dict[int, Path]:
             raise InputError(f"{numbers[number]} and {path} have the same number: remove one")
         numbers[number] = path
     return numbers
+
+
+def left_out_note(left_out: Mapping[str, int]) -> tuple[str, ...]:
+    """A line that counts what is in no frame; none if that is nothing."""
+    counts = ", ".join(f"{reason} {count}" for reason, count in sorted(left_out.items()))
+    return (f"left out: {counts}",) if counts else ()
+
+
+def track_of(stamped: Iterable[tuple[int, NDArray[np.float64]]]) -> PoseTrack:
+    """The track of poses in any order; of equal stamps the first. Raises InputError."""
+    first: dict[int, NDArray[np.float64]] = {}
+    for stamp_ns, pose in stamped:
+        first.setdefault(stamp_ns, pose)
+    stamps_ns = sorted(first)
+    return PoseTrack.of([first[stamp_ns] for stamp_ns in stamps_ns], stamps_ns)

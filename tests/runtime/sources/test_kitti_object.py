@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from runtime import InputError
 from runtime.io.recording import read_recording
-from runtime.sources.kitti_object import KittiObjectSource
+from runtime.sources.layouts import KittiObjectSource
 from runtime.sources.registry import open_source
 from runtime.tools.verify import app as verify_app
 

@@ -126,7 +126,7 @@ class ArchiveSource(Source):
 
     def read(self, frame):
         depth = np.float32(self._depth[frame.depth] / self._scale)
-        return frame.measured(self._rgb[frame.image], depth)
+        return self.measured(frame, self._rgb[frame.image], depth)
 
     @property
     def inputs(self):
