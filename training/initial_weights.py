@@ -8,9 +8,11 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from models import Network, load_checkpoint
+from models import Network, SSDNetLite, load_checkpoint
+from models.efficientnet_lite import WIDTHS
 from models.training_facts import TrainingFacts
 from runtime.errors import CheckpointError, InputError
+from training.losses import LossConfig
 
 #: Layers with weights a class.
 _CLASS_LAYERS = ("semantic_head.", "semantic_coarse_head.")
@@ -84,9 +86,17 @@ def start_from(network: Network, init: Weights, *, resumed: bool = False) -> Non
     weights compute, are reported on stderr, unless the run is ``resumed``: it replaces all weights.
 
     Raises:
-        CheckpointError: if nothing fits.
+        CheckpointError: if nothing fits, or the trunk has other widths: its layers would be random.
     """
     source = init.network
+    if isinstance(source, SSDNetLite) and isinstance(network, SSDNetLite):
+        old, new = (item.config.encoder_widths or WIDTHS for item in (source, network))
+        if old != new:
+            raise CheckpointError(
+                f"{init.path}: its trunk has other widths than model.config.encoder_widths = "
+                f"{list(new)}. Set that to {list(old)}, or prune the checkpoint first "
+                "(`training.prune.prune_trunk`)."
+            )
     known = source.state_dict() if type(source) is type(network) else {}
     wanted = {k: v for k, v in network.state_dict().items() if k not in _SETTINGS}
     names, known_names = (
@@ -118,6 +128,58 @@ def start_from(network: Network, init: Weights, *, resumed: bool = False) -> Non
                 f"{init.path}: {meaning} changed from {before} to {now}; the weights have to adapt",
                 file=sys.stderr,
             )
+
+
+def prepare_teacher(weights: Weights | None, loss: LossConfig, network: Network) -> Network | None:
+    """Return the teacher of ``network``; None if the loss compares with no teacher.
+
+    Args:
+        weights: its checkpoint; None = none was given.
+        loss: the options of the loss, of which some need a teacher.
+        network: the network that is trained.
+
+    Returns:
+        The teacher, without gradients and with its batch statistics frozen.
+
+    Raises:
+        InputError: if a loss needs a teacher that was not given, or the other way round; or for a
+            teacher whose answers mean something else: other classes, another range or camera.
+    """
+    heads = loss.taught_heads(network.heads)
+    if weights is None:
+        if not heads:
+            return None
+        raise InputError(
+            f"loss.distilled_{heads[0]}_weight compares answers with a teacher's. Give --teacher, "
+            "for example --teacher ssdnet-lite, or set it to 0."
+        )
+    given = f"--teacher {weights.path.name}"
+    if not heads:
+        raise InputError(
+            f"{given}: no weight loss.distilled_..._weight above 0 applies to the "
+            f"heads of {network.config.name!r} ({', '.join(network.heads)}), so that nothing would "
+            "be learned from it. Set one, or leave --teacher out."
+        )
+    teacher = weights.network
+    if missing := [head for head in heads if head not in teacher.heads]:
+        raise InputError(
+            f"{given}: has no head {missing[0]!r}. Set "
+            f"loss.distilled_{missing[0]}_weight = 0, or give a teacher with it."
+        )
+    for key in ("classes", "max_depth_m", "canonical_focal_px"):
+        wanted, found = (_meaning(item, key) for item in (network, teacher))
+        if wanted != found:
+            raise InputError(
+                f"{given}: its {key} is {found}, that of the recipe {wanted}. Give a "
+                "teacher that was trained for the same, or change model.config."
+            )
+    return teacher.eval().requires_grad_(False)
+
+
+def _meaning(network: Network, key: str) -> object:
+    """Return a setting of a network that its answers depend on; of classes the names."""
+    value = getattr(network.config, key)
+    return [info.name for info in value] if key == "classes" else value
 
 
 def weights_folder() -> Path:

@@ -85,7 +85,8 @@ def train(
             # Made last: a training that cannot start leaves no folder.
             held.enter_context(lock_folder(out))
             sets = (*recipe.data.source, *recipe.validation.source)
-            prepare_folder(out, resolved, list_data(data, [item.path for item in sets]))
+            files = list_data(data, [item.path for item in sets])
+            prepare_folder(out, resolved, files)
         processes.wait()
         known_data, terms = state_provenance(recipe, init, teacher)
         state = TrainingState(recipe, task, processes, out, from_init=init is not None)
@@ -129,14 +130,19 @@ def train(
             def score(network: Network) -> None:
                 """Validate; the first process alone writes the table and the best weights."""
                 figures = validate(
-                    network, task.validation, recipe.validation, processes, board, state.step
+                    network,
+                    task,
+                    processes,
+                    board,
+                    state.step,
+                    pictures=recipe.validation.pictures,
                 )
                 if scores and scores.add(state.step, figures, recipe.validation.best):
                     save_checkpoint(out / BEST, network, training=facts())
 
             if task.validation and state.step == 0 and init is not None:
                 score(state.averaged)
-            while state.step < last_step and not processes.any(stop()):
+            while state.step < last_step and not processes.any_of(stop()):
                 done = state.advance(batches)
                 if bar.update():  # the loss is read from its device only when it is shown
                     bar.set_postfix(loss=f"{done.terms['total'].item():.3f}", refresh=False)

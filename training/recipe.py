@@ -121,8 +121,13 @@ class ModelRecipe:
 
     def class_id(self, name: str) -> int | None:
         """Return the id of the class of this name, ignoring case; None = no such class."""
-        names = [info.name.lower() for info in list_classes(self.class_table)]
+        names = [known.lower() for known in self.class_names]
         return names.index(name) if name in names else None
+
+    @property
+    def class_names(self) -> list[str]:
+        """The names of the class ids."""
+        return [info.name for info in list_classes(self.class_table)]
 
     @property
     def class_table(self) -> ClassTable:

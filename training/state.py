@@ -15,11 +15,9 @@ from models import Network, NetworkOutput, load_checkpoint, save_checkpoint
 from runtime.checks import shown
 from runtime.errors import CheckpointError, InputError, SSDNetError
 from runtime.io.atomic_write import atomic_write
-from training.distributed import Processes, share_gradients
+from training.distributed import Processes, share_network
 from training.loading.mixture import Batch
-from training.losses import SSDNetLoss
-from training.network import require_encoder, train_parts
-from training.recipe import OptimizerRecipe, Recipe, ScheduleRecipe
+from training.recipe import Recipe, ScheduleRecipe
 from training.run_folder import BEST, require_same
 from training.task import Task
 
@@ -62,13 +60,12 @@ class TrainingState:
         self._keeps_best = from_init and bool(task.validation)
         self._recipe, self._processes, self._out = recipe, processes, out
         self._network, self.criterion, self._teacher = task.network, task.criterion, task.teacher
-        train_parts(task.network, recipe.optimizer.only, recipe.optimizer.frozen)
-        self._optimizer = build_optimizer(recipe.optimizer, task.network, task.criterion)
-        self._peaks = [group["lr"] for group in self._optimizer.param_groups]
+        self._optimizer = task.optimizer
+        self._peaks = [group["lr"] for group in task.optimizer.param_groups]
         # Buffers are averaged too: batch statistics must fit the averaged weights.
         update = exponential_average(recipe.loop.ema_decay)
         self._average = AveragedModel(task.network, multi_avg_fn=update, use_buffers=True)
-        self._forward = share_gradients(task.network, processes)
+        self._forward = share_network(task.network, processes)
 
     @property
     def averaged(self) -> Network:
@@ -128,13 +125,13 @@ class TrainingState:
                 with torch.no_grad():
                     batch = replace(batch, teacher=self._answer(self._teacher, batch))
             terms: dict[str, Tensor] = self.criterion(self._answer(self._forward, batch), batch)
-            self._require_finite(terms, terms["total"], names)
             (terms["total"] / loop.accumulate).backward()  # type: ignore[no-untyped-call]
             for name, term in terms.items():
                 sums[name] = sums.get(name, 0.0) + term.detach() / loop.accumulate
         parameters = list(self._network.parameters())
         norm = torch.nn.utils.get_total_norm([p.grad for p in parameters if p.grad is not None])
-        self._require_finite(sums, norm, names)
+        if not (norm.isfinite() and sums["total"].isfinite()):
+            raise self._diverged(sums, names)
         if loop.clip_norm:
             torch.nn.utils.clip_grads_with_norm_(parameters, loop.clip_norm, norm)
         self._optimizer.step()
@@ -152,13 +149,11 @@ class TrainingState:
                 upsample_semantic=self.criterion.config.semantic_grid == "image",
             )
 
-    def _require_finite(self, terms: Mapping[str, Tensor], value: Tensor, names: list[str]) -> None:
-        """Raise NonFiniteLossError for the loss or the gradient's norm, the same in all processes.
+    def _diverged(self, terms: Mapping[str, Tensor], names: list[str]) -> NonFiniteLossError:
+        """Write the terms and the frames of a step to a file; return the error that names it.
 
-        The terms and the frames of the batch are written to a file.
+        Loss and gradient are the same in all processes, so that all raise it.
         """
-        if torch.isfinite(value):
-            return
         path = self._out / _NON_FINITE
         # Text: JSON has no NaN.
         values = {name: str(term.item()) for name, term in terms.items()}
@@ -168,34 +163,11 @@ class TrainingState:
             atomic_write(path, json.dumps(document, indent=2).encode())
         # Those of last.pt, and all of a run from random weights, may have diverged before.
         best = f" with --init {self._out / BEST}" if self._keeps_best else ""
-        raise NonFiniteLossError(
+        return NonFiniteLossError(
             f"step {self.step}: the loss ({values['total']}) or its gradient is not finite; the "
             f"terms and the {len(frames)} frames of the batch are in {path}. Check them, or start "
             f"a new --out{best} and a lower optimizer.learning_rate."
         )
-
-
-def build_optimizer(
-    recipe: OptimizerRecipe, network: Network, criterion: SSDNetLoss
-) -> torch.optim.Optimizer:
-    """Return AdamW or SGD over the parameters of the network and of the loss.
-
-    Biases, normalisation and the parameters of the loss do not decay. The encoder may have a rate
-    of its own.
-    """
-    separate = recipe.encoder_rate is not None
-    encoder = set(require_encoder(network).parameters()) if separate else set()
-    groups: list[dict[str, Any]] = []
-    for of_encoder, rate in ((False, recipe.learning_rate), (True, recipe.encoder_rate)):
-        chosen = [p for p in network.parameters() if (p in encoder) == of_encoder]
-        others = [] if of_encoder else list(criterion.parameters())
-        kernels, vectors = ([p for p in chosen if (p.ndim > 1) == many] for many in (True, False))
-        if chosen:
-            groups.append({"params": kernels, "lr": rate, "weight_decay": recipe.weight_decay})
-            groups.append({"params": [*vectors, *others], "lr": rate, "weight_decay": 0.0})
-    if recipe.name == "sgd":
-        return torch.optim.SGD(groups, momentum=recipe.momentum)
-    return torch.optim.AdamW(groups)
 
 
 def learning_rate(schedule: ScheduleRecipe, peak: float, step: int) -> float:

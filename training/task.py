@@ -5,7 +5,7 @@ import copy
 import math
 import random
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,14 +16,14 @@ from torch import Tensor
 from tqdm import tqdm
 
 from models import Network
-from models.answers import check_output
+from models.answers import check_output, head_maps
 from runtime.contract import MIN_SIDE
 from runtime.cores import available_cores
 from runtime.errors import InputError
 from training.datasets.sample import SampleSource
-from training.distributed import Processes, synchronise_batch_norm
+from training.distributed import Processes
 from training.evaluation.scoring import figure_names
-from training.initial_weights import Weights
+from training.initial_weights import Weights, prepare_teacher
 from training.lidar.split import LidarInput
 from training.limits import PAIR_STEP_PX
 from training.loading.augment import with_crop
@@ -32,14 +32,13 @@ from training.loading.open_dataset import (
     FREQUENCY_SAMPLES,
     frame_files,
     open_dataset,
-    spread_indices,
     spread_pictures,
+    survey,
 )
 from training.losses import SSDNetLoss, class_weights
-from training.network import build_network, require_encoder, train_parts
-from training.recipe import DataRecipe, Recipe
-from training.survey import learned, survey
-from training.teacher import prepare_teacher
+from training.network import build_network
+from training.optimizer import build_optimizer
+from training.recipe import DataRecipe, OptimizerRecipe, Recipe
 
 #: Frames of a validation set that are scored ahead of the training, to know its scores.
 _SCORED = 20
@@ -53,21 +52,25 @@ class Task:
         data: the recipe's, with a crop for its sets and no more workers than cores.
         sources: the sets of the mixture.
         validation: the validation sets by title.
+        lidar: the input of the validation.
         network: on the device of the process; only the parts that are trained have gradients.
         criterion: the loss, there too.
+        optimizer: of both, at the recipe's rates.
         depth_target: unit of the depth target, and the depth of the sky.
-        teacher: the network whose answers are learned, on the device too; None = there is none.
         class_weights: of the semantic loss; None = it has none.
+        teacher: the network whose answers are learned, on the device too; None = there is none.
     """
 
     data: DataRecipe
     sources: Sequence[SampleSource]
     validation: Mapping[str, SampleSource]
+    lidar: LidarInput
     network: Network
     criterion: SSDNetLoss
+    optimizer: torch.optim.Optimizer
     depth_target: DepthTarget
     class_weights: Tensor | None
-    teacher: Network | None = None
+    teacher: Network | None
 
     @property
     def targets(self) -> tuple[str, ...]:
@@ -85,7 +88,7 @@ def open_task(
     processes: Processes,
     data: Sequence[Path],
     init: Weights | None,
-    teacher: Weights | None = None,
+    teacher: Weights | None,
     *,
     resumed: bool = False,
 ) -> Task:
@@ -99,68 +102,84 @@ def open_task(
     random.seed(recipe.data.seed)
     np.random.seed(recipe.data.seed)  # noqa: NPY002  (for libraries that draw from it)
 
-    classes = recipe.model.class_table
-    sources = [open_dataset(item, data, classes=classes) for item in recipe.data.source]
-    found = survey(recipe, sources, recipe.model.network_config())
+    model, loss = recipe.model, recipe.loss
+    lidar = LidarInput.parse(recipe.validation.lidar)
+    road, sky = model.class_id("road"), model.class_id("sky")
+    sources = [open_dataset(item, data, classes=model.class_table) for item in recipe.data.source]
+    validation = {
+        item.title: open_dataset(item, data, classes=model.class_table)
+        for item in recipe.validation.source
+    }
+    trained = frame_files(sources)
+    shared = {title: len(frame_files([source]) & trained) for title, source in validation.items()}
+    network = build_network(model, init, resumed=resumed, pictures=spread_pictures(sources))
+    taught_by = prepare_teacher(teacher, loss, network)
+    config = network.config
+    try:
+        check_output(network)
+    except ValueError as error:
+        raise InputError(f"the network {config.name!r}: {error}") from error
+
+    found = survey(recipe.data.source, sources, model.class_names, config)
     decided = replace(
         recipe.data,
         augment=with_crop(recipe.data.augment, found.smallest),
         workers=min(recipe.data.workers, available_cores()),
     )
-    validation = {
-        item.title: open_dataset(item, data, classes=classes) for item in recipe.validation.source
-    }
-    network = build_network(recipe.model, init, resumed=resumed, pictures=spread_pictures(sources))
-    train_parts(network, recipe.optimizer.only, recipe.optimizer.frozen)
-    if recipe.optimizer.encoder_rate is not None:
-        require_encoder(network)
-    try:
-        check_output(network)
-    except ValueError as error:
-        raise InputError(f"the network {network.config.name!r}: {error}") from error
-    _require_batches(network, decided, processes)
-    _require_learning(recipe, network, sources)
-    targets = recipe.loss.targets_for(network.heads)
+    targets = loss.targets_for(network.heads)
     warnings = [text for target, text in found.notes if target in targets]
-    trained = frame_files(sources)
+    warnings += [
+        f"{count} of the {len(validation[title])} frames of {title} are also trained on: its "
+        "scores do not hold for other frames"
+        for title, count in shared.items()
+        if count
+    ]
+
+    weights = None
+    if "semantic" in network.heads and loss.weighs_classes and found.classes.sum() > 0:
+        weights = class_weights(torch.from_numpy(found.classes), loss.class_weighting)
+    criterion = SSDNetLoss(
+        loss,
+        weights,
+        max_depth_m=config.max_depth_m,
+        target_depth_m=config.target_depth_m,
+        road=road,
+    ).to(processes.device)
+    optimizer = build_optimizer(recipe.optimizer, network, criterion)
+    _require_batches(network, decided, processes)
+    _require_learning(recipe, network, found.targets)
     for title, source in validation.items():
-        if not _require_figures(recipe, network, title, source):
+        if not _gives_scores(recipe.validation.best, network, title, source, lidar):
             warnings.append(f"{title} has no ground truth for a head: it gives no scores")
-        if both := len(frame_files([source]) & trained):
-            warnings.append(
-                f"{both} of the {len(source)} frames of {title} are also trained on: its scores do "
-                "not hold for other frames"
-            )
     for text in warnings if processes.is_first else ():
         tqdm.write(f"warning: {text}", file=sys.stderr)
-    taught_by = prepare_teacher(teacher, recipe.loss, network)
-    weights = None
-    if "semantic" in network.heads and recipe.loss.weighs_classes and found.classes.any():
-        weights = class_weights(torch.from_numpy(found.classes), recipe.loss.class_weighting)
-    network = network.to(processes.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-    synchronise_batch_norm(network, processes)
-    criterion = SSDNetLoss(
-        recipe.loss,
-        weights,
-        max_depth_m=network.config.max_depth_m,
-        target_depth_m=network.config.target_depth_m,
-        road=recipe.model.class_id("road"),
-    ).to(processes.device)
-    sky = recipe.model.class_id("sky") if recipe.data.sky_depth_m else None
+
+    for part in (network, taught_by):
+        if part is not None:
+            part.to(processes.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     depth = DepthTarget(
-        network.config.canonical_focal_px,
-        sky,
+        config.canonical_focal_px,
+        sky if recipe.data.sky_depth_m else None,
         recipe.data.sky_depth_m,
-        max_depth_m=network.config.max_depth_m,
+        max_depth_m=config.max_depth_m,
     )
-    if taught_by is not None:
-        taught_by = taught_by.to(processes.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-    task = Task(decided, sources, validation, network, criterion, depth, weights, taught_by)
+    task = Task(
+        decided,
+        sources,
+        validation,
+        lidar,
+        network,
+        criterion,
+        optimizer,
+        depth,
+        weights,
+        taught_by,
+    )
     if 0 < recipe.data.augment.pair_shift < task.pair_step:
         raise InputError(
             f"data.augment.pair_shift = {recipe.data.augment.pair_shift}; the classes of "
-            f"{network.config.name!r} are on cells of {task.pair_step} px, so that the second view "
-            f"would never be shifted. Set at least {task.pair_step}, or 0 for one view."
+            f"{config.name!r} are on cells of {task.pair_step} px, so that the second view would "
+            f"never be shifted. Set at least {task.pair_step}, or 0 for one view."
         )
     return task
 
@@ -181,8 +200,8 @@ def _require_batches(network: Network, data: DataRecipe, processes: Processes) -
         ) from error
 
 
-def _require_learning(recipe: Recipe, network: Network, sources: Sequence[SampleSource]) -> None:
-    """Raise InputError if no term of the loss trains a part, or none applies to any frame."""
+def _require_learning(recipe: Recipe, network: Network, labelled: Collection[str]) -> None:
+    """Raise InputError if no term of the loss trains a part, or none has labels in any frame."""
     name, loss = network.config.name, recipe.loss
     terms = loss.terms_for(network.heads)
     if not terms:
@@ -190,12 +209,7 @@ def _require_learning(recipe: Recipe, network: Network, sources: Sequence[Sample
             f"no loss term with a weight above 0 applies to the heads of {name!r} "
             f"({', '.join(network.heads)}). Set the weight of a term for these heads."
         )
-    rates = recipe.optimizer
-    for part, layers in network.named_children():
-        own = rates.encoder_rate if part == "encoder" else None
-        if not (rates.learning_rate if own is None else own):
-            layers.requires_grad_(False)  # until `TrainingState` chooses the trained parts
-    learning = _learning_heads(network)
+    learning = _learning_heads(network, recipe.optimizer)
     terms = [term for term in terms if learning & loss.heads_of(term)]
     if not terms:
         raise InputError(
@@ -203,54 +217,43 @@ def _require_learning(recipe: Recipe, network: Network, sources: Sequence[Sample
             "trained at a rate above 0. Change optimizer.only, optimizer.frozen or the rates, or "
             "set the weight of another term."
         )
-    targets = [loss.target_of(term) for term in terms]
-    if "" in targets:
-        return
-    frames = (source[i] for source in sources for i in spread_indices(source, FREQUENCY_SAMPLES))
-    if not any(
-        learned(frame, target, network.config).any() for frame in frames for target in set(targets)
-    ):
+    targets = {loss.target_of(term) for term in terms}
+    if not targets & {"", *labelled}:
         raise InputError(
             f"no frame of {', '.join(item.title for item in recipe.data.source)} has a target of "
-            f"the loss: its terms {', '.join(terms)} need {' or '.join(sorted(set(targets)))} "
+            f"the loss: its terms {', '.join(terms)} need {' or '.join(sorted(targets))} "
             f"(depth up to {network.config.target_depth_m:g} m). Add a set that has it, or set the "
             "weight of another term."
         )
 
 
-def _learning_heads(network: Network) -> set[str]:
+def _learning_heads(network: Network, rates: OptimizerRecipe) -> set[str]:
     """Return the heads whose answers depend on a parameter that is trained."""
+    network = copy.deepcopy(network).eval()
+    for part, layers in network.named_children():
+        own = rates.encoder_rate if part == "encoder" else None
+        if not (rates.learning_rate if own is None else own):
+            layers.requires_grad_(False)
     size = (1, 1, MIN_SIDE, MIN_SIDE)
-    # Batch statistics must not change; `TrainingState` chooses what is in training mode.
-    output = network.eval()(torch.zeros(size).expand(-1, 3, -1, -1), torch.zeros(size))
-    answers: dict[str, Sequence[Tensor | None]] = {
-        "semantic": [output.semantic_logits],
-        "depth": output.depths or (),
-        "boundary": [output.boundary_logits],
-        "depth_uncertainty": [output.depth_uncertainty],
-        **{head: [answer] for head, answer in output.others.items()},
-    }
-    return {
-        head
-        for head, found in answers.items()
-        if any(answer is not None and answer.requires_grad for answer in found)
-    }
+    output = network(torch.zeros(size).expand(-1, 3, -1, -1), torch.zeros(size))
+    return {head for head, answer in head_maps(output).items() if answer.requires_grad}
 
 
-def _require_figures(recipe: Recipe, network: Network, title: str, source: SampleSource) -> bool:
+def _gives_scores(
+    best: str, network: Network, title: str, source: SampleSource, lidar: LidarInput
+) -> bool:
     """Return whether a set gives scores.
 
-    Raises InputError if it lacks the LiDAR or the score of ``validation.best``.
+    Raises InputError if it lacks the LiDAR, or the score of ``validation.best``.
     """
-    name, _, best = recipe.validation.best.rpartition("/")
-    lidar = LidarInput.parse(recipe.validation.lidar)
+    name, _, figure = best.rpartition("/")
     for count in (_SCORED, FREQUENCY_SAMPLES):  # mostly few frames are enough
-        known = figure_names(network, source, spread_indices(source, count), lidar)
-        if known and (name != title or best in known):
+        spread = range(0, len(source), math.ceil(len(source) / count))
+        known = figure_names(network, source, spread, lidar)
+        if known and (name != title or figure in known):
             return True
     if name == title:
         raise InputError(
-            f"validation.best = {recipe.validation.best!r}; {title} gives {', '.join(known)}. "
-            "Choose one of these."
+            f"validation.best = {best!r}; {title} gives {', '.join(known)}. Choose one of these."
         )
     return False

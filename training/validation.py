@@ -11,15 +11,13 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from models import Network
-from training.datasets.sample import SampleSource
 from training.distributed import Processes
 from training.evaluation.pictures import draw_pictures
 from training.evaluation.scoring import score_sources, scored_classes, torch_predict
-from training.lidar.split import LidarInput
-from training.recipe import ValidationRecipe
 from training.run_folder import folder_errors
 from training.score_table import SHOWN
 from training.state import Step
+from training.task import Task
 
 
 class Board:
@@ -66,16 +64,10 @@ class Board:
 
 
 def validate(
-    network: Network,
-    sources: Mapping[str, SampleSource],
-    recipe: ValidationRecipe,
-    processes: Processes,
-    board: Board,
-    step: int,
+    network: Network, task: Task, processes: Processes, board: Board, step: int, *, pictures: int
 ) -> dict[str, dict[str, float]]:
     """Score the network, each process on its share of the frames; show scores and pictures."""
-    lidar = LidarInput.parse(recipe.lidar)
-    scores = score_sources(network, sources, processes, lidar=lidar)
+    scores = score_sources(network, task.validation, processes, lidar=task.lidar)
     shown = {
         f"{name}/{key}": figures[key]
         for name, figures in scores.items()
@@ -89,8 +81,8 @@ def validate(
     text = ", ".join(f"{key} {score:.4f}{words.get(key, '')}" for key, score in shown.items())
     tqdm.write(f"step {step}: {text}", file=sys.stderr)
     predict = torch_predict(network)
-    for name, source in sources.items():
-        pictures = draw_pictures(predict, source, network, lidar=lidar, count=recipe.pictures)
-        for frame, picture in pictures:
+    for name, source in task.validation.items():
+        drawn = draw_pictures(predict, source, network, lidar=task.lidar, count=pictures)
+        for frame, picture in drawn:
             board.add_picture(f"{name}/{frame}", picture, step)
     return scores

@@ -15,10 +15,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from torch import nn
 
 from models import load_checkpoint
-from training.distributed import (
-    Processes,
-    synchronise_batch_norm,
-)
+from training.distributed import Processes, share_batch_norm
 from training.loading.mixture import Pair
 from training.losses.consistency import depth_consistency_loss, semantic_consistency_loss
 
@@ -51,7 +48,7 @@ recipe = Recipe(
     loop=LoopRecipe(checkpoint_every=3, log_every=1, clip_norm=1.0),
     validation=ValidationRecipe(every=2, source=(source,), pictures=1),
 )
-share = state.share_gradients
+share = state.share_network
 def train(data, out, *, batch=2, parts=1, stop_after=None):
     def keep(network, processes):
         nonlocal kept
@@ -59,7 +56,7 @@ def train(data, out, *, batch=2, parts=1, stop_after=None):
         torch.save(network.state_dict(), out / f"rank{processes.rank}.start")
         return share(network, processes)
     kept = None
-    state.share_gradients = keep
+    state.share_network = keep
     run = replace(
         recipe,
         data=replace(recipe.data, batch_size=batch),
@@ -207,7 +204,7 @@ def test_shared_batch_norm_is_batch_norm(tmp_path):
     network = nn.Sequential(copy.deepcopy(plain))
     dist.init_process_group("gloo", init_method=f"file://{tmp_path}/group", rank=0, world_size=1)
     try:
-        synchronise_batch_norm(network, Processes(0, 2, torch.device("cpu")))
+        share_batch_norm(network)
         assert type(network[0]) is not nn.BatchNorm2d
         x = (5 + 3 * torch.randn(4, 3, 6, 5)).requires_grad_()
         twin = x.detach().clone().requires_grad_()

@@ -290,7 +290,9 @@ def test_sets_without_a_target_of_the_loss_are_refused(data, tmp_path):
 
 
 def test_a_damaged_frame_is_named_without_a_traceback(data, tmp_path, monkeypatch):
-    monkeypatch.setattr("training.survey.FREQUENCY_SAMPLES", 1)  # so that a worker reads it first
+    monkeypatch.setattr(
+        "training.loading.open_dataset.FREQUENCY_SAMPLES", 1
+    )  # so that a worker reads it first
     (data / "camvid" / "train" / "3.png").write_bytes(b"nothing")
     run = replace(recipe(), loss=LossConfig(class_weighting="none"))
     run = replace(run, data=replace(run.data, workers=1))

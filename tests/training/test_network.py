@@ -11,7 +11,8 @@ from models.efficientnet_lite import EfficientNetLite
 from runtime.errors import CheckpointError, InputError
 from training.imagenet_weights import PACKAGE, load_imagenet
 from training.initial_weights import read_weights
-from training.network import build_network, train_parts
+from training.network import build_network
+from training.optimizer import train_parts
 from training.prune import prune_trunk
 from training.recipe import ModelRecipe
 

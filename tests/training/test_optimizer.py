@@ -8,8 +8,9 @@ import torch
 from models import create_model
 from runtime.errors import InputError
 from training.losses import LossConfig, SSDNetLoss
+from training.optimizer import build_optimizer
 from training.recipe import OptimizerRecipe, ScheduleRecipe
-from training.state import build_optimizer, learning_rate
+from training.state import learning_rate
 
 
 @pytest.mark.parametrize("name", ["adamw", "sgd"])

@@ -44,7 +44,7 @@ def start(tmp_path, capsys, monkeypatch):
 
     def call(changes):
         recipe = build(Recipe, merge(RECIPE, changes))
-        open_task(recipe, Processes(0, 1, torch.device("cpu")), [tmp_path], None)
+        open_task(recipe, Processes(0, 1, torch.device("cpu")), [tmp_path], None, None)
         return capsys.readouterr().err
 
     call.folder = tmp_path
@@ -143,5 +143,5 @@ def test_the_smallest_frame_decides_the_crop(start):
     write(start.folder / "mine/images/3.png", np.zeros((32, 40, 3), np.uint8))
     write(start.folder / "mine/labels/3.png", np.zeros((32, 40), np.uint8))
     recipe = build(Recipe, RECIPE)
-    task = open_task(recipe, Processes(0, 1, torch.device("cpu")), [start.folder], None)
+    task = open_task(recipe, Processes(0, 1, torch.device("cpu")), [start.folder], None, None)
     assert task.data.augment.crop == (32, 32)

@@ -4,9 +4,8 @@ import pytest
 
 from models import create_model, save_checkpoint
 from runtime.errors import InputError
-from training.initial_weights import read_weights
+from training.initial_weights import prepare_teacher, read_weights
 from training.losses import LossConfig
-from training.teacher import prepare_teacher
 
 TAUGHT = LossConfig(distilled_semantic_weight=1.0, distilled_depth_weight=1.0)
 

@@ -29,9 +29,10 @@ def read_batches(
     """
     steps, batch = recipe.schedule.steps, task.data.batch_size
     per_step = recipe.loop.accumulate * batch * processes.count
+    parts = _list_parts(task.data, task.sources)
     loader = DataLoader(
         Mixture(
-            _list_parts(task.data, task.sources),
+            parts,
             length=steps * per_step,
             seed=task.data.seed,
             depth=task.depth_target,

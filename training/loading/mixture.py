@@ -2,7 +2,6 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -12,58 +11,16 @@ from torch.utils.data import Dataset
 
 from models import NetworkOutput
 from runtime.contract import MAX_RETURN_M
-from runtime.errors import DatasetError
-from runtime.network_size import network_size
-from training.datasets.sample import Sample, SampleSource, target_kind
+from training.datasets.sample import Sample, SampleSource
 from training.limits import PAIR_STEP_PX
 from training.loading.augment import (
     AugmentConfig,
     augment,
     far_sky,
-    resize,
     scale_world,
     take_views,
     with_margin,
 )
-
-
-class CheckedSource:
-    """A data set whose targets have their type and size.
-
-    The frames are resized to ``size``, see `SourceRecipe.size`, by `augment.resize` if given.
-
-    DatasetError names the reader and the frame of another.
-    """
-
-    def __init__(self, source: SampleSource, size: tuple[int, int] | int | None) -> None:
-        self._source = source
-        self._size = size
-        #: See `FrameList.images`; a set of another kind may have none.
-        self.images: Sequence[Path] = getattr(source, "images", ())
-
-    def __len__(self) -> int:
-        return len(self._source)
-
-    def __getitem__(self, index: int) -> Sample:
-        sample = self._source[index]
-        for target, values in sample.targets.items():
-            try:
-                dtype, unlabelled, _ = target_kind(target)
-            except ValueError as error:
-                raise self._error(sample, f"a target {target!r}; {error}") from error
-            found = type(values).__name__
-            if isinstance(values, np.ndarray):
-                found = f"{values.dtype} {values.shape}"
-            expected = f"{dtype} {sample.size}"
-            if found != expected:
-                text = f"{target} = {found}; expected {expected}, {unlabelled:g} = unknown"
-                raise self._error(sample, f"{text}. A set without this target must omit it")
-        size = network_size(self._size or "frame", sample.size, trained_height=None)
-        return resize(sample, size)
-
-    def _error(self, sample: Sample, text: str) -> DatasetError:
-        reader = type(self._source).__name__
-        return DatasetError(f"{sample.name}: the reader {reader} returned {text}.")
 
 
 class CachedSource:

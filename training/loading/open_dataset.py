@@ -1,22 +1,68 @@
-"""Open the data sets of a recipe."""
+"""Open the data sets of a recipe, and count what their frames hold."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from models import NetworkConfig
 from runtime.errors import DatasetError
+from runtime.network_size import network_size
 from training.datasets.class_mapping import ClassTable
-from training.datasets.sample import SampleSource
+from training.datasets.sample import Sample, SampleSource, target_kind
 from training.datasets.source_recipe import SourceRecipe
-from training.loading.mixture import CheckedSource
+from training.loading.augment import resize
 
 #: Number of frames from which the class frequencies of the loss are counted.
 FREQUENCY_SAMPLES = 400
 #: Frames of the training that pruning is based on, at least.
 _PICTURES = 32
+#: Share of a set's depth beyond the network's range from which it is reported.
+_FAR_SHARE = 0.1
+
+
+class CheckedSource:
+    """A data set whose targets have their type and size.
+
+    The frames are resized to ``size``, see `SourceRecipe.size`, by `augment.resize` if given.
+
+    DatasetError names the reader and the frame of another.
+    """
+
+    def __init__(self, source: SampleSource, size: tuple[int, int] | int | None) -> None:
+        self._source = source
+        self._size = size
+        #: See `FrameList.images`; a set of another kind may have none.
+        self.images: Sequence[Path] = getattr(source, "images", ())
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def __getitem__(self, index: int) -> Sample:
+        sample = self._source[index]
+        for target, values in sample.targets.items():
+            try:
+                dtype, unlabelled, _ = target_kind(target)
+            except ValueError as error:
+                raise self._error(sample, f"a target {target!r}; {error}") from error
+            found = type(values).__name__
+            if isinstance(values, np.ndarray):
+                found = f"{values.dtype} {values.shape}"
+            expected = f"{dtype} {sample.size}"
+            if found != expected:
+                text = f"{target} = {found}; expected {expected}, {unlabelled:g} = unknown"
+                raise self._error(sample, f"{text}. A set without this target must omit it")
+        size = network_size(self._size or "frame", sample.size, trained_height=None)
+        return resize(sample, size)
+
+    def _error(self, sample: Sample, text: str) -> DatasetError:
+        reader = type(self._source).__name__
+        return DatasetError(f"{sample.name}: the reader {reader} returned {text}.")
 
 
 def open_dataset(
@@ -62,3 +108,78 @@ def spread_pictures(sources: Sequence[SampleSource]) -> Iterator[Tensor]:
     for source in sources:
         for index in spread_indices(source, -(-_PICTURES // len(sources))):
             yield torch.from_numpy(source[index].rgb).permute(2, 0, 1)[None].float()
+
+
+class Survey(NamedTuple):
+    """Counts of about `FREQUENCY_SAMPLES` frames without augmentation, by the sets' weights."""
+
+    #: Number of frames that were read.
+    frames: int
+    #: The least height and the least width of the frames.
+    smallest: tuple[int, int]
+    #: Pixels of each class, in millionths of a frame; labels made by a network count by their
+    #: weight.
+    classes: NDArray[np.float64]
+    #: Targets of which a frame has labels that are trained.
+    targets: Collection[str]
+    #: Of a target, what of its labels is not trained, in words.
+    notes: Sequence[tuple[str, str]]
+
+
+def survey(
+    recipes: Sequence[SourceRecipe],
+    sources: Sequence[SampleSource],
+    class_names: Sequence[str],
+    config: NetworkConfig,
+) -> Survey:
+    """Count what sets hold for a network; ``class_names`` are those of their ids."""
+    counts, sizes = np.zeros(len(class_names)), list[tuple[int, int]]()
+    targets: set[str] = set()
+    notes: list[tuple[str, str]] = []
+    total = sum(item.weight for item in recipes)
+    for item, source in zip(recipes, sources, strict=True):
+        wanted = max(1, round(FREQUENCY_SAMPLES * item.weight / total))
+        frames = spread_indices(source, wanted)
+        empty: Counter[str] = Counter()
+        near = known = 0
+        for index in frames:
+            sample = source[index]
+            sizes.append(sample.size)
+            seen = np.bincount(sample.semantic.ravel(), minlength=256)[: len(class_names)]
+            weight = sample.weights.get("semantic", 1.0) * wanted / len(frames)
+            counts += seen * weight / sample.semantic.size
+            learned = {name: _count_learned(sample, name, config) for name in sample.targets}
+            targets |= {name for name, count in learned.items() if count}
+            empty.update(name for name, count in learned.items() if not count)
+            near += learned.get("depth", 0)
+            known += int((sample.depth > 0).sum())
+        for target, number in empty.items():
+            text = f"{number} of {len(frames)} frames of {item.title} have no {target}"
+            notes.append((target, f"{text} to learn from"))
+        # Only where the user states the unit can it be wrong.
+        if known - near > _FAR_SHARE * known and hasattr(item, "depth_scale"):
+            text = f"{item.title}: {1 - near / known:.0%} of the depth is beyond "
+            text += f"{config.target_depth_m:g} m and not trained: check the unit (depth_scale)"
+            notes.append(("depth", text))
+    counts = np.round(counts * 1_000_000)
+    never = [name for name, count in zip(class_names, counts, strict=True) if not count]
+    if never:
+        text = f"is labelled {', '.join(never)}: such a class is not trained"
+        if len(never) == len(class_names):
+            text = "is labelled: classes and boundaries are not trained"
+        titles = ", ".join(item.title for item in recipes)
+        notes.append(("semantic", f"no pixel of {len(sizes)} frames of {titles} {text}"))
+    height, width = np.min(sizes, axis=0).tolist()
+    return Survey(len(sizes), (height, width), counts, targets, notes)
+
+
+def _count_learned(sample: Sample, target: str, config: NetworkConfig) -> int:
+    """Return the number of a frame's labels of a target that count in the loss."""
+    if not sample.weights.get(target, 1.0) > 0:
+        return 0
+    known = sample.targets[target] != target_kind(target).unlabelled
+    if target == "depth":
+        canonical, focal = config.canonical_focal_px, sample.focal_length_px
+        factor = canonical / focal if canonical and focal else 1.0
+        known &= sample.depth <= config.target_depth_m / factor
+    return int(known.sum())
