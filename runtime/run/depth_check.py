@@ -18,7 +18,7 @@ from runtime.returns import is_measured
 from runtime.run.options import RunOptions
 from runtime.run.pipeline import FrameReader
 from runtime.sources.source import ListedFrame, Source
-from runtime.sync.outcome import Sensor
+from runtime.sync.frame import Sensor
 
 _LEAST_UNSEEN = 0.02  # share of the pixels; the corners of a sound calibration may lie beyond it
 

@@ -37,8 +37,7 @@ from runtime.sources.ros_poses import (
 )
 from runtime.sources.source import ListedFrame, Source, left_out_note, track_of
 from runtime.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
-from runtime.sync.frame import Frame, Message
-from runtime.sync.outcome import Outcome, Sensor
+from runtime.sync.frame import Frame, Message, Outcome, Sensor
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"

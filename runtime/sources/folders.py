@@ -30,8 +30,7 @@ from runtime.io.scan import SCAN_SUFFIXES, read_scan
 from runtime.io.timestamps import read_timestamps
 from runtime.sources.source import ListedFrame, Source, up_to
 from runtime.stamp import NS_PER_MS
-from runtime.sync.frame import Frame
-from runtime.sync.outcome import Outcome, Sensor
+from runtime.sync.frame import Frame, Outcome, Sensor
 
 _APART_NS = 100 * NS_PER_MS  # between images without times
 #: Camera of a folder of KITTI, or of an image in it: image_02, image_2/0.png, image_02/data.

@@ -20,7 +20,7 @@ from runtime.read_input import read_text
 from runtime.sources.folders import FolderSource
 from runtime.sources.source import ListedFrame, by_number, track_of
 from runtime.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
-from runtime.sync.outcome import Sensor
+from runtime.sync.frame import Sensor
 
 RAW_IMU = "calib_imu_to_velo.txt"
 _SCANS = (".bin",)

@@ -24,9 +24,8 @@ from runtime.geometry.motion import (
 )
 from runtime.geometry.poses import PoseFrame, PoseTrack
 from runtime.stamp import DEFAULT_REUSE_DEPTH_MS
-from runtime.sync.frame import Frame, Message
+from runtime.sync.frame import Frame, Message, Sensor
 from runtime.sync.matching import match_by_stamp
-from runtime.sync.outcome import Sensor
 
 _WAITING = 64  # messages of a sensor that wait for the other one, which may be recorded later
 

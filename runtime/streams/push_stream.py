@@ -44,9 +44,8 @@ from runtime.streams.sensor_input import SENSORS, Kind, SensorInput
 from runtime.streams.statistics import Jitter, StreamStatistics
 from runtime.streams.stream_counter import StreamCounter, StreamCounts
 from runtime.streams.watchdog import WatchdogLimits, WatchdogState
-from runtime.sync.frame import Frame, Message
+from runtime.sync.frame import Frame, Message, Outcome, Sensor
 from runtime.sync.matching import Decided, Synchronizer
-from runtime.sync.outcome import Outcome, Sensor
 
 _WAITING = 16  # messages of a sensor that wait for their partner
 _EXIT_S = 10.0  # time that the exit of the interpreter waits for a prediction

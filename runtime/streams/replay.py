@@ -19,9 +19,8 @@ from runtime.streams.answerer import Answerer, FramePredictor
 from runtime.streams.frame_result import FrameResult
 from runtime.streams.sensor_input import SENSORS, Kind, SensorInput
 from runtime.streams.stream_counter import StreamCounter
-from runtime.sync.frame import Frame, Message
+from runtime.sync.frame import Frame, Message, Outcome, Sensor
 from runtime.sync.matching import match_by_stamp
-from runtime.sync.outcome import Outcome, Sensor
 
 _WAITING = 16  # messages of a sensor that wait for their partner, and frames that wait for poses
 

@@ -22,9 +22,8 @@ from runtime.geometry.poses import PoseBuffer, PoseFrame
 from runtime.geometry.rigid import read_rigid
 from runtime.preprocess import check_rgb, check_sparse_depth
 from runtime.returns import check_points
-from runtime.sync.frame import Frame
+from runtime.sync.frame import Frame, Outcome, Sensor
 from runtime.sync.matching import Intervals
-from runtime.sync.outcome import Outcome, Sensor
 
 _SHORTEST_NS = 10**6  # between depth messages: shorter ones are of integers of another unit
 Kind = Literal["image", "depth", "points", "pose"]

@@ -10,9 +10,8 @@ from runtime.stamp import NS_PER_MS
 from runtime.streams.frame_result import FIGURES, FrameResult
 from runtime.streams.statistics import DurationHistogram, MissCounter, StreamStatistics
 from runtime.streams.watchdog import Level, WatchdogLimits, WatchdogState
-from runtime.sync.frame import Frame
+from runtime.sync.frame import DROPPED, ERRORS, UNMATCHED, Frame, Outcome, Sensor
 from runtime.sync.matching import Decided
-from runtime.sync.outcome import DROPPED, ERRORS, UNMATCHED, Outcome, Sensor
 
 _OF_A_RUN = ("read", "write")  # stages of `ssdnet-run` only
 _FAULTS = ("late", "degraded", "reused", "failed")  # fields of `WatchdogLimits`

@@ -21,8 +21,7 @@ from typing import NamedTuple
 from runtime.checks import check_number
 from runtime.errors import InputError
 from runtime.stamp import JUMP_BACK_NS, NS_PER_MS
-from runtime.sync.frame import Frame, Message
-from runtime.sync.outcome import MATCHED, Outcome, Sensor
+from runtime.sync.frame import MATCHED, Frame, Message, Outcome, Sensor
 
 _REMEMBERED_STAMPS = 64  # latest of a sensor, to detect duplicates
 _REMEMBERED_INTERVALS = 16
@@ -196,42 +195,33 @@ class Matching(ABC):
             self._decide_image(decided, image)
         for depth in list(self._depths):
             if self._is_over(depth, Sensor.IMAGE) and not self._near(depth):
-                self._discard_depth(decided, depth, Outcome.NO_IMAGE)
+                self._keep(decided, depth, Outcome.NO_IMAGE)
 
     def _decide_image(self, decided: Decided, image: Message) -> None:
         """Make the frame of an image; older images that still wait are overtaken."""
-        depth = self._partner(image)
-        older_depth = self._older_depth(image) if depth is None else None
+        own = self._partner(image)
+        depth = self._older_depth(image) if own is None else own
         self._decided_ns = image.stamp_ns
         for older in list(self._images):
             if older.stamp_ns < image.stamp_ns:
                 self._images.remove(older)
                 decided.discarded.append(Discarded(Sensor.IMAGE, older, Outcome.OVERTAKEN))
         self._images.remove(image)
-        if depth is not None:
-            self._depths.remove(depth)
-            self._keep(decided, depth, None)
-            decided.frames.append(Frame(image, depth))
-        else:
-            decided.frames.append(Frame(image, older_depth, reused=older_depth is not None))
-        if older_depth is not None:
-            self._mark_reused(decided, older_depth)
+        decided.frames.append(Frame(image, depth, reused=depth is not own))
+        if own is not None:
+            self._keep(decided, own, None)
+        elif depth is not None:
+            self._mark_reused(decided, depth)
         for dead in list(self._depths):
             if dead.stamp_ns < image.stamp_ns - self._max_skew_ns:  # later images are newer still
-                self._discard_depth(decided, dead, Outcome.NO_IMAGE)
+                self._keep(decided, dead, Outcome.NO_IMAGE)
         self._forget_depths(decided, image.stamp_ns)
-
-    def _discard_depth(self, decided: Decided, depth: Message, outcome: Outcome) -> None:
-        self._depths.remove(depth)
-        if outcome is Outcome.NO_IMAGE:
-            self._keep(decided, depth, outcome)
-        else:
-            decided.discarded.append(Discarded(Sensor.DEPTH, depth, outcome))
 
     def _flush(self, decided: Decided, outcome: Outcome) -> None:
         self._decide_images(decided)
         for depth in list(self._depths):
-            self._discard_depth(decided, depth, outcome)
+            self._depths.remove(depth)
+            decided.discarded.append(Discarded(Sensor.DEPTH, depth, outcome))
         self._drop(decided, list(self._kept))
 
     def _partner(self, image: Message) -> Message | None:
@@ -268,7 +258,8 @@ class Matching(ABC):
         return max(recent, key=lambda depth: depth.stamp_ns, default=None)
 
     def _keep(self, decided: Decided, depth: Message, outcome: Outcome | None) -> None:
-        """Keep a depth map that left the matching; its outcome follows when it is dropped."""
+        """Keep a depth map that leaves the matching; its outcome follows when it is dropped."""
+        self._depths.remove(depth)
         insort(self._kept, _Kept(depth, outcome), key=lambda kept: kept.depth.stamp_ns)
         if not self._reuse_ns:
             self._drop(decided, list(self._kept))
@@ -276,7 +267,6 @@ class Matching(ABC):
 
     def _mark_reused(self, decided: Decided, depth: Message) -> None:
         if depth in self._depths:  # later images are farther away in time
-            self._depths.remove(depth)
             self._keep(decided, depth, Outcome.REUSED)
         for kept in self._kept:
             if kept.depth is depth and kept.outcome is not None:
@@ -393,7 +383,7 @@ class StampMatching(Matching):
             if sensor is Sensor.IMAGE:
                 self._decide_image(decided, waiting[0])
             else:
-                self._discard_depth(decided, waiting[0], Outcome.NO_IMAGE)
+                self._keep(decided, waiting[0], Outcome.NO_IMAGE)
             self._decide(decided)
         if self._admit(decided, sensor, message):
             self._decide(decided)
@@ -401,15 +391,17 @@ class StampMatching(Matching):
 
     def _next_decidable(self) -> Message | None:
         """The oldest image, if no later message can change its answer."""
-        for oldest in self._images[:1]:
-            depth = self._partner(oldest)
-            # An image with a partner waits for the images that might be nearer to it.
-            if depth is None:
-                is_final = self._is_over(oldest, Sensor.DEPTH)
-            else:
-                is_final = self._is_certain(oldest, depth)
-            return oldest if is_final else None
-        return None
+        if not self._images:
+            return None
+        oldest = self._images[0]
+        depth = self._partner(oldest)
+        # With a partner it waits for images that might be nearer to this depth map.
+        over = (
+            self._is_over(oldest, Sensor.DEPTH)
+            if depth is None
+            else self._is_certain(oldest, depth)
+        )
+        return oldest if over else None
 
     def _is_over(self, message: Message, other: Sensor) -> bool:
         newest_ns = self._sensors[other].intervals.newest_ns

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from runtime import InputError
+from runtime.sync.frame import Outcome, Sensor
 from runtime.sync.matching import Message, StampMatching, Synchronizer, match_by_stamp
-from runtime.sync.outcome import Outcome, Sensor
 
 MS = 1_000_000
 IMAGE, DEPTH = Sensor.IMAGE, Sensor.DEPTH
