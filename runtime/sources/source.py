@@ -25,7 +25,7 @@ from runtime.geometry.motion import (
 from runtime.geometry.poses import PoseFrame, PoseTrack
 from runtime.stamp import DEFAULT_REUSE_DEPTH_MS
 from runtime.sync.frame import Frame, Message, Sensor
-from runtime.sync.matching import match_by_stamp
+from runtime.sync.matching import Decided, StampMatching
 
 _WAITING = 64  # messages of a sensor that wait for the other one, which may be recorded later
 
@@ -211,7 +211,7 @@ class Source(ABC):
         camera_only: bool,
         name: Callable[[Message], str] = lambda image: str(image.data.stem),
     ) -> tuple[ListedFrame, ...]:
-        """List the frames of messages, see `match_by_stamp`.
+        """List the frames of messages, see `StampMatching`.
 
         Args:
             messages: (sensor, stamp in nanoseconds, data) in the order of the recording; the data
@@ -222,20 +222,19 @@ class Source(ABC):
             name: of the frame of an image; the default is for data that are paths.
 
         Raises:
-            InputError: as `match_by_stamp`, and for an unknown `scan_stamp`.
+            InputError: as `StampMatching`, and for an unknown `scan_stamp`.
         """
+        matching = StampMatching(
+            max_skew_ms=max_skew_ms, reuse_depth_ms=self._reuse_depth_ms, capacity=_WAITING
+        )
+        stamped = ((sensor, Message(stamp, stamp, data)) for sensor, stamp, data in messages)
+
+        def count(decided: Decided) -> None:
+            discarded = decided.discarded
+            self._left_out.update(f"{gone.sensor}: {gone.outcome}" for gone in discarded)
 
         def listed() -> Iterator[ListedFrame]:
-            matched = match_by_stamp(
-                ((sensor, Message(stamp, stamp, data)) for sensor, stamp, data in messages),
-                max_skew_ms=max_skew_ms,
-                reuse_depth_ms=self._reuse_depth_ms,
-                waiting=_WAITING,
-                on_decided=lambda decided: self._left_out.update(
-                    f"{gone.sensor}: {gone.outcome}" for gone in decided.discarded
-                ),
-            )
-            for sequence, frame in enumerate(matched):
+            for sequence, frame in enumerate(matching.match(stamped, count)):
                 image, depth = frame.image, frame.depth
                 yield ListedFrame(
                     sequence,

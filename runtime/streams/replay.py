@@ -20,7 +20,7 @@ from runtime.streams.frame_result import FrameResult
 from runtime.streams.sensor_input import SENSORS, Kind, SensorInput
 from runtime.streams.stream_counter import StreamCounter
 from runtime.sync.frame import Frame, Message, Outcome, Sensor
-from runtime.sync.matching import match_by_stamp
+from runtime.sync.matching import StampMatching
 
 _WAITING = 16  # messages of a sensor that wait for their partner, and frames that wait for poses
 
@@ -114,12 +114,8 @@ def replay(
             else:
                 yield sensor, Message(stamp, nanoseconds, sensors.timed(data, nanoseconds))
 
-    matched = match_by_stamp(
-        accepted(),
-        max_skew_ms=max_skew_ms,
-        reuse_depth_ms=reuse_depth_ms,
-        waiting=_WAITING,
-        on_decided=counter.record_decided,
+    matching = StampMatching(
+        max_skew_ms=max_skew_ms, reuse_depth_ms=reuse_depth_ms, capacity=_WAITING
     )
 
     def answered(frame: Frame) -> Iterator[FrameResult]:
@@ -137,7 +133,7 @@ def replay(
     def answers() -> Iterator[FrameResult]:
         """Answer the frames as soon as poses reach them."""
         waiting: deque[Frame] = deque()
-        for frame in matched:
+        for frame in matching.match(accepted(), counter.record_decided):
             waiting.append(frame)
             while waiting and (len(waiting) > _WAITING or sensors.reaches(waiting[0])):
                 yield from answered(waiting.popleft())

@@ -373,7 +373,30 @@ class Synchronizer(Matching):
 
 
 class StampMatching(Matching):
-    """Matches messages in the order of a recording."""
+    """Matches messages in the order of a recording.
+
+    More than `capacity` messages of a sensor wait only if it is far ahead of the other sensor, or
+    the other one is silent: then the oldest is decided.
+    """
+
+    def match(
+        self, messages: Iterable[tuple[Sensor, Message]], on_decided: Callable[[Decided], object]
+    ) -> Iterator[Frame]:
+        """Yield each image with its depth map or None, in the order of the images' stamps.
+
+        Args:
+            messages: in the order of the recording.
+            on_decided: called with the outcomes of each step.
+        """
+
+        def steps() -> Iterator[Decided]:
+            for sensor, message in messages:
+                yield self.add(sensor, message)
+            yield self.flush()
+
+        for decided in steps():
+            on_decided(decided)
+            yield from decided.frames
 
     def add(self, sensor: Sensor, message: Message) -> Decided:
         """Take the next message, and decide what is certain with it."""
@@ -416,44 +439,6 @@ class StampMatching(Matching):
     def _decide_images(self, decided: Decided) -> None:
         while self._images:
             self._decide_image(decided, self._images[0])
-
-
-def match_by_stamp(
-    messages: Iterable[tuple[Sensor, Message]],
-    *,
-    max_skew_ms: float,
-    reuse_depth_ms: float,
-    waiting: int,
-    on_decided: Callable[[Decided], object],
-) -> Iterator[Frame]:
-    """Return an iterator over each image with its depth map or None, by the images' stamps.
-
-    Args:
-        messages: in the order of the recording.
-        max_skew_ms: largest difference between the stamps of a pair.
-        reuse_depth_ms: largest age of a depth map that an image without one of its own takes.
-        waiting: most messages of a sensor that wait. More wait only if the sensor is far ahead of
-            the other sensor, or the other sensor is silent.
-        on_decided: called with the outcomes of each step.
-
-    Raises:
-        InputError: if the skew or the age is out of range.
-    """
-    matching = StampMatching(
-        max_skew_ms=max_skew_ms, reuse_depth_ms=reuse_depth_ms, capacity=waiting
-    )
-
-    def steps() -> Iterator[Decided]:
-        for sensor, message in messages:
-            yield matching.add(sensor, message)
-        yield matching.flush()
-
-    def frames() -> Iterator[Frame]:
-        for decided in steps():
-            on_decided(decided)
-            yield from decided.frames
-
-    return frames()
 
 
 def _checked_ns(name: str, value_ms: float) -> int:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from runtime import InputError
 from runtime.sync.frame import Outcome, Sensor
-from runtime.sync.matching import Message, StampMatching, Synchronizer, match_by_stamp
+from runtime.sync.matching import Message, StampMatching, Synchronizer
 
 MS = 1_000_000
 IMAGE, DEPTH = Sensor.IMAGE, Sensor.DEPTH
@@ -157,13 +157,13 @@ def test_live_memory_is_bounded_by_dropping_the_oldest():
 def match_recorded(messages, **options):
     """[(image stamp, depth stamp or None)] in ms, and what was left out."""
     left_out = Counter()
-    options = {"max_skew_ms": 20, "reuse_depth_ms": 0, "waiting": 64, **options}
+    matching = StampMatching(**{"max_skew_ms": 20, "reuse_depth_ms": 0, "capacity": 64} | options)
 
     def count(decided):
         left_out.update(f"{gone.sensor}: {gone.outcome}" for gone in decided.discarded)
 
     stamped = [(Sensor(sensor), Message(stamp, stamp * MS)) for sensor, stamp in messages]
-    frames = list(match_by_stamp(stamped, on_decided=count, **options))
+    frames = list(matching.match(stamped, count))
     stamps = [(p.image.stamp_ns // MS, p.depth and p.depth.stamp_ns // MS) for p in frames]
     return stamps, dict(left_out)
 
