@@ -1,24 +1,21 @@
 """A stream that sensors push into: images and depth maps in from any thread, results out.
 
-One worker thread predicts. One lock guards all state. All threads wait on `_changed`, which is
-notified at every change. Invariants:
+The stream's own thread predicts (`stream_thread`). One lock guards all state: that of `_changed`,
+on which all threads wait, and which is notified at every change. Invariants:
 
-1. An accepted message is in exactly one place: with the synchronizer, in `_ready`, with the worker
-   (`_step` to `_answer`), or counted with its outcome. It is moved only with the lock held.
-2. The lock is not held while predicting, copying or calling a callback. So a push waits for a few
+1. An accepted message is in one place: in the synchronizer, in `_ready`, in the frame that is being
+   answered, or counted with its outcome. It moves only while the lock is held.
+2. The lock is not held during a prediction, a copy or a callback. So a push waits for a few
    comparisons at most, and a callback may call any method.
-3. `_ready` and `_unread` hold one frame each and the synchronizer `_WAITING` messages of a sensor.
-4. `_closed` never becomes False again. Once it is True no message is accepted, and the worker
-   decides what waits, answers what was accepted, which is bounded by 3, and ends.
-5. The worker references the stream only while it works, so that a dropped stream is collected. That
-   ends the worker, as does the interpreter's exit, which must not happen during a prediction.
-6. The worker copies the poses of a frame when it takes it (`_step`). No image waits for a pose.
+3. Memory is bounded: `_ready` and `_unread` hold one frame each, the synchronizer `_WAITING`
+   messages of a sensor.
+4. `_closed` never becomes False again. Once it is True no message is accepted; the thread decides
+   the waiting messages, answers the frames that follow, and ends.
+5. A frame gets the poses that are known when its answer starts. No image waits for a pose.
 """
 
 import contextlib
 import threading
-import time
-import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Literal
@@ -40,27 +37,15 @@ from runtime.stamp import (
 )
 from runtime.streams.answerer import Answerer, FramePredictor
 from runtime.streams.frame_result import FrameResult
-from runtime.streams.sensor_input import SENSORS, Kind, SensorInput
+from runtime.streams.sensor_input import Kind, SensorInput
 from runtime.streams.statistics import Jitter, StreamStatistics
 from runtime.streams.stream_counter import StreamCounter, StreamCounts
+from runtime.streams.stream_thread import MonotonicClock, StreamWork, start_thread
 from runtime.streams.watchdog import WatchdogLimits, WatchdogState
-from runtime.sync.frame import Frame, Message, Outcome, Sensor
+from runtime.sync.frame import Frame, Outcome
 from runtime.sync.matching import Decided, Synchronizer
 
 _WAITING = 16  # messages of a sensor that wait for their partner
-_EXIT_S = 10.0  # time that the exit of the interpreter waits for a prediction
-
-
-class MonotonicClock:
-    """The clock of a stream, which tests replace: time that never goes back."""
-
-    def now_ns(self) -> int:
-        """Nanoseconds since an arbitrary start."""
-        return time.monotonic_ns()
-
-    def wait(self, changed: threading.Condition, timeout_ns: int | None) -> None:
-        """Wait until `changed`, whose lock is held, is notified; None = without a limit."""
-        changed.wait(None if timeout_ns is None else max(timeout_ns, 0) / 1e9)
 
 
 class PushStream:
@@ -112,9 +97,6 @@ class PushStream:
             `FrameResult.age_ms`.
         clock: the clock used for waiting; for tests.
 
-    Attributes:
-        deadline_ms: as given.
-
     Raises:
         InputError: if an option is out of range.
     """
@@ -139,45 +121,39 @@ class PushStream:
         sensor_clock: Callable[[], Stamp] | None = None,
         clock: MonotonicClock | None = None,
     ) -> None:
-        _check_type("watchdog", watchdog, WatchdogLimits)
-        _check_type("on_result", on_result, Callable)
-        _check_type("on_error", on_error, Callable)
-        _check_type("on_state", on_state, Callable)
-        _check_type("sensor_clock", sensor_clock, Callable)
+        _check_type(WatchdogLimits, watchdog=watchdog)
+        _check_type(Callable, on_result=on_result, on_error=on_error, on_state=on_state)
+        _check_type(Callable, sensor_clock=sensor_clock)
         if deadline_ms is not None:
             limits = 1e-6, 1e9
             deadline_ms = check_number("deadline_ms", deadline_ms, *limits, "ms", error=InputError)
-        self.deadline_ms = deadline_ms
-        # The worker's alone.
+        # These are used in the stream's thread alone.
         self._answerer = Answerer(predictor, consistency=consistency, check_depth=check_depth)
         self._on_result, self._on_error, self._on_state = on_result, on_error, on_state
-        self._sensor_clock = sensor_clock
+        self._deadline_ms, self._sensor_clock = deadline_ms, sensor_clock
         self._clock = clock or MonotonicClock()
 
         self._changed = threading.Condition(threading.RLock())
+        self._counter, self._jitter = StreamCounter(deadline_ms, watchdog), Jitter()
+        self._sensors = SensorInput(
+            pose_frame, scan_stamp, calibration, counter=self._counter, lock=self._changed
+        )
         self._synchronizer = Synchronizer(
             max_skew_ms=max_skew_ms,
             max_wait_ms=max_wait_ms,
             reuse_depth_ms=reuse_depth_ms,
             capacity=_WAITING,
         )
-        self._sensors = SensorInput(pose_frame, scan_stamp, calibration)
-        self._counter, self._jitter = StreamCounter(self.deadline_ms, watchdog), Jitter()
         self._reported_state = self._counter.state(0)
         self._ready: Frame | None = None  # waits for its prediction
         self._unread: tuple[Frame, FrameResult] | None = None  # waits to be fetched
         self._closed = self._ended = self._failure_raised = False
-        self._guard = ProcessGuard("PushStream")
         self._failure: BaseException | None = None
-        reference = weakref.ref(self)
-        self._worker = threading.Thread(
-            target=_work,
-            args=(reference, self._changed, self._clock),
-            name="ssdnet-stream",
-            daemon=True,
+        self._guard = ProcessGuard("PushStream")
+        work = StreamWork(
+            PushStream._step, PushStream._idle_ns, PushStream._fail, PushStream._discard_all
         )
-        self._worker.start()
-        weakref.finalize(self, _end_worker, reference, self._changed, self._worker, self._guard)
+        self._thread = start_thread(self, work, self._changed, self._clock, self._guard)
 
     # --- what sensors call ---------------------------------------------------------------------
 
@@ -190,7 +166,8 @@ class PushStream:
                 stamps are of, too.
 
         Raises:
-            InputError: if the array or the stamp is not valid; that is counted, too.
+            InputError: if the array or the stamp is not valid, or the image has another size than
+                the calibration's; that is counted, too.
             InferenceError: if the stream was ended by an unexpected error.
         """
         self._push("image", rgb, stamp)
@@ -246,21 +223,10 @@ class PushStream:
 
     def _push(self, kind: Kind, data: Any, stamp: Any, times: Any = None) -> None:
         self._guard.check()
-        sensor = SENSORS[kind]
-        outcome = Outcome.BAD_STAMP
-        try:
-            nanoseconds = stamp_ns(stamp)
-            outcome = Outcome.BAD_MESSAGE
-            data = self._sensors.check(kind, data, nanoseconds, times)
-        except InputError:
-            with self._changed:
-                self._counter.push(sensor)
-                self._counter.record(sensor, outcome)
-            raise
+        sensor, message = self._sensors.check(kind, data, stamp, times)
         with self._changed:
-            self._counter.push(sensor)
             if self._closed:
-                self._counter.record(sensor, Outcome.CLOSED)
+                self._counter.push(sensor, Outcome.CLOSED)
                 if self._failure is not None:
                     raise InferenceError(
                         f"the stream was ended by {shown(self._failure, 200)}: close it and make "
@@ -269,12 +235,9 @@ class PushStream:
                 return
             now_ns = self._clock.now_ns()
             self._counter.start(now_ns)
-            if sensor is Sensor.POSE:
-                self._counter.record(sensor, self._sensors.take_pose(data, nanoseconds))
-            else:
-                data = self._sensors.timed(data, nanoseconds)
-                message = Message(stamp, nanoseconds, data, now_ns)
-                self._queue(self._synchronizer.add(sensor, message))
+            taken = self._sensors.take(sensor, replace(message, arrived_ns=now_ns))
+            if taken is not None:
+                self._queue(self._synchronizer.add(sensor, taken))
             self._changed.notify_all()
 
     # --- what the stack calls ------------------------------------------------------------------
@@ -300,20 +263,20 @@ class PushStream:
     def close(self) -> None:
         """Accept no more messages, answer the accepted ones, and end.
 
-        Messages that wait for a partner are decided with what is there. Returns when the worker has
+        Messages that wait for a partner are decided with what is there. Returns when its thread has
         ended; a result that was not fetched yet stays. Returns at once, and the stream ends by
         itself, where a callback of the stream calls it. May be called again, and from any thread,
         but not in a signal handler, which may interrupt another method of the stream.
 
         Raises:
-            Exception: what a callback raised, or any other unexpected error of the worker; once.
+            Exception: what a callback raised, or any other unexpected error of its thread; once.
         """
         self._guard.check()
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-        if threading.current_thread() is not self._worker:
-            self._worker.join()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
             self._raise_failure()
 
     def __enter__(self) -> "PushStream":
@@ -349,7 +312,7 @@ class PushStream:
         if self._failure is not None and not raised:
             raise self._failure
 
-    # --- the worker ----------------------------------------------------------------------------
+    # --- the stream's thread -------------------------------------------------------------------
 
     def _step(self) -> bool:
         """Answer the next frame, if there is one, and report the state; False = the end."""
@@ -420,7 +383,7 @@ class PushStream:
             latency_ms=latency_ms,
             age_ms=age_ms,
             jitter_ms=jitter_ms,
-            deadline_met=None if self.deadline_ms is None else latency_ms <= self.deadline_ms,
+            deadline_met=None if self._deadline_ms is None else latency_ms <= self._deadline_ms,
         )
 
     def _fail(self, failure: BaseException) -> None:
@@ -460,45 +423,7 @@ class PushStream:
         self._changed.notify_all()
 
 
-def _work(
-    reference: "weakref.ref[PushStream]", changed: threading.Condition, clock: MonotonicClock
-) -> None:
-    """Run the worker of a stream until the stream ends or is collected."""
-    while True:
-        stream = reference()
-        try:
-            if stream is None or not stream._step():
-                return
-            with changed:
-                idle_ns = stream._idle_ns()
-                # A stream that nobody else references is collected here; others, while this waits.
-                stream = None
-                if idle_ns != 0 and reference() is not None:
-                    clock.wait(changed, idle_ns)
-        except BaseException as failure:
-            if stream := stream or reference():
-                stream._fail(failure)
-            return
-
-
-def _end_worker(
-    reference: "weakref.ref[PushStream]",
-    changed: threading.Condition,
-    worker: threading.Thread,
-    guard: ProcessGuard,
-) -> None:
-    """Called when a stream is garbage-collected, and at exit, to end its prediction first."""
-    if guard.is_forked:
-        return
-    with changed:
-        stream = reference()
-        if stream is not None:
-            stream._discard_all()
-        changed.notify_all()
-    if stream is not None:
-        worker.join(_EXIT_S)
-
-
-def _check_type(name: str, value: Any, kind: Any) -> None:
-    if value is not None and not isinstance(value, kind):
-        raise InputError(f"{name} must be a {kind.__name__} or None, got {shown(value)}")
+def _check_type(kind: Any, **values: object) -> None:
+    for name, value in values.items():
+        if value is not None and not isinstance(value, kind):
+            raise InputError(f"{name} must be a {kind.__name__} or None, got {shown(value)}")

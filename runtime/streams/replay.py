@@ -4,6 +4,7 @@ The messages are matched as `ssdnet-run` matches those of a bag, moved and flagg
 `PushStream`.
 """
 
+import contextlib
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Literal
@@ -14,12 +15,12 @@ from runtime.checks import shown
 from runtime.errors import InputError, SSDNetError
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import ScanStamp
-from runtime.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS, Stamp, stamp_ns
+from runtime.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS, Stamp
 from runtime.streams.answerer import Answerer, FramePredictor
 from runtime.streams.frame_result import FrameResult
 from runtime.streams.sensor_input import SENSORS, Kind, SensorInput
 from runtime.streams.stream_counter import StreamCounter
-from runtime.sync.frame import Frame, Message, Outcome, Sensor
+from runtime.sync.frame import Frame, Message, Sensor
 from runtime.sync.matching import StampMatching
 
 _WAITING = 16  # messages of a sensor that wait for their partner, and frames that wait for poses
@@ -87,7 +88,9 @@ def replay(
     """
     counter = StreamCounter() if counter is None else counter
     answerer = Answerer(predictor, consistency=consistency, check_depth=check_depth)
-    sensors = SensorInput(pose_frame, scan_stamp, calibration)
+    sensors = SensorInput(
+        pose_frame, scan_stamp, calibration, counter=counter, lock=contextlib.nullcontext()
+    )
 
     def report(error: SSDNetError) -> None:
         if on_error is None:
@@ -97,22 +100,14 @@ def replay(
     def accepted() -> Iterator[tuple[Sensor, Message]]:
         """Check the messages and yield those to be matched; poses are taken."""
         for message in messages:
-            kind, data, stamp, times = _parts(message)
-            sensor = SENSORS[kind]
-            counter.push(sensor)
-            outcome = Outcome.BAD_STAMP
+            parts = _parts(message)
             try:
-                nanoseconds = stamp_ns(stamp)
-                outcome = Outcome.BAD_MESSAGE
-                data = sensors.check(kind, data, nanoseconds, times)
+                sensor, checked = sensors.check(*parts)
             except InputError as error:
-                counter.record(sensor, outcome)
                 report(error)
                 continue
-            if sensor is Sensor.POSE:
-                counter.record(sensor, sensors.take_pose(data, nanoseconds))
-            else:
-                yield sensor, Message(stamp, nanoseconds, sensors.timed(data, nanoseconds))
+            if (taken := sensors.take(sensor, checked)) is not None:
+                yield sensor, taken
 
     matching = StampMatching(
         max_skew_ms=max_skew_ms, reuse_depth_ms=reuse_depth_ms, capacity=_WAITING

@@ -1,5 +1,6 @@
-"""What sensors send: its checks, the poses of the car, and the time of each scan."""
+"""What sensors send: its checks, its outcome, the poses of the car, and the time of each scan."""
 
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -22,7 +23,9 @@ from runtime.geometry.poses import PoseBuffer, PoseFrame
 from runtime.geometry.rigid import read_rigid
 from runtime.preprocess import check_rgb, check_sparse_depth
 from runtime.returns import check_points
-from runtime.sync.frame import Frame, Outcome, Sensor
+from runtime.stamp import Stamp, stamp_ns
+from runtime.streams.stream_counter import StreamCounter
+from runtime.sync.frame import Frame, Message, Outcome, Sensor
 from runtime.sync.matching import Intervals
 
 _SHORTEST_NS = 10**6  # between depth messages: shorter ones are of integers of another unit
@@ -36,24 +39,34 @@ SENSORS: dict[str, Sensor] = {
 
 
 class SensorInput:
-    """Checks of messages, poses and the instants of scans. Only `check` is thread-safe.
+    """Accepts the messages of a car's sensors and counts them. Only `check` is thread-safe.
 
     Args:
         pose_frame: "lidar", "camera" or "body"; None = a car without poses.
         scan_stamp: "start", "middle" or "end".
         calibration: of camera and LiDAR.
+        counter: counts each message.
+        lock: held wherever the counter is used; `check` takes it, other callers hold it.
 
     Raises:
         InputError: if an option is unknown, or the calibration is none or missing.
     """
 
-    def __init__(self, pose_frame: Any, scan_stamp: Any, calibration: Calibration | None) -> None:
+    def __init__(
+        self,
+        pose_frame: Any,
+        scan_stamp: Any,
+        calibration: Calibration | None,
+        *,
+        counter: StreamCounter,
+        lock: AbstractContextManager[Any],
+    ) -> None:
         if not isinstance(calibration, Calibration | None):
             raise InputError(f"calibration must be a Calibration or None, got {shown(calibration)}")
-        self._calibration = calibration
+        self._calibration, self._counter, self._lock = calibration, counter, lock
         self._middle_after = MIDDLE_AFTER[check_scan_stamp(scan_stamp)]
         self._scans = Intervals()
-        self.poses = PoseBuffer()
+        self._poses = PoseBuffer()
         self._mount: NDArray[np.float64] | None = None
         if pose_frame is not None:
             frames = [str(each) for each in PoseFrame]
@@ -66,56 +79,81 @@ class SensorInput:
                 raise InputError("pose_frame needs a calibration: give calibration=")
             self._mount = lidar_mount(PoseFrame(pose_frame), calibration)
 
-    def check(self, kind: Kind, data: Any, stamp_ns: int, times: Any = None) -> Any:
-        """Return a copy of what a sensor sends, a scan as `Scan`; raises InputError."""
-        match kind:
-            case "image":
-                return check_rgb(data).copy()
-            case "depth":
-                is_map = isinstance(data, np.ndarray) and data.ndim == 2
-                # The size of its image is not known yet.
-                return check_sparse_depth(data, size=data.shape if is_map else (0, 0)).copy()
-            case "pose":
-                if self._mount is None:
-                    raise InputError('poses need pose_frame="lidar", "camera" or "body"')
-                return read_rigid("pose", data)
-        if self._calibration is None:
-            raise InputError("points need a calibration to be projected: give calibration=")
-        check_points(data)
-        after_s = None if times is None else point_times(times, len(data), stamp_ns)
-        return Scan.of(data.copy(), after_s, stamp_ns)
+    def check(
+        self, kind: Kind, data: Any, stamp: Stamp, times: Any = None
+    ) -> tuple[Sensor, Message]:
+        """Return a copy of what a sensor sends, a scan as `Scan`; `take` counts it.
 
-    def timed(self, depth: Any, stamp_ns: int) -> Any:
-        """A scan with its time, which is that of its middle if its points have no times.
-
-        Called once for each depth message; a depth map is returned as it is.
+        Raises InputError, after counting the message as an error.
         """
+        sensor, outcome = SENSORS[kind], Outcome.BAD_STAMP
+        try:
+            nanoseconds = stamp_ns(stamp)
+            outcome = Outcome.BAD_MESSAGE
+            copied = self._checked_copy(kind, data, nanoseconds, times)
+            return sensor, Message(stamp, nanoseconds, copied)
+        except InputError:
+            with self._lock:
+                self._counter.push(sensor, outcome)
+            raise
+
+    def _checked_copy(self, kind: Kind, data: Any, stamp_ns: int, times: Any) -> Any:
+        calibration = self._calibration
+        if kind == "pose":
+            if self._mount is None:
+                raise InputError('poses need pose_frame="lidar", "camera" or "body"')
+            return read_rigid("pose", data)
+        if kind == "points":
+            if calibration is None:
+                raise InputError("points need a calibration to be projected: give calibration=")
+            check_points(data)
+            after_s = None if times is None else point_times(times, len(data), stamp_ns)
+            return Scan.of(data.copy(), after_s, stamp_ns)
+        if kind == "image":
+            check_rgb(data)
+        else:
+            is_map = isinstance(data, np.ndarray) and data.ndim == 2
+            # The size of its image is not known yet.
+            check_sparse_depth(data, size=data.shape if is_map else (0, 0))
+        if calibration is not None:
+            calibration.require_size(data.shape[:2])
+        return data.copy()
+
+    def take(self, sensor: Sensor, message: Message) -> Message | None:
+        """Count a checked message; return what is to be matched, None for a pose.
+
+        A scan whose points have no times gets that of its middle.
+        """
+        if sensor is Sensor.POSE:
+            newest_ns = self._poses.newest_ns
+            outcome = Outcome.DUPLICATE if message.stamp_ns == newest_ns else Outcome.LATE
+            if self._poses.add(message.data, message.stamp_ns):
+                outcome = Outcome.ANSWERED
+            self._counter.push(sensor, outcome)
+            return None
+        self._counter.push(sensor)
+        if sensor is Sensor.IMAGE:
+            return message
         period_ns = self._scans.period_ns() or FIRST_SCAN_NS
         if period_ns < _SHORTEST_NS:
             assume(f"stamps of depth {period_ns} apart are nanoseconds", "give seconds as floats")
-        later = self._middle_after * period_ns
-        self._scans.add(stamp_ns)
-        if not isinstance(depth, Scan):
-            return depth
-        return depth if depth.times is not None else depth._replace(times=stamp_ns + round(later))
-
-    def take_pose(self, pose: NDArray[np.float64], stamp_ns: int) -> Outcome:
-        """Keep a pose that is newer than the last one; a stamp far back is of a new clock."""
-        newest_ns = self.poses.newest_ns
-        if self.poses.add(pose, stamp_ns):
-            return Outcome.ANSWERED
-        return Outcome.DUPLICATE if stamp_ns == newest_ns else Outcome.LATE
+        self._scans.add(message.stamp_ns)
+        scan = message.data
+        if not isinstance(scan, Scan) or scan.times is not None:
+            return message
+        middle_ns = message.stamp_ns + round(self._middle_after * period_ns)
+        return replace(message, data=scan._replace(times=middle_ns))
 
     def reaches(self, frame: Frame) -> bool:
         """Whether poses were given up to the end of a frame; for a car without poses, always."""
-        newest_ns = self.poses.newest_ns
+        newest_ns = self._poses.newest_ns
         return self._mount is None or (newest_ns is not None and newest_ns >= _span_ns(frame)[1])
 
     def complete(self, matched: Frame) -> Frame:
         """The frame with the calibration, and with the poses of the LiDAR over its time."""
         poses = None
         if self._mount is not None:
-            poses = self.poses.between(*_span_ns(matched)).mounted(self._mount)
+            poses = self._poses.between(*_span_ns(matched)).mounted(self._mount)
         return replace(matched, calibration=self._calibration, poses=poses)
 
 

@@ -82,23 +82,21 @@ class StreamCounter:
         self._faults = {name: MissCounter() for name in _FAULTS}
         self._last_ns: int | None = None  # the last answer, or else the first message
 
-    def push(self, sensor: Sensor) -> None:
-        """Count a new message."""
+    def push(self, sensor: Sensor, outcome: Outcome | None = None) -> None:
+        """Count a new message, and its outcome if it is known at once."""
         self._pushed[sensor] += 1
+        if outcome is not None:
+            self._outcomes[sensor][outcome] += 1
 
     def start(self, now_ns: int) -> None:
         """A message was accepted; the first one ends the state "n/a"."""
         if self._last_ns is None:
             self._last_ns = now_ns
 
-    def record(self, sensor: Sensor, outcome: Outcome) -> None:
-        """Count the outcome of a message."""
-        self._outcomes[sensor][outcome] += 1
-
     def record_decided(self, decided: Decided) -> None:
         """Count what a step of the matching discarded."""
         for discarded in decided.discarded:
-            self.record(discarded.sensor, discarded.outcome)
+            self._outcomes[discarded.sensor][discarded.outcome] += 1
         self._jumps_back += decided.jumped_back
 
     def record_frame(self, frame: Frame, outcome: Outcome, times: int = 1) -> None:

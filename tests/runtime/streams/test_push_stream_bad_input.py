@@ -28,6 +28,16 @@ def test_invalid_messages_are_refused_and_counted(setup):
     assert counts.depths.errors == {"bad_message": 2}
 
 
+def test_images_and_depth_maps_of_another_size_than_the_calibrations_are_refused(setup):
+    """Their answers would have a wrong focal length; points are projected into the image's size."""
+    stream = setup(calibration=Calibration(np.eye(3), np.eye(4), (48, 64))).stream
+    with pytest.raises(InputError, match=r"for images of \(48, 64\)"):
+        stream.push_image(image(), 0)
+    with pytest.raises(InputError, match=r"for images of \(48, 64\)"):
+        stream.push_depth(depth(), 0)
+    assert add_up(stream.counts).errors == {"bad_message": 2}
+
+
 OF_BOTH = [
     {"max_skew_ms": -1}, {"max_skew_ms": float("nan")}, {"reuse_depth_ms": "x"}, {"calibration": 5},
     {"consistency": "x"}, {"scan_stamp": "first"}, {"pose_frame": "lidar"},

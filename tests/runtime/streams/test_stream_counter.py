@@ -44,8 +44,7 @@ def test_an_answer_that_was_not_fetched_counts_as_dropped():
 def test_every_outcome_is_of_one_kind():
     for outcome in Outcome:
         counter = StreamCounter()
-        counter.push(Sensor.DEPTH)
-        counter.record(Sensor.DEPTH, outcome)
+        counter.push(Sensor.DEPTH, outcome)
         assert counter.counts().pending == 0, outcome
 
 

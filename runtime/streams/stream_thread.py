@@ -1,0 +1,90 @@
+"""The thread of a stream, which ends with the stream, also with one that nobody closes."""
+
+import threading
+import time
+import weakref
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from runtime.process_guard import ProcessGuard
+
+_EXIT_S = 10.0  # time that the exit of the interpreter waits for a prediction
+
+
+class MonotonicClock:
+    """The clock of a stream, which tests replace: time that never goes back."""
+
+    def now_ns(self) -> int:
+        """Nanoseconds since an arbitrary start."""
+        return time.monotonic_ns()
+
+    def wait(self, changed: threading.Condition, timeout_ns: int | None) -> None:
+        """Wait until `changed`, whose lock is held, is notified; None = without a limit."""
+        changed.wait(None if timeout_ns is None else max(timeout_ns, 0) / 1e9)
+
+
+@dataclass(frozen=True)
+class StreamWork:
+    """What the thread calls with the stream.
+
+    Attributes:
+        step: does what can be done now; returns False at the end of the stream.
+        idle_ns: how long there will be nothing to do without a change; None = for ever. With the
+            lock held.
+        fail: ends the stream after an error of `step`.
+        discard: drops all messages and closes the stream. With the lock held.
+    """
+
+    step: Callable[[Any], bool]
+    idle_ns: Callable[[Any], int | None]
+    fail: Callable[[Any, BaseException], None]
+    discard: Callable[[Any], None]
+
+
+def start_thread(
+    stream: object,
+    work: StreamWork,
+    changed: threading.Condition,
+    clock: MonotonicClock,
+    guard: ProcessGuard,
+) -> threading.Thread:
+    """Start the thread of a stream, which references the stream only while it works.
+
+    So a stream that nobody else references is collected, which ends the thread. The exit of the
+    interpreter, which must not happen during a prediction, ends it, too.
+    """
+    reference = weakref.ref(stream)
+
+    def run() -> None:
+        while True:
+            stream = reference()
+            try:
+                if stream is None or not work.step(stream):
+                    return
+                with changed:
+                    idle_ns = work.idle_ns(stream)
+                    stream = None  # collected here, or while this waits
+                    if idle_ns != 0 and reference() is not None:
+                        clock.wait(changed, idle_ns)
+            except BaseException as failure:
+                if stream := stream or reference():
+                    work.fail(stream, failure)
+                return
+
+    thread = threading.Thread(target=run, name="ssdnet-stream", daemon=True)
+    thread.start()
+
+    def end() -> None:
+        if guard.is_forked:
+            return
+        with changed:
+            stream = reference()
+            if stream is not None:  # at exit
+                work.discard(stream)
+            changed.notify_all()
+        if stream is not None:
+            thread.join(_EXIT_S)
+
+    weakref.finalize(stream, end)
+    return thread
