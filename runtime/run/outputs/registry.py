@@ -15,7 +15,7 @@ from runtime.run.options import RunOptions
 from runtime.run.outputs.frame_writer import open_frame_files
 from runtime.run.outputs.mcap import open_mcap
 from runtime.run.outputs.output import OpenRun
-from runtime.run.outputs.page.page import open_page
+from runtime.run.outputs.page import open_page
 from runtime.run.outputs.run_recording import open_recording
 from runtime.run.outputs.video import open_video
 from runtime.run.pipeline import Output

@@ -13,8 +13,8 @@ import pytest
 
 from outcomes import outcome
 from runtime.prediction import Latency
-from runtime.run.outputs.page import charts
-from runtime.run.outputs.page.page import RunPage, render_template
+from runtime.run.outputs import charts
+from runtime.run.outputs.page import RunPage, render_template
 from runtime.streams.frame_result import OK, SKIPPED
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)

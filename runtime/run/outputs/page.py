@@ -15,8 +15,8 @@ from runtime.contract import Contract
 from runtime.drawing.overlay import Overlay
 from runtime.io.atomic_write import atomic_write
 from runtime.io.encode import encode_jpeg, encode_png
+from runtime.run.outputs import charts
 from runtime.run.outputs.output import OpenRun
-from runtime.run.outputs.page import charts
 from runtime.run.run_report import RunReport, running_providers
 from runtime.streams.frame_result import INVALID, SKIPPED, FrameResult
 from runtime.streams.statistics import LatencyStatistics
@@ -172,11 +172,11 @@ def open_page(run: OpenRun) -> Iterator[RunPage]:
 
 
 def render_template(template: str, values: Mapping[str, Any]) -> str:
-    """Fill in a template of this package; values are escaped, a missing value is an error."""
+    """Fill in a file of `templates`; values are escaped, a missing value is an error."""
     import jinja2  # only where a page is made
 
     templates = jinja2.Environment(
-        loader=jinja2.PackageLoader("runtime.run.outputs", "page"),
+        loader=jinja2.PackageLoader("runtime.run.outputs", "templates"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         keep_trailing_newline=True,
