@@ -13,13 +13,10 @@ from pathlib import Path
 import psutil
 
 from runtime import Predictor
-from runtime.drawing.overlay import Overlay
-from runtime.run.options import RunOptions
-from runtime.run.outputs.frame_writer import FrameWriter
+from runtime.run.options import KINDS, RunOptions
+from runtime.run.outputs.frame_writer import FrameWriter, make_run_folder
 from runtime.run.outputs.output import OpenRun
-from runtime.run.pipeline import FrameReader, run_stream
-from runtime.run.process import dedicate_process
-from runtime.run.run_folder import KINDS, make_run_folder
+from runtime.run.pipeline import FrameReader, dedicate_process, run_stream
 from runtime.sources.bundled_stream import bundled_stream
 from runtime.sources.folders import FolderSource
 from runtime.streams.answerer import Answerer
@@ -47,9 +44,8 @@ def main() -> None:
         listed = source.list_frames()
         frames = [source.read(frame) for frame in listed]
         options = RunOptions(demo=True, out=Path(scratch) / "out")
-        make_run_folder(options.folder, names={frame.name for frame in listed})
-        overlay = Overlay(engine.contract.classes, engine.contract.max_depth_m)
-        writer = FrameWriter(OpenRun(options, engine, overlay, KINDS))
+        make_run_folder(options, KINDS, [frame.name for frame in listed])
+        writer = FrameWriter(OpenRun(options, engine, KINDS))
         print("| frames | Predictor.predict [MB] |\n|---|---|")
         for done in range(0, arguments.frames + 1, part):
             print(f"| {done} | {resident_mb():.1f} |", flush=True)

@@ -24,7 +24,7 @@ from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import project_moved
 from runtime.geometry.poses import PoseTrack
 from runtime.geometry.projection import OcclusionFilter
-from runtime.run.process import dedicate_process
+from runtime.run.pipeline import dedicate_process
 
 SIZE = (375, 1242)
 INTRINSICS = np.array([[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1]])

@@ -14,7 +14,7 @@ from importlib.metadata import version
 
 from runtime import Predictor, PushStream
 from runtime.run.engine_facts import machine_facts
-from runtime.run.process import dedicate_process
+from runtime.run.pipeline import dedicate_process
 from runtime.sync.frame import Frame
 from soak import resized_frames
 

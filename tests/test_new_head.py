@@ -57,8 +57,8 @@ COMMAND = f"""
 import pickle
 from runtime.heads import HEADS
 HEADS["drivable"] = pickle.loads({pickle.dumps(ROW)!r})
-from runtime.run.__main__ import main
-main()
+from runtime.tools.commands import run
+run()
 """
 SIZE = (64, 96)
 

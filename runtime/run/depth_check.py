@@ -15,9 +15,9 @@ from runtime.io.images import holds_metres
 from runtime.predictor import Predictor
 from runtime.preprocess import check_sparse_depth, clean_sparse_depth
 from runtime.returns import is_measured
-from runtime.run.options import RunOptions
 from runtime.run.pipeline import FrameReader
 from runtime.sources.source import ListedFrame, Source
+from runtime.streams.answerer import known_focal_length_px
 from runtime.sync.frame import Sensor
 
 _LEAST_UNSEEN = 0.02  # share of the pixels; the corners of a sound calibration may lie beyond it
@@ -59,7 +59,6 @@ def find_depth_fault(
     frames: Sequence[ListedFrame],
     source: Source,
     reader: FrameReader,
-    options: RunOptions,
 ) -> str | None:
     """Return why the depth of a stream cannot be right, and what to try; None = nothing found.
 
@@ -80,7 +79,7 @@ def find_depth_fault(
             check_sparse_depth(frame.sparse_depth, size=frame.size)
             if listed.depth is None:
                 continue
-            focal_px = options.focal_length_px(frame)
+            focal_px = known_focal_length_px(predictor, frame.calibration)
             range_m = predictor.camera_scale(frame.size, focal_length_px=focal_px).range_m
             returns.append(clean_sparse_depth(frame.sparse_depth, max_depth_m=range_m)[2])
             camera_only = None
@@ -94,6 +93,6 @@ def find_depth_fault(
         return other_size
     if (finding := check.finding()) is not None:
         has_scale = predictor.contract.canonical_focal_px is not None
-        focal_px = predictor.focal_length_px if has_scale else None
+        focal_px = known_focal_length_px(predictor, source.calibration) if has_scale else None
         return finding.advice(depth_scale=depth_scale, focal_length_px=focal_px)
     return NoDepth.NO_RETURNS if returns and not any(returns) else None

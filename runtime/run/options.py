@@ -7,7 +7,7 @@ import dataclasses
 import itertools
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -20,10 +20,10 @@ from runtime.checks import shown
 from runtime.command import Provider
 from runtime.contract import MAX_FOCAL_PX, MAX_PIXELS, MIN_FOCAL_PX
 from runtime.errors import InputError
+from runtime.heads import HEADS
 from runtime.io.encode import METRES_PNG_SCALE
 from runtime.io.scan import SCAN_SUFFIXES
 from runtime.network_size import NetworkSize, parse_network_size
-from runtime.run.run_folder import KINDS, SUFFIXES
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
 from runtime.sources.registry import (
     SOURCE_KEYS,
@@ -34,10 +34,20 @@ from runtime.sources.registry import (
     keys_of,
     parse_source,
 )
-from runtime.sources.source import ListedFrame, Source
+from runtime.sources.source import Source
 from runtime.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
-from runtime.sync.frame import Frame
 
+OVERLAY, CLOUD = "overlay", "cloud"
+#: Kind of a file that holds one head -> its name and encoding.
+SAVED_HEADS = {
+    head.saved_as: (head.name, head.encoding)
+    for head in HEADS.values()
+    if head.encoding is not None
+}
+#: Kind of a frame's file, also the name of its subfolder -> suffix.
+SUFFIXES = {**dict.fromkeys(SAVED_HEADS, ".png"), OVERLAY: ".jpg", CLOUD: ".ply"}
+#: What is written unless something else is requested; the others are large.
+KINDS = tuple(kind for kind in SUFFIXES if kind != CLOUD)
 MAX_OVERLAY_WIDTH = 8192  # five panels side by side fit into a JPEG
 #: Option that names a file -> its suffix.
 FILE_SUFFIXES = {"video": ".mp4", "report": ".html", "mcap": ".mcap"}
@@ -223,7 +233,7 @@ class RunOptions:
             inside = [folder for folder in (out, *files) if record in (folder, *folder.parents)]
             if inside or out in record.parents:
                 raise UsageError(f"--record {record} needs a folder apart from other results")
-        _ = self.kinds, self.network_size, self._shard, self.open_cameras
+        _ = self.kinds, self.network_size, self.part, self.open_cameras
 
     @cached_property
     def kinds(self) -> tuple[str, ...]:
@@ -241,11 +251,13 @@ class RunOptions:
     @property
     def folder(self) -> Path:
         """The folder of the results: --out, else ssdnet-run, ssdnet-run-2 and so on, a new one."""
-        return self._named_folder or next(path for path in _names() if not os.path.lexists(path))
+        return self._named_folder or next(
+            path for path in _new_folders() if not os.path.lexists(path)
+        )
 
     def with_folder(self) -> "RunOptions":
         """The options with --out; a folder that was not named is made, so that no run shares it."""
-        named = self._named_folder or next(path for path in _names() if _is_made(path))
+        named = self._named_folder or next(path for path in _new_folders() if _is_made(path))
         return dataclasses.replace(self, out=named)
 
     @property
@@ -286,7 +298,9 @@ class RunOptions:
         return {option: path for option, path in named.items() if path is not None}
 
     def of_camera(self, camera: str) -> "RunOptions":
-        """The options of one camera of a rig, with outputs of its own."""
+        """The options of one camera of a rig, with outputs of its own; "" = the only camera."""
+        if not camera:
+            return self
         files: dict[str, Any] = {
             option: path.with_stem(f"{path.stem}-{camera}")
             for option, path in self.named_files.items()
@@ -294,31 +308,25 @@ class RunOptions:
         record = self.record and self.record / camera
         return dataclasses.replace(self, out=self.folder / camera, record=record, **files)
 
-    def focal_length_px(self, of: Source | Frame) -> float | None:
-        """The focal length: --focal-length, else that of the calibration of a source or frame."""
-        if self.focal_length is not None:
-            return self.focal_length
-        if self.demo:
-            return BUNDLED_FOCAL_LENGTH_PX
-        return None if of.calibration is None else of.calibration.focal_length_px
-
-    def shard_of(self, frames: Sequence[ListedFrame]) -> Sequence[ListedFrame]:
-        """The frames that --shard names."""
-        part, parts = self._shard
-        return frames[part - 1 :: parts]
+    @property
+    def focal_length_px(self) -> float | None:
+        """--focal-length, else that of the camera of --demo; None = that of the calibration."""
+        is_known = self.demo and self.focal_length is None
+        return BUNDLED_FOCAL_LENGTH_PX if is_known else self.focal_length
 
     @cached_property
-    def _shard(self) -> tuple[int, int]:
+    def part(self) -> slice:
+        """The frames that --shard names."""
         numbers = re.fullmatch("([0-9]{1,7})/([0-9]{1,7})", self.shard or "1/1")
         part, parts = map(int, numbers.groups()) if numbers else (0, 0)
         if not 1 <= part <= parts:
             raise UsageError(
                 f"--shard is I/N with 1 <= I <= N, such as 2/4, got {shown(self.shard)}"
             )
-        return part, parts
+        return slice(part - 1, None, parts)
 
 
-def _names() -> Iterator[Path]:
+def _new_folders() -> Iterator[Path]:
     """Names of folders that a run may take without --out."""
     yield _OUT
     yield from (_OUT.with_name(f"{_OUT}-{number}") for number in itertools.count(2))
@@ -326,11 +334,12 @@ def _names() -> Iterator[Path]:
 
 def _is_made(path: Path) -> bool:
     """Make a folder; False if there is one, or another run has just made it."""
-    with contextlib.suppress(OSError):  # others are reported where the folder is used
-        try:
-            path.mkdir()
-        except FileExistsError:
-            return False
+    try:
+        path.mkdir()
+    except FileExistsError:
+        return False
+    except OSError:  # reported where the folder is used
+        pass
     return True
 
 

@@ -1,24 +1,24 @@
 """Run a model over a stream of frames, and write the requested outputs."""
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
+from runtime.canonical_focal import CameraScale
 from runtime.command import stop_requested
-from runtime.drawing.overlay import Overlay
 from runtime.errors import InputError, SSDNetError
 from runtime.predictor import Predictor
 from runtime.preprocess import check_sparse_depth
 from runtime.run.depth_check import NoDepth, find_depth_fault, find_lens_fault
 from runtime.run.engine_facts import engine_facts
-from runtime.run.options import RunOptions
+from runtime.run.options import CLOUD, KINDS, SAVED_HEADS, RunOptions
+from runtime.run.outputs.frame_writer import make_run_folder
 from runtime.run.outputs.output import OpenRun
 from runtime.run.outputs.registry import open_outputs, require_outputs
-from runtime.run.pipeline import FrameReader, StreamResult, run_stream
-from runtime.run.process import dedicate_process
-from runtime.run.run_folder import CLOUD, KINDS, SAVED_HEADS, make_run_folder
+from runtime.run.pipeline import FrameReader, StreamResult, dedicate_process, run_stream
 from runtime.run.run_report import RunReport, describe_predictor, group_reasons, write_report
 from runtime.sources.source import ListedFrame, Source
-from runtime.streams.answerer import Answerer
+from runtime.streams.answerer import Answerer, known_focal_length_px
 from runtime.streams.frame_result import FrameResult
 
 _FIRST_FRAMES = 20  # a stream is refused if none of them can be predicted
@@ -51,99 +51,147 @@ def run(
     dedicate_process()
     with contextlib.ExitStack() as opened:
         cameras = options.open_cameras()
-        sources = [opened.enter_context(source) for source in cameras.values()]
-        if len(sources) == 1:
-            return _run_camera(options, sources[0], on_start)
-        return _run_rig(options, cameras, on_start)
-
-
-def _run_rig(options: RunOptions, cameras: Mapping[str, Source], on_start: OnStart) -> RunReport:
-    """Run one camera after the other, each into a folder of its own, and write one report."""
-    if options.focal_length is not None:
-        raise InputError(
-            f"--focal-length is of one camera, and there are {len(cameras)}: leave it out, or run "
-            "each camera by itself"
-        )
-    for camera, source in cameras.items():
-        require_outputs(options.of_camera(camera), source)
-    options = options.with_folder()
-    make_run_folder(options.folder, kinds=(), overwrite=options.overwrite)
-    reports: dict[str, RunReport] = {}
-    with stop_requested() as stop:
+        for source in cameras.values():
+            opened.enter_context(source)
+        if options.focal_length is not None and len(cameras) > 1:
+            raise InputError(
+                f"--focal-length is of one camera, and there are {len(cameras)}: leave it out, or "
+                "run each camera by itself"
+            )
         for camera, source in cameras.items():
-            if reports and stop():
+            require_outputs(options.of_camera(camera), source)
+        predictor = opened.enter_context(
+            Predictor(
+                options.model,
+                sha256=options.sha256,
+                provider=str(options.provider),
+                size=options.network_size,
+                focal_length_px=options.focal_length_px,
+                threads=options.threads,
+                warmup=0,
+            )
+        )
+        reports: dict[str, RunReport] = {}
+        stop: Callable[[], bool] = lambda: False  # noqa: E731 - a signal ends the process yet
+        for camera, source in cameras.items():
+            if stop():
                 break
-
-            def start(about: str, frames: int, camera: str = camera) -> OnRecord:
-                return on_start(f"{camera}: {about}", frames)
-
-            try:
-                reports[camera] = _run_camera(options.of_camera(camera), source, start, stop)
-            except InputError as error:
-                raise InputError(f"{camera}: {error}") from error
+            with _of_camera(camera):
+                stream = _prepare(options, source, predictor)
+                if not reports:
+                    options = options.with_folder()
+                    if camera:
+                        make_run_folder(options, kinds=(), names=())
+                    stop = opened.enter_context(stop_requested())
+                reports[camera] = _answer(stream, options.of_camera(camera), camera, on_start, stop)
+        if "" in reports:
+            return reports[""]
         is_whole = len(reports) == len(cameras)
         report = RunReport.of_rig(reports, options.folder, interrupted=not is_whole)
         write_report(report)
-    return report
+        return report
 
 
-def _run_camera(
-    options: RunOptions, source: Source, on_start: OnStart, stop: Callable[[], bool] | None = None
-) -> RunReport:
+@contextlib.contextmanager
+def _of_camera(camera: str) -> Iterator[None]:
+    """Let an InputError of the block name the camera of a rig."""
+    try:
+        yield
+    except InputError as error:
+        if not camera:
+            raise
+        raise InputError(f"{camera}: {error}") from error
+
+
+@dataclass(frozen=True)
+class _Stream:
+    """The stream of a camera before its first frame is answered.
+
+    Attributes:
+        source: of the frames.
+        frames: to answer.
+        reader: has read the first of them.
+        predictor: warmed up at their size.
+        kinds: of files to write of each frame.
+        frame_size: (height, width) of the first frame; None = none can be predicted.
+        focal_px: of the camera; None = not known.
+        scale: of the depth; None where no frame can be predicted.
+        fault: why the returns cannot be right; None = nothing was found.
+    """
+
+    source: Source
+    frames: Sequence[ListedFrame]
+    reader: FrameReader
+    predictor: Predictor
+    kinds: tuple[str, ...]
+    frame_size: tuple[int, int] | None
+    focal_px: float | None
+    scale: CameraScale | None
+    fault: str | None
+
+    @property
+    def about(self) -> str:
+        """The lines that are printed before the first frame."""
+        lines = [*self.source.notes]
+        lines.append(describe_predictor(self.predictor, self.frame_size, self.focal_px, self.scale))
+        faults = (find_lens_fault(self.source.calibration, self.frame_size), self.fault)
+        return "\n".join([*lines, *(f"warning: {each}" for each in faults if each)])
+
+
+def _prepare(options: RunOptions, source: Source, predictor: Predictor) -> _Stream:
+    """List the frames, read the first, and warm up; nothing is written."""
     if options.rectify:
         source.rectify_images()
     listed = source.list_frames(limit=options.limit)
-    frames = options.shard_of(listed)
-    with Predictor(
-        options.model,
-        sha256=options.sha256,
-        provider=str(options.provider),
-        size=options.network_size,
-        focal_length_px=options.focal_length_px(source),
-        threads=options.threads,
-        warmup=0,
-    ) as predictor:
-        kinds = _answered_kinds(options, predictor)
-        reader = FrameReader(source)
-        frame_size = _warm_up(predictor, frames, reader, runs=options.warmup)
-        require_outputs(options, source)
-        # Of the first frames of all shards, which so have the same finding.
-        fault = find_depth_fault(predictor, listed, source, reader, options)
-        about = [*source.notes, describe_predictor(predictor, frame_size)]
-        faults = (find_lens_fault(source.calibration, frame_size), fault)
-        about += [f"warning: {each}" for each in faults if each]
-        overlay = Overlay(predictor.contract.classes, predictor.contract.max_depth_m)
-        options = options.with_folder()
-        opened = OpenRun(options, predictor, overlay, kinds, [each.name for each in frames])
-        with (
-            contextlib.nullcontext(stop) if stop else stop_requested() as stopped,
-            open_outputs(opened) as (outputs, recorders),
-        ):
-            answerer = Answerer(
-                predictor,
-                focal_length_px=options.focal_length_px,
-                check_depth=False,
-                is_implausible=fault is not None and not isinstance(fault, NoDepth),
-            )
-            result = run_stream(
-                answerer,
-                frames,
-                reader,
-                rate_hz=options.rate,
-                deadline_ms=options.deadline_ms,
-                outputs=outputs,
-                recorders=recorders,
-                on_record=on_start("\n".join(about), len(frames)),
-                stop=stopped,
-            )
-            answers = [each.prediction for each in result.records if each.prediction]
-            if fault is NoDepth.NO_RETURNS and any(answer.depth_returns for answer in answers):
-                fault = None  # the LiDAR started later
-            opened.report = _report(opened, source, frame_size, result, fault)
-        return opened.report
+    frames = listed[options.part]
+    focal_px = known_focal_length_px(predictor, source.calibration)
+    kinds = _answered_kinds(options, predictor, focal_px)
+    reader = FrameReader(source)
+    size = _warm_up(predictor, frames, reader, runs=options.warmup)
+    scale = predictor.camera_scale(size, focal_length_px=focal_px) if size else None
+    # Of the first frames of all shards, which so have the same finding.
+    fault = find_depth_fault(predictor, listed, source, reader)
+    return _Stream(source, frames, reader, predictor, kinds, size, focal_px, scale, fault)
 
 
-def _answered_kinds(options: RunOptions, predictor: Predictor) -> tuple[str, ...]:
+def _answer(
+    stream: _Stream,
+    options: RunOptions,
+    camera: str,
+    on_start: OnStart,
+    stop: Callable[[], bool],
+) -> RunReport:
+    """Answer the frames of a camera, and write what was requested."""
+    predictor, fault = stream.predictor, stream.fault
+    opened = OpenRun(options, predictor, stream.kinds, [each.name for each in stream.frames])
+    with open_outputs(opened) as (outputs, recorders):
+        answerer = Answerer(
+            predictor,
+            check_depth=False,
+            is_implausible=fault is not None and not isinstance(fault, NoDepth),
+        )
+        about = f"{camera}: {stream.about}" if camera else stream.about
+        result = run_stream(
+            answerer,
+            stream.frames,
+            stream.reader,
+            rate_hz=options.rate,
+            deadline_ms=options.deadline_ms,
+            outputs=outputs,
+            recorders=recorders,
+            on_record=on_start(about, len(stream.frames)),
+            stop=stop,
+        )
+        answers = [each.prediction for each in result.records if each.prediction]
+        if fault is NoDepth.NO_RETURNS and any(answer.depth_returns for answer in answers):
+            fault = None  # the LiDAR started later
+        opened.report = _report(stream, options, result, fault)
+    return opened.report
+
+
+def _answered_kinds(
+    options: RunOptions, predictor: Predictor, focal_px: float | None
+) -> tuple[str, ...]:
     """The kinds of files that the model answers. Raises InputError if one was requested by name."""
     heads = {**{kind: head for kind, (head, _) in SAVED_HEADS.items()}, CLOUD: "depth"}
     missing = [
@@ -154,7 +202,7 @@ def _answered_kinds(options: RunOptions, predictor: Predictor) -> tuple[str, ...
             f"--save requests {', '.join(missing)}, but the model {predictor.contract.model_name} "
             f"answers {', '.join(predictor.heads)}: leave it out, or choose another --model"
         )
-    if CLOUD in options.kinds and predictor.focal_length_px is None:
+    if CLOUD in options.kinds and focal_px is None:
         raise InputError(
             "--save cloud needs the camera's intrinsics: give --calibration or --focal-length"
         )
@@ -188,18 +236,13 @@ def _warm_up(
 
 
 def _report(
-    run: OpenRun,
-    source: Source,
-    frame_size: tuple[int, int] | None,
-    result: StreamResult,
-    implausible_depth: str | None,
+    stream: _Stream, options: RunOptions, result: StreamResult, implausible_depth: str | None
 ) -> RunReport:
-    options, predictor = run.options, run.predictor
-    scale = predictor.camera_scale(frame_size) if frame_size else None
+    source, scale = stream.source, stream.scale
     inputs = {
         "source": f"{options.source_path.kind}:{options.source_path.path}",
         **source.inputs,
-        "focal_length_px": predictor.focal_length_px,
+        "focal_length_px": stream.focal_px,
         "used_focal_length_px": scale and scale.focal_length_px,
         "depth_range_m": scale and round(scale.range_m, 2),
         "lens": source.calibration and source.calibration.lens,
@@ -210,10 +253,10 @@ def _report(
         "warmup": options.warmup,
     }
     return RunReport(
-        engine_facts(predictor),
+        engine_facts(stream.predictor),
         inputs,
         options.folder,
-        tuple(run.kinds),
+        stream.kinds,
         result,
         options.deadline_ms,
         implausible_depth,

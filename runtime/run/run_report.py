@@ -11,18 +11,19 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from runtime.canonical_focal import CameraScale
 from runtime.io.atomic_write import atomic_write
 from runtime.io.encode import METRES_PNG_MAX_M, METRES_PNG_SCALE
 from runtime.prediction import Cleaned, Prediction
 from runtime.predictor import Predictor
 from runtime.run.engine_facts import EngineFacts
-from runtime.run.options import RunOptions
+from runtime.run.options import OVERLAY, RunOptions
 from runtime.run.pipeline import StreamResult
-from runtime.run.run_folder import FRAMES_FILE, OVERLAY, REPORT_FILE
 from runtime.streams.frame_result import FIGURES, OK, FrameResult
 from runtime.streams.statistics import MissCounter, StreamStatistics, latency_statistics
 
 REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "2.0"
+FRAMES_FILE, REPORT_FILE = "frames.csv", "report.json"
 FRAMES_SKIPPED, DEADLINE_MISSED = 3, 4  # exit codes
 
 #: Stage -> its time for a frame. "latency" is left out: it equals "age" or "predict".
@@ -249,15 +250,26 @@ def frames_csv(report: RunReport) -> str:
     return text.getvalue()
 
 
-def describe_predictor(predictor: Predictor, frame_size: tuple[int, int] | None) -> str:
+def describe_predictor(
+    predictor: Predictor,
+    frame_size: tuple[int, int] | None,
+    focal_px: float | None,
+    scale: CameraScale | None,
+) -> str:
     """Lines on model, providers, threads, sizes of frames and network, focal length and range."""
     network_size = predictor.network_size(frame_size) if frame_size else None
     running = ", ".join(running_providers(predictor.providers, predictor.node_counts))
-    return (
+    text = (
         f"{predictor.contract.model_name} sha256:{predictor.digest[:12]} | {running} | "
         f"threads {predictor.threads} | frames {_size_text(frame_size)}, "
-        f"network at {_size_text(network_size)}{_scale_text(predictor, frame_size)}"
+        f"network at {_size_text(network_size)}"
     )
+    if scale is None:
+        return text
+    used = "not known: give --focal-length" if focal_px is None else f"{focal_px:g} px"
+    if scale.focal_length_px is None and focal_px is not None:
+        used += ", not used by this model"
+    return f"{text}\nfocal length {used}; depth up to {scale.range_m:.4g} m"
 
 
 def running_providers(names: Sequence[str], nodes: Mapping[str, int] | None) -> list[str]:
@@ -265,17 +277,6 @@ def running_providers(names: Sequence[str], nodes: Mapping[str, int] | None) -> 
     if nodes is None:
         return list(names)
     return [f"{name} {nodes[name]} nodes" for name in names if name in nodes]
-
-
-def _scale_text(predictor: Predictor, frame_size: tuple[int, int] | None) -> str:
-    if frame_size is None:
-        return ""
-    scale = predictor.camera_scale(frame_size)
-    given_px = predictor.focal_length_px
-    used = "not known: give --focal-length" if given_px is None else f"{given_px:g} px"
-    if scale.focal_length_px is None and given_px is not None:
-        used += ", not used by this model"
-    return f"\nfocal length {used}; depth up to {scale.range_m:.4g} m"
 
 
 def describe_run(report: RunReport) -> str:

@@ -1,7 +1,6 @@
 """The answer to a frame: its prediction, and the checks of its sensors."""
 
 import contextlib
-from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
@@ -9,6 +8,7 @@ from numpy.typing import NDArray
 
 from runtime.degraded import IMPLAUSIBLE_DEPTH
 from runtime.errors import SSDNetError
+from runtime.geometry.calibration import Calibration
 from runtime.health.consistency import ConsistencyCheck
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.health.frame_health import FrameHealth
@@ -39,8 +39,6 @@ class Answerer:
 
     Args:
         predictor: a `Predictor`, or a drop-in replacement.
-        focal_length_px: gives that of a frame; None = that of its calibration, where the predictor
-            has none.
         consistency: share of the returns that is held out, see `ConsistencyCheck`; None = no check.
         check_depth: whether `check_last` compares returns with a prediction from the image alone.
         is_implausible: whether returns are known to be implausible until `check_last` clears them.
@@ -53,13 +51,11 @@ class Answerer:
         self,
         predictor: FramePredictor,
         *,
-        focal_length_px: Callable[[Frame], float | None] | None = None,
         consistency: float | None = None,
         check_depth: bool = True,
         is_implausible: bool = False,
     ) -> None:
         self._predictor = predictor
-        self._focal_length_px = focal_length_px or self._calibrated_focal_length
         self._health, self._plausibility = FrameHealth(), DepthPlausibility()
         self._is_implausible = is_implausible
         self._check_depth = check_depth
@@ -135,11 +131,15 @@ class Answerer:
         return self._predictor.predict(
             frame.rgb,
             sparse_depth,
-            focal_length_px=self._focal_length_px(frame),
+            focal_length_px=known_focal_length_px(self._predictor, frame.calibration),
             stamp=frame.image.stamp,
         )
 
-    def _calibrated_focal_length(self, frame: Frame) -> float | None:
-        if frame.calibration is None or self._predictor.focal_length_px is not None:
-            return None
-        return frame.calibration.focal_length_px
+
+def known_focal_length_px(
+    predictor: FramePredictor, calibration: Calibration | None
+) -> float | None:
+    """The focal length of a camera: the predictor's, else that of the calibration, if any."""
+    if predictor.focal_length_px is not None or calibration is None:
+        return predictor.focal_length_px
+    return calibration.focal_length_px

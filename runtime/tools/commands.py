@@ -7,13 +7,16 @@ from runtime.command import begin_command
 
 
 def _command(module: str) -> Callable[[], None]:
-    """The entry point of the command whose `app` a module of this folder holds."""
+    """The entry point of the command whose `app` a module holds."""
 
     def start() -> None:
         begin_command()
-        import_module(f"runtime.tools.{module}").app()
+        import_module(f"runtime.{module}").app()
 
     return start
 
 
-info, doctor, verify, bench = map(_command, ("info", "doctor", "verify", "bench"))
+run = _command("run.cli")
+info, doctor, verify, bench = map(
+    _command, ("tools.info", "tools.doctor", "tools.verify", "tools.bench")
+)

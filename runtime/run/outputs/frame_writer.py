@@ -1,7 +1,7 @@
 """Write the files of each frame of a run: all files of a frame, or none."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from runtime.geometry.calibration import Calibration
 from runtime.io.atomic_write import atomic_write
 from runtime.io.encode import ENCODERS, encode_jpeg
+from runtime.io.own_folder import make_own_folder
 from runtime.io.ply import encode_ply
 from runtime.prediction import Prediction
+from runtime.run.options import CLOUD, OVERLAY, SAVED_HEADS, SUFFIXES, RunOptions
 from runtime.run.outputs.output import OpenRun
-from runtime.run.run_folder import CLOUD, OVERLAY, SAVED_HEADS, SUFFIXES, make_run_folder
-from runtime.run.run_report import write_report
+from runtime.run.run_report import FRAMES_FILE, REPORT_FILE, write_report
 from runtime.streams.frame_result import FrameResult
 from runtime.sync.frame import Frame
 
@@ -72,8 +73,17 @@ def open_frame_files(run: OpenRun) -> Iterator[FrameWriter | None]:
 
     Yields None where no file of a frame is to be written.
     """
-    options = run.options
-    make_run_folder(options.folder, kinds=run.kinds, names=run.names, overwrite=options.overwrite)
+    make_run_folder(run.options, run.kinds, run.names)
     yield FrameWriter(run) if run.kinds else None
-    if run.report is not None:
-        write_report(run.report)
+    write_report(run.report)
+
+
+def make_run_folder(options: RunOptions, kinds: Sequence[str], names: Sequence[str]) -> None:
+    """Make the folder of --out for a run, with a subfolder for each kind of file of its frames.
+
+    With --overwrite an earlier run in it is replaced. Raises OutputError, see `make_own_folder`.
+    """
+    # The report is removed first, since a run with a report is whole.
+    files = [Path(REPORT_FILE), Path(FRAMES_FILE)]
+    files += [Path(kind, name + SUFFIXES[kind]) for kind in kinds for name in names]
+    make_own_folder(options.folder, files, overwrite=options.overwrite)

@@ -1,7 +1,8 @@
 """What the outputs of a run share while it is open."""
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 
 from runtime.drawing.overlay import Overlay
 from runtime.predictor import Predictor
@@ -11,12 +12,11 @@ from runtime.run.run_report import RunReport
 
 @dataclass
 class OpenRun:
-    """A run while it is open: what an output may need.
+    """A run of one camera while it is open: what an output may need.
 
     Attributes:
         options: of the run.
         predictor: of the run.
-        overlay: draws the frames.
         kinds: of SUFFIXES, the files of a frame to write.
         names: of the frames.
         report: set after the last frame, before the outputs are closed.
@@ -24,7 +24,12 @@ class OpenRun:
 
     options: RunOptions
     predictor: Predictor
-    overlay: Overlay
     kinds: Sequence[str] = ()
-    names: Collection[str] = ()
-    report: RunReport | None = None
+    names: Sequence[str] = ()
+    report: RunReport = field(init=False)
+
+    @cached_property
+    def overlay(self) -> Overlay:
+        """Draws the frames."""
+        contract = self.predictor.contract
+        return Overlay(contract.classes, contract.max_depth_m)

@@ -166,9 +166,8 @@ def open_page(run: OpenRun) -> Iterator[RunPage]:
     assert run.options.report is not None
     page = RunPage(run.predictor.contract, len(run.names))
     yield page
-    if run.report is not None:
-        content = page.render(run.report)
-        atomic_write(run.options.report, content, overwrite=run.options.overwrite)
+    content = page.render(run.report)
+    atomic_write(run.options.report, content, overwrite=run.options.overwrite)
 
 
 def render_template(template: str, values: Mapping[str, Any]) -> str:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from runtime.errors import OutputError, install_command
 from runtime.io.atomic_write import atomic_path
 from runtime.io.own_folder import require_folder_free
-from runtime.run.options import RunOptions
+from runtime.run.options import SUFFIXES, RunOptions
 from runtime.run.outputs.frame_writer import open_frame_files
 from runtime.run.outputs.mcap import open_mcap
 from runtime.run.outputs.output import OpenRun
@@ -19,7 +19,6 @@ from runtime.run.outputs.page import open_page
 from runtime.run.outputs.run_recording import open_recording
 from runtime.run.outputs.video import open_video
 from runtime.run.pipeline import Output
-from runtime.run.run_folder import SUFFIXES
 from runtime.sources.source import Source
 
 #: Opens an output.
@@ -43,30 +42,28 @@ class OutputRow(NamedTuple):
         package: that it needs, by the name of its import; None = none.
         extra: that installs the package.
         raw: whether it is a recorder, see `run_stream`.
-        always: whether it is open also where its option is not given.
     """
 
     open: OpenOutput
     package: str | None = None
     extra: str = ""
     raw: bool = False
-    always: bool = False
 
 
 #: Option -> its output, in the order of opening. Outputs are closed in reverse order, so that
 #: report.json and the page are written after all other files are complete.
 OUTPUTS: dict[str, OutputRow] = {
     "report": OutputRow(open_page),
-    "out": OutputRow(open_frame_files, always=True),
+    "out": OutputRow(open_frame_files),
     "video": OutputRow(open_video),
     "mcap": OutputRow(open_mcap, package="rosbags", extra="bag"),
     "record": OutputRow(open_recording, raw=True),
 }
 
 
-def requested_outputs(options: RunOptions) -> dict[str, OutputRow]:
-    """Return the rows of the outputs of a run, in their order."""
-    return {name: row for name, row in OUTPUTS.items() if row.always or getattr(options, name)}
+def _requested(options: RunOptions) -> dict[str, OutputRow]:
+    """The rows of the options that are given."""
+    return {name: row for name, row in OUTPUTS.items() if getattr(options, name) is not None}
 
 
 def require_outputs(options: RunOptions, source: Source) -> None:
@@ -78,7 +75,7 @@ def require_outputs(options: RunOptions, source: Source) -> None:
                 f"{folder} is where --out {options.folder} writes its own pictures: choose another "
                 "--out"
             )
-    for option, row in requested_outputs(options).items():
+    for option, row in _requested(options).items():
         if row.package is not None and importlib.util.find_spec(row.package) is None:
             raise OutputError(
                 f"--{option} needs the package {row.package}, which is not installed: "
@@ -109,7 +106,7 @@ def open_outputs(run: OpenRun) -> Iterator[tuple[list[Output], list[Output]]]:
     """Open the requested outputs; yields `outputs` and `recorders` of `run_stream`."""
     opened: dict[bool, list[Output]] = {False: [], True: []}
     with contextlib.ExitStack() as stack:
-        for row in requested_outputs(run.options).values():
+        for row in _requested(run.options).values():
             output = stack.enter_context(row.open(run))
             if output is not None:
                 opened[row.raw].append(output)

@@ -6,8 +6,9 @@ from pathlib import Path
 
 from runtime.degraded import OF_THE_STREAM
 from runtime.io.recording import RecordedFrame, Recorder, Settings, record
-from runtime.run.options import RunOptions
+from runtime.predictor import Predictor
 from runtime.run.outputs.output import OpenRun
+from runtime.streams.answerer import known_focal_length_px
 from runtime.streams.frame_result import FrameResult
 from runtime.sync.frame import Frame
 
@@ -15,8 +16,8 @@ from runtime.sync.frame import Frame
 class RunRecording:
     """Record each frame and its answers, valid or not; see `open_recording`."""
 
-    def __init__(self, recorder: Recorder, options: RunOptions) -> None:
-        self._recorder, self._options = recorder, options
+    def __init__(self, recorder: Recorder, predictor: Predictor) -> None:
+        self._recorder, self._predictor = recorder, predictor
 
     def write(self, frame: Frame, result: FrameResult) -> None:
         """Record a frame and what `Predictor.predict` answered. Raises OutputError."""
@@ -26,7 +27,7 @@ class RunRecording:
             prediction.valid,
             tuple(reason for reason in prediction.degraded if reason not in OF_THE_STREAM),
             prediction.latency.total_ms,
-            self._options.focal_length_px(frame),
+            known_focal_length_px(self._predictor, frame.calibration),
         )
         self._recorder.add(entry, frame.rgb, frame.sparse_depth, prediction.heads)
 
@@ -39,5 +40,5 @@ def open_recording(run: OpenRun) -> Iterator[RunRecording]:
     focal_length_px, provider = predictor.focal_length_px, str(options.provider)
     settings = Settings("ssdnet-run", options.network_size, focal_length_px, provider)
     with record(options.record, settings, overwrite=options.overwrite) as recorder:
-        yield RunRecording(recorder, options)
+        yield RunRecording(recorder, predictor)
         recorder.finish(Path(predictor.model), sha256=predictor.digest)

@@ -4,6 +4,8 @@ import csv
 from pathlib import Path
 
 N = 12
+#: The command as a program.
+COMMAND = "from runtime.tools.commands import run; run()"
 
 
 def arguments(stream: tuple[Path, Path], model: Path, folder: Path) -> list[str]:

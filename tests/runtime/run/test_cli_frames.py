@@ -14,7 +14,7 @@ import runtime.sources.bundled_stream
 from cli_runs import N, arguments, files_in, rows_of
 from runtime.io.recording import read_recording
 from runtime.run.cli import app
-from runtime.run.run_folder import KINDS
+from runtime.run.options import KINDS
 from runtime.sources.folders import FolderSource
 
 

@@ -7,9 +7,8 @@ from typer.testing import CliRunner
 
 from cli_runs import N, arguments, files_in, rows_of
 from runtime.run.cli import app
-from runtime.run.options import RunOptions
+from runtime.run.options import KINDS, RunOptions
 from runtime.run.run import run as run_command
-from runtime.run.run_folder import KINDS
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cli_runs import N, arguments, rows_of
+from cli_runs import COMMAND, N, arguments, rows_of
 from runtime.io.recording import read_recording
 from runtime.run.cli import app
 
@@ -142,7 +142,7 @@ def test_ctrl_c_leaves_a_whole_report_of_what_was_done(tmp_path, run, signal_in_
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_closed_pipe_is_no_error_and_a_full_disk_is_one(tmp_path, stream, model_file):
-    command = [sys.executable, "-m", "runtime.run", *arguments(stream, model_file(), tmp_path)]
+    command = [sys.executable, "-c", COMMAND, *arguments(stream, model_file(), tmp_path)]
     with open("/dev/full", "w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
     error = "error: cannot print (No space left on device): redirect the output\n"

@@ -6,7 +6,7 @@ import sys
 
 FREED_AND_TAKEN = """
 import resource, cv2, numpy as np
-from runtime.run.process import dedicate_process
+from runtime.run.pipeline import dedicate_process
 {call}
 def answer_frame():
     [np.ones(24 << 20, np.uint8) for _ in range(4)]

@@ -13,7 +13,7 @@ import cv2
 import pytest
 
 from runtime.io.recording import read_recording
-from runtime.run.run_folder import KINDS, SUFFIXES
+from runtime.run.options import KINDS, SUFFIXES
 
 pytestmark = [
     pytest.mark.slow,

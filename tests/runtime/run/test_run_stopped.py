@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 import runtime.run.cli
 import runtime.run.pipeline
 import runtime.run.run
-from cli_runs import rows_of
+from cli_runs import COMMAND, rows_of
 from runtime.run.cli import app
-from runtime.run.run_folder import KINDS
+from runtime.run.options import KINDS
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX signals")
 
@@ -93,7 +93,7 @@ def test_at_every_line_of_the_main_thread(tmp_path, command, sensitive_to_ctrl_c
 )
 def test_while_it_imports(tmp_path, start_process, number, imported):
     """-X importtime tells how far it is."""
-    command = [sys.executable, "-X", "importtime", "-m", "runtime.run", "--demo"]
+    command = [sys.executable, "-X", "importtime", "-c", COMMAND, "--demo"]
     process = start_process(*command, "--out", tmp_path / "out")
     for line in process.stderr:
         if line.rpartition("|")[2].strip().startswith(imported):
@@ -116,7 +116,7 @@ def test_from_another_process(tmp_path, command, start_process, signals):
     for folder in ("cam", "lidar"):
         for index in range(N, 6000):
             os.link(tmp_path / folder / f"f{index % N}.png", tmp_path / folder / f"f{index}.png")
-    process = start_process(sys.executable, "-m", "runtime.run", *command)
+    process = start_process(sys.executable, "-c", COMMAND, *command)
     assert process.stdout.readline().startswith("by-hand sha256:")
     for number in signals:
         process.send_signal(number)

@@ -148,7 +148,7 @@ def test_points_are_projected_and_the_focal_length_is_the_cameras(setup):
     made.predictor.focal_length_px = 50.0
     push_pair(made.stream, 1)
     next(made.stream)
-    assert made.predictor.focal_lengths_px == [30, None], "the predictor's own comes first"
+    assert made.predictor.focal_lengths_px == [30, 50], "the predictor's own comes first"
 
 
 def test_returns_are_checked_after_their_result_and_in_no_latency(setup):

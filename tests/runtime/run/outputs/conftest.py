@@ -3,7 +3,6 @@
 import pytest
 
 from runtime import Predictor
-from runtime.drawing.overlay import Overlay
 from runtime.run.options import RunOptions
 from runtime.run.outputs.output import OpenRun
 from runtime.streams.frame_result import FrameResult
@@ -21,13 +20,12 @@ def answered(all_heads, make_frame):
 
 
 @pytest.fixture
-def open_run(all_heads, contract):
+def open_run(all_heads):
     """Make a run with these options, which is open for its outputs."""
 
     def make(*, kinds=(), names=(), **options):
         predictor = Predictor(all_heads, focal_length_px=options.get("focal_length"))
-        overlay = Overlay(contract.classes, contract.max_depth_m)
         given = RunOptions(**{"demo": True, "overwrite": True, **options})
-        return OpenRun(given, predictor, overlay, kinds, names)
+        return OpenRun(given, predictor, kinds, names)
 
     return make

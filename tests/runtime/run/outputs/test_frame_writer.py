@@ -10,8 +10,14 @@ import pytest
 from cli_runs import files_in
 from runtime import OutputError
 from runtime.io.atomic_write import atomic_file
+from runtime.run.options import KINDS, RunOptions
+from runtime.run.outputs import frame_writer
 from runtime.run.outputs.frame_writer import FrameWriter
-from runtime.run.run_folder import KINDS, make_run_folder
+
+
+def make_run_folder(out, *, kinds=KINDS, names=(), overwrite=False):
+    options = RunOptions(demo=True, out=out, overwrite=overwrite)
+    frame_writer.make_run_folder(options, kinds, names)
 
 
 @pytest.fixture
