@@ -7,6 +7,16 @@
 Runs that are finished are not repeated, so more seeds or rows can be added; one that was stopped
 resumes. Runs of other settings are refused: give another `RUNS`. Every row is scored on all of
 `test` with 5 % of the depth, drawn once for all rows.
+
+The run of docs/results.md:
+
+    ssdnet-render DIR/train --scenes 300 --frames 4 --stride 20 --size 125x414 --seed 20000
+    ssdnet-render DIR/test --scenes 60 --frames 4 --stride 20 --size 125x414 --seed 5000
+    python benchmarks/ablation.py --data DIR --runs RUNS --threads 1 --seeds 0 1 2 --rows ssdnet \
+        ssdnet-ind ssdnet-sem ssdnet-dep ssdnet-dep-d ssdnet-dep-rgb paper-class-weights \
+        --set 'schedule.steps = 3750' --set 'data.augment.crop = [64, 224]' \
+        --set 'model.config.sparse_depth_gain = 20.0' --set 'loss.depth_weight = 10.0' \
+        --set 'loop.ema_decay = 0.998' --set 'data.cache_gib = 2.0' --plot ablation.png
 """
 
 import argparse

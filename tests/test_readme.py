@@ -7,15 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from models.registry import NETWORKS
 from training.chosen_recipe import read_stages
+from training.evaluation.classical import METHODS
 
 ROOT = Path(__file__).parents[1]
 CARD = ROOT / "runtime" / "assets" / "MODEL_CARD.md"
 PAGES = sorted((*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), CARD))
 PICTURES = sorted((*ROOT.glob("docs/*.jpg"), *ROOT.glob("docs/*.png")))
-#: Files that a page tells its reader to write.
-TO_BE_WRITTEN = {"models/baselines/two_layers.py"}
 FENCED = re.compile(r"^```.*?^```", flags=re.MULTILINE | re.DOTALL)
 
 
@@ -39,9 +37,7 @@ def changed_recipes(page):
         text = " ".join(paragraph.split())
         if not (changes := SET.findall(text)):
             continue
-        if rows := re.search(r"benchmarks/ablation\.py .*?--rows ((?:[a-z]\S* )+)", text):
-            names = [f"ablation-{row}" for row in rows[1].split()]
-        elif trained := re.search(r"ssdnet-train (\S+)", text):
+        if trained := re.search(r"ssdnet-train (\S+)", text):
             names = ["lite" if trained[1] == "RECIPE" else trained[1]]
         else:
             assert "one entry after" in text, f"{page.name}: no recipe for {changes}"
@@ -100,7 +96,7 @@ def test_embedding_example_runs():
 def test_every_file_that_a_page_names_is_there(page):
     folders = "models|training|export|runtime|tests|benchmarks|examples"
     named = re.findall(rf"\b(?:{folders})/[\w/.-]+\.(?:py|toml|pt)\b", page.read_text())
-    named = [path for path in named if path not in TO_BE_WRITTEN and "NAME" not in path]
+    named = [path for path in named if "NAME" not in path]
     assert [path for path in named if not (ROOT / path).exists()] == []
     assert named or page.name not in ("CONTRIBUTING.md", "performance.md")
 
@@ -133,6 +129,10 @@ def test_what_the_code_of_a_page_imports_is_there(page):
         for name, changes in changed_recipes(page)
     ],
 )
-def test_changes_of_recipes_are_taken(recipe, changes, monkeypatch):
-    monkeypatch.setitem(NETWORKS, "two-layers", NETWORKS["nconv"])  # the page's own network
+def test_changes_of_recipes_are_taken(recipe, changes):
     read_stages(recipe, changes)
+
+
+def test_the_page_of_comparisons_names_every_method():
+    page = (ROOT / "docs" / "comparison.md").read_text()
+    assert re.findall(r"^\| `([a-z-]+)` \|", page, flags=re.MULTILINE) == list(METHODS)
