@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from runtime.degraded import IMAGE_CONSTANT
 from runtime.geometry.calibration import Calibration
-from runtime.health.depth_plausibility import BANDS, FIRST_FRAMES, correlations, log_depth
+from runtime.health.depth_plausibility import BANDS, correlations, log_depth
 from runtime.prediction import Prediction
 from runtime.returns import is_measured
 
@@ -37,7 +37,7 @@ class CalibrationSize:
         sparse_depth: NDArray[np.float32],
         calibration: Calibration | None,
     ) -> None:
-        """Add a frame; ignored after FIRST_FRAMES, and where there is nothing to compare.
+        """Add a frame; ignored where there is nothing to compare.
 
         Args:
             camera_only: prediction from the image of the frame without any return; None: not
@@ -45,7 +45,7 @@ class CalibrationSize:
             sparse_depth: float32 (H, W), metres, projected with the calibration.
             calibration: of the frame.
         """
-        if calibration is None or len(self._gains) == FIRST_FRAMES:
+        if calibration is None:
             return
         height, width = sparse_depth.shape
         middle_x, middle_y = calibration.intrinsics[:2, 2]

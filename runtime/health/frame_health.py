@@ -71,7 +71,6 @@ class FrameHealth:
         found = []
         if (
             before is not None
-            and before.shape == rgb.shape
             and np.array_equal(before[::_GLANCE, ::_GLANCE], rgb[::_GLANCE, ::_GLANCE])
             and np.array_equal(before, rgb)
         ):

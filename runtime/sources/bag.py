@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +21,11 @@ from runtime.geometry.point_cloud import to_points
 from runtime.sources.ros_bag import RecordedMessage, RosBag
 from runtime.sources.ros_camera import CAMERA_INFO, GIVE, SAME_PX, calibrate, projection_of
 from runtime.sources.ros_messages import (
+    DEPTHS,
     decode_compressed_image,
     decode_depth_image,
     decode_image,
     decode_points,
-    is_depth_encoding,
 )
 from runtime.sources.ros_poses import (
     TransformTree,
@@ -51,15 +51,10 @@ NO_TOPIC = "none"
 _SUFFIXES = (".bag", ".db3", ".mcap")
 
 
-class BagSource(Source):
-    """Images and, matched by the time stamps in their headers, point clouds or depth images.
+class BagOptions(NamedTuple):
+    """The options of a `BagSource`.
 
-    A header without a stamp counts with the time at which it was recorded. An image without depth
-    takes an older one, or is a frame of the camera alone; depth without an image is left out.
-    Listing reads the bag once.
-
-    Args:
-        path: as `RosBag`, or an open one, which sources of other cameras read, too.
+    Attributes:
         image_topic: of Image or CompressedImage; None: the only one.
         depth_topic: of PointCloud2, or of Image in 16UC1 [mm] or 32FC1 [m] of the image's size;
             "none": the camera alone; None: the only one.
@@ -75,6 +70,30 @@ class BagSource(Source):
         pose_topic: of Odometry, or of TFMessage such as /tf, by which clouds are moved to the time
             of the image; "none": they are not; None: the only Odometry, else /tf, if there are any
             and /tf_static connects them to the LiDAR.
+    """
+
+    image_topic: str | None = None
+    depth_topic: str | None = None
+    info_topic: str | None = None
+    calibration: Path | None = None
+    rectified: bool | None = None
+    registered: bool | None = None
+    max_skew_ms: float = DEFAULT_MAX_SKEW_MS
+    reuse_depth_ms: float = DEFAULT_REUSE_DEPTH_MS
+    scan_stamp: ScanStamp = "middle"
+    pose_topic: str | None = None
+
+
+class BagSource(Source):
+    """Images and, matched by the time stamps in their headers, point clouds or depth images.
+
+    A header without a stamp counts with the time at which it was recorded. An image without depth
+    takes an older one, or is a frame of the camera alone; depth without an image is left out.
+    Listing reads the bag once.
+
+    Args:
+        path: as `RosBag`, or an open one, which sources of other cameras read, too.
+        **options: see `BagOptions`.
 
     Raises:
         InputError: if `rosbags` is not installed, the bag is damaged, a topic does not exist or
@@ -82,57 +101,27 @@ class BagSource(Source):
     """
 
     accepted = f"a bag ({', '.join(_SUFFIXES)}, or a folder that holds metadata.yaml)"
-    options = (
-        "image_topic",
-        "depth_topic",
-        "info_topic",
-        "calibration",
-        "rectified",
-        "registered",
-        "max_skew_ms",
-        "reuse_depth_ms",
-        "scan_stamp",
-        "pose_topic",
-    )
+    options = BagOptions._fields
 
-    def __init__(
-        self,
-        path: Path | RosBag,
-        *,
-        image_topic: str | None = None,
-        depth_topic: str | None = None,
-        info_topic: str | None = None,
-        calibration: Path | None = None,
-        rectified: bool | None = None,
-        registered: bool | None = None,
-        max_skew_ms: float = DEFAULT_MAX_SKEW_MS,
-        reuse_depth_ms: float = DEFAULT_REUSE_DEPTH_MS,
-        scan_stamp: ScanStamp = "middle",
-        pose_topic: str | None = None,
-    ) -> None:
-        self._max_skew_ms, self._calibration_path = max_skew_ms, calibration
-        self._reuse_depth_ms, self._scan_stamp = reuse_depth_ms, scan_stamp
-        self._rectified_images, self._registered = rectified, registered
+    def __init__(self, path: Path | RosBag, **options: Any) -> None:
+        given = self._given = BagOptions(**options)
+        self._reuse_depth_ms, self._scan_stamp = given.reuse_depth_ms, given.scan_stamp
         self._bag = path if isinstance(path, RosBag) else RosBag(path)
         path = self._bag.path
         self.folders = (path if os.path.isdir(path) else Path(os.path.realpath(path)).parent,)
         self.recordings = (path,)
         try:
-            self._image_topic, self._depth_topic = self._find_topics(image_topic, depth_topic)
+            self._image_topic, self._depth_topic = self._find_topics()
             self._has_clouds = self._depth_topic in self._of_kind(POINT_CLOUD)
-            self._info_topic = self._find_info(self._image_topic, info_topic)
+            infos, beside = self._of_kind(CAMERA_INFO), self._infos_beside(self._image_topic)
+            self._info_topic = self._choose("info_topic", infos, beside[:1])
             self._depth_camera: Calibration | None = None  # of depth images that are moved
             with collect_assumptions(self._notes):
                 self.calibration = self._calibrate()
-                self._pose_topic = self._find_poses(pose_topic)
+                self._pose_topic = self._find_poses()
         except BaseException:
             self.close()
             raise
-        # Position of a message in the bag -> its last frame; messages read ahead of their frame.
-        self._owners: dict[int, int] = {}
-        self._kept: dict[int, RecordedMessage] = {}
-        self._messages: Iterator[tuple[int, RecordedMessage]] = iter(())
-        self._next_place = 0
 
     @classmethod
     def open_cameras(
@@ -159,38 +148,35 @@ class BagSource(Source):
     def _of_kind(self, *kinds: str) -> list[str]:
         return sorted(topic for topic, kind in self._bag.types.items() if kind in kinds)
 
-    def _find_topics(
-        self, image_topic: str | None, depth_topic: str | None
-    ) -> tuple[str, str | None]:
+    def _find_topics(self) -> tuple[str, str | None]:
         """The topics of images and of depth, as requested or guessed."""
         images, depths = self._of_kind(COMPRESSED_IMAGE), self._of_kind(POINT_CLOUD)
         images = [topic for topic in images if not topic.endswith("/compressedDepth")]
         for topic in self._of_kind(IMAGE):
             with contextlib.suppress(InputError):  # none of its messages can be decoded
                 encoding = self._bag.first(topic).encoding
-                (depths if is_depth_encoding(encoding) else images).append(topic)
+                (depths if encoding in DEPTHS else images).append(topic)
         twice = {f"{topic}/compressed" for topic in images}  # compressed copies of the same images
         single = [topic for topic in images if topic not in twice]
-        image = self._choose("image_topic", image_topic, images, single)
+        image = self._choose("image_topic", images, single)
         if image is None:
             raise self._undecided("images", single, "image_topic=TOPIC, or TOPIC+TOPIC for several")
-        if depth_topic == NO_TOPIC:
+        if self._given.depth_topic == NO_TOPIC:
             return image, None
-        depth = self._choose("depth_topic", depth_topic, depths, depths)
+        depth = self._choose("depth_topic", depths, depths)
         if depth is None:
             ways = f"depth_topic=TOPIC, or depth_topic={NO_TOPIC} for the camera alone"
             raise self._undecided("point clouds or depth images", depths, ways)
         return image, depth
 
-    def _choose(
-        self, name: str, requested: str | None, fitting: list[str], guesses: list[str]
-    ) -> str | None:
+    def _choose(self, option: str, fitting: list[str], guesses: list[str]) -> str | None:
         """The requested topic, or the only guess; None without one. Raises InputError."""
+        requested: str | None = getattr(self._given, option)
         if requested is None:
             return guesses[0] if len(guesses) == 1 else None
         if requested not in fitting:
             raise InputError(
-                f"{name}={requested} is not a topic of its kind in {self._bag.path}, which has "
+                f"{option}={requested} is not a topic of its kind in {self._bag.path}, which has "
                 f"{', '.join(fitting) or 'none'}"
             )
         return requested
@@ -203,27 +189,27 @@ class BagSource(Source):
             f"It has the topics {'; '.join([topics or '(none)', *left_out_note(bag.left_out)])}"
         )
 
-    def _find_info(self, topic: str, requested: str | None = None) -> str | None:
-        """The requested topic of CameraInfo, or the one beside a topic. Raises InputError."""
-        infos = self._of_kind(CAMERA_INFO)
-        beside = [each for each in _beside(topic) if each in infos]
-        return self._choose("info_topic", requested, infos, beside[:1])
+    def _infos_beside(self, topic: str) -> list[str]:
+        """The topics of CameraInfo that may be of a topic of images, the nearest first."""
+        parts, infos = topic.split("/"), self._of_kind(CAMERA_INFO)
+        names = ("/".join([*parts[:end], "camera_info"]) for end in reversed(range(len(parts))))
+        return [name for name in names if name in infos]
 
     def _calibrate(self) -> Calibration | None:
         """The given calibration, or that of CameraInfo and /tf_static."""
-        image, depth, path = self._image_topic, self._depth_topic, self._calibration_path
+        image, depth, path = self._image_topic, self._depth_topic, self._given.calibration
         if depth is None or not (self._has_clouds or self._is_apart(depth)):
             if path is not None:
                 return Calibration.from_file(path)
             with contextlib.suppress(InputError), collect_assumptions([]):  # the focal length
-                return self._camera(image, self._info_topic)
+                return self._camera(image)
             return None
         try:
             if not self._has_clouds:
-                self._depth_camera = self._camera(depth, self._find_info(depth))
+                self._depth_camera = self._camera(depth)
             if path is not None:
                 return Calibration.from_file(path, for_scans=True)
-            return self._camera(image, self._info_topic, self._frame(depth))
+            return self._camera(image, self._frame(depth))
         except InputError as error:
             if self._has_clouds:
                 raise
@@ -235,15 +221,14 @@ class BagSource(Source):
 
     def _is_apart(self, depth: str) -> bool:
         """Whether depth images do not lie on the pixels of the images."""
-        if self._registered is not None:
-            return not self._registered
+        if self._given.registered is not None:
+            return not self._given.registered
         frames = self._frame(depth), self._frame(self._image_topic)
         if all(frames) and frames[0] != frames[1]:
             return True
         is_proved = all(frames)
         with contextlib.suppress(InputError), collect_assumptions([]):  # one has no CameraInfo
-            ours = self._camera(self._image_topic, self._info_topic)
-            its = self._camera(depth, self._find_info(depth))
+            ours, its = self._camera(self._image_topic), self._camera(depth)
             is_near = np.abs(ours.intrinsics - its.intrinsics).max() < SAME_PX
             is_straight = ours.lens_model is not None and its.lens_model is None
             is_proved &= bool(is_near) and not is_straight
@@ -252,12 +237,14 @@ class BagSource(Source):
             assume(f"{depth} lies on the pixels of the images", remedy)
         return False
 
-    def _camera(self, topic: str, info: str | None, source: str = "") -> Calibration:
-        """The calibration of the images of a topic, or of its depth images. Raises InputError."""
+    def _camera(self, topic: str, source: str = "") -> Calibration:
+        """The calibration of images or depth images, for points in a frame. Raises InputError."""
+        is_image = topic == self._image_topic
+        info = self._info_topic if is_image else next(iter(self._infos_beside(topic)), None)
         if info is None:
             remedy = "give info_topic= in --source, or --calibration"
             raise InputError(f"{self._bag.path} has no CameraInfo beside {topic}: {remedy}")
-        stated = self._rectified_images if topic == self._image_topic else None
+        stated = self._given.rectified if is_image else None
         return calibrate(self._bag, self._tree, topic, info, source, stated)
 
     def _frame(self, topic: str) -> str:
@@ -269,16 +256,16 @@ class BagSource(Source):
         topics = (topic for topic in self._of_kind(*TRANSFORMS) if topic.endswith("tf_static"))
         return TransformTree(chain.from_iterable(map(self._bag.decoded, topics)))
 
-    def _find_poses(self, requested: str | None) -> str | None:
+    def _find_poses(self) -> str | None:
         """Read the poses of the car, where clouds can be moved by them; their topic.
 
         Raises InputError.
         """
         odometry = self._of_kind(ODOMETRY)
         moving = [t for t in self._of_kind(*TRANSFORMS) if not t.endswith("tf_static")]
-        if requested == NO_TOPIC or not self._has_clouds:
+        if self._given.pose_topic == NO_TOPIC or not self._has_clouds:
             return None
-        topic = self._choose("pose_topic", requested, odometry + moving, odometry or moving[:1])
+        topic = self._choose("pose_topic", odometry + moving, odometry or moving[:1])
         if topic is None:
             if odometry:
                 names = ", ".join(odometry)
@@ -289,7 +276,7 @@ class BagSource(Source):
             if topic in odometry:
                 body, stamped = odometry_poses(self._bag.decoded(topic, odometry_pose))
             else:
-                carriers = self._tree.carriers(lidar)
+                carriers = list(self._tree.ancestors(lidar))
                 body, stamped = transform_poses(self._bag.decoded(topic), carriers)
             if self.calibration is not None and self.calibration.body_from_lidar is None:
                 mount = self._tree.between(lidar, body)
@@ -297,7 +284,7 @@ class BagSource(Source):
             self._poses = track_of(stamped)
             return topic
         except InputError as error:
-            if requested is not None:
+            if self._given.pose_topic is not None:
                 raise
             self._notes.append(f"the poses of {topic} are not used: {error}")
             return None
@@ -335,22 +322,23 @@ class BagSource(Source):
 
         frames = self._match(
             stamped(),
-            max_skew_ms=self._max_skew_ms,
+            max_skew_ms=self._given.max_skew_ms,
             limit=limit,
             camera_only=self._depth_topic is None,
             name=name,
         )
         self._left_out.update(self._bag.left_out)
-        if cameras and self._calibration_path is None and np.ptp(cameras, axis=0).max() > SAME_PX:
+        if cameras and self._given.calibration is None and np.ptp(cameras, axis=0).max() > SAME_PX:
             with collect_assumptions(self._notes):
                 assume(f"the first CameraInfo of {self._info_topic}, others differ", GIVE)
         if not frames:
             raise InputError(
                 f"the topic {self._image_topic} of {self._bag.path} has no messages with a stamp"
             )
-        self._owners = {
-            place: frame.sequence for frame in frames for place in (frame.image, frame.depth)
-        }
+        # Position of a message in the bag -> its last frame; messages read ahead of their frame.
+        self._owners = {place: f.sequence for f in frames for place in (f.image, f.depth)}
+        self._kept: dict[int, RecordedMessage] = {}
+        self._messages, self._next_place = self._recorded(), 0
         return frames
 
     def _recorded(self) -> Iterator[tuple[int, RecordedMessage]]:
@@ -387,7 +375,7 @@ class BagSource(Source):
         """The messages of a frame by position; messages of later frames are read ahead and kept."""
         places = {place for place in (frame.image, frame.depth) if place is not None}
         missing = places - self._kept.keys()
-        if self._next_place == 0 or (missing and min(missing) < self._next_place):
+        if missing and min(missing) < self._next_place:
             self._messages, self._next_place = self._recorded(), 0
         while not places <= self._kept.keys():
             place, message = next(self._messages, (-1, None))
@@ -414,17 +402,9 @@ class BagSource(Source):
     @property
     def inputs(self) -> dict[str, Any]:
         """See `Source.inputs`."""
-        calibration = self._calibration_path
-        return {
-            "bag": str(self._bag.path),
-            **self._topics,
-            "calibration": None if calibration is None else str(calibration),
-            "rectified": self._rectified_images,
-            "registered": self._registered,
-            "max_skew_ms": self._max_skew_ms,
-            "reuse_depth_ms": self._reuse_depth_ms,
-            "left_out": dict(self._left_out),
-        }
+        given = {"bag": str(self._bag.path), **self._given._asdict(), **self._topics}
+        given["calibration"] = self._given.calibration and str(self._given.calibration)
+        return given | {"left_out": dict(self._left_out)}
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -435,9 +415,3 @@ class BagSource(Source):
     def close(self) -> None:
         """See `Source.close`."""
         self._bag.close()
-
-
-def _beside(topic: str) -> list[str]:
-    """Where the CameraInfo of a topic of images may be, the nearest first."""
-    parts = topic.split("/")
-    return ["/".join([*parts[:end], "camera_info"]) for end in reversed(range(len(parts)))]

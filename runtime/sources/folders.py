@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,14 +37,10 @@ _APART_NS = 100 * NS_PER_MS  # between images without times
 _KITTI_CAMERA = re.compile(r"(?:^|/)image_0?([0-3])(?:/data)?(?:/[^/\n]*\.\w+)?$", re.MULTILINE)
 
 
-class FolderSource(Source):
-    """Pairs of files with the same stem, in natural order ("9" before "10").
+class FolderOptions(NamedTuple):
+    """The options of a `FolderSource`.
 
-    Where no stem occurs in both folders, files are paired whose stems have the same numbers, as
-    image_7 and depth_7.
-
-    Args:
-        rgb: folder of PNG and JPEG files, or one such file.
+    Attributes:
         depth: folder of depth maps, or the one of one image, see `read_sparse_depth`.
         points: the same of scans, see `read_scan`, in place of depth; None: the camera alone.
         depth_scale: units of 16-bit depth maps per metre.
@@ -62,6 +58,31 @@ class FolderSource(Source):
         scan_stamp: what instant of a scan the time of its image is.
         point_time_column: number, from 0, of the column of .bin and .npy scans with the time of
             each point, in seconds after the time of its image.
+    """
+
+    depth: Path | None = None
+    points: Path | None = None
+    depth_scale: float = KITTI_DEPTH_SCALE
+    point_columns: int | None = None
+    calibration: Path | None = None
+    camera: int | None = None
+    timestamps: Path | None = None
+    reuse_depth_ms: float | None = None
+    poses: Path | None = None
+    pose_frame: PoseFrame | None = None
+    scan_stamp: ScanStamp = "middle"
+    point_time_column: int | None = None
+
+
+class FolderSource(Source):
+    """Pairs of files with the same stem, in natural order ("9" before "10").
+
+    Where no stem occurs in both folders, files are paired whose stems have the same numbers, as
+    image_7 and depth_7.
+
+    Args:
+        rgb: folder of PNG and JPEG files, or one such file.
+        **options: see `FolderOptions`.
 
     Raises:
         InputError: for a folder with a file of the other kind, for scans with depth or without a
@@ -69,69 +90,41 @@ class FolderSource(Source):
     """
 
     accepted = "a folder of images, or one image"
-    options: ClassVar[tuple[str, ...]] = (
-        "depth",
-        "points",
-        "depth_scale",
-        "point_columns",
-        "calibration",
-        "camera",
-        "timestamps",
-        "reuse_depth_ms",
-        "poses",
-        "pose_frame",
-        "scan_stamp",
-        "point_time_column",
-    )
+    options: ClassVar[tuple[str, ...]] = FolderOptions._fields
     #: True: an image without depth is a camera-only frame, and depth without an image is ignored.
     #: False: both are frames that cannot be read.
     camera_alone = False
     #: Whether images of KITTI's raw data are rectified.
     _kitti_rectified = True
 
-    def __init__(
-        self,
-        rgb: Path,
-        *,
-        depth: Path | None = None,
-        points: Path | None = None,
-        depth_scale: float = KITTI_DEPTH_SCALE,
-        point_columns: int | None = None,
-        calibration: Path | None = None,
-        camera: int | None = None,
-        timestamps: Path | None = None,
-        reuse_depth_ms: float | None = None,
-        poses: Path | None = None,
-        pose_frame: PoseFrame | None = None,
-        scan_stamp: ScanStamp = "middle",
-        point_time_column: int | None = None,
-    ) -> None:
-        if (poses is None) != (pose_frame is None):
+    def __init__(self, rgb: Path, **options: Any) -> None:
+        given = self._given = FolderOptions(**options)
+        poses, points, calibration = given.poses, given.points, given.calibration
+        if (poses is None) != (given.pose_frame is None):
             raise InputError("give --poses and pose_frame= in --source together")
         if poses is not None and points is None:
             raise InputError(f"the poses in {poses} move scans: give --points")
-        if points is not None and depth is not None:
-            raise InputError(f"give depth maps ({depth}) or scans ({points}), not both")
+        if points is not None and given.depth is not None:
+            raise InputError(f"give depth maps ({given.depth}) or scans ({points}), not both")
         if points is not None and calibration is None:
             raise InputError(f"the scans in {points} cannot be projected: give --calibration")
-        self._rgb, self._depth, self._has_scans = rgb, depth or points, points is not None
-        self._depth_scale, self._point_columns = depth_scale, point_columns
-        self._timestamps, self._poses_file = timestamps, poses
-        self._scan_stamp, self._point_time_column = scan_stamp, point_time_column
+        self._rgb, self._depth, self._has_scans = rgb, given.depth or points, points is not None
         self._is_one, self._what = _is_image(rgb), "scan" if self._has_scans else "depth map"
         paths = (rgb,) if self._depth is None else (rgb, self._depth)
         self.folders = tuple(path.parent if os.path.isfile(path) else path for path in paths)
-        self._is_timed = any(each is not None for each in (timestamps, poses, reuse_depth_ms))
+        timed = given.timestamps, poses, given.reuse_depth_ms
+        self._is_timed = any(each is not None for each in timed)
         self.camera_alone = self.camera_alone or self._is_timed
-        if reuse_depth_ms is not None:
-            self._reuse_depth_ms = reuse_depth_ms
-        self._calibration_path, self._calibration_files = calibration, dict[str, Path]()
+        self._scan_stamp = given.scan_stamp
+        if given.reuse_depth_ms is not None:
+            self._reuse_depth_ms = given.reuse_depth_ms
+        self._calibration_files: dict[str, Path] = {}
         if calibration is not None:
             with collect_assumptions(self._notes):
-                self._open_calibration(calibration, camera)
-        if pose_frame is not None and self.calibration is not None:
-            self._pose_frame = pose_frame
-            lidar_mount(pose_frame, self.calibration)  # raises InputError if unknown
+                self._open_calibration(calibration, given.camera)
+        if given.pose_frame is not None and self.calibration is not None:
+            self._pose_frame = given.pose_frame
+            lidar_mount(given.pose_frame, self.calibration)  # raises InputError if unknown
 
     def _open_calibration(self, path: Path, camera: int | None) -> None:
         """Read the calibration, of a folder with one a frame the first that can be read."""
@@ -200,20 +193,20 @@ class FolderSource(Source):
         self, images: Mapping[str, Path], depths: Mapping[str, Path], limit: int | None
     ) -> tuple[ListedFrame, ...]:
         """The frames with their times; an image without depth takes an older one."""
-        if self._timestamps is None:
+        if self._given.timestamps is None:
             stamps_ns = [number * _APART_NS for number in range(len(images))]
             self._note("guessed: the images are 100 ms apart; timestamps= in --source says when")
         else:
-            stamps_ns = read_timestamps(self._timestamps)
+            stamps_ns = read_timestamps(self._given.timestamps)
             if len(stamps_ns) != len(images):
                 raise InputError(
-                    f"{self._timestamps} has {len(stamps_ns)} lines, there are {len(images)} "
+                    f"{self._given.timestamps} has {len(stamps_ns)} lines, there are {len(images)} "
                     "images: it must have a line for each image, in natural order"
                 )
-        if self._poses_file is not None:
-            of_clock = self._timestamps is not None
+        if self._given.poses is not None:
+            of_clock = self._given.timestamps is not None
             with collect_assumptions(self._notes):
-                poses_ns, poses = read_poses(self._poses_file, stamps_ns, of_clock=of_clock)
+                poses_ns, poses = read_poses(self._given.poses, stamps_ns, of_clock=of_clock)
                 self._poses = PoseTrack.of(poses, poses_ns)
         messages: list[tuple[Sensor, int, Path]] = []
         for (name, image), stamp_ns in zip(images.items(), stamps_ns, strict=True):
@@ -261,19 +254,19 @@ class FolderSource(Source):
         rgb, calibration = self._read_image(frame.image), self.calibration
         if self._calibration_files:
             if frame.name not in self._calibration_files:
-                raise InputError(f"{frame.name} has no calibration in {self._calibration_path}")
+                raise InputError(f"{frame.name} has no calibration in {self._given.calibration}")
             with collect_assumptions(self._notes):
                 calibration = self._read_calibration(self._calibration_files[frame.name])
         depth: NDArray[np.float32] | Scan | None = None
         if frame.depth is not None and self._has_scans:
             depth = self._read_scan(frame)
         elif frame.depth is not None:
-            depth = read_sparse_depth(frame.depth, depth_scale=self._depth_scale)
+            depth = read_sparse_depth(frame.depth, depth_scale=self._given.depth_scale)
         return self.measured(frame, rgb, depth, calibration)
 
     def _read_scan(self, frame: ListedFrame) -> Scan:
-        points, after_s = read_scan(frame.depth, columns=self._point_columns), None
-        column, stamp_ns = self._point_time_column, frame.depth_stamp_ns or 0
+        points, after_s = read_scan(frame.depth, columns=self._given.point_columns), None
+        column, stamp_ns = self._given.point_time_column, frame.depth_stamp_ns or 0
         if column is not None and column >= points.shape[1]:
             raise InputError(
                 f"{frame.depth} has the columns 0 to {points.shape[1] - 1}, and point_time_column "
@@ -286,19 +279,11 @@ class FolderSource(Source):
     @property
     def inputs(self) -> dict[str, Any]:
         """See `Source.inputs`."""
-        given = {
-            "rgb": self._rgb,
-            "points" if self._has_scans else "depth": self._depth,
-            "depth_scale": None if self._has_scans else self._depth_scale,
-            "point_columns": self._point_columns,
-            "calibration": self._calibration_path,
-            "timestamps": self._timestamps,
-            "reuse_depth_ms": self._reuse_depth_ms if self._is_timed else None,
-            "poses": self._poses_file,
-            "pose_frame": self._pose_frame if self._poses_file is not None else None,
-            "scan_stamp": self._scan_stamp,
-            "point_time_column": self._point_time_column,
-        }
+        given = {"rgb": self._rgb, **self._given._asdict()}
+        del given["camera"], given["depth" if self._has_scans else "points"]
+        given["reuse_depth_ms"] = self._reuse_depth_ms if self._is_timed else None
+        if self._has_scans:
+            given["depth_scale"] = None
         inputs = {
             name: value if value is None or isinstance(value, int | float) else str(value)
             for name, value in given.items()

@@ -80,10 +80,14 @@ class KittiRawSource(FolderSource):
             )
         self._kitti_rectified = not os.path.realpath(drive).endswith("_extract")
         super().__init__(
-            images / "data", points=scans / "data", calibration=calibration, camera=camera
+            images / "data",
+            points=scans / "data",
+            calibration=calibration,
+            camera=camera,
+            scan_stamp=scan_stamp,
         )
-        self._drive, self._camera = drive, camera
-        self._reuse_depth_ms, self._scan_stamp = reuse_depth_ms, scan_stamp
+        self._drive, self._reuse_depth_ms = drive, reuse_depth_ms
+        self._oxts: Path | None = None  # if they are used
         self._stamped: list[tuple[Sensor, int, Path]] = []
         if max_skew_ms is not None:
             pictures = _read_stamps(Sensor.IMAGE, images, RGB_SUFFIXES)
@@ -121,20 +125,18 @@ class KittiRawSource(FolderSource):
         stamped = sorted(_read_stamps(Sensor.POSE, folder, (".txt",)), key=lambda each: each[1])
         poses = read_oxts_poses(path for _, _, path in stamped)
         self._poses = track_of(zip((stamp_ns for _, stamp_ns, _ in stamped), poses, strict=True))
-        self._poses_file = folder
+        self._oxts = folder
         self.calibration = replace(self.calibration, body_from_lidar=body_from_lidar)
-
-    def _list_depths(self, folder: Path) -> dict[str, Path]:
-        return list_files(folder, _SCANS)
 
     @property
     def inputs(self) -> dict[str, Any]:
         """See `Source.inputs`."""
         return super().inputs | {
             "drive": str(self._drive),
-            "camera": self._camera,
+            "camera": self._given.camera,
             "max_skew_ms": self._max_skew_ms,
             "reuse_depth_ms": self._reuse_depth_ms,
+            "poses": self._oxts and str(self._oxts),
         }
 
 

@@ -68,8 +68,6 @@ class RosBag:
     def messages(self, topics: Collection[str]) -> Iterator[RecordedMessage]:
         """Yield the messages of the topics in the order in which they were recorded."""
         connections = [each for topic in topics for each in self._topics[topic]]
-        if not connections:  # rosbags reads all topics then
-            return
         left = Counter({t: sum(each.msgcount for each in self._topics[t]) for t in topics})
         with _reading(self.path):
             for connection, recorded_ns, raw in self._reader.messages(connections):

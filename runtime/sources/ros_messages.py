@@ -30,14 +30,9 @@ _PICTURES: dict[str, tuple[int, int | None]] = {
     "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2RGB),
 }
 #: Encoding of a depth map -> type and units per metre (REP 118).
-_DEPTHS: dict[str, tuple[str, float]] = {"16UC1": ("u2", 1000.0), "32FC1": ("f4", 1.0)}
+DEPTHS: dict[str, tuple[str, float]] = {"16UC1": ("u2", 1000.0), "32FC1": ("f4", 1.0)}
 #: Datatypes of a PointField that a coordinate may have.
 _FLOATS = {7: "f4", 8: "f8"}
-
-
-def is_depth_encoding(encoding: str) -> bool:
-    """Whether an Image of this encoding is a depth map rather than an image."""
-    return encoding in _DEPTHS
 
 
 def decode_image(message: Any) -> NDArray[np.uint8]:
@@ -55,7 +50,7 @@ def decode_image(message: Any) -> NDArray[np.uint8]:
     encoding = message.encoding
     if encoding not in _PICTURES:
         hint = "expected one of " + ", ".join(_PICTURES)
-        if encoding in _DEPTHS:
+        if encoding in DEPTHS:
             hint = "that is a depth map: name it by depth_topic= in --source"
         raise InputError(f"an Image has the encoding {shown(encoding)}: {hint}")
     channels, conversion = _PICTURES[encoding]
@@ -78,7 +73,7 @@ def decode_compressed_image(message: Any) -> NDArray[np.uint8]:
     """
     # "ENCODING; jpeg compressed TARGET" of image_transport, or "jpeg".
     encoding, name = str(message.format).split(";")[0].strip(), shown(message.format)
-    if encoding in _DEPTHS or "compressedDepth" in str(message.format):
+    if encoding in DEPTHS or "compressedDepth" in str(message.format):
         raise InputError(
             f"a CompressedImage has the format {name}, a depth map: republish it as raw, for "
             "depth_topic= in --source"
@@ -105,11 +100,11 @@ def decode_depth_image(message: Any) -> NDArray[np.float32]:
         InputError: for another encoding and for inconsistent fields.
     """
     encoding = message.encoding
-    if encoding not in _DEPTHS:
+    if encoding not in DEPTHS:
         raise InputError(
             f"a depth Image has the encoding {shown(encoding)}: expected 16UC1 [mm] or 32FC1 [m]"
         )
-    kind, units_a_metre = _DEPTHS[encoding]
+    kind, units_a_metre = DEPTHS[encoding]
     order = ">" if message.is_bigendian else "<"
     pixels = _pixels(message, np.dtype(order + kind), 1)
     return to_metres(pixels, units_a_metre)
@@ -158,7 +153,7 @@ def view_fields(message: Any, fields: list[Any], types: Mapping[int, str]) -> ND
         InputError: for another datatype, several numbers in a field, a field beyond the point, and
             truncated data.
     """
-    height, width, point_step = message_counts(message, "height", "width", "point_step")
+    height, width, point_step = _counts(message, "height", "width", "point_step")
     what = f"a PointCloud2 of {height} x {width} points"
     formats, offsets = list[str](), list[int]()
     for field in fields:
@@ -168,15 +163,13 @@ def view_fields(message: Any, fields: list[Any], types: Mapping[int, str]) -> ND
                 f"{field.datatype}, expected one of {', '.join(types.values())}"
             )
         formats.append((">" if message.is_bigendian else "<") + types[field.datatype])
-        offsets += message_counts(field, "offset")
+        offsets += _counts(field, "offset")
         if offsets[-1] + np.dtype(formats[-1]).itemsize > point_step:
             raise InputError(
                 f"the field {field.name} of {what} begins at byte {offsets[-1]} of {point_step}: "
                 "the message is truncated or inconsistent"
             )
     names = [field.name for field in fields]
-    if height == 0 or width == 0:
-        return np.zeros((0, 0), list(zip(names, formats, strict=True)))
     data, row_step = _rows(message, what, height, width * point_step, "row_step")
     layout: np.dtype[Any] = np.dtype(
         {"names": names, "formats": formats, "offsets": offsets, "itemsize": point_step}
@@ -186,7 +179,7 @@ def view_fields(message: Any, fields: list[Any], types: Mapping[int, str]) -> ND
 
 def _pixels(message: Any, dtype: np.dtype[Any], channels: int) -> NDArray[Any]:
     """A view of an Image's data, (H, W) or (H, W, channels)."""
-    height, width = message_counts(message, "height", "width")
+    height, width = _counts(message, "height", "width")
     what = f"an Image of {height} x {width} pixels of {message.encoding}"
     if height == 0 or width == 0:
         raise InputError(f"{what} is empty")
@@ -202,7 +195,7 @@ def _rows(
     message: Any, what: str, height: int, row_bytes: int, step: str
 ) -> tuple[NDArray[np.uint8], int]:
     """The data of a message, not copied, and the bytes from one row to the next."""
-    (stride,) = message_counts(message, step) if height > 1 else (row_bytes,)
+    (stride,) = _counts(message, step) if height > 1 else (row_bytes,)
     if stride < row_bytes:
         raise InputError(f"{what} has {step} {stride}, expected at least {row_bytes}")
     content = np.frombuffer(message.data, np.uint8)
@@ -212,7 +205,7 @@ def _rows(
     return content, stride
 
 
-def message_counts(message: Any, *names: str) -> tuple[int, ...]:
+def _counts(message: Any, *names: str) -> tuple[int, ...]:
     """Fields of a message that are counts. Raises InputError."""
     return tuple(
         check_integer(

@@ -174,8 +174,7 @@ class TransformTree:
         Raises:
             InputError: if the two are not connected.
         """
-        from_source = self._ancestors(frame_name(source))
-        from_target = self._ancestors(frame_name(target))
+        from_source, from_target = self.ancestors(source), self.ancestors(target)
         common = next((frame for frame in from_source if frame in from_target), None)
         if common is None:
             raise InputError(
@@ -192,12 +191,9 @@ class TransformTree:
         parents = (parent for stated in self._parents.values() for parent, _ in stated)
         return sorted({*self._parents, *parents})
 
-    def carriers(self, frame: str) -> list[str]:
-        """A frame and the frames that it is fixed to, the nearest first."""
-        return list(self._ancestors(frame_name(frame)))
-
-    def _ancestors(self, frame: str) -> dict[str, NDArray[np.float64]]:
-        """Each ancestor and the matrix from `frame` to it, the nearest first."""
+    def ancestors(self, frame: str) -> dict[str, NDArray[np.float64]]:
+        """Each frame that a frame is fixed to and the matrix to it; first itself, then upwards."""
+        frame = frame_name(frame)
         matrices = {frame: np.eye(4)}
         while frame in self._parents:
             *others, (parent, stamped) = self._parents[frame]

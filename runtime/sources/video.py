@@ -111,8 +111,6 @@ class VideoSource(FolderSource):
         done, decoded = self._video.retrieve() if grabbed else (False, None)
         if not done or decoded is None:
             raise InputError(f"{self._rgb} ends before its frame {image}, or this frame is damaged")
-        if decoded.dtype != np.uint8 or decoded.ndim != 3:
-            raise InputError(f"{self._rgb} holds {decoded.dtype} images, expected 8-bit RGB")
         return np.ascontiguousarray(decoded[..., ::-1], dtype=np.uint8)
 
     def close(self) -> None:

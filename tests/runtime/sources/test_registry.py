@@ -1,6 +1,5 @@
 """Sources by their kind, and their options. A source is a file and a line of SOURCES."""
 
-import inspect
 from pathlib import Path
 
 import numpy as np
@@ -96,13 +95,6 @@ def test_a_path_that_is_no_source_is_an_error_with_what_is_accepted(run, tmp_pat
 def test_a_path_that_is_not_there_is_an_input_error(kind, tmp_path):
     with pytest.raises(InputError, match="nothing"):
         open_source(kind, tmp_path / "nothing").list_frames()
-
-
-@pytest.mark.parametrize("source", SOURCES.values())
-def test_the_options_are_the_keywords_of_the_constructor(source):
-    owner = next(each for each in source.__mro__ if "options" in vars(each))
-    parameters = inspect.signature(owner.__init__).parameters.values()
-    assert source.options == tuple(p.name for p in parameters if p.kind is p.KEYWORD_ONLY)
 
 
 class ArchiveSource(Source):
