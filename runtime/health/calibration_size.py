@@ -28,8 +28,7 @@ class CalibrationSize:
 
     def __init__(self) -> None:
         self._gains: list[float] = []
-        self._suspect = ""
-        self._scale = 1.0
+        self._suspect, self._scale = "", 1.0
 
     def add(
         self,
@@ -51,14 +50,14 @@ class CalibrationSize:
         middle_x, middle_y = calibration.intrinsics[:2, 2]
         if abs(middle_x / width - 0.5) < _FAR or middle_x <= 0:
             return
-        scale = width / (2 * middle_x)
-        gain = _gain(camera_only, sparse_depth, scale)
-        if camera_only is None and middle_x > width:
-            gain = 1.0  # any return is better than none
+        self._scale = width / (2 * middle_x)
+        if camera_only is not None:
+            gain = _gain(camera_only, sparse_depth, self._scale)
+        else:
+            gain = 1.0 if middle_x > width else None  # any return is better than none
         if gain is None:
             return
         self._gains.append(gain)
-        self._scale = scale
         self._suspect = (
             f"its principal point ({middle_x:.0f}, {middle_y:.0f}) is far from the middle of the "
             f"images of {height} x {width}"
@@ -77,11 +76,9 @@ class CalibrationSize:
         )
 
 
-def _gain(
-    camera_only: Prediction | None, sparse_depth: NDArray[np.float32], scale: float
-) -> float | None:
+def _gain(camera_only: Prediction, sparse_depth: NDArray[np.float32], scale: float) -> float | None:
     """Correlation gained by moving the returns to `scale` times their pixels; None: not known."""
-    if camera_only is None or camera_only.depth is None or not camera_only.valid:
+    if camera_only.depth is None or not camera_only.valid:
         return None
     height, width = sparse_depth.shape
     row, column = np.nonzero(is_measured(sparse_depth))

@@ -109,13 +109,11 @@ class ConsistencyCheck:
         returns = is_measured(sparse_depth)
         holdout_error = edge_agreement = scale_error = None
         if prediction.depth is not None and held_out.any():
-            holdout_error = float(
-                np.abs(_log_ratio(prediction.depth, sparse_depth, held_out)).mean()
-            )
+            ratio = _log_ratio(prediction.depth, sparse_depth, held_out)
+            holdout_error = float(np.abs(ratio).mean())
         if prediction.boundary is not None:
-            edge_agreement = _edge_agreement(
-                prediction.boundary, np.where(returns, sparse_depth, np.float32(0))
-            )
+            measured = np.where(returns, sparse_depth, np.float32(0))
+            edge_agreement = _edge_agreement(prediction.boundary, measured)
         if camera_only is not None and camera_only.depth is not None and returns.any():
             scale_error = float(np.median(_log_ratio(camera_only.depth, sparse_depth, returns)))
         if self._first_ns is None:

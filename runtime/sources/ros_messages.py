@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.checks import check_integer, cut, shown
+from runtime.checks import cut, shown
 from runtime.errors import InputError
 from runtime.io.images import decode_rgb, require_pixels
 from runtime.returns import to_metres
@@ -153,7 +153,7 @@ def view_fields(message: Any, fields: list[Any], types: Mapping[int, str]) -> ND
         InputError: for another datatype, several numbers in a field, a field beyond the point, and
             truncated data.
     """
-    height, width, point_step = _counts(message, "height", "width", "point_step")
+    height, width, point_step = message.height, message.width, message.point_step
     what = f"a PointCloud2 of {height} x {width} points"
     formats, offsets = list[str](), list[int]()
     for field in fields:
@@ -163,7 +163,7 @@ def view_fields(message: Any, fields: list[Any], types: Mapping[int, str]) -> ND
                 f"{field.datatype}, expected one of {', '.join(types.values())}"
             )
         formats.append((">" if message.is_bigendian else "<") + types[field.datatype])
-        offsets += _counts(field, "offset")
+        offsets.append(field.offset)
         if offsets[-1] + np.dtype(formats[-1]).itemsize > point_step:
             raise InputError(
                 f"the field {field.name} of {what} begins at byte {offsets[-1]} of {point_step}: "
@@ -179,7 +179,7 @@ def view_fields(message: Any, fields: list[Any], types: Mapping[int, str]) -> ND
 
 def _pixels(message: Any, dtype: np.dtype[Any], channels: int) -> NDArray[Any]:
     """A view of an Image's data, (H, W) or (H, W, channels)."""
-    height, width = _counts(message, "height", "width")
+    height, width = message.height, message.width
     what = f"an Image of {height} x {width} pixels of {message.encoding}"
     if height == 0 or width == 0:
         raise InputError(f"{what} is empty")
@@ -195,7 +195,7 @@ def _rows(
     message: Any, what: str, height: int, row_bytes: int, step: str
 ) -> tuple[NDArray[np.uint8], int]:
     """The data of a message, not copied, and the bytes from one row to the next."""
-    (stride,) = _counts(message, step) if height > 1 else (row_bytes,)
+    stride = getattr(message, step) if height > 1 else row_bytes
     if stride < row_bytes:
         raise InputError(f"{what} has {step} {stride}, expected at least {row_bytes}")
     content = np.frombuffer(message.data, np.uint8)
@@ -203,13 +203,3 @@ def _rows(
     if len(content) < needed:
         raise InputError(f"{what} has {len(content)} bytes, expected {needed}: it is truncated")
     return content, stride
-
-
-def _counts(message: Any, *names: str) -> tuple[int, ...]:
-    """Fields of a message that are counts. Raises InputError."""
-    return tuple(
-        check_integer(
-            f"the field {name} of a message", getattr(message, name), 0, 2**32 - 1, error=InputError
-        )
-        for name in names
-    )

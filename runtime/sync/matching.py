@@ -92,11 +92,8 @@ class Intervals:
         """The median interval; None before `_KNOWN_INTERVALS` intervals."""
         return median_low(self._intervals) if len(self._intervals) >= _KNOWN_INTERVALS else None
 
-    def spread_ns(self) -> int:
+    def spread_ns(self, period_ns: int) -> int:
         """Mean distance from the period of the intervals that are one period long."""
-        period_ns = self.period_ns()
-        if period_ns is None:
-            return 0
         single = [each for each in self._intervals if each < 1.5 * period_ns]
         return sum(abs(each - period_ns) for each in single) // len(single)
 
@@ -144,6 +141,9 @@ class Matching(ABC):
 
     # --- the rules of a live stream and of a recording -------------------------------------------
 
+    #: Whether the next message of a sensor comes no sooner than after its shortest interval.
+    _is_regular = False
+
     @abstractmethod
     def _next_decidable(self) -> Message | None:
         """The image to decide next; None = all wait on."""
@@ -151,10 +151,6 @@ class Matching(ABC):
     @abstractmethod
     def _is_over(self, message: Message, other: Sensor) -> bool:
         """Whether a message has waited long enough for the `other` sensor."""
-
-    @abstractmethod
-    def _next_ns(self, sensor: Sensor) -> int:
-        """The earliest possible next stamp of a sensor; only after its first message."""
 
     @abstractmethod
     def _decide_images(self, decided: Decided) -> None:
@@ -234,6 +230,12 @@ class Matching(ABC):
         )
         return min(own, key=lambda depth: _distance(image, depth), default=None)
 
+    def _next_ns(self, sensor: Sensor) -> int:
+        """The earliest possible next stamp of a sensor; only after its first message."""
+        intervals = self._sensors[sensor].intervals
+        assert intervals.newest_ns is not None
+        return intervals.newest_ns + (intervals.shortest_ns if self._is_regular else 0)
+
     def _is_certain(self, image: Message, depth: Message) -> bool:
         """Whether no later message can be nearer in time to either partner."""
         return (
@@ -289,6 +291,8 @@ class Matching(ABC):
 class Synchronizer(Matching):
     """Matches messages as they arrive; deciding an image discards all older images."""
 
+    _is_regular = True
+
     def __init__(
         self, *, max_skew_ms: float, max_wait_ms: float, reuse_depth_ms: float, capacity: int
     ) -> None:
@@ -325,9 +329,8 @@ class Synchronizer(Matching):
         """The newest of the images that can be decided."""
         for image in reversed(self._images):
             depth = self._partner(image)
-            if depth is not None and self._is_certain(image, depth):
-                return image
-            if self._is_over(image, Sensor.DEPTH):
+            is_certain = depth is not None and self._is_certain(image, depth)
+            if is_certain or self._is_over(image, Sensor.DEPTH):
                 return image
         # The oldest image, if no depth map is expected for it. A newer image has to wait, because
         # deciding it would discard the oldest.
@@ -347,7 +350,7 @@ class Synchronizer(Matching):
         if silent_ns > self._max_wait_ns + 2 * period_ns:
             return False  # a LiDAR that stopped
         # The stamps that are expected next: newest + n * period, n = 1, 2, ...
-        slack_ns = depths.spread_ns() + images.spread_ns()
+        slack_ns = depths.spread_ns(period_ns) + images.spread_ns(image_period_ns)
         ahead = max(silent_ns // period_ns, 0)
         return any(
             abs(depths.newest_ns + n * period_ns - image.stamp_ns)
@@ -359,17 +362,11 @@ class Synchronizer(Matching):
     def _is_over(self, message: Message, other: Sensor) -> bool:
         return self._now_ns - message.arrived_ns >= self._max_wait_ns
 
-    def _next_ns(self, sensor: Sensor) -> int:
-        intervals = self._sensors[sensor].intervals
-        assert intervals.newest_ns is not None
-        return intervals.newest_ns + intervals.shortest_ns
-
     def _decide_images(self, decided: Decided) -> None:
         complete = [image for image in self._images if self._partner(image) is not None]
-        for image in complete[-1:]:
-            self._decide_image(decided, image)
-        for image in self._images[-1:]:
-            self._decide_image(decided, image)
+        for images in (complete, self._images):
+            for newest in images[-1:]:
+                self._decide_image(decided, newest)
 
 
 class StampMatching(Matching):
@@ -430,11 +427,6 @@ class StampMatching(Matching):
         newest_ns = self._sensors[other].intervals.newest_ns
         over_ns = message.stamp_ns + self._max_skew_ns + _MAX_WAIT_NS
         return newest_ns is not None and newest_ns > over_ns
-
-    def _next_ns(self, sensor: Sensor) -> int:
-        newest_ns = self._sensors[sensor].intervals.newest_ns
-        assert newest_ns is not None
-        return newest_ns
 
     def _decide_images(self, decided: Decided) -> None:
         while self._images:

@@ -113,13 +113,13 @@ def test_a_field_that_is_missing_or_not_filled_is_no_time():
 
 
 @pytest.mark.parametrize("change", [
-    {"datatype": 2, "code": "u1"}, {"offset": 22}, {"offset": -1}, {"count": 3}, {},
+    {"datatype": 2, "code": "u1"}, {"offset": 22}, {"count": 3}, {},
 ])  # fmt: skip
 def test_another_layout_and_truncated_data_are_refused(change):
     arguments = {"name": "t", "datatype": 6, "code": "u4", "values": [1, 2]} | change
     message = cloud(**arguments)
     message.data = message.data[:-1] if not change else message.data
-    with pytest.raises(InputError, match=r"the field (t|offset)|truncated"):
+    with pytest.raises(InputError, match=r"the field t|truncated"):
         times_of(message)
 
 
