@@ -200,10 +200,10 @@ def _feeds(path: Path, options: Int8Options) -> Iterator[Feed]:
                 frame = preprocess(
                     sample.rgb,
                     None if split is None else split.fed,
-                    max_depth_m=contract.max_depth_m,
                     size_for=predictor.network_size,
-                    canonical_focal_px=contract.canonical_focal_px,
-                    focal_length_px=sample.focal_length_px,
+                    scale_for=partial(
+                        predictor.camera_scale, focal_length_px=sample.focal_length_px
+                    ),
                 )
                 yield {"rgb": frame.rgb[None], "sparse_depth": frame.sparse_depth[None]}
 

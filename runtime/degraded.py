@@ -1,6 +1,6 @@
 """The reasons in `Prediction.degraded`: the answer is usable, but less reliable than usual.
 
-Those that make it unusable (`valid` is False) are of `postprocess.faults`.
+Those that make it unusable (`valid` is False) are of `inference.faults`.
 """
 
 NO_DEPTH = "no_depth"  # not one usable return: the answer comes from the camera alone

@@ -3,8 +3,9 @@
 import time
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from os import PathLike
-from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
@@ -16,14 +17,13 @@ from runtime.checks import check_integer
 from runtime.contract import check_focal_length, check_size
 from runtime.cores import available_cores
 from runtime.errors import ContractError, InferenceError, InputError
-from runtime.model_file import load_model_file
+from runtime.inference import run_batch, to_prediction
+from runtime.model import open_model
 from runtime.network_size import NetworkSize, check_network_size, network_size
-from runtime.postprocess import check_outputs, faults, to_frame
-from runtime.prediction import Latency, Prediction
+from runtime.prediction import Prediction
 from runtime.preprocess import NetworkInput, preprocess
 from runtime.process_guard import ProcessGuard
-from runtime.session import explain, node_counts, open_session
-from runtime.signature import read_signature
+from runtime.session import node_counts
 
 _MOST_THREADS = 1024
 _SMALL_SIZE = (64, 64)  # frame of the check of a model of free size
@@ -90,29 +90,27 @@ class Predictor:
         threads: int | None = None,
         warmup: int = 1,
     ) -> None:
+        self.threads = available_cores()
         if threads is not None:
-            threads = check_integer("threads", threads, 1, _MOST_THREADS, error=InputError)
+            self.threads = check_integer("threads", threads, 1, _MOST_THREADS, error=InputError)
         warmup = check_integer("warmup", warmup, 0, error=InputError)
         device_id = check_integer("device_id", device_id, 0, error=InputError)
-        self.focal_length_px = (
-            None if focal_length_px is None else _check_focal_length(focal_length_px)
-        )
+        self.focal_length_px = _check_focal_length(focal_length_px)
         self._guard = ProcessGuard("Predictor")
+
         started = time.perf_counter()
         path = find_model(model)
-        file = load_model_file(path, sha256=sha256)
-        self.model, self.digest, self.contract = str(path), file.sha256, file.contract
-        self.provider = provider
-        self.threads = threads or available_cores()
-        self._device_id = device_id
-        session = self._open_session(file.content)
-        signature = read_signature(session, num_classes=len(self.contract.classes))
-        self.heads = signature.heads
-        self.free_size, self.free_batch = signature.size is None, signature.free_batch
-        self.size = check_network_size(size, fixed=not self.free_size) or signature.size
-        self.providers = tuple(session.get_providers())
-        self.node_counts = node_counts(session)
-        self._session: Any = session
+        self._open_model = partial(
+            open_model, path, provider=provider, device_id=device_id, threads=self.threads
+        )
+        opened = self._open_model(sha256=sha256)
+        self.model, self.provider = str(path), provider
+        self.contract, self.digest, self.heads = opened.contract, opened.sha256, opened.heads
+        self.free_size, self.free_batch = opened.size is None, opened.free_batch
+        self.size = check_network_size(size, fixed=not self.free_size) or opened.size
+        self.providers = tuple(opened.session.get_providers())
+        self.node_counts = node_counts(opened.session)
+        self._session: Any = opened.session
         self.load_ms = _ms_since(started)
         if provider == "cpu" and self.contract.precision == "fp16":
             warnings.warn(
@@ -123,9 +121,9 @@ class Predictor:
             )
         self.first_inference_ms: float | None = None
         if warmup:
-            self.warm_up(signature.size or self.contract.native_size, runs=warmup)
+            self.warm_up(opened.size or self.contract.native_size, runs=warmup)
         else:
-            self._require_finite(signature.size or _SMALL_SIZE)
+            self._predict_empty(opened.size or _SMALL_SIZE)
 
     def predict(
         self,
@@ -158,7 +156,12 @@ class Predictor:
         """
         started = time.perf_counter()
         frame = self._preprocess(rgb, sparse_depth, focal_length_px)
-        return self._predict([frame], [_ms_since(started)], [stamp], started)[0]
+        preprocess_ms = _ms_since(started)
+        ran = time.perf_counter()
+        (outputs,) = run_batch(self._require_open(), self.heads, [frame], self.contract)
+        return to_prediction(
+            outputs, frame, self.contract, (preprocess_ms, _ms_since(ran)), stamp=stamp
+        )
 
     def predict_batch(
         self,
@@ -190,20 +193,36 @@ class Predictor:
         started = time.perf_counter()
         focals = _one_each("focal_lengths_px", focal_lengths_px, frames)
         stamps = _one_each("stamps", stamps, frames)
-        prepared, preprocess_ms = [], []
+        inputs: list[NetworkInput] = []
+        preprocess_ms = []
         for index, (frame, focal) in enumerate(zip(frames, focals, strict=True)):
             frame_started = time.perf_counter()
             try:
                 rgb, sparse_depth = frame
-                prepared.append(self._preprocess(rgb, sparse_depth, focal))
-            except InputError as error:
+                inputs.append(self._preprocess(rgb, sparse_depth, focal))
+            except (InputError, TypeError, ValueError) as error:
                 raise InputError(f"frame {index} of {len(frames)}: {error}") from error
-            except (TypeError, ValueError) as error:
-                raise InputError(
-                    f"frame {index} of {len(frames)} must be (rgb, sparse_depth): {error}"
-                ) from error
             preprocess_ms.append(_ms_since(frame_started))
-        return self._predict(prepared, preprocess_ms, stamps, started)
+        batches: dict[object, list[int]] = {}
+        for index, ready in enumerate(inputs):
+            batches.setdefault(ready.network_size if self.free_batch else index, []).append(index)
+        answers: dict[int, Prediction] = {}
+        for members in batches.values():
+            batch_started = time.perf_counter()
+            batch = [inputs[index] for index in members]
+            outputs = run_batch(self._require_open(), self.heads, batch, self.contract)
+            inference_ms = _ms_since(batch_started)
+            for index, each in zip(members, outputs, strict=True):
+                times_ms = preprocess_ms[index], inference_ms
+                answers[index] = to_prediction(
+                    each, inputs[index], self.contract, times_ms, stamp=stamps[index]
+                )
+        total_ms = _ms_since(started)
+        in_order = (answers[index] for index in range(len(frames)))
+        return [
+            replace(answer, latency=replace(answer.latency, total_ms=total_ms))
+            for answer in in_order
+        ]
 
     def network_size(self, frame_size: tuple[int, int]) -> tuple[int, int]:
         """Return the (height, width) at which the network runs for a frame.
@@ -231,7 +250,7 @@ class Predictor:
         return camera_scale(
             self.contract.max_depth_m,
             self.contract.canonical_focal_px,
-            self._focal_length(focal_length_px),
+            _check_focal_length(focal_length_px) or self.focal_length_px,
             frame_size=frame_size,
             network_size=self.network_size(frame_size),
         )
@@ -255,12 +274,8 @@ class Predictor:
             size = check_size(size)
         except ValueError as error:
             raise InputError(str(error)) from error
-        rgb, sparse_depth = _empty_frame(size)
         for _ in range(runs):
-            started = time.perf_counter()
-            frame = self._preprocess(rgb, sparse_depth, None)
-            (prediction,) = self._predict([frame], [_ms_since(started)], [None], started)
-            _check_finite(prediction.degraded)
+            prediction = self._predict_empty(size)
             if self.first_inference_ms is None:
                 self.first_inference_ms = prediction.latency.total_ms
 
@@ -275,9 +290,8 @@ class Predictor:
             ProviderError: if the provider can no longer run it.
             InferenceError: after `close`.
         """
-        self._open()
-        file = load_model_file(Path(self.model), sha256=self.digest)
-        self._session = self._open_session(file.content)
+        self._require_open()
+        self._session = self._open_model(sha256=self.digest).session
 
     def close(self) -> None:
         """Free the session; calls in progress end normally, later ones raise InferenceError."""
@@ -296,121 +310,30 @@ class Predictor:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _open_session(self, content: bytes) -> Any:
-        return open_session(
-            content, provider=self.provider, device_id=self._device_id, threads=self.threads
-        )
-
-    def _require_finite(self, size: tuple[int, int]) -> None:
-        """Raise ContractError unless the network's answer to an empty frame of `size` is finite."""
-        max_depth_m = self.contract.max_depth_m
-        frame = preprocess(*_empty_frame(size), max_depth_m=max_depth_m, size_for=lambda own: own)
-        (outputs,) = self._run([frame])
-        _check_finite(faults(outputs, self.contract))
-
-    def _focal_length(self, of_frame: Any) -> float | None:
-        """The focal length of a frame, else the predictor's. Raises InputError."""
-        return self.focal_length_px if of_frame is None else _check_focal_length(of_frame)
-
-    def _preprocess(self, rgb: Any, sparse_depth: Any, focal_length_px: Any) -> NetworkInput:
-        return preprocess(
-            rgb,
-            sparse_depth,
-            max_depth_m=self.contract.max_depth_m,
-            size_for=self.network_size,
-            canonical_focal_px=self.contract.canonical_focal_px,
-            focal_length_px=self._focal_length(focal_length_px),
-        )
-
-    def _predict(
-        self,
-        frames: Sequence[NetworkInput],
-        preprocess_ms: Sequence[float],
-        stamps: Sequence[Any],
-        started: float,
-    ) -> list[Prediction]:
-        """Run prepared frames in batches of equal network size, and convert the outputs."""
-        batches: dict[object, list[int]] = {}
-        for index, frame in enumerate(frames):
-            batches.setdefault(frame.network_size if self.free_batch else index, []).append(index)
-        outputs: dict[int, dict[str, NDArray[Any]]] = {}
-        inference_ms: dict[int, float] = {}
-        for members in batches.values():
-            batch_started = time.perf_counter()
-            outputs.update(zip(members, self._run([frames[i] for i in members]), strict=True))
-            inference_ms.update(dict.fromkeys(members, _ms_since(batch_started)))
-        answered = []
-        for index, frame in enumerate(frames):
-            frame_started = time.perf_counter()
-            found = faults(outputs[index], self.contract)
-            heads = to_frame(outputs[index], frame)
-            answered.append((heads, found, _ms_since(frame_started)))
-        total_ms = _ms_since(started)
-        return [
-            Prediction(
-                heads=heads,
-                frame_size=frame.frame_size,
-                network_size=frame.network_size,
-                latency=Latency(before_ms, inference_ms[index], after_ms, total_ms),
-                valid=not found,
-                degraded=frame.degraded + found,
-                cleaned=frame.cleaned,
-                depth_returns=frame.depth_returns,
-                range_m=frame.scale.range_m,
-                stamp=stamp,
-                contract=self.contract,
-            )
-            for index, (frame, before_ms, stamp, (heads, found, after_ms)) in enumerate(
-                zip(frames, preprocess_ms, stamps, answered, strict=True)
-            )
-        ]
-
-    def _open(self) -> Any:
-        """The session. Raises InferenceError after `close` and in a forked process."""
+    def _require_open(self) -> Any:
+        """Return the session. Raises InferenceError after `close` and in a forked process."""
         self._guard.check()
         if (session := self._session) is None:
             raise InferenceError("the predictor is closed: make a new one")
         return session
 
-    def _run(self, frames: Sequence[NetworkInput]) -> list[dict[str, NDArray[Any]]]:
-        """Run frames of one network size as one batch: head -> array, of each."""
-        session = self._open()
-        height, width = frames[0].network_size
-        feed = {
-            "rgb": _batch([frame.rgb for frame in frames]),
-            "sparse_depth": _batch([frame.sparse_depth for frame in frames]),
-        }
-        try:
-            batches = session.run(self.heads, feed)
-        except Exception as error:
-            several = f"{len(frames)} frames" if len(frames) > 1 else "a frame"
-            raise InferenceError(
-                f"the session failed on {several} of {height} x {width}: {explain(error)}"
-            ) from error
-        outputs = dict(zip(self.heads, batches, strict=True))
-        classes = len(self.contract.classes)
-        check_outputs(outputs, frames=len(frames), size=(height, width), num_classes=classes)
-        return [
-            {head: batch[index] for head, batch in outputs.items()} for index in range(len(frames))
-        ]
+    def _predict_empty(self, size: tuple[int, int]) -> Prediction:
+        """Predict a gray frame without returns. Raises ContractError unless it is finite."""
+        prediction = self.predict(np.full((*size, 3), _GRAY, np.uint8))
+        if broken := [each for each in prediction.degraded if each.endswith("_not_finite")]:
+            raise ContractError(
+                f"the model's answer to an empty frame is not finite ({', '.join(broken)}): export "
+                "it again with ssdnet-export, or get another"
+            )
+        return prediction
 
-
-def _empty_frame(size: tuple[int, int]) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """A gray image and a depth map without returns."""
-    return np.full((*size, 3), _GRAY, np.uint8), np.zeros(size, np.float32)
-
-
-def _check_finite(reasons: Sequence[str]) -> None:
-    if broken := [reason for reason in reasons if reason.endswith("_not_finite")]:
-        raise ContractError(
-            f"the model's answer to an empty frame is not finite ({', '.join(broken)}): export it "
-            "again with ssdnet-export, or get another"
+    def _preprocess(self, rgb: Any, sparse_depth: Any, focal_length_px: Any) -> NetworkInput:
+        return preprocess(
+            rgb,
+            sparse_depth,
+            size_for=self.network_size,
+            scale_for=partial(self.camera_scale, focal_length_px=focal_length_px),
         )
-
-
-def _batch(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Stack arrays of one shape; a single one is not copied."""
-    return arrays[0][np.newaxis] if len(arrays) == 1 else np.stack(arrays)
 
 
 def _one_each(name: str, values: Any, frames: Any) -> list[Any]:
@@ -426,8 +349,10 @@ def _one_each(name: str, values: Any, frames: Any) -> list[Any]:
     return list(values)
 
 
-def _check_focal_length(focal_px: Any) -> float:
-    """Return a checked focal length. Raises InputError."""
+def _check_focal_length(focal_px: Any) -> float | None:
+    """Return a focal length, None as it is. Raises InputError."""
+    if focal_px is None:
+        return None
     try:
         return check_focal_length(focal_px, "focal_length_px")
     except ValueError as error:

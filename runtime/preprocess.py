@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.canonical_focal import CameraScale, camera_scale
+from runtime.canonical_focal import CameraScale
 from runtime.contract import MIN_SIDE, farthest_return
 from runtime.degraded import IMAGE_CONSTANT, NO_DEPTH, SPARSE_DEPTH_LOW
 from runtime.errors import InputError
@@ -58,20 +58,16 @@ def preprocess(
     rgb: Any,
     sparse_depth: Any,
     *,
-    max_depth_m: float,
     size_for: Callable[[Size], Size],
-    canonical_focal_px: float | None = None,
-    focal_length_px: float | None = None,
+    scale_for: Callable[[Size], CameraScale],
 ) -> NetworkInput:
     """Check and clean a frame and bring it to the network's size.
 
     Args:
         rgb: uint8 (H, W, 3), RGB.
         sparse_depth: float32 (H, W), metres; None = the camera alone.
-        max_depth_m: see `Contract`.
         size_for: frame size -> network size, both (height, width).
-        canonical_focal_px: see `Contract`.
-        focal_length_px: of the frame; None = not known.
+        scale_for: frame size -> scale of its depth.
 
     Raises:
         InputError: for arrays of another type or shape.
@@ -81,15 +77,9 @@ def preprocess(
     if sparse_depth is None:
         sparse_depth = np.zeros(frame_size, np.float32)
     sparse_depth = check_sparse_depth(sparse_depth, size=frame_size)
-    size = size_for(frame_size)
-    scale = camera_scale(
-        max_depth_m,
-        canonical_focal_px,
-        focal_length_px,
-        frame_size=frame_size,
-        network_size=size,
-    )
+    size, scale = size_for(frame_size), scale_for(frame_size)
     sparse_depth, cleaned, returns = clean_sparse_depth(sparse_depth, max_depth_m=scale.range_m)
+    degraded = [IMAGE_CONSTANT] if is_constant(rgb) else []
     network_rgb, fed = rgb, returns
     if size != frame_size:
         network_rgb = resize_image(rgb, size)
@@ -98,14 +88,12 @@ def preprocess(
     if scale.factor != 1:
         sparse_depth = sparse_depth * np.float32(scale.factor)
         # Rounding must not move the farthest return out of the range.
-        np.minimum(sparse_depth, np.float32(max_depth_m), out=sparse_depth)
-    degraded = []
+        farthest = np.float32(scale.range_m * scale.factor)
+        np.minimum(sparse_depth, farthest, out=sparse_depth)
     if returns == 0:
-        degraded.append(NO_DEPTH)
+        degraded.insert(0, NO_DEPTH)
     elif covers_little(sparse_depth, returns=fed):
-        degraded.append(SPARSE_DEPTH_LOW)
-    if is_constant(rgb):
-        degraded.append(IMAGE_CONSTANT)
+        degraded.insert(0, SPARSE_DEPTH_LOW)
     return NetworkInput(
         network_rgb, sparse_depth, frame_size, cleaned, returns, tuple(degraded), scale
     )

@@ -5,30 +5,21 @@ resized to `new`, a centre u moves to u' = (u + 0.5) * new / old - 0.5, and a re
 into the pixel rint(u'), half to even, as a projected return does.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.heads import HEADS, ResizeRule
+from runtime.heads import ResizeRule
 
 Size = tuple[int, int]  # (height, width)
 
+#: The pixel and its eight neighbours.
+_AROUND = np.ones((3, 3), np.uint8)
 #: Neighbouring depths are one surface if the farthest is at most this many times the nearest.
 SAME_SURFACE = 1.15
-
-
-def resize_answer(head: str, values: NDArray[Any], size: Size) -> NDArray[Any]:
-    """Resize one head of a network, (H, W) or (C, H, W), to `size` by its rule in `HEADS`."""
-    if values.ndim == 3:
-        return np.stack([resize_answer(head, plane, size) for plane in values])
-    return resize_by(HEADS[head].resize, values, size)
-
-
-def resize_by(rule: ResizeRule, values: NDArray[Any], size: Size) -> NDArray[Any]:
-    """Resize (H, W) to `size` by a rule of `HEADS`."""
-    return _RULES[rule](values, size)
 
 
 def resize_image(image: NDArray[Any], size: Size) -> NDArray[Any]:
@@ -72,6 +63,14 @@ def resize_surface(depth: NDArray[np.float32], size: Size) -> NDArray[np.float32
     return resized
 
 
+#: Rule of `HEADS` -> its function, of (H, W) and the new size.
+RESIZE: dict[ResizeRule, Callable[[NDArray[Any], Size], NDArray[Any]]] = {
+    "nearest": resize_nearest,
+    "bilinear": resize_image,
+    "surface": resize_surface,
+}
+
+
 def move_returns(sparse_depth: NDArray[np.float32], size: Size) -> NDArray[np.float32]:
     """Move each return of a sparse depth map to its pixel in a map of another size.
 
@@ -98,12 +97,6 @@ def move_scan_lines(
         _moved(sparse_depth, source, target, size, nothing=0),
         _moved(scan_line, source, target, size, nothing=-1),
     )
-
-
-#: The pixel and its eight neighbours.
-_AROUND = np.ones((3, 3), np.uint8)
-#: `Head.resize` -> its function.
-_RULES = {"nearest": resize_nearest, "bilinear": resize_image, "surface": resize_surface}
 
 
 def _moved(

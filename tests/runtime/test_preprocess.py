@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from runtime import Cleaned, InputError
+from runtime.canonical_focal import CameraScale
 from runtime.degraded import SPARSE_DEPTH_LOW
 from runtime.preprocess import (
     check_rgb,
@@ -82,6 +83,9 @@ def test_the_networks_have_the_same_rule(range_m):
     np.testing.assert_allclose(share[0, 0].numpy() * range_m, kept, rtol=1e-6)
 
 
+PLAIN = CameraScale(1.0, 80.0, None)
+
+
 def scan_rows(size, lines, firings=450):
     """A LiDAR of so many level lines over the lower two thirds of a picture of any size."""
     depth = np.zeros(size, np.float32)
@@ -108,7 +112,7 @@ def test_returns_in_one_corner_are_few_where_the_frame_is_shrunk():
     depth = np.zeros((1280, 4160), np.float32)
     depth[:200, :200] = 5
     rgb = np.random.default_rng(0).integers(0, 256, (*depth.shape, 3), dtype=np.uint8)
-    given = preprocess(rgb, depth, max_depth_m=80, size_for=lambda _: (320, 1040))
+    given = preprocess(rgb, depth, size_for=lambda _: (320, 1040), scale_for=lambda _: PLAIN)
     assert given.depth_returns == 40_000
     assert given.degraded == (SPARSE_DEPTH_LOW,)
 

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from models import Network
 from models.answers import answers
 from models.classes import CATEGORIES
+from runtime.canonical_focal import camera_scale
 from runtime.contract import NO_CLASS
 from runtime.errors import InputError, SSDNetError
 from runtime.heads import HEADS
-from runtime.postprocess import to_frame
+from runtime.inference import to_frame
 from runtime.preprocess import preprocess
 from runtime.resize import Size
 from training.datasets.sample import IGNORE, SampleSource
@@ -81,10 +82,14 @@ def torch_predict(
         frame = preprocess(
             rgb,
             sparse_depth,
-            max_depth_m=config.max_depth_m,
             size_for=size_for,
-            canonical_focal_px=config.canonical_focal_px,
-            focal_length_px=focal_length_px,
+            scale_for=lambda size: camera_scale(
+                config.max_depth_m,
+                config.canonical_focal_px,
+                focal_length_px,
+                frame_size=size,
+                network_size=size_for(size),
+            ),
         )
         device = network.rgb_mean.device
         output = network(

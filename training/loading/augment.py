@@ -13,7 +13,7 @@ from pydantic.dataclasses import dataclass
 
 from runtime.contract import MAX_RETURN_M, MIN_SIDE, farthest_return
 from runtime.errors import InputError
-from runtime.resize import move_returns, move_scan_lines, resize_by, resize_image, resize_nearest
+from runtime.resize import RESIZE, move_returns, move_scan_lines, resize_image, resize_nearest
 from training.datasets.sample import IGNORE, Sample, nothing_known, target_kind
 from training.lidar.faults import absorb, add_false_returns, drop_sectors, misalign
 from training.lidar.split import SENSOR_LINES, LidarInput, masked, split_lidar
@@ -352,7 +352,7 @@ def resize(sample: Sample, size: tuple[int, int], *, is_dense: bool | None = Non
     else:
         depth = resize_nearest(sample.depth, size)
     targets = {
-        name: resize_by(target_kind(name).resize, labels, size)
+        name: RESIZE[target_kind(name).resize](labels, size)
         for name, labels in sample.targets.items()
         if name != "depth"
     }

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from runtime.canonical_focal import CameraScale
 from runtime.prediction import Latency, Prediction
 from runtime.preprocess import preprocess
 from runtime.streams.push_stream import PushStream
@@ -88,7 +89,10 @@ class CheckedPredictor:
         assert self.gate.wait(60)
         if self.fail_with is not None:
             raise self.fail_with
-        frame = preprocess(rgb, sparse_depth, max_depth_m=80, size_for=lambda size: size)
+        scale = CameraScale(factor=1.0, range_m=80.0, focal_length_px=None)
+        frame = preprocess(
+            rgb, sparse_depth, size_for=lambda size: size, scale_for=lambda size: scale
+        )
         if self.takes_ms:
             self.clock.advance_ms(self.takes_ms)
         return Prediction(

@@ -133,7 +133,7 @@ def test_other_flags_than_recorded_are_reported(recording):
     assert r"  \x1b[2J: degraded: none" in verify(recording).output, "no terminal escapes"
 
 
-def test_another_model_is_held_against_the_recorded_answers(recording, model_file):
+def test_another_model_is_held_against_the_recorded_answers(recording, model_file, change_run):
     def farther(graph):
         (offset,) = [weight for weight in graph.initializer if weight.name == "offset"]
         offset.raw_data = np.float32(2.0).tobytes()
@@ -145,8 +145,14 @@ def test_another_model_is_held_against_the_recorded_answers(recording, model_fil
     assert "  00002: depth: max_abs_m 0.5" in result.output
     fewer = model_file("fewer.onnx", heads=("depth",))
     assert "heads: depth, expected boundary" in verify(recording, "--model", fewer).output
-    elsewhere = model_file("elsewhere.onnx", heads=HEADS, only_runs_at=(64, 64))
-    failed = verify(recording, "--model", elsewhere)
+
+    def fail(run, feed):
+        if np.ptp(feed["rgb"]):  # not the gray frame of the start
+            raise RuntimeError("broken")
+        return run()
+
+    change_run(fail)
+    failed = verify(recording)
     assert failed.exit_code == 4
     assert "  00000: the session failed on a frame of 40 x 56" in failed.output
 

@@ -8,7 +8,6 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from runtime import ContractError, InferenceError, Predictor
-from runtime.model_file import with_contract
 
 HEADS = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
 
@@ -78,12 +77,3 @@ def test_impossible_values_make_a_frame_invalid(model_file, make_frame, head, of
         prediction = predictor.predict(*make_frame())
     assert not prediction.valid
     assert prediction.degraded == (f"{head}_out_of_range",)
-
-
-@pytest.mark.parametrize("name", [b"rgb", b"sparse_depth", b"semantic"])
-def test_names_that_are_no_text(model_file, contract, name):
-    path = model_file(contract=None)
-    content = path.read_bytes().replace(name, b"\xff" * len(name))
-    path.write_bytes(with_contract(content, contract))
-    with pytest.raises(ContractError, match=r"names in UTF-8|cannot be loaded"):
-        Predictor(path)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from runtime.postprocess import faults
+from runtime.inference import faults
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

@@ -1,0 +1,128 @@
+"""From the inputs of the network to the answers for the frames: run, check, convert, resize."""
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.contract import NO_CLASS, Contract
+from runtime.errors import InferenceError
+from runtime.heads import HEADS, Head, Unit
+from runtime.prediction import Latency, Prediction
+from runtime.preprocess import NetworkInput
+from runtime.resize import RESIZE
+from runtime.session import explain
+
+_ROUNDING = 1e-3  # of a head's range: how far arithmetic may leave it
+
+
+def run_batch(
+    session: Any, heads: Sequence[str], frames: Sequence[NetworkInput], contract: Contract
+) -> list[dict[str, NDArray[Any]]]:
+    """Run frames of one network size as one batch.
+
+    Returns:
+        Head -> array, of each frame.
+
+    Raises:
+        InferenceError: if the session fails, or an output is of another shape than these frames.
+    """
+    size, count = frames[0].network_size, len(frames)
+    feed = {
+        "rgb": _stack([frame.rgb for frame in frames]),
+        "sparse_depth": _stack([frame.sparse_depth for frame in frames]),
+    }
+    try:
+        outputs = dict(zip(heads, session.run(heads, feed), strict=True))
+    except Exception as error:
+        several = f"{count} frames" if count > 1 else "a frame"
+        raise InferenceError(
+            f"the session failed on {several} of {size[0]} x {size[1]}: {explain(error)}"
+        ) from error
+    for head, values in outputs.items():
+        expected = (count, *((len(contract.classes),) if HEADS[head].per_class else ()), *size)
+        if values.shape != expected:
+            raise InferenceError(
+                f"the model gave {head} of the shape {values.shape}, expected {expected}: "
+                "export it again with ssdnet-export"
+            )
+    return [{head: values[index] for head, values in outputs.items()} for index in range(count)]
+
+
+def _stack(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Stack arrays of one shape; a single one is not copied."""
+    return arrays[0][np.newaxis] if len(arrays) == 1 else np.stack(arrays)
+
+
+def to_prediction(
+    outputs: Mapping[str, NDArray[Any]],
+    frame: NetworkInput,
+    contract: Contract,
+    times_ms: tuple[float, float],
+    *,
+    stamp: Any,
+) -> Prediction:
+    """Return the answers for a frame.
+
+    Args:
+        outputs: head -> array, of the frame.
+        frame: as the network took it.
+        contract: of the model.
+        times_ms: of preprocessing and of the session.
+        stamp: of the frame.
+    """
+    started = time.perf_counter()
+    found = faults(outputs, contract)
+    heads = to_frame(outputs, frame)
+    latency_ms = *times_ms, (time.perf_counter() - started) * 1e3
+    return Prediction(
+        heads=heads,
+        frame_size=frame.frame_size,
+        network_size=frame.network_size,
+        latency=Latency(*latency_ms, total_ms=sum(latency_ms)),
+        valid=not found,
+        degraded=frame.degraded + found,
+        cleaned=frame.cleaned,
+        depth_returns=frame.depth_returns,
+        range_m=frame.scale.range_m,
+        stamp=stamp,
+        contract=contract,
+    )
+
+
+def to_frame(outputs: Mapping[str, NDArray[Any]], frame: NetworkInput) -> dict[str, NDArray[Any]]:
+    """Convert a frame's outputs, head -> array, to metres and to the frame's size, in place."""
+    answers = dict(outputs)
+    for name, values in outputs.items():
+        head = HEADS[name]
+        if frame.scale.factor != 1 and head.unit is Unit.METRES:
+            values *= np.float32(1 / frame.scale.factor)
+        if frame.network_size != frame.frame_size:
+            resize, size = RESIZE[head.resize], frame.frame_size
+            planes = [resize(plane, size) for plane in (values if head.per_class else [values])]
+            answers[name] = np.stack(planes) if head.per_class else planes[0]
+    return answers
+
+
+def faults(outputs: Mapping[str, NDArray[Any]], contract: Contract) -> tuple[str, ...]:
+    """Return the reasons why outputs, head -> array of one frame, cannot be used; () if they can.
+
+    They are "HEAD_not_finite", "HEAD_out_of_range" and, for class ids, "HEAD_unknown_class".
+    """
+    found = (_fault(HEADS[head], values, contract) for head, values in outputs.items())
+    return tuple(fault for fault in found if fault)
+
+
+def _fault(head: Head, values: NDArray[Any], contract: Contract) -> str:
+    low, high = values.min(), values.max()  # NaN and Inf propagate to them
+    if head.unit is Unit.CLASS_ID:
+        if high == NO_CLASS:
+            return f"{head.name}_not_finite"
+        return "" if high < len(contract.classes) else f"{head.name}_unknown_class"
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return f"{head.name}_not_finite"
+    least, most = head.bounds(contract.max_depth_m)
+    margin = _ROUNDING * (most - least) if np.isfinite(most - least) else 0.0
+    return "" if least - margin <= low and high <= most + margin else f"{head.name}_out_of_range"
