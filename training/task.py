@@ -36,6 +36,7 @@ from training.loading.open_dataset import (
     survey,
 )
 from training.losses import SSDNetLoss, class_weights
+from training.losses.total import term_of
 from training.network import build_network
 from training.optimizer import build_optimizer
 from training.recipe import DataRecipe, OptimizerRecipe, Recipe
@@ -136,7 +137,7 @@ def open_task(
     ]
 
     weights = None
-    if "semantic" in network.heads and loss.weighs_classes and found.classes.sum() > 0:
+    if "semantic" in loss.terms_for(network.heads):
         weights = class_weights(torch.from_numpy(found.classes), loss.class_weighting)
     criterion = SSDNetLoss(
         loss,
@@ -210,14 +211,14 @@ def _require_learning(recipe: Recipe, network: Network, labelled: Collection[str
             f"({', '.join(network.heads)}). Set the weight of a term for these heads."
         )
     learning = _learning_heads(network, recipe.optimizer)
-    terms = [term for term in terms if learning & loss.heads_of(term)]
+    terms = [term for term in terms if learning & term_of(term).heads]
     if not terms:
         raise InputError(
             f"nothing would learn: no term of the loss depends on a part of {name!r} that is "
             "trained at a rate above 0. Change optimizer.only, optimizer.frozen or the rates, or "
             "set the weight of another term."
         )
-    targets = {loss.target_of(term) for term in terms}
+    targets = {term_of(term).target for term in terms}
     if not targets & {"", *labelled}:
         raise InputError(
             f"no frame of {', '.join(item.title for item in recipe.data.source)} has a target of "

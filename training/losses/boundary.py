@@ -46,11 +46,7 @@ def boundary_at_scale(
 
 
 def balanced_cross_entropy(
-    logits: Tensor,
-    target: Tensor,
-    valid: Tensor,
-    *,
-    sample_weight: Tensor | None = None,
+    logits: Tensor, target: Tensor, valid: Tensor, sample_weight: Tensor
 ) -> Tensor:
     """Eq. 6 as a mean over the known pixels: -(beta g log p + (1 - beta)(1 - g) log(1 - p)), ().
 
@@ -123,9 +119,7 @@ def hard_disagreement(labels: Tensor) -> NeighbourMaps:
     )
 
 
-def semantic_boundary_loss(
-    disagreement: NeighbourMaps, boundary: Tensor, *, side: int = 1
-) -> Tensor:
+def semantic_boundary_loss(disagreement: NeighbourMaps, boundary: Tensor, *, side: int) -> Tensor:
     """Eq. 8: where neighbours differ in class the boundary should be high, ().
 
     `boundary` P_b, float (N, 1, H, W) in 0..1. (1/N) sum f_u e^-P_b + f_v e^-P_b over all N
@@ -139,7 +133,7 @@ def semantic_boundary_loss(
     return _mean(across, down, doubt.numel() * side)
 
 
-def semantic_depth_loss(disagreement: NeighbourMaps, depth: Tensor, *, side: int = 1) -> Tensor:
+def semantic_depth_loss(disagreement: NeighbourMaps, depth: Tensor, *, side: int) -> Tensor:
     """Eq. 9-11: where neighbours differ in class the depth should step, ().
 
     `depth` P_d, float (N, 1, H, W). (1/N) sum f_u e^-|du P_d| + f_v e^-|dv P_d|: the printed loss

@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from training.losses.masked import masked_mean, split_into_blocks
+from training.losses.masked import grid_of, masked_mean, split_into_blocks
 
 #: Smaller normalised depths are clipped to this value before a ratio is taken.
 _NEAREST = 1e-3
@@ -16,14 +16,14 @@ DepthCriterion = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
 def normalise_depth(
-    depth: Tensor, max_depth_m: float, target_depth_m: float | None = None
+    depth: Tensor, max_depth_m: float, target_depth_m: float
 ) -> tuple[Tensor, Tensor]:
     """Split metres into normalised depth 0..1 and a bool mask of what was measured.
 
-    `depth` float (N, 1, H, W) [m]; 0, negative, NaN, Inf and values beyond `target_depth_m` (by
-    default `max_depth_m`) are no measurement.
+    `depth` float (N, 1, H, W) [m]; 0, negative, NaN, Inf and values beyond `target_depth_m`
+    are no measurement.
     """
-    valid = (depth > 0) & (depth <= (target_depth_m or max_depth_m))
+    valid = (depth > 0) & (depth <= target_depth_m)
     return torch.where(valid, depth, 0.0) / max_depth_m, valid
 
 
@@ -40,22 +40,14 @@ def depth_at_scale(target: Tensor, valid: Tensor, grid: tuple[int, int]) -> tupl
     return torch.where(known, mean / share.clamp(min=0.5 / side**2), 0.0), known
 
 
-def paper_depth_loss(
-    prediction: Tensor,
-    target: Tensor,
-    valid: Tensor,
-    *,
-    l1: float = 0.4,
-    l2: float = 0.4,
-    ssim: float = 0.2,
-) -> Tensor:
-    """Eq. 4 at one scale: l1 * mean |e| + l2 * mean e^2 + ssim * (1 - mean SSIM), ().
+def paper_depth_loss(prediction: Tensor, target: Tensor, valid: Tensor) -> Tensor:
+    """Eq. 4 at one scale: 0.4 * mean |e| + 0.4 * mean e^2 + 0.2 * (1 - mean SSIM), ().
 
-    e: error of the normalised depth at valid pixels. The default weights are the paper's.
+    e: error of the normalised depth at valid pixels. The weights are the paper's.
     """
     error = prediction - target
-    loss = l1 * masked_mean(error.abs(), valid) + l2 * masked_mean(error.square(), valid)
-    return loss + ssim * ssim_loss(prediction, target, valid) if ssim else loss
+    loss = 0.4 * masked_mean(error.abs(), valid) + 0.4 * masked_mean(error.square(), valid)
+    return loss + 0.2 * ssim_loss(prediction, target, valid)
 
 
 def metric_depth_loss(
@@ -65,8 +57,8 @@ def metric_depth_loss(
     *,
     max_depth_m: float,
     l2: float,
-    log: float = 0.0,
-    farthest: float = 1.0,
+    log: float,
+    farthest: float,
 ) -> Tensor:
     """Mean |e| + l2 * mean e^2 + log * mean |log ratio|, the error e in metres, at one scale, ().
 
@@ -84,10 +76,8 @@ def metric_depth_loss(
     """
     prediction = torch.where(target < farthest, prediction, prediction.clamp(max=farthest))
     error = (prediction - target) * max_depth_m
-    loss = error.abs() + l2 * error.square()
-    if log:
-        loss = loss + log * log_ratio(prediction, torch.where(valid, target, 1.0)).abs()
-    return masked_mean(loss, valid)
+    ratio = log_ratio(prediction, torch.where(valid, target, 1.0))
+    return masked_mean(error.abs() + l2 * error.square() + log * ratio.abs(), valid)
 
 
 def log_ratio(depth: Tensor, other: Tensor) -> Tensor:
@@ -104,10 +94,7 @@ def multi_scale_depth_loss(
     `normalise_depth`. The paper gives no weights for the scales; here they are equal.
     """
     losses = [
-        criterion(
-            prediction.float(),
-            *depth_at_scale(target, valid, (prediction.shape[-2], prediction.shape[-1])),
-        )
+        criterion(prediction, *depth_at_scale(target, valid, grid_of(prediction)))
         for prediction in predictions
     ]
     return torch.stack(losses).mean()
@@ -118,11 +105,11 @@ C2 = 9e-4
 WINDOW = 11
 
 
-def ssim(a: Tensor, b: Tensor, valid: Tensor, *, window: int = WINDOW) -> tuple[Tensor, Tensor]:
+def ssim(a: Tensor, b: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
     """SSIM of every window, float (N, 1, H', W') in -1..1, and a bool mask of known windows.
 
     `a`, `b` float (N, 1, H, W) in 0..1, finite; `valid` bool of the same shape. Eq. 3 of every
-    `window` x `window` square that lies inside the image (H' = H - window + 1), every pixel of it
+    `WINDOW` x `WINDOW` square that lies inside the image (H' = H - WINDOW + 1), every pixel of it
     weighing the same; a smaller image gets a window of its own size.
 
     Our reading: E is taken over the valid pixels of the window, and windows without any are
@@ -131,7 +118,7 @@ def ssim(a: Tensor, b: Tensor, valid: Tensor, *, window: int = WINDOW) -> tuple[
     c * s is then (2 sigma_ab + C2) / (sigma_a^2 + sigma_b^2 + C2), without a root whose gradient
     is infinite on flat surfaces.
     """
-    height, width = min(window, a.shape[-2]), min(window, a.shape[-1])
+    height, width = min(WINDOW, a.shape[-2]), min(WINDOW, a.shape[-1])
 
     def window_means(*maps: Tensor) -> tuple[Tensor, ...]:
         # A column, then a row: a tenth of the additions of the whole square.

@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from training.losses.depth import log_ratio
-from training.losses.masked import masked_mean, on_grid
+from training.losses.masked import grid_of, masked_mean, on_grid
 
 #: Scale of the teacher's error, as a share of its depth, at which a pixel counts half.
 HALF_CERTAIN = 0.05
@@ -19,8 +19,7 @@ def distilled_semantic_loss(logits: Tensor, teacher: Tensor) -> Tensor:
 
     logits, teacher: (N, C, h, w), on different grids; compared on the grid of ``logits``.
     """
-    grid = (logits.shape[-2], logits.shape[-1])
-    wanted = on_grid(teacher.softmax(dim=1), grid)
+    wanted = on_grid(teacher.softmax(dim=1), grid_of(logits))
     divergence = F.kl_div(logits.log_softmax(dim=1), wanted, reduction="none")
     return _mean(divergence.sum(dim=1, keepdim=True))
 
@@ -42,7 +41,7 @@ def distilled_boundary_loss(logits: Tensor, teacher: Tensor) -> Tensor:
 
     logits, teacher: (N, 1, h, w), on different grids; compared on the grid of ``logits``.
     """
-    wanted = on_grid(torch.sigmoid(teacher), (logits.shape[-2], logits.shape[-1]))
+    wanted = on_grid(torch.sigmoid(teacher), grid_of(logits))
     return _mean(F.binary_cross_entropy_with_logits(logits, wanted, reduction="none"))
 
 

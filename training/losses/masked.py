@@ -22,17 +22,21 @@ def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
     return sum_over_processes(means.sum()) / samples.clamp(min=1)
 
 
-def split_into_blocks(x: Tensor, grid: tuple[int, int]) -> tuple[Tensor, int]:
+def grid_of(x: Tensor) -> tuple[int, int]:
+    """Return (height, width) of maps (..., h, w)."""
+    return x.shape[-2], x.shape[-1]
+
+
+def split_into_blocks(x: Tensor, grid: tuple[int, int], fill: float = 0) -> tuple[Tensor, int]:
     """Pad a full-size map so that it divides into a coarser grid; return it and the block's side.
 
     `x` float (N, C, H, W); `grid` (height, width) of a map whose cells are squares of 2^k pixels
     from the top left on. The last cells may extend beyond the image, after ceil-mode pooling or
-    padding to the stride; the padding is 0.
+    padding to the stride; the padding is ``fill``.
     """
-    height, width = x.shape[-2:]
-    side = cell_side((height, width), grid)
-    padding = (0, side * grid[1] - width, 0, side * grid[0] - height)
-    return (F.pad(x, padding) if any(padding) else x), side
+    side = cell_side(grid_of(x), grid)
+    padding = (0, side * grid[1] - x.shape[-1], 0, side * grid[0] - x.shape[-2])
+    return F.pad(x, padding, value=fill), side
 
 
 def cell_side(size: tuple[int, int], grid: tuple[int, int]) -> int:
@@ -47,5 +51,5 @@ def on_grid(x: Tensor, grid: tuple[int, int]) -> Tensor:
     """Resize (N, C, H, W) to a coarser grid by means, or to a finer one bilinearly."""
     if x.shape[-2] < grid[0]:
         return F.interpolate(x, size=grid, mode="bilinear", align_corners=False)
-    side = cell_side((x.shape[-2], x.shape[-1]), grid)
+    side = cell_side(grid_of(x), grid)
     return x if side == 1 else cell_means(extend_to_multiple(x, side), side)

@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from training.distributed import sum_over_processes
-from training.losses.masked import cell_side, split_into_blocks
+from training.losses.masked import grid_of, split_into_blocks
 
 IGNORE = 255
 
@@ -20,8 +20,8 @@ def class_weights(pixel_counts: Tensor, weighting: ClassWeighting = "median") ->
     Args:
         pixel_counts: (C,), pixels of each class.
         weighting: "median": median frequency over the class's own; "sqrt_median": its square root;
-            "none": all 1; "paper": the class's frequency, as printed, which favours frequent
-            classes.
+            "none", or without any pixel: all 1; "paper": the class's frequency, as printed, which
+            favours frequent classes.
 
     Returns:
         float32 (C,); a class without pixels has the largest weight of the others, or 0 with
@@ -29,7 +29,7 @@ def class_weights(pixel_counts: Tensor, weighting: ClassWeighting = "median") ->
     """
     counts = pixel_counts.double()
     seen = counts > 0
-    if weighting == "none":
+    if weighting == "none" or not seen.any():
         return torch.ones(len(counts))
     frequency = counts / counts.sum()
     if weighting == "paper":
@@ -51,34 +51,27 @@ def class_shares(semantic: Tensor, classes: int, grid: tuple[int, int]) -> Tenso
     loss with these shares equals one with logits repeated over the pixels of their cell; at the
     image's size the shares are 0 and 1.
     """
-    height, width = semantic.shape[-2:]
-    side = cell_side((height, width), grid)
-    padding = (0, side * grid[1] - width, 0, side * grid[0] - height)
-    pixels = F.pad(semantic, padding, value=IGNORE) if any(padding) else semantic
-    pixels = F.pixel_unshuffle(pixels.unsqueeze(1), side).clamp(max=classes)
+    blocks, side = split_into_blocks(semantic.unsqueeze(1), grid, fill=IGNORE)
+    pixels = F.pixel_unshuffle(blocks, side).clamp(max=classes)
     shares = torch.zeros(len(semantic), classes + 1, *grid, device=semantic.device)
     one = shares.new_tensor(1 / side**2).expand(pixels.shape)
     return shares.scatter_add_(1, pixels, one)[:, :classes]
 
 
 def weighted_cross_entropy(
-    log_probabilities: Tensor,
-    shares: Tensor,
-    weights: Tensor | None = None,
-    sample_weight: Tensor | None = None,
+    log_probabilities: Tensor, shares: Tensor, weights: Tensor, sample_weight: Tensor
 ) -> Tensor:
     """Eq. 5: the mean of -beta log p of every known pixel's class, ().
 
     `log_probabilities` float (N, C, h, w); `shares` of that shape, see `class_shares`; `weights`
-    float (C,), None = all 1; `sample_weight` float (N,), see `labelled_mean`. Our reading of the
+    float (C,) or (); `sample_weight` float (N,), see `labelled_mean`. Our reading of the
     printed beta_j: the weight of the class that pixel j is of.
     """
     of_class = (log_probabilities * shares).sum(dim=(2, 3))
-    sums = of_class.sum(dim=1) if weights is None else (of_class * weights).sum(dim=1)
-    return labelled_mean(-sums, shares.sum(), sample_weight)
+    return labelled_mean(-(of_class * weights).sum(dim=1), shares.sum(), sample_weight)
 
 
-def labelled_mean(sums: Tensor, known: Tensor, sample_weight: Tensor | None = None) -> Tensor:
+def labelled_mean(sums: Tensor, known: Tensor, sample_weight: Tensor) -> Tensor:
     """Mean over the known part of the batch, ().
 
     `sums` float (N,) over the known part of each sample; `known` () the size of all these parts.
@@ -86,14 +79,12 @@ def labelled_mean(sums: Tensor, known: Tensor, sample_weight: Tensor | None = No
     weight 0.2 gives 0.2 of the loss. 0, with a gradient of 0, if nothing is known. Samples of all
     processes count. The paper sums; a sum would outweigh the joint terms, which are means.
     """
-    if sample_weight is not None:
-        sums = sums * sample_weight
-    return sum_over_processes(sums.sum()) / sum_over_processes(known).clamp(min=1e-6)
+    return sum_over_processes((sums * sample_weight).sum()) / sum_over_processes(known).clamp(
+        min=1e-6
+    )
 
 
-def soft_iou_loss(
-    probabilities: Tensor, shares: Tensor, sample_weight: Tensor | None = None
-) -> Tensor:
+def soft_iou_loss(probabilities: Tensor, shares: Tensor, sample_weight: Tensor) -> Tensor:
     """1 - mean soft IoU over the classes that the batch shows, ().
 
     `probabilities` float (N, C, h, w) that sum to 1 over C; `shares` of that shape, see
@@ -102,8 +93,7 @@ def soft_iou_loss(
     weight of the others, and are not predicted too often as with class weights. 0, with a gradient
     of 0, if nothing is labelled. Pixels of all processes count.
     """
-    if sample_weight is not None:
-        shares = shares * sample_weight[:, None, None, None]
+    shares = shares * sample_weight[:, None, None, None]
     overlap = (probabilities * shares).sum(dim=(0, 2, 3))
     predicted = (probabilities * shares.sum(dim=1, keepdim=True)).sum(dim=(0, 2, 3))
     sums = torch.stack((overlap, predicted, shares.sum(dim=(0, 2, 3))))
@@ -139,17 +129,17 @@ def lovasz_softmax_loss(probabilities: Tensor, semantic: Tensor) -> Tensor:
     return loss
 
 
-def picture_mean(losses: Tensor, known: Tensor, sample_weight: Tensor | None = None) -> Tensor:
+def picture_mean(losses: Tensor, known: Tensor, sample_weight: Tensor) -> Tensor:
     """Mean over the pictures of the batch that have a label, ().
 
     `losses` float (N,); `known` bool (N, H, W), the labelled pixels; `sample_weight` float (N,)
     scales each without changing what is divided by. 0, with a gradient of 0, if nothing is known.
     Pictures of all processes count.
     """
-    if sample_weight is not None:
-        losses = losses * sample_weight
     labelled = known.flatten(1).any(dim=1).sum()
-    return sum_over_processes(losses.sum()) / sum_over_processes(labelled).clamp(min=1)
+    return sum_over_processes((losses * sample_weight).sum()) / sum_over_processes(labelled).clamp(
+        min=1
+    )
 
 
 #: Values of a mask, see `training.datasets.sample.Sample`; any other is unknown.
@@ -167,8 +157,7 @@ def road_loss(logits: Tensor, road_mask: Tensor, road: int) -> Tensor:
     no pixel is known. Pixels of all processes count.
     """
     masks = torch.stack((road_mask == ROAD, road_mask == NO_ROAD), dim=1).to(logits.dtype)
-    blocks, side = split_into_blocks(masks, (logits.shape[-2], logits.shape[-1]))
-    is_road, no_road = (F.avg_pool2d(blocks, side) if side > 1 else blocks).unbind(1)
+    is_road, no_road = F.avg_pool2d(*split_into_blocks(masks, grid_of(logits))).unbind(1)
     others = torch.cat((logits[:, :road], logits[:, road + 1 :]), dim=1)
     odds = logits[:, road] - others.logsumexp(dim=1)  # log p / (1 - p)
     total = (is_road * F.softplus(-odds) + no_road * F.softplus(odds)).sum()

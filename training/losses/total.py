@@ -1,8 +1,8 @@
 """The whole loss, Eq. 12."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import field
-from functools import partial
+from functools import cached_property, partial
 from typing import Literal, NamedTuple
 
 import torch
@@ -11,9 +11,11 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
 from models import NetworkOutput
+from models.answers import head_maps
 from training.limits import STRICT, NotNegative
 from training.loading.mixture import Batch, Pair
 from training.losses.boundary import (
+    NeighbourMaps,
     balanced_cross_entropy,
     boundary_at_scale,
     boundary_target,
@@ -41,7 +43,7 @@ from training.losses.distillation import (
     distilled_semantic_loss,
 )
 from training.losses.heads import HEAD_LOSSES
-from training.losses.masked import cell_side, on_grid
+from training.losses.masked import cell_side, grid_of, on_grid
 from training.losses.semantic import (
     IGNORE,
     ClassWeighting,
@@ -54,30 +56,196 @@ from training.losses.semantic import (
 )
 
 
+class Compared:
+    """A network's output beside the batch that it answers, and what several terms share.
+
+    Attributes:
+        heads: head -> float32 (N, C, h, w), see `models.answers.head_maps`.
+        depths: of all scales, the finest first.
+    """
+
+    def __init__(self, loss: "SSDNetLoss", output: NetworkOutput, batch: Batch) -> None:
+        self.loss, self.config, self.batch = loss, loss.config, batch
+        self.heads = _float_maps(output)
+        self.depths = tuple(depth.float() for depth in output.depths or ())
+
+    @property
+    def labels(self) -> Tensor:
+        """Class ids, int64 (N, H, W)."""
+        return self.batch.targets["semantic"].long()
+
+    @property
+    def label_weights(self) -> Tensor:
+        """The weight of each frame's labels, (N,)."""
+        return self.batch.weights["semantic"]
+
+    @cached_property
+    def log_probabilities(self) -> Tensor:
+        """Of the classes, (N, C, h, w)."""
+        return F.log_softmax(self.heads["semantic"], dim=1)
+
+    @cached_property
+    def probabilities(self) -> Tensor:
+        """Of the classes, (N, C, h, w)."""
+        return self.log_probabilities.exp()
+
+    @cached_property
+    def shares(self) -> Tensor:
+        """See `class_shares`, on the grid of the classes."""
+        logits = self.heads["semantic"]
+        return class_shares(self.labels, logits.shape[1], grid_of(logits))
+
+    @cached_property
+    def disagreement(self) -> NeighbourMaps:
+        """Eq. 7, on the grid of the classes."""
+        if self.config.disagreement == "soft":
+            return soft_disagreement(self.probabilities)
+        return hard_disagreement(self.log_probabilities.argmax(dim=1))
+
+    @cached_property
+    def depth_target(self) -> tuple[Tensor, Tensor]:
+        """See `normalise_depth`."""
+        depth = self.batch.targets["depth"].unsqueeze(1)
+        return normalise_depth(depth, self.loss.max_depth_m, self.loss.target_depth_m)
+
+    @cached_property
+    def taught(self) -> dict[str, Tensor]:
+        """The teacher's heads."""
+        assert self.batch.teacher is not None
+        return _float_maps(self.batch.teacher)
+
+    @property
+    def side(self) -> int:
+        """Side of a cell of the classes [px]."""
+        return cell_side(grid_of(self.batch.rgb), grid_of(self.heads["semantic"]))
+
+    def on_classes(self, values: Tensor) -> Tensor:
+        """Return (N, 1, H, W) on the grid of the classes."""
+        return on_grid(values, grid_of(self.heads["semantic"]))
+
+    def views(self, head: str) -> tuple[Tensor, Tensor, Pair]:
+        """Return a head's answers for the first and for the second views, and how these differ."""
+        assert self.batch.pair is not None
+        first, second = self.heads[head].chunk(2)
+        return first, second, self.batch.pair
+
+
+def _float_maps(output: NetworkOutput) -> dict[str, Tensor]:
+    return {head: values.float() for head, values in head_maps(output).items()}
+
+
+def _depth(c: Compared) -> Tensor:
+    criterion: DepthCriterion = paper_depth_loss
+    if c.config.depth_form == "metric":
+        criterion = partial(
+            metric_depth_loss,
+            max_depth_m=c.loss.max_depth_m,
+            l2=c.config.metric_l2,
+            log=c.config.metric_log,
+            farthest=c.loss.farthest,
+        )
+    scales = c.depths if c.config.depth_scales == "mean" else c.depths[:1]
+    return multi_scale_depth_loss(scales, *c.depth_target, criterion)
+
+
+def _depth_uncertainty(c: Compared) -> Tensor:
+    target, valid = c.depth_target
+    # Sky targets at the far end of the range are not measured.
+    measured = valid & (target < c.loss.farthest)
+    scale, max_depth_m = c.heads["depth_uncertainty"], c.loss.max_depth_m
+    return laplace_loss(scale, c.heads["depth"], target, measured, max_depth_m=max_depth_m)
+
+
+def _lovasz(c: Compared) -> Tensor:
+    side, (height, width) = c.side, grid_of(c.labels)
+    cells = c.probabilities
+    if side > 1:  # every pixel of a cell has its probabilities
+        cells = cells.repeat_interleave(side, dim=2).repeat_interleave(side, dim=3)
+    pictures = zip(cells[..., :height, :width], c.labels, strict=True)
+    losses = torch.stack([lovasz_softmax_loss(*picture) for picture in pictures])
+    return picture_mean(losses, c.labels != IGNORE, c.label_weights)
+
+
+def _road(c: Compared) -> Tensor:
+    assert c.loss.road is not None
+    return road_loss(c.heads["semantic"], c.batch.targets["road_mask"], c.loss.road)
+
+
+def _boundary(c: Compared) -> Tensor:
+    logits = c.heads["boundary"]
+    target, valid = boundary_at_scale(*boundary_target(c.labels), grid_of(logits))
+    return balanced_cross_entropy(logits, target, valid, c.label_weights)
+
+
+def _semantic_boundary(c: Compared) -> Tensor:
+    boundary = c.on_classes(torch.sigmoid(c.heads["boundary"]))
+    return semantic_boundary_loss(c.disagreement, boundary, side=c.side)
+
+
+def _semantic_depth(c: Compared) -> Tensor:
+    return semantic_depth_loss(c.disagreement, c.on_classes(c.heads["depth"]), side=c.side)
+
+
+def _distilled_depth(c: Compared) -> Tensor:
+    scale = c.taught.get("depth_uncertainty")
+    return distilled_depth_loss(c.heads["depth"], c.taught["depth"], scale)
+
+
 class Term(NamedTuple):
-    """Requirements of a term: heads of the network and, optionally, a target."""
+    """A term: its loss, and what it requires: heads of the network and, optionally, a target."""
 
     heads: frozenset[str]
-    target: str = ""
+    target: str
+    loss: Callable[[Compared], Tensor]
 
 
-#: The terms, each with a weight "<name>_weight" in `LossConfig`.
+#: The terms, each with a weight "<name>_weight" in `LossConfig`: heads, target, loss.
 TERMS: Mapping[str, Term] = {
-    "depth": Term(frozenset({"depth"}), "depth"),
-    "depth_uncertainty": Term(frozenset({"depth", "depth_uncertainty"}), "depth"),
-    "semantic": Term(frozenset({"semantic"}), "semantic"),
-    "semantic_iou": Term(frozenset({"semantic"}), "semantic"),
-    "lovasz": Term(frozenset({"semantic"}), "semantic"),
-    "road": Term(frozenset({"semantic"}), "road_mask"),
-    "boundary": Term(frozenset({"boundary"}), "semantic"),
-    "semantic_boundary": Term(frozenset({"semantic", "boundary"}), "semantic"),
-    "semantic_depth": Term(frozenset({"semantic", "depth"}), "semantic"),
-    "depth_consistency": Term(frozenset({"depth"})),
-    "depth_seam": Term(frozenset({"depth"})),
-    "semantic_consistency": Term(frozenset({"semantic"})),
-    "distilled_semantic": Term(frozenset({"semantic"})),
-    "distilled_depth": Term(frozenset({"depth"})),
-    "distilled_boundary": Term(frozenset({"boundary"})),
+    name: Term(frozenset(heads.split()), target, loss)
+    for name, heads, target, loss in (
+        ("depth", "depth", "depth", _depth),
+        ("depth_uncertainty", "depth depth_uncertainty", "depth", _depth_uncertainty),
+        (
+            "semantic",
+            "semantic",
+            "semantic",
+            lambda c: weighted_cross_entropy(
+                c.log_probabilities, c.shares, c.loss.class_weights, c.label_weights
+            ),
+        ),
+        (
+            "semantic_iou",
+            "semantic",
+            "semantic",
+            lambda c: soft_iou_loss(c.probabilities, c.shares, c.label_weights),
+        ),
+        ("lovasz", "semantic", "semantic", _lovasz),
+        ("road", "semantic", "road_mask", _road),
+        ("boundary", "boundary", "semantic", _boundary),
+        ("semantic_boundary", "semantic boundary", "semantic", _semantic_boundary),
+        ("semantic_depth", "semantic depth", "semantic", _semantic_depth),
+        ("depth_consistency", "depth", "", lambda c: depth_consistency_loss(*c.views("depth"))),
+        ("depth_seam", "depth", "", lambda c: depth_seam_loss(*c.views("depth"))),
+        (
+            "semantic_consistency",
+            "semantic",
+            "",
+            lambda c: semantic_consistency_loss(*c.views("semantic"), side=c.side),
+        ),
+        (
+            "distilled_semantic",
+            "semantic",
+            "",
+            lambda c: distilled_semantic_loss(c.heads["semantic"], c.taught["semantic"]),
+        ),
+        ("distilled_depth", "depth", "", _distilled_depth),
+        (
+            "distilled_boundary",
+            "boundary",
+            "",
+            lambda c: distilled_boundary_loss(c.heads["boundary"], c.taught["boundary"]),
+        ),
+    )
 }
 #: Terms that compare two views of each frame.
 PAIR_TERMS = frozenset({"depth_consistency", "depth_seam", "semantic_consistency"})
@@ -91,7 +259,7 @@ class LossConfig:
     `semantic_depth_weight` 0.
 
     Raises:
-        ValueError: for a negative number, for a weight of an unknown head, or if all weights are 0.
+        ValueError: for a negative number, or for a weight of an unknown head.
     """
 
     #: One weight a term of Eq. 12: Eq. 4, 5, 6, 8, 11.
@@ -146,11 +314,6 @@ class LossConfig:
     #: Eq. 7 on probabilities, or as printed on arg-max labels (no gradient to the semantic head).
     disagreement: Literal["soft", "hard"] = "soft"
 
-    @property
-    def weighs_classes(self) -> bool:
-        """Whether a term uses class weights."""
-        return bool(self.semantic_weight) and self.class_weighting != "none"
-
     def terms_for(self, heads: Collection[str]) -> list[str]:
         """Return the names of the terms with a weight whose heads the network has.
 
@@ -163,16 +326,7 @@ class LossConfig:
 
     def targets_for(self, heads: Collection[str]) -> tuple[str, ...]:
         """Return the names of the targets that the terms of these heads need."""
-        needed = {self.target_of(name) for name in self.terms_for(heads)}
-        return tuple(sorted(needed - {""}))
-
-    def target_of(self, name: str) -> str:
-        """Return the target of a term or of another head's loss, "" for none."""
-        return TERMS[name].target if name in TERMS else name
-
-    def heads_of(self, name: str) -> frozenset[str]:
-        """Return the heads that a term or another head's loss compares."""
-        return TERMS[name].heads if name in TERMS else frozenset({name})
+        return tuple(sorted({term_of(name).target for name in self.terms_for(heads)} - {""}))
 
     def taught_heads(self, heads: Collection[str]) -> list[str]:
         """Return the heads that learn from a teacher."""
@@ -187,15 +341,24 @@ class LossConfig:
         return weight
 
     def __post_init__(self) -> None:
-        """Check the heads that are named, and that at least one weight is positive."""
+        """Check the heads that are named."""
         if unknown := sorted(self.head_weights.keys() - HEAD_LOSSES.keys()):
             known = ", ".join(sorted(HEAD_LOSSES)) or "none"
             raise ValueError(
                 f"head_weights.{unknown[0]}: no head with a loss in training.losses.heads; heads "
                 f"there: {known}"
             )
-        if not any(self.weight(name) for name in (*TERMS, *HEAD_LOSSES)):
-            raise ValueError("semantic_weight and all other weights are 0; nothing would learn")
+
+
+def term_of(name: str) -> Term:
+    """Return a term by its name in `TERMS`, or that of another head by the head's."""
+    if name in TERMS:
+        return TERMS[name]
+
+    def loss(c: Compared) -> Tensor:
+        return HEAD_LOSSES[name](c.heads[name], c.batch.targets[name], c.batch.weights[name])
+
+    return Term(frozenset({name}), name, loss)
 
 
 class SSDNetLoss(nn.Module):
@@ -209,7 +372,7 @@ class SSDNetLoss(nn.Module):
         road: id of the class of the road masks; None = no such class.
     """
 
-    class_weights: Tensor | None
+    class_weights: Tensor
     #: log sigma^2 of each term, learned if the weighting is "uncertainty".
     log_variances: nn.ParameterDict
 
@@ -227,7 +390,10 @@ class SSDNetLoss(nn.Module):
         self.road = road
         self.max_depth_m = max_depth_m
         self.target_depth_m = target_depth_m or max_depth_m
-        self.register_buffer("class_weights", class_weights, persistent=False)
+        #: Normalised depth of the sky.
+        self.farthest = self.target_depth_m / max_depth_m
+        weights = torch.ones(()) if class_weights is None else class_weights
+        self.register_buffer("class_weights", weights, persistent=False)
         # A negative log likelihood may be negative: its learned weight would diverge.
         names = [name for name in (*TERMS, *HEAD_LOSSES) if name != "depth_uncertainty"]
         learned = names if config.weighting == "uncertainty" else []
@@ -245,35 +411,18 @@ class SSDNetLoss(nn.Module):
 
         Args:
             output: of `Network.forward`.
-            batch: the frames. Depth that is not finite or beyond ``target_depth_m`` is unknown; the
-                weights of "semantic" are those in Eq. 5 and 6.
+            batch: the frames, with the targets of all terms. Depth that is not finite or beyond
+                ``target_depth_m`` is unknown; the weights of "semantic" are those in Eq. 5 and 6.
 
         Returns:
-            Terms by their names in `TERMS` or `HEAD_LOSSES`, without those of weight 0, of missing
-            heads and of targets that the batch does not have.
+            Terms by their names in `TERMS` or `HEAD_LOSSES`, without those of weight 0 and of
+            missing heads.
         """
-        height, width = batch.rgb.shape[-2:]
-        terms: dict[str, Tensor] = {}
-        if "semantic" in batch.targets:
-            semantic, weights = batch.targets["semantic"].long(), batch.weights["semantic"]
-            terms |= self._boundary_terms(output, semantic, weights)
-            terms |= self._semantic_terms(output, semantic, weights)
-        if "depth" in batch.targets:
-            terms |= self._depth_terms(output, batch.targets["depth"].unsqueeze(1))
-        terms |= self._road_terms(output, batch.targets.get("road_mask"))
-        if batch.pair is not None:
-            terms |= self._pair_terms(output, batch.pair, (height, width))
-        if batch.teacher is not None:
-            terms |= self._distilled_terms(output, batch.teacher)
-        for head in output.others.keys() & HEAD_LOSSES.keys() & batch.targets.keys():
-            if self.config.weight(head):
-                answers = output.others[head].float()
-                terms[head] = HEAD_LOSSES[head](answers, batch.targets[head], batch.weights[head])
+        compared = Compared(self, output, batch)
+        names = self.config.terms_for(compared.heads)
+        terms = {name: term_of(name).loss(compared) for name in names}
         weighted = [self._weigh(name, term) for name, term in terms.items()]
-        # Without any term the total is 0, with a gradient of 0.
-        anchor = torch.nan_to_num(_any_answer(output)[0, 0, 0, 0].float(), posinf=0, neginf=0)
-        terms["total"] = sum(weighted, start=0.0 * anchor)
-        return terms
+        return {**terms, "total": torch.stack(weighted).sum()}
 
     def _weigh(self, name: str, term: Tensor) -> Tensor:
         weighted = self.config.weight(name) * term
@@ -284,143 +433,3 @@ class SSDNetLoss(nn.Module):
         known = (term.detach() != 0).to(term.dtype)  # a term without targets is exactly 0
         total: Tensor = share * torch.exp(-log_variance) * weighted + 0.5 * log_variance * known
         return total
-
-    def _boundary_terms(
-        self, output: NetworkOutput, semantic: Tensor, semantic_weight: Tensor | None
-    ) -> dict[str, Tensor]:
-        logits = output.boundary_logits
-        if logits is None or not self.config.boundary_weight:
-            return {}
-        target = boundary_at_scale(*boundary_target(semantic), (logits.shape[-2], logits.shape[-1]))
-        loss = balanced_cross_entropy(logits.float(), *target, sample_weight=semantic_weight)
-        return {"boundary": loss}
-
-    def _depth_terms(self, output: NetworkOutput, depth: Tensor) -> dict[str, Tensor]:
-        config = self.config
-        if output.depths is None or not (config.depth_weight or config.depth_uncertainty_weight):
-            return {}
-        farthest = self.target_depth_m / self.max_depth_m
-        criterion: DepthCriterion = paper_depth_loss
-        if config.depth_form == "metric":
-            criterion = partial(
-                metric_depth_loss,
-                max_depth_m=self.max_depth_m,
-                l2=config.metric_l2,
-                log=config.metric_log,
-                farthest=farthest,
-            )
-        scales = output.depths if config.depth_scales == "mean" else output.depths[:1]
-        target, valid = normalise_depth(depth, self.max_depth_m, self.target_depth_m)
-        terms = {}
-        if config.depth_weight:
-            terms["depth"] = multi_scale_depth_loss(scales, target, valid, criterion)
-        if config.depth_uncertainty_weight and output.depth_uncertainty is not None:
-            terms["depth_uncertainty"] = laplace_loss(
-                output.depth_uncertainty.float(),
-                output.depths[0].float(),
-                target,
-                # Sky targets at the far end of the range are not measured.
-                valid & (target < farthest),
-                max_depth_m=self.max_depth_m,
-            )
-        return terms
-
-    def _pair_terms(
-        self, output: NetworkOutput, pair: Pair, size: tuple[int, int]
-    ) -> dict[str, Tensor]:
-        config = self.config
-        terms: dict[str, Tensor] = {}
-        if output.depths is not None:
-            first, second = output.depths[0].float().chunk(2)
-            if config.depth_consistency_weight:
-                terms["depth_consistency"] = depth_consistency_loss(first, second, pair)
-            if config.depth_seam_weight:
-                terms["depth_seam"] = depth_seam_loss(first, second, pair)
-        if config.semantic_consistency_weight and output.semantic_logits is not None:
-            logits = output.semantic_logits.float()
-            side = cell_side(size, (logits.shape[-2], logits.shape[-1]))
-            first, second = logits.chunk(2)
-            loss = semantic_consistency_loss(first, second, pair, side=side)
-            terms["semantic_consistency"] = loss
-        return terms
-
-    def _distilled_terms(self, output: NetworkOutput, teacher: NetworkOutput) -> dict[str, Tensor]:
-        config = self.config
-        terms: dict[str, Tensor] = {}
-        classes, wanted = output.semantic_logits, teacher.semantic_logits
-        if config.distilled_semantic_weight and classes is not None and wanted is not None:
-            terms["distilled_semantic"] = distilled_semantic_loss(classes.float(), wanted.float())
-        if config.distilled_depth_weight and output.depths is not None and teacher.depths:
-            depth, wanted = output.depths[0].float(), teacher.depths[0].float()
-            terms["distilled_depth"] = distilled_depth_loss(
-                depth, wanted, teacher.depth_uncertainty
-            )
-        boundary, wanted = output.boundary_logits, teacher.boundary_logits
-        if config.distilled_boundary_weight and boundary is not None and wanted is not None:
-            terms["distilled_boundary"] = distilled_boundary_loss(boundary.float(), wanted.float())
-        return terms
-
-    def _road_terms(self, output: NetworkOutput, road_mask: Tensor | None) -> dict[str, Tensor]:
-        logits = output.semantic_logits
-        if logits is None or road_mask is None or self.road is None or not self.config.road_weight:
-            return {}
-        return {"road": road_loss(logits.float(), road_mask, self.road)}
-
-    def _semantic_terms(
-        self, output: NetworkOutput, semantic: Tensor, sample_weight: Tensor
-    ) -> dict[str, Tensor]:
-        config, logits = self.config, output.semantic_logits
-        if logits is None:
-            return {}
-        boundary = output.boundary_logits if config.semantic_boundary_weight else None
-        depths = output.depths if config.semantic_depth_weight else None
-        grid = (logits.shape[-2], logits.shape[-1])
-        log_probabilities = F.log_softmax(logits.float(), dim=1)
-        probabilities = log_probabilities.exp()
-        shares = class_shares(semantic, logits.shape[1], grid)
-        terms = {}
-        if config.semantic_iou_weight:
-            terms["semantic_iou"] = soft_iou_loss(probabilities, shares, sample_weight)
-        if config.lovasz_weight:
-            pictures = zip(probabilities, semantic, strict=True)
-            losses = [lovasz_softmax_loss(_over_pixels(p, label), label) for p, label in pictures]
-            known = semantic != IGNORE
-            terms["lovasz"] = picture_mean(torch.stack(losses), known, sample_weight)
-        if config.semantic_weight:
-            terms["semantic"] = weighted_cross_entropy(
-                log_probabilities, shares, self.class_weights, sample_weight
-            )
-        if boundary is None and depths is None:
-            return terms
-        if config.disagreement == "soft":
-            disagreement = soft_disagreement(probabilities)
-        else:
-            disagreement = hard_disagreement(log_probabilities.argmax(dim=1))
-        side = cell_side((semantic.shape[-2], semantic.shape[-1]), grid)
-        if boundary is not None:
-            terms["semantic_boundary"] = semantic_boundary_loss(
-                disagreement, on_grid(torch.sigmoid(boundary.float()), grid), side=side
-            )
-        if depths is not None:
-            depth = on_grid(depths[0].float(), grid)
-            terms["semantic_depth"] = semantic_depth_loss(disagreement, depth, side=side)
-        return terms
-
-
-def _any_answer(output: NetworkOutput) -> Tensor:
-    """Return the output of any head, (N, any, h, w)."""
-    depth = None if output.depths is None else output.depths[0]
-    for answer in (output.boundary_logits, output.semantic_logits, depth, *output.others.values()):
-        if answer is not None:
-            return answer
-    raise ValueError("the network has no head")
-
-
-def _over_pixels(cells: Tensor, semantic: Tensor) -> Tensor:
-    """Repeat (C, h, w) over the pixels of every cell: (C, H, W), of the size of ``semantic``."""
-    height, width = semantic.shape
-    side = cell_side((height, width), (cells.shape[-2], cells.shape[-1]))
-    if side == 1:
-        return cells
-    pixels = cells.repeat_interleave(side, dim=1).repeat_interleave(side, dim=2)
-    return pixels[:, :height, :width]

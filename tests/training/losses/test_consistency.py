@@ -51,37 +51,29 @@ def test_the_views_of_one_scene_overlap_in_equal_maps(side):
     assert a.shape == (3, *expected)
 
 
-def test_depth_that_agrees_costs_nothing_and_a_ratio_its_log():
+NONE = torch.zeros(1, *SIZE)
+ALL = torch.full((1, *SIZE), 9.0)
+FALSE = ALL.clone()
+FALSE[0, 50, 60] = 3.0
+
+
+@pytest.mark.parametrize(
+    ("lidars", "weight"),
+    [
+        ((NONE, NONE), FAR_WEIGHT),
+        ((ALL, ALL), NEAR_WEIGHT),
+        ((ALL, FALSE), FAR_WEIGHT),
+        ((ALL, NONE), 0.0),  # a view without LiDAR may have another depth
+    ],
+)
+def test_depth_that_agrees_costs_nothing_and_a_ratio_its_log(lidars, weight):
     first, second = (view[None] + 0.1 for view in views(scene_of()))
-    none = torch.zeros(1, *SIZE)
-    assert depth_consistency_loss(first, second, pair_of(none, none)) == 0
-    loss = depth_consistency_loss(first, second * 1.1, pair_of(none, none))
-    assert loss.item() == pytest.approx(FAR_WEIGHT * math.log(1.1), rel=1e-4)
-
-
-def test_near_returns_that_both_have_the_ratio_counts_less():
-    first, second = (view[None] + 0.1 for view in views(scene_of()))
-    lidar = views(torch.full((1, SIZE[0] + 32, SIZE[1] + 32), 9.0))
-    loss = depth_consistency_loss(first, second * 1.1, pair_of(*lidar))
-    assert loss.item() == pytest.approx(NEAR_WEIGHT * math.log(1.1), rel=1e-4)
-
-
-def test_around_false_returns_the_ratio_counts_in_full():
-    first, second = (view[None] + 0.1 for view in views(scene_of()))
-    lidar, other = views(torch.full((1, SIZE[0] + 32, SIZE[1] + 32), 9.0))
-    other = other.clone()
-    other[0, 50, 60] = 3.0
-    loss = depth_consistency_loss(first, second * 1.1, pair_of(lidar, other))
-    assert loss.item() == pytest.approx(FAR_WEIGHT * math.log(1.1), rel=1e-4)
-
-
-def test_a_view_without_lidar_may_have_another_depth():
-    first, second = (view[None].requires_grad_() for view in views(scene_of() + 0.1))
-    lidar = torch.full((1, *SIZE), 9.0)
-    loss = depth_consistency_loss(first, second * 2, pair_of(lidar, torch.zeros(1, *SIZE)))
-    assert loss == 0
+    first.requires_grad_()
+    assert depth_consistency_loss(first, second, pair_of(*lidars)) == 0
+    loss = depth_consistency_loss(first, second * 1.1, pair_of(*lidars))
+    assert loss.item() == pytest.approx(weight * math.log(1.1), rel=1e-4)
     loss.backward()
-    assert not first.grad.any()
+    assert bool(first.grad.any()) == (weight > 0)
 
 
 def scan_below(row):

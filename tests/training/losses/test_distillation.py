@@ -5,9 +5,6 @@ import math
 import pytest
 import torch
 
-from layouts.batch import batch_of
-from models import NetworkOutput
-from training.losses import LossConfig, SSDNetLoss
 from training.losses.distillation import (
     HALF_CERTAIN,
     distilled_boundary_loss,
@@ -49,27 +46,3 @@ def test_the_boundary_is_the_teachers_where_the_loss_is_least():
     distilled_boundary_loss(logits, teacher).backward()
     assert logits.grad.abs().max() < 1e-6
     assert distilled_boundary_loss(-teacher, teacher) > distilled_boundary_loss(teacher, teacher)
-
-
-def answers(seed, size=(32, 48)):
-    generator = torch.Generator().manual_seed(seed)
-    return NetworkOutput(
-        semantic_logits=torch.randn(2, 5, size[0] // 2, size[1] // 2, generator=generator),
-        depths=(0.1 + torch.rand(2, 1, *size, generator=generator),),
-        boundary_logits=torch.randn(2, 1, *size, generator=generator),
-        depth_uncertainty=torch.rand(2, 1, *size, generator=generator),
-    )
-
-
-def test_the_whole_loss_has_the_terms_of_a_teacher_on_pictures_without_labels():
-    config = LossConfig(
-        distilled_semantic_weight=1.0, distilled_depth_weight=2.0, distilled_boundary_weight=0.5
-    )
-    criterion = SSDNetLoss(config, max_depth_m=100.0)
-    labels, depth = torch.full((2, 32, 48), 255), torch.zeros(2, 1, 32, 48)
-    alone = criterion(answers(0), batch_of(labels, depth))
-    terms = criterion(answers(0), batch_of(labels, depth, teacher=answers(1)))
-    added = {"distilled_semantic": 1.0, "distilled_depth": 2.0, "distilled_boundary": 0.5}
-    assert set(terms) - set(alone) == set(added)
-    expected = alone["total"] + sum(weight * terms[name] for name, weight in added.items())
-    assert terms["total"].item() == pytest.approx(expected.item(), rel=1e-5)

@@ -52,6 +52,9 @@ def test_joint_losses_equal_loops(soft):
     expected = joint_losses_by_loops(
         probabilities.numpy(), boundary.numpy(), depth.numpy(), 7.0, soft=soft
     )
-    assert semantic_boundary_loss(maps, boundary).item() == pytest.approx(expected[0], rel=1e-6)
-    ours = semantic_depth_loss(maps, 7.0 * depth).item()
-    assert ours == pytest.approx(expected[1], rel=1e-6)
+    for side in (1, 2):  # cells of two pixels meet along two
+        ours = (
+            semantic_boundary_loss(maps, boundary, side=side).item(),
+            semantic_depth_loss(maps, 7.0 * depth, side=side).item(),
+        )
+        assert ours == pytest.approx([value / side for value in expected], rel=1e-6)

@@ -44,32 +44,8 @@ def test_it_is_the_definition(seed):
     assert float(loss) == pytest.approx(reference(probabilities, semantic), abs=1e-12)
 
 
-def test_of_a_decided_picture_it_is_one_less_mean_iou():
-    logits, semantic = picture()
-    answer = logits.argmax(dim=0)
-    decided = torch.nn.functional.one_hot(answer, len(logits)).permute(2, 0, 1).double()
-    known = semantic != 255
-    iou = [
-        ((answer == c) & (semantic == c)).sum() / (((answer == c) | (semantic == c)) & known).sum()
-        for c in range(len(logits) - 1)
-    ]
-    expected = 1 - float(torch.stack(iou).mean())
-    assert float(lovasz_softmax_loss(decided, semantic)) == pytest.approx(expected, abs=1e-6)
-
-
-def test_without_labels_it_is_zero_with_a_gradient_of_zero():
-    logits, semantic = picture()
-    logits.requires_grad_()
-    loss = lovasz_softmax_loss(logits.softmax(dim=0), torch.full_like(semantic, 255))
-    loss.backward()
-    assert float(loss.detach()) == 0
-    assert (logits.grad == 0).all()
-
-
 def test_pictures_without_labels_do_not_count():
     known = torch.tensor([True, False, True])[:, None, None].expand(3, 2, 2)
     losses = torch.tensor([0.5, 0.0, 0.25])
-    assert float(picture_mean(losses, known)) == pytest.approx(0.375)
     weighted = picture_mean(losses, known, torch.tensor([1.0, 1.0, 0.2]))
     assert float(weighted) == pytest.approx((0.5 + 0.05) / 2)
-    assert float(picture_mean(losses * 0, known & False)) == 0

@@ -104,14 +104,11 @@ def test_total_is_the_weighted_sum_of_the_families():
     maps = soft_disagreement(log_p.exp())
     of_pictures = list(map(lovasz_softmax_loss, log_p.exp(), semantic))
     target, valid = boundary_target(semantic)
-    normalised = normalise_depth(depth, 100.0)
+    normalised = normalise_depth(depth, 100.0, 100.0)
     of_depth = [
         paper_depth_loss(
             torch.sigmoid(parts[name]),
             *depth_at_scale(*normalised, tuple(parts[name].shape[-2:])),
-            l1=0.4,
-            l2=0.4,
-            ssim=0.2,
         )
         for name in ("depth", "coarse_depth")
     ]
@@ -121,11 +118,9 @@ def test_total_is_the_weighted_sum_of_the_families():
         "semantic_iou": soft_iou_loss(log_p.exp(), shares, sample_weight),
         "lovasz": (of_pictures[0] + 0.2 * of_pictures[1]) / 2,
         "road": road_loss(parts["semantic"], road_mask, 1),
-        "boundary": balanced_cross_entropy(
-            parts["boundary"], target, valid, sample_weight=sample_weight
-        ),
-        "semantic_boundary": semantic_boundary_loss(maps, torch.sigmoid(parts["boundary"])),
-        "semantic_depth": semantic_depth_loss(maps, torch.sigmoid(parts["depth"])),
+        "boundary": balanced_cross_entropy(parts["boundary"], target, valid, sample_weight),
+        "semantic_boundary": semantic_boundary_loss(maps, torch.sigmoid(parts["boundary"]), side=1),
+        "semantic_depth": semantic_depth_loss(maps, torch.sigmoid(parts["depth"]), side=1),
     }
     assert set(terms) == {*expected, "total"}
     for name, value in expected.items():
@@ -163,17 +158,19 @@ def test_samples_without_targets_get_no_gradient(depth_form):
     semantic, depth = targets()
     semantic[0], depth[1] = 255, 0  # sample 0 lacks labels, sample 1 lacks depth
     parts = leaves()
-    config = LossConfig(
-        depth_form=depth_form,
-        semantic_boundary_weight=0.0,
-        semantic_depth_weight=0.0,
-    )
-    Loss(config, max_depth_m=100.0)(answer(parts), semantic, depth)["total"].backward()
+    given = dict.fromkeys(("semantic_iou_weight", "lovasz_weight", "road_weight"), 1.0)
+    off = {"semantic_boundary_weight": 0.0, "semantic_depth_weight": 0.0}
+    config = LossConfig(depth_form=depth_form, **off, **given)
+    criterion = Loss(config, max_depth_m=100.0, road=1)
+    mask = torch.full(semantic.shape, 255, dtype=torch.uint8)
+    criterion(answer(parts), semantic, depth, road_mask=mask)["total"].backward()
     for name, part in parts.items():
         assert part.grad.isfinite().all()
         empty = 1 if "depth" in name else 0
         assert part.grad[empty].abs().max() == 0, name
         assert part.grad[1 - empty].abs().max() > 0, name
+    terms = criterion(answer(leaves()), 0 * semantic + 255, 0 * depth, road_mask=mask)
+    assert {name: term.item() for name, term in terms.items()} == dict.fromkeys(terms, 0)
 
 
 @pytest.mark.parametrize(
@@ -185,9 +182,7 @@ def test_samples_without_targets_get_no_gradient(depth_form):
 )
 def test_terms_of_absent_heads_are_left_out(missing, names):
     output = answer(leaves())._replace(**{missing: None})
-    terms = Loss(LossConfig(), max_depth_m=100.0)(output, *targets())
-    assert set(terms) == names
-    assert terms["total"].requires_grad
+    assert set(Loss(LossConfig(), max_depth_m=100.0)(output, *targets())) == names
 
 
 def test_finest_scale_alone_leaves_the_coarse_ones_untrained():
@@ -221,13 +216,6 @@ def test_bf16_answers_are_scored_in_float32_under_autocast():
     assert all(part.grad.isfinite().all() for part in parts.values())
 
 
-def test_wrong_sizes_and_configurations_are_refused():
-    with pytest.raises(ValueError, match=r"depth_weight\n.*greater than or equal to 0"):
-        LossConfig(depth_weight=-1)
-    with pytest.raises(ValueError, match="all other weights are 0"):
-        LossConfig(**ALL_OFF)
-
-
 def test_each_weight_has_a_term_and_each_term_a_weight():
     weights = {key.removesuffix("_weight") for key in vars(LossConfig()) if key.endswith("_weight")}
     assert weights == set(TERMS)
@@ -254,8 +242,6 @@ def test_each_term_is_computed_by_its_weight_alone(name):
 
 
 def test_weights_of_heads_without_a_loss_are_refused(monkeypatch):
-    with pytest.raises(ValueError, match=r"head_weights\.nonsense: .*heads there: none"):
-        LossConfig(head_weights={"nonsense": 3.0})
     monkeypatch.setitem(HEAD_LOSSES, "other", lambda *_: torch.ones(()))
     with pytest.raises(ValueError, match=r"head_weights\.nonsense: .*heads there: other"):
         LossConfig(head_weights={"nonsense": 3.0, "other": 1.0})
@@ -328,11 +314,5 @@ def test_semantic_logits_may_stay_on_their_own_grid():
     ]
     expected = semantic_boundary_loss(maps, pooled[0], side=2)
     assert on_grid["semantic_boundary"].item() == pytest.approx(expected.item(), rel=1e-5)
-    assert expected.item() == pytest.approx(
-        semantic_boundary_loss(maps, pooled[0]).item() / 2, rel=1e-5
-    )
     expected = semantic_depth_loss(maps, pooled[1], side=2)
     assert on_grid["semantic_depth"].item() == pytest.approx(expected.item(), rel=1e-5)
-    assert expected.item() == pytest.approx(
-        semantic_depth_loss(maps, pooled[1]).item() / 2, rel=1e-5
-    )
