@@ -2,6 +2,7 @@
 
 import hashlib
 import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -13,6 +14,7 @@ from models.efficientnet_lite import WIDTHS
 from models.training_facts import TrainingFacts
 from runtime.errors import CheckpointError, InputError
 from training.losses import LossConfig
+from training.recipe import Recipe
 
 #: Layers with weights a class.
 _CLASS_LAYERS = ("semantic_head.", "semantic_coarse_head.")
@@ -27,6 +29,12 @@ _MEANINGS = {
     "rgb_mean": "the mean of RGB",
     "rgb_std": "the standard deviation of RGB",
 }
+
+#: Added to the terms of the recipe if ImageNet weights are used.
+IMAGENET_TERMS = (
+    "ImageNet: research, non-commercial (its weights, EfficientNet-Lite0's, are Apache-2.0)"
+)
+_SEPARATOR = "; "
 
 
 @dataclass(frozen=True)
@@ -185,3 +193,27 @@ def _meaning(network: Network, key: str) -> object:
 def weights_folder() -> Path:
     """Return the folder of the checkpoints in the package."""
     return Path(str(resources.files("training"))) / "weights"
+
+
+def state_provenance(recipe: Recipe, *checkpoints: Weights | None) -> tuple[tuple[str, ...], str]:
+    """Return the data that weights were trained on, and their terms, without repetitions.
+
+    Args:
+        recipe: of the training.
+        checkpoints: initial weights and teacher, whose data count, too; None = not used.
+    """
+    data = [item.title for item in recipe.data.source]
+    terms = [recipe.terms]
+    if recipe.model.pretrained == "imagenet":
+        data.append("ImageNet")
+        terms.append(IMAGENET_TERMS)
+    for weights in checkpoints:
+        if weights is not None:
+            data += weights.facts.data
+            terms.append(weights.facts.terms)
+    parts = (part for text in terms for part in text.split(_SEPARATOR))
+    return _unique(data), _SEPARATOR.join(_unique(filter(None, parts)))
+
+
+def _unique(items: Iterable[str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(items))

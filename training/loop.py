@@ -14,7 +14,6 @@ from models.training_facts import TrainingFacts
 from training.distributed import join_processes
 from training.initial_weights import Weights
 from training.loading.batches import read_batches
-from training.provenance import state_provenance
 from training.recipe import Recipe
 from training.release import adjust_logits
 from training.run_folder import (
@@ -88,7 +87,6 @@ def train(
             files = list_data(data, [item.path for item in sets])
             prepare_folder(out, resolved, files)
         processes.wait()
-        known_data, terms = state_provenance(recipe, init, teacher)
         state = TrainingState(recipe, task, processes, out, from_init=init is not None)
         state.resume(out / LAST, resolved)
         steps = recipe.schedule.steps
@@ -101,8 +99,8 @@ def train(
 
         def facts() -> dict[str, Any]:
             return TrainingFacts(
-                data=known_data,
-                terms=terms,
+                data=task.known_data,
+                terms=task.data_terms,
                 trained_height=recipe.model.trained_height,
                 step=state.step,
                 **resolved,

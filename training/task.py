@@ -23,7 +23,7 @@ from runtime.errors import InputError
 from training.datasets.sample import SampleSource
 from training.distributed import Processes
 from training.evaluation.scoring import figure_names
-from training.initial_weights import Weights, prepare_teacher
+from training.initial_weights import Weights, prepare_teacher, state_provenance
 from training.lidar.split import LidarInput
 from training.limits import PAIR_STEP_PX
 from training.loading.augment import with_crop
@@ -36,7 +36,7 @@ from training.loading.open_dataset import (
     survey,
 )
 from training.losses import SSDNetLoss, class_weights
-from training.losses.total import term_of
+from training.losses.total import Term
 from training.network import build_network
 from training.optimizer import build_optimizer
 from training.recipe import DataRecipe, OptimizerRecipe, Recipe
@@ -57,8 +57,11 @@ class Task:
         network: on the device of the process; only the parts that are trained have gradients.
         criterion: the loss, there too.
         optimizer: of both, at the recipe's rates.
+        targets: those that the loss uses.
         depth_target: unit of the depth target, and the depth of the sky.
         class_weights: of the semantic loss; None = it has none.
+        known_data: names of the data that the weights know, from other trainings too.
+        data_terms: their terms.
         teacher: the network whose answers are learned, on the device too; None = there is none.
     """
 
@@ -69,14 +72,12 @@ class Task:
     network: Network
     criterion: SSDNetLoss
     optimizer: torch.optim.Optimizer
+    targets: Collection[str]
     depth_target: DepthTarget
     class_weights: Tensor | None
+    known_data: tuple[str, ...]
+    data_terms: str
     teacher: Network | None
-
-    @property
-    def targets(self) -> tuple[str, ...]:
-        """The targets that the loss uses."""
-        return self.criterion.config.targets_for(self.network.heads)
 
     @property
     def pair_step(self) -> int:
@@ -115,6 +116,7 @@ def open_task(
     shared = {title: len(frame_files([source]) & trained) for title, source in validation.items()}
     network = build_network(model, init, resumed=resumed, pictures=spread_pictures(sources))
     taught_by = prepare_teacher(teacher, loss, network)
+    known_data, data_terms = state_provenance(recipe, init, teacher)
     config = network.config
     try:
         check_output(network)
@@ -127,7 +129,8 @@ def open_task(
         augment=with_crop(recipe.data.augment, found.smallest),
         workers=min(recipe.data.workers, available_cores()),
     )
-    targets = loss.targets_for(network.heads)
+    terms = loss.terms_for(network.heads)
+    targets = {term.target for term in terms.values()} - {""}
     warnings = [text for target, text in found.notes if target in targets]
     warnings += [
         f"{count} of the {len(validation[title])} frames of {title} are also trained on: its "
@@ -137,7 +140,7 @@ def open_task(
     ]
 
     weights = None
-    if "semantic" in loss.terms_for(network.heads):
+    if "semantic" in terms:
         weights = class_weights(torch.from_numpy(found.classes), loss.class_weighting)
     criterion = SSDNetLoss(
         loss,
@@ -148,7 +151,7 @@ def open_task(
     ).to(processes.device)
     optimizer = build_optimizer(recipe.optimizer, network, criterion)
     _require_batches(network, decided, processes)
-    _require_learning(recipe, network, found.targets)
+    _require_learning(recipe, network, terms, found.targets)
     for title, source in validation.items():
         if not _gives_scores(recipe.validation.best, network, title, source, lidar):
             warnings.append(f"{title} has no ground truth for a head: it gives no scores")
@@ -165,16 +168,19 @@ def open_task(
         max_depth_m=config.max_depth_m,
     )
     task = Task(
-        decided,
-        sources,
-        validation,
-        lidar,
-        network,
-        criterion,
-        optimizer,
-        depth,
-        weights,
-        taught_by,
+        data=decided,
+        sources=sources,
+        validation=validation,
+        lidar=lidar,
+        network=network,
+        criterion=criterion,
+        optimizer=optimizer,
+        targets=targets,
+        depth_target=depth,
+        class_weights=weights,
+        known_data=known_data,
+        data_terms=data_terms,
+        teacher=taught_by,
     )
     if 0 < recipe.data.augment.pair_shift < task.pair_step:
         raise InputError(
@@ -201,28 +207,29 @@ def _require_batches(network: Network, data: DataRecipe, processes: Processes) -
         ) from error
 
 
-def _require_learning(recipe: Recipe, network: Network, labelled: Collection[str]) -> None:
+def _require_learning(
+    recipe: Recipe, network: Network, terms: Mapping[str, Term], labelled: Collection[str]
+) -> None:
     """Raise InputError if no term of the loss trains a part, or none has labels in any frame."""
-    name, loss = network.config.name, recipe.loss
-    terms = loss.terms_for(network.heads)
+    name = network.config.name
     if not terms:
         raise InputError(
             f"no loss term with a weight above 0 applies to the heads of {name!r} "
             f"({', '.join(network.heads)}). Set the weight of a term for these heads."
         )
     learning = _learning_heads(network, recipe.optimizer)
-    terms = [term for term in terms if learning & term_of(term).heads]
-    if not terms:
+    targets = {key: term.target for key, term in terms.items() if learning & term.heads}
+    if not targets:
         raise InputError(
             f"nothing would learn: no term of the loss depends on a part of {name!r} that is "
             "trained at a rate above 0. Change optimizer.only, optimizer.frozen or the rates, or "
             "set the weight of another term."
         )
-    targets = {term_of(term).target for term in terms}
-    if not targets & {"", *labelled}:
+    if {"", *labelled}.isdisjoint(targets.values()):
         raise InputError(
             f"no frame of {', '.join(item.title for item in recipe.data.source)} has a target of "
-            f"the loss: its terms {', '.join(terms)} need {' or '.join(sorted(targets))} "
+            f"the loss: its terms {', '.join(targets)} need "
+            f"{' or '.join(sorted(set(targets.values())))} "
             f"(depth up to {network.config.target_depth_m:g} m). Add a set that has it, or set the "
             "weight of another term."
         )

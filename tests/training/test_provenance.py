@@ -4,8 +4,7 @@ import pytest
 
 from models import create_model, save_checkpoint
 from models.training_facts import TrainingFacts
-from training.initial_weights import read_weights
-from training.provenance import IMAGENET_TERMS, state_provenance
+from training.initial_weights import IMAGENET_TERMS, read_weights, state_provenance
 from training.recipe import Recipe, build
 
 RECIPE = {

@@ -247,6 +247,17 @@ TERMS: Mapping[str, Term] = {
         ),
     )
 }
+
+
+def _term_of_head(head: str) -> Term:
+    """Return the term of a head with a loss in `training.losses.heads`."""
+
+    def loss(c: Compared) -> Tensor:
+        return HEAD_LOSSES[head](c.heads[head], c.batch.targets[head], c.batch.weights[head])
+
+    return Term(frozenset({head}), head, loss)
+
+
 #: Terms that compare two views of each frame.
 PAIR_TERMS = frozenset({"depth_consistency", "depth_seam", "semantic_consistency"})
 
@@ -314,24 +325,20 @@ class LossConfig:
     #: Eq. 7 on probabilities, or as printed on arg-max labels (no gradient to the semantic head).
     disagreement: Literal["soft", "hard"] = "soft"
 
-    def terms_for(self, heads: Collection[str]) -> list[str]:
-        """Return the names of the terms with a weight whose heads the network has.
+    def terms_for(self, heads: Collection[str]) -> dict[str, Term]:
+        """Return the terms with a weight whose heads the network has, by name.
 
         Terms of missing heads are skipped whatever their weight: one recipe trains the whole
         family.
         """
-        of_paper = [name for name, term in TERMS.items() if term.heads <= set(heads)]
-        others = [name for name in heads if name in HEAD_LOSSES]
-        return [name for name in (*of_paper, *others) if self.weight(name)]
-
-    def targets_for(self, heads: Collection[str]) -> tuple[str, ...]:
-        """Return the names of the targets that the terms of these heads need."""
-        return tuple(sorted({term_of(name).target for name in self.terms_for(heads)} - {""}))
+        terms = {name: term for name, term in TERMS.items() if term.heads <= set(heads)}
+        terms |= {head: _term_of_head(head) for head in heads if head in HEAD_LOSSES}
+        return {name: term for name, term in terms.items() if self.weight(name)}
 
     def taught_heads(self, heads: Collection[str]) -> list[str]:
         """Return the heads that learn from a teacher."""
-        names = self.terms_for(heads)
-        return [head for head in heads if f"distilled_{head}" in names]
+        terms = self.terms_for(heads)
+        return [head for head in heads if f"distilled_{head}" in terms]
 
     def weight(self, name: str) -> float:
         """Return the weight of a term or of another head's loss."""
@@ -348,17 +355,6 @@ class LossConfig:
                 f"head_weights.{unknown[0]}: no head with a loss in training.losses.heads; heads "
                 f"there: {known}"
             )
-
-
-def term_of(name: str) -> Term:
-    """Return a term by its name in `TERMS`, or that of another head by the head's."""
-    if name in TERMS:
-        return TERMS[name]
-
-    def loss(c: Compared) -> Tensor:
-        return HEAD_LOSSES[name](c.heads[name], c.batch.targets[name], c.batch.weights[name])
-
-    return Term(frozenset({name}), name, loss)
 
 
 class SSDNetLoss(nn.Module):
@@ -419,8 +415,8 @@ class SSDNetLoss(nn.Module):
             missing heads.
         """
         compared = Compared(self, output, batch)
-        names = self.config.terms_for(compared.heads)
-        terms = {name: term_of(name).loss(compared) for name in names}
+        wanted = self.config.terms_for(compared.heads)
+        terms = {name: term.loss(compared) for name, term in wanted.items()}
         weighted = [self._weigh(name, term) for name, term in terms.items()]
         return {**terms, "total": torch.stack(weighted).sum()}
 
