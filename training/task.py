@@ -130,7 +130,7 @@ def open_task(
         workers=min(recipe.data.workers, available_cores()),
     )
     terms = loss.terms_for(network.heads)
-    targets = {term.target for term in terms.values()} - {""}
+    targets = sorted({term.target for term in terms.values()} - {""})
     warnings = [text for target, text in found.notes if target in targets]
     warnings += [
         f"{count} of the {len(validation[title])} frames of {title} are also trained on: its "
