@@ -98,5 +98,5 @@ def main(
 
         done = run(options, on_start=start)
         progress.close()
-        print_result("\n".join([describe_run(done), *list_results(done, options)]))
+        print_result("\n".join([describe_run(done), *list_results(done)]))
         raise typer.Exit(done.exit_code)

@@ -55,13 +55,11 @@ class StreamResult:
         records: results of the frames, in order, without arrays.
         wall_s: from the first read to the last write.
         interrupted: whether `stop` ended the stream.
-        rate_hz: of a constant stream; None = a single stream.
     """
 
     records: tuple[FrameResult, ...]
     wall_s: float
     interrupted: bool
-    rate_hz: float | None = None
 
 
 class Output(Protocol):
@@ -194,7 +192,7 @@ def run_stream(
         reading_thread.shutdown(cancel_futures=True)
         writing_thread.shutdown(cancel_futures=True)
     wall_s = time.perf_counter() - started
-    return StreamResult(tuple(records), wall_s, bool(reads), rate_hz)
+    return StreamResult(tuple(records), wall_s, bool(reads))
 
 
 def _wait_until(due: float, stop: Callable[[], bool]) -> bool:

@@ -87,7 +87,7 @@ def run(
         if "" in reports:
             return reports[""]
         is_whole = len(reports) == len(cameras)
-        report = RunReport.of_rig(reports, options.folder, interrupted=not is_whole)
+        report = RunReport.of_rig(reports, options, interrupted=not is_whole)
         write_report(report)
         return report
 
@@ -252,12 +252,5 @@ def _report(
         "shard": options.shard,
         "warmup": options.warmup,
     }
-    return RunReport(
-        engine_facts(stream.predictor),
-        inputs,
-        options.folder,
-        stream.kinds,
-        result,
-        options.deadline_ms,
-        implausible_depth,
-    )
+    facts = engine_facts(stream.predictor)
+    return RunReport(facts, options, inputs, stream.kinds, result, implausible_depth)

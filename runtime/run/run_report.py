@@ -38,31 +38,29 @@ class RunReport:
 
     Attributes:
         engine: facts of model, provider and machine.
+        options: of the run.
         inputs: where the frames came from, as the user gave it; ready for JSON.
-        out: folder of the results.
         saved: kinds of files that were written of each frame.
         stream: results of the frames.
-        deadline_ms: limit of `FrameResult.latency_ms`; None = there was none.
         implausible_depth: why the returns cannot be right; None = nothing was found.
     """
 
     engine: EngineFacts
+    options: RunOptions
     inputs: Mapping[str, Any]
-    out: Path
     saved: tuple[str, ...]
     stream: StreamResult
-    deadline_ms: float | None = None
     implausible_depth: str | None = None
 
     @classmethod
     def of_rig(
-        cls, reports: Mapping[str, "RunReport"], out: Path, *, interrupted: bool
+        cls, reports: Mapping[str, "RunReport"], options: RunOptions, *, interrupted: bool
     ) -> "RunReport":
         """Return the reports of several cameras as one; its frames are named CAMERA/FRAME.
 
         Args:
-            reports: camera -> its report; engine and settings are those of the first.
-            out: folder of the results of all cameras.
+            reports: camera -> its report; engine and kinds of files are those of the first.
+            options: of all cameras.
             interrupted: whether cameras are missing.
         """
         first, *_ = reports.values()
@@ -84,11 +82,16 @@ class RunReport:
         ]
         return replace(
             first,
+            options=options,
             inputs={"cameras": {camera: report.inputs for camera, report in reports.items()}},
-            out=out,
             stream=stream,
             implausible_depth="; ".join(found) or None,
         )
+
+    @property
+    def out(self) -> Path:
+        """Folder of the results."""
+        return self.options.folder
 
     @property
     def records(self) -> tuple[FrameResult, ...]:
@@ -103,7 +106,7 @@ class RunReport:
     @property
     def scenario(self) -> str:
         """Which of MLPerf's scenarios it was."""
-        return "single-stream" if self.stream.rate_hz is None else "constant-stream"
+        return "single-stream" if self.options.rate is None else "constant-stream"
 
     @property
     def by_status(self) -> Counter[str]:
@@ -142,7 +145,7 @@ class RunReport:
     @cached_property
     def statistics(self) -> StreamStatistics:
         """Statistics over the frames that passed each stage; the stages of the scenario."""
-        optional = _OF_STAMPS if self.stream.rate_hz else (*_CONSTANT_STREAM, *_OF_STAMPS)
+        optional = _OF_STAMPS if self.options.rate else (*_CONSTANT_STREAM, *_OF_STAMPS)
         stages = {}
         for stage, time_of in STAGES.items():
             times_ms = [ms for record in self.records if (ms := time_of(record)) is not None]
@@ -152,8 +155,9 @@ class RunReport:
         for record in self.records:
             if record.deadline_met is not None:
                 misses.record(not record.deadline_met)
-        missed = None if self.deadline_ms is None else misses.misses()
-        return StreamStatistics(stages, self.deadline_ms, missed)
+        deadline_ms = self.options.deadline_ms
+        missed = None if deadline_ms is None else misses.misses()
+        return StreamStatistics(stages, deadline_ms, missed)
 
     @property
     def frames_per_second(self) -> float | None:
@@ -193,7 +197,7 @@ class RunReport:
                 ],
             },
             "interrupted": self.stream.interrupted,
-            "scenario": {"name": self.scenario, "rate_hz": self.stream.rate_hz},
+            "scenario": {"name": self.scenario, "rate_hz": self.options.rate},
             **self.statistics.to_dict(),
             "wall_s": self.stream.wall_s,
             "frames_per_second": self.frames_per_second,
@@ -288,8 +292,8 @@ def describe_run(report: RunReport) -> str:
     lines += [f"  {line}" for line in group_reasons(not_ok)]
     lines += [f"  degraded: {reason}: {count}" for reason, count in report.degraded.items()]
     lines += [f"  health: {reason}: {count}" for reason, count in report.health.items()]
-    if report.stream.rate_hz is not None:
-        lines.append(f"constant stream of {report.stream.rate_hz:g} Hz")
+    if report.options.rate is not None:
+        lines.append(f"constant stream of {report.options.rate:g} Hz")
     lines += ["", report.statistics.table(), ""]
     rate, first_ms = report.frames_per_second, report.engine.first_inference_ms
     lines.append(f"frames a second, end to end: {'n/a' if rate is None else f'{rate:.1f}'}")
@@ -316,16 +320,15 @@ def group_reasons(frames: Iterable[tuple[str, str]]) -> Iterator[str]:
         yield f"{len(others) + 1} frames, first {name}: {reason}" if others else f"{name}: {reason}"
 
 
-def list_results(report: RunReport, options: RunOptions) -> Iterator[str]:
+def list_results(report: RunReport) -> Iterator[str]:
     """Lines that say where the results are."""
+    options = report.options
     yield f"results: {os.path.realpath(report.out)}"
     if options.record is not None:
         yield f"recording: {os.path.realpath(options.record)}"
-    cameras = report.inputs.get("cameras", ())
-    folders = {report.out / camera: options.of_camera(camera) for camera in cameras}
-    for folder, each in (folders or {report.out: options}).items():
+    for each in map(options.of_camera, report.inputs.get("cameras", [""])):
         for option, path in each.named_files.items():
             if path.exists():
                 yield f"{option}: {os.path.realpath(path)}"
         if OVERLAY in report.saved and report.by_status["ok"]:
-            yield f"pictures: {os.path.realpath(folder / OVERLAY)}"
+            yield f"pictures: {os.path.realpath(each.folder / OVERLAY)}"

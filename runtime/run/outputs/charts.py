@@ -1,4 +1,4 @@
-"""Charts of the page, for chart.html and strip.html: lengths in percent of the picture."""
+"""Charts of the page, filled in by chart.html and strip.html; lengths in percent of a chart."""
 
 import math
 from collections import Counter
@@ -11,16 +11,18 @@ from typing import Any
 from runtime.streams.frame_result import INVALID, OK, SKIPPED, FrameResult
 from runtime.streams.statistics import LatencyStatistics
 
-DROPS = (SKIPPED, INVALID)  # frames without a usable answer
+UNANSWERED = (SKIPPED, INVALID)  # frames without a usable answer
 LATE = "late"
-_MOST_SPANS = 490
-_FRAME_TICKS = 6  # at most
+_MOST_SPANS = 490  # of a chart
+_MOST_FRAME_TICKS = 6
 _MOST_POINTS = 140  # a chart with more spans draws points for late spans only
-_LEAST_BAR = 0.25  # percent of a strip
+_LEAST_BAR = 0.25  # width of a bar in percent of its strip
 _LOG_FROM = 12.0  # the axis is logarithmic if maximum / median is larger
+#: Distances of ticks.
 _STEPS = tuple(step * 10.0**power for power in range(-6, 10) for step in (1, 2, 5))
 
-Bar = tuple[float, float, float, float]  # left, width, height, and opacity 0..1
+#: Left, width and height in percent, and opacity 0..1.
+Bar = tuple[float, float, float, float]
 
 
 def marks_of(record: FrameResult) -> set[str]:
@@ -35,7 +37,7 @@ def marks_of(record: FrameResult) -> set[str]:
 
 @dataclass(frozen=True)
 class Span:
-    """Successive frames at one place of the charts; `first` is the number of the first."""
+    """Successive frames that share a place in the charts; `first` is the number of the first."""
 
     first: int
     records: Sequence[FrameResult]
@@ -47,12 +49,12 @@ class Span:
 
     @property
     def middle(self) -> float:
-        """Position of the middle."""
+        """Number of the middle frame, or half between two."""
         return (self.first + self.last) / 2
 
     @property
     def title(self) -> str:
-        """The frames in words."""
+        """The frames in words, for a tooltip."""
         one = len(self.records) == 1
         return self.records[0].name if one else f"frames {self.first} to {self.last}"
 
@@ -63,7 +65,7 @@ class Span:
 
     @property
     def mean_ms(self) -> float:
-        """Their mean."""
+        """Mean latency of the answered frames, of which there are some."""
         return sum(self.times_ms) / len(self.times_ms)
 
     @cached_property
@@ -79,13 +81,15 @@ class Span:
 
 
 def join_frames(records: Sequence[FrameResult]) -> list[Span]:
-    """The spans of a run, of one frame each unless there are too many frames."""
-    several = -(-len(records) // _MOST_SPANS) or 1
-    return [Span(at, records[at : at + several]) for at in range(0, len(records), several)]
+    """The spans of a run: of one frame each, or of several where there are too many frames."""
+    frames = -(-len(records) // _MOST_SPANS) or 1  # of a span
+    return [
+        Span(first, records[first : first + frames]) for first in range(0, len(records), frames)
+    ]
 
 
 class _Axis:
-    """Values [ms] to 0..1, linear from 0, or logarithmic where a few values are far off."""
+    """The vertical axis [ms]: linear from 0, or logarithmic where a few values are far off."""
 
     def __init__(self, lowest: float, median: float, highest: float) -> None:
         self._scale: Callable[[float], float] = float
@@ -100,16 +104,16 @@ class _Axis:
             self.ticks = [step * tick for tick in range(max(math.ceil(highest / step), 1) + 1)]
 
     def place(self, value: float) -> float:
-        """0 at the lower end, 1 at the upper one."""
+        """Return where a value is on the axis: 0 at its lower end, 1 at its upper end."""
         low, high, at = map(self._scale, (self.ticks[0], self.ticks[-1], value))
         return (at - low) / (high - low)
 
 
 def latency_chart(spans: Sequence[Span], *, deadline_ms: float | None) -> dict[str, Any]:
-    """Latencies over the frames, with the deadline, late frames, and frames without an answer.
+    """Draw the latencies over the frames, the deadline, late and unanswered frames.
 
-    Where several frames share a span, a band shows the smallest and largest latency. Returns the
-    chart of chart.html; empty if no frame was answered.
+    Where spans hold several frames, a band shows the smallest and largest latency of each. Returns
+    the values of chart.html; {} if no frame was answered.
     """
     answered = [span for span in spans if span.times_ms]
     if not answered:
@@ -146,7 +150,7 @@ def latency_chart(spans: Sequence[Span], *, deadline_ms: float | None) -> dict[s
             points.append((LATE, x(span.middle), y(max(span.times_ms)), text))
         elif len(spans) <= _MOST_POINTS:
             points.append(("point", x(span.middle), y(span.mean_ms), text))
-    every = next(step for step in _STEPS if step >= max(last / _FRAME_TICKS, 1))
+    every = next(step for step in _STEPS if step >= max(last / _MOST_FRAME_TICKS, 1))
     return {
         "unit": axis.unit,
         "ticks": [(y(tick), tick) for tick in axis.ticks],
@@ -155,17 +159,17 @@ def latency_chart(spans: Sequence[Span], *, deadline_ms: float | None) -> dict[s
         "bands": bands,
         "lines": lines,
         "deadline": [y(limit) for limit in limits],
-        "drops": [
+        "unanswered": [
             (x(span.middle), f"{span.title}: {' '.join(kinds)}")
             for span in spans
-            if (kinds := [drop for drop in DROPS if span.marks[drop]])
+            if (kinds := [mark for mark in UNANSWERED if span.marks[mark]])
         ],
         "points": points,
     }
 
 
 def mark_strip(spans: Sequence[Span], mark: str) -> list[Bar]:
-    """Where along the frames a mark occurs."""
+    """The bars of the spans in which a mark occurs, darker where more frames have it."""
     frames = spans[-1].last + 1
     return [
         _bar(span.first / frames, (span.last + 1) / frames, opacity=0.6 + 0.4 * share)
@@ -175,7 +179,7 @@ def mark_strip(spans: Sequence[Span], mark: str) -> list[Bar]:
 
 
 def returns_strip(spans: Sequence[Span]) -> list[Bar]:
-    """The number of LiDAR returns of the frames."""
+    """A bar for each span, as high as its mean number of LiDAR returns."""
     frames = spans[-1].last + 1
     most = max(span.mean_returns or 0 for span in spans) or 1
     return [
@@ -186,10 +190,11 @@ def returns_strip(spans: Sequence[Span]) -> list[Bar]:
 
 
 def range_strip(statistics: LatencyStatistics, most_ms: float) -> list[Bar]:
-    """The latency of a stage: a bar to the median, a lighter one to the maximum."""
+    """The latency of a stage: a bar from 0 to the median, and a lighter one to the maximum."""
     median, highest = statistics.median_ms / most_ms, statistics.max_ms / most_ms
     return [_bar(0, highest, opacity=0.3), _bar(0, median)]
 
 
 def _bar(start: float, end: float, *, height: float = 1.0, opacity: float = 1.0) -> Bar:
+    """A bar between two places of a strip; all numbers are shares."""
     return 100 * start, max(100 * (end - start), _LEAST_BAR), 100 * height, opacity

@@ -12,7 +12,6 @@ from runtime.io.atomic_write import atomic_write
 from runtime.io.encode import ENCODERS, encode_jpeg
 from runtime.io.own_folder import make_own_folder
 from runtime.io.ply import encode_ply
-from runtime.prediction import Prediction
 from runtime.run.options import CLOUD, OVERLAY, SAVED_HEADS, SUFFIXES, RunOptions
 from runtime.run.outputs.output import OpenRun
 from runtime.run.run_report import FRAMES_FILE, REPORT_FILE, write_report
@@ -31,7 +30,7 @@ class FrameWriter:
         written: list[Path] = []
         try:
             for kind in self._run.kinds:
-                content = self._encode(kind, frame, result.prediction)
+                content = self._encode(kind, frame, result)
                 if content is not None:
                     path = self._run.options.folder / kind / (frame.name + SUFFIXES[kind])
                     atomic_write(path, content)
@@ -42,16 +41,13 @@ class FrameWriter:
                     path.unlink(missing_ok=True)
             raise
 
-    def _encode(self, kind: str, frame: Frame, prediction: Prediction) -> bytes | memoryview | None:
-        run = self._run
+    def _encode(self, kind: str, frame: Frame, result: FrameResult) -> bytes | memoryview | None:
+        run, prediction = self._run, result.prediction
         if kind == CLOUD:
             cloud = prediction.points(_intrinsics(frame, run.predictor.focal_length_px), frame.rgb)
             return encode_ply(cloud, run.predictor.contract.classes)
         if kind == OVERLAY:
-            widest = run.options.overlay_width
-            return encode_jpeg(
-                run.overlay.draw(frame.rgb, prediction, frame.sparse_depth, widest=widest)
-            )
+            return encode_jpeg(run.draw(frame, result))
         head, encoding = SAVED_HEADS[kind]
         values = prediction.heads.get(head)
         return None if values is None else ENCODERS[encoding](values)

@@ -37,11 +37,9 @@ class McapWriter:
     def __init__(self, bag: Any, run: OpenRun) -> None:
         from rosbags.typesys import Stores, get_typestore
 
-        self._bag, self._contract = bag, run.predictor.contract
-        self._rate_hz = run.options.rate or DEFAULT_RATE_HZ
+        self._bag, self._run, self._contract = bag, run, run.predictor.contract
         self._typestore = get_typestore(Stores.ROS2_JAZZY)
         self._types = self._typestore.types
-        self._overlay, self._overlay_width = run.overlay, run.options.overlay_width
         self._connections: dict[str, Any] = {}
         self._frames = 0
 
@@ -49,7 +47,7 @@ class McapWriter:
         """Append the answers to a frame. Raises OutputError for a stamp out of range for ROS."""
         prediction, stamp_ns = result.prediction, frame.image.stamp_ns
         if frame.image.stamp is None:
-            stamp_ns = round(self._frames / self._rate_hz * _S)
+            stamp_ns = round(self._frames / (self._run.options.rate or DEFAULT_RATE_HZ) * _S)
         if not 0 <= stamp_ns < _LAST_NS:
             raise OutputError(
                 f"{frame.name} has the stamp {stamp_ns} ns, ROS takes 0 to {_LAST_NS - 1}: "
@@ -76,11 +74,7 @@ class McapWriter:
                     step=image.shape[1] * image.itemsize,
                     data=np.ascontiguousarray(image).reshape(-1).view(np.uint8),
                 )
-        overlay = encode_jpeg(
-            self._overlay.draw(
-                frame.rgb, prediction, frame.sparse_depth, widest=self._overlay_width
-            )
-        )
+        overlay = encode_jpeg(self._run.draw(frame, result))
         self._add(
             OVERLAY,
             "sensor_msgs/msg/CompressedImage",

@@ -4,10 +4,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import numpy as np
+from numpy.typing import NDArray
+
 from runtime.drawing.overlay import Overlay
 from runtime.predictor import Predictor
 from runtime.run.options import RunOptions
 from runtime.run.run_report import RunReport
+from runtime.streams.frame_result import FrameResult
+from runtime.sync.frame import Frame
 
 
 @dataclass
@@ -28,8 +33,14 @@ class OpenRun:
     names: Sequence[str] = ()
     report: RunReport = field(init=False)
 
+    def draw(
+        self, frame: Frame, result: FrameResult, *, widest: int | None = None
+    ) -> NDArray[np.uint8]:
+        """Draw a frame and its answers, by default as wide as --overlay-width says."""
+        widest = self.options.overlay_width or widest
+        return self._overlay.draw(frame.rgb, result.prediction, frame.sparse_depth, widest=widest)
+
     @cached_property
-    def overlay(self) -> Overlay:
-        """Draws the frames."""
+    def _overlay(self) -> Overlay:
         contract = self.predictor.contract
         return Overlay(contract.classes, contract.max_depth_m)

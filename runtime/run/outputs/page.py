@@ -23,12 +23,13 @@ from runtime.streams.statistics import LatencyStatistics
 from runtime.sync.frame import Frame
 
 _PARTS = ("preprocess", "inference", "postprocess")  # of a prediction
-_BAD = (*charts.DROPS, charts.LATE)
-_MOST_PROBLEMS = 200
-_EVEN, _FLAGGED = 6, 4  # most samples, and most different sets of marks among them
-_PANELS, _WIDEST = 3, 480  # image and first two heads; columns
+_WORST_MARKS = (*charts.UNANSWERED, charts.LATE)
+_MOST_PROBLEMS = 200  # frames that are listed
+_EVEN_SAMPLES = 6  # at most, at equal distances
+_MARKED_SAMPLES = 4  # at most, of frames with marks that no earlier sample has
+_SAMPLE_PANELS, _PANEL_WIDTH = 3, 480  # the image and the first two heads
 _JPEG_QUALITY = 82
-_BAR_WIDTH = 640
+_DEPTH_BAR_WIDTH = 640
 _LIBRARIES = {"onnxruntime": "ONNX Runtime", "cv2": "OpenCV", "numpy": "NumPy"}
 #: Mark -> its meaning.
 _MEANINGS = {
@@ -56,7 +57,7 @@ _MEANINGS = {
 
 @dataclass(frozen=True)
 class Sample:
-    """One frame: number, name, latency, marks, and (title, JPEG) of its panels."""
+    """A frame whose pictures the page shows: (title, JPEG) of each panel."""
 
     index: int
     name: str
@@ -67,73 +68,66 @@ class Sample:
 
 
 class RunPage:
-    """The page of a run of so many frames, with pictures of a few; see `open_page`."""
+    """Collects the samples of a run of so many frames, and makes its page; see `open_page`."""
 
     def __init__(self, contract: Contract, frames: int) -> None:
         self._contract = contract
         self._overlay = Overlay(contract.classes, contract.max_depth_m)
         self._started = datetime.now(UTC)
-        self._step, self._seen = -(-frames // _EVEN) or 1, 0
-        self._kept: dict[int, Sample] = {}  # evenly spaced, and the first of each set of marks
+        self._step, self._frames = -(-frames // _EVEN_SAMPLES) or 1, 0
+        self._samples: dict[int, Sample] = {}  # number of the frame -> its sample
         self._slowest: Sample | None = None
 
     def write(self, frame: Frame, result: FrameResult) -> None:
-        """Keep a frame and its answer as a sample, perhaps; nothing is written yet."""
-        index, self._seen = self._seen, self._seen + 1
+        """Keep the pictures of a frame if it is a sample."""
+        index, self._frames = self._frames, self._frames + 1
         prediction = result.prediction
         marks = (*prediction.degraded, *result.health)
         time_ms = prediction.latency.total_ms
-        slowest = self._slowest is None or time_ms > self._slowest.predict_ms
-        known = {sample.marks for sample in self._kept.values()}
-        flagged = bool(marks) and marks not in known and len(known) < _FLAGGED
-        kept = index % self._step == 0 or flagged
-        if not (kept or slowest):
+        is_slowest = self._slowest is None or time_ms > self._slowest.predict_ms
+        known = {sample.marks for sample in self._samples.values()}
+        has_new_marks = bool(marks) and marks not in known and len(known) < _MARKED_SAMPLES
+        is_sample = index % self._step == 0 or has_new_marks
+        if not (is_sample or is_slowest):
             return
-        drawn = self._overlay.panels(frame.rgb, prediction, frame.sparse_depth, widest=_WIDEST)
+        drawn = self._overlay.panels(frame.rgb, prediction, frame.sparse_depth, widest=_PANEL_WIDTH)
         panels = tuple(
             (title, bytes(encode_jpeg(panel, quality=_JPEG_QUALITY)))
-            for title, panel in list(drawn.items())[:_PANELS]
+            for title, panel in list(drawn.items())[:_SAMPLE_PANELS]
         )
         sample = Sample(index, frame.name, time_ms, marks, panels)
-        if slowest:
+        if is_slowest:
             self._slowest = sample
-        if kept:
-            self._kept[index] = sample
+        if is_sample:
+            self._samples[index] = sample
 
     def samples(self) -> list[Sample]:
-        """The kept frames, in order."""
-        kept = dict(self._kept)
+        """The samples, in the order of the frames."""
+        samples = dict(self._samples)
         if self._slowest is not None:
-            kept[self._slowest.index] = replace(self._slowest, slowest=self._seen > 1)
-        return [kept[index] for index in sorted(kept)]
+            samples[self._slowest.index] = replace(self._slowest, slowest=self._frames > 1)
+        return [samples[index] for index in sorted(samples)]
 
     def render(self, report: RunReport) -> bytes:
         """Return the page, HTML in UTF-8 without external resources."""
-        records, stream, statistics = report.records, report.stream, report.statistics
+        records, statistics = report.records, report.statistics
         spans = charts.join_frames(records)
         marks = Counter(mark for record in records for mark in charts.marks_of(record))
-        response, stage = ("prediction", "predict") if stream.rate_hz is None else ("age", "age")
-        responses, by_status = statistics.stages[stage], report.by_status
+        is_stream = report.options.rate is not None
+        responses = statistics.stages["age" if is_stream else "predict"]
         values = {
+            "report": report,
             "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-            "interrupted": stream.interrupted,
             "contract": self._contract,
-            "engine": report.engine,
-            "frames": len(records),
             "marks": marks,
             "flagged": sum(bool(charts.marks_of(record)) for record in records),
-            "by_status": ", ".join(f"{n:,} {status}" for status, n in by_status.items()) or "none",
-            "response": response,
+            "response": "age" if is_stream else "prediction",
             "responses": responses,
-            "highest": _highest_percentile(responses),
-            "statistics": statistics,
-            "frames_per_second": report.frames_per_second,
+            "highest": responses and _highest_percentile(responses),
             "chart": charts.latency_chart(spans, deadline_ms=statistics.deadline_ms),
-            "dropped": len(report.not_ok),
             "stages": _stages(statistics.stages),
             "lanes": _lanes(marks, spans),
-            "problems": report.not_ok[:_MOST_PROBLEMS],
-            "more_problems": max(len(report.not_ok) - _MOST_PROBLEMS, 0),
+            "most_problems": _MOST_PROBLEMS,
             "samples": self._sample_figures(),
             "facts": _facts(report, self._started),
             "running": running_providers(
@@ -151,7 +145,7 @@ class RunPage:
     def _sample_figures(self) -> dict[str, Any]:
         samples, scale = self.samples(), ""
         if any("depth" in title for sample in samples for title, _ in sample.panels):
-            bar = self._overlay.draw_depth_bar(_BAR_WIDTH)
+            bar = self._overlay.draw_depth_bar(_DEPTH_BAR_WIDTH)
             scale = _data("image/png", bytes(encode_png(bar)))
         figures = [
             (sample, [(title, _data("image/jpeg", jpeg)) for title, jpeg in sample.panels])
@@ -190,15 +184,14 @@ def _milliseconds(value: float | None) -> str:
     return format(value, ".2f" if value < 10 else ".1f" if value < 1000 else ",.0f")
 
 
-def _highest_percentile(times: LatencyStatistics | None) -> tuple[str, float] | None:
+def _highest_percentile(times: LatencyStatistics) -> tuple[str, float]:
     """The highest percentile up to p99 that the number of frames supports, else the maximum."""
-    if times is None:
-        return None
     values = {"p99": times.p99_ms, "p90": times.p90_ms, "slowest": times.max_ms}
     return next((name, value) for name, value in values.items() if value is not None)
 
 
 def _stages(statistics: Mapping[str, LatencyStatistics | None]) -> dict[str, Any]:
+    """Parts of a prediction (name, mean, share of their sum), and rows of the table of stages."""
     stages = {name: each for name, each in statistics.items() if each is not None}
     most_ms = max((each.max_ms for each in stages.values()), default=0) or 1.0
     means = {name: stages[name].mean_ms for name in _PARTS if name in stages}
@@ -210,30 +203,27 @@ def _stages(statistics: Mapping[str, LatencyStatistics | None]) -> dict[str, Any
 
 
 def _lanes(marks: Counter[str], spans: Sequence[charts.Span]) -> list[tuple[Any, ...]]:
-    """Class, name, count, meaning and bars, the worst marks first, then the most frequent."""
-    lanes = []
+    """Class, name, count, meaning and bars of each lane of "Health over time".
+
+    The worst marks are first, then the most frequent.
+    """
+    lanes: list[tuple[Any, ...]] = []
     frames = sum(len(span.records) for span in spans)
-    for mark in sorted(marks, key=lambda mark: (mark not in _BAD, -marks[mark], mark)):
-        kind, count = "bad" if mark in _BAD else "warn", f"{marks[mark]:,} of {frames:,}"
-        bars = charts.mark_strip(spans, mark)
-        lanes.append((kind, mark, count, _MEANINGS.get(mark, ""), bars))
-    known = [span.mean_returns for span in spans if span.mean_returns is not None]
-    if known:
-        count = f"{min(known):,.0f} to {max(known):,.0f}"
-        lanes.append(
-            (
-                "tall",
-                "LiDAR returns",
-                count,
-                "in a frame, before it is resized",
-                charts.returns_strip(spans),
-            )
+    for mark in sorted(marks, key=lambda mark: (mark not in _WORST_MARKS, -marks[mark], mark)):
+        kind, count = "bad" if mark in _WORST_MARKS else "warn", f"{marks[mark]:,} of {frames:,}"
+        lanes.append((kind, mark, count, _MEANINGS.get(mark, ""), charts.mark_strip(spans, mark)))
+    means = [span.mean_returns for span in spans if span.mean_returns is not None]
+    if means:
+        count, meaning = (
+            f"{min(means):,.0f} to {max(means):,.0f}",
+            "in a frame, before it is resized",
         )
+        lanes.append(("tall", "LiDAR returns", count, meaning, charts.returns_strip(spans)))
     return lanes
 
 
 def _facts(report: RunReport, started: datetime) -> dict[str, Any]:
-    rate_hz, sizes = report.stream.rate_hz, report.by_network_size.items()
+    rate_hz, sizes = report.options.rate, report.by_network_size.items()
     facts = {
         "started": f"{started:%Y-%m-%d %H:%M:%S} UTC",
         "took": f"{report.stream.wall_s:.1f} s",

@@ -21,24 +21,23 @@ class VideoWriter:
     """Append the overlay of each frame to a video; see `open_video`."""
 
     def __init__(self, path: Path, run: OpenRun) -> None:
-        self._path, self._overlay = path, run.overlay
-        self._overlay_width = run.options.overlay_width
-        self._rate_hz = run.options.rate or DEFAULT_RATE_HZ
+        self._path, self._run = path, run
         self._file: cv2.VideoWriter | None = None
         self._size = (0, 0)
         self._frames = 0
 
     def write(self, frame: Frame, result: FrameResult) -> None:
         """Draw a frame and append it, resized to the size of the first one. Raises OutputError."""
-        widest = self._overlay_width or frame.rgb.shape[1]
-        picture = self._overlay.draw(
-            frame.rgb, result.prediction, frame.sparse_depth, widest=widest
-        )
+        picture = self._run.draw(frame, result, widest=frame.rgb.shape[1])
         if self._file is None:
             self._size = _video_size(*picture.shape[:2])
-            codec = cv2.VideoWriter.fourcc(*_CODEC)
+            codec, rate_hz = cv2.VideoWriter.fourcc(*_CODEC), self._run.options.rate
             self._file = cv2.VideoWriter(
-                str(self._path), cv2.CAP_FFMPEG, codec, self._rate_hz, self._size[::-1]
+                str(self._path),
+                cv2.CAP_FFMPEG,
+                codec,
+                rate_hz or DEFAULT_RATE_HZ,
+                self._size[::-1],
             )
         self._file.write(cv2.resize(picture, self._size[::-1], interpolation=cv2.INTER_AREA))
         self._frames += 1
@@ -49,9 +48,8 @@ class VideoWriter:
             return
         self._file.release()
         self._file = None
-        written = cv2.VideoCapture(
-            str(self._path)
-        )  # the encoder reports neither faults nor a full disk
+        # The encoder reports neither faults nor a full disk.
+        written = cv2.VideoCapture(str(self._path))
         frames = int(written.get(cv2.CAP_PROP_FRAME_COUNT))
         written.release()
         if frames != self._frames:

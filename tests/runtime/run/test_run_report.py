@@ -1,11 +1,11 @@
 """Figures of a run that are not those of a frame."""
 
 import csv
-from pathlib import Path
 
 import pytest
 
 from outcomes import outcome
+from runtime.run.options import RunOptions
 from runtime.run.pipeline import StreamResult
 from runtime.run.run_report import RunReport, frames_csv
 from runtime.streams.frame_result import INVALID, OK, SKIPPED
@@ -23,7 +23,8 @@ def report_of(model_file):
 
     def make(*records, wall_s=0.5, interrupted=False, deadline_ms=None):
         stream = StreamResult(records, wall_s, interrupted)
-        return RunReport(engine, {}, Path("out"), (), stream, deadline_ms)
+        options = RunOptions(demo=True, deadline_ms=deadline_ms)
+        return RunReport(engine, options, {}, (), stream)
 
     return make
 

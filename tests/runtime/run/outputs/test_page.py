@@ -168,8 +168,8 @@ def test_points_stand_where_their_times_are_and_the_line_is_broken_without_an_an
     assert late[2] == "<c>: 60.0 ms"
     assert ticks(page, "x")["2"] == pytest.approx(late[0])
     assert [len(line.get("points").split()) for line in page.iter("polyline")] == [3, 1]
-    (drop,) = [group for group in page.iter("g") if group.get("class") == "drop"]
-    assert drop.find("title").text == "d: skipped"
+    (unanswered,) = [each for each in page.iter("g") if each.get("class") == "unanswered"]
+    assert unanswered.find("title").text == "d: skipped"
 
 
 def test_one_slow_frame_makes_the_axis_logarithmic():
