@@ -6,7 +6,6 @@ take the cores of the model whose turn it is.
 """
 
 import contextlib
-import json
 import math
 import multiprocessing
 import os
@@ -14,9 +13,8 @@ import re
 from collections.abc import Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import product
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -34,8 +32,6 @@ from runtime.command import (
 )
 from runtime.command_options import Version
 from runtime.cores import available_cores
-from runtime.errors import OutputError
-from runtime.io.atomic_write import atomic_file
 from runtime.run.engine_facts import MachineFacts, machine_facts
 from runtime.session import import_onnxruntime
 from runtime.streams.statistics import LatencyStatistics, latency_statistics
@@ -87,23 +83,14 @@ def main(
     provider: Annotated[
         Provider, typer.Option(help="Execution provider of the models.")
     ] = Provider.cpu,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write all times to a new file.")
-    ] = None,
     _version: Version = False,
 ) -> None:
     """Measure latency, memory and load time of models side by side."""
     cases = tuple(map(_size, size)), tuple(threads or [available_cores()]), tuple(batch)
-    with reported_errors("cpu"), contextlib.ExitStack() as written:
-        if json_file is not None and os.path.lexists(json_file):
-            raise OutputError(f"{json_file} exists: choose another name for --json")
-        file = written.enter_context(atomic_file(json_file, overwrite=False)) if json_file else None
+    with reported_errors("cpu"):
         with stop_requested(interrupts=True):
             report = bench(BenchOptions(tuple(models), *cases, rounds, rate, provider.value))
         print_result(to_markdown(report))
-        if file is not None:
-            file.write(json.dumps(asdict(report), indent=2).encode() + b"\n")
-            written.close()
         if report.interrupted:
             raise typer.Exit(INTERRUPTED)
         failed = any(row.error for group in report.groups for row in group)
