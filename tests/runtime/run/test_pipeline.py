@@ -1,7 +1,6 @@
 """A run of a stream: order, overlap, bad frames, full disks and Ctrl-C."""
 
 import os
-import re
 import sys
 import threading
 from types import SimpleNamespace
@@ -123,29 +122,6 @@ def test_reading_and_writing_have_a_lower_priority_than_inference(predictor, str
 
 
 # --- frames that go wrong ----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("spoil", "reason"),
-    [
-        (lambda rgb, depth: rgb.write_bytes(rgb.read_bytes()[:500]), "truncated"),
-        (lambda rgb, depth: cv2.imwrite(str(depth), np.zeros((48, 64), np.uint8)), "16 bits"),
-        (lambda rgb, depth: cv2.imwrite(str(depth), np.zeros((48, 60), np.uint16)), "of rgb"),
-        (lambda rgb, depth: depth.unlink(), "no depth map"),
-    ],
-    ids=["truncated picture", "8-bit depth", "other size", "no depth"],
-)
-def test_a_bad_frame_is_flagged_and_the_run_goes_on(predictor, stream_of, spoil, reason):
-    folders = stream_of(5)
-    spoil(*(folder / "2.png" for folder in folders))
-    written = []
-    result = run(predictor, folders, write=lambda frame, _: written.append(frame.name))
-    assert [record.status for record in result.records] == ["ok", "ok", "skipped", "ok", "ok"]
-    assert written == ["0", "1", "3", "4"]
-    record = result.records[2]
-    assert record.name == "2"
-    assert record.prediction is None
-    assert re.search(reason, record.reason)
 
 
 def test_an_answer_with_nan_is_flagged_and_not_written(predictor, stream_of):

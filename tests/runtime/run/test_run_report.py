@@ -66,6 +66,7 @@ def test_the_exit_code_is_that_of_the_deadline_first(report_of):
     assert report_of(in_time, skipped, deadline_ms=25.0).exit_code == 3
     assert report_of(late, skipped, deadline_ms=25.0).exit_code == 4
     assert report_of(outcome(0)).exit_code == 0
+    assert report_of(outcome(0, INVALID)).exit_code == 3
     assert report_of(in_time, interrupted=True).exit_code == 3
 
 

@@ -88,37 +88,14 @@ def test_at_every_line_of_the_main_thread(tmp_path, command, sensitive_to_ctrl_c
     assert set(listed) >= {0, 1, 2, 3, N}
 
 
-@pytest.mark.parametrize(
-    ("number", "imported"), [(signal.SIGINT, "cv2."), (signal.SIGTERM, "onnxruntime.")]
-)
-def test_while_it_imports(tmp_path, start_process, number, imported):
-    """-X importtime tells how far it is."""
-    command = [sys.executable, "-X", "importtime", "-c", COMMAND, "--demo"]
-    process = start_process(*command, "--out", tmp_path / "out")
-    for line in process.stderr:
-        if line.rpartition("|")[2].strip().startswith(imported):
-            break
-    process.send_signal(number)
-    stdout, stderr = process.communicate()
-    assert process.returncode == 130
-    assert stdout == ""
-    assert not [line for line in stderr.splitlines() if not line.startswith("import time:")]
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
-    "signals",
-    [(signal.SIGTERM,), (signal.SIGINT, signal.SIGTERM) * 10],
-    ids=["SIGTERM", "many"],
-)
-def test_from_another_process(tmp_path, command, start_process, signals):
+def test_from_another_process_many_at_once(tmp_path, command, start_process):
     """As soon as it says that it runs, on a stream that would take it long."""
     for folder in ("cam", "lidar"):
         for index in range(N, 6000):
             os.link(tmp_path / folder / f"f{index % N}.png", tmp_path / folder / f"f{index}.png")
     process = start_process(sys.executable, "-c", COMMAND, *command)
     assert process.stdout.readline().startswith("by-hand sha256:")
-    for number in signals:
+    for number in (signal.SIGINT, signal.SIGTERM) * 10:
         process.send_signal(number)
     stdout, stderr = process.communicate()
     assert (process.returncode, stderr) == (3, "")

@@ -13,21 +13,6 @@ from runtime.streams.stream_counter import StreamCounter
 from stream_messages import add_up, depth, image
 
 
-def test_invalid_messages_are_refused_and_counted(setup):
-    stream = setup().stream
-    with pytest.raises(InputError, match="rgb must be uint8"):
-        stream.push_image(image().astype(np.float32), 0)
-    with pytest.raises(InputError, match="sparse_depth must be float32"):
-        stream.push_depth(depth().astype(np.float64), 0)
-    with pytest.raises(InputError, match="sparse_depth must have the shape"):
-        stream.push_depth(np.zeros((3, 4, 5), np.float32), 0)
-    with pytest.raises(InputError, match="stamp must be"):
-        stream.push_image(image(), None)
-    counts = add_up(stream.counts)
-    assert counts.images.errors == {"bad_message": 1, "bad_stamp": 1}
-    assert counts.depths.errors == {"bad_message": 2}
-
-
 def test_images_and_depth_maps_of_another_size_than_the_calibrations_are_refused(setup):
     """Their answers would have a wrong focal length; points are projected into the image's size."""
     stream = setup(calibration=Calibration(np.eye(3), np.eye(4), (48, 64))).stream

@@ -106,30 +106,24 @@ def test_an_unexpected_error_ends_the_stream_and_reaches_on_error_the_pushes_and
     assert add_up(made.stream.counts).pending == 0
 
 
-def push_until_it_raises(stream):
-    def push():
+def test_an_error_of_the_callback_ends_the_stream_and_comes_out_at_close(setup):
+    stream = setup(on_result=lambda result: 1 / 0).stream
+
+    def push_until_it_raises():
         for number in range(10_000):
             push_pair(stream, number)
 
     with pytest.raises(InferenceError, match="ZeroDivisionError"):
-        push()
-
-
-def test_an_error_of_the_callback_ends_the_stream_and_comes_out_at_close(setup):
-    made = setup(on_result=lambda result: 1 / 0)
-    push_until_it_raises(made.stream)
+        push_until_it_raises()
     with pytest.raises(ZeroDivisionError):
-        made.stream.close()
-    made.stream.close()
-    assert add_up(made.stream.counts).pending == 0
+        stream.close()
+    stream.close()
+    assert add_up(stream.counts).pending == 0
 
 
 def test_an_error_of_the_block_is_not_hidden_by_one_of_the_callback(setup):
-    def fail(result):
-        raise ZeroDivisionError
-
     def work():
-        with setup(on_result=fail).stream as stream:
+        with setup(on_result=lambda result: 1 / 0).stream as stream:
             push_pair(stream, 0)
             raise KeyError
 

@@ -112,18 +112,10 @@ def test_answers_are_those_of_the_engine_and_of_a_live_stream(model_file, make_f
     ]
 
 
-@pytest.mark.parametrize("is_live", [False, True])
-def test_the_image_of_an_answer_is_read_only(setup, checked_predictor, is_live):
+def test_the_image_of_an_answer_is_read_only(replay):
     """The next check predicts from it; the array that was given is still the caller's."""
-    given, sparse_depth = image(0), depth(0)
-    if is_live:
-        stream = setup().stream
-        stream.push_image(given, 0)
-        stream.push_depth(sparse_depth, 0)
-        answer = next(stream)
-    else:
-        recording = [("image", given, 0), ("depth", sparse_depth, 0)]
-        (answer,) = answer_recording(checked_predictor(), recording, check_depth=False)
+    given = image(0)
+    ((answer,), _) = replay([("image", given, 0), ("depth", depth(0), 0)])
     with pytest.raises(ValueError, match="read-only"):
         answer.rgb[:] = 0
     np.testing.assert_array_equal(answer.rgb, given)
@@ -286,9 +278,6 @@ def test_where_poses_end_answers_go_on_without_them(checked_predictor):
         assert read <= times_ms[-1] + 18 * 50
     assert times_ms == list(range(0, 4000, 50))
     assert flagged == [time_ms > 290 for time_ms in times_ms]
-
-
-# --- one sensor alone ----------------------------------------------------------------------------
 
 
 # --- health --------------------------------------------------------------------------------------

@@ -50,10 +50,9 @@ def test_runs_warn_then_are_an_error_and_end(wrong, limits):
 def test_frames_that_were_errors_count_as_failed():
     counter = StreamCounter(limits=WatchdogLimits(failed=(1, 2)))
     counter.start(0)
-    counter.record_failed(FRAME, InferenceError())
-    assert levels(counter) == ("WARN", ("failed",))
-    counter.record_failed(FRAME, InferenceError())
-    assert levels(counter) == ("ERROR", ("failed",))
+    for level in ("WARN", "ERROR"):
+        counter.record_failed(FRAME, InferenceError())
+        assert levels(counter) == (level, ("failed",))
 
 
 def test_silence_is_reported_by_the_clock_and_ends_with_a_result():
