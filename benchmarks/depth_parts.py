@@ -23,13 +23,13 @@ from torch import Tensor
 
 import rigs
 from export.deploy import DeployGraph
-from models import Network, load_checkpoint, planes, surfaces
+from models import Network, load_checkpoint, planes, surface_depth, surfaces
 from random_weights import export_graph
 from runtime.tools.bench import BenchOptions, bench
 from training.evaluation.scored_model import open_model
 
 SIZE = (512, 1024)
-#: Calls of `surfaces.replace` by a frame: the plane, the farthest and the nearest surface, returns.
+#: Calls of `surface_depth.replace` by a frame: plane, farthest surface, nearest surface, returns.
 _CALLS = 4
 #: Column -> sets of `rigs.SETS`.
 COLUMNS = {
@@ -68,8 +68,8 @@ def main() -> None:
 
 
 def skip_replacement(call: int) -> AbstractContextManager[object]:
-    """Leave out one call of `surfaces.replace` of every frame."""
-    replace, calls = surfaces.replace, [0]
+    """Leave out one call of `surface_depth.replace` of every frame."""
+    replace, calls = surface_depth.replace, [0]
 
     def replace_others(
         depth: Tensor, spread: Tensor | float, step: Tensor, weight: Tensor
@@ -79,26 +79,26 @@ def skip_replacement(call: int) -> AbstractContextManager[object]:
             return depth, torch.zeros_like(depth) + spread
         return replace(depth, spread, step, weight)
 
-    return patch.object(surfaces, "replace", replace_others)
+    return patch.object(surface_depth, "replace", replace_others)
 
 
 #: Part -> leaves it out.
 PARTS: dict[str, Callable[[], AbstractContextManager[object]]] = {
     "nothing": nullcontext,
     "the base beside returns": lambda: patch.object(
-        surfaces, "join_base", lambda inverse, scale, *_: (inverse, scale)
+        surface_depth, "join_base", lambda inverse, scale, *_: (inverse, scale)
     ),
-    "departures from it": lambda: patch.object(surfaces, "position", torch.zeros_like),
+    "departures from it": lambda: patch.object(surface_depth, "position", torch.zeros_like),
     "the anchoring": lambda: patch.object(planes, "anchor", lambda plane, _: plane),
     "the limit of the guess": lambda: patch.object(
         surfaces, "limit_guess", lambda _, density: torch.ones_like(density)
     ),
     "the nearest surface": lambda: skip_replacement(2),
     "the farthest surface": lambda: skip_replacement(1),
-    "the correction": lambda: patch.object(surfaces, "correct", lambda depth, *_: depth),
+    "the correction": lambda: patch.object(surface_depth, "correct", lambda depth, *_: depth),
     "returns at full size": lambda: skip_replacement(3),
     "the semantic features": lambda: patch.object(
-        surfaces.SurfaceDepthHead, "add_semantics", lambda head, features, _: features
+        surface_depth.SurfaceDepthHead, "add_semantics", lambda head, features, _: features
     ),
 }
 

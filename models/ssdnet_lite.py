@@ -7,9 +7,9 @@
 | 4 | `early`, with planes and surfaces added; decoders; boundary; geometry | 24; 32; 1; 24 |
 | 8, 16, 32 | `EfficientNetLite.late`; decoders at 8 and 16 | 40, 112, 320; 48, 64 |
 
-The order of execution: `surfaces.measure` and `propagate_surfaces` with `planes.fit_base`, the
-encoder, the boundary decoder, which gates both task decoders, and the heads; the depth's is
-`surfaces.SurfaceDepthHead`. `ssdnet-nano` has no features at stride 2 beside the encoder's.
+The order of execution: `surfaces.find_candidates` with `planes.fit_base`, the encoder, the boundary
+decoder, which gates both task decoders, and the heads; the depth's is
+`surface_depth.SurfaceDepthHead`. `ssdnet-nano` has no features at stride 2 except the encoder's.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,8 @@ from models.network import (
     present_heads,
 )
 from models.planes import CELL
-from models.surfaces import SurfaceDepthHead
+from models.surface_depth import SurfaceDepthHead
+from models.surfaces import find_candidates
 
 #: Depth [m] that the network predicts at most where no return shows it; the sky's.
 FARTHEST_GUESS_M = 100.0
@@ -146,7 +147,9 @@ class SSDNetLite(Network):
         if self.config.depth_head:
             padded = pad_to_multiple(sparse_depth, self.stride)
             depth, mask = self.normalise_depth(padded)
-            candidates = self.surface_depth.propagate(depth, mask.to(depth.dtype))
+            candidates = find_candidates(
+                depth, mask.to(depth.dtype), max_depth_m=self.config.max_depth_m
+            )
             at_4 = at_4 + self.surface_depth.embed(candidates.features)
         *skips, bottom = at_4, *self.encoder.late(at_4)
         bottom = self.context(bottom)
