@@ -39,9 +39,9 @@ class BaConv(nn.Module):
     bias.
     """
 
-    def __init__(self, in_channels: int, out_channels: int, *, kernel: int = 3) -> None:
+    def __init__(self, in_channels: int, out_channels: int) -> None:
         super().__init__()
-        self.conv = nn.Conv2d(in_channels, out_channels, kernel, padding=kernel // 2, bias=False)
+        self.conv = nn.Conv2d(in_channels, out_channels, 3, padding=1, bias=False)
 
     def forward(self, x: Tensor, boundary: Tensor | None) -> Tensor:
         """Convolve x * (1 - boundary)."""

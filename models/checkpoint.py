@@ -1,14 +1,15 @@
 """Checkpoints: weights that carry their own configuration."""
 
 import pickle
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
-from models.checkpoint_checks import check_archive, check_weights
 from models.network import Network
 from models.registry import NETWORKS
 from models.training_facts import TrainingFacts
@@ -18,6 +19,7 @@ from runtime.io.atomic_write import atomic_file
 
 FORMAT = "ssdnet-checkpoint"
 VERSION = 2
+_ZIP_START = b"PK\x03\x04"
 
 
 @dataclass(frozen=True)
@@ -65,22 +67,16 @@ def save_checkpoint(
     Raises:
         CheckpointError: if it cannot be written; an existing file is then untouched.
     """
-    write_document(
-        Path(path),
-        {
-            "format": FORMAT,
-            "version": VERSION,
-            "network": type(model).__name__,
-            "config": model.config.to_dict(),
-            "weights": dict(model.state_dict()),
-            "training": dict(training or {}),
-            "trainer": dict(trainer or {}),
-        },
-    )
-
-
-def write_document(path: Path, document: Mapping[str, Any]) -> None:
-    """Write what `save_checkpoint` does; raises the same."""
+    path = Path(path)
+    document = {
+        "format": FORMAT,
+        "version": VERSION,
+        "network": type(model).__name__,
+        "config": model.config.to_dict(),
+        "weights": dict(model.state_dict()),
+        "training": dict(training or {}),
+        "trainer": dict(trainer or {}),
+    }
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_file(path, durable=True) as file:
@@ -95,8 +91,7 @@ def write_document(path: Path, document: Mapping[str, Any]) -> None:
 def load_checkpoint(path: Path | str) -> Checkpoint:
     """Read a checkpoint strictly, without running any code from it.
 
-    Nothing is allocated beyond the file's own size before its weights are checked against its
-    configuration. Weights in half precision are converted to single precision.
+    Weights in half precision are converted to single precision.
 
     Args:
         path: file that `save_checkpoint` wrote.
@@ -109,56 +104,12 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
             another version, or its weights do not fit its configuration.
     """
     path = Path(path)
-    document = read_document(path)
-    version = document.get("version")
-    if not _is_equal(version, VERSION):
+    document = _read_document(path)
+    if (version := document.get("version")) != VERSION:
         raise CheckpointError(
             f"{path}: checkpoint version {shown(version)}, but this installation reads version "
             f"{VERSION}. Install a release that matches the file."
         )
-    return restore(document, path)
-
-
-def read_document(path: Path) -> dict[str, Any]:
-    """Read what a checkpoint file holds, of any version, without running any code from it.
-
-    Raises:
-        CheckpointError: if the file is missing, damaged or no checkpoint.
-    """
-    if not path.is_file():
-        raise CheckpointError(f"{path}: no such checkpoint file. Give the path of a .pt file.")
-    try:
-        check_archive(path)
-    except ValueError as error:
-        raise CheckpointError(f"{path}: {error}") from error
-    except Exception as error:  # a damaged archive can fail in any way
-        raise CheckpointError(f"{path}: damaged ({_first_line(error)}). Copy it again.") from error
-    try:
-        document = torch.load(path, map_location="cpu", weights_only=True)
-    except pickle.UnpicklingError as error:  # its text tells how to run the code
-        raise CheckpointError(
-            f"{path}: it contains objects other than tensors and plain values, which could run "
-            "code when loaded. Give a file that ssdnet-train wrote."
-        ) from error
-    except Exception as error:  # so can a damaged pickle
-        raise CheckpointError(f"{path}: damaged ({_first_line(error)}). Copy it again.") from error
-    if not isinstance(document, dict) or not _is_equal(document.get("format"), FORMAT):
-        raise CheckpointError(
-            f"{path}: a PyTorch file, but not an ssdnet checkpoint (no 'format: {FORMAT}'). "
-            "Give a file that ssdnet-train wrote."
-        )
-    for key in ("config", "weights", "training", "trainer"):
-        if not isinstance(document.get(key), dict):
-            raise CheckpointError(f"{path}: the checkpoint lacks {key}. Train again.")
-    return document
-
-
-def restore(document: Mapping[str, Any], path: Path) -> Checkpoint:
-    """Build the network of a document of this version and load its weights.
-
-    Raises:
-        CheckpointError: if it cannot be built, or the weights do not fit it.
-    """
     kind = str(document.get("network"))
     kinds = {entry.network.__name__: entry for entry in NETWORKS.values()}
     if kind not in kinds:
@@ -166,10 +117,11 @@ def restore(document: Mapping[str, Any], path: Path) -> Checkpoint:
             f"{path}: holds the network {shown(kind)}, but this installation knows "
             f"{', '.join(kinds)}. Install a release that matches the file."
         )
+    network, default = kinds[kind]
     try:
-        config = type(kinds[kind].config).from_dict(document["config"])
-        with torch.device("meta"):  # its shapes alone
-            expected = kinds[kind].network(config).state_dict()
+        config = type(default).from_dict(document["config"])
+        with torch.device("meta"):  # shapes only: a wrong configuration may need any memory
+            expected = network(config).state_dict()
     except (ValueError, TypeError, KeyError, RuntimeError) as error:
         raise CheckpointError(
             f"{path}: its configuration cannot be built here: {_first_line(error)}. "
@@ -182,13 +134,79 @@ def restore(document: Mapping[str, Any], path: Path) -> Checkpoint:
             f"{path}: its weights do not fit its own configuration {config.name!r}: {error}. "
             "The file was changed, or comes from another release: use that release, or train again."
         ) from error
-    model = kinds[kind].network(config)
-    model.load_state_dict(document["weights"], strict=True)
+    model = network(config)
+    model.load_state_dict(document["weights"])
     return Checkpoint(model.eval(), document["training"], document["trainer"])
 
 
-def _is_equal(value: object, expected: str | int) -> bool:
-    return type(value) is type(expected) and value == expected  # a tensor has no truth value
+def check_weights(weights: Mapping[str, object], expected: Mapping[str, Tensor]) -> None:
+    """Raise ValueError unless the weights fit ``expected``, a network's state on any device.
+
+    Names and shapes must be the same; floating-point values may have any precision, others must
+    have the same type.
+    """
+    missing = sorted(expected.keys() - weights.keys())
+    unknown = sorted(map(str, weights.keys() - expected.keys()))
+    for problem, names in (("lacks the tensors", missing), ("has the unknown tensors", unknown)):
+        if names:
+            more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+            raise ValueError(f"it {problem} {', '.join(names[:3])}{more}")
+    for name, value in expected.items():
+        weight = weights[name]
+        if not isinstance(weight, Tensor):
+            raise ValueError(f"{name} is not a tensor")
+        if weight.shape != value.shape:
+            raise ValueError(
+                f"{name} has the shape {tuple(weight.shape)}, expected {tuple(value.shape)}"
+            )
+        if weight.dtype != value.dtype and not (
+            weight.is_floating_point() and value.is_floating_point()
+        ):
+            raise ValueError(f"{name} is of type {weight.dtype}, expected {value.dtype}")
+
+
+def _read_document(path: Path) -> dict[str, Any]:
+    """Read what a checkpoint file of any version holds, without running any code from it."""
+    if not path.is_file():
+        raise CheckpointError(f"{path}: no such checkpoint file. Give the path of a .pt file.")
+    try:
+        _check_archive(path)
+        document = torch.load(path, map_location="cpu", weights_only=True)
+    except CheckpointError:
+        raise
+    except pickle.UnpicklingError as error:  # its text says how to run the code
+        raise CheckpointError(
+            f"{path}: it contains objects other than tensors and plain values, which could run "
+            "code when loaded. Give a file that ssdnet-train wrote."
+        ) from error
+    except Exception as error:  # of any type, where an archive or a pickle is damaged
+        raise CheckpointError(f"{path}: damaged ({_first_line(error)}). Copy it again.") from error
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise CheckpointError(
+            f"{path}: a PyTorch file, but not an ssdnet checkpoint (no 'format: {FORMAT}'). "
+            "Give a file that ssdnet-train wrote."
+        )
+    for key in ("config", "weights", "training", "trainer"):
+        if not isinstance(document.get(key), dict):
+            raise CheckpointError(f"{path}: the checkpoint lacks {key}. Train again.")
+    return document
+
+
+def _check_archive(path: Path) -> None:
+    """Raise CheckpointError unless the file is a whole zip archive, as torch.save writes it."""
+    with path.open("rb") as stream:
+        start = stream.read(len(_ZIP_START))
+    if not _ZIP_START.startswith(start):
+        raise CheckpointError(
+            f"{path}: not an ssdnet checkpoint. Give a file that ssdnet-train wrote."
+        )
+    if not zipfile.is_zipfile(path):  # its directory comes last
+        raise CheckpointError(f"{path}: truncated ({path.stat().st_size} bytes). Copy it again.")
+    with zipfile.ZipFile(path) as archive:
+        if (name := archive.testzip()) is not None:  # torch.load does not compare checksums
+            raise CheckpointError(
+                f"{path}: damaged (the checksum of {shown(name)} is wrong). Copy it again."
+            )
 
 
 def _first_line(error: BaseException) -> str:

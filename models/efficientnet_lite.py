@@ -6,7 +6,6 @@ want RGB normalised by `RGB_MEAN` and `RGB_STD`.
 
 from collections.abc import Sequence
 
-import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
@@ -114,12 +113,8 @@ class EfficientNetLite(nn.Module):
     def early(self, rgb: Tensor) -> tuple[Tensor, Tensor]:
         """Return the features at strides 2 and 4 of normalised RGB (N, 3, H, W).
 
-        Raises:
-            ValueError: unless H and W are multiples of 32, as `blocks.pad_to_multiple` makes them.
+        H and W are multiples of 32, as `blocks.pad_to_multiple` makes them.
         """
-        size = tuple(rgb.shape[2:])
-        if not torch.compiler.is_exporting() and any(side % max(CHANNELS) for side in size):
-            raise ValueError(f"expected a size in multiples of {max(CHANNELS)}, got {size}")
         at_2 = self.stride2(self.stem(rgb))
         return at_2, self.stride4(at_2)
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from types import MappingProxyType, UnionType
-from typing import Any, Literal, NamedTuple, Self, get_args, get_origin, get_type_hints
+from typing import Any, NamedTuple, Self, get_args, get_origin, get_type_hints
 
 import torch
 from torch import Tensor, nn
@@ -284,8 +284,6 @@ def _checked(value: Any, hint: Any, key: str) -> Any:
     kind, arguments = get_origin(hint) or hint, get_args(hint)
     if kind is UnionType:  # X | None
         return None if value is None else _checked(value, arguments[0], key)
-    if kind is Literal and isinstance(value, str) and value in arguments:
-        return value
     if kind is tuple and isinstance(value, list | tuple):
         wanted = arguments[:1] * len(value) if arguments[-1] is Ellipsis else arguments
         if len(wanted) == len(value):

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from models import Network, SSDNetLite
-from models.checkpoint_checks import check_weights
+from models.checkpoint import check_weights
 from models.efficientnet_lite import RGB_MEAN, RGB_STD, EfficientNetLite, InvertedResidual
 from runtime.errors import CheckpointError, InputError, install_command
 from training.prune import prune_trunk

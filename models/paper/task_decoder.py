@@ -19,7 +19,7 @@ class UpBlock(nn.Module):
         self.norm = nn.BatchNorm2d(channels)
         self.conv = ConvBNReLU(channels, channels)
 
-    def forward(self, x: Tensor, skip: Tensor, boundary: Tensor | None = None) -> Tensor:
+    def forward(self, x: Tensor, skip: Tensor, boundary: Tensor | None) -> Tensor:
         """Join x (N, C, h, w), skip (N, S, H, W) and boundary (N, 1, H, W) to (N, C', H, W)."""
         x = torch.cat([upsample(x, size=(skip.shape[2], skip.shape[3])), skip], dim=1)
         out: Tensor = self.conv(F.relu(self.norm(self.baconv(x, boundary))))
