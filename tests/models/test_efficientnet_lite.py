@@ -2,8 +2,6 @@
 
 from collections import Counter
 
-import numpy as np
-import onnxruntime
 import pytest
 import torch
 from torch import nn
@@ -59,12 +57,6 @@ def test_pruned_widths_are_those_of_the_inner_convolutions():
             EfficientNetLite(wrong)
 
 
-@pytest.mark.parametrize("size", [(48, 64), (64, 65)])
-def test_a_size_that_is_no_multiple_of_the_stride_is_refused(trunk, size):
-    with pytest.raises(ValueError, match="multiples of 32"):
-        trunk.early(torch.zeros(1, 3, *size))
-
-
 def test_every_weight_and_what_is_added_at_stride_4_get_a_gradient():
     trunk = EfficientNetLite()
     at_4 = trunk.early(torch.randn(2, 3, 64, 64))[1]
@@ -90,22 +82,6 @@ def test_the_exported_trunk_is_convolutions_clips_and_sums(trunk):
             dynamic_shapes=({0: free, 2: free, 3: free},),
             verbose=False,
         )
-    model = program.model_proto
-    counts = Counter(node.op_type for node in model.graph.node)
-    assert {name: counts[name] for name in ("Conv", "Clip", "Add", "Pad")} == {
-        "Conv": 48,
-        "Clip": 32,
-        "Add": 9,
-        "Pad": 1,
-    }
-    session = onnxruntime.InferenceSession(
-        model.SerializeToString(), providers=["CPUExecutionProvider"]
-    )
-    for size in ((64, 96), (37, 50)):
-        x = torch.randn(1, 3, *size)
-        with torch.no_grad():
-            expected = Features(trunk)(x)
-        answers = session.run(None, {session.get_inputs()[0].name: x.numpy()})
-        for answer, features in zip(answers, expected, strict=True):
-            scale = float(features.abs().max())
-            np.testing.assert_allclose(answer / scale, features / scale, atol=2e-5)
+    counts = Counter(node.op_type for node in program.model_proto.graph.node)
+    expected = {"Conv": 48, "Clip": 32, "Add": 9, "Pad": 1}
+    assert {name: counts[name] for name in expected} == expected

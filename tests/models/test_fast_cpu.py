@@ -1,21 +1,31 @@
-"""The fast form of each operation against the plain one, forward and backward."""
+"""Poolings, upsampling and gate, in their fast and their plain form, against PyTorch's own."""
 
 import pytest
 import torch
 from torch.nn import functional as F
 
-from models import blocks, fast_cpu, pooling
+from models import blocks, pooling
 from models.fast_cpu import fast_on_cpu
 
-#: Operation -> its arguments after the maps, and a shape that they fit.
-CASES = {
-    "cell_means": (pooling.cell_means, [(1,), (2,), (4,), (8,)]),
-    "cell_maxima": (pooling.cell_maxima, [(1,), (2,), (4,), (8,)]),
-    "means_around": (pooling.means_around, [(3,), (5,), (9,)]),
-    "maxima_around": (pooling.maxima_around, [(3,), (5,), (7,), (9,), (15,)]),
-    "enlarge": (blocks._enlarge, [(2,), (4,), (8,)]),
-}
+
+def interpolate(x, factor):
+    return F.interpolate(x, scale_factor=float(factor), mode="bilinear", align_corners=False)
+
+
+#: Operation, the same in PyTorch, and sides, windows or factors.
+CASES = [
+    (pooling.cell_means, F.avg_pool2d, (1, 2, 4, 8)),
+    (pooling.cell_maxima, F.max_pool2d, (1, 2, 4, 8)),
+    (pooling.means_around, lambda x, window: F.avg_pool2d(x, window, 1, window // 2), (3, 5, 9)),
+    (
+        pooling.maxima_around,
+        lambda x, window: F.max_pool2d(x, window, 1, window // 2),
+        (3, 5, 7, 9, 15),
+    ),
+    (blocks._enlarge, interpolate, (2, 4, 8)),
+]
 SHAPES = [(1, 1, 8, 16), (2, 2, 16, 24), (2, 8, 24, 8), (1, 9, 8, 8)]
+ROUNDED = {"rtol": 2e-2, "atol": 4e-2}
 
 
 def maps(shape, dtype=torch.float32, layout=torch.contiguous_format, seed=0):
@@ -26,44 +36,32 @@ def maps(shape, dtype=torch.float32, layout=torch.contiguous_format, seed=0):
     return values.view(shape).to(dtype).contiguous(memory_format=layout)
 
 
-def assert_equal_forward_and_backward(operation, x, *others, **tolerance):
-    answers, gradients = [], []
-    for form in (operation, operation.__wrapped__):
-        inputs = [
-            each.clone().requires_grad_() if isinstance(each, torch.Tensor) else each
-            for each in (x, *others)
-        ]
-        answer = form(*inputs)
-        weight = maps(answer.shape, answer.dtype, seed=1)
-        (answer * weight).sum().backward()
-        answers.append(answer)
-        gradients.append([each.grad for each in inputs if isinstance(each, torch.Tensor)])
-    assert answers[0].dtype == answers[1].dtype == x.dtype
-    torch.testing.assert_close(*answers, **tolerance)
-    for fast, plain in zip(*gradients, strict=True):
-        torch.testing.assert_close(fast, plain, **tolerance)
+def assert_equal_forward_and_backward(operation, expected, tensors, *arguments, **tolerance):
+    """Both forms of an operation give the answer and the gradients of what is expected."""
+    found = []
+    for form in (expected, operation, operation.__wrapped__):
+        inputs = [each.clone().requires_grad_() for each in tensors]
+        answer = form(*inputs, *arguments)
+        (answer * maps(answer.shape, answer.dtype, seed=1)).sum().backward()
+        assert answer.dtype == tensors[0].dtype
+        found.append([answer, *(each.grad for each in inputs)])
+    for others in found[1:]:
+        torch.testing.assert_close(others, found[0], **tolerance)
 
 
 @pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last])
 @pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize(
-    ("operation", "arguments"),
-    [
-        pytest.param(operation, arguments, id=f"{name}{arguments}")
-        for name, (operation, each) in CASES.items()
-        for arguments in each
-    ],
-)
-def test_fast_and_plain_are_equal(operation, arguments, shape, layout):
-    assert operation.__wrapped__ is not operation
-    assert_equal_forward_and_backward(operation, maps(shape, layout=layout), *arguments)
+@pytest.mark.parametrize(("operation", "expected", "arguments"), CASES)
+def test_both_forms_are_pytorchs(operation, expected, arguments, shape, layout):
+    for argument in arguments:
+        x = maps(shape, layout=layout)
+        assert_equal_forward_and_backward(operation, expected, [x], argument)
 
 
-@pytest.mark.parametrize("factor", [2, 4])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_upsampling_in_bfloat16_is_as_exact_as_the_type(shape, factor):
+def test_upsampling_in_bfloat16_is_as_exact_as_the_type(shape):
     x = maps(shape, torch.bfloat16)
-    assert_equal_forward_and_backward(blocks._enlarge, x, factor, rtol=2e-2, atol=4e-2)
+    assert_equal_forward_and_backward(blocks._enlarge, interpolate, [x], 4, **ROUNDED)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
@@ -72,14 +70,21 @@ def test_upsampling_in_bfloat16_is_as_exact_as_the_type(shape, factor):
 def test_a_gate_is_a_product_in_either_layout(shape, layout, dtype):
     x = maps(shape, dtype, layout)
     boundary = maps((shape[0], 1, *shape[2:]), dtype, seed=2).abs()
-    tolerance = {} if dtype is torch.float32 else {"rtol": 2e-2, "atol": 4e-2}
-    assert_equal_forward_and_backward(blocks.gate, x, boundary, **tolerance)
+    tolerance = {} if dtype is torch.float32 else ROUNDED
+    assert_equal_forward_and_backward(
+        blocks.gate, lambda x, b: x * (1 - b), [x, boundary], **tolerance
+    )
+
+
+def test_maxima_beside_leave_the_pixel_itself_out():
+    x = maps((2, 1, 9, 11)).abs()
+    windows = F.unfold(x, 5, padding=2).view(-1, 25, 9, 11)
+    windows[:, 12] = 0
+    assert torch.equal(pooling.maxima_beside(x), windows.amax(dim=1, keepdim=True))
 
 
 def test_the_fast_form_is_that_of_a_cpu_outside_an_exported_graph():
-    @fast_on_cpu(lambda x, number: x + number)
-    def operation(x, number):
-        return x - number
+    operation = fast_on_cpu(lambda x, number: x + number)(lambda x, number: x - number)
 
     class Module(torch.nn.Module):
         def forward(self, x):
@@ -95,9 +100,6 @@ def test_the_fast_form_is_that_of_a_cpu_outside_an_exported_graph():
 
 
 def test_the_gradient_of_few_maps_is_ours():
-    x = maps((1, 2, 4, 4)).requires_grad_()
-    assert "EnlargeFew" in type(fast_cpu.enlarge(x, 2).grad_fn).__name__
-    assert "EnlargeFew" in type(blocks.upsample(x).grad_fn).__name__
-    many = maps((1, 9, 4, 4)).requires_grad_()
-    expected = F.interpolate(many, scale_factor=2.0, mode="bilinear", align_corners=False)
-    assert type(blocks.upsample(many).grad_fn) is type(expected.grad_fn)
+    few, many = (maps((1, count, 4, 4)).requires_grad_() for count in (2, 9))
+    assert "EnlargeFew" in type(blocks.upsample(few).grad_fn).__name__
+    assert "EnlargeFew" not in type(blocks.upsample(many).grad_fn).__name__

@@ -7,7 +7,6 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from models import SSDNet, SSDNetConfig, SSDNetLiteConfig, create_model
-from models.blocks import upsample
 from models.registry import NETWORKS
 from runtime.contract import ClassInfo
 
@@ -88,18 +87,16 @@ def test_any_size_of_32_and_more_works(name, size):
     config = small(name)
     output = build(name).eval()(*frame(*size, batch=2))
     assert output.boundary_logits.shape == (2, 1, *size)
+    assert (output.semantic_logits is not None) == config.semantic_head
     if config.semantic_head:
         assert output.semantic_logits.shape == (2, 11, *size)
-    else:
-        assert output.semantic_logits is None
+    assert (output.depths is not None) == config.depth_head
     if config.depth_head:
         assert output.depths[0].shape == (2, 1, *size)
         is_lite = isinstance(config, SSDNetLiteConfig)
         assert (output.depth_uncertainty is not None) == is_lite
         assert len(output.depths) == (1 if is_lite else len(config.decoder_channels))
         assert all(((d >= 0) & (d <= 1)).all() for d in output.depths)
-    else:
-        assert output.depths is None
 
 
 def test_paper_grids_round_up():
@@ -128,35 +125,18 @@ def test_semantics_may_stay_on_their_own_grid_without_the_padding():
     assert tuple(output.boundary_logits.shape[2:]) == (50, 71)
 
 
-@pytest.mark.parametrize("decoder", ["semantic_decoder", "depth_decoder"])
-def test_decoders_are_gated_by_the_boundary(decoder):
-    """Where the finest side output is sure of a boundary nothing of the features gets through."""
-    model = build("ssdnet-lite").eval()
-    seen = {}
-    getattr(model, decoder).blocks[-1].baconv.conv.register_forward_pre_hook(
-        lambda _, args: seen.update(x=args[0])
-    )
-    model.boundary_decoder.sides[0][1].bias.data.fill_(-100.0)
-    model(*frame(64, 96))
-    assert seen["x"].abs().max() > 0
-    model.boundary_decoder.sides[0][1].bias.data.fill_(100.0)
-    model(*frame(64, 96))
-    assert not seen["x"].any()
-
-
-@pytest.mark.parametrize("size", [(31, 64), (64, 31)])
-def test_too_small_is_refused(size):
-    with pytest.raises(ValueError, match="at least 32"):
-        build("ssdnet-lite")(*frame(*size))
-
-
-def test_wrong_shapes_are_refused():
-    model = build("ssdnet-lite")
-    rgb, depth = frame(32, 64)
-    with pytest.raises(ValueError, match=r"rgb must be \(N, 3, H, W\)"):
-        model(rgb.permute(0, 2, 3, 1), depth)
-    with pytest.raises(ValueError, match="sparse_depth must be"):
-        model(rgb, depth[..., :-1])
+@pytest.mark.parametrize(
+    ("rgb", "depth", "message"),
+    [
+        ((1, 3, 31, 64), (1, 1, 31, 64), "at least 32"),
+        ((1, 3, 64, 31), (1, 1, 64, 31), "at least 32"),
+        ((1, 32, 64, 3), (1, 1, 32, 64), r"rgb must be \(N, 3, H, W\)"),
+        ((1, 3, 32, 64), (1, 1, 32, 63), "sparse_depth must be"),
+    ],
+)
+def test_wrong_shapes_are_refused(rgb, depth, message):
+    with pytest.raises(ValueError, match=message):
+        build("ssdnet-lite")(torch.zeros(rgb), torch.zeros(depth))
 
 
 @pytest.mark.parametrize("name", ["ssdnet", "ssdnet-lite"])
@@ -196,11 +176,6 @@ def test_variants_look_only_at_their_inputs(name, uses_rgb, uses_depth):
     assert torch.equal(model(rgb, depth * 0.5).depths[0], base) != uses_depth
 
 
-def test_normalisation_is_saved_with_the_network():
-    state = create_model("ssdnet-lite").state_dict()
-    torch.testing.assert_close(state["rgb_mean"].flatten(), torch.tensor((123.675, 116.28, 103.53)))
-
-
 def test_normalisation_takes_0_to_255():
     """A frame of the mean colour is zero to the first convolution."""
     model = build("ssdnet").eval()
@@ -220,11 +195,6 @@ def test_batch_is_the_same_as_one_by_one():
     torch.testing.assert_close(together, apart, rtol=1e-4, atol=1e-5)
 
 
-def test_upsampling_by_factor_equals_by_size():
-    x = torch.randn(1, 2, 5, 7)
-    torch.testing.assert_close(upsample(x, factor=4), upsample(x, size=(20, 28)))
-
-
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
@@ -234,7 +204,6 @@ def test_upsampling_by_factor_equals_by_size():
         ({"decoder_channels": (8, 8)}, "per skip \\(5\\)"),
         ({"encoder_blocks": (1, 1)}, "same length"),
         ({"max_depth_m": 0.0}, "max_depth_m must be 1 to 10000"),
-        ({"max_depth_m": 1e39}, "max_depth_m must be 1 to 10000"),
         ({"name": "a\nb"}, "name must be printable"),
         ({"classes": (ClassInfo("\ud800", (0, 0, 0)),)}, r"classes\[0\].name"),
     ],
@@ -242,14 +211,6 @@ def test_upsampling_by_factor_equals_by_size():
 def test_invalid_configurations_are_refused_with_the_reason(changes, text):
     with pytest.raises(ValueError, match=text):
         SSDNet(SSDNetConfig(**changes))
-
-
-def test_create_model_lists_the_known_names():
-    with pytest.raises(ValueError, match="ssdnet-lite"):
-        create_model("ssd")
-    assert create_model("ssdnet-lite", num_classes=19).semantic_head.out_channels == 19
-    with pytest.raises(ValueError, match="exactly when"):
-        create_model("ssdnet-dep", num_classes=3)
 
 
 @pytest.mark.parametrize(
@@ -285,5 +246,3 @@ def test_depth_gain_multiplies_the_sparse_depth_only():
     assert not torch.equal(plain(rgb, depth).depths[0], answer)
     plain.stem[0][0].weight.data[:, 3] *= 20.0  # the depth is the fourth channel
     torch.testing.assert_close(plain(rgb, depth).depths[0], answer)
-    with pytest.raises(ValueError, match=r"not configuration fields of .*: sparse_depth_gain"):
-        create_model("ssdnet-lite", sparse_depth_gain=2.0)
