@@ -61,11 +61,11 @@ def signal_in_frame_6(request, monkeypatch):
     predict = Predictor.predict
     count = iter(range(100))
 
-    def interrupted(self, *frame, **options):
-        of_stream = frame[1] is not None  # the check before it asks the camera alone
-        if of_stream and next(count) == 6:
+    def interrupted(self, rgb, sparse_depth=None, **options):
+        # Warming up and the check before the stream ask the camera alone.
+        if sparse_depth is not None and next(count) == 6:
             signal.raise_signal(request.param)
-        return predict(self, *frame, **options)
+        return predict(self, rgb, sparse_depth, **options)
 
     monkeypatch.setattr(Predictor, "predict", interrupted)
     return request.param
