@@ -37,12 +37,9 @@ def changed_recipes(page):
         text = " ".join(paragraph.split())
         if not (changes := SET.findall(text)):
             continue
-        if trained := re.search(r"ssdnet-train (\S+)", text):
-            names = ["lite" if trained[1] == "RECIPE" else trained[1]]
-        else:
-            assert "one entry after" in text, f"{page.name}: no recipe for {changes}"
-            names = ["comparison-depth", "comparison-semantics"]
-        yield from ((name, changes) for name in names)
+        trained = re.search(r"ssdnet-train (\S+)", text)
+        assert trained, f"{page.name}: no recipe for {changes}"
+        yield trained[1], changes
 
 
 def links(page):
