@@ -299,7 +299,7 @@ def _rank(
     frames = feeds[:: max(1, len(feeds) // _SENSITIVITY_FRAMES)][:_SENSITIVITY_FRAMES]
 
     def answers(graph: onnx.ModelProto) -> list[Any]:
-        session = open_session(graph.SerializeToString(), provider="cpu", device_id=0, threads=2)
+        session = open_session(graph.SerializeToString(), threads=2)
         return [session.run([head], feed)[0] for feed in frames]
 
     expected = answers(model)

@@ -63,9 +63,7 @@ def measure_parity(
         predictor = Predictor(onnx_path, size="frame" if dynamic else None, warmup=0)
     contract = predictor.contract
     with predictor:
-        session = open_session(
-            Path(onnx_path).read_bytes(), provider="cpu", device_id=0, threads=predictor.threads
-        )
+        session = open_session(Path(onnx_path).read_bytes(), threads=predictor.threads)
         for frame in frames:
             expected = reference(model, frame)
             prediction = predictor.predict(frame.rgb, frame.sparse_depth)

@@ -82,7 +82,7 @@ def strides(model: onnx.ModelProto, feed: Feed) -> dict[str, int]:
     for name in names:
         copy.graph.node.append(onnx.helper.make_node("Shape", [name], [f"{name}/shape"]))
         copy.graph.output.append(onnx.ValueInfoProto(name=f"{name}/shape"))
-    session = open_session(copy.SerializeToString(), provider="cpu", device_id=0, threads=2)
+    session = open_session(copy.SerializeToString(), threads=2)
     width = feed["rgb"].shape[2]
     shapes = zip(names, session.run(None, feed), strict=True)
     return {name: round(width / int(shape[-1])) for name, shape in shapes}

@@ -35,12 +35,6 @@ _RESIZE = {"rgb": "bilinear", "sparse_depth": "nearest"} | {
     head.name: head.resize for head in HEADS.values()
 }
 _DIGEST_KEY = "document_sha256"
-_JSON_TYPES: dict[Any, str] = {
-    dict: "an object",
-    dict | None: "an object or null",
-    list: "a list",
-    str: "text",
-}
 _Checked = TypeVar("_Checked")
 
 
@@ -134,50 +128,40 @@ class Contract:
         """
         try:
             document = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise ContractError(
-                f"the model's metadata {METADATA_KEY!r} is not JSON ({error}): "
-                "export the model again with ssdnet-export"
-            ) from error
-        if not isinstance(document, dict):
-            raise _wrong("the document", _JSON_TYPES[dict], document)
-        version = _take(document, "schema_version", str)
-        if version != SCHEMA_VERSION:
-            raise ContractError(
-                f"the model's metadata has schema version {shown(version)}, this engine reads "
-                f"{SCHEMA_VERSION}: export the model again with this version of ssdnet, or use the "
-                "version that wrote it"
-            )
-        try:
+            version = _take(document, "schema_version", str)
+            if version != SCHEMA_VERSION:
+                raise ContractError(
+                    f"the model's metadata has schema version {shown(version)}, this engine reads "
+                    f"{SCHEMA_VERSION}: export the model again with this version of ssdnet, or use "
+                    "the version that wrote it"
+                )
             contract = cls(
                 schema_version=version,
                 model_name=check_name(_take(document, "model_name"), "model_name"),
-                classes=check_classes(_classes(document)),
+                classes=check_classes([_class(each) for each in _take(document, "classes", list)]),
                 max_depth_m=check_max_depth(_take(document, "max_depth_m")),
                 native_size=check_size(_take(document, "native_size"), "native_size"),
                 stride=check_stride(_take(document, "stride")),
                 precision=check_name(_take(document, "precision"), "precision"),
                 training=_take(document, "training", dict),
-                versions=_text_mapping(document, "versions"),
+                versions=_texts(_take(document, "versions", dict)),
                 parity=_take(document, "parity", dict),
                 checkpoint_sha256=_take(document, "checkpoint_sha256", str),
                 trained_height=_optional(document, "trained_height", check_side),
                 canonical_focal_px=_optional(document, "canonical_focal_px", check_focal_length),
-                giga_macs=_optional(
-                    document,
-                    "giga_macs",
-                    lambda value, name: check_number(name, value, 0, MAX_GIGA_MACS, "billions"),
-                ),
+                giga_macs=_optional(document, "giga_macs", _check_giga_macs),
                 accuracy=_take(document, "accuracy", dict | None),
                 quantization=_take(document, "quantization", dict | None),
-                content=_content(document, text),
+                content=_content(_take(document, "content", dict)),
             )
             # Infinite numbers and lone surrogates are invalid anywhere in the document.
             json.dumps(document, allow_nan=False, ensure_ascii=False).encode()
+            if text != _with_digest(text.rpartition(f', "{_DIGEST_KEY}"')[0]):
+                raise ValueError(f"it was changed after it was written, see {_DIGEST_KEY}")
         except (ValueError, RecursionError) as error:
             raise ContractError(
-                f"the model's metadata is damaged: {error}: export the model again with "
-                "ssdnet-export"
+                f"the model's metadata {METADATA_KEY!r} is damaged: {error}: get the model again, "
+                "or export it again with ssdnet-export"
             ) from error
         return contract
 
@@ -205,9 +189,9 @@ def check_stride(stride: object) -> int:
     return check_integer("stride", stride, 1, MAX_STRIDE, "pixels")
 
 
-def check_max_depth(max_depth_m: object, name: str = "max_depth_m") -> float:
-    """Return a depth range in metres; ValueError naming it if it is out of range."""
-    return check_number(name, max_depth_m, MIN_DEPTH_RANGE_M, MAX_DEPTH_RANGE_M, "metres")
+def check_max_depth(range_m: object) -> float:
+    """Return a depth range in metres; ValueError if it is out of range."""
+    return check_number("max_depth_m", range_m, MIN_DEPTH_RANGE_M, MAX_DEPTH_RANGE_M, "metres")
 
 
 def farthest_return(range_m: float) -> float:
@@ -255,64 +239,39 @@ def find_sky(classes: Sequence[ClassInfo]) -> int | None:
     return next((i for i, info in enumerate(classes) if info.name.lower() == "sky"), None)
 
 
-def _wrong(name: str, expected: str, found: object) -> ContractError:
-    return ContractError(
-        f"the model's metadata is damaged: {name} must be {expected}, found {shown(found)}: "
-        "export the model again with ssdnet-export"
-    )
-
-
-def _take(document: Mapping[str, Any], key: str, kind: Any = object, name: str = "") -> Any:
-    """Return the value of a key; ContractError where it is missing or of another type."""
-    if key not in document:
-        raise ContractError(
-            f"the model's metadata lacks the key {key!r}: export the model again with ssdnet-export"
-        )
-    value = document[key]
-    if not isinstance(value, kind):
-        raise _wrong(name or key, _JSON_TYPES[kind], value)
+def _take(document: Any, key: str, kind: Any = object) -> Any:
+    """Return the value of a key. Raises ValueError where it is missing or of another type."""
+    if not isinstance(document, dict) or key not in document:
+        raise ValueError(f"it lacks the key {key!r}")
+    if not isinstance(value := document[key], kind):
+        raise ValueError(f"{key} must be {getattr(kind, '__name__', kind)}, found {shown(value)}")
     return value
 
 
-def _optional(
-    document: Mapping[str, Any], key: str, check: Callable[[object, str], _Checked]
-) -> _Checked | None:
+def _optional(document: Any, key: str, check: Callable[[object, str], _Checked]) -> _Checked | None:
     """Return the checked value of a key, None where it is null."""
     value = _take(document, key)
     return None if value is None else check(value, key)
 
 
-def _text_mapping(document: Mapping[str, Any], key: str) -> dict[str, str]:
-    mapping: dict[str, str] = _take(document, key, dict)
-    for name in mapping:
-        _take(mapping, name, str, f"{key}.{name}")
-    return mapping
+def _check_giga_macs(value: object, name: str) -> float:
+    return check_number(name, value, 0, MAX_GIGA_MACS, "billions")
 
 
-def _content(document: Mapping[str, Any], text: str) -> Content:
-    """Read `content`, and check the digest of the document."""
-    value, digest = _take(document, "content", dict), _take(document, _DIGEST_KEY, str)
-    before = text.rpartition(f', "{_DIGEST_KEY}"')[0]
-    if text != _with_digest(before):
-        raise ContractError(
-            f"the model's metadata was changed after it was written ({_DIGEST_KEY} is "
-            f"{shown(digest)}): get the model again, or export it again with ssdnet-export"
-        )
-    size = check_integer("content.bytes", _take(value, "bytes"), 0)
-    return Content(bytes=size, sha256=_take(value, "sha256", str, "content.sha256"))
+def _texts(versions: dict[str, Any]) -> dict[str, str]:
+    return {name: _take(versions, name, str) for name in versions}
+
+
+def _class(entry: Any) -> ClassInfo:
+    return ClassInfo(_take(entry, "name"), tuple(_take(entry, "color", list)))
+
+
+def _content(entry: Any) -> Content:
+    return Content(
+        check_integer("content.bytes", _take(entry, "bytes"), 0), _take(entry, "sha256", str)
+    )
 
 
 def _with_digest(before: str) -> str:
     digest = hashlib.sha256(before.encode()).hexdigest()
     return f'{before}, "{_DIGEST_KEY}": "{digest}"}}'
-
-
-def _classes(document: Mapping[str, Any]) -> list[ClassInfo]:
-    found = []
-    for index, entry in enumerate(_take(document, "classes", list)):
-        name = f"classes[{index}]"
-        if not isinstance(entry, dict):
-            raise _wrong(name, _JSON_TYPES[dict], entry)
-        color = tuple(_take(entry, "color", list, f"{name}.color"))
-        found.append(ClassInfo(_take(entry, "name"), color))
-    return found

@@ -60,7 +60,7 @@ class Predictor:
         model: path of the model file.
         provider: as requested.
         providers: ONNX Runtime's execution providers of the session.
-        node_counts: execution provider -> nodes of the graph; None = not known.
+        node_counts: execution provider -> nodes of the graph.
         threads: threads within an operator.
         size: (height, width) of a model of fixed size, else as requested.
         free_size: whether the model takes frames of any size.

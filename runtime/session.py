@@ -36,7 +36,12 @@ def import_onnxruntime() -> Any:
 
 
 def open_session(
-    model: bytes, *, provider: str, device_id: int, threads: int, weights_folder: str = os.devnull
+    model: bytes,
+    *,
+    provider: str = "cpu",
+    device_id: int = 0,
+    threads: int,
+    weights_folder: str = os.devnull,
 ) -> Any:
     """Open a session.
 
@@ -57,8 +62,13 @@ def open_session(
             f"unknown provider {shown(provider)}: expected one of {sorted(PROVIDERS)}"
         )
     ort = import_onnxruntime()
-    name = PROVIDERS[provider]
-    _require_available(ort, provider, name)
+    name, available = PROVIDERS[provider], ort.get_available_providers()
+    if name not in available:
+        needs = _GPU_NEEDS if provider == "cuda" else install_command("cpu")
+        raise ProviderError(
+            f"provider {provider!r} is not part of the installed ONNX Runtime {ort.__version__} "
+            f"(it has {', '.join(available)}): {needs}"
+        )
     printed, settings = "", {}
     if provider == "cuda":
         # An exhaustive algorithm search would delay the first frame of every new size.
@@ -75,13 +85,11 @@ def open_session(
         if provider == "cpu":
             raise _unloadable(error) from error
         # If the file is damaged, opening it on the CPU raises the right error.
-        open_session(
-            model, provider="cpu", device_id=0, threads=threads, weights_folder=weights_folder
-        )
+        open_session(model, threads=threads, weights_folder=weights_folder)
         raise ProviderError(
             f"provider {provider!r} could not be started ({error}) {printed}: {_GPU_NEEDS}"
         ) from error
-    _require_running(session, provider, name, printed)
+    _require_running(session, provider, printed)
     return session
 
 
@@ -92,10 +100,9 @@ def explain(error: Exception) -> str:
     return str(error)
 
 
-def node_counts(session: Any) -> dict[str, int] | None:
-    """Return execution provider -> number of graph nodes; None if it is not reported."""
-    nodes = _assigned_nodes(session)
-    return None if nodes is None else dict(Counter(provider for provider, _ in nodes))
+def node_counts(session: Any) -> dict[str, int]:
+    """Return execution provider -> number of graph nodes."""
+    return dict(Counter(provider for provider, _ in _assigned_nodes(session)))
 
 
 def _options(ort: Any, threads: int, weights_folder: str) -> Any:
@@ -117,16 +124,6 @@ def _options(ort: Any, threads: int, weights_folder: str) -> Any:
     return options
 
 
-def _require_available(ort: Any, provider: str, name: str) -> None:
-    available = ort.get_available_providers()
-    if name not in available:
-        needs = _GPU_NEEDS if provider == "cuda" else install_command("cpu")
-        raise ProviderError(
-            f"provider {provider!r} is not part of the installed ONNX Runtime {ort.__version__} "
-            f"(it has {', '.join(available)}): {needs}"
-        )
-
-
 def _preload(ort: Any) -> str:
     """Load CUDA and cuDNN from their pip packages; return what was printed."""
     printed = io.StringIO()
@@ -135,36 +132,28 @@ def _preload(ort: Any) -> str:
     return " ".join(printed.getvalue().split())
 
 
-def _require_running(session: Any, provider: str, name: str, printed: str) -> None:
+def _require_running(session: Any, provider: str, printed: str) -> None:
     """Raise ProviderError where ONNX Runtime fell back to the CPU, which it only warns about.
 
     Shape arithmetic of a model of free size belongs on the CPU (`session.disable_cpu_ep_fallback`
     would refuse it); a convolution does not.
     """
-    running = session.get_providers()
-    if name not in running:
+    name, running = PROVIDERS[provider], session.get_providers()
+    strays = {
+        f"{operator} on {where}"
+        for where, operator in _assigned_nodes(session)
+        if where != name and operator in _HEAVY_OPERATORS
+    }
+    if name not in running or strays:
         raise ProviderError(
             f"provider {provider!r} was requested, but ONNX Runtime would use {', '.join(running)} "
-            f"{printed}: {_GPU_NEEDS}"
-        )
-    strays = sorted(
-        {
-            f"{operator} on {where}"
-            for where, operator in _assigned_nodes(session) or []
-            if where != name and operator in _HEAVY_OPERATORS
-        }
-    )
-    if strays:
-        raise ProviderError(
-            f"provider {provider!r} was requested, but ONNX Runtime would run {', '.join(strays)}: "
-            "use another provider, or export the model again"
+            f"{printed} for {', '.join(sorted(strays)) or 'all'}: export the model again, or "
+            f"use another provider; {provider} needs: {_GPU_NEEDS}"
         )
 
 
-def _assigned_nodes(session: Any) -> list[tuple[str, str]] | None:
+def _assigned_nodes(session: Any) -> list[tuple[str, str]]:
     """(execution provider, operator) of every node."""
-    if not hasattr(session, "get_provider_graph_assignment_info"):
-        return None
     return [
         (subgraph.ep_name, node.op_type)
         for subgraph in session.get_provider_graph_assignment_info()

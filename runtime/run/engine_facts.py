@@ -58,13 +58,13 @@ class ProviderFacts:
     Attributes:
         asked: "cpu" or "cuda".
         running: ONNX Runtime's names of the providers of the session.
-        nodes: provider -> nodes of the graph that it runs; None = not known.
+        nodes: provider -> nodes of the graph that it runs.
         threads: of inference.
     """
 
     asked: str
     running: tuple[str, ...]
-    nodes: dict[str, int] | None
+    nodes: dict[str, int]
     threads: int
 
 

@@ -276,10 +276,8 @@ def describe_predictor(
     return f"{text}\nfocal length {used}; depth up to {scale.range_m:.4g} m"
 
 
-def running_providers(names: Sequence[str], nodes: Mapping[str, int] | None) -> list[str]:
+def running_providers(names: Sequence[str], nodes: Mapping[str, int]) -> list[str]:
     """The execution providers in use, with the number of nodes that each runs."""
-    if nodes is None:
-        return list(names)
     return [f"{name} {nodes[name]} nodes" for name in names if name in nodes]
 
 

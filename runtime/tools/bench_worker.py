@@ -51,9 +51,7 @@ def open_model(
         import_onnxruntime()  # not counted in load_ms
         started = time.perf_counter()
         content, folder = read_onnx(path := find_model(model)), str(path.parent)
-        session = open_session(
-            content, provider=provider, device_id=0, threads=threads, weights_folder=folder
-        )
+        session = open_session(content, provider=provider, threads=threads, weights_folder=folder)
         load_ms = (time.perf_counter() - started) * 1e3
         feeds, notes = make_feeds(session.get_inputs(), size=size, batch=batch)
         _process.run = lambda: session.run(None, feeds)

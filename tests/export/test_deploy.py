@@ -48,7 +48,7 @@ def open_with(model: onnx.ModelProto, name: str, value: float, place: int):
     values = onnx.numpy_helper.to_array(weights).copy()
     values.reshape(-1)[place] = value
     weights.CopyFrom(onnx.numpy_helper.from_array(values, weights.name))
-    return open_session(model.SerializeToString(), provider="cpu", device_id=0, threads=1)
+    return open_session(model.SerializeToString(), threads=1)
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ HEIGHT, WIDTH = 64, 96  # a multiple of the small network's stride, which is 8
 
 
 def open_model(model):
-    return open_session(model.SerializeToString(), provider="cpu", device_id=0, threads=1)
+    return open_session(model.SerializeToString(), threads=1)
 
 
 def run(session, frames):

@@ -107,7 +107,7 @@ def test_metadata_that_is_no_text(model_file, value):
     key = METADATA_KEY.encode()
     entry = bytes([0x0A, len(key)]) + key + bytes([0x12, len(value)]) + value
     whole = model_file(contract=None).read_bytes() + bytes([0x72, len(entry)]) + entry
-    with pytest.raises(ContractError, match=r"not UTF-8|not JSON"):
+    with pytest.raises(ContractError, match="damaged"):
         parse_model_file(whole)
 
 

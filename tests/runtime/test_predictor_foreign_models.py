@@ -97,7 +97,7 @@ FIXED = {"size": (48, 64)}
 
 
 @pytest.mark.parametrize(("options", "named"), [
-    ({"contract": None}, "ssdnet"), ({"contract": None, "metadata": "{"}, "JSON"),
+    ({"contract": None}, "ssdnet"), ({"contract": None, "metadata": "{"}, "damaged"),
     ({"opset": 999}, "newer"), ({"rgb_type": TensorProto.FLOAT}, "uint8"),
     ({"edit": rename_input}, "found .*image"),
     ({"edit": rename_output, "heads": ("depth",)}, "output"),
