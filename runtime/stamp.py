@@ -1,14 +1,19 @@
-"""Time stamps of sensors: seconds as a float or nanoseconds as an int, of any clock."""
+"""Time stamps of sensors, of any clock: as numbers, and as the text of files."""
 
 import math
 import operator
+import warnings
+from decimal import Decimal
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from runtime.checks import shown
 from runtime.errors import InputError
+from runtime.read_input import read_text
 
+#: Seconds as a float or nanoseconds as an int.
 Stamp = float | int
 
 NS_PER_MS = 1_000_000
@@ -20,6 +25,7 @@ DEFAULT_REUSE_DEPTH_MS = 150.0
 #: The clock of a sensor was reset if its stamps go back further.
 JUMP_BACK_NS = 1_000 * NS_PER_MS
 _COARSEST_S = 1e-3  # of the time since 1970, float64 resolves 2.4e-7 s, float32 128 s
+_DATE = "2011-09-26 13:02:25.964389445"
 _LIMIT_NS = 2**63  # what 64 bits hold: 292 years
 
 
@@ -57,3 +63,49 @@ def stamp_ns(stamp: Any) -> int:
             f"value is {step_s:g} s away: give float64 seconds, or nanoseconds"
         )
     return nanoseconds
+
+
+def read_timestamps(path: Path) -> list[int]:
+    """Read a file with a time a line, seconds or a date as of KITTI's raw data, rising.
+
+    Returns:
+        Nanoseconds.
+
+    Raises:
+        InputError: if the file cannot be read, a line is no time, or a time is not later than the
+            one before.
+    """
+    stamps_ns: list[int] = []
+    for number, line in enumerate(read_text(path).rstrip().splitlines(), 1):
+        where = f"line {number} of {path}"
+        stamps_ns.append((parse_date if ":" in line else parse_seconds)(line, where))
+        if number > 1 and stamps_ns[-1] <= stamps_ns[-2]:
+            raise InputError(f"{where} is {line!r:.60}, expected a later time than the line before")
+    return stamps_ns
+
+
+def parse_date(text: str, where: str) -> int:
+    """Nanoseconds since 1970 of a date and time such as `_DATE`, taken as UTC.
+
+    Raises:
+        InputError: if it is none; it begins with `where`.
+    """
+    try:
+        with warnings.catch_warnings(action="error"):  # of a time zone
+            date: np.datetime64 = np.datetime64(text.strip(), "ns")
+    except (ValueError, UserWarning):
+        date = np.datetime64("NaT")
+    if np.isnat(date):  # also of an empty line
+        raise InputError(f"{where} is {text!r:.60}, expected a time like {_DATE}")
+    return int(date.astype(np.int64))
+
+
+def parse_seconds(text: str, where: str) -> int:
+    """Nanoseconds of a number of seconds, exact to the last digit; errors as `parse_date`."""
+    try:
+        stamp_ns = Decimal(text.strip()) * 10**9
+        if abs(stamp_ns) < 2**63:
+            return int(stamp_ns)
+    except ArithmeticError:  # no number, or a NaN
+        pass
+    raise InputError(f"{where} is {text!r:.60}, expected seconds, or a time like {_DATE}")

@@ -16,8 +16,7 @@ from runtime.checks import shown
 from runtime.contract import ClassInfo
 from runtime.errors import InputError
 from runtime.io.atomic_write import atomic_write
-from runtime.io.image_header import image_size
-from runtime.io.images import read_rgb
+from runtime.io.images import image_size, read_rgb
 from runtime.network_size import LARGEST_RATIO, network_size
 from runtime.read_input import MAX_FILE_BYTES, open_input, read_text
 from training.datasets.folders import Folders, FoldersRecipe

@@ -16,7 +16,7 @@ from runtime.drawing.overlay import Overlay
 from runtime.errors import InputError, OutputError
 from runtime.geometry.calibration import Calibration
 from runtime.io.atomic_write import atomic_write
-from runtime.io.ply import encode_ply
+from runtime.io.encode import encode_ply
 from runtime.prediction import Prediction
 
 _PICTURES, _ARRAYS, _CLOUD = (".png", ".jpg", ".jpeg"), ".npz", ".ply"

@@ -1,9 +1,10 @@
-"""Encode heads and pictures as the content of PNG and JPEG files.
+"""Encode heads, pictures and point clouds as the content of PNG, JPEG and PLY files.
 
-Encoding shares the processor with inference, so the settings are the cheapest ones.
+Encoding shares the processor with inference, so the settings are the cheapest ones. PLY: Greg Turk,
+"The PLY Polygon File Format", 1994; binary, little-endian.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import chain
 from typing import Any
 
@@ -11,6 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.contract import ClassInfo
+from runtime.geometry.point_cloud import PointCloud
 from runtime.heads import Encoding
 
 METRES_PNG_SCALE = 256  # units of a 16-bit PNG per metre, as KITTI has it
@@ -20,6 +23,7 @@ _PNG_RUNS = _PNG_STORED | {
     cv2.IMWRITE_PNG_COMPRESSION: 1,
     cv2.IMWRITE_PNG_STRATEGY: cv2.IMWRITE_PNG_STRATEGY_RLE,
 }
+_PLY_TYPES = {"<f4": "float", "|u1": "uchar"}
 
 
 def encode_ids(ids: NDArray[np.uint8]) -> memoryview:
@@ -52,12 +56,53 @@ def encode_jpeg(picture: NDArray[np.uint8], *, quality: int = 85) -> memoryview:
     return _encode(".jpg", picture, {cv2.IMWRITE_JPEG_QUALITY: quality})
 
 
+def encode_ply(cloud: PointCloud, classes: Sequence[ClassInfo] = ()) -> bytes:
+    """Return the content of a PLY file.
+
+    Args:
+        cloud: its points have x, y, z in metres in the camera's frame, and, where it has them, red,
+            green, blue, and the class id as `label`.
+        classes: in the order of the ids; names and colours are written as comments of the header.
+    """
+    columns: list[tuple[str, str, NDArray[Any]]] = [
+        (axis, "<f4", cloud.points[:, index]) for index, axis in enumerate("xyz")
+    ]
+    if cloud.rgb is not None:
+        columns += [
+            (color, "|u1", cloud.rgb[:, index])
+            for index, color in enumerate(("red", "green", "blue"))
+        ]
+    if cloud.semantic is not None:
+        columns.append(("label", "|u1", cloud.semantic))
+    vertices = np.empty(len(cloud.points), dtype=[(name, kind) for name, kind, _ in columns])
+    for name, _, values in columns:
+        vertices[name] = values
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment metres in the camera's frame: x right, y down, z along the optical axis",
+        *(
+            f"comment label {index} {_ascii(info.name)} {' '.join(map(str, info.color))}"
+            for index, info in enumerate(classes if cloud.semantic is not None else ())
+        ),
+        f"element vertex {len(vertices)}",
+        *(f"property {_PLY_TYPES[kind]} {name}" for name, kind, _ in columns),
+        "end_header",
+    ]
+    return "\n".join(header).encode("ascii") + b"\n" + vertices.tobytes()
+
+
 #: Encoding of a head -> function that encodes its array as the content of a file.
 ENCODERS: dict[Encoding, Callable[[NDArray[Any]], memoryview]] = {
     Encoding.IDS_PNG: encode_ids,
     Encoding.METRES_PNG: encode_metres,
     Encoding.PROBABILITY_PNG: encode_probability,
 }
+
+
+def _ascii(name: str) -> str:
+    """A name as ASCII text on one line."""
+    return " ".join(name.encode("ascii", "replace").decode().split())
 
 
 def _encode(suffix: str, image: Any, parameters: dict[int, int]) -> memoryview:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.geometry.rigid import read_rigid
-from runtime.io.timestamps import parse_seconds
 from runtime.read_input import read_text
+from runtime.stamp import parse_seconds
 
 _KITTI, _TUM, _OXTS = 12, 8, 30
 _EARTH_RADIUS_M = 6378137.0

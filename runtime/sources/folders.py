@@ -27,9 +27,8 @@ from runtime.io.images import (
 )
 from runtime.io.poses import read_poses
 from runtime.io.scan import SCAN_SUFFIXES, read_scan
-from runtime.io.timestamps import read_timestamps
 from runtime.sources.source import ListedFrame, Source, up_to
-from runtime.stamp import NS_PER_MS
+from runtime.stamp import NS_PER_MS, read_timestamps
 from runtime.sync.frame import Frame, Outcome, Sensor
 
 _APART_NS = 100 * NS_PER_MS  # between images without times

@@ -15,11 +15,10 @@ from runtime.geometry.motion import ScanStamp
 from runtime.geometry.rigid import read_rigid
 from runtime.io.images import RGB_SUFFIXES, list_files
 from runtime.io.poses import read_oxts_poses
-from runtime.io.timestamps import parse_date
 from runtime.read_input import read_text
 from runtime.sources.folders import FolderSource
 from runtime.sources.source import ListedFrame, by_number, track_of
-from runtime.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
+from runtime.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS, parse_date
 from runtime.sync.frame import Sensor
 
 RAW_IMU = "calib_imu_to_velo.txt"

@@ -15,7 +15,7 @@ from runtime.errors import InputError
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import Lens
 from runtime.geometry.rigid import read_rotation
-from runtime.io.image_header import image_size
+from runtime.io.images import image_size
 from runtime.sources.ros_bag import RosBag
 from runtime.sources.ros_poses import TransformTree, frame_name
 

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from runtime.geometry.calibration import Calibration
 from runtime.io.atomic_write import atomic_write
-from runtime.io.encode import ENCODERS, encode_jpeg
+from runtime.io.encode import ENCODERS, encode_jpeg, encode_ply
 from runtime.io.own_folder import make_own_folder
-from runtime.io.ply import encode_ply
 from runtime.run.options import CLOUD, OVERLAY, SAVED_HEADS, SUFFIXES, RunOptions
 from runtime.run.outputs.output import OpenRun
 from runtime.run.run_report import FRAMES_FILE, REPORT_FILE, write_report

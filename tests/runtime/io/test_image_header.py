@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from runtime.io.image_header import image_size
+from runtime.io.images import image_size
 
 
 def encode(suffix, shape, dtype=np.uint8, *options):
