@@ -11,6 +11,7 @@ which is measured twice a pass, its difference.
 
 import argparse
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,15 +19,9 @@ from runtime import Predictor, PushStream, project_points
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 from runtime.sync.frame import Frame
 
-FAULTS = (
-    "healthy",
-    "pitch 1°",
-    "yaw 1°",
-    "roll 1°",
-    "100 ms late",
-    "scale 1.1",
-    "scale 0.9",
-)
+FAULTS = ("healthy", "pitch 1°", "yaw 1°", "100 ms late", "scale 1.1")
+#: Fault -> axis of the camera that it turns about.
+AXES = {"pitch 1°": (1.0, 0.0, 0.0), "yaw 1°": (0.0, -1.0, 0.0)}
 FIGURES = ("holdout_error", "edge_agreement", "scale_error")
 PASSES = 3
 
@@ -76,18 +71,19 @@ def run(predictor: Predictor, frames: list[Frame], fault: str) -> NDArray[np.flo
 def spoil(fault: str, frames: list[Frame], place: int) -> NDArray[np.float32]:
     """Return the depth map that a LiDAR with this fault would give."""
     depth = frames[place].sparse_depth
-    kind, _, amount = fault.partition(" ")
-    if kind == "scale":
-        return depth * np.float32(amount)
-    if kind == "100":
+    if fault == "scale 1.1":
+        return depth * np.float32(1.1)
+    if fault == "100 ms late":
         return frames[max(place - 1, 0)].sparse_depth
-    if kind in ("pitch", "yaw", "roll"):
-        return rotated(depth, ("pitch", "yaw", "roll").index(kind), degrees=1.0)
+    if fault in AXES:
+        return rotated(depth, AXES[fault], degrees=1.0)
     return depth
 
 
-def rotated(depth: NDArray[np.float32], axis: int, *, degrees: float) -> NDArray[np.float32]:
-    """Return the depth map of the same returns in a camera rotated about one of its axes."""
+def rotated(
+    depth: NDArray[np.float32], axis: tuple[float, float, float], *, degrees: float
+) -> NDArray[np.float32]:
+    """Return the depth map of the same returns in a camera rotated about this axis."""
     height, width = depth.shape
     focal_px = BUNDLED_FOCAL_LENGTH_PX
     intrinsics = np.array([[focal_px, 0, width / 2], [0, focal_px, height / 2], [0, 0, 1.0]])
@@ -95,11 +91,8 @@ def rotated(depth: NDArray[np.float32], axis: int, *, degrees: float) -> NDArray
     z = depth[row, column]
     pixels = np.stack([column, row, np.ones_like(row)])
     points = (np.linalg.inv(intrinsics) @ pixels * z).T.astype(np.float32)
-    one, other = ((1, 2), (0, 2), (0, 1))[axis]
     rotation = np.eye(4)
-    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    rotation[[one, other], [one, other]] = cosine
-    rotation[one, other], rotation[other, one] = -sine, sine
+    rotation[:3, :3] = cv2.Rodrigues(np.radians(degrees) * np.array(axis))[0]
     return project_points(points, intrinsics, rotation, (height, width))
 
 

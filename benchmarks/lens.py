@@ -9,8 +9,8 @@ and median of the absolute errors up to 100 m are means over frames.
 """
 
 import argparse
-import json
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rigs import pandaset_frames
 from runtime import Predictor
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import rays
@@ -70,22 +71,16 @@ def read_distorted(
     data: Path, frames: int
 ) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.float32], Calibration]]:
     """The images as the lens would have taken them, float32 (N, 6) points, and the calibration."""
-    root = data / "pandaset_front"
-    camera = json.loads((root / "intrinsics.json").read_text())
-    rows = [[camera["fx"], 0, camera["cx"]], [0, camera["fy"], camera["cy"]], [0, 0, 1]]
-    matrix = np.array(rows, np.float64)
-    enlarged = matrix * [[ENLARGED, 1, 1], [1, ENLARGED, 1], [1, 1, 1]]
-    calibration = Calibration(
-        enlarged, np.eye(4), lens="plumb_bob", distortion=[K1, 0.0, 0.0, 0.0, 0.0]
-    )
-    for path in sorted((root / "image").glob("*.jpg"))[:frames]:
-        rgb = cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
+    for rgb, points, matrix in islice(pandaset_frames(data / "pandaset_front"), frames):
+        enlarged = matrix * [[ENLARGED, 1, 1], [1, ENLARGED, 1], [1, 1, 1]]
+        calibration = Calibration(
+            enlarged, np.eye(4), lens="plumb_bob", distortion=[K1, 0.0, 0.0, 0.0, 0.0]
+        )
         table = rays(calibration.lens_model, enlarged, rgb.shape[:2])
         column, row = (
             (table[..., axis] * matrix[axis, axis] + matrix[axis, 2]).astype(np.float32)
             for axis in (0, 1)
         )
-        points = np.fromfile(root / "points" / f"{path.stem}.bin", np.float32).reshape(-1, 6)
         yield cv2.remap(rgb, column, row, cv2.INTER_LINEAR), points, calibration
 
 

@@ -31,6 +31,7 @@ from runtime import project_points
 from runtime.bundled_models import find_model
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.projection import OcclusionFilter
+from runtime.io.images import read_rgb
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.source_recipe import SourceRecipe
@@ -114,13 +115,8 @@ def read_pandaset(
     """
     root = find_folder(folders, "pandaset_front")
     assert root is not None
-    camera = json.loads((root / "intrinsics.json").read_text())
-    matrix = np.array(
-        [[camera["fx"], 0, camera["cx"]], [0, camera["fy"], camera["cy"]], [0, 0, 1]], np.float64
-    )
-    for index, path in enumerate(sorted((root / "image").glob("*.jpg"))):
-        points = np.fromfile(root / "points" / f"{path.stem}.bin", np.float32).reshape(-1, 6)
-        rgb, intrinsics = reduce(read_picture(path), matrix, rows)
+    for index, (rgb, points, matrix) in enumerate(pandaset_frames(root)):
+        rgb, intrinsics = reduce(rgb, matrix, rows)
         size = (rgb.shape[0], rgb.shape[1])
         first, second = (
             project_points(points[points[:, 4] == device, :3], intrinsics, np.eye(4), size)
@@ -128,6 +124,17 @@ def read_pandaset(
         )
         whole = Frame(rgb, first, second, intrinsics[0, 0])
         yield withhold(whole, share, index, hidden)
+
+
+def pandaset_frames(
+    root: Path,
+) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float64]]]:
+    """Yield picture, points (N, 6), whose fifth column is their LiDAR, and K of each frame."""
+    camera = json.loads((root / "intrinsics.json").read_text())
+    rows = [[camera["fx"], 0, camera["cx"]], [0, camera["fy"], camera["cy"]], [0, 0, 1]]
+    for path in sorted((root / "image").glob("*.jpg")):
+        points = np.fromfile(root / "points" / f"{path.stem}.bin", np.float32).reshape(-1, 6)
+        yield read_rgb(path), points, np.array(rows, np.float64)
 
 
 def read_delft(
@@ -139,15 +146,10 @@ def read_delft(
     for index, path in enumerate(sorted((root / "image").glob("*.jpg"))):
         calibration = Calibration.from_kitti(root / "calib" / f"{path.stem}.txt")
         points = np.fromfile(root / "velodyne" / f"{path.stem}.bin", np.float32).reshape(-1, 4)
-        rgb, intrinsics = reduce(read_picture(path), calibration.intrinsics, ROWS)
+        rgb, intrinsics = reduce(read_rgb(path), calibration.intrinsics, ROWS)
         size = (rgb.shape[0], rgb.shape[1])
         returns = project_points(points, intrinsics, calibration.extrinsics, size)
         yield withhold(Frame(rgb, returns, returns, intrinsics[0, 0]), share, index, hidden)
-
-
-def read_picture(path: Path) -> NDArray[np.uint8]:
-    """Read a picture as RGB."""
-    return np.asarray(cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB), np.uint8)
 
 
 def reduce(

@@ -1,40 +1,33 @@
-"""A row of the table, of a made-up predictor."""
+"""What cutting columns changes, of a made-up predictor."""
 
 import numpy as np
 import pytest
 
-import stability
-from models import CLASS_TABLES
-from runtime.errors import InputError
-from stability import run_probes
+from stability import changed_share
 from training.datasets.sample import Sample
-from training.evaluation.scored_model import ScoredModel
 from training.evaluation.scoring import HeadMaps
 
-HEIGHT, WIDTH = 20, 100
+ROAD, SKY = 3, 0
 
 
-def answer(like, semantic=3, depth=20.0):
-    size = like.shape[:2]
-    return HeadMaps(np.full(size, semantic, np.uint8), np.full(size, depth, np.float32), None)
+def test_changes_far_from_returns_and_below_the_sky_are_counted():
+    """The depth of the lower half follows the width of the image, at a rate of 2 % a column."""
+    rgb, returns = np.zeros((40, 100, 3), np.uint8), np.zeros((40, 100), np.float32)
+    returns[:, 90] = 20  # columns 84 to 96 are not counted
 
+    def predict(rgb, sparse_depth, focal_length_px):
+        depth = np.full(rgb.shape[:2], 20.0, np.float32)
+        depth[20:] *= 1.02 ** (100 - rgb.shape[1])
+        semantic = np.full(rgb.shape[:2], ROAD, np.uint8)
+        semantic[:10] = SKY
+        return HeadMaps(semantic, depth)
 
-def samples():
-    depth = np.full((HEIGHT, WIDTH), 20, np.float32)
-    unknown = np.full((HEIGHT, WIDTH), 3, np.uint8)
-    rgb = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8)
-    return [Sample(rgb, {"depth": depth, "semantic": unknown}, None, "a", sparse_depth=depth)] * 2
-
-
-@pytest.mark.parametrize(("classes", "missing"), [("camvid", set()), ("cityscapes", {"camvid"})])
-def test_a_row_has_every_figure_that_its_model_can_have(classes, missing):
-    model = ScoredModel(lambda rgb, *_: answer(rgb), CLASS_TABLES[classes], "by hand", classes)
-    figures = run_probes(model, samples(), samples(), samples())
-    known = {key for key, _, _ in stability.COLUMNS if key.split("_")[0] not in missing}
-    # Every pixel has a return, and none is sky.
-    assert figures.keys() == known - {"shift_depth", "seam", "border"}
-    model = ScoredModel(
-        lambda rgb, *_: answer(rgb)._replace(depth=None), CLASS_TABLES[classes], "by hand"
+    frames = [Sample(rgb, {}, None, "a", sparse_depth=returns)] * 2
+    counted = [100 - 32 - columns - 13 for columns in (1, 2, 3, 5, 8)]
+    by_three_columns_and_more = sum(counted[2:]) / sum(counted)
+    assert changed_share(predict, frames, sky=SKY) == pytest.approx(
+        20 / 30 * by_three_columns_and_more
     )
-    with pytest.raises(InputError, match="semantic and depth"):
-        run_probes(model, samples(), samples(), samples())
+    assert changed_share(predict, frames, sky=None) == pytest.approx(
+        20 / 40 * by_three_columns_and_more
+    )
