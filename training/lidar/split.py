@@ -25,6 +25,12 @@ HDL64_ELEVATIONS_DEG: NDArray[np.float64] = np.concatenate(
 SENSOR_LINES = len(HDL64_ELEVATIONS_DEG)
 #: The line of a sensor with a single line.
 _HORIZON_LINE = 8
+#: Of the simulated LiDAR: the longest range [m], the standard deviations of a range [m] and of the
+#: tilt of a scan [degrees], and the angle between two firings of an HDL-64E at 10 Hz [degrees].
+_RANGE_M, _NOISE_M, _TILT_DEG, _STEP_DEG = 85.0, 0.02, 0.4, 0.17
+#: Share of its returns that is lost at any range, and the share that is lost in addition at the
+#: longest range; that one grows with the square of the range.
+_LOST_SHARE, _LOST_FAR_SHARE = 0.08, 0.35
 
 
 def random_share(depth: Depth, share: float, rng: Generator) -> Depth:
@@ -64,7 +70,6 @@ def scan_line_index(
     intrinsics: NDArray[np.float64],
     lines: int,
     *,
-    azimuth_step_deg: float = 0.17,
     pitch_deg: float = 0.0,
     phase: float = 0.0,
 ) -> NDArray[np.int16]:
@@ -73,15 +78,14 @@ def scan_line_index(
     The LiDAR is at the camera's position, so a beam keeps its elevation angle and its trace in the
     image is a slightly bent line: v = cy - fy tan(elevation) / cos(azimuth).
 
-    size: (height, width). intrinsics: (3, 3). lines: a divisor of 64, or 128.
-    azimuth_step_deg: angle between two firings (0.17 is an HDL-64E at 10 Hz). pitch_deg: tilt of
+    size: (height, width). intrinsics: (3, 3). lines: a divisor of 64, or 128. pitch_deg: tilt of
     the LiDAR, up is positive. phase: 0..1 of a step, the azimuth of the first firing. Returns
     (H, W) int16.
     """
     height, width = size
     fx, fy = intrinsics[0, 0], intrinsics[1, 1]
     cx, cy = intrinsics[0, 2], intrinsics[1, 2]
-    step = np.deg2rad(azimuth_step_deg)
+    step = np.deg2rad(_STEP_DEG)
     first = np.floor(np.arctan2(-cx, fx) / step)
     last = np.ceil(np.arctan2(width - cx, fx) / step)
     azimuth = (np.arange(first, last + 1) + phase) * step
@@ -96,49 +100,30 @@ def scan_line_index(
     return index
 
 
-def scan_lines(
-    depth: Depth,
-    intrinsics: NDArray[np.float64],
-    lines: int,
-    rng: Generator,
-    *,
-    max_range_m: float = 85.0,
-    range_noise_m: float = 0.02,
-    drop_share: float = 0.08,
-    far_drop_share: float = 0.35,
-    pitch_jitter_deg: float = 0.4,
-    azimuth_step_deg: float = 0.17,
-) -> Depth:
+def scan_lines(depth: Depth, intrinsics: NDArray[np.float64], lines: int, rng: Generator) -> Depth:
     """Simulate a LiDAR with this number of lines, a divisor of 64 or 128, on dense depth.
 
+    Ranges have noise, some returns are lost, the more the farther they are, and the whole scan is
+    tilted at random, so that lines do not fall on the same rows in every frame. At 375 x 1242 and
+    64 lines about 4 % of the pixels have a return, as in KITTI.
+
     depth: (H, W) float32 metres along the optical axis, 0 = no surface (sky: no return).
-    intrinsics: (3, 3). max_range_m: longest range, along the ray. range_noise_m: standard
-    deviation along the ray. drop_share: returns lost at any range; far_drop_share: additional
-    share lost at max_range_m, growing with the square of the range. pitch_jitter_deg: standard
-    deviation of the tilt of the whole scan, so that lines do not fall on the same rows in every
-    frame. Returns (H, W) float32, 0 = no return. At 375 x 1242 and 64 lines about 4 % of the pixels
-    have a return, as in KITTI.
+    intrinsics: (3, 3). Returns (H, W) float32, 0 = no return.
     """
     height, width = depth.shape
-    beam = scan_line_index(
-        (height, width),
-        intrinsics,
-        lines,
-        azimuth_step_deg=azimuth_step_deg,
-        pitch_deg=pitch_jitter_deg * float(rng.standard_normal()),
-        phase=float(rng.random()),
-    )
+    pitch_deg = _TILT_DEG * float(rng.standard_normal())
+    phase = float(rng.random())
+    beam = scan_line_index((height, width), intrinsics, lines, pitch_deg=pitch_deg, phase=phase)
     row, column = np.nonzero((beam >= 0) & (depth > 0))
-    z = depth[row, column].astype(np.float64)
     x = (column - intrinsics[0, 2]) / intrinsics[0, 0]
     y = (row - intrinsics[1, 2]) / intrinsics[1, 1]
     ray_length = np.sqrt(x * x + y * y + 1.0)
-    distance = z * ray_length
-    lost = drop_share + far_drop_share * np.square(distance / max_range_m)
-    returned = (rng.random(len(z)) >= lost) & (distance <= max_range_m)
-    measured = distance + range_noise_m * rng.standard_normal(len(z))
-    sparse = np.zeros_like(depth, dtype=np.float32)
+    distance = depth[row, column].astype(np.float64) * ray_length
+    lost = _LOST_SHARE + _LOST_FAR_SHARE * np.square(distance / _RANGE_M)
+    returned = (rng.random(len(row)) >= lost) & (distance <= _RANGE_M)
+    measured = distance + _NOISE_M * rng.standard_normal(len(row))
     keep = returned & (measured > 0)
+    sparse = np.zeros_like(depth, dtype=np.float32)
     sparse[row[keep], column[keep]] = (measured / ray_length)[keep]
     return sparse
 
