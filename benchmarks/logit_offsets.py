@@ -9,7 +9,7 @@ gives to `training.release.add_offsets`.
 """
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -60,13 +60,13 @@ def main() -> None:
 
     def score(offsets: NDArray[np.float32]) -> float:
         camvid, streets = sets["training frames"]
-        miou, road = rate(camvid, streets, offsets, names.index("road"))
+        miou, road = rate(camvid, streets, offsets, names)
         return miou + ROAD_SHARE * road
 
     fitted = climb(score, np.zeros(len(names), np.float32))
     for name, (camvid, streets) in sets.items():
         for title, offsets in (("before", np.zeros_like(fitted)), ("after", fitted)):
-            miou, road = rate(camvid, streets, offsets, names.index("road"))
+            miou, road = rate(camvid, streets, offsets, names)
             print(f"{name}, {title}: CamVid mIoU {miou:.4f}, streets' road IoU {road:.4f}")
     print({name: float(step) for name, step in zip(names, fitted, strict=True) if step})
 
@@ -97,14 +97,14 @@ def predict(
 
 
 def rate(
-    camvid: Frames, streets: Frames, offsets: NDArray[np.float32], road: int
+    camvid: Frames, streets: Frames, offsets: NDArray[np.float32], names: Sequence[str]
 ) -> tuple[float, float]:
     """Return the mIoU and the road's IoU with the offsets added, each 0..1."""
     semantic, roads = SemanticScores(len(offsets)), RoadScores(len(offsets))
     for frames, scores in ((camvid, semantic), (streets, roads)):
         for logits, labels in frames:
             scores.update((logits + offsets[:, None, None]).argmax(0).astype(np.uint8), labels)
-    return semantic.compute().mean_iou, roads.compute(road)
+    return semantic.figures()["miou"], roads.figures(names)["road_iou"]
 
 
 def climb(

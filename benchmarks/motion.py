@@ -187,10 +187,10 @@ def main() -> None:
     print("| returns | " + " | ".join(f"{region} MAE | RMSE" for region in REGIONS) + " |")
     print("|---" * 7 + "|")
     for way, regions in errors.items():
-        found = [sums.compute() for sums in regions.values()]
-        cells = " | ".join(f"{each.mae:.3f} | {each.rmse:.3f}" for each in found)
+        found = [sums.figures("m") for sums in regions.values()]
+        cells = " | ".join(f"{each['mae_m']:.3f} | {each['rmse_m']:.3f}" for each in found)
         print(f"| ({way}) {WAYS[way]} | {cells} |")
-    counts = {region: sums.compute().pixels for region, sums in errors["d"].items()}
+    counts = {region: sums.pixels for region, sums in errors["d"].items()}
     print(f"\n{len(frames) // 2} frames without their scan; scored pixels: {counts}")
 
 

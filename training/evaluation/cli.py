@@ -76,19 +76,16 @@ def evaluate(
     """Score models on data sets; prints a table."""
     with reported_errors("cpu,train"):
         # Heavy imports here, so that --help answers at once.
+        from runtime.io.atomic_write import require_writable
         from runtime.network_size import parse_network_size
         from training.evaluation.evaluate import DepthFolder
         from training.evaluation.evaluate import evaluate as run
-        from training.evaluation.score_report import (
-            check_output,
-            format_table,
-            write_json,
-        )
+        from training.evaluation.score_report import format_table, write_json
         from training.lidar.split import LidarInput
         from training.recipe import parse_source
 
         if json is not None:
-            check_output(json, "--json")
+            require_writable(json)
         folder = None if save is None else DepthFolder(save, overwrite)
         if folder is not None:
             folder.require_free()

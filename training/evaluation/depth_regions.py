@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.metrics import Accumulator, Errors, ErrorSums, scored
+from training.evaluation.metrics import Accumulator, ErrorSums, scored
 
 RETURN_REACH_PX = 12
 EDGE_REACH_PX = 3
@@ -73,9 +73,12 @@ class DepthRegionScores(Accumulator):
         for region, mask in regions.items():
             self._sums[region].add(error[mask[known]])
 
-    def compute(self) -> dict[str, Errors]:
-        """Return the errors [m] of all frames so far, by region."""
-        return {region: sums.compute() for region, sums in self._sums.items()}
+    def figures(self) -> dict[str, float]:
+        """Return the errors [m] of all frames so far."""
+        figures: dict[str, float] = {}
+        for region, sums in self._sums.items():
+            figures |= sums.figures(f"m_{region}")
+        return figures
 
 
 def is_dense(depth: NDArray[np.floating]) -> bool:

@@ -26,7 +26,7 @@ from training.evaluation.scored_model import ScoredModel, open_method, open_mode
 from training.evaluation.scoring import HeadMaps, Scores, figures_over_places
 from training.lidar.faults import Fault, add_fault
 from training.lidar.split import LidarInput, frame_generator, split_lidar
-from training.loading.open_dataset import open_dataset
+from training.loading.open_dataset import open_dataset, spread_indices
 
 
 @dataclass(frozen=True)
@@ -43,17 +43,15 @@ class DepthFolder:
 
     def require_free(self) -> None:
         """Raise an OutputError for a folder with other files or that cannot be written."""
-        if self.folder.exists() and not self.folder.is_dir():
-            raise OutputError(f"{self.folder} is not a folder: choose another --save")
-        if not self.overwrite and self.folder.is_dir() and any(self.folder.iterdir()):
+        if not self.folder.is_dir():
+            require_folder_free(self.folder, overwrite=self.overwrite)
+        elif any(self.folder.iterdir()) and not self.overwrite:
             raise OutputError(
                 f"{self.folder} is not empty: choose another --save, or replace depth of the same "
                 "names with --overwrite"
             )
-        if self.folder.is_dir():
-            require_writable(self.folder / "depth.png")
         else:
-            require_folder_free(self.folder)
+            require_writable(self.folder / "depth.png")
 
     def write(self, parts: Sequence[str], depth: NDArray[np.float32] | None) -> None:
         """Write a depth, float32 (H, W) [m], to the file of these folders and this name.
@@ -259,8 +257,6 @@ def _score_all(
     *,
     leave_out_fed: bool,
 ) -> list[Row]:
-    count = len(source) if limit is None else min(limit, len(source))
-    indices = np.unique(np.linspace(0, len(source) - 1, count).round().astype(int))
     inputs = [(lidar, fault) for lidar in lidars for fault in faults]
     # Of every input by place, None = a place that the set does not know.
     scores: dict[tuple[LidarInput, Fault], dict[str | None, Scores]] = {item: {} for item in inputs}
@@ -268,14 +264,15 @@ def _score_all(
     labelled = False
     label_ids = classes.lookup(classes.table, IGNORE)
     answer_ids = classes.lookup(model.table, len(classes.names))
+    indices = spread_indices(source, limit or len(source))
     for index in tqdm(indices, desc=f"{name}, {title}", disable=None):
-        sample = source[int(index)]  # once: reading it may cost more than an answer
+        sample = source[index]  # once: reading it may cost more than an answer
         labelled |= bool((sample.semantic != IGNORE).any())
         if "semantic" in sample.targets:
             sample = sample.with_targets(semantic=label_ids[sample.semantic])
         answers: dict[str, HeadMaps] = {}  # all inputs without returns share one answer
         for lidar, fault in inputs:
-            rng = frame_generator(int(index))  # the same for every model, whatever the limit
+            rng = frame_generator(index)  # the same for every model, whatever the limit
             frame = split_lidar(sample, lidar, rng)
             if frame is None:
                 continue

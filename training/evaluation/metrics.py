@@ -1,21 +1,21 @@
 """The metrics of Table 1, KITTI's inverse-depth errors, boundary precision and recall, road IoU.
 
 Each `...Scores` accumulates over frames with `update`, adds another's sums with `merge`, and
-`compute` returns the metrics of all frames together. Everything is counted over pixels, not
-averaged over frames. A number that nothing was measured for is NaN.
+`figures` returns the metrics of all frames together by name: shares 0..1, metres, 1/km, pixels.
+Everything is counted over pixels, not averaged over frames. What nothing was measured for is left
+out.
 """
 
 import math
-from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any, Self
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torchmetrics.functional.classification import multiclass_confusion_matrix
 
+from models.classes import CATEGORIES
 from training.losses.boundary import boundary_target
 from training.losses.semantic import IGNORE
 
@@ -32,6 +32,8 @@ BOUNDARY_THRESHOLDS = tuple(threshold / 20 for threshold in range(6, 20))
 TOLERANCE_PX = 2
 _REACH = np.arange(-TOLERANCE_PX, TOLERANCE_PX + 1)
 _DISK = (_REACH[:, None] ** 2 + _REACH[None, :] ** 2 <= TOLERANCE_PX**2).astype(np.uint8)
+#: Name, in lower case, of the class that is scored against masks of the road.
+ROAD = "road"
 #: Smaller predictions are clipped to this value before depth is inverted [m].
 _NEAREST_M = 0.1
 
@@ -53,36 +55,23 @@ class Accumulator:
                         part.merge(theirs[key])
 
 
-@dataclass(frozen=True)
-class SemanticMetrics:
-    """Table 1, shares 0..1.
-
-    Attributes:
-        class_iou: by class id; NaN for a class neither labelled nor predicted.
-    """
-
-    accuracy: float
-    mean_accuracy: float
-    mean_iou: float
-    frequency_weighted_iou: float
-    class_iou: tuple[float, ...]
-
-
 class SemanticScores(Accumulator):
     """Acc, mAcc, mIoU and fwIoU from one confusion matrix.
 
-    A class that is neither in the ground truth nor predicted is left out of mIoU; one that is only
-    predicted counts with IoU 0. mAcc is over the classes in the ground truth.
+    A class that is neither in the ground truth nor predicted is left out of mIoU, and its own IoU
+    is NaN; one that is only predicted counts with IoU 0. mAcc is over the classes in the ground
+    truth. An answer of the id ``num_classes`` is a class that is none of these: wrong, whatever the
+    label.
 
     Attributes:
-        confusion: int64 (C, C), pixels by label (row) and prediction (column).
+        confusion: int64 (C, C + 1), pixels by label (row) and prediction (column).
         frames: int64 (C,), frames in which a class is labelled.
         unscored: int64 (2,), pixels without a class, and all pixels.
     """
 
     def __init__(self, num_classes: int) -> None:
-        self.num_classes = num_classes
-        self.confusion: NDArray[np.int64] = np.zeros((num_classes, num_classes), dtype=np.int64)
+        shape = (num_classes, num_classes + 1)
+        self.confusion: NDArray[np.int64] = np.zeros(shape, dtype=np.int64)
         self.frames: NDArray[np.int64] = np.zeros(num_classes, dtype=np.int64)
         self.unscored: NDArray[np.int64] = np.zeros(2, dtype=np.int64)
 
@@ -94,54 +83,56 @@ class SemanticScores(Accumulator):
             semantic: the labels, class ids (H, W); 255 = ignore.
         """
         known = semantic != IGNORE
-        counts = multiclass_confusion_matrix(
-            torch.from_numpy(prediction[known].astype(np.int64)),
-            torch.from_numpy(semantic[known].astype(np.int64)),
-            num_classes=self.num_classes,
-            validate_args=False,
-        )
+        pairs = semantic[known].astype(np.intp) * self.confusion.shape[1] + prediction[known]
+        counts = np.bincount(pairs, minlength=self.confusion.size).reshape(self.confusion.shape)
         self.unscored += (known.size - known.sum(), known.size)
-        self.confusion += counts.numpy()
-        self.frames += counts.numpy().any(axis=1)
+        self.confusion += counts
+        self.frames += counts.any(axis=1)
 
-    def compute_categories(
-        self, class_names: Sequence[str], groups: Mapping[str, Set[str]]
-    ) -> dict[str, float]:
-        """Return the IoU of every category (Cityscapes' IoU_cat is their mean).
-
-        A pixel labelled as a class of no category does not count; one that is only predicted so is
-        wrong for the category it is labelled as.
+    def figures(self, class_names: Sequence[str] = ()) -> dict[str, float]:
+        """Return the metrics of all frames so far.
 
         Args:
-            class_names: of the ids 0..C-1.
-            groups: category -> names of its classes; a category without any of these classes is
-                left out.
+            class_names: of the ids; without them there is no IoU of single classes.
         """
-        groups = {name: group for name, group in groups.items() if group & set(class_names)}
+        if not self.confusion.any():
+            return {}
+        labelled, hit = self.confusion.sum(axis=1), np.diag(self.confusion)
+        iou = _ratio(hit, labelled + self.confusion.sum(axis=0)[:-1] - hit)
+        figures = {
+            "miou": float(np.nanmean(iou)),
+            "accuracy": float(hit.sum() / labelled.sum()),
+            "mean_accuracy": float(np.nanmean(_ratio(hit, labelled))),
+            "fwiou": float(np.nansum(labelled * iou) / labelled.sum()),
+        }
+        if class_names:
+            named = zip(class_names, iou.tolist(), strict=True)
+            figures |= {f"iou_{name}": value for name, value in named}
+            if not self.confusion[:, -1].any():  # of another class the category is not known
+                figures |= self._category_figures(class_names)
+        return figures
+
+    def _category_figures(self, class_names: Sequence[str]) -> dict[str, float]:
+        """Return the IoU of each of `CATEGORIES`, and their mean (Cityscapes' IoU_cat).
+
+        A pixel labelled as a class of no category does not count; one that is only predicted so is
+        wrong for the category it is labelled as. A category
+        without any of the classes is left out.
+        """
+        groups = {name: group for name, group in CATEGORIES.items() if group & set(class_names)}
         if not groups:
             return {}
         member = np.array([[name in group for name in class_names] for group in groups.values()])
-        labelled = self.confusion[member.any(axis=0)].astype(np.int64)
+        labelled = self.confusion[member.any(axis=0), :-1]
         rows = member[:, member.any(axis=0)]
         hit = np.einsum("gi,ij,gj->g", rows, labelled, member, dtype=np.int64)
-        union = rows @ labelled.sum(axis=1) + member @ labelled.sum(axis=0) - hit
-        iou = _ratio(hit.astype(np.float64), union)
-        return dict(zip(groups, iou.tolist(), strict=True))
-
-    def compute(self) -> SemanticMetrics:
-        """Return the metrics of all frames so far."""
-        hit = np.diag(self.confusion).astype(np.float64)
-        labelled = self.confusion.sum(axis=1)
-        union = labelled + self.confusion.sum(axis=0) - hit
-        iou = _ratio(hit, union)
-        in_truth = labelled > 0
-        return SemanticMetrics(
-            accuracy=float(_ratio(hit.sum(), labelled.sum())),
-            mean_accuracy=_mean(_ratio(hit, labelled)[in_truth]),
-            mean_iou=_mean(iou[union > 0]),
-            frequency_weighted_iou=float(_ratio((labelled * iou)[in_truth].sum(), labelled.sum())),
-            class_iou=tuple(iou.tolist()),
-        )
+        iou = _ratio(hit, rows @ labelled.sum(axis=1) + member @ labelled.sum(axis=0) - hit)
+        if np.isnan(iou).all():
+            return {}
+        figures = {
+            f"category_iou_{name}": value for name, value in zip(groups, iou.tolist(), strict=True)
+        }
+        return {"category_miou": float(np.nanmean(iou)), **figures}
 
 
 class RoadScores(Accumulator):
@@ -150,15 +141,11 @@ class RoadScores(Accumulator):
     Predicted road is the class of that name, whatever other classes there are.
 
     Attributes:
-        counts: int64 (2, C), pixels by mask (no road, road) and predicted class.
+        counts: int64 (2, C + 1), pixels by mask (no road, road) and predicted class.
     """
 
-    #: Values of a mask.
-    NO_ROAD, ROAD = 0, 1
-
     def __init__(self, num_classes: int) -> None:
-        self.num_classes = num_classes
-        self.counts: NDArray[np.int64] = np.zeros((2, num_classes), dtype=np.int64)
+        self.counts: NDArray[np.int64] = np.zeros((2, num_classes + 1), dtype=np.int64)
 
     def update(self, prediction: NDArray[np.integer], road_mask: NDArray[np.integer]) -> None:
         """Count a frame.
@@ -167,27 +154,22 @@ class RoadScores(Accumulator):
             prediction: class ids (H, W).
             road_mask: (H, W), 0 = not road, 1 = road, anything else = unknown.
         """
-        for row, value in enumerate((self.NO_ROAD, self.ROAD)):
-            ids = prediction[road_mask == value].astype(np.int64)
-            self.counts[row] += np.bincount(ids, minlength=self.num_classes)
+        for value in (0, 1):
+            ids = prediction[road_mask == value]
+            self.counts[value] += np.bincount(ids, minlength=self.counts.shape[1])
 
-    def compute(self, road: int) -> float:
-        """Return the IoU of the class `road`, 0..1; NaN without any pixel of either."""
+    def figures(self, class_names: Sequence[str]) -> dict[str, float]:
+        """Return the IoU of the class "road", in any case; NaN without any pixel of either."""
+        names = [name.lower() for name in class_names]
+        if not self.counts.any() or ROAD not in names:
+            return {}
+        road = names.index(ROAD)
         hit = self.counts[1, road]
-        return float(_ratio(hit, self.counts[1].sum() + self.counts[0, road]))
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Mean absolute and root mean square error, in the unit of the errors; NaN of no pixels."""
-
-    pixels: int
-    mae: float
-    rmse: float
+        return {"road_iou": float(_ratio(hit, self.counts[1].sum() + self.counts[0, road]))}
 
 
 class ErrorSums(Accumulator):
-    """`Errors` from sums over frames."""
+    """Mean absolute and root mean square error from sums over frames."""
 
     def __init__(self) -> None:
         self._sums = np.zeros(3)  # pixels, sum |e|, sum e^2
@@ -196,56 +178,25 @@ class ErrorSums(Accumulator):
         """Count errors of any shape."""
         self._sums += error.size, np.abs(error).sum(), np.square(error).sum()
 
-    def compute(self) -> Errors:
-        """Return the errors of all frames so far."""
-        pixels, absolute, square = self._sums
-        return Errors(
-            int(pixels), float(_ratio(absolute, pixels)), float(np.sqrt(_ratio(square, pixels)))
-        )
+    @property
+    def pixels(self) -> int:
+        """Number of errors so far."""
+        return int(self._sums[0])
 
-
-class ErrorMedian(Accumulator):
-    """The median of |e| in metres, of all frames together, by a histogram: to 0.3 %."""
-
-    def __init__(self) -> None:
-        self._counts = np.zeros(len(_ERROR_BINS_M) - 1)
-
-    def add(self, error: NDArray[np.float64]) -> None:
-        """Count errors [m] of any shape; values beyond the bins count in the last bin."""
-        inside = np.minimum(np.abs(error), _ERROR_BINS_M[-1])
-        self._counts += np.histogram(inside, _ERROR_BINS_M)[0]
-
-    def compute(self) -> float:
-        """Return the median of all frames so far [m]; NaN of no pixels."""
-        until = self._counts.cumsum()
-        if not until[-1]:
-            return float("nan")
-        middle = int(np.searchsorted(until, until[-1] / 2))
-        return float(np.sqrt(_ERROR_BINS_M[middle] * _ERROR_BINS_M[middle + 1]))
-
-
-@dataclass(frozen=True)
-class DepthMetrics:
-    """Errors of depth.
-
-    Attributes:
-        metres: over all scored pixels.
-        median_m: median of the absolute errors over the same pixels [m].
-        per_km: of inverse depth over the same pixels, as KITTI scores depth completion [1/km].
-        ranges: range [m] -> errors in metres where the true depth lies in it.
-    """
-
-    metres: Errors
-    median_m: float
-    per_km: Errors
-    ranges: Mapping[tuple[float, float], Errors]
+    def figures(self, name: str) -> dict[str, float]:
+        """Return mae_NAME and rmse_NAME of all errors so far, in their unit."""
+        pixels, absolute, square = self._sums.tolist()
+        if not pixels:
+            return {}
+        return {f"mae_{name}": absolute / pixels, f"rmse_{name}": math.sqrt(square / pixels)}
 
 
 class DepthScores(Accumulator):
     """MAE, RMSE, median, iMAE and iRMSE over the same pixels, and MAE and RMSE within ranges.
 
     A range is the true depths above its first and up to its last [m]. Pixels whose true depth
-    is beyond `FARTHEST_M` are not scored.
+    is beyond `FARTHEST_M` are not scored. The median is that of a histogram, to 0.3 %. Inverse
+    depth is scored as KITTI scores depth completion [1/km].
 
     Attributes:
         unscored: int64 (2,), pixels of these depths, and all with a true depth.
@@ -253,8 +204,9 @@ class DepthScores(Accumulator):
 
     def __init__(self) -> None:
         self.unscored: NDArray[np.int64] = np.zeros(2, dtype=np.int64)
-        self._metres, self._per_km, self._median = ErrorSums(), ErrorSums(), ErrorMedian()
+        self._metres, self._per_km = ErrorSums(), ErrorSums()
         self._ranges = {item: ErrorSums() for item in RANGES_M}
+        self._histogram = np.zeros(len(_ERROR_BINS_M) - 1)
 
     def update(self, prediction: NDArray[np.floating], depth: NDArray[np.floating]) -> None:
         """Count a frame.
@@ -270,27 +222,26 @@ class DepthScores(Accumulator):
         answer = prediction[known].astype(np.float64)
         error = answer - truth
         self._metres.add(error)
-        self._median.add(error)
+        # Errors beyond the bins count in the last one.
+        self._histogram += np.histogram(
+            np.minimum(np.abs(error), _ERROR_BINS_M[-1]), _ERROR_BINS_M
+        )[0]
         for (above, limit), sums in self._ranges.items():
             sums.add(error[(truth > above) & (truth <= limit)])
         self._per_km.add(1000 * (1 / np.maximum(answer, _NEAREST_M) - 1 / truth))
 
-    def compute(self) -> DepthMetrics:
+    def figures(self) -> dict[str, float]:
         """Return the metrics of all frames so far."""
-        ranges = {item: sums.compute() for item, sums in self._ranges.items()}
-        return DepthMetrics(
-            self._metres.compute(), self._median.compute(), self._per_km.compute(), ranges
-        )
-
-
-@dataclass(frozen=True)
-class BoundaryMetrics:
-    """Precision, recall and their harmonic mean at one threshold, shares 0..1."""
-
-    threshold: float
-    precision: float
-    recall: float
-    f_score: float
+        figures = self._metres.figures("m")
+        if not figures:
+            return {}
+        for (above, limit), sums in self._ranges.items():
+            figures |= sums.figures(f"m_{above:g}_{limit:g}")
+        until = self._histogram.cumsum()
+        middle = int(np.searchsorted(until, until[-1] / 2))
+        figures["median_m"] = math.sqrt(_ERROR_BINS_M[middle] * _ERROR_BINS_M[middle + 1])
+        inverse = self._per_km.figures("per_km")
+        return figures | {f"i{name}": value for name, value in inverse.items()}
 
 
 class DisparityScores(ErrorSums):
@@ -325,7 +276,7 @@ class BoundaryScores(Accumulator):
     pixel lies within `TOLERANCE_PX` of it (Euclidean), and the reverse is a found pixel; that is
     dilation, not one-to-one matching. Predictions are not thinned: a line that is thick, but within
     the tolerance of the truth, is right. Pixels whose truth is unknown are left out. Of several
-    thresholds `compute` takes that of the best F-score over the whole set (ODS).
+    thresholds `figures` takes that of the best F-score over the whole set (ODS).
     """
 
     def __init__(self) -> None:
@@ -353,29 +304,23 @@ class BoundaryScores(Accumulator):
                 np.count_nonzero(true & near),
             )
 
-    def compute(self, threshold: float | None = None) -> BoundaryMetrics:
+    def figures(self, threshold: float | None = None) -> dict[str, float]:
         """Return the metrics of all frames so far at a threshold; None = the best.
 
-        Precision is NaN where nothing was predicted, recall where nothing was to be found; the
-        F-score is then 0, or NaN if both are missing.
+        Precision is NaN where nothing was predicted; the F-score is then 0.
         """
-        if threshold is not None:
-            return self._metrics()[BOUNDARY_THRESHOLDS.index(threshold)]
-        return max(self._metrics(), key=lambda item: item.f_score)
-
-    def _metrics(self) -> list[BoundaryMetrics]:
-        """Return the metrics at each threshold."""
-        metrics = []
-        for threshold, (predicted, right, true, found) in zip(
-            BOUNDARY_THRESHOLDS, self._counts.tolist(), strict=True
-        ):
-            precision = right / predicted if predicted else float("nan")
-            recall = found / true if true else float("nan")
-            f_score = 2 * precision * recall / (precision + recall) if right and found else 0.0
-            if not (predicted or true):
-                f_score = float("nan")
-            metrics.append(BoundaryMetrics(threshold, precision, recall, f_score))
-        return metrics
+        predicted, right, true, found = self._counts.T
+        if not true.any():
+            return {}
+        precision, recall = _ratio(right, predicted), _ratio(found, true)
+        f_score = np.where(right * found, _ratio(2 * precision * recall, precision + recall), 0.0)
+        best = f_score.argmax() if threshold is None else BOUNDARY_THRESHOLDS.index(threshold)
+        return {
+            "boundary_f": float(f_score[best]),
+            "boundary_precision": float(precision[best]),
+            "boundary_recall": float(recall[best]),
+            "boundary_threshold": BOUNDARY_THRESHOLDS[best],
+        }
 
 
 def scored(depth: NDArray[np.floating]) -> NDArray[np.bool_]:
@@ -387,10 +332,6 @@ def _ratio(numerator: Any, denominator: Any) -> NDArray[np.float64]:
     """Divide; 0 / 0 is NaN without a warning."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.true_divide(numerator, denominator), dtype=np.float64)
-
-
-def _mean(values: NDArray[np.float64]) -> float:
-    return float(values.mean()) if values.size else float("nan")
 
 
 def frame_errors(
@@ -405,6 +346,6 @@ def frame_errors(
         depth: (H, W), metres.
         truth: (H, W), metres, 0 = none; not scored beyond `FARTHEST_M`.
     """
-    known = (truth > 0) & (truth <= FARTHEST_M)
+    known = scored(truth)
     error = np.abs(np.minimum(depth[known], FARTHEST_M) - truth[known])
     return float(error.mean()), math.sqrt(np.square(error).mean()), float(np.median(error))

@@ -16,6 +16,7 @@ from training.datasets.sample import IGNORE, SampleSource, target_kind
 from training.evaluation.scoring import HeadMaps, Predict, split_frames
 from training.lidar.split import LidarInput
 from training.loading.mixture import Batch
+from training.loading.open_dataset import spread_indices
 
 #: Largest width of a panel of a validation [px]: a long run has hundreds of them.
 _WIDEST = 320
@@ -43,8 +44,7 @@ def draw_pictures(
         InputError: for a LiDAR that the set cannot give.
     """
     overlay = Overlay(network.config.classes, network.config.max_depth_m)
-    indices = np.unique(np.linspace(0, len(source) - 1, count).round().astype(int))
-    for frame in split_frames(source, indices.tolist(), lidar):
+    for frame in split_frames(source, spread_indices(source, count), lidar):
         sample = frame.sample
         labelled = "semantic" in network.heads and (sample.semantic != IGNORE).any()
         has_depth = "depth" in network.heads and frame.target.any()

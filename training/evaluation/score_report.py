@@ -7,8 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from runtime.errors import OutputError
-from runtime.io.atomic_write import atomic_write, require_writable
+from runtime.io.atomic_write import atomic_write
 from training.evaluation.depth_regions import REGIONS, RETURN_DISTANCES
 from training.evaluation.metrics import FARTHEST_M, RANGES_M
 from training.evaluation.scoring import scored_classes
@@ -160,13 +159,6 @@ def format_table(rows: Sequence[Row], *, all_columns: bool = False) -> str:
     ]
     table.insert(1, "|" + "|".join("-" * (width + 2) for width in widths) + "|")
     return "\n".join([*table, *notes])
-
-
-def check_output(path: Path, option: str) -> None:
-    """Raise an OutputError for a path that cannot be written, before any work is done."""
-    if not path.parent.is_dir():
-        raise OutputError(f"{path}: there is no folder {path.parent}; make it, for {option}")
-    require_writable(path)
 
 
 def write_json(rows: Sequence[Row], path: Path) -> None:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from models import Network
 from models.answers import answers
-from models.classes import CATEGORIES
 from runtime.canonical_focal import camera_scale
 from runtime.contract import NO_CLASS
 from runtime.errors import InputError, SSDNetError
@@ -26,7 +25,6 @@ from training.evaluation.metrics import (
     BoundaryScores,
     DepthScores,
     DisparityScores,
-    Errors,
     RoadScores,
     SemanticScores,
 )
@@ -54,9 +52,6 @@ class HeadMaps(NamedTuple):
         """Head -> answer, for heads with an answer."""
         return {head: values for head, values in self._asdict().items() if values is not None}
 
-
-#: Name, in lower case, of the class that is scored against masks of the road.
-ROAD = "road"
 
 #: (rgb uint8 (H, W, 3), sparse_depth float32 (H, W) [m], focal length [px of this image] or None =
 #: unknown) -> answer at the same size.
@@ -110,21 +105,18 @@ def torch_predict(
 
 
 class Scores:
-    """Counts of a whole set, a part each head; a part without any target stays empty.
-
-    An answer of the id ``num_classes`` is a class that is none of these: wrong, whatever the label.
-    """
+    """Counts of a whole set, a part each head; a part without any target stays empty."""
 
     def __init__(self, num_classes: int) -> None:
         self.frames = 0
         self.heads: set[str] = set()  # heads that were answered
-        self.semantic = SemanticScores(num_classes + 1)
+        self.semantic = SemanticScores(num_classes)
         self.depth = DepthScores()
         self.boundary = BoundaryScores()
         self.disparity = DisparityScores()
         self.regions = DepthRegionScores()
         self.uncertainty = UncertaintyScores()
-        self.road = RoadScores(num_classes + 1)
+        self.road = RoadScores(num_classes)
 
     def update(self, answer: HeadMaps, frame: LidarSplit) -> None:
         """Count a frame; missing heads and targets are left out."""
@@ -157,7 +149,7 @@ class Scores:
     def labelled(self, class_names: Sequence[str]) -> dict[str, tuple[int, int]]:
         """Return class -> labelled pixels, and frames that show it, of those that are labelled."""
         pixels, frames = self.semantic.confusion.sum(axis=1), self.semantic.frames
-        counts = zip(class_names, pixels[:-1].tolist(), frames[:-1].tolist(), strict=True)
+        counts = zip(class_names, pixels.tolist(), frames.tolist(), strict=True)
         return {name: (n, shown) for name, n, shown in counts if n}
 
     def unscored(self) -> dict[str, float]:
@@ -174,48 +166,15 @@ class Scores:
             class_names: of the ids; without them there is no IoU of single classes.
             boundary_threshold: one of `BOUNDARY_THRESHOLDS`; None = that of the best F-score.
         """
-        figures: dict[str, float] = {}
-        if self.semantic.confusion.any():
-            semantic = self.semantic.compute()
-            class_iou = semantic.class_iou[:-1]
-            figures |= {
-                "miou": float(np.nanmean(class_iou)),
-                "accuracy": semantic.accuracy,
-                "mean_accuracy": semantic.mean_accuracy,
-                "fwiou": semantic.frequency_weighted_iou,
-            }
-            if class_names:
-                of_classes = zip(class_names, class_iou, strict=True)
-                figures |= {f"iou_{name}": value for name, value in of_classes}
-                if not self.semantic.confusion[:, -1].any():  # foreign classes
-                    figures |= _category_figures(self.semantic, (*class_names, ""))
-        names = [name.lower() for name in class_names]
-        if self.road.counts.any() and ROAD in names:
-            figures["road_iou"] = self.road.compute(names.index(ROAD))
-        depth = self.depth.compute()
-        figures |= _error_figures(depth.metres)
-        for (above, limit), errors in depth.ranges.items():
-            figures |= _error_figures(errors, f"m_{above:g}_{limit:g}")
-        if depth.metres.pixels:
-            figures["median_m"] = depth.median_m
-            figures |= {"imae_per_km": depth.per_km.mae, "irmse_per_km": depth.per_km.rmse}
-        for region, errors in self.regions.compute().items():
-            figures |= _error_figures(errors, f"m_{region}")
-        uncertainty = self.uncertainty.compute()
-        if uncertainty.pixels:
-            for share, mae_m in uncertainty.confident_mae_m.items():
-                figures[f"mae_m_confident_{100 * share:.0f}"] = mae_m
-            figures |= {"coverage_1": uncertainty.coverage_1, "coverage_2": uncertainty.coverage_2}
-        figures |= _error_figures(self.disparity.compute(), "px")
-        boundary = self.boundary.compute(boundary_threshold)
-        if not math.isnan(boundary.recall):
-            figures |= {
-                "boundary_f": boundary.f_score,
-                "boundary_precision": boundary.precision,
-                "boundary_recall": boundary.recall,
-                "boundary_threshold": boundary.threshold,
-            }
-        return figures
+        return {
+            **self.semantic.figures(class_names),
+            **self.road.figures(class_names),
+            **self.depth.figures(),
+            **self.regions.figures(),
+            **self.uncertainty.figures(),
+            **self.disparity.figures("px"),
+            **self.boundary.figures(boundary_threshold),
+        }
 
 
 def scored_classes(figures: Mapping[str, float]) -> str:
@@ -223,18 +182,6 @@ def scored_classes(figures: Mapping[str, float]) -> str:
     ious = [value for key, value in figures.items() if key.startswith("iou_")]
     known = sum(not math.isnan(value) for value in ious)
     return f" over {known} of {len(ious)} classes" if known < len(ious) else ""
-
-
-def _error_figures(errors: Errors, name: str = "m") -> dict[str, float]:
-    """Name the errors; errors over no pixels are left out."""
-    return {f"mae_{name}": errors.mae, f"rmse_{name}": errors.rmse} if errors.pixels else {}
-
-
-def _category_figures(semantic: SemanticScores, class_names: Sequence[str]) -> dict[str, float]:
-    categories = semantic.compute_categories(class_names, CATEGORIES)
-    known = [value for value in categories.values() if not math.isnan(value)]
-    figures = {f"category_iou_{name}": value for name, value in categories.items()}
-    return {"category_miou": sum(known) / len(known), **figures} if known else {}
 
 
 def figures_over_places(places: Iterable[Mapping[str, float]]) -> dict[str, float]:

@@ -1,8 +1,5 @@
 """How well an uncertainty of depth ranks the errors, and how well it covers them."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,23 +13,6 @@ SHARES = (0.5, 0.8, 1.0)
 
 # Bins of the uncertainty, equal in its logarithm: neighbours differ by 0.3 %.
 _LOWEST_M, _HIGHEST_M, _BINS = 1e-3, 1e3, 4096
-
-
-@dataclass(frozen=True)
-class UncertaintyMetrics:
-    """How well an uncertainty fits the errors.
-
-    Attributes:
-        confident_mae_m: share of the pixels, those of the least uncertainty -> their mean absolute
-            error [m].
-        coverage_1: share of the errors of at most one scale, see `LAPLACE_COVERAGE`.
-        coverage_2: share of the errors of at most two scales.
-    """
-
-    pixels: int
-    confident_mae_m: Mapping[float, float]
-    coverage_1: float
-    coverage_2: float
 
 
 class UncertaintyScores(Accumulator):
@@ -70,15 +50,20 @@ class UncertaintyScores(Accumulator):
         self._bins[:, 1] += np.bincount(index, weights=error, minlength=_BINS)
         self._within += [(error <= factor * scale).sum() for factor in (1, 2)]
 
-    def compute(self) -> UncertaintyMetrics:
-        """Return the metrics of all frames so far; NaN without any pixel."""
-        pixels = float(self._bins[:, 0].sum())
+    def figures(self) -> dict[str, float]:
+        """Return the errors [m] of the confident pixels, and shares of the errors by their scale.
+
+        coverage_1 and coverage_2: within one and two scales, see `LAPLACE_COVERAGE`.
+        """
+        pixels = self._bins[:, 0].sum()
         if not pixels:
-            nan = float("nan")
-            return UncertaintyMetrics(0, dict.fromkeys(SHARES, nan), nan, nan)
+            return {}
         counts, errors = np.vstack([np.zeros(2), self._bins.cumsum(axis=0)]).T
-        confident = {
-            share: float(np.interp(share * pixels, counts, errors) / (share * pixels))
+        figures = {
+            f"mae_m_confident_{100 * share:.0f}": float(
+                np.interp(share * pixels, counts, errors) / (share * pixels)
+            )
             for share in SHARES
         }
-        return UncertaintyMetrics(int(pixels), confident, *(self._within / pixels).tolist())
+        within = (self._within / pixels).tolist()
+        return figures | dict(zip(("coverage_1", "coverage_2"), within, strict=True))

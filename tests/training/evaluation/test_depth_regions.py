@@ -81,16 +81,18 @@ def test_errors_by_hand_and_merged():
     scores, other = DepthRegionScores(), DepthRegionScores()
     scores.update(answer, depth, fed)
     other.update(depth, depth, fed)
-    interior, edge, uncovered = (scores.compute()[region] for region in REGIONS)
+    figures = scores.figures()
     count = int((masks["interior"] & known).sum())
-    assert interior.pixels == count
-    assert interior.mae == pytest.approx((count + 2) / count)
-    assert interior.rmse == pytest.approx(np.sqrt((count + 8) / count))
-    assert edge.pixels == 0  # the post is farther than 12 px
-    assert np.isnan(edge.mae)
-    assert uncovered.mae == uncovered.rmse == 4
+    assert figures["mae_m_interior"] == pytest.approx((count + 2) / count)
+    assert figures["rmse_m_interior"] == pytest.approx(np.sqrt((count + 8) / count))
+    assert not any("edge" in name for name in figures)  # the post is farther than 12 px
+    assert figures["mae_m_uncovered"] == figures["rmse_m_uncovered"] == 4
+    assert figures["mae_m_return_0_px"] == 3
     scores.merge(other)
-    assert scores.compute()["uncovered"].mae == 2
+    assert scores.figures()["mae_m_uncovered"] == 2
+    scanned = DepthRegionScores()
+    scanned.update(answer, np.where(fed > 0, fed, 0), fed)
+    assert scanned.figures().keys() == {"mae_m_return_0_px", "rmse_m_return_0_px"}
 
 
 def test_rendered_depth_is_dense_and_accumulated_scans_are_not():

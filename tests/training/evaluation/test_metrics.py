@@ -9,49 +9,80 @@ from training.evaluation.metrics import (
     BoundaryScores,
     DepthScores,
     DisparityScores,
-    Errors,
     RoadScores,
     SemanticScores,
 )
 
 
 def test_semantic_metrics_by_hand():
-    #            label 0 0 0 0   1 1   2   ignored
     scores = SemanticScores(5)
     scores.update(
         np.array([[0, 0, 0, 1, 1, 3, 2, 0]], dtype=np.uint8),
         np.array([[0, 0, 0, 0, 1, 1, 2, 255]], dtype=np.uint8),
     )
-    metrics = scores.compute()
+    figures = scores.figures("abcde")
     # IoU: 3/4, 1/3, 1/1, 0/1 (class 3 only predicted); class 4 is nowhere and left out.
-    assert metrics.class_iou[:4] == pytest.approx((3 / 4, 1 / 3, 1.0, 0.0))
-    assert math.isnan(metrics.class_iou[4])
-    assert metrics.mean_iou == pytest.approx((3 / 4 + 1 / 3 + 1) / 4)
-    assert metrics.accuracy == pytest.approx(5 / 7)
-    assert metrics.mean_accuracy == pytest.approx((3 / 4 + 1 / 2 + 1) / 3)
-    assert metrics.frequency_weighted_iou == pytest.approx((4 * 3 / 4 + 2 / 3 + 1) / 7)
+    assert [figures[f"iou_{name}"] for name in "abcd"] == pytest.approx([3 / 4, 1 / 3, 1, 0])
+    assert math.isnan(figures["iou_e"])
+    assert figures["miou"] == pytest.approx((3 / 4 + 1 / 3 + 1) / 4)
+    assert figures["accuracy"] == pytest.approx(5 / 7)
+    assert figures["mean_accuracy"] == pytest.approx((3 / 4 + 1 / 2 + 1) / 3)
+    assert figures["fwiou"] == pytest.approx((4 * 3 / 4 + 2 / 3 + 1) / 7)
+    assert scores.frames.tolist() == [1, 1, 1, 0, 0]
+    assert scores.unscored.tolist() == [1, 8]
+    assert SemanticScores(5).figures("abcde") == {}
+    # A foreign class, 5, is a wrong answer, and no class of its own.
+    scores.update(np.full((1, 5), 5, np.uint8), np.full((1, 5), 2, np.uint8))
+    assert scores.figures("abcde")["iou_c"] == pytest.approx(1 / 6)
 
 
 def test_confusion_matrix_equals_loops_and_merges():
     rng = np.random.default_rng(0)
     frames = [
         (
-            rng.integers(0, 4, (9, 11)).astype(np.uint8),
+            rng.integers(0, 5, (9, 11)).astype(np.uint8),
             rng.choice([0, 1, 2, 3, 255], (9, 11)).astype(np.uint8),
         )
         for _ in range(3)
     ]
-    expected = np.zeros((4, 4), dtype=np.int64)
-    for prediction, semantic in frames:
+    expected = np.zeros((4, 5), dtype=np.int64)
+    first, second = SemanticScores(4), SemanticScores(4)
+    for scores, (prediction, semantic) in zip((first, second, second), frames, strict=True):
+        scores.update(prediction, semantic)
         for v, u in np.ndindex(9, 11):
             if semantic[v, u] != 255:
                 expected[semantic[v, u], prediction[v, u]] += 1
-    first, second = SemanticScores(4), SemanticScores(4)
-    first.update(*frames[0])
-    for frame in frames[1:]:
-        second.update(*frame)
     first.merge(second)
     np.testing.assert_array_equal(first.confusion, expected)
+
+
+def test_categories_join_their_classes():
+    scores = SemanticScores(4)
+    truth = np.array([[0, 0, 1, 1, 2, 2, 3, 255]])
+    scores.update(np.array([[1, 0, 0, 2, 2, 3, 2, 0]]), truth)
+    figures = scores.figures(["road", "sidewalk", "car", "misc"])
+    # Flat: 3 of 4 right, road for sidewalk is no mistake; nothing else is called flat. Car: one
+    # right, one called misc, one sidewalk called car; misc labelled does not count.
+    assert {name: value for name, value in figures.items() if "category" in name} == {
+        "category_miou": pytest.approx((3 / 4 + 1 / 3) / 2),
+        "category_iou_flat": pytest.approx(3 / 4),
+        "category_iou_vehicle": pytest.approx(1 / 3),
+    }
+    assert not any("category" in name for name in scores.figures("abcd"))
+
+
+def test_road_iou_by_hand():
+    scores, other = RoadScores(4), RoadScores(4)
+    mask = np.array([[1, 1, 1, 0, 0, 0, 255, 255]], np.uint8)
+    ids = np.array([[3, 3, 2, 3, 0, 1, 3, 0]], np.uint8)
+    scores.update(ids, mask)
+    # Of 3 pixels 2 are hit, and one more is predicted.
+    assert scores.figures(["a", "b", "c", "Road"]) == {"road_iou": pytest.approx(2 / 4)}
+    assert scores.figures(["a", "b", "road", "d"]) == {"road_iou": pytest.approx(1 / 3)}
+    assert scores.figures("abcd") == RoadScores(4).figures(["road", *"bcd"]) == {}
+    other.update(np.full_like(ids, 3), mask)
+    scores.merge(other)
+    assert scores.figures([*"abc", "road"])["road_iou"] == pytest.approx(5 / 10)
 
 
 def test_depth_metrics_by_hand():
@@ -60,73 +91,67 @@ def test_depth_metrics_by_hand():
         np.array([[12.0, 19.0, 44.0, 90.0, 5.0, 5.0, 5.0, 5.0]], dtype=np.float32),
         np.array([[10.0, 20.0, 40.0, 80.0, 0.0, np.nan, 100.5, np.inf]], dtype=np.float32),
     )
-    metrics = scores.compute()  # errors 2, 1, 4, 10
-    assert metrics.ranges == {
-        (0, 20): Errors(2, pytest.approx(1.5), pytest.approx(math.sqrt(5 / 2))),
-        (0, 50): Errors(3, pytest.approx(7 / 3), pytest.approx(math.sqrt(21 / 3))),
-        (0, 10): Errors(1, 2, 2),
-        (10, 20): Errors(1, 1, 1),
-        (20, 40): Errors(1, 4, 4),
-        (40, 100): Errors(1, 10, 10),
-    }
-    assert (metrics.metres.pixels, metrics.metres.mae) == (4, pytest.approx(17 / 4))
-    assert metrics.metres.rmse == pytest.approx(math.sqrt(121 / 4))
     inverse = [1000 / 10 - 1000 / 12, 1000 / 19 - 1000 / 20, 1000 / 40 - 1000 / 44, 12.5 - 100 / 9]
-    assert metrics.per_km.mae == pytest.approx(sum(inverse) / 4)
-    assert metrics.per_km.rmse == pytest.approx(math.sqrt(sum(x * x for x in inverse) / 4))
-
-
-def test_the_median_is_of_all_frames_together():
-    rng = np.random.default_rng(0)
-    depth = rng.uniform(5, 80, (2, 30, 40))
-    prediction = depth + rng.normal(0, 1.0, depth.shape) * rng.choice([0.01, 1, 30], depth.shape)
-    prediction = np.maximum(prediction, 0.0)
-    whole, parts = DepthScores(), [DepthScores(), DepthScores()]
-    for index, part in enumerate(parts):
-        whole.update(prediction[index], depth[index])
-        part.update(prediction[index], depth[index])
-    parts[0].merge(parts[1])
-    expected = np.median(np.abs(prediction - depth))
-    assert whole.compute().median_m == pytest.approx(expected, rel=0.01)
-    assert parts[0].compute().median_m == whole.compute().median_m
-    exact = DepthScores()
-    exact.update(depth[0], depth[0])
-    assert (exact.compute().median_m, exact.compute().metres.mae) == (0, 0)
-    assert math.isnan(DepthScores().compute().median_m)
-
-
-def test_depth_scores_accumulate_over_pixels_not_frames():
-    rng = np.random.default_rng(1)
-    frames = [(1 + 99 * rng.random((4, n)), 1 + 99 * rng.random((4, n))) for n in (3, 8, 20)]
-    merged = DepthScores()
-    for prediction, depth in frames:
-        one = DepthScores()
-        one.update(prediction, depth)
-        merged.merge(one)
-    error = np.concatenate([(prediction - depth).ravel() for prediction, depth in frames])
-    assert merged.compute().metres.mae == pytest.approx(np.abs(error).mean())
-    assert merged.compute().metres.rmse == pytest.approx(np.sqrt((error**2).mean()))
-    inverse = np.concatenate(
-        [(1e3 / prediction - 1e3 / depth).ravel() for prediction, depth in frames]
+    figures = scores.figures()  # errors 2, 1, 4, 10
+    assert 2 * 0.997 < figures.pop("median_m") < 2 * 1.003  # the lower middle
+    assert figures == pytest.approx(
+        {
+            "mae_m": 17 / 4,
+            "rmse_m": math.sqrt(121 / 4),
+            "mae_m_0_20": 1.5,
+            "rmse_m_0_20": math.sqrt(5 / 2),
+            "mae_m_0_50": 7 / 3,
+            "rmse_m_0_50": math.sqrt(21 / 3),
+            **{f"{error}_m_0_10": 2 for error in ("mae", "rmse")},
+            **{f"{error}_m_10_20": 1 for error in ("mae", "rmse")},
+            **{f"{error}_m_20_40": 4 for error in ("mae", "rmse")},
+            **{f"{error}_m_40_100": 10 for error in ("mae", "rmse")},
+            "imae_per_km": sum(inverse) / 4,
+            "irmse_per_km": math.sqrt(sum(x * x for x in inverse) / 4),
+        }
     )
-    assert merged.compute().per_km.mae == pytest.approx(np.abs(inverse).mean())
-    assert merged.compute().per_km.rmse == pytest.approx(np.sqrt((inverse**2).mean()))
+    assert scores.unscored.tolist() == [2, 6]
+    assert DepthScores().figures() == {}
 
 
-def test_no_answer_is_scored_and_nan_is_refused():
+def test_depth_is_scored_over_the_pixels_of_all_frames_together():
+    rng = np.random.default_rng(0)
+    depth = [rng.uniform(5, 80, (4, count)) for count in (30, 80, 200)]
+    answers = [d + rng.normal(0, 1, d.shape) * rng.choice([0.01, 1, 30], d.shape) for d in depth]
+    merged = DepthScores()
+    for answer, truth in zip(answers, depth, strict=True):
+        one = DepthScores()
+        one.update(answer, truth)
+        merged.merge(one)
+    error = np.abs(np.concatenate(answers, axis=1) - np.concatenate(depth, axis=1))
+    figures = merged.figures()
+    assert figures["mae_m"] == pytest.approx(error.mean())
+    assert figures["rmse_m"] == pytest.approx(np.sqrt((error**2).mean()))
+    assert figures["median_m"] == pytest.approx(np.median(error), rel=0.01)
+
+
+@pytest.mark.parametrize(("answer", "mae_m", "per_km"), [(0.0, 10.0, 9900.0), (10.0, 0.0, 0.0)])
+def test_no_answer_is_scored_as_a_depth_and_a_right_one_has_no_error(answer, mae_m, per_km):
     scores = DepthScores()
-    scores.update(np.zeros((1, 1)), np.full((1, 1), 10.0))
-    metrics = scores.compute()
-    assert metrics.metres.mae == 10.0
-    assert metrics.per_km.mae == pytest.approx(1000 / 0.1 - 1000 / 10)
-    assert math.isnan(DepthScores().compute().metres.mae)
+    scores.update(np.full((1, 1), answer), np.full((1, 1), 10.0))
+    figures = scores.figures()
+    assert figures["mae_m"] == mae_m == pytest.approx(figures["median_m"], rel=0.003)
+    assert figures["imae_per_km"] == pytest.approx(per_km)
 
 
-def two_halves(edge, size=(6, 12)):
-    """A label map that changes at one column, which is its boundary."""
-    semantic = np.zeros(size, dtype=np.uint8)
-    semantic[:, edge:] = 1
-    return semantic
+def test_disparity_errors_equal_the_hand_computed_ones():
+    depth = np.array([[10.0, 20.0, 0.0, 40.0, 100.5]])
+    answer = np.array([[20.0, 20.0, 5.0, 0.0, 5.0]])
+    scores, other = DisparityScores(), DisparityScores()
+    scores.update(answer[:, :2], depth[:, :2], 400.0)
+    other.update(answer[:, 2:], depth[:, 2:], 400.0)
+    scores.merge(other)
+    # 400 / 10 - 400 / 20 = 20 px; 0; unknown; 0 m is taken as 0.1 m: 4000 - 10 px; too far.
+    assert scores.pixels == 3
+    assert scores.figures("px") == {
+        "mae_px": pytest.approx((20 + 0 + 3990) / 3),
+        "rmse_px": pytest.approx(math.sqrt((20**2 + 3990**2) / 3)),
+    }
 
 
 def boundary_by_loops(probability, semantic, threshold, tolerance):
@@ -154,21 +179,29 @@ def boundary_by_loops(probability, semantic, threshold, tolerance):
     return share_near(predicted, true), share_near(true, predicted)
 
 
-def test_boundary_scores_equal_loops():
+@pytest.mark.parametrize("threshold", [0.4, 0.85])
+def test_boundary_scores_equal_loops(threshold):
     rng = np.random.default_rng(2)
     semantic = rng.choice([0, 1, 255], (5, 7)).repeat(3, axis=0).repeat(3, axis=1)
     probability = rng.random(semantic.shape) ** 6
     scores = BoundaryScores()
     scores.update(probability, semantic)
-    metrics = scores.compute(0.4)
-    expected = boundary_by_loops(probability, semantic, 0.4, 2)
-    assert (metrics.precision, metrics.recall) == pytest.approx(expected)
-    assert 0 < metrics.precision < 1
-    assert 0 < metrics.recall < 1
+    figures = scores.figures(threshold)
+    precision, recall = boundary_by_loops(probability, semantic, threshold, 2)
+    assert 0 < recall < 1
+    assert figures == pytest.approx(
+        {
+            "boundary_f": 2 * precision * recall / (precision + recall),
+            "boundary_precision": precision,
+            "boundary_recall": recall,
+            "boundary_threshold": threshold,
+        }
+    )
 
 
 def test_best_threshold_over_the_set_and_merge():
-    truth = two_halves(4)
+    truth = np.zeros((6, 12), np.uint8)
+    truth[:, 4:] = 1
     probability = np.full((6, 12), 0.38, dtype=np.float32)
     probability[:, 4] = 0.8
     total = BoundaryScores()
@@ -176,50 +209,11 @@ def test_best_threshold_over_the_set_and_merge():
         one = BoundaryScores()
         one.update(probability, truth)
         total.merge(one)
-    assert total.compute().threshold == 0.4  # the first of equal ones
-    assert total.compute().f_score == 1.0
-
-
-def test_categories_join_their_classes():
-    names = ("road", "sidewalk", "car", "misc")
-    groups = {"flat": {"road", "sidewalk"}, "vehicle": {"car"}, "sky": {"sky"}}
-    scores = SemanticScores(4)
-    truth = np.array([[0, 0, 1, 1, 2, 2, 3, 255]])
-    answer = np.array([[1, 0, 0, 2, 2, 3, 2, 0]])
-    scores.update(answer, truth)
-    # Flat: 3 of 4 right, road for sidewalk is no mistake; nothing else is called flat. Car: one
-    # right, one called misc, one sidewalk called car; misc labelled does not count.
-    assert scores.compute_categories(names, groups) == {
-        "flat": pytest.approx(3 / 4),
-        "vehicle": pytest.approx(1 / 3),
-    }
-    assert scores.compute_categories(("a", "b", "c", "d"), groups) == {}
-
-
-def test_disparity_errors_equal_the_hand_computed_ones():
-    depth = np.array([[10.0, 20.0, 0.0, 40.0, 100.5]])
-    answer = np.array([[20.0, 20.0, 5.0, 0.0, 5.0]])
-    scores = DisparityScores()
-    scores.update(answer[:, :2], depth[:, :2], 400.0)
-    other = DisparityScores()
-    other.update(answer[:, 2:], depth[:, 2:], 400.0)
-    scores.merge(other)
-    metrics = scores.compute()
-    # 400 / 10 - 400 / 20 = 20 px; 0; unknown; 0 m is taken as 0.1 m: 4000 - 10 px; too far.
-    assert metrics.pixels == 3
-    assert metrics.mae == pytest.approx((20 + 0 + 3990) / 3)
-    assert metrics.rmse == pytest.approx(math.sqrt((20**2 + 3990**2) / 3))
-    assert math.isnan(DisparityScores().compute().mae)
-
-
-def test_road_iou_by_hand():
-    scores, other = RoadScores(4), RoadScores(4)
-    mask = np.array([[1, 1, 1, 0, 0, 0, 255, 255]], np.uint8)
-    ids = np.array([[3, 3, 2, 3, 0, 1, 3, 0]], np.uint8)
-    scores.update(ids, mask)
-    assert scores.compute(road=3) == pytest.approx(2 / 4)  # 2 hit of 3, one more predicted
-    assert scores.compute(road=2) == pytest.approx(1 / 3)
-    other.update(np.full_like(ids, 3), mask)
-    scores.merge(other)
-    assert scores.compute(road=3) == pytest.approx(5 / 10)
-    assert math.isnan(RoadScores(4).compute(road=3))
+    figures = total.figures()
+    assert figures["boundary_threshold"] == 0.4  # the first of equal ones
+    assert figures["boundary_f"] == 1.0
+    nothing = BoundaryScores()
+    nothing.update(0 * probability, truth)
+    assert nothing.figures()["boundary_f"] == 0
+    assert math.isnan(nothing.figures()["boundary_precision"])
+    assert BoundaryScores().figures() == {}

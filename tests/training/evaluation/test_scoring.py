@@ -51,97 +51,70 @@ def test_a_lidar_that_the_set_cannot_give_is_refused():
     assert split_lidar(sample(intrinsics=None), "random:0.1").fed.any()
 
 
-def figures(predict, frame=None):
+def figures(answer, frame=None):
     split = split_lidar(frame or sample())
-    scores = score(lambda rgb, fed, _: predict(rgb, fed), [split], num_classes=11)
-    return scores.figures([f"c{i}" for i in range(11)])
+    scores = score(lambda *_: answer, [split], num_classes=11)
+    return scores.figures([*(f"c{i}" for i in range(10)), "Road"])
 
 
-def test_truth_scores_full_marks():
-    truth = sample()
-    edge = np.zeros((60, 120), np.float32)
-    edge[10] = 1
-    edge[10:, 60] = 1
-    result = figures(lambda rgb, fed: HeadMaps(truth.semantic, truth.depth + 0.5, edge))
-    assert result["miou"] == 1
-    assert result["mae_m"] == pytest.approx(0.5)
-    assert result["rmse_m"] == pytest.approx(0.5)
-    assert result["boundary_f"] == pytest.approx(1)
-    assert result["iou_c8"] == 1
-
-
-def test_depth_beyond_100_m_counts_in_no_figure():
-    near, depth = sample(focal_baseline_px_m=400.0), sample().depth
-    depth[20] = 300
-    far = near.with_targets(depth=depth)
-    answer = np.where(depth > 100, np.float32(99), depth + 1).astype(np.float32)
-    expected = figures(lambda rgb, fed: HeadMaps(None, near.depth + 1, None), near)
-    result = figures(lambda rgb, fed: HeadMaps(None, answer, None), far)
-    assert result["mae_m"] == pytest.approx(1)
-    assert {"imae_per_km", "irmse_per_km", "rmse_m", "mae_px", "rmse_px"} <= result.keys()
-    for name, value in result.items():
-        assert value == pytest.approx(expected[name], rel=1e-6), name
-
-
-def test_each_depth_error_has_its_own_name():
+def test_each_figure_has_its_own_name():
     """Half of the wall 2.5 m too far, the rest right: every figure is another number."""
-    frame = sample(focal_baseline_px_m=400.0)
-    answer = frame.depth.copy()
-    answer[10:, :60] = 12.5
-    result = figures(lambda rgb, fed: HeadMaps(None, answer, None), frame)
+    mask = np.zeros((60, 120), np.uint8)
+    mask[30:], mask[10:20] = 1, 255
+    frame = sample(focal_baseline_px_m=400.0, road_mask=mask)
+    ids = np.where(np.indices(mask.shape)[0] >= 45, 10, frame.semantic).astype(np.uint8)
+    depth, scale, edge = frame.depth.copy(), np.full((60, 120), 3, np.float32), np.zeros((60, 120))
+    depth[10:, :60], scale[:, 60:] = 12.5, 0.5
+    edge[10], edge[10:, 60] = 1, 1
+    result = figures(HeadMaps(ids, depth, edge.astype(np.float32), scale), frame)
     by_distance = {name: result.pop(name) for name in list(result) if "return" in name}
     assert list(by_distance) == [
         f"{error}_m_return_{px}_px" for px in ("0", "1_2", "3_6") for error in ("mae", "rmse")
     ]
     assert by_distance["mae_m_return_0_px"] == pytest.approx(1.25, rel=0.01)
+    assert result.pop("iou_Road") == 0
+    shown = {f"iou_c{number}": result.pop(f"iou_c{number}") for number in range(10)}
+    assert {name: value for name, value in shown.items() if value == value} == {
+        "iou_c0": 1.0,
+        "iou_c3": 0.7,
+        "iou_c8": 0.7,
+    }
+    in_metres = [f"m{among}" for among in ("", "_0_20", "_0_50", "_0_10", "_interior")]
     assert {name: round(value, 3) for name, value in result.items()} == {
-        "mae_m": 1.25,
-        "rmse_m": 1.768,  # sqrt(2.5^2 / 2)
-        "mae_m_0_20": 1.25,
-        "rmse_m_0_20": 1.768,
-        "mae_m_0_50": 1.25,
-        "rmse_m_0_50": 1.768,
-        "mae_m_0_10": 1.25,
-        "rmse_m_0_10": 1.768,
+        "miou": 0.6,
+        "accuracy": 0.75,
+        "mean_accuracy": 0.8,
+        "fwiou": 0.75,
+        "road_iou": 0.5,
+        **{f"mae_{name}": 1.25 for name in in_metres},
+        **{f"rmse_{name}": 1.768 for name in in_metres},  # sqrt(2.5^2 / 2)
         "median_m": 0.0,  # the lower of two errors of half of the pixels each
         "imae_per_km": 10.0,  # 1000 / 10 - 1000 / 12.5 = 20, in half of the pixels
         "irmse_per_km": 14.142,
-        # A wall without edges under 64 lines: all of it is near a return.
-        "mae_m_interior": 1.25,
-        "rmse_m_interior": 1.768,
+        "mae_m_confident_50": 0.0,
+        "mae_m_confident_80": round(2.5 * 0.3 / 0.8, 3),
+        "mae_m_confident_100": 1.25,
+        "coverage_1": 1.0,
+        "coverage_2": 1.0,
         "mae_px": 4.0,  # 400 / 10 - 400 / 12.5 = 8
         "rmse_px": 5.657,
+        "boundary_f": 1.0,
+        "boundary_precision": 1.0,
+        "boundary_recall": 1.0,
+        "boundary_threshold": 0.3,
+    }
+    without = figures(HeadMaps(depth=depth), sample(semantic=np.full_like(mask, 255)))
+    assert without.keys() == by_distance.keys() | {
+        name for name in result if "_m" in name or "_km" in name if "confident" not in name
     }
 
 
-def test_uncertainty_is_scored_where_a_model_has_one():
-    depth = sample().depth
-    answer = depth + np.where(np.arange(120) < 60, np.float32(1), np.float32(4))
-    scale = np.where(np.arange(120) < 60, np.float32(0.9), np.float32(3)) + np.zeros_like(depth)
-    result = figures(lambda rgb, fed: HeadMaps(None, answer, None, scale))
-    assert result["mae_m_confident_50"] == pytest.approx(1)
-    assert result["mae_m_confident_80"] == pytest.approx((0.5 * 1 + 0.3 * 4) / 0.8)
-    assert result["mae_m_confident_100"] == pytest.approx(result["mae_m"])
-    assert (result["coverage_1"], result["coverage_2"]) == (0, 1)
-    without = figures(lambda rgb, fed: HeadMaps(None, answer, None))
-    assert not any("confident" in name or "coverage" in name for name in without)
-
-
-def test_the_class_road_is_scored_against_a_mask_of_it():
-    mask = np.zeros((60, 120), np.uint8)
-    mask[30:] = 1
-    mask[10:20] = 255
-    unlabelled = np.full((60, 120), 255, np.uint8)
-    frame = sample(semantic=unlabelled, road_mask=mask)
-    ids = np.full((60, 120), 8, np.uint8)
-    ids[25:45] = 3
-    split = split_lidar(frame)
-    scores = score(lambda rgb, fed, _: HeadMaps(ids, None, None), [split], num_classes=11)
-    names = [f"c{i}" for i in range(11)]
-    assert scores.figures(names) == {}
-    assert scores.figures() == {}
-    names[3] = "Road"
-    assert scores.figures(names) == {"road_iou": pytest.approx(15 / 35)}
+def test_depth_beyond_100_m_counts_in_no_figure():
+    near, depth = sample(focal_baseline_px_m=400.0), sample().depth
+    depth[20] = 300
+    answer = np.where(depth > 100, np.float32(99), depth + 1).astype(np.float32)
+    result = figures(HeadMaps(depth=answer), near.with_targets(depth=depth))
+    assert result == pytest.approx(figures(HeadMaps(depth=near.depth + 1), near), rel=1e-6)
 
 
 def test_a_network_of_canonical_depth_sees_it_and_answers_in_metres():

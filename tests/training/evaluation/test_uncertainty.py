@@ -24,12 +24,11 @@ def test_the_most_confident_pixels_are_those_of_all_frames_sorted():
         errors.append(np.abs(prediction - depth)[depth > 0])
     scores.merge(other)
     by_scale = np.concatenate(errors)[np.argsort(np.concatenate(scales))]
-    metrics = scores.compute()
-    assert metrics.pixels == by_scale.size == 3 * 55 * 90
-    for share, mae_m in metrics.confident_mae_m.items():
-        expected = by_scale[: round(share * by_scale.size)].mean()
-        assert mae_m == pytest.approx(expected, rel=0.01), share
-    assert metrics.confident_mae_m[0.5] < 0.5 * metrics.confident_mae_m[1.0]
+    figures = scores.figures()
+    for percent in (50, 80, 100):
+        expected = by_scale[: round(percent / 100 * by_scale.size)].mean()
+        assert figures[f"mae_m_confident_{percent}"] == pytest.approx(expected, rel=0.01), percent
+    assert UncertaintyScores().figures() == {}
 
 
 def test_coverage_of_a_true_scale_is_that_of_laplace_and_of_others_is_not():
@@ -37,6 +36,6 @@ def test_coverage_of_a_true_scale_is_that_of_laplace_and_of_others_is_not():
     for scale, prediction, depth in frames(np.random.default_rng(1)):
         right.update(scale, prediction, depth)
         small.update(scale / 2, prediction, depth)
-    metrics = right.compute()
-    assert (metrics.coverage_1, metrics.coverage_2) == pytest.approx(LAPLACE_COVERAGE, abs=0.01)
-    assert small.compute().coverage_2 == pytest.approx(LAPLACE_COVERAGE[0], abs=0.01)
+    figures = right.figures()
+    assert [figures[f"coverage_{n}"] for n in (1, 2)] == pytest.approx(LAPLACE_COVERAGE, abs=0.01)
+    assert small.figures()["coverage_2"] == pytest.approx(LAPLACE_COVERAGE[0], abs=0.01)

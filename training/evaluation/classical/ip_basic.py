@@ -3,12 +3,11 @@
 Ku, Harakeh and Waslander, "In Defense of Classical Image Processing: Fast Depth Completion on the
 CPU", Conference on Computer and Robot Vision 2018, with its kernels, chosen for KITTI's 64 lines.
 
-Depth is inverted first (`max_depth_m` minus depth), so that near surfaces win over far ones in a
+Depth is inverted first (100 m minus depth), so that near surfaces win over far ones in a
 dilation, which is a local maximum. "Inverted" below is that depth; 0 in it is unknown.
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -17,10 +16,9 @@ from numpy.typing import NDArray
 
 from training.evaluation.classical.method import Depth
 
-Blur = Literal["gaussian", "bilateral"]
-
-#: Nearer than this is no measurement, and an inverted depth below it is unknown (Ku et al.).
-_MEASURED_M = 0.1
+#: Nearer, and at the other and beyond it, is no measurement; an inverted depth below the first is
+#: unknown (Ku et al.).
+_MEASURED_M, _FARTHEST_M = 0.1, 100.0
 #: Where "near" and "medium" depths end, which are dilated apart [m].
 _NEAR_M, _MEDIUM_M = 15.0, 30.0
 _BILATERAL_SIGMA_M, _BILATERAL_SIGMA_PX = 1.5, 2.0
@@ -33,22 +31,19 @@ class IPBasic:
     Dilation by a diamond, closing of small holes, filling of larger ones, continuation of every
     column up to the top of the image, filling of the largest, median, blur. There is depth in reach
     of the kernels (20 px from a return along rows and columns), and in all of a column above that,
-    0 elsewhere. The image is not used.
-
-    Attributes:
-        max_depth_m: at and beyond it is no measurement, as nearer than 0.1 m.
-        blur: "gaussian" for the lowest RMSE, "bilateral" to keep edges, as in the paper.
+    0 elsewhere. The blur is Gaussian, for the lowest RMSE. The image is not used.
     """
-
-    max_depth_m: float = 100.0
-    blur: Blur = "gaussian"
 
     def complete(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:
         """See `CompletionMethod.complete`."""
-        start = _invert(sparse_depth, self.max_depth_m)
+        measured = (sparse_depth > _MEASURED_M) & (sparse_depth < _FARTHEST_M)
+        start = np.where(measured, np.float32(_FARTHEST_M) - sparse_depth, np.float32(0))
         if not start.any():
             return start
-        return _revert(_blur(self._fill(start), self.blur), self.max_depth_m)
+        filled = self._fill(start)
+        smooth = _where_known(filled, self._blur(filled))
+        depth = np.where(smooth > _MEASURED_M, np.float32(_FARTHEST_M) - smooth, np.float32(0))
+        return depth.astype(np.float32)
 
     def _fill(self, start: Depth) -> MatLike:
         """Fill what is unknown of an inverted depth."""
@@ -59,6 +54,9 @@ class IPBasic:
         # As published, median and blur include the zeros of unknown pixels: the two outermost known
         # pixels get too large depths.
         return cv2.medianBlur(inverted, 5)
+
+    def _blur(self, inverted: MatLike) -> MatLike:
+        return cv2.GaussianBlur(inverted, (5, 5), 0)
 
 
 @dataclass(frozen=True)
@@ -72,14 +70,12 @@ class IPBasicMultiscale(IPBasic):
     Near things, whose returns lie far apart, are dilated by a larger cross than far ones, so that
     thin far things keep their width: 7 px to 15 m, 5 px to 30 m, 3 px beyond. The median that
     follows drops a return far from all others as noise; a frame of such returns has no depth. Then
-    holes are filled, step by step, by up to 16 px. A column is
-    continued to the top. Fields and range as in `IPBasic`.
+    holes are filled, step by step, by up to 16 px. A column is continued to the top. The blur keeps
+    edges.
     """
 
-    blur: Blur = "bilateral"
-
     def _fill(self, start: Depth) -> MatLike:
-        inverted = cv2.morphologyEx(_dilate_by_range(start, self), cv2.MORPH_CLOSE, _full(5))
+        inverted = cv2.morphologyEx(_dilate_by_range(start), cv2.MORPH_CLOSE, _full(5))
         inverted = _where_known(inverted, cv2.medianBlur(inverted, 5))
 
         below_top = np.maximum.accumulate(inverted > _MEASURED_M, axis=0)
@@ -90,21 +86,13 @@ class IPBasicMultiscale(IPBasic):
             inverted = _fill_unknown(inverted, _full(5), within=below_top)
         return _where_known(inverted, cv2.medianBlur(inverted, 5))
 
-
-def _invert(sparse_depth: Depth, max_depth_m: float) -> Depth:
-    """max_depth_m minus depth; 0 = no measurement, also for NaN."""
-    measured = (sparse_depth > _MEASURED_M) & (sparse_depth < max_depth_m)
-    return np.where(measured, np.float32(max_depth_m) - sparse_depth, np.float32(0))
+    def _blur(self, inverted: MatLike) -> MatLike:
+        return cv2.bilateralFilter(inverted, 5, _BILATERAL_SIGMA_M, _BILATERAL_SIGMA_PX)
 
 
-def _revert(inverted: MatLike, max_depth_m: float) -> Depth:
-    known = inverted > _MEASURED_M
-    return np.where(known, np.float32(max_depth_m) - inverted, np.float32(0)).astype(np.float32)
-
-
-def _dilate_by_range(inverted: Depth, method: IPBasicMultiscale) -> MatLike:
+def _dilate_by_range(inverted: Depth) -> MatLike:
     """Dilate far, medium and near depths apart; near ones replace medium ones and far ones."""
-    depth = method.max_depth_m - inverted
+    depth = _FARTHEST_M - inverted
     combined: MatLike = np.zeros_like(inverted)
     for size, chosen in (
         (3, depth > _MEDIUM_M),
@@ -150,11 +138,3 @@ def _extend_to_top(inverted: MatLike) -> MatLike:
     top_value = inverted[top, np.arange(inverted.shape[1])]
     above = np.arange(inverted.shape[0])[:, None] < top
     return np.where(above, top_value, inverted)
-
-
-def _blur(inverted: MatLike, blur: Blur) -> MatLike:
-    """Smooth surfaces where depth is known."""
-    if blur == "gaussian":
-        return _where_known(inverted, cv2.GaussianBlur(inverted, (5, 5), 0))
-    smooth = cv2.bilateralFilter(inverted, 5, _BILATERAL_SIGMA_M, _BILATERAL_SIGMA_PX)
-    return _where_known(inverted, smooth)

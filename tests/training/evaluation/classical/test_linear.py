@@ -1,11 +1,8 @@
 """Linear interpolation of inverse depth, on planes and beside them."""
 
-import sys
-
 import numpy as np
 import pytest
 
-from runtime.errors import ProviderError
 from training.evaluation.classical.linear import Linear
 
 pytest.importorskip("scipy.interpolate")
@@ -51,9 +48,3 @@ def test_returns_on_one_line_fill_as_the_nearest(at):
     answer = complete(sparse_depth)
     assert set(np.unique(answer)) == set(sparse_depth[at])
     assert (answer[at] == sparse_depth[at]).all()
-
-
-def test_without_scipy_it_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "scipy.interpolate", None)
-    with pytest.raises(ProviderError, match=r"cannot import SciPy .* which linear needs"):
-        Linear()
