@@ -1,56 +1,30 @@
 """CamVid in the split and the eleven classes of the SegNet papers (Brostow et al. 2009)."""
 
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
 from models import CLASS_TABLES
-from runtime.errors import DatasetError
-from training.datasets.class_mapping import ClassTable, id_lookup
-from training.datasets.files import list_images, read_gray, read_rgb, require_folder
+from training.datasets.class_mapping import ClassTable, LabelFiles
+from training.datasets.files import list_images, read_rgb, require_folder
 from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
 
 #: Labels by the files' ids; 11 is unlabelled.
-_LABELS: tuple[str | None, ...] = (*(info.name for info in CLASS_TABLES["camvid"]), None)
-
-
-class CamVidLabels:
-    """Reads label files with CamVid's ids, uint8 PNG, as ids of a class table, 255 = ignored.
-
-    Raises DatasetError for a table without a mapping.
-    """
-
-    def __init__(self, classes: ClassTable) -> None:
-        self._lookup = id_lookup("camvid", classes, _LABELS)
-
-    def read(self, path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
-        """Read a file of this (height, width). Raises DatasetError for another file or id."""
-        label = read_gray(path, np.uint8, size)
-        if label.max() > 11:
-            raise DatasetError(
-                f"{path}: class id {label.max()}, expected 0..11 of the eleven-class labels."
-            )
-        mapped: NDArray[np.uint8] = self._lookup[label]
-        return mapped
+LABELS: tuple[str | None, ...] = (*(info.name for info in CLASS_TABLES["camvid"]), None)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class CamVidRecipe(SourceRecipe):
     """Options of CamVid in a recipe."""
 
+    labelled: ClassVar[str] = "camvid"
+
     kind: Literal["camvid"] = "camvid"
     #: train, val or test.
     split: str = "train"
-
-    @property
-    def label_table(self) -> ClassTable:
-        """See `SourceRecipe.label_table`."""
-        return "camvid"
 
     def open(self, folder: Path, classes: ClassTable) -> "CamVid":
         """See `SourceRecipe.open`."""
@@ -68,7 +42,7 @@ class CamVid(FrameList):
     """
 
     def __init__(self, root: Path, recipe: CamVidRecipe, classes: ClassTable) -> None:
-        self._labels = CamVidLabels(classes)
+        self._labels = LabelFiles("camvid", classes, LABELS)
         images = list_images(root / recipe.split, "CamVid's images")
         annotations = root / f"{recipe.split}annot"
         labels = [f"{image.stem}.png" for image in images]

@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass
 from models import CLASS_TABLES
 from runtime.errors import DatasetError
 from runtime.read_input import read_text
-from training.datasets.class_mapping import ClassTable, id_lookup
+from training.datasets.class_mapping import ClassTable, LabelFiles
 from training.datasets.files import dataset_errors, read_gray, read_rgb, require_folder
 from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import SourceRecipe
@@ -24,21 +24,24 @@ _LABEL_IDS = (7, 8, 11, 12, 13, 17, *range(19, 29), 31, 32, 33)
 #: The classes by their labelIds.
 _LABELS = tuple(dict(zip(_LABEL_IDS, TRAIN_LABELS, strict=True)).get(id_) for id_ in range(34))
 
-_IMAGE = "_leftImg8bit.png"
+#: Folder -> how the names of its files end; stereo is optional.
+_SUFFIXES = {
+    "leftImg8bit": "_leftImg8bit.png",
+    "gtFine": "_gtFine_labelIds.png",
+    "disparity": "_disparity.png",
+    "camera": "_camera.json",
+}
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class CityscapesRecipe(SourceRecipe):
     """Options of Cityscapes in a recipe."""
 
+    labelled: ClassVar[str] = "cityscapes"
+
     kind: Literal["cityscapes"] = "cityscapes"
     #: train, val or test.
     split: str = "train"
-
-    @property
-    def label_table(self) -> ClassTable:
-        """See `SourceRecipe.label_table`."""
-        return "cityscapes"
 
     def open(self, folder: Path, classes: ClassTable) -> "Cityscapes":
         """See `SourceRecipe.open`."""
@@ -58,60 +61,45 @@ class Cityscapes(FrameList):
     """
 
     def __init__(self, root: Path, recipe: CityscapesRecipe, classes: ClassTable) -> None:
-        self._root, self._split = root, recipe.split
         images = require_folder(
-            root / "leftImg8bit" / self._split, "Cityscapes' images, one folder per city"
+            root / "leftImg8bit" / recipe.split, "Cityscapes' images, one folder per city"
         )
-        self._lookup = id_lookup("cityscapes", classes, _LABELS)
-        self._with_depth = (self._root / "disparity").is_dir()
-        self._frames: list[tuple[str, str]] = []
-        for city in sorted(path for path in images.iterdir() if path.is_dir()):
-            stems = sorted(p.name.removesuffix(_IMAGE) for p in city.glob(f"*{_IMAGE}"))
-            partners = {"gtFine": "_gtFine_labelIds.png"}
-            if self._with_depth:
-                partners |= {"disparity": "_disparity.png", "camera": "_camera.json"}
-            for kind, suffix in partners.items():
-                folder = root / kind / self._split / city.name
-                require_folder(folder, f"{kind}'s files", files=[s + suffix for s in stems])
-            self._frames += [(city.name, stem) for stem in stems]
+        self._labels = LabelFiles("cityscapes", classes, _LABELS)
+        self._name = f"cityscapes/{recipe.split}"
+        with_depth = (root / "disparity").is_dir()
+        kinds = [kind for kind in _SUFFIXES if with_depth or kind not in ("disparity", "camera")]
+        self._frames: list[tuple[str, dict[str, Path]]] = []
+        for city in sorted(path.name for path in images.iterdir() if path.is_dir()):
+            found = (images / city).glob(f"*{_SUFFIXES['leftImg8bit']}")
+            stems = sorted(path.name.removesuffix(_SUFFIXES["leftImg8bit"]) for path in found)
+            folders = {kind: root / kind / recipe.split / city for kind in kinds}
+            for kind, folder in folders.items():
+                files = [stem + _SUFFIXES[kind] for stem in stems]
+                require_folder(folder, f"{kind}'s files", files=files)
+            for stem in stems:
+                paths = {kind: folders[kind] / (stem + _SUFFIXES[kind]) for kind in kinds}
+                self._frames.append((stem, paths))
         if not self._frames:
-            raise DatasetError(f"{images}: no <city>/*{_IMAGE} in it.")
-        self.images = [images / city / f"{stem}{_IMAGE}" for city, stem in self._frames]
+            raise DatasetError(f"{images}: no <city>/*{_SUFFIXES['leftImg8bit']} in it.")
+        self.images = [paths["leftImg8bit"] for _, paths in self._frames]
 
     def __getitem__(self, index: int) -> Sample:
-        city, stem = self._frames[index]
-        rgb = read_rgb(self._path("leftImg8bit", city, stem + _IMAGE))
+        stem, paths = self._frames[index]
+        rgb = read_rgb(paths["leftImg8bit"])
         size = (rgb.shape[0], rgb.shape[1])
-        path = self._path("gtFine", city, stem + "_gtFine_labelIds.png")
-        targets: dict[str, NDArray[Any]] = {"semantic": self._read_labels(path, size)}
+        targets: dict[str, NDArray[Any]] = {"semantic": self._labels.read(paths["gtFine"], size)}
         intrinsics = focal_baseline = None
-        if self._with_depth:
-            intrinsics, focal_baseline = _read_camera(
-                self._path("camera", city, stem + "_camera.json")
-            )
-            path = self._path("disparity", city, stem + "_disparity.png")
-            stored = read_gray(path, np.uint16, size)
+        if "camera" in paths:
+            intrinsics, focal_baseline = _read_camera(paths["camera"])
+            stored = read_gray(paths["disparity"], np.uint16, size)
             targets["depth"] = disparity_to_depth(stored, focal_baseline)
         return Sample(
             rgb=rgb,
             targets=targets,
             intrinsics=intrinsics,
-            name=f"cityscapes/{self._split}/{stem}",
+            name=f"{self._name}/{stem}",
             focal_baseline_px_m=focal_baseline,
         )
-
-    def _path(self, kind: str, city: str, name: str) -> Path:
-        return self._root / kind / self._split / city / name
-
-    def _read_labels(self, path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
-        label = read_gray(path, np.uint8, size)
-        if label.max() >= len(_LABELS):
-            raise DatasetError(
-                f"{path}: label id {label.max()}, expected 0..{len(_LABELS) - 1} of labelIds. "
-                "Give the original *_labelIds.png, not trainIds."
-            )
-        ids: NDArray[np.uint8] = self._lookup[label]
-        return ids
 
 
 def disparity_to_depth(

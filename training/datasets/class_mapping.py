@@ -6,6 +6,7 @@ are separate classes of Cityscapes).
 """
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from models import CLASS_TABLES
 from runtime.contract import ClassInfo
 from runtime.errors import DatasetError
+from training.datasets.files import read_gray
 from training.datasets.sample import IGNORE
 
 #: A name in `models.CLASS_TABLES`, or a table.
@@ -136,3 +138,25 @@ def id_lookup(labels: str, table: ClassTable, order: Sequence[str | None]) -> ND
         if label is not None:
             lookup[index] = ids[label]
     return lookup
+
+
+class LabelFiles:
+    """Reads a data set's label files, uint8 PNG, as ids of a class table, 255 = ignored.
+
+    ``order`` has the labels of the files' ids from 0, None = ignored. Raises DatasetError for a
+    table that the labels are not mapped to.
+    """
+
+    def __init__(self, labels: str, classes: ClassTable, order: Sequence[str | None]) -> None:
+        self._lookup, self._count = id_lookup(labels, classes, order), len(order)
+
+    def read(self, path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
+        """Read a file of this (height, width). Raises DatasetError for another file or id."""
+        label = read_gray(path, np.uint8, size)
+        if label.max() >= self._count:
+            raise DatasetError(
+                f"{path}: class id {label.max()}, expected 0..{self._count - 1}. Give the "
+                "original files, not those of another numbering."
+            )
+        ids: NDArray[np.uint8] = self._lookup[label]
+        return ids

@@ -4,7 +4,7 @@ import json
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,8 @@ _Folder = Annotated[str, Field(min_length=1)]
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class FoldersRecipe(RangeRecipe):
     """Options of a user's data in a recipe; folders are relative to ``path``."""
+
+    unit_key: ClassVar[str] = "depth_scale"
 
     kind: Literal["folders"] = "folders"
     #: 8-bit PNG or JPEG images.
@@ -103,21 +105,11 @@ class Folders(FrameList):
     @dataset_errors()
     def __init__(self, root: Path, recipe: FoldersRecipe, classes: ClassTable) -> None:
         self._root, self._recipe = root, recipe
-        self._names = [info.name for info in list_classes(recipe.label_classes or classes)]
-        self._lookup = np.arange(256, dtype=np.uint8)
-        if recipe.label_classes is not None:
-            self._lookup = id_lookup(recipe.label_classes, classes, TRAIN_LABELS)
-        self._known = np.arange(256) < (0 if recipe.label_ids else len(self._names))
-        self._lookup[recipe.ignore], self._known[recipe.ignore] = IGNORE, True
-        names = [info.name for info in list_classes(classes)]
-        for index, name in (recipe.label_ids or {}).items():
-            if name not in (*names, "ignore"):
-                raise DatasetError(
-                    f"label_ids: {index} = {name!r} is no class of model.classes; expected one of "
-                    f"{', '.join(names)}, or 'ignore'."
-                )
-            self._lookup[index] = names.index(name) if name in names else IGNORE
-            self._known[index] = True
+        self._names = [info.name for info in list_classes(classes)]
+        self._ids = _label_ids(recipe, classes)
+        self._lookup = np.full(256, IGNORE, np.uint8)
+        self._lookup[list(self._ids)] = list(self._ids.values())
+        self._known = np.isin(np.arange(256), list(self._ids))
         depth = None if recipe.depth is None else self._root / recipe.depth
         self._source = FolderSource(
             self._root / recipe.rgb, depth=depth, depth_scale=recipe.depth_scale
@@ -129,12 +121,11 @@ class Folders(FrameList):
         self.images = [frame.image for frame in self._frames]
         if depth is not None:
             self._require_files(depth, [frame.name for frame in self._frames if not frame.depth])
-        for below in (recipe.sparse_depth, recipe.labels):
-            if below is not None:
-                folder = require_folder(self._root / below, "a PNG for every image")
-                there = {path.name for path in folder.iterdir()}
-                names = [frame.name for frame in self._frames]
-                self._require_files(folder, [name for name in names if f"{name}.png" not in there])
+        for below in filter(None, (recipe.sparse_depth, recipe.labels)):
+            folder = require_folder(self._root / below, "a PNG for every image")
+            there = {path.stem for path in folder.glob("*.png")}
+            names = [frame.name for frame in self._frames]
+            self._require_files(folder, [name for name in names if name not in there])
 
     def _require_files(self, folder: Path, lacking: Sequence[str]) -> None:
         """Raise DatasetError for images without a file, or say how many there are if they may be.
@@ -166,15 +157,18 @@ class Folders(FrameList):
             fx, fy, cx, cy = recipe.intrinsics
             intrinsics = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
         if recipe.sparse_depth is not None:
+            path = self._root / recipe.sparse_depth / f"{listed.name}.png"
             sparse_depth = nothing_known(size)
-            if path := self._find(recipe.sparse_depth, listed.name):
+            if path.is_file():
                 sparse_depth = read_depth(path, size, depth_scale=recipe.depth_scale)
         scan_line = elevation_bands(frame.sparse_depth, intrinsics) if recipe.scan else None
         targets: dict[str, NDArray[Any]] = {}
         if listed.depth is not None:
             targets["depth"] = frame.sparse_depth
-        if recipe.labels is not None and (path := self._find(recipe.labels, listed.name)):
-            targets["semantic"] = self._read_labels(path, size)
+        if recipe.labels is not None:
+            path = self._root / recipe.labels / f"{listed.name}.png"
+            if path.is_file():
+                targets["semantic"] = self._read_labels(path, size)
         return Sample(
             rgb=frame.rgb,
             targets=targets,
@@ -185,30 +179,42 @@ class Folders(FrameList):
             weights={"semantic": recipe.semantic_weight},
         )
 
-    def _find(self, folder: str, name: str) -> Path | None:
-        """Return the PNG of a frame; None if it is missing and may be."""
-        path = self._root / folder / f"{name}.png"
-        return path if self._recipe.missing == "error" or path.is_file() else None
-
     def _read_labels(self, path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
         label = read_gray(path, np.uint8, size)
         unknown = np.unique(label[~self._known[label]]).tolist()
         if unknown:
-            recipe, names = self._recipe, self._recipe.label_ids
-            table = recipe.label_classes or "the recipe's model.classes"
-            expected = (
-                f"one of label_ids: {', '.join(map(str, names))}"
-                if names
-                else f"0..{len(self._names) - 1} of {table}"
-            )
-            # A table that names the ids replaces their order: it has all of them.
-            order = dict(enumerate(self._names))
-            ids = {**(names or order), **{id_: order.get(id_, "ignore") for id_ in unknown}}
-            pairs = ", ".join(f"{id_} = {json.dumps(name)}" for id_, name in ids.items())
-            advice = f"name the ids in the recipe: label_ids = {{ {pairs} }}"
+            advice = "give trainIds"
+            if self._recipe.label_classes is None:
+                names = dict(enumerate(self._names))
+                known = {id_: names.get(index, "ignore") for id_, index in self._ids.items()}
+                # Ids that no key names may still be those of the order.
+                known |= {id_: names.get(id_, "ignore") for id_ in unknown}
+                pairs = ", ".join(f"{id_} = {json.dumps(name)}" for id_, name in known.items())
+                advice = f"name the ids in the recipe: label_ids = {{ {pairs} }}"
             raise DatasetError(
-                f"{path}: class id {unknown[-1]}, expected {expected}, or {recipe.ignore} for none."
-                f" Correct the file, or {'give trainIds' if recipe.label_classes else advice}."
+                f"{path}: class id {unknown[-1]}, expected {', '.join(map(str, self._ids))}. "
+                f"Correct the file, or {advice}."
             )
         classes: NDArray[np.uint8] = self._lookup[label]
         return classes
+
+
+def _label_ids(recipe: FoldersRecipe, classes: ClassTable) -> dict[int, int]:
+    """Return id in the files -> id in the class table, `IGNORE` for none."""
+    names = [info.name for info in list_classes(classes)]
+    for index, name in (recipe.label_ids or {}).items():
+        if name not in (*names, "ignore"):
+            raise DatasetError(
+                f"label_ids: {index} = {name!r} is no class of model.classes; expected one of "
+                f"{', '.join(names)}, or 'ignore'."
+            )
+    if recipe.label_ids:
+        ids = {
+            index: names.index(name) if name in names else IGNORE
+            for index, name in recipe.label_ids.items()
+        }
+        return {recipe.ignore: IGNORE, **ids}
+    order = list(range(len(names)))
+    if recipe.label_classes is not None:
+        order = id_lookup(recipe.label_classes, classes, TRAIN_LABELS)[: len(TRAIN_LABELS)].tolist()
+    return {**dict(enumerate(order)), recipe.ignore: IGNORE}

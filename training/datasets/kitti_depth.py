@@ -41,9 +41,7 @@ class _Frame:
     velodyne: Path
     groundtruth: Path
     name: str
-    #: The date's calib_cam_to_cam.txt, or the selection's file of nine numbers.
-    intrinsics: Path | None
-    camera: int
+    intrinsics: NDArray[np.float64] | None
 
 
 class KittiDepth(FrameList):
@@ -59,6 +57,7 @@ class KittiDepth(FrameList):
         DatasetError: for missing folders or partners, files of another kind and wrong sizes.
     """
 
+    @dataset_errors()
     def __init__(self, root: Path, recipe: KittiDepthRecipe) -> None:
         if recipe.split == "selection":
             self._frames = _list_selection(root)
@@ -73,7 +72,7 @@ class KittiDepth(FrameList):
         return Sample(
             rgb=rgb,
             targets={"depth": read_depth(frame.groundtruth, size, depth_scale=KITTI_DEPTH_SCALE)},
-            intrinsics=_read_intrinsics(frame),
+            intrinsics=frame.intrinsics,
             name=frame.name,
             sparse_depth=read_depth(frame.velodyne, size, depth_scale=KITTI_DEPTH_SCALE),
         )
@@ -92,15 +91,17 @@ def _list_drives(root: Path, split: str, cameras: Sequence[int]) -> list[_Frame]
             names = sorted(path.name for path in truth.glob("*.png"))
             require_folder(velodyne, "LiDAR maps", files=names)
             require_folder(images, "images of the raw data", files=names)
-            calibration = root / "raw" / date / "calib_cam_to_cam.txt"
+            calibration, intrinsics = root / "raw" / date / "calib_cam_to_cam.txt", None
+            if calibration.is_file():
+                matrix = NumbersFile(calibration).matrix(f"P_rect_{camera:02d}", 3, 4)
+                intrinsics = matrix[:, :3]
             frames += [
                 _Frame(
                     images / name,
                     velodyne / name,
                     truth / name,
                     f"{drive.name}/{camera}/{Path(name).stem}",
-                    calibration if calibration.is_file() else None,
-                    camera,
+                    intrinsics,
                 )
                 for name in names
             ]
@@ -116,32 +117,24 @@ def _list_selection(root: Path) -> list[_Frame]:
     if not stems:
         raise DatasetError(f"{images}: no *_image_0<camera>.png in it.")
 
-    def partners(kind: str, word: str, suffix: str) -> list[Path]:
+    partners = []
+    for kind, word, suffix in (
+        ("velodyne_raw", "velodyne_raw", ".png"),
+        ("groundtruth_depth", "groundtruth_depth", ".png"),
+        ("intrinsics", "image", ".txt"),
+    ):
         # The drive's name holds no "_image_", so the first one is the kind of the file.
         names = [stem.replace("_image_", f"_{word}_", 1) + suffix for stem in stems]
         other = require_folder(folder / kind, f"the selection's {kind}", files=names)
-        return [other / name for name in names]
-
-    velodyne = partners("velodyne_raw", "velodyne_raw", ".png")
-    truth = partners("groundtruth_depth", "groundtruth_depth", ".png")
-    intrinsics = partners("intrinsics", "image", ".txt")
+        partners.append([other / name for name in names])
     return [
-        _Frame(images / f"{stem}.png", lidar, depth, stem, matrix, int(stem[-1]))
-        for stem, lidar, depth, matrix in zip(stems, velodyne, truth, intrinsics, strict=True)
+        _Frame(images / f"{stem}.png", lidar, depth, stem, _read_intrinsics(matrix))
+        for stem, lidar, depth, matrix in zip(stems, *partners, strict=True)
     ]
 
 
-@dataset_errors()
-def _read_intrinsics(frame: _Frame) -> NDArray[np.float64] | None:
-    path = frame.intrinsics
-    if path is None:
-        return None
-    if path.name == "calib_cam_to_cam.txt":
-        return NumbersFile(path).matrix(f"P_rect_{frame.camera:02d}", 3, 4)[:, :3]
+def _read_intrinsics(path: Path) -> NDArray[np.float64]:
     try:
-        numbers = np.array(read_text(path).split(), dtype=np.float64)
+        return np.array(read_text(path).split(), np.float64).reshape(3, 3)
     except ValueError as error:
-        raise DatasetError(f"{path}: expected nine numbers: {error}.") from error
-    if numbers.size != 9:
-        raise DatasetError(f"{path}: {numbers.size} numbers, expected the nine of a 3x3 matrix.")
-    return numbers.reshape(3, 3)
+        raise DatasetError(f"{path}: expected nine numbers of a 3x3 matrix: {error}.") from error

@@ -1,7 +1,7 @@
 """Recorded KITTI frames: left colour camera, LiDAR returns with their scan lines."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,14 +28,11 @@ from training.limits import STRICT, Share
 class KittiStreamRecipe(RangeRecipe):
     """Options of a recorded KITTI stream in a recipe."""
 
+    labelled: ClassVar[str] = "cityscapes"
+
     kind: Literal["kitti-stream"] = "kitti-stream"
     #: Weight of the labels, which were made by a network.
     semantic_weight: Share = 1.0
-
-    @property
-    def label_table(self) -> ClassTable:
-        """See `SourceRecipe.label_table`."""
-        return "cityscapes"
 
     def open(self, folder: Path, classes: ClassTable) -> "KittiStream":
         """See `SourceRecipe.open`."""

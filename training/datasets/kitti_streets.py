@@ -3,7 +3,7 @@
 import contextlib
 from bisect import bisect_right
 from pathlib import Path
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,9 @@ from pydantic.dataclasses import dataclass
 from runtime.errors import DatasetError
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.kitti_calibration import NumbersFile
-from training.datasets.camvid import CamVidLabels
+from training.datasets.camvid import LABELS
 from training.datasets.cityscapes import disparity_to_depth
-from training.datasets.class_mapping import ClassTable
+from training.datasets.class_mapping import ClassTable, LabelFiles
 from training.datasets.files import (
     dataset_errors,
     list_images,
@@ -39,15 +39,12 @@ class KittiStreetsRecipe(RangeRecipe):
     Neighbours often show one place: validate on another block of numbers than the one trained on.
     """
 
+    labelled: ClassVar[str] = "camvid"
+
     kind: Literal["kitti-streets"] = "kitti-streets"
     #: The depth target: seven accumulated scans with models of cars, or the frame's own returns,
     #: of which a part is then the input.
     truth: Literal["accumulated", "scan"] = "accumulated"
-
-    @property
-    def label_table(self) -> ClassTable:
-        """See `SourceRecipe.label_table`."""
-        return "camvid"
 
     def open(self, folder: Path, classes: ClassTable) -> "KittiStreets":
         """See `SourceRecipe.open`."""
@@ -77,19 +74,18 @@ class KittiStreets(FrameList):
         found = [p for p in list_images(images, "the streets' images") if p.stem.isdecimal()]
         self._frames = recipe.take(found, images, lambda path: int(path.stem))
         self.images = self._frames
-        self._has_masks = (self._root / "road_mask").is_dir()
         folders = {"velodyne_fov": ".bin", "disp_occ_0": ".png"}
+        self._has_masks = (root / "road_mask").is_dir()
         if self._has_masks:
             folders["road_mask"] = ".png"
         for folder, suffix in folders.items():
             files = [f"{path.stem}{suffix}" for path in self._frames]
-            require_folder(self._root / folder, f"{folder}'s {suffix} files", files=files)
-        self._labels: CamVidLabels | None = None
-        if (self._root / "semantic").is_dir():
+            require_folder(root / folder, f"{folder}'s {suffix} files", files=files)
+        self._labels: LabelFiles | None = None
+        if (root / "semantic").is_dir():
+            list_images(root / "semantic", "labels")
             with contextlib.suppress(DatasetError):  # another table: depth and road remain
-                self._labels = CamVidLabels(classes)
-            if not any((self._root / "semantic").glob("*.png")):
-                raise DatasetError(f"{self._root / 'semantic'}: no .png labels in it.")
+                self._labels = LabelFiles("camvid", classes, LABELS)
         self._calibration, self._focal_baseline = _read_calibration(self._root / "calib.txt")
 
     def __getitem__(self, index: int) -> Sample:
@@ -99,17 +95,18 @@ class KittiStreets(FrameList):
         points = read_points(self._root / "velodyne_fov" / f"{path.stem}.bin")
         camera = self._calibration
         returns, scan_line = project_lines(points, camera.intrinsics, camera.extrinsics, size)
-        depth = returns
+        targets: dict[str, NDArray[Any]] = {"depth": returns}
         if self._truth == "accumulated":
             disparity = read_gray(self._root / "disp_occ_0" / f"{path.stem}.png", np.uint16, size)
-            depth = disparity_to_depth(disparity, self._focal_baseline, zero=0)
+            targets["depth"] = disparity_to_depth(disparity, self._focal_baseline, zero=0)
+        labels = self._root / "semantic" / f"{path.stem}.png"
+        if self._labels is not None and labels.exists():
+            targets["semantic"] = self._labels.read(labels, size)
+        if self._has_masks:
+            targets["road_mask"] = _read_mask(self._root / "road_mask" / f"{path.stem}.png", size)
         return Sample(
             rgb=rgb,
-            targets={
-                "depth": depth,
-                **self._read_labels(path.stem, size),
-                **self._read_mask(path.stem, size),
-            },
+            targets=targets,
             intrinsics=camera.intrinsics,
             name=f"kitti_streets/{path.stem}",
             sparse_depth=returns if self._truth == "accumulated" else None,
@@ -118,24 +115,16 @@ class KittiStreets(FrameList):
             place=_place(int(path.stem)),
         )
 
-    def _read_labels(self, number: str, size: tuple[int, int]) -> dict[str, NDArray[np.uint8]]:
-        path = self._root / "semantic" / f"{number}.png"
-        if self._labels is None or not path.exists():
-            return {}
-        return {"semantic": self._labels.read(path, size)}
 
-    def _read_mask(self, number: str, size: tuple[int, int]) -> dict[str, NDArray[np.uint8]]:
-        if not self._has_masks:
-            return {}
-        path = self._root / "road_mask" / f"{number}.png"
-        mask = read_gray(path, np.uint8, size)
-        other = np.setdiff1d(mask, (0, 1, IGNORE))
-        if other.size:
-            raise DatasetError(
-                f"{path}: holds the value {other[0]}; expected 0 = not road, 1 = road, 255 = "
-                "unknown."
-            )
-        return {"road_mask": mask}
+def _read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """0 = not road, 1 = road, 255 = unknown."""
+    mask: NDArray[np.uint8] = read_gray(path, np.uint8, size)
+    other = np.setdiff1d(mask, (0, 1, IGNORE))
+    if other.size:
+        raise DatasetError(
+            f"{path}: holds the value {other[0]}; expected 0 = not road, 1 = road, 255 = unknown."
+        )
+    return mask
 
 
 def _place(number: int) -> str | None:

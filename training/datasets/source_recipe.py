@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, ClassVar, TypeVar
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass
@@ -28,6 +28,11 @@ class SourceRecipe:
     name as the default of ``kind``, a Literal, its own keys, and `open`.
     """
 
+    #: Name in `models.CLASS_TABLES` of the classes that the kind has labels of; "" of none.
+    labelled: ClassVar[str] = ""
+    #: The key with which the user states the unit of the depth; "" where the format has one.
+    unit_key: ClassVar[str] = ""
+
     kind: str
     #: Folder, relative to one of the ``--data`` folders.
     path: Annotated[str, Field(min_length=1)]
@@ -52,7 +57,7 @@ class SourceRecipe:
 
         None: the labels are ids of the table that the set is opened with.
         """
-        return ()
+        return self.labelled or ()
 
     def open(self, folder: Path, classes: ClassTable) -> SampleSource:
         """Open the data set.

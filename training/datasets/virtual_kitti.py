@@ -4,9 +4,10 @@
 """
 
 import dataclasses
+import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import cv2
 import numpy as np
@@ -14,7 +15,6 @@ from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from runtime.checks import shown
 from runtime.errors import DatasetError
 from runtime.geometry.kitti_calibration import NumbersFile
 from runtime.io.images import RGB_SUFFIXES
@@ -30,11 +30,7 @@ from training.datasets.files import (
 )
 from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import Names, SourceRecipe
-from training.datasets.virtual_kitti_split import (
-    Selection,
-    Split,
-    require_frames,
-)
+from training.datasets.virtual_kitti_split import Selection, Split
 from training.lidar.scan import project_lines
 from training.limits import STRICT
 
@@ -42,24 +38,18 @@ _RGB_1, _DEPTH_1, _CLASSES_1 = (f"vkitti_1.3.1_{kind}" for kind in ("rgb", "dept
 #: Of every frame of edition 1.3.1, from the set's description.
 _INTRINSICS_1 = np.array([[725.0, 0.0, 620.5], [0.0, 725.0, 187.0], [0.0, 0.0, 1.0]])
 _UNITS_A_METRE = 100.0
+_INTRINSICS_ROW = "'frame cameraID fx fy cx cy'"
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class _SelectionRecipe(SourceRecipe):
     """The keys that choose frames."""
 
+    labelled: ClassVar[str] = "virtual_kitti"
+
     #: All by default, or those of the split.
     scenes: Names | None = None
     variants: Names | None = None
-
-    @property
-    def label_table(self) -> ClassTable:
-        """See `SourceRecipe.label_table`."""
-        return "virtual_kitti"
-
-    def select(self, split: Split = "all") -> Selection:
-        """Return which frames the keys choose."""
-        return Selection(split, self.scenes, self.variants)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -73,7 +63,7 @@ class VirtualKittiRecipe(_SelectionRecipe):
 
     def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti":
         """See `SourceRecipe.open`."""
-        selection = self.select(self.split)
+        selection = Selection(self.split, self.scenes, self.variants)
         return VirtualKitti(_list_second_edition(folder, selection, self.cameras), classes)
 
 
@@ -88,8 +78,8 @@ class RenderedRecipe(_SelectionRecipe):
 
     def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti":
         """See `SourceRecipe.open`."""
-        frames = _list_second_edition(folder, self.select(), scans=self.scans)
-        return VirtualKitti(frames, classes)
+        selection = Selection("all", self.scenes, self.variants)
+        return VirtualKitti(_list_second_edition(folder, selection, scans=self.scans), classes)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -101,12 +91,13 @@ class VirtualKitti1Recipe(_SelectionRecipe):
 
     def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti":
         """See `SourceRecipe.open`."""
-        return VirtualKitti(_list_first_edition(folder, self.select(self.split)), classes)
+        selection = Selection(self.split, self.scenes, self.variants)
+        return VirtualKitti(_list_first_edition(folder, selection), classes)
 
 
 @dataclasses.dataclass(frozen=True)
 class _Frame:
-    """The files of a frame; ``scan`` is a rendered LiDAR's, with the matrix to the camera."""
+    """The files of a frame; ``scan`` is a rendered LiDAR's, with its matrix to the camera."""
 
     name: str
     rgb: Path
@@ -114,8 +105,7 @@ class _Frame:
     labels: Path
     colors: Path
     intrinsics: NDArray[np.float64]
-    scan: Path | None = None
-    to_camera: NDArray[np.float64] | None = None
+    scan: tuple[Path, NDArray[np.float64]] | None = None
 
 
 class VirtualKitti(FrameList):
@@ -136,9 +126,10 @@ class VirtualKitti(FrameList):
         size = (rgb.shape[0], rgb.shape[1])
         depth = read_depth(frame.depth, size, depth_scale=_UNITS_A_METRE)
         sparse_depth = scan_line = None
-        if frame.scan is not None and frame.to_camera is not None:
-            points = read_points(frame.scan)
-            sparse_depth, scan_line = project_lines(points, frame.intrinsics, frame.to_camera, size)
+        if frame.scan is not None:
+            path, to_camera = frame.scan
+            points = read_points(path)
+            sparse_depth, scan_line = project_lines(points, frame.intrinsics, to_camera, size)
         return Sample(
             rgb=rgb,
             targets={
@@ -187,8 +178,8 @@ def _list_second_edition(
             for number in numbers:
                 if int(number) not in intrinsics:
                     raise DatasetError(
-                        f"{variant / 'intrinsic.txt'}: no row 'frame cameraID fx fy cx cy' of "
-                        f"frame {int(number)}, camera {camera}. Restore the file."
+                        f"{variant / 'intrinsic.txt'}: no row {_INTRINSICS_ROW} of frame "
+                        f"{int(number)}, camera {camera}. Restore the file."
                     )
                 frames.append(
                     _Frame(
@@ -198,11 +189,10 @@ def _list_second_edition(
                         folders["classSegmentation"] / f"classgt_{number}.png",
                         variant / "colors.txt",
                         intrinsics[int(number)],
-                        folders["lidar"] / f"lidar_{number}.bin" if scans else None,
-                        to_camera if scans else None,
+                        (folders["lidar"] / f"lidar_{number}.bin", to_camera) if scans else None,
                     )
                 )
-    require_frames(selection, frames, variants, root)
+    selection.require_frames(frames, variants, root)
     return frames
 
 
@@ -231,7 +221,7 @@ def _list_first_edition(root: Path, selection: Selection) -> list[_Frame]:
             name = f"{scene}/{variant.name}/{number}"
             rgb, *others = (folder / f"{number}.png" for folder in (variant, depth, labels))
             frames.append(_Frame(name, rgb, others[0], others[1], colors, _INTRINSICS_1))
-    require_frames(selection, frames, variants, root / _RGB_1)
+    selection.require_frames(frames, variants, root / _RGB_1)
     return frames
 
 
@@ -242,21 +232,17 @@ def _folders(path: Path) -> list[Path]:
 
 def _read_intrinsics(path: Path, camera: int) -> dict[int, NDArray[np.float64]]:
     """Frame -> K, from rows 'frame cameraID fx fy cx cy' under a header."""
-    intrinsics: dict[int, NDArray[np.float64]] = {}
-    for row in filter(None, map(str.split, read_text(path).splitlines()[1:])):
-        try:
-            number, row_camera = int(row[0]), int(row[1])
-            fx, fy, cx, cy = map(float, row[2:])
-        except (IndexError, ValueError):
-            number, row_camera, fx, fy, cx, cy = -1, -1, *[np.nan] * 4
-        if not (min(fx, fy) > 0 and np.isfinite((fx, fy, cx, cy)).all()):
-            raise DatasetError(
-                f"{path}: {shown(' '.join(row))} is not 'frame cameraID fx fy cx cy'. Restore the "
-                "file."
-            )
-        if row_camera == camera:
-            intrinsics[number] = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
-    return intrinsics
+    try:
+        rows = np.loadtxt(io.StringIO(read_text(path)), skiprows=1, ndmin=2)
+        number, cameras, fx, fy, cx, cy = rows.T
+    except ValueError as error:
+        raise DatasetError(f"{path}: expected rows {_INTRINSICS_ROW}: {error}.") from error
+    if not (np.isfinite(rows).all() and (rows[:, 2:4] > 0).all()):
+        raise DatasetError(f"{path}: expected rows {_INTRINSICS_ROW}, finite, with fx, fy > 0.")
+    matrices = np.tile(np.eye(3), (len(rows), 1, 1))
+    matrices[:, 0, 0], matrices[:, 1, 1], matrices[:, 0, 2], matrices[:, 1, 2] = fx, fy, cx, cy
+    ours = cameras == camera
+    return dict(zip(number[ours].astype(int).tolist(), matrices[ours], strict=True))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

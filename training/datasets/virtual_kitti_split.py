@@ -24,14 +24,6 @@ PAPER_VARIANTS = (
 )
 _TEST_SCENE = 1  # 447 frames a variant, the paper's 3,576 in all
 _VAL_SCENE, _VAL_FIRST = 20, 547  # the last 290 of its 837 frames: the paper's 2,320 in all
-_VAL = f"frames of scene {_VAL_SCENE} from {_VAL_FIRST} on"
-#: Split -> its frames, for messages.
-_FRAMES = {
-    "train": f"all but scene {_TEST_SCENE} and the {_VAL}",
-    "val": f"the {_VAL}",
-    "test": f"scene {_TEST_SCENE}",
-    "all": "all scenes",
-}
 
 
 @dataclass(frozen=True)
@@ -68,16 +60,12 @@ class Selection:
             return is_val
         return (scene_number == _TEST_SCENE) == (self.split == "test") and not is_val
 
-
-def require_frames(
-    selection: Selection, found: Sequence[object], variants: Sequence[Path], root: Path
-) -> None:
-    """Raise DatasetError if no frame was found in the folders of the variants."""
-    if not found:
-        paper = "any" if selection.split == "all" else ", ".join(PAPER_VARIANTS)
-        there = [f"{variant.parent.name}/{variant.name}" for variant in variants]
-        raise DatasetError(
-            f"{root}: no frames of the split {selection.split!r}. Wanted: "
-            f"{', '.join(selection.scenes or [_FRAMES[selection.split]])}; variants: "
-            f"{', '.join(selection.variants or [paper])}. Found: {list_names(there)}."
-        )
+    def require_frames(self, found: Sequence[object], variants: Sequence[Path], root: Path) -> None:
+        """Raise DatasetError if no frame was found in the folders of the variants."""
+        if not found:
+            there = [f"{variant.parent.name}/{variant.name}" for variant in variants]
+            raise DatasetError(
+                f"{root}: no frames of the split {self.split!r}. Wanted scenes: "
+                f"{', '.join(self.scenes or ['those of the split'])}; variants: "
+                f"{', '.join(self.variants or ['those of the split'])}. Found: {list_names(there)}."
+            )

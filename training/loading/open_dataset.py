@@ -156,10 +156,9 @@ def survey(
         for target, number in empty.items():
             text = f"{number} of {len(frames)} frames of {item.title} have no {target}"
             notes.append((target, f"{text} to learn from"))
-        # Only where the user states the unit can it be wrong.
-        if known - near > _FAR_SHARE * known and hasattr(item, "depth_scale"):
+        if item.unit_key and known - near > _FAR_SHARE * known:
             text = f"{item.title}: {1 - near / known:.0%} of the depth is beyond "
-            text += f"{config.target_depth_m:g} m and not trained: check the unit (depth_scale)"
+            text += f"{config.target_depth_m:g} m and not trained: check the unit ({item.unit_key})"
             notes.append(("depth", text))
     counts = np.round(counts * 1_000_000)
     never = [name for name, count in zip(class_names, counts, strict=True) if not count]

@@ -1,17 +1,12 @@
 """Cityscapes on small files in its real layout."""
 
-import json
 from functools import partial
 
 import numpy as np
 import pytest
 
 from layouts import open_set
-from layouts.cityscapes import CAMERA, HEIGHT, STEM, WIDTH, write_frame, write_stereo
-from layouts.pictures import cut_short, write
-from runtime.errors import DatasetError
-from training.datasets.cityscapes import CityscapesRecipe
-from training.loading.open_dataset import open_dataset
+from layouts.cityscapes import HEIGHT, STEM, WIDTH, write_frame, write_stereo
 
 Cityscapes = partial(open_set, "cityscapes")
 
@@ -84,70 +79,5 @@ def test_frames_are_those_of_the_split_in_order_of_cities(tmp_path):
         "aachen_000001_000019",
         "bochum_000000_000313",
     ]
-    recipe = CityscapesRecipe(path=tmp_path.name, split="val")
-    val = open_dataset(recipe, [tmp_path.parent], classes="camvid")
+    val = Cityscapes(tmp_path, split="val")
     assert [len(val), val[0].name] == [1, "cityscapes/val/frankfurt_000000_000294"]
-    assert val[0].semantic[0, 26] == 8
-
-
-@pytest.mark.parametrize(
-    ("lost", "text"),
-    [
-        (f"gtFine/train/{STEM}_gtFine_labelIds.png", "missing"),
-        (f"disparity/train/{STEM}_disparity.png", "missing"),
-        (f"camera/train/{STEM}_camera.json", "missing"),
-        ("camera/train/aachen", "no such folder"),
-        ("leftImg8bit/train", "no such folder"),
-    ],
-)
-def test_missing_parts_are_named(cityscapes, lost, text):
-    (cityscapes / lost).rename(cityscapes / "elsewhere")
-    with pytest.raises(DatasetError, match=f"{lost}: {text}"):
-        Cityscapes(cityscapes)
-
-
-def labels(value, size=(HEIGHT, WIDTH)):
-    return np.full(size, value, np.uint8)
-
-
-@pytest.mark.parametrize(
-    ("kind", "suffix", "spoil", "text"),
-    [
-        ("gtFine", "gtFine_labelIds.png", lambda p: write(p, labels(34)), "label id 34, expected"),
-        (
-            "gtFine",
-            "gtFine_labelIds.png",
-            lambda p: write(p, np.zeros((HEIGHT, WIDTH, 3), np.uint8)),
-            "expected one channel of uint8",
-        ),
-        (
-            "disparity",
-            "disparity.png",
-            lambda p: write(p, labels(7)),
-            "expected one channel of uint16",
-        ),
-        ("leftImg8bit", "leftImg8bit.png", cut_short, "is empty, truncated or damaged"),
-    ],
-)
-def test_damaged_files_are_named(cityscapes, kind, suffix, spoil, text):
-    path = cityscapes / kind / "train" / f"{STEM}_{suffix}"
-    spoil(path)
-    source = Cityscapes(cityscapes)
-    with pytest.raises(DatasetError, match=f"{path}.* {text}"):
-        source[0]
-
-
-@pytest.mark.parametrize(
-    ("content", "text"),
-    [
-        ("{", "JSONDecodeError"),
-        (json.dumps({"intrinsic": CAMERA["intrinsic"]}), "KeyError: 'extrinsic'"),
-        (json.dumps(CAMERA | {"intrinsic": {"fx": 1, "fy": 1, "u0": 1}}), "KeyError: 'v0'"),
-        (json.dumps(CAMERA | {"extrinsic": {"baseline": "wide"}}), "ValueError"),
-        (json.dumps(CAMERA | {"extrinsic": {"baseline": 0}}), "baseline 0.0, .* must be positive"),
-    ],
-)
-def test_broken_camera_files_are_named(cityscapes, content, text):
-    (cityscapes / f"camera/train/{STEM}_camera.json").write_text(content)
-    with pytest.raises(DatasetError, match=f"{STEM}_camera.json: .*{text}"):
-        Cityscapes(cityscapes)[0]

@@ -15,12 +15,8 @@ from runtime.errors import DatasetError
 KittiStream = partial(open_set, "kitti-stream")
 
 
-@pytest.fixture
-def real_data():
-    folder = os.environ.get("SSDNET_DATA")
-    if not folder:
-        pytest.skip("SSDNET_DATA names no folder with recordings")
-    return Path(folder)
+DATA = Path(os.environ.get("SSDNET_DATA", "nowhere"))
+recorded = pytest.mark.skipif(not DATA.is_dir(), reason="SSDNET_DATA names no recordings")
 
 
 @pytest.fixture
@@ -59,24 +55,8 @@ def test_stream_labels_are_train_ids(stream, classes, ids):
 def test_stream_takes_its_first_to_last_frame(stream):
     source = KittiStream(stream, first=1, last=1)
     assert [len(source), source[0].name] == [1, "kitti_stream/0000000001"]
-    with pytest.raises(DatasetError, match=r"3 images, none of them in 3\.\."):
+    with pytest.raises(DatasetError, match=r"image_02: 3 images.* 3\.\."):
         KittiStream(stream, first=3)
-
-
-def test_damaged_stream_files_are_named(stream):
-    scan = stream / "velodyne_fov" / "0000000000.bin"
-    scan.write_bytes(scan.read_bytes()[:-1])
-    with pytest.raises(DatasetError, match=r"0000000000\.bin: its 63 bytes"):
-        KittiStream(stream)[0]
-    scan.unlink()
-    with pytest.raises(DatasetError, match=r"cannot read .*0000000000\.bin"):
-        KittiStream(stream)[0]
-    (stream / "calib_cam_to_cam.txt").write_text("S_rect_02: 16 8\n")
-    with pytest.raises(DatasetError, match=r"calib_cam_to_cam\.txt has no line 'P_rect_02:'"):
-        KittiStream(stream)
-    (stream / "calib_cam_to_cam.txt").unlink()
-    with pytest.raises(DatasetError, match=r"cannot read .*calib_cam_to_cam\.txt"):
-        KittiStream(stream)
 
 
 def test_object_data_has_a_calibration_a_frame_and_some_scans(tmp_path):
@@ -99,15 +79,13 @@ def test_object_data_has_a_calibration_a_frame_and_some_scans(tmp_path):
     assert alone.scan_line is None
     assert [scanned.focal_length_px, alone.focal_length_px] == [10, 20]
     (tmp_path / "calib" / "000008.txt").unlink()
-    with pytest.raises(DatasetError, match=r"cannot read .*000008\.txt"):
+    with pytest.raises(DatasetError, match=r"000008\.txt"):
         source[1]
-    (tmp_path / "image_2").rename(tmp_path / "image_02")
-    with pytest.raises(DatasetError, match="image_2: no such folder"):
-        KittiStream(tmp_path)
 
 
-def test_real_object_data_is_read(real_data):
-    source = KittiStream(real_data / "kitti_object")
+@recorded
+def test_real_object_data_is_read():
+    source = KittiStream(DATA / "kitti_object")
     samples = [source[index] for index in range(len(source))]
     assert len(samples) == 18
     assert sum(bool(sample.depth.any()) for sample in samples) == 5
@@ -118,12 +96,13 @@ def test_real_object_data_is_read(real_data):
     assert all((sample.semantic != 255).mean() > 0.5 for sample in samples)
 
 
-def test_real_stream_has_lines_labels_and_the_projected_depth(real_data):
-    source = KittiStream(real_data / "kitti_stream", first=50, last=51, semantic_weight=0.2)
+@recorded
+def test_real_stream_has_lines_labels_and_the_projected_depth():
+    source = KittiStream(DATA / "kitti_stream", first=50, last=51, semantic_weight=0.2)
     sample = source[0]
     assert len(source) == 2
     assert sample.rgb.shape == (375, 1242, 3)
-    png = cv2.imread(str(real_data / "kitti_stream/sparse_depth_02/0000000050.png"), -1) / 256
+    png = cv2.imread(str(DATA / "kitti_stream/sparse_depth_02/0000000050.png"), -1) / 256
     # The maps were made with floor instead of rint: the same returns, half a pixel beside.
     assert np.count_nonzero(sample.depth) == pytest.approx(np.count_nonzero(png), rel=0.01)
     assert np.median(sample.depth[sample.depth > 0]) == pytest.approx(
@@ -136,5 +115,3 @@ def test_real_stream_has_lines_labels_and_the_projected_depth(real_data):
     assert (sample.semantic[300:] == 3).mean() > 0.1
     assert (sample.semantic[:100] == 0).any()
     assert not (sample.semantic[300:] == 0).any()
-    with pytest.raises(DatasetError, match="none of them"):
-        KittiStream(real_data / "kitti_stream", first=600)
