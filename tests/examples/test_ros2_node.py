@@ -1,6 +1,6 @@
-"""The node of docs/ros2.md runs, with stand-ins for the modules of ROS."""
+"""The node of examples/ros2_node.py runs, with stand-ins for the modules of ROS."""
 
-import re
+import runpy
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -10,7 +10,7 @@ import pytest
 
 from runtime.sources.bundled_stream import bundled_frames
 
-PAGE = Path(__file__).parents[2] / "docs" / "ros2.md"
+NODE = Path(__file__).parents[2] / "examples" / "ros2_node.py"
 SECONDS, NANOSECONDS = 1_700_000_000, 123_456_789
 
 
@@ -20,7 +20,7 @@ def stamped(*, frame_id="", **fields):
 
 
 class Node:
-    """The part of rclpy's node that the page's node uses."""
+    """The part of rclpy's node that the example uses."""
 
     def __init__(self, name):
         self.name, self.sent, self.callbacks, self.logged = name, {}, {}, []
@@ -54,7 +54,7 @@ class CvBridge:
 
 @pytest.fixture
 def spun(monkeypatch):
-    """Run the page's main; spin with some messages, and return the node."""
+    """Run the main of the example; spin with some messages, and return the node."""
 
     def run(messages):
         nodes = []
@@ -91,8 +91,7 @@ def spun(monkeypatch):
             module = ModuleType(name)
             vars(module).update(members)
             monkeypatch.setitem(sys.modules, name, module)
-        (code,) = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), flags=re.M | re.S)
-        exec(compile(code, str(PAGE), "exec"), {"__name__": "__main__"})
+        runpy.run_path(str(NODE), run_name="__main__")
         return nodes[0]
 
     return run

@@ -1,42 +1,56 @@
-# In a ROS 2 node
+"""A ROS 2 node: classes and depth of one camera and one LiDAR. Copy it; the engine needs no ROS.
 
-Copy this node; the engine itself needs no ROS. The tests run it with stand-ins for ROS's modules, not with ROS.
-[`PushStream`](streams.md) predicts in a thread of its own, so the callbacks never wait for inference. [An
-example](../examples/callbacks.py) does the same without ROS.
+    python examples/ros2_node.py [--ros-args --params-file qos.yaml]
 
-```python
+`PushStream` predicts in a thread of its own, so the callbacks never wait for inference. `image` and
+`points` are best effort, the last 5; `odometry` is best effort, the last 200 (a second at 200 Hz);
+`~/depth` and `~/semantic` are reliable, the last 5. Parameters override the quality of service, by
+the topic's full name:
+
+    /ssdnet:
+      ros__parameters:
+        qos_overrides:
+          /odometry:
+            subscription: {reliability: reliable, depth: 400}
+"""
+
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import rclpy
 from cv_bridge import CvBridge
 from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import Image, PointCloud2
 from sensor_msgs_py import point_cloud2
 
-from runtime import Calibration, Predictor, PushStream, SSDNetError
+from runtime import Calibration, FrameResult, Predictor, PushStream, SSDNetError
 from runtime.sources.ros_poses import odometry_pose, point_times_s
 
-# Your calibration: fx 0 cx / 0 fy cy / 0 0 1, and LiDAR to camera. Of raw images also Calibration(lens=, distortion=).
+# Your calibration: fx 0 cx / 0 fy cy / 0 0 1, and LiDAR to camera. Of raw images also
+# Calibration(lens=, distortion=).
 INTRINSICS = np.array([[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1]])
 EXTRINSICS = np.array([[0, -1, 0, 0], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1.0]])
 # LiDAR to the frame whose odometry is subscribed to, its child_frame_id (base_link).
 BODY_FROM_LIDAR = np.array([[1.0, 0, 0, 0.8], [0, 1, 0, 0], [0, 0, 1, 1.4], [0, 0, 0, 1]])
 
 
-def nanoseconds(message):
+def nanoseconds(message: Any) -> int:
     """Return the sensor's stamp as an integer, without rounding."""
     return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
 
-def best_effort(queue):
+def best_effort(queue: int) -> QoSProfile:
     """Return a new profile, into which ROS writes the overrides of one topic."""
     return QoSProfile(depth=queue, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class SSDNetNode(Node):
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__("ssdnet")
         self.bridge = CvBridge()
         self.frame_id = ""  # of the images
@@ -60,18 +74,18 @@ class SSDNetNode(Node):
         ):
             self.create_subscription(kind, topic, callback, best_effort(queue), **settable)
 
-    def on_image(self, message):
+    def on_image(self, message: Image) -> None:
         self.frame_id = message.header.frame_id
         self.push(self.stream.push_image, self.bridge.imgmsg_to_cv2(message, "rgb8"), message)
 
-    def on_points(self, message):
+    def on_points(self, message: PointCloud2) -> None:
         fields = ("x", "y", "z")
         points = point_cloud2.read_points_numpy(message, fields, skip_nans=False)
         points = np.ascontiguousarray(points, np.float32)
         times = point_times_s(message, nanoseconds(message), points)  # None without such a field
         self.push(self.stream.push_points, points, message, times)
 
-    def on_odometry(self, message):
+    def on_odometry(self, message: Odometry) -> None:
         try:
             pose = odometry_pose(message)
         except SSDNetError as error:
@@ -79,13 +93,15 @@ class SSDNetNode(Node):
         else:
             self.push(self.stream.push_pose, pose, message)
 
-    def push(self, push, array, message, *others):
+    def push(
+        self, push: Callable[..., None], array: NDArray[Any], message: Any, *others: Any
+    ) -> None:
         try:
             push(array, nanoseconds(message), *others)
         except SSDNetError as error:  # the text says what was expected
             self.get_logger().error(str(error), throttle_duration_sec=1.0)
 
-    def publish(self, result):
+    def publish(self, result: FrameResult) -> None:
         """Called in the stream's thread with each answer."""
         prediction = result.prediction
         if not prediction.valid:
@@ -101,13 +117,13 @@ class SSDNetNode(Node):
             message.header.stamp.sec, message.header.stamp.nanosec = seconds, rest
             publisher.publish(message)
 
-    def destroy_node(self):
+    def destroy_node(self) -> None:
         self.stream.close()  # answers what was accepted, then ends
         self.predictor.close()
         super().destroy_node()
 
 
-def main():
+def main() -> None:
     rclpy.init()
     node = SSDNetNode()
     try:
@@ -119,16 +135,3 @@ def main():
 
 if __name__ == "__main__":
     main()
-```
-
-`image` and `points` are best effort, the last 5; `odometry` is best effort, the last 200 (a second at 200 Hz);
-`~/depth` and `~/semantic` are reliable, the last 5. Parameters override the quality of service, by the topic's full
-name: `python node.py --ros-args --params-file qos.yaml` with
-
-```yaml
-/ssdnet:
-  ros__parameters:
-    qos_overrides:
-      /odometry:
-        subscription: {reliability: reliable, depth: 400}
-```
