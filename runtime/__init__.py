@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from runtime.streams.replay import ReplayMessage as ReplayMessage
     from runtime.streams.replay import replay as replay
     from runtime.streams.stream_counter import StreamCounter as StreamCounter
-    from runtime.streams.watchdog import WatchdogLimits as WatchdogLimits
+    from runtime.streams.stream_counter import WatchdogLimits as WatchdogLimits
 
     __version__: str
 
@@ -53,8 +53,7 @@ _MODULES = {
     "streams.frame_result": "FrameResult",
     "streams.push_stream": "PushStream",
     "streams.replay": "ReplayMessage replay",
-    "streams.stream_counter": "StreamCounter",
-    "streams.watchdog": "WatchdogLimits",
+    "streams.stream_counter": "StreamCounter WatchdogLimits",
 }
 _HOMES = {name: f"runtime.{home}" for home, names in _MODULES.items() for name in names.split()}
 

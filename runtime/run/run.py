@@ -1,7 +1,7 @@
 """Run a model over a stream of frames, and write the requested outputs."""
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from runtime.canonical_focal import CameraScale
@@ -76,7 +76,7 @@ def run(
         for camera, source in cameras.items():
             if stop():
                 break
-            with _of_camera(camera):
+            try:
                 stream = _prepare(options, source, predictor)
                 if not reports:
                     options = options.with_folder()
@@ -84,23 +84,16 @@ def run(
                         make_run_folder(options, kinds=(), names=())
                     stop = opened.enter_context(stop_requested())
                 reports[camera] = _answer(stream, options.of_camera(camera), camera, on_start, stop)
+            except InputError as error:
+                if not camera:
+                    raise
+                raise InputError(f"{camera}: {error}") from error
         if "" in reports:
             return reports[""]
         is_whole = len(reports) == len(cameras)
         report = RunReport.of_rig(reports, options, interrupted=not is_whole)
         write_report(report)
         return report
-
-
-@contextlib.contextmanager
-def _of_camera(camera: str) -> Iterator[None]:
-    """Let an InputError of the block name the camera of a rig."""
-    try:
-        yield
-    except InputError as error:
-        if not camera:
-            raise
-        raise InputError(f"{camera}: {error}") from error
 
 
 @dataclass(frozen=True)

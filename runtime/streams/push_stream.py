@@ -39,9 +39,13 @@ from runtime.streams.answerer import Answerer, FramePredictor
 from runtime.streams.frame_result import FrameResult
 from runtime.streams.sensor_input import Kind, SensorInput
 from runtime.streams.statistics import Jitter, StreamStatistics
-from runtime.streams.stream_counter import StreamCounter, StreamCounts
+from runtime.streams.stream_counter import (
+    StreamCounter,
+    StreamCounts,
+    WatchdogLimits,
+    WatchdogState,
+)
 from runtime.streams.stream_thread import MonotonicClock, StreamWork, start_thread
-from runtime.streams.watchdog import WatchdogLimits, WatchdogState
 from runtime.sync.frame import Frame, Outcome
 from runtime.sync.matching import Decided, Synchronizer
 

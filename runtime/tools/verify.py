@@ -60,13 +60,13 @@ def main(
         ),
     ] = None,
     max_slowdown: Annotated[
-        float | None,
+        float,
         typer.Option(
             min=1e-6,
-            help="Largest ratio of the median prediction time to the recorded one. "
-            "[default: times are not compared]",
+            show_default="times are not compared",
+            help="Largest ratio of the median prediction time to the recorded one.",
         ),
-    ] = None,
+    ] = math.inf,
     _version: Version = False,
 ) -> None:
     """Predict the frames of a recording again, and compare the answers with the recorded ones."""
@@ -125,13 +125,13 @@ class VerifyReport:
         recording: that was compared.
         limits: head -> limits of its figures.
         checks: of the frames, in order.
-        max_slowdown: limit of `slowdown`; None = times are not compared.
+        max_slowdown: limit of `slowdown`; infinity = times are not compared.
     """
 
     recording: Recording
     limits: Figures
     checks: tuple[Comparison, ...]
-    max_slowdown: float | None = None
+    max_slowdown: float
 
     @property
     def failed(self) -> list[Comparison]:
@@ -151,7 +151,7 @@ class VerifyReport:
     @property
     def slow(self) -> bool:
         """Whether predictions take more than `max_slowdown` times what was recorded."""
-        return (self.slowdown or 0) > (math.inf if self.max_slowdown is None else self.max_slowdown)
+        return (self.slowdown or 0) > self.max_slowdown
 
     @property
     def passed(self) -> bool:
@@ -164,7 +164,7 @@ def verify(
     recording: Recording,
     *,
     tolerances: Mapping[str, float],
-    max_slowdown: float | None = None,
+    max_slowdown: float = math.inf,
 ) -> VerifyReport:
     """Predict each recorded frame, and compare the answers with the recorded ones.
 
@@ -175,7 +175,7 @@ def verify(
         recording: frames and answers.
         tolerances: head -> limit of its first figure (share of equal pixels, largest or mean
             difference), in place of the recording's limits.
-        max_slowdown: limit of the median time over the recorded one; None = not compared.
+        max_slowdown: limit of the median time over the recorded one.
 
     Raises:
         InputError: if the arrays of the recording are damaged, if it lacks a head of `tolerances`,
@@ -194,7 +194,7 @@ def verify(
         for index, frame in enumerate(recording.frames)
     )
     report = VerifyReport(recording, limits, checks, max_slowdown)
-    if max_slowdown is not None and report.slowdown is None:
+    if max_slowdown < math.inf and report.slowdown is None:
         raise InputError(
             "--max-slowdown needs times, and this recording has none: record with ssdnet-run"
         )
@@ -263,8 +263,9 @@ def _table(report: VerifyReport, predictor: Predictor) -> str:
             most = f"{worst(figures)[name]:.6g}" if figures else "n/a"
             lines.append(f"{head:18}{name:14}{most:>12}{limit:>12.6g}")
     if report.slowdown is not None:
-        limit_text = "no limit" if report.max_slowdown is None else f"{report.max_slowdown:g}"
-        lines.append(f"{'time':18}{'x recorded':14}{report.slowdown:>12.3f}{limit_text:>12}")
+        lines.append(
+            f"{'time':18}{'x recorded':14}{report.slowdown:>12.3f}{report.max_slowdown:>12g}"
+        )
     lines += ["", *(f"  {check.name}: {fault}" for check in failed for fault in check.faults)]
     if not checks:
         lines.append("the recording holds no frames: nothing was compared")

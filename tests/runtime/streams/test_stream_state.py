@@ -1,8 +1,7 @@
 import pytest
 
 from runtime.errors import InferenceError, InputError
-from runtime.streams.stream_counter import StreamCounter
-from runtime.streams.watchdog import Level, WatchdogLimits
+from runtime.streams.stream_counter import Level, StreamCounter, WatchdogLimits
 from runtime.sync.frame import Frame, Message
 from stream_messages import result
 
