@@ -6,6 +6,7 @@ import json
 import cv2
 import numpy as np
 import pytest
+from small_rig import INTRINSICS, MS, SIZE, START_NS, add_tree
 from typer.testing import CliRunner
 
 from runtime.run.cli import app
@@ -125,20 +126,17 @@ class BagMaker:
         fields = {"format": text, "data": np.frombuffer(content, np.uint8)}
         self.send("sensor_msgs/msg/CompressedImage", topic, stamp_ns, frame_id, **fields)
 
-    def field(self, name, offset):
-        kind = "sensor_msgs/msg/PointField"
-        return self.make(kind, name=name, offset=offset, datatype=7, count=1)
-
-    def cloud(self, topic, points, stamp_ns, *, frame_id="lidar", recorded_ns=None, **more):
-        """points: (N, 4) of x, y, z, intensity; written as float32 with a gap of 4 bytes."""
+    def cloud(self, topic, points, stamp_ns, *, fourth="intensity", recorded_ns=None):
+        """points: (N, 4) of x, y, z and the fourth; written as float32 with a gap of 4 bytes."""
         records = np.zeros((len(points), 5), np.float32)
         records[:, [0, 1, 2, 4]] = points
-        places = {"x": 0, "y": 4, "z": 8, "intensity": 16}
+        places = {"x": 0, "y": 4, "z": 8, fourth: 16}
+        kind, form = "sensor_msgs/msg/PointField", {"datatype": 7, "count": 1}
         fields = {"height": 1, "width": len(points), "is_bigendian": False, "is_dense": True}
-        fields["fields"] = [self.field(name, offset) for name, offset in places.items()]
+        fields["fields"] = [self.make(kind, name=n, offset=o, **form) for n, o in places.items()]
         fields |= {"point_step": 20, "row_step": 20 * len(points)}
-        fields |= {"data": records.reshape(-1).view(np.uint8), **more}
-        self.send("sensor_msgs/msg/PointCloud2", topic, stamp_ns, frame_id, recorded_ns, **fields)
+        fields["data"] = records.reshape(-1).view(np.uint8)
+        self.send("sensor_msgs/msg/PointCloud2", topic, stamp_ns, "lidar", recorded_ns, **fields)
 
     def info(
         self,
@@ -240,4 +238,23 @@ class BagMaker:
 def make_bag(tmp_path):
     """Give a BagMaker of a kind: "ros1", "ros2" (sqlite3 in its folder) or "mcap" (one file)."""
     pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
-    return lambda kind: BagMaker(tmp_path, kind)
+    return lambda kind="mcap": BagMaker(tmp_path, kind)
+
+
+@pytest.fixture
+def record(make_bag, make_frame, make_scan):
+    """Give a BagMaker with the small rig: images at `step_ms`, scans at 10 Hz, `late_ms` later."""
+
+    def fill(kind="mcap", *, images=4, scans=4, step_ms=100, late_ms=7, tree=True):
+        bag = make_bag(kind)
+        for index in range(images):
+            stamp_ns = START_NS + step_ms * MS * index
+            bag.image("/cam/image_rect", make_frame(*SIZE, seed=index)[0], "rgb8", stamp_ns)
+        bag.info("/cam/camera_info", INTRINSICS, SIZE)
+        for index in range(scans):
+            bag.cloud("/lidar/points", make_scan(index), START_NS + (100 * index + late_ms) * MS)
+        if tree:
+            add_tree(bag)
+        return bag
+
+    return fill

@@ -24,18 +24,19 @@ def folders(tmp_path, make_frame, write_rgb, write_depth):
     return tmp_path / "cam", tmp_path / "lidar", depths
 
 
-def test_a_folder_source_answers_what_rgb_and_depth_do(folders, run):
+def test_folders_from_end_to_end(folders, run):
     rgb, depth, depths = folders
-    by_options = run("--rgb", rgb, "--depth", depth)
-    by_source = run("--source", f"folders:{rgb}", "--depth", depth, out="other")
-    assert by_options.exit_code == by_source.exit_code == 3
-    assert by_options.column("status") == by_source.column("status")
-    assert by_source.column("reason")[1] == "1 has an image, but no depth map"
-    assert by_source.column("reason")[3] == "3 has a depth map, but no image"
-    assert by_options.report["inputs"] == by_source.report["inputs"]
+    answers = run("--source", f"folders:{rgb}", "--depth", depth)
+    assert answers.exit_code == 3, answers.text
+    assert answers.column("status") == ["ok", "skipped", "ok", "skipped", "ok"]
+    assert answers.column("reason")[1] == "1 has an image, but no depth map"
+    assert answers.column("reason")[3] == "3 has a depth map, but no image"
     for name in ("0", "2", "4"):
-        assert abs(by_source.fed_depth(name) - depths[int(name)]).max() < 0.01
-        assert np.array_equal(by_source.fed_depth(name), by_options.fed_depth(name))
+        assert abs(answers.fed_depth(name) - depths[int(name)]).max() < 0.01
+    assert (
+        answers.report["inputs"]
+        == run("--rgb", rgb, "--depth", depth, out="other").report["inputs"]
+    )
 
 
 def test_an_image_and_its_depth_map_are_one_frame(folders, tmp_path):
@@ -91,19 +92,20 @@ def scans(folders, make_scan, tmp_path):
     return folder, tmp_path / "calibration.toml"
 
 
-def test_scans_of_several_formats_are_projected_beside_their_images(folders, scans, run, make_scan):
-    answers = run("--rgb", folders[0], "--points", scans[0], "--calibration", scans[1])
-    assert answers.names == ["0", "1", "2", "3", "4", "5"]
-    assert answers.column("status") == ["ok", "skipped", "ok", "ok", "ok", "ok"]
-    assert answers.column("reason")[1] == "1 has an image, but no scan"
-    assert answers.column("lost_points") == ["10", "0", "10", "10", "10", "10"]
-    for name in ("0", "2", "3", "4", "5"):
-        expected = project_points(make_scan(int(name)), INTRINSICS, EXTRINSICS, (48, 64))
+def test_scans_of_several_formats_are_projected_beside_their_images(folders, scans, make_scan):
+    source = FolderSource(folders[0], points=scans[0], calibration=scans[1])
+    frames = source.list_frames()
+    assert [each.name for each in frames] == ["0", "1", "2", "3", "4", "5"]
+    with pytest.raises(InputError, match="1 has an image, but no scan"):
+        source.read(frames[1])
+    for listed in (frames[0], *frames[2:]):
+        frame = source.read(listed)
+        expected = project_points(make_scan(int(listed.name)), INTRINSICS, EXTRINSICS, (48, 64))
         assert (expected > 0).sum() > 100
-        assert abs(answers.fed_depth(name) - expected).max() < 0.01
-    inputs = answers.report["inputs"]
-    assert (inputs["points"], inputs["calibration"]) == (str(scans[0]), str(scans[1]))
-    assert inputs["focal_length_px"] == 60
+        assert abs(frame.sparse_depth - expected).max() < 0.01
+        assert frame.in_time.lost_points == 10
+    assert (source.inputs["points"], source.inputs["calibration"]) == tuple(map(str, scans))
+    assert source.calibration.focal_length_px == 60
 
 
 LENS = 'lens = "plumb_bob"\ndistortion = [-0.2, 0.05, 0.01, -0.01, 0]\n'
@@ -127,16 +129,30 @@ def test_scans_are_projected_through_the_lens_or_into_rectified_images(folders, 
     assert (straight != expected).any()
 
 
-def test_a_run_rectifies(folders, scans, run, make_scan):
-    folder, path = scans
-    path.write_text(path.read_text() + LENS)
-    options = ["--rgb", folders[0], "--points", folder, "--calibration", path]
+def test_a_run_rectifies_and_warns_of_a_lens_that_ends_inside_the_images(folders, scans, run):
+    images, (folder, path) = folders[0], scans
+    plain = path.read_text()
+    assert "no calibration" in run("--rgb", images, "--rectify").text
+    options = ["--rgb", images, "--points", folder, "--calibration", path]
+    path.write_text(plain + LENS)
     answers = run(*options, "--rectify")
     assert answers.exit_code == 3, answers.text  # 1.png has no scan
     inputs = answers.report["inputs"]
     assert (inputs["rectified_by_this_run"], inputs["lens"]) == (True, "plumb_bob")
-    straight = Calibration.from_file(path).rectified.project(make_scan(0), (48, 64))
-    assert abs(answers.fed_depth("0") - straight).max() < 0.01
+    path.write_text(plain + 'lens = "plumb_bob"\ndistortion = [-3.5, 0, 0, 0]\n')
+    warned = run(*options, out="other").text
+    assert "warning: the lens of the calibration, plumb_bob [-3.5, 0.0, 0.0, 0.0], ends" in warned
+
+
+def test_what_cannot_be_rectified(folders, scans):
+    images, path = folders[0], scans[1]
+    with pytest.raises(InputError, match="no lens"):
+        FolderSource(images, calibration=path).rectify_images()
+    path.write_text(path.read_text() + LENS)
+    source = FolderSource(images, depth=folders[1], calibration=path)
+    source.rectify_images()
+    with pytest.raises(InputError, match="depth map"):
+        source.read(source.list_frames()[0])
 
 
 def test_scans_need_extrinsics_and_paths_may_be_text(folders, scans, tmp_path):
@@ -146,29 +162,9 @@ def test_scans_need_extrinsics_and_paths_may_be_text(folders, scans, tmp_path):
     numbers.write_text("60 0 32 0 60 24 0 0 1")
     with pytest.raises(InputError, match="intrinsics alone"):
         open_source("folders", folders[0], points=scans[0], calibration=numbers)
+    with pytest.raises(InputError, match="--calibration"):
+        open_source("folders", folders[0], points=scans[0])
     assert open_source("folders", folders[0], calibration=numbers).calibration is not None
-
-
-def test_a_lens_that_ends_inside_the_images_is_a_warning(folders, scans, run):
-    folder, path = scans
-    path.write_text(path.read_text() + 'lens = "plumb_bob"\ndistortion = [-3.5, 0, 0, 0]\n')
-    answers = run("--rgb", folders[0], "--points", folder, "--calibration", path)
-    assert "warning: the lens of the calibration, plumb_bob [-3.5, 0.0, 0.0, 0.0], ends" in (
-        answers.text
-    )
-
-
-def test_what_cannot_be_rectified(folders, scans, run):
-    images, path = folders[0], scans[1]
-    answers = run("--rgb", images, "--rectify")
-    assert (answers.exit_code, "no calibration" in answers.text) == (1, True)
-    with pytest.raises(InputError, match="no lens"):
-        FolderSource(images, calibration=path).rectify_images()
-    path.write_text(path.read_text() + LENS)
-    source = FolderSource(images, depth=folders[1], calibration=path)
-    source.rectify_images()
-    with pytest.raises(InputError, match="depth map"):
-        source.read(next(each for each in source.list_frames() if each.complete))
 
 
 def test_an_image_and_its_scan_are_one_frame(folders, scans, make_scan):
@@ -181,13 +177,11 @@ def test_an_image_and_its_scan_are_one_frame(folders, scans, make_scan):
     np.testing.assert_array_equal(source.read(listed).sparse_depth, expected)
 
 
-def test_scans_take_the_place_of_depth_maps(folders, scans, run):
+def test_scans_take_the_place_of_depth_maps(folders, scans):
     images, maps, _ = folders
     for options in ({"depth": maps, "points": scans[0]}, {"points": maps}):
         with pytest.raises(InputError, match=r"not both|\.png files"):
             open_source("folders", images, calibration=scans[1], **options).list_frames()
-    demo = run("--demo", "--points", scans[0], "--calibration", scans[1])
-    assert (demo.exit_code, "--rgb" in demo.text) == (2, True)
 
 
 @pytest.fixture

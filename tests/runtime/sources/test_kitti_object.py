@@ -1,4 +1,4 @@
-"""KITTI's object layout through ssdnet-run: a calibration a frame."""
+"""KITTI's object layout: a calibration a frame."""
 
 import dataclasses
 import os
@@ -88,25 +88,26 @@ def test_an_image_without_its_scan_is_the_camera_alone(training):
     assert "left out: depth: no_image 1" in source.notes
 
 
-def test_without_scans_the_camera_alone_is_answered(training, run):
+def test_without_scans_the_camera_alone_is_read(training):
     (training / "velodyne").rename(training / "scans")
-    answers = run(training)
-    assert (answers.exit_code, set(answers.column("degraded"))) == (0, {"no_depth"})
-    assert "no velodyne folder" in answers.text
-    assert answers.report["inputs"]["focal_length_px"] == 60
+    source = KittiObjectSource(training)
+    assert [each.complete for each in source.list_frames()] == [True] * 5
+    assert source.read(source.list_frames()[0]).depth is None
+    assert any("no velodyne folder" in note for note in source.notes)
+    assert source.calibration.focal_length_px == 60
 
 
-def test_what_is_missing_costs_its_frame(training, run):
+def test_what_is_missing_costs_its_frame(training):
     with pytest.raises(InputError, match="camera="):
         KittiObjectSource(training, camera=1)
     (training / "calib/000000.txt").write_text("P2: nan\n")
     (training / "calib/000002.txt").unlink()
-    answers = run(training)
-    assert answers.exit_code == 3
-    assert answers.column("status") == ["skipped", "ok", "skipped", "ok", "ok"]
-    assert "'P2'" in answers.column("reason")[0]
-    assert "000002 has no calibration" in answers.column("reason")[2]
-    assert answers.report["inputs"]["focal_length_px"] > 0
+    source = KittiObjectSource(training)
+    frames = source.list_frames()
+    for index, named in ((0, "'P2'"), (2, "000002 has no calibration")):
+        with pytest.raises(InputError, match=named):
+            source.read(frames[index])
+    assert source.calibration.focal_length_px == source.read(frames[1]).calibration.focal_length_px
 
 
 @pytest.mark.skipif(not DATA, reason="SSDNET_DATA names no folder of recordings")

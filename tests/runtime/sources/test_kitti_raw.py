@@ -1,4 +1,4 @@
-"""A drive of KITTI raw data through ssdnet-run."""
+"""A drive of KITTI raw data."""
 
 import os
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from small_rig import SIZE, projected
+from small_rig import SIZE, agree, projected
 
 from runtime import InputError
 from runtime.geometry.calibration import Calibration
@@ -47,6 +47,21 @@ def drive(tmp_path, make_frame, make_scan, write_rgb):
     (folder.parent / "calib_cam_to_cam.txt").write_text(CAMERAS)
     (folder.parent / "calib_velo_to_cam.txt").write_text(SCANNER)
     return folder
+
+
+SPEED = 15.0
+
+
+def write_oxts(drive):
+    """At 20 Hz; the car drives to the east, which is x."""
+    (drive / "oxts/data").mkdir(parents=True)
+    for number in range(14):
+        longitude = 8.4 + np.degrees(0.05 * SPEED * number / (6378137 * np.cos(np.radians(49.0))))
+        numbers = [49.0, longitude, 116.0, 0, 0, 0, *[0] * 24]
+        text = " ".join(f"{number:.14g}" for number in numbers)
+        (drive / f"oxts/data/{number:010d}.txt").write_text(text)
+    (drive / "oxts/timestamps.txt").write_text(stamps(range(0, 700, 50)))
+    (drive.parent / "calib_imu_to_velo.txt").write_text("R: 1 0 0 0 1 0 0 0 1\nT: -0.8 0.3 -0.8\n")
 
 
 def test_a_drive_from_end_to_end(drive, run, make_scan):
@@ -179,11 +194,39 @@ def test_a_real_drive_gives_the_depth_maps_that_were_made_of_it(tmp_path):
     assert np.array_equal(source.calibration.extrinsics, own.extrinsics)
 
 
-def test_scans_of_another_time_are_reported(drive, run):
+def test_scans_of_another_time_match_no_image(drive, run):
     """As with stamps in local time, or of another drive."""
     (drive / "velodyne_points/timestamps.txt").write_text(stamps(range(20_000, 20_600, 100)))
     answers = run(drive)
     assert answers.exit_code == 3, answers.text
-    assert "warning: no image matches" in answers.text
     assert "--max-skew-ms" in answers.report["frames"]["implausible_depth"]
     assert set(answers.column("degraded")) == {"no_depth"}
+
+
+def test_a_drive_is_moved_by_its_oxts(drive, make_scan):
+    write_oxts(drive)
+    (drive / "velodyne_points/data/0000000003.bin").unlink()
+    source = KittiRawSource(drive)
+    frames = [source.read(listed) for listed in source.list_frames()]
+    assert [each.degraded for each in frames] == [(), (), (), ("depth_reused",), (), ()]
+    for number, scan, after_s in ((1, 1, 0.013), (3, 2, 0.113)):
+        expected = projected(make_scan(scan), left_m=0.05, ahead_m=SPEED * after_s)
+        assert agree(frames[number].sparse_depth, expected)
+    assert source.inputs["poses"] == str(drive / "oxts")
+
+
+@pytest.mark.parametrize("missing", ["../calib_imu_to_velo.txt", "oxts/timestamps.txt"])
+def test_a_drive_says_why_its_poses_are_not_used(drive, make_scan, missing):
+    write_oxts(drive)
+    (drive / missing).unlink()
+    source = KittiRawSource(drive)
+    frame = source.read(source.list_frames()[1])
+    assert agree(frame.sparse_depth, projected(make_scan(1), left_m=0.05))
+    assert any(f"{Path(missing).name} is missing" in line for line in source.notes)
+
+
+def test_a_transform_of_the_imu_that_is_not_rigid_is_an_error(drive):
+    write_oxts(drive)
+    (drive / "../calib_imu_to_velo.txt").write_text("R: 2 0 0 0 2 0 0 0 2\nT: 0 0 0\n")
+    with pytest.raises(InputError, match=r"calib_imu_to_velo\.txt"):
+        KittiRawSource(drive)

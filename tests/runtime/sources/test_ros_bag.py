@@ -6,8 +6,9 @@ import sqlite3
 import struct
 
 import pytest
-from small_rig import INTRINSICS, MS, SIZE, START_NS, add_tree
+from small_rig import MS, START_NS
 
+import runtime.sources.ros_bag
 from runtime import InputError
 from runtime.sources.bag import BagSource
 from runtime.sources.ros_bag import RosBag
@@ -15,23 +16,6 @@ from runtime.sources.ros_bag import RosBag
 pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
 
 N = 4
-
-
-@pytest.fixture
-def recorded(make_bag, make_frame, make_scan):
-    """A BagMaker of a kind with N images and scans, not yet written."""
-
-    def make(kind):
-        bag = make_bag(kind)
-        for index in range(N):
-            stamp_ns = START_NS + 100 * MS * index
-            bag.image("/cam/image_rect", make_frame(*SIZE, seed=index)[0], "rgb8", stamp_ns)
-            bag.cloud("/lidar/points", make_scan(index), stamp_ns)
-        bag.info("/cam/camera_info", INTRINSICS, SIZE)
-        add_tree(bag)
-        return bag
-
-    return make
 
 
 def frames_of(path, **options):
@@ -63,8 +47,8 @@ def killed(file, mode, *, at):
 
 
 @pytest.mark.parametrize(("mode", "end"), [("WAL", "-wal"), ("DELETE", "-journal")])
-def test_a_database_is_not_read_without_its_journal(tmp_path, recorded, mode, end):
-    (file,) = recorded("ros2").write().glob("*.db3")
+def test_a_database_is_not_read_without_its_journal(tmp_path, record, mode, end):
+    (file,) = record("ros2").write().glob("*.db3")
     killed(file, mode, at=tmp_path / "killed.db3")
     (tmp_path / "link.db3").symlink_to("killed.db3")
     for name in ("killed.db3", "link.db3"):
@@ -75,26 +59,66 @@ def test_a_database_is_not_read_without_its_journal(tmp_path, recorded, mode, en
     assert frames_of(tmp_path / "killed.db3") == (N, {})
 
 
+def test_a_bag_without_definitions_is_read_by_those_of_ros_2(record):
+    """As before ROS 2 Iron."""
+    path = record("ros2").write()
+    with contextlib.closing(sqlite3.connect(next(path.glob("*.db3")))) as database, database:
+        database.execute("DELETE FROM message_definitions")
+    assert frames_of(path) == (N, {})
+
+
+PACKED = [("ros1", "bz2"), ("ros1", "lz4"), ("ros2", "message"), ("mcap", "storage")]
+
+
+@pytest.mark.parametrize(("kind", "compression"), PACKED)
+def test_a_compressed_bag_is_read_up_to_a_declared_size(record, monkeypatch, kind, compression):
+    path = record(kind).write(compression=compression)
+    assert frames_of(path) == (N, {})
+    if compression == "message":
+        return  # no size is declared before the message itself
+    monkeypatch.setattr(runtime.sources.ros_bag, "MAX_CHUNK_BYTES", 1000)
+    with pytest.raises(InputError, match="1,000"):
+        BagSource(path)
+
+
+def test_messages_that_the_index_promises_and_the_bag_has_lost_are_counted(record):
+    """A part of the data is zeroed, as a failing disk leaves it."""
+    bag = record(images=200, scans=0)  # several chunks
+    path = bag.write()
+    content = bytearray(path.read_bytes())
+    size = 22 + len(bag.messages[0][2])
+    start = content.index(struct.pack("<BQ", 5, size))
+    length = 9 * (9 + size)  # nine messages: also a whole number of empty records
+    content[start : start + length] = bytes(length)
+    path.write_bytes(content)
+    with BagSource(path, depth_topic="none") as source:
+        for _ in range(2):
+            assert len(source.list_frames()) == 191
+        missing = "/cam/image_rect (only in the index)"
+        assert source.inputs["left_out"] == {missing: 9}
+        assert f"left out: {missing} 9" in source.notes
+
+
 @pytest.mark.parametrize(
     ("end", "content"),
     [("-wal", b""), ("-wal", bytes(32)), ("-journal", bytes(512)), ("-shm", b"x" * 99)],
 )
-def test_a_journal_without_pages_changes_nothing(recorded, end, content):
-    path = recorded("ros2").write()
+def test_a_journal_without_pages_changes_nothing(record, end, content):
+    path = record("ros2").write()
     (file,) = path.glob("*.db3")
     file.with_name(file.name + end).write_bytes(content)
     assert frames_of(path) == (N, {})
 
 
-def test_a_file_that_metadata_does_not_name_is_reported(recorded):
-    path = recorded("ros2").write()
+def test_a_file_that_metadata_does_not_name_is_reported(record):
+    path = record("ros2").write()
     (file,) = path.glob("*.db3")
     shutil.copy(file, path / "drive_1.db3")
     assert frames_of(path) == (N, {"drive_1.db3 (metadata.yaml does not name it)": 1})
 
 
-def test_a_compressed_database_is_read_without_its_metadata(recorded):
-    bag = recorded("ros2")
+def test_a_compressed_database_is_read_without_its_metadata(record):
+    bag = record("ros2")
     (file,) = bag.write(compression="message").glob("*.db3")
     assert frames_of(file) == (N, {})
     with contextlib.closing(sqlite3.connect(file)) as database, database:
@@ -129,7 +153,7 @@ def write_mcap(path, bag, others):
     return path
 
 
-def test_channels_of_other_encodings_are_left_out(tmp_path, recorded):
+def test_channels_of_other_encodings_are_left_out(tmp_path, record):
     others = [
         ("/events", "json", "Event", "jsonschema", "{}"),
         ("/log", "protobuf", "foxglove.Log", "protobuf", b"\n\xb8\xff\x01"),
@@ -138,10 +162,10 @@ def test_channels_of_other_encodings_are_left_out(tmp_path, recorded):
         ("/cam/image_rect", "cdr", "sensor_msgs/msg/CompressedImage", "ros2msg", ""),
         ("/flat", "flatbuffer", "x", "of tomorrow", b"\xff"),
     ]
-    path = write_mcap(tmp_path / "a.mcap", recorded("mcap"), others)
+    path = write_mcap(tmp_path / "a.mcap", record("mcap"), others)
     left_out = {f"{topic} ({encoding} {kind})": 1 for topic, encoding, kind, *_ in others}
     assert frames_of(path) == (N, left_out)
-    path = write_mcap(tmp_path / "b.mcap", recorded("mcap"), [])
+    path = write_mcap(tmp_path / "b.mcap", record("mcap"), [])
     assert frames_of(path) == (N, {})
     path.write_bytes(path.read_bytes().replace(b"ros2", b"ros1", 1))
     with pytest.raises(InputError, match="ros2"):
@@ -151,9 +175,9 @@ def test_channels_of_other_encodings_are_left_out(tmp_path, recorded):
 @pytest.mark.parametrize(
     "kind", ["sensor_msgs/msg/CameraInfo", "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/Image"]
 )
-def test_a_damaged_message_is_left_out(recorded, kind):
+def test_a_damaged_message_is_left_out(record, kind):
     """In front of the first one, which says what the topic holds."""
-    bag = recorded("mcap")
+    bag = record("mcap")
     topic, recorded_ns = next((each[0], each[3]) for each in bag.messages if each[1] == kind)
     bag.messages.insert(0, (topic, kind, b"\0\1\0\0" + bytes(8), recorded_ns - 1))
     path = bag.write()
@@ -163,8 +187,8 @@ def test_a_damaged_message_is_left_out(recorded, kind):
         assert source.read(frames[-1]).sparse_depth.any()
 
 
-def test_a_transform_that_is_not_used_may_be_invalid(recorded):
-    bag = recorded("ros2")
+def test_a_transform_that_is_not_used_may_be_invalid(record):
+    bag = record("ros2")
     bag.static_transform("base", "gripper", (0.0, 0.0, 0.0, 0.0), (0, 0, 0))
     assert frames_of(bag.write()) == (N, {})
     bag.static_transform("base", "lidar", (0.0, 0.0, 0.0, 0.0), (0, 0, 0))
@@ -172,9 +196,9 @@ def test_a_transform_that_is_not_used_may_be_invalid(recorded):
         frames_of(bag.write("used"))
 
 
-def test_an_invalid_pose_is_left_out(recorded):
+def test_an_invalid_pose_is_left_out(record):
     """The first one of a filter that has not started."""
-    bag = recorded("ros2")
+    bag = record("ros2")
     for index in range(-1, N + 1):
         turn = (0, 0, 0, 0) if index < 0 else (0, 0, 0, 1)
         stamp_ns = START_NS + 100 * MS * index
@@ -186,8 +210,8 @@ def test_an_invalid_pose_is_left_out(recorded):
         assert source.read(frames[2]).depth_motion == "scan"
 
 
-def test_a_topic_of_damaged_images_does_not_spoil_the_others(recorded):
-    bag = recorded("ros2")
+def test_a_topic_of_damaged_images_does_not_spoil_the_others(record):
+    bag = record("ros2")
     bag.messages += [
         ("/rear/image", "sensor_msgs/msg/Image", b"\0\1\0\0" + bytes(8), START_NS + index)
         for index in range(3)
