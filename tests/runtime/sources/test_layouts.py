@@ -1,18 +1,35 @@
 """Recordings as people download them: what a path without any option is read as."""
 
+import dataclasses
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 from small_rig import SIZE, projected
+from typer.testing import CliRunner
 
 from runtime import InputError
+from runtime.io.recording import read_recording
 from runtime.sources.folders import FolderSource
+from runtime.sources.layouts import KittiObjectSource
 from runtime.sources.registry import detect_source, open_source
+from runtime.tools.verify import app as verify_app
 
 N = 3
 IMAGE, DEPTH, SCAN = "an image", "a depth map", "a scan"
 PROJECTION = "60 0 32 0 0 60 24 0 0 0 1 0"
-TO_CAMERA = "0 -1 0 0 0 0 -1 -0.3 1 0 0 0"
-OBJECT = f"P2: {PROJECTION}\nR0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: {TO_CAMERA}\n"
+
+
+def calibration(focal_px, *, right_px=0.0):
+    """As of KITTI's object data; camera 3 is to the right of camera 2."""
+    shifts = {2: 0, 3: right_px}
+    rows = [f"P{n}: {focal_px} 0 32 {x} 0 {focal_px} 24 0 0 0 1 0" for n, x in shifts.items()]
+    to_camera = "Tr_velo_to_cam: 0 -1 0 0 0 0 -1 -0.3 1 0 0 0"
+    return "\n".join([*rows, "R0_rect: 1 0 0 0 1 0 0 0 1", to_camera, "", ""])
+
+
+OBJECT = calibration(60)
 RAW = {
     "../calib_cam_to_cam.txt": f"S_rect_02: 64 48\nR_rect_00: 1 0 0 0 1 0 0 0 1\n"
     f"P_rect_02: {PROJECTION}\n",
@@ -56,6 +73,9 @@ LAYOUTS = [
     ]),
     ("one-folder", {"{}.jpg": IMAGE, "{}.pcd.bin": SCAN, "calib.toml": TOML}),  # of nuScenes
 ]  # fmt: skip
+
+
+DATA = os.environ.get("SSDNET_DATA")
 
 
 @pytest.fixture
@@ -104,16 +124,12 @@ def test_a_folder_is_read_as_it_is(write, make_frame, make_scan, kind, files):
         assert not has_calibration or source.calibration.focal_length_px == 60
 
 
-def test_a_folder_from_end_to_end(write, run, make_frame):
-    answers = run(write({"images/left_{}.png": IMAGE, "depth/depth_{}.png": DEPTH}))
-    assert (answers.exit_code, answers.column("degraded")) == (0, [""] * N), answers.text
-    assert answers.names == ["left_0", "left_1", "left_2"]
-    assert abs(answers.fed_depth("left_2") - make_frame(*SIZE, seed=2)[1]).max() < 0.01
-    assert "pairs by the numbers in their names, as left_0.png with depth_0.png" in answers.text
-
-
-def test_numbers_that_two_depth_maps_have_are_no_pair(write):
+def test_pairs_by_number_are_said_and_are_one_to_one(write):
     folder = write({"image/left_{}.png": IMAGE, "depth/depth_{}.png": DEPTH})
+    with open_path(folder) as source:
+        assert [each.name for each in source.list_frames()] == ["left_0", "left_1", "left_2"]
+        (note,) = source.notes
+        assert note.endswith("pairs by the numbers in their names, as left_0.png with depth_0.png")
     (folder / "depth/other_1.png").touch()
     with pytest.raises(InputError, match="no name occurs in both"):
         open_path(folder).list_frames()
@@ -159,3 +175,88 @@ def test_a_folder_of_calibrations_has_one_a_frame(write):
     assert source.calibration.focal_length_px == 60
     with pytest.raises(InputError, match="2 has no calibration"):
         source.read(frames[2])
+
+
+# --- KITTI's object data -------------------------------------------------------------------------
+
+
+@pytest.fixture
+def training(write):
+    """Frames of both cameras, with focal lengths of 60 to 62 px."""
+    files = {"image_2/{:06d}.png": IMAGE, "image_3/{:06d}.png": IMAGE, "calib/{:06d}.txt": ""}
+    folder = write({**files, "velodyne/{:06d}.bin": SCAN})
+    for number in range(N):
+        (folder / f"calib/{number:06d}.txt").write_text(calibration(60 + number, right_px=-30.5))
+    return folder
+
+
+@pytest.mark.parametrize(("given", "focal_px"), [([], None), (["--focal-length", 200], 200)])
+def test_each_frame_is_predicted_with_its_focal_length(
+    training, run, model_file, contract, make_scan, tmp_path, given, focal_px
+):
+    """The graph adds 1.5 m of a camera of 100 px, which are 1.5 m times f / 100 of any other."""
+    canonical = dataclasses.replace(contract, canonical_focal_px=100.0, max_depth_m=400.0)
+    model = model_file(contract=canonical, heads=("semantic", "depth"))
+    answers = run(training, "--model", model, "--record", tmp_path / "recorded", *given)
+    assert answers.exit_code == 0, answers.text
+    for number in range(N):
+        focal = focal_px or 60 + number
+        expected = projected(make_scan(number), focal_px=60 + number) + 1.5 * focal / 100
+        assert abs(answers.fed_depth(f"{number:06d}") + 1.5 - expected).max() < 0.01
+    recorded = read_recording(tmp_path / "recorded").frames
+    assert [each.focal_length_px for each in recorded] == [focal_px or 60 + n for n in range(N)]
+    done = CliRunner().invoke(verify_app, [str(tmp_path / "recorded")])
+    assert done.exit_code == 0, done.output
+
+
+@pytest.mark.parametrize("kind", ["kitti-object", "folders", "one-folder"])
+def test_the_right_camera_has_its_own_projection(training, kind, make_scan):
+    path, options = training, {"camera": 3}
+    if kind != "kitti-object":
+        options = {"points": training / "velodyne", "calibration": training / "calib"}
+        path = training / "image_3"
+    with open_source(kind, path, **options) as source:
+        expected = projected(make_scan(1), focal_px=61, left_m=-0.5)
+        depth = source.read(source.list_frames()[1]).sparse_depth
+        assert abs(depth - expected).max() < 0.01
+
+
+def test_an_image_without_its_scan_is_the_camera_alone(training):
+    (training / "velodyne/000001.bin").unlink()
+    (training / "image_2/000002.png").unlink()
+    source = KittiObjectSource(training)
+    frames = source.list_frames()
+    assert [each.name for each in frames] == ["000000", "000001"]
+    assert [source.read(each).sparse_depth.any() for each in frames] == [True, False]
+    assert source.inputs["left_out"] == {"depth: no_image": 1}
+    assert "left out: depth: no_image 1" in source.notes
+    (training / "velodyne").rename(training / "scans")
+    source = KittiObjectSource(training)
+    assert [each.complete for each in source.list_frames()] == [True, True]
+    assert any("no velodyne folder" in note for note in source.notes)
+
+
+def test_what_is_missing_costs_its_frame(training):
+    with pytest.raises(InputError, match="camera="):
+        KittiObjectSource(training, camera=1)
+    (training / "calib/000000.txt").write_text("P2: nan\n")
+    (training / "calib/000002.txt").unlink()
+    source = KittiObjectSource(training)
+    frames = source.list_frames()
+    for index, named in ((0, "'P2'"), (2, "000002 has no calibration")):
+        with pytest.raises(InputError, match=named):
+            source.read(frames[index])
+    assert source.calibration.focal_length_px == source.read(frames[1]).calibration.focal_length_px
+
+
+@pytest.mark.skipif(not DATA, reason="SSDNET_DATA names no folder of recordings")
+def test_recorded_frames_have_returns_where_there_are_scans():
+    folder = Path(DATA) / "kitti_object"
+    with KittiObjectSource(folder, points=folder / "velodyne_fov") as source:
+        frames = [source.read(listed) for listed in source.list_frames()]
+    returns = {frame.name: np.count_nonzero(frame.sparse_depth) for frame in frames}
+    assert len(frames) == 18
+    with_scan = {name: count for name, count in returns.items() if count}
+    assert list(with_scan) == [f"{number:06d}" for number in (4, 5, 6, 7, 9)]
+    assert min(with_scan.values()) > 15_000
+    assert len({frame.calibration.focal_length_px for frame in frames}) > 1

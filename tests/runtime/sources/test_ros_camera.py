@@ -116,30 +116,36 @@ REFUSED = {
 }  # fmt: skip
 
 
-def read(make_bag, make_frame, make_scan, write, **options):
-    bag = make_bag("mcap")
-    write(bag, make_frame)
-    for index in range(2):
-        bag.cloud("/points", make_scan(index), START_NS + 100 * MS * index)
-    path = bag.write()
-    with BagSource(path, **options) as source:
-        (frame, *_) = source.list_frames(limit=1)
-        depth = source.read(frame).sparse_depth
-        return path, depth, source.calibration, [n for n in source.notes if "warning" in n]
+@pytest.fixture
+def read(make_bag, make_frame, make_scan):
+    """Give the path of a bag, the depth of its first frame, the calibration and the warnings."""
+
+    def read_first(write, **options):
+        bag = make_bag()
+        write(bag, make_frame)
+        for index in range(2):
+            bag.cloud("/points", make_scan(index), START_NS + 100 * MS * index)
+        path = bag.write()
+        with BagSource(path, **options) as source:
+            (frame, *_) = source.list_frames(limit=1)
+            depth = source.read(frame).sparse_depth
+            return path, depth, source.calibration, [n for n in source.notes if "warning" in n]
+
+    return read_first
 
 
 @pytest.mark.parametrize("case", RIGHT)
-def test_what_a_bag_proves_is_used_in_silence(make_bag, make_frame, make_scan, case):
+def test_what_a_bag_proves_is_used_in_silence(read, make_scan, case):
     write, options = RIGHT[case]
-    _, depth, _, notes = read(make_bag, make_frame, make_scan, write, **options)
+    _, depth, _, notes = read(write, **options)
     np.testing.assert_allclose(depth, projected(make_scan(0), ahead_m=0.5), atol=1e-3)
     assert not notes
 
 
 @pytest.mark.parametrize("case", ASSUMED)
-def test_what_it_leaves_open_is_assumed_and_said(make_bag, make_frame, make_scan, run, case):
+def test_what_it_leaves_open_is_assumed_and_said(read, make_scan, run, case):
     write, named = ASSUMED[case]
-    path, depth, _, notes = read(make_bag, make_frame, make_scan, write)
+    path, depth, _, notes = read(write)
     np.testing.assert_allclose(depth, projected(make_scan(0), ahead_m=0.5), atol=1e-3)
     (note,) = notes
     assert note.startswith("warning: assumed ")
@@ -154,10 +160,10 @@ def test_what_it_leaves_open_is_assumed_and_said(make_bag, make_frame, make_scan
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_be_is_refused(make_bag, make_frame, make_scan, case):
+def test_what_cannot_be_is_refused(read, case):
     write, text = REFUSED[case]
     with pytest.raises(InputError, match=text):
-        read(make_bag, make_frame, make_scan, write)
+        read(write)
 
 
 @pytest.mark.parametrize(("write", "right_m", "said"), [
@@ -170,11 +176,9 @@ def test_what_cannot_be_is_refused(make_bag, make_frame, make_scan, case):
     (camera(RECT, BASELINE, others=[("/left/camera_info", "left")]), -0.1, True),
     (camera(RAW, BASELINE | {"distortion": CURVED}), 0, False),
 ])  # fmt: skip
-def test_the_baseline_of_a_pair_is_applied_once(
-    make_bag, make_frame, make_scan, write, right_m, said
-):
+def test_the_baseline_of_a_pair_is_applied_once(read, write, right_m, said):
     """By P to a frame that it shares with the first camera, or by /tf_static."""
-    _, _, calibration, notes = read(make_bag, make_frame, make_scan, write)
+    _, _, calibration, notes = read(write)
     expected = [[0, -1, 0, right_m], [0, 0, -1, -0.3], [1, 0, 0, -0.5], [0, 0, 0, 1]]
     np.testing.assert_allclose(calibration.extrinsics, expected, atol=1e-9)
     assert ["stereo pair's first camera, 0.1 m beside" in note for note in notes] == [True] * said
@@ -184,10 +188,10 @@ def test_the_baseline_of_a_pair_is_applied_once(
     ("fisheye", (0,) * 4, "equidistant"), ("kannala_brandt4", (0,) * 4, "equidistant"),
     ("plumb_bob", (0,) * 4, None), ("", (0,) * 4, None), ("plumb_bob", CURVED, "plumb_bob"),
 ])  # fmt: skip
-def test_a_raw_image_has_the_lens(make_bag, make_frame, make_scan, model, distortion, lens):
+def test_a_raw_image_has_the_lens(read, make_scan, model, distortion, lens):
     """A fisheye of zeros is one."""
     write = camera(RAW, {"model": model, "distortion": distortion})
-    _, depth, calibration, notes = read(make_bag, make_frame, make_scan, write)
+    _, depth, calibration, notes = read(write)
     assert (calibration.lens, notes) == (lens, [])
     np.testing.assert_array_equal(depth, calibration.project(make_scan(0), SIZE))
 
@@ -197,46 +201,39 @@ def test_a_raw_image_has_the_lens(make_bag, make_frame, make_scan, model, distor
 FOCAL = 0.5
 
 
-def depth_bag(
-    bag,
-    make_frame,
-    *,
-    depth_frame="depth",
-    frame_id="camera",
-    info=True,
-    tree=True,
-    focal=FOCAL,
-    distortion=(),
-):
-    """A depth camera beside the camera, of half its focal length; returns its depth of a wall."""
-    rgb, _ = make_frame(*SIZE)
-    depth = np.full(SIZE, 6000, np.uint16)
-    depth[:, ::2] = 65535
-    for stamp_ns in (START_NS, START_NS + 100 * MS):
-        bag.image("/rgb/image_raw", rgb, "rgb8", stamp_ns, frame_id=frame_id)
-        bag.image("/depth/image_raw", depth, "16UC1", stamp_ns, frame_id=depth_frame)
-    bag.info("/rgb/camera_info", K, SIZE, frame_id=frame_id, distortion=distortion)
-    if info:
-        half = np.diag([focal, focal, 1]) @ (K - [[0, 0, 32], [0, 0, 24], [0, 0, 0]])
-        half[:2, 2] = 32, 24
-        bag.info("/depth/camera_info", half, SIZE, frame_id=depth_frame)
-    if tree:
-        bag.static_transform("camera", "depth", (0, 0, 0, 1), (0, 0, -1.0))
-    return bag.write()
+@pytest.fixture
+def depth_bag(make_bag, make_frame):
+    """Give a bag of a camera and a depth camera beside it, of half its focal length: a wall."""
+
+    def make(*, of="depth", frame_id="camera", info=True, tree=True, focal=FOCAL, distortion=()):
+        bag, (rgb, _) = make_bag("ros2"), make_frame(*SIZE)
+        depth = np.full(SIZE, 6000, np.uint16)
+        depth[:, ::2] = 65535
+        bag.image("/rgb/image_raw", rgb, "rgb8", START_NS, frame_id=frame_id)
+        bag.image("/depth/image_raw", depth, "16UC1", START_NS, frame_id=of)
+        bag.info("/rgb/camera_info", K, SIZE, frame_id=frame_id, distortion=distortion)
+        if info:
+            half = [[60 * focal, 0, 32], [0, 60 * focal, 24], [0, 0, 1]]
+            bag.info("/depth/camera_info", half, SIZE, frame_id=of)
+        if tree:
+            bag.static_transform("camera", "depth", (0, 0, 0, 1), (0, 0, -1.0))
+        return bag.write()
+
+    return make
 
 
 @pytest.mark.parametrize(("changes", "options", "said"), [
-    ({"depth_frame": "camera", "focal": 1}, {}, False),
-    ({"depth_frame": "camera"}, {}, True),  # one name for two cameras
-    ({"depth_frame": "camera", "focal": 1, "distortion": CURVED}, {}, True),
-    ({"depth_frame": "camera"}, {"registered": True}, False),
-    ({"depth_frame": "/camera", "info": False, "tree": False}, {}, False),
+    ({"of": "camera", "focal": 1}, {}, False),
+    ({"of": "camera"}, {}, True),  # one name for two cameras
+    ({"of": "camera", "focal": 1, "distortion": CURVED}, {}, True),
+    ({"of": "camera"}, {"registered": True}, False),
+    ({"of": "/camera", "info": False, "tree": False}, {}, False),
     ({}, {"registered": True}, False),
-    ({"depth_frame": ""}, {}, True),
+    ({"of": ""}, {}, True),
     ({"frame_id": ""}, {}, True),
 ])  # fmt: skip
-def test_depth_on_the_pixels_of_the_images_is_kept(make_bag, make_frame, changes, options, said):
-    with BagSource(depth_bag(make_bag("ros2"), make_frame, **changes), **options) as source:
+def test_depth_on_the_pixels_of_the_images_is_kept(depth_bag, changes, options, said):
+    with BagSource(depth_bag(**changes), **options) as source:
         depth = source.read(source.list_frames()[0]).sparse_depth
         assert ["lies on the pixels" in n for n in source.notes[1:]] == [True] * said
     assert np.isnan(depth[:, ::2]).all()
@@ -244,8 +241,8 @@ def test_depth_on_the_pixels_of_the_images_is_kept(make_bag, make_frame, changes
 
 
 @pytest.mark.parametrize("options", [{}, {"registered": False}])
-def test_depth_of_another_frame_is_moved_by_its_camera_and_tf(make_bag, make_frame, options):
-    with BagSource(depth_bag(make_bag("ros2"), make_frame), **options) as source:
+def test_depth_of_another_frame_is_moved_by_its_camera_and_tf(depth_bag, options):
+    with BagSource(depth_bag(), **options) as source:
         frame = source.read(source.list_frames()[0])
         assert not any("warning" in note for note in source.notes)
     row, column = np.nonzero(frame.sparse_depth)
@@ -255,6 +252,6 @@ def test_depth_of_another_frame_is_moved_by_its_camera_and_tf(make_bag, make_fra
 
 
 @pytest.mark.parametrize("changes", [{"info": False}, {"tree": False}])
-def test_depth_that_cannot_be_moved_is_refused(make_bag, make_frame, changes):
+def test_depth_that_cannot_be_moved_is_refused(depth_bag, changes):
     with pytest.raises(InputError, match="registered=true"):
-        BagSource(depth_bag(make_bag("ros2"), make_frame, **changes))
+        BagSource(depth_bag(**changes))

@@ -29,16 +29,9 @@ def field(name, offset, datatype=FLOAT32, count=1):
 def cloud(**changes):
     """Three points of x, y, z as float32 in a row, with `changes`."""
     values = np.arange(9, dtype="<f4")
-    fields = {
-        "height": 1,
-        "width": 3,
-        "fields": [field("x", 0), field("y", 4), field("z", 8)],
-        "is_bigendian": False,
-        "point_step": 12,
-        "row_step": 36,
-        "data": values.view(np.uint8),
-    }
-    return SimpleNamespace(**{**fields, **changes})
+    fields = {"height": 1, "width": 3, "is_bigendian": False, "point_step": 12, "row_step": 36}
+    fields["fields"] = [field("x", 0), field("y", 4), field("z", 8)]
+    return SimpleNamespace(**fields | {"data": values.view(np.uint8)} | changes)
 
 
 @st.composite
@@ -69,16 +62,9 @@ def written_clouds(draw):
             points.append(point)
     fields = [field("intensity", 0, 2)]
     fields += [field(name, offsets[i], datatypes[i]) for i, name in enumerate("xyz")]
-    message = cloud(
-        height=height,
-        width=width,
-        fields=fields,
-        is_bigendian=order == ">",
-        point_step=point_step,
-        row_step=row_step,
-        data=np.frombuffer(bytes(data), np.uint8),
-    )
-    return message, np.array(points, np.float32)
+    shape = {"height": height, "width": width, "point_step": point_step, "row_step": row_step}
+    content = {"is_bigendian": order == ">", "data": np.frombuffer(bytes(data), np.uint8)}
+    return cloud(fields=fields, **shape, **content), np.array(points, np.float32)
 
 
 @settings(max_examples=100, deadline=None)
@@ -125,6 +111,16 @@ def image(encoding="rgb8", **changes):
 def test_what_is_wrong_with_an_image_is_in_the_error(decode, message, named):
     with pytest.raises(InputError, match=named):
         decode(message)
+
+
+@pytest.mark.parametrize(("encoding", "dtype", "big"), [
+    ("16UC1", "<u2", 0), ("16UC1", ">u2", 1), ("32FC1", "<f4", 0), ("32FC1", ">f4", 1),
+])  # fmt: skip
+def test_depth_images_are_metres(encoding, dtype, big):
+    metres = np.array([[0, 1.5, 8], [2, 0.25, 60]])
+    values = (metres * (1000 if "16" in encoding else 1)).astype(dtype)
+    given = {"is_bigendian": big, "step": values[0].nbytes, "data": values.ravel().view(np.uint8)}
+    np.testing.assert_array_equal(decode_depth_image(image(encoding, **given)), metres)
 
 
 @pytest.mark.parametrize("padding", [0, 5])
