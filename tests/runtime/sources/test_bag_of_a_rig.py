@@ -101,11 +101,11 @@ def test_ctrl_c_ends_the_rig_with_a_report_of_what_was_done(source, run, monkeyp
     predict = Predictor.predict
     counted = iter(range(100))
 
-    def interrupted(self, *frame, **options):
-        of_stream = frame[1] is not None  # the check before it asks the camera alone
-        if of_stream and next(counted) == N - 1:
+    def interrupted(self, rgb, sparse_depth=None, **options):
+        # Warming up and the check before the stream ask the camera alone.
+        if sparse_depth is not None and next(counted) == N - 1:
             signal.raise_signal(signal.SIGINT)  # in the last frame of the first camera
-        return predict(self, *frame, **options)
+        return predict(self, rgb, sparse_depth, **options)
 
     monkeypatch.setattr(Predictor, "predict", interrupted)
     answers = run("--source", source)
