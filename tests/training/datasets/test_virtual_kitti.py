@@ -4,16 +4,18 @@ import numpy as np
 import pytest
 
 from layouts import open_set
-from layouts.virtual_kitti import HEIGHT, RED, WIDTH, write_first_edition, write_second_edition
+from layouts.virtual_kitti import (
+    COLORS,
+    HEIGHT,
+    RED,
+    WIDTH,
+    write_first_edition,
+    write_second_edition,
+)
 from runtime.errors import DatasetError
+from training.datasets.class_mapping import class_ids
 from training.datasets.virtual_kitti_split import PAPER_VARIANTS, Selection
 
-#: What the categories of colors.txt are in each class table, in the same order.
-IDS = {
-    "virtual_kitti": [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 255],
-    "camvid": [5, 0, 5, 5, 1, 3, 7, 6, 6, 2, 255, 8, 8, 8, 255],
-    "cityscapes": [9, 10, 8, 8, 2, 0, 255, 7, 6, 5, 255, 14, 13, 13, 255],
-}
 #: Frames of each scene, the same in all of its ten variants.
 LENGTHS = {1: 447, 2: 233, 6: 270, 18: 339, 20: 837}
 VARIANTS = (
@@ -48,14 +50,15 @@ def test_a_frame_is_metres_without_the_sky(tmp_path, edition):
     assert sample.intrinsics.tolist() == intrinsics
 
 
-@pytest.mark.parametrize("classes", list(IDS))
+@pytest.mark.parametrize("classes", ["virtual_kitti", "camvid", "cityscapes"])
 def test_categories_and_instances_are_ids_of_the_class_table(tmp_path, classes):
+    ids = [class_ids("virtual_kitti", classes)[name] for name in COLORS]
     write_first_edition(tmp_path / "1")
     write_second_edition(tmp_path / "2")
     second = open_set("rendered", tmp_path / "2", classes)[0].semantic
-    np.testing.assert_array_equal(second, np.broadcast_to(IDS[classes], (HEIGHT, WIDTH)))
+    np.testing.assert_array_equal(second, np.broadcast_to(ids, (HEIGHT, WIDTH)))
     first = open_set("virtual-kitti-1", tmp_path / "1", classes, split="all")[0].semantic
-    *stuff, car, van, _ = IDS[classes]
+    *stuff, car, van, _ = ids
     np.testing.assert_array_equal(first, np.broadcast_to([*stuff, car, car, van], (HEIGHT, WIDTH)))
 
 
