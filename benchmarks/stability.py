@@ -17,6 +17,7 @@ import numpy as np
 
 from runtime.bundled_models import find_model
 from runtime.contract import find_sky
+from training.datasets.class_mapping import list_classes
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.sample import Sample
 from training.evaluation.depth_regions import distance_px
@@ -45,7 +46,7 @@ def main() -> None:
     for title, path in zip(short_names(paths), paths, strict=True):
         with open_model(path, threads=arguments.threads, size="frame") as model:
             frames = (source[index] for index in range(len(source)))
-            changed = changed_share(model.predict, frames, sky=find_sky(model.classes))
+            changed = changed_share(model.predict, frames, sky=find_sky(list_classes(model.table)))
             print(f"| {title} | {100 * changed:.1f} |", flush=True)
 
 

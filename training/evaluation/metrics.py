@@ -39,15 +39,17 @@ _NEAREST_M = 0.1
 
 
 class Accumulator:
-    """Sums over frames: arrays, and accumulators by name or in a dictionary."""
+    """Sums over frames: arrays, counts, sets, and accumulators by name or in a dictionary."""
 
     def merge(self, other: Self) -> None:
         """Add another's sums."""
         for name, ours in vars(self).items():
             theirs = vars(other)[name]
             match ours:
-                case np.ndarray():
-                    ours += theirs
+                case np.ndarray() | int():
+                    setattr(self, name, ours + theirs)
+                case set():
+                    ours |= theirs
                 case Accumulator():
                     ours.merge(theirs)
                 case dict():

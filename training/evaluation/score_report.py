@@ -5,64 +5,62 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from runtime.io.atomic_write import atomic_write
 from training.evaluation.depth_regions import REGIONS, RETURN_DISTANCES
 from training.evaluation.metrics import FARTHEST_M, RANGES_M
 from training.evaluation.scoring import scored_classes
 
-#: Columns of the table without --all.
-_MAIN = (
-    "miou",
-    "accuracy",
-    "road_iou",
-    "boundary_f",
-    "mae_m",
-    "rmse_m",
-    "median_m",
-    "coverage_1",
-    "mae_px",
-)
-#: All columns in order: key, title, factor. Columns without a value are left out.
+
+class _Column(NamedTuple):
+    """A figure, shown times ``factor``; without --all only if it is a main one."""
+
+    key: str
+    title: str
+    factor: float
+    main: bool = False
+
+
+#: Columns in order; those without a value are left out.
 _COLUMNS = (
-    ("miou", "mIoU %", 100.0),
-    ("category_miou", "mIoU cat %", 100.0),
-    ("accuracy", "Acc %", 100.0),
-    ("mean_accuracy", "mAcc %", 100.0),
-    ("fwiou", "fwIoU %", 100.0),
-    ("road_iou", "road IoU %", 100.0),
-    ("mae_m", "MAE [m]", 1.0),
-    *((f"mae_m_{a:g}_{b:g}", f"MAE {a:g}-{b:g} m", 1.0) for a, b in RANGES_M),
+    _Column("miou", "mIoU %", 100.0, main=True),
+    _Column("category_miou", "mIoU cat %", 100.0),
+    _Column("accuracy", "Acc %", 100.0, main=True),
+    _Column("mean_accuracy", "mAcc %", 100.0),
+    _Column("fwiou", "fwIoU %", 100.0),
+    _Column("road_iou", "road IoU %", 100.0, main=True),
+    _Column("mae_m", "MAE [m]", 1.0, main=True),
+    *(_Column(f"mae_m_{a:g}_{b:g}", f"MAE {a:g}-{b:g} m", 1.0) for a, b in RANGES_M),
     *(
-        (f"mae_m_{region}", f"MAE {title} [mm]", 1000.0)
+        _Column(f"mae_m_{region}", f"MAE {title} [mm]", 1000.0)
         for region, title in zip(
             RETURN_DISTANCES,
             ("at a return", "1-2 px from it", "3-6 px from it", "> 6 px from it"),
             strict=True,
         )
     ),
-    ("rmse_m", "RMSE [m]", 1.0),
-    ("median_m", "median error [m]", 1.0),
-    *((f"rmse_m_{a:g}_{b:g}", f"RMSE {a:g}-{b:g} m", 1.0) for a, b in RANGES_M[:2]),
-    ("imae_per_km", "iMAE [1/km]", 1.0),
-    ("irmse_per_km", "iRMSE [1/km]", 1.0),
+    _Column("rmse_m", "RMSE [m]", 1.0, main=True),
+    _Column("median_m", "median error [m]", 1.0, main=True),
+    *(_Column(f"rmse_m_{a:g}_{b:g}", f"RMSE {a:g}-{b:g} m", 1.0) for a, b in RANGES_M[:2]),
+    _Column("imae_per_km", "iMAE [1/km]", 1.0),
+    _Column("irmse_per_km", "iRMSE [1/km]", 1.0),
     *(
-        (f"{error}_m_{region}", f"{region} {error.upper()} [mm]", 1000.0)
+        _Column(f"{error}_m_{region}", f"{region} {error.upper()} [mm]", 1000.0)
         for region in REGIONS
         for error in ("mae", "rmse")
     ),
     *(
-        (f"mae_m_confident_{share}", f"MAE of the most confident {share} % [mm]", 1000.0)
+        _Column(f"mae_m_confident_{share}", f"MAE of the most confident {share} % [mm]", 1000.0)
         for share in (50, 80, 100)
     ),
-    ("coverage_1", "errors within 1 scale %", 100.0),
-    ("coverage_2", "errors within 2 scales %", 100.0),
-    ("mae_px", "disparity MAE [px]", 1.0),
-    ("rmse_px", "disparity RMSE [px]", 1.0),
-    ("boundary_precision", "boundary P %", 100.0),
-    ("boundary_recall", "boundary R %", 100.0),
-    ("boundary_f", "boundary F %", 100.0),
+    _Column("coverage_1", "errors within 1 scale %", 100.0, main=True),
+    _Column("coverage_2", "errors within 2 scales %", 100.0),
+    _Column("mae_px", "disparity MAE [px]", 1.0, main=True),
+    _Column("rmse_px", "disparity RMSE [px]", 1.0),
+    _Column("boundary_precision", "boundary P %", 100.0),
+    _Column("boundary_recall", "boundary R %", 100.0),
+    _Column("boundary_f", "boundary F %", 100.0, main=True),
 )
 #: Head -> a figure of every set with its ground truth, and the key of that truth in `folders`.
 _TRUTH = {"semantic": ("miou", "labels"), "depth": ("mae_m", "depth")}
@@ -111,15 +109,15 @@ def format_table(rows: Sequence[Row], *, all_columns: bool = False) -> str:
         rows: what was scored.
         all_columns: show every figure, not the main ones alone.
     """
-    known = [column for column in _COLUMNS if any(column[0] in row.figures for row in rows)]
-    columns = [column for column in known if all_columns or column[0] in _MAIN]
+    known = [column for column in _COLUMNS if any(column.key in row.figures for row in rows)]
+    columns = [column for column in known if all_columns or column.main]
     notes = []
     if len(columns) < len(known):
         notes.append(f"{len(known) - len(columns)} more metrics with --all or --json")
     titles = ["model", "data", "frames", "LiDAR"]
     titles += ["engine"] if all_columns else []
     titles += ["fault"] if all_columns or any(row.fault != "none" for row in rows) else []
-    cells = [[*titles, *(title for _, title, _ in columns)]]
+    cells = [[*titles, *(column.title for column in columns)]]
     for row in rows:
         notes += [row.left_out] if row.left_out else []
         if over := scored_classes(row.figures):
@@ -141,8 +139,8 @@ def format_table(rows: Sequence[Row], *, all_columns: bool = False) -> str:
             lines.append((f"mean over {len(row.places)} places", row.figures_over_places))
         for frames, figures in lines:
             values = [
-                f"{figures[key] * factor:.3f}" if key in figures else ""
-                for key, _, factor in columns
+                f"{figures[column.key] * column.factor:.3f}" if column.key in figures else ""
+                for column in columns
             ]
             words = {"model": row.model, "data": row.data, "frames": frames, "LiDAR": row.lidar}
             words |= {"engine": row.engine, "fault": row.fault}

@@ -30,13 +30,11 @@ class ScoredModel:
 
     Attributes:
         predict: answers one frame.
-        classes: of its semantic head; empty without one.
         engine: how it runs: "torch on cpu", "onnxruntime on cpu", "no network".
         table: the classes whose ids or boundaries it answers, see `trained_classes`; () of neither.
     """
 
     predict: Predict
-    classes: tuple[ClassInfo, ...]
     engine: str
     table: ClassTable = ()
 
@@ -98,7 +96,6 @@ def open_model(
                     asked, frame_size, trained_height=checkpoint.facts.trained_height
                 ),
             ),
-            network.config.classes,
             f"torch on {device}",
             _class_table(network.heads, network.config.classes, checkpoint.training),
         )
@@ -110,7 +107,6 @@ def open_model(
             contract = predictor.contract
             yield ScoredModel(
                 engine_predict(predictor),
-                contract.classes,
                 f"onnxruntime on {place.type}",
                 _class_table(predictor.heads, contract.classes, contract.training),
             )
@@ -125,7 +121,7 @@ def open_method(name: str) -> ScoredModel:
         InputError: for an unknown name.
         ProviderError: if a package that the method needs is not installed.
     """
-    return ScoredModel(method_predict(create_method(name)), (), "no network")
+    return ScoredModel(method_predict(create_method(name)), "no network")
 
 
 def method_predict(method: CompletionMethod) -> Predict:

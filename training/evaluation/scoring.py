@@ -104,7 +104,7 @@ def torch_predict(
     return predict
 
 
-class Scores:
+class Scores(Accumulator):
     """Counts of a whole set, a part each head; a part without any target stays empty."""
 
     def __init__(self, num_classes: int) -> None:
@@ -137,14 +137,6 @@ class Scores:
                 self.uncertainty.update(answer.depth_uncertainty, answer.depth, frame.target)
         if answer.boundary is not None and labelled:
             self.boundary.update(answer.boundary, sample.semantic)
-
-    def merge(self, other: "Scores") -> None:
-        """Add another's counts."""
-        self.frames += other.frames
-        self.heads |= other.heads
-        for name, part in vars(self).items():
-            if isinstance(part, Accumulator):
-                part.merge(getattr(other, name))
 
     def labelled(self, class_names: Sequence[str]) -> dict[str, tuple[int, int]]:
         """Return class -> labelled pixels, and frames that show it, of those that are labelled."""
