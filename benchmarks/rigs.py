@@ -100,23 +100,21 @@ def read_pandaset(
     share: float,
     folders: Sequence[Path],
     *,
-    rows: int | None = ROWS,
     hidden: OcclusionFilter = HIDDEN,
 ) -> Iterator[Frame]:
-    """Read the frames of PandaSet's front camera, reduced to ``rows`` rows.
+    """Read the frames of PandaSet's front camera, reduced to ROWS rows.
 
     Args:
         fed: LiDAR whose returns are fed: 0 = all around, 1 = forward.
         truth: LiDAR whose returns are scored where none is fed; if it is the same, those withheld.
         share: of the returns that are fed.
         folders: of the data.
-        rows: of the result; None = the frames' own.
         hidden: what is left out of the truth.
     """
     root = find_folder(folders, "pandaset_front")
     assert root is not None
     for index, (rgb, points, matrix) in enumerate(pandaset_frames(root)):
-        rgb, intrinsics = reduce(rgb, matrix, rows)
+        rgb, intrinsics = reduce(rgb, matrix)
         size = (rgb.shape[0], rgb.shape[1])
         first, second = (
             project_points(points[points[:, 4] == device, :3], intrinsics, np.eye(4), size)
@@ -146,20 +144,20 @@ def read_delft(
     for index, path in enumerate(sorted((root / "image").glob("*.jpg"))):
         calibration = Calibration.from_kitti(root / "calib" / f"{path.stem}.txt")
         points = np.fromfile(root / "velodyne" / f"{path.stem}.bin", np.float32).reshape(-1, 4)
-        rgb, intrinsics = reduce(read_rgb(path), calibration.intrinsics, ROWS)
+        rgb, intrinsics = reduce(read_rgb(path), calibration.intrinsics)
         size = (rgb.shape[0], rgb.shape[1])
         returns = project_points(points, intrinsics, calibration.extrinsics, size)
         yield withhold(Frame(rgb, returns, returns, intrinsics[0, 0]), share, index, hidden)
 
 
 def reduce(
-    rgb: NDArray[np.uint8], intrinsics: NDArray[np.float64], rows: int | None
+    rgb: NDArray[np.uint8], intrinsics: NDArray[np.float64]
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Reduce a picture to so many rows, with its intrinsics."""
+    """Reduce a picture to ROWS rows, with its intrinsics."""
     height, width = rgb.shape[:2]
-    if rows is None or height <= rows:
+    if height <= ROWS:
         return rgb, intrinsics
-    size = (rows, round(width * rows / height))
+    size = (ROWS, round(width * ROWS / height))
     scaled = intrinsics.copy()
     for axis, (new, old) in enumerate(zip(size[::-1], (width, height), strict=True)):
         scaled[axis] *= new / old

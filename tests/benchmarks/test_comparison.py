@@ -76,7 +76,7 @@ def run(verb, plan, *options, steps=2):
 
 
 def test_the_queue_trains_scores_times_and_prints(
-    data, plan_file, export_nano, monkeypatch, capsys, small_model, bench_in_threads
+    data, plan_file, export_nano, monkeypatch, capsys, model_file, bench_in_threads
 ):
     runs = run("train", plan_file, "--data", data, "--limit", 1)
     assert export_nano == [runs / "thin-one" / "model.pt"]
@@ -86,7 +86,8 @@ def test_the_queue_trains_scores_times_and_prints(
         assert json.loads((runs / name / "scores.json").read_text())["figures"].keys() == scored
     assert not (runs / "big").exists()
 
-    monkeypatch.setattr(comparison, "export_graph", lambda graph: small_model())
+    model = model_file(contract=None).read_bytes()
+    monkeypatch.setattr(comparison, "export_graph", lambda graph: model)
     monkeypatch.setattr(comparison, "SIZES", [(64, 96)])
     run("time", plan_file, "--rounds", 1)
     capsys.readouterr()

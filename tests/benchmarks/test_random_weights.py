@@ -9,11 +9,9 @@ from export.deploy import DeployGraph
 from random_weights import LogitsGraph
 
 
-def test_each_name_is_a_file(monkeypatch, tmp_path, small_model, capsys):
-    graphs = []
-    monkeypatch.setattr(
-        random_weights, "export_graph", lambda graph: graphs.append(graph) or small_model()
-    )
+def test_each_name_is_a_file(monkeypatch, tmp_path, model_file, capsys):
+    graphs, model = [], model_file(contract=None).read_bytes()
+    monkeypatch.setattr(random_weights, "export_graph", lambda graph: graphs.append(graph) or model)
     names = ["ssdnet-nano", "sparse-conv", "fast-scnn"]
     monkeypatch.setattr(sys, "argv", ["random_weights.py", str(tmp_path / "new"), *names])
     random_weights.main()

@@ -41,8 +41,9 @@ def test_one_lidar_is_fed_and_the_returns_of_the_other_that_are_seen_are_the_tru
     assert narrow.truth[22, 30] == 25
 
 
-def test_a_reduced_picture_keeps_the_pixels_of_its_returns(pandaset):
-    (frame,) = rigs.read_pandaset(1, 0, 1.0, pandaset, rows=20)
+def test_a_reduced_picture_keeps_the_pixels_of_its_returns(pandaset, monkeypatch):
+    monkeypatch.setattr(rigs, "ROWS", 20)
+    (frame,) = rigs.read_pandaset(1, 0, 1.0, pandaset)
     assert frame.rgb.shape == (20, 30, 3)
     assert frame.focal_length_px == 25
     # 45 of 60 columns, 20 of 40 rows: pixel centres are integers.

@@ -24,7 +24,7 @@ def house():
     return depth
 
 
-def test_regions_equal_loops():
+def test_regions_and_distances_equal_loops():
     rng = np.random.default_rng(0)
     depth = house()
     fed = np.where(rng.random(depth.shape) < 0.004, depth, 0)
@@ -37,36 +37,25 @@ def test_regions_equal_loops():
         if around.size and around.max() > EDGE_RATIO * around.min():
             edges.append((v, u))
     returns = np.argwhere(fed > 0)
-    expected = np.empty(depth.shape, object)
+    by_region, by_distance = np.empty(depth.shape, object), np.empty(depth.shape, object)
     for pixel in np.ndindex(depth.shape):
         to_edge = np.hypot(*(np.array(edges) - pixel).T).min()
         to_return = np.hypot(*(returns - pixel).T).min()
         near = "edge" if to_edge <= 3 else "interior"
-        expected[pixel] = near if to_return <= 12 else "uncovered"
-    masks = split_regions(depth, distance_px(fed > 0))
-    assert list(masks) == list(REGIONS)
-    assert (sum(mask.astype(int) for mask in masks.values()) == 1).all()
-    for region, mask in masks.items():
-        assert mask.sum() > 50
-        np.testing.assert_array_equal(mask, expected == region)
-
-
-def test_distances_to_the_nearest_return_equal_loops():
-    rng = np.random.default_rng(1)
-    fed = np.where(rng.random((40, 80)) < 0.005, np.float32(7), np.float32(0))
-    returns = np.argwhere(fed > 0)
-    expected = np.empty(fed.shape, object)
-    for pixel in np.ndindex(fed.shape):
-        distance = np.hypot(*(returns - pixel).T).min()
-        expected[pixel] = next(name for name, px in RETURN_DISTANCES.items() if distance <= px)
-    masks = split_distances(distance_px(fed > 0))
-    assert list(masks) == list(RETURN_DISTANCES)
-    for name, mask in masks.items():
-        assert mask.any()
-        np.testing.assert_array_equal(mask, expected == name)
-    nothing = split_distances(distance_px(fed < 0))
-    assert [mask.all() for mask in nothing.values()] == [False, False, False, True]
-    assert not nothing["return_3_6_px"].any()
+        by_region[pixel] = near if to_return <= 12 else "uncovered"
+        by_distance[pixel] = next(n for n, px in RETURN_DISTANCES.items() if to_return <= px)
+    to_return_px = distance_px(fed > 0)
+    for masks, names, expected in (
+        (split_regions(depth, to_return_px), REGIONS, by_region),
+        (split_distances(to_return_px), RETURN_DISTANCES, by_distance),
+    ):
+        assert list(masks) == list(names)
+        for name, mask in masks.items():
+            assert mask.any()
+            np.testing.assert_array_equal(mask, expected == name)
+    *near, far = split_distances(distance_px(fed < 0)).values()
+    assert far.all()
+    assert not np.any(near)
 
 
 def test_errors_by_hand_and_merged():

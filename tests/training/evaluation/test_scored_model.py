@@ -1,9 +1,11 @@
-"""Models as they are scored: their class tables, and the engine's heads in an answer."""
+"""Models as they are scored: their names and class tables."""
 
 import dataclasses
+from pathlib import Path
 
 from models import CAMVID_CLASSES, create_model
 from runtime import Predictor
+from training.evaluation.evaluate import short_names
 from training.evaluation.scored_model import trained_classes
 
 
@@ -30,3 +32,9 @@ def test_a_file_has_the_classes_of_camvid_whatever_its_colours():
     gray = tuple(dataclasses.replace(info, color=(9, 9, 9)) for info in CAMVID_CLASSES)
     assert trained_classes(gray, {}) == "camvid"
     assert trained_classes(classes[:5], {}) == classes[:5]
+
+
+def test_paths_of_equal_names_get_more_of_their_parts():
+    assert short_names([Path("a/model.pt"), Path("b/model.pt")]) == ["a/model.pt", "b/model.pt"]
+    assert short_names([Path("x/a/1"), Path("x/a/2")]) == ["1", "2"]
+    assert short_names([Path()]) == ["."]
