@@ -80,8 +80,7 @@ def file_limits(head: str, contract: Contract) -> dict[str, float]:
     see `export.int8`.
     """
     row = HEADS[head]
-    room = _room(row, row.limit(contract.max_depth_m), contract.precision)
-    return _limit(first_figure(head), room)
+    return _limit(row, first_figure(head), row.limit(contract.max_depth_m), contract)
 
 
 def recording_limits(head: str, contract: Contract, *, from_torch: bool) -> dict[str, float]:
@@ -100,15 +99,13 @@ def recording_limits(head: str, contract: Contract, *, from_torch: bool) -> dict
     if contract.precision != "int8" and not from_torch:
         return file_limits(head, contract)
     row = HEADS[head]
-    name = _MEANS[row.difference]
-    if contract.precision == "int8":
-        room = row.tolerance_int8
+    name, is_int8 = _MEANS[row.difference], contract.precision == "int8"
+    if is_int8 and row.difference is Difference.EQUAL_SHARE:
+        tolerance = 1 - row.tolerance_int8
     else:
-        room = _room(row, row.tolerance, contract.precision)
+        tolerance = row.tolerance_int8 if is_int8 else row.tolerance
     measured = contract.parity.get(head, {}).get(name) if from_torch else None
-    if measured is not None:
-        room += 1 - measured if name == _SHARE else measured
-    return _limit(name, room)
+    return _limit(row, name, tolerance, contract, measured)
 
 
 def within(figures: Mapping[str, float], limits: Mapping[str, float]) -> bool:
@@ -119,14 +116,15 @@ def within(figures: Mapping[str, float], limits: Mapping[str, float]) -> bool:
     )
 
 
-def _room(row: Head, tolerance: float, precision: str) -> float:
-    """Allowed share of different pixels, or allowed difference, by the precision of the file."""
-    room = 1 - tolerance if row.difference is Difference.EQUAL_SHARE else tolerance
-    if precision != "fp16":
-        return room
-    is_value = row.difference in (Difference.ABSOLUTE, Difference.RELATIVE)
-    return room * (HALF_VALUE if is_value else HALF_SHARE)
-
-
-def _limit(name: str, room: float) -> dict[str, float]:
-    return {name: max(1 - room, 0.0) if name == _SHARE else room}
+def _limit(
+    row: Head, name: str, tolerance: float, contract: Contract, measured: float | None = None
+) -> dict[str, float]:
+    """The limit of a figure: its tolerance in the file's precision, beside what was measured."""
+    share = row.difference is Difference.EQUAL_SHARE
+    room = 1 - tolerance if share else tolerance
+    if contract.precision == "fp16":
+        is_value = row.difference in (Difference.ABSOLUTE, Difference.RELATIVE)
+        room *= HALF_VALUE if is_value else HALF_SHARE
+    if measured is not None:
+        room += 1 - measured if share else measured
+    return {name: max(1 - room, 0.0) if share else room}

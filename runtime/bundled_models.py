@@ -19,7 +19,7 @@ def list_bundled_models() -> list[str]:
     return sorted(path.name.removesuffix(_SUFFIX) for path in assets_folder().glob(f"*{_SUFFIX}"))
 
 
-def find_model(model: str | bytes | PathLike[str] | None) -> Path:
+def find_model(model: str | PathLike[str] | None) -> Path:
     """Return the file of a model.
 
     Args:
@@ -35,13 +35,13 @@ def find_model(model: str | bytes | PathLike[str] | None) -> Path:
         InputError: for anything that is neither text nor a path.
     """
     if isinstance(model, PathLike):
-        return Path(os.fsdecode(model))
-    if not isinstance(model, str | bytes | None):
+        return Path(model)
+    if not isinstance(model, str | None):
         raise InputError(
             f"model must be a path or a name, got {type(model).__name__}: name an ONNX file, one "
             "of the bundled models, or none for the default one"
         )
-    name = DEFAULT_MODEL if model is None else os.fsdecode(model)
+    name = DEFAULT_MODEL if model is None else model
     if name.lower().endswith(_SUFFIX) or os.path.dirname(name):
         return Path(name)
     known = list_bundled_models()

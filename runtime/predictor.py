@@ -79,7 +79,7 @@ class Predictor:
 
     def __init__(
         self,
-        model: str | bytes | PathLike[str] | None = None,
+        model: str | PathLike[str] | None = None,
         *,
         sha256: str | None = None,
         provider: str = "cpu",

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.geometry.kitti_calibration import NumbersFile, chain, is_kitti
-from runtime.geometry.lens import PLUMB_BOB, Lens, rectifying_maps
+from runtime.geometry.lens import PLUMB_BOB, Lens, as_key, rectifying_maps
 from runtime.geometry.projection import OcclusionFilter, check_intrinsics, project_points
 from runtime.geometry.rigid import read_rigid
 from runtime.read_input import read_toml
@@ -107,7 +107,7 @@ class Calibration:
         self.require_size(size)
         if (lens := self.lens_model) is None:
             return rgb
-        maps = rectifying_maps(lens, self.intrinsics, size)
+        maps = rectifying_maps(lens, as_key(self.intrinsics), size)
         return cv2.remap(rgb, *maps, cv2.INTER_LINEAR)  # type: ignore[return-value]
 
     def project(self, points: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
@@ -153,32 +153,19 @@ class Calibration:
             path: TOML file, or KITTI's file or folder.
             camera: whose images, 0 to 3; for KITTI only.
             rectified: as of `from_kitti`.
-            for_scans: refuse a file that holds the intrinsics alone.
+            for_scans: as of `from_kitti`.
 
         Raises:
-            InputError: if the calibration cannot be read; for a file of another tool with a TOML
-                file to fill in.
+            InputError: if the calibration cannot be read.
         """
         path = Path(path)
         if path.suffix.lower() == ".toml":
             return cls.from_toml(path)
-        is_one_of_two = path.name in (RAW_CAMERAS, RAW_SCANNER)
-        if os.path.isfile(path) and not is_one_of_two and not is_kitti(path):
-            raise InputError(
-                f"{path} is neither TOML nor a calibration of KITTI: write a .toml file as this "
-                "one of another camera (docs/recordings.md has lines of Python that print it from "
-                f"files of ROS, OpenCV and Kalibr):\n{_EXAMPLE}"
-            )
-        if for_scans and os.path.isfile(path) and "" in NumbersFile(path):
-            raise InputError(
-                f"{path} holds the intrinsics alone: scans need a .toml file with intrinsics and "
-                'extrinsics, or with points_in = "camera" where they are in the camera\'s frame'
-            )
-        return cls.from_kitti(path, camera=camera, rectified=rectified)
+        return cls.from_kitti(path, camera=camera, rectified=rectified, for_scans=for_scans)
 
     @classmethod
     def from_kitti(
-        cls, path: Path | str, *, camera: int = 2, rectified: bool = True
+        cls, path: Path | str, *, camera: int = 2, rectified: bool = True, for_scans: bool = False
     ) -> "Calibration":
         """Read KITTI's calibration.
 
@@ -188,9 +175,11 @@ class Calibration:
                 numbers, the intrinsics alone (depth selection).
             camera: whose images, 0 to 3.
             rectified: False: of the raw data's images as they were taken, with their lens.
+            for_scans: refuse a file that holds the intrinsics alone.
 
         Raises:
-            InputError: for a missing file, a missing name or a wrong count of numbers.
+            InputError: for a missing file, a missing name or a wrong count of numbers; for a file
+                of another tool with a TOML file to fill in.
         """
         path = Path(path)
         if path.name in (RAW_CAMERAS, RAW_SCANNER):
@@ -201,6 +190,17 @@ class Calibration:
         if os.path.isdir(path):
             return cls._from_kitti_raw(path, f"{camera:02d}", rectified=rectified)
         numbers = NumbersFile(path)
+        if not is_kitti(numbers):
+            raise InputError(
+                f"{path} is neither TOML nor a calibration of KITTI: write a .toml file as this "
+                "one of another camera (docs/recordings.md has lines of Python that print it from "
+                f"files of ROS, OpenCV and Kalibr):\n{_EXAMPLE}"
+            )
+        if "" in numbers and for_scans:
+            raise InputError(
+                f"{path} holds the intrinsics alone: scans need a .toml file with intrinsics and "
+                'extrinsics, or with points_in = "camera" where they are in the camera\'s frame'
+            )
         if "" in numbers:
             return cls(numbers.matrix("", 3, 3), np.eye(4))
         projection, is_odometry = numbers.matrix(f"P{camera}", 3, 4), "Tr" in numbers

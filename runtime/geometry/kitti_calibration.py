@@ -55,9 +55,8 @@ class NumbersFile:
         return numbers.reshape(rows, columns)
 
 
-def is_kitti(path: Path) -> bool:
-    """Whether a text has a name of KITTI's, or is nine numbers; InputError if it is no text."""
-    numbers = NumbersFile(path)
+def is_kitti(numbers: NumbersFile) -> bool:
+    """Whether a file has a name of KITTI's, or is nine numbers."""
     with contextlib.suppress(InputError):
         return numbers.matrix("", 3, 3).size == 9
     return any(name in numbers for name in _NAMES)

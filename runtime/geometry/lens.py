@@ -32,6 +32,7 @@ _WIDEST = np.deg2rad(89.9)  # from the optical axis: depth along this axis is po
 _KNOTS = 65_537  # of the table of angles: linear between them, the error is below 1e-8 rad
 _ROUNDS, _CLOSE = 20, 1e-7  # of the tangential part's inversion
 
+Key = tuple[float, ...]
 Floats = TypeVar("Floats", NDArray[np.float32], NDArray[np.float64])
 
 
@@ -179,32 +180,8 @@ def to_plane(
     )
 
 
-def rays(lens: Lens, intrinsics: NDArray[np.floating[Any]], size: tuple[int, int]) -> Any:
-    """Return the ray (x, y) of each pixel, float32 (height, width, 2); NaN where it has none.
-
-    The array is read-only, and kept for the next call.
-    """
-    return _rays(lens, _key(intrinsics), size)
-
-
-def ray_bounds(
-    lens: Lens, intrinsics: NDArray[np.floating[Any]], size: tuple[int, int]
-) -> RayBounds:
-    """Return the bounds of the rays that can meet an image of this (height, width)."""
-    return _ray_bounds(lens, _key(intrinsics), size)
-
-
-def rectifying_maps(
-    lens: Lens, intrinsics: NDArray[np.floating[Any]], size: tuple[int, int]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return where each pixel of the rectified image is in the distorted one, for `cv2.remap`.
-
-    Columns and rows, float32 (height, width), -1 where nothing was seen; kept for the next call.
-    """
-    return _rectifying_maps(lens, _key(intrinsics), size)
-
-
-def _key(intrinsics: NDArray[np.floating[Any]]) -> tuple[float, ...]:
+def as_key(intrinsics: NDArray[np.floating[Any]]) -> Key:
+    """Return the numbers of a matrix (3, 3), by which tables of a camera are kept."""
     return tuple(intrinsics.astype(np.float64).ravel().tolist())
 
 
@@ -221,17 +198,22 @@ def _field(lens: Lens) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 @lru_cache(maxsize=4)
-def _rays(lens: Lens, intrinsics: tuple[float, ...], size: tuple[int, int]) -> Any:
+def rays(lens: Lens, intrinsics: Key, size: tuple[int, int]) -> Any:
+    """Return the ray (x, y) of each pixel, float32 (height, width, 2); NaN where it has none.
+
+    The array is read-only, and kept for the next call.
+    """
     height, width = size
     row, column = np.mgrid[:height, :width].astype(np.float64)
-    x, y = to_plane(np.reshape(intrinsics, (3, 3)), column, row)
-    table = np.stack(lens.undistort(x, y), axis=-1).astype(np.float32)
+    plane = to_plane(np.reshape(intrinsics, (3, 3)), column, row)
+    table = np.stack(lens.undistort(*plane), axis=-1).astype(np.float32)
     table.flags.writeable = False
     return table
 
 
 @lru_cache(maxsize=16)
-def _ray_bounds(lens: Lens, intrinsics: tuple[float, ...], size: tuple[int, int]) -> RayBounds:
+def ray_bounds(lens: Lens, intrinsics: Key, size: tuple[int, int]) -> RayBounds:
+    """Return the bounds of the rays that can meet an image of this (height, width)."""
     height, width = size
     angles, _ = _field(lens)
     farthest = np.tan(angles[-1])
@@ -249,14 +231,18 @@ def _ray_bounds(lens: Lens, intrinsics: tuple[float, ...], size: tuple[int, int]
 
 
 @lru_cache(maxsize=4)
-def _rectifying_maps(
-    lens: Lens, intrinsics: tuple[float, ...], size: tuple[int, int]
+def rectifying_maps(
+    lens: Lens, intrinsics: Key, size: tuple[int, int]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return where each pixel of the rectified image is in the distorted one, for `cv2.remap`.
+
+    Columns and rows, float32 (height, width), -1 where nothing was seen; kept for the next call.
+    """
     height, width = size
     matrix = np.reshape(intrinsics, (3, 3))
     row, column = np.mgrid[:height, :width].astype(np.float64)
     x, y = to_plane(matrix, column, row)
-    seen = x * x + y * y <= ray_bounds(lens, matrix, size).radius_2
+    seen = x * x + y * y <= ray_bounds(lens, intrinsics, size).radius_2
     x, y = lens.distort(np.where(seen, x, 0), np.where(seen, y, 0))
     across, down = (
         np.where(seen, line[0] * x + line[1] * y + line[2], -1).astype(np.float32)

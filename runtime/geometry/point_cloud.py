@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
-from runtime.geometry.lens import Lens, rays, to_plane
+from runtime.geometry.lens import Lens, as_key, rays, to_plane
 from runtime.geometry.projection import check_intrinsics
 from runtime.heads import EDGE_BOUNDARY
 
@@ -75,7 +75,7 @@ def to_points(
     if semantic is not None and sky is not None:
         kept &= semantic != sky
     if lens is not None:
-        table = rays(lens, intrinsics, (depth.shape[0], depth.shape[1]))
+        table = rays(lens, as_key(intrinsics), (depth.shape[0], depth.shape[1]))
         kept &= np.isfinite(table[..., 0])
     row, column = np.nonzero(kept)
     z = depth[row, column]

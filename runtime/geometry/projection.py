@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from runtime.checks import check_integer, check_number, shown
 from runtime.contract import MAX_DEPTH_RANGE_M, MAX_SIDE
 from runtime.errors import InputError
-from runtime.geometry.lens import Lens, ray_bounds
+from runtime.geometry.lens import Lens, as_key, ray_bounds
 from runtime.geometry.rigid import check_matrix, read_rigid
 from runtime.returns import axes_of, check_points
 
@@ -151,7 +151,7 @@ def project_with_rows(
             u, v = u_z[row] / z, v_z[row] / z
         else:
             x_z, y_z, z = _transform(axes, extrinsics[:3].astype(np.float32))
-            left, right, top, bottom, radius_2 = ray_bounds(lens, intrinsics, (height, width))
+            left, right, top, bottom, radius_2 = ray_bounds(lens, as_key(intrinsics), size)
             row = np.flatnonzero(
                 (x_z > left * z) & (x_z < right * z) & (y_z > top * z) & (y_z < bottom * z)
             )

@@ -8,7 +8,7 @@ import numpy as np
 
 from runtime.errors import SSDNetError
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.lens import EQUIDISTANT, rays
+from runtime.geometry.lens import EQUIDISTANT, as_key, rays
 from runtime.health.calibration_size import CalibrationSize
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.io.images import holds_metres
@@ -44,7 +44,7 @@ def find_lens_fault(calibration: Calibration | None, size: tuple[int, int] | Non
     lens = calibration.lens_model if calibration else None
     if calibration is None or lens is None or lens.model == EQUIDISTANT or size is None:
         return None
-    unseen = float(np.isnan(rays(lens, calibration.intrinsics, size)).any(axis=-1).mean())
+    unseen = float(np.isnan(rays(lens, as_key(calibration.intrinsics), size)).any(axis=-1).mean())
     if unseen < _LEAST_UNSEEN:
         return None
     return (

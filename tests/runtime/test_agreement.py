@@ -82,23 +82,18 @@ def test_eight_bits_are_limited_by_shares_and_means_whatever_the_parity(contract
 
 
 def test_pytorchs_answers_are_limited_by_means_beside_the_measured_difference(contract):
-    measured = {
-        "semantic": {"agreement": 0.9},
-        "depth": {"max_abs_m": 90.0, "mean_abs_m": 2.0, "mean_relative": 0.1},
-    }
-    int8 = replace(contract, precision="int8", parity=measured)
-    assert recording_limits("semantic", int8, from_torch=True) == {"agreement": pytest.approx(0.86)}
-    limits = recording_limits("depth", int8, from_torch=True)
-    assert limits == {"mean_relative": pytest.approx(0.125)}
+    measured = {"semantic": {"agreement": 0.9}, "depth": {"max_abs_m": 90.0, "mean_relative": 0.1}}
     exact = {"semantic": {"agreement": 1.0}, "depth": {"max_abs_m": 0.0, "mean_relative": 0.0}}
-    for head in ("semantic", "depth"):  # in 8 bits never stricter than in floats
-        ((_, of_int8),) = recording_limits(
-            head, replace(int8, parity=exact), from_torch=True
-        ).items()
-        ((_, of_fp32),) = recording_limits(
-            head, replace(contract, parity=exact), from_torch=True
-        ).items()
-        assert of_int8 < of_fp32 if head == "semantic" else of_int8 > of_fp32
+    for precision, parity, agreement, mean_relative in (
+        ("int8", measured, 0.86, 0.125),
+        ("int8", exact, 0.96, 0.025),
+        ("fp32", exact, 0.9995, 5e-5),
+    ):
+        file = replace(contract, precision=precision, parity=parity)
+        limits = recording_limits("semantic", file, from_torch=True)
+        assert limits == {"agreement": pytest.approx(agreement)}
+        limits = recording_limits("depth", file, from_torch=True)
+        assert limits == {"mean_relative": pytest.approx(mean_relative)}
     half = replace(contract, precision="fp16", parity=exact)
     assert recording_limits("depth", half, from_torch=True) == {
         "mean_relative": pytest.approx(0.005)

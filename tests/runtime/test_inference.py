@@ -9,8 +9,8 @@ from runtime.inference import faults
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("head", ["depth", "boundary", "depth_uncertainty", "semantic_logits"])
 def test_one_value_that_is_not_finite_is_found_anywhere(contract, head, bad):
-    for at in range(17 * 19):
-        values = np.zeros((17, 19), np.float32)
+    for at in range(5 * 7):
+        values = np.zeros((5, 7), np.float32)
         values.flat[at] = bad
         assert faults({head: values}, contract) == (f"{head}_not_finite",)
 

@@ -53,11 +53,9 @@ def test_an_answer_of_another_shape_is_an_inference_error(model_file, head, time
         Predictor(path, warmup=0)
 
 
-@pytest.mark.parametrize("head", ["depth", "depth_uncertainty"])
-@pytest.mark.parametrize("name", ["Squeeze", "Unsqueeze"])
-def test_an_answer_of_another_rank_is_refused_at_load(model_file, head, name):
-    edit = behind(head, helper.make_node(name, ["before", "axis"], [head]), axis=[0])
-    with pytest.raises(ContractError, match=f"{head} to be"):
+def test_an_answer_of_another_rank_is_refused_at_load(model_file):
+    edit = behind("depth", helper.make_node("Squeeze", ["before", "axis"], ["depth"]), axis=[0])
+    with pytest.raises(ContractError, match="depth to be"):
         Predictor(model_file(edit=edit, heads=HEADS))
 
 

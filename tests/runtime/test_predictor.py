@@ -1,6 +1,5 @@
 """The predictor on models whose right answers can be worked out by hand."""
 
-import copy
 import dataclasses
 import hashlib
 import os
@@ -55,7 +54,6 @@ def test_what_the_predictor_tells_about_itself(model_file, contract):
     assert predictor.load_ms > 0
     assert predictor.first_inference_ms > 0
     assert Predictor(path, warmup=0).first_inference_ms is None
-    assert Predictor(bytes(path)).digest == predictor.digest, "a path as bytes"
     assert Predictor(model_file("free.onnx")).free_size
 
 
@@ -74,11 +72,10 @@ def test_two_frames_in_a_row_do_not_mix(model_file, make_frame):
 
 def test_no_depth_map_is_the_camera_alone(model_file, make_frame):
     rgb, _ = make_frame()
-    nothing = np.zeros(rgb.shape[:2], np.float32)
     with Predictor(model_file()) as predictor:
-        for prediction in (predictor.predict(rgb, None), *predictor.predict_batch([(rgb, None)])):
-            assert_right(prediction, rgb, nothing)
-            assert prediction.degraded == ("no_depth",)
+        prediction = predictor.predict(rgb)
+    assert_right(prediction, rgb, np.zeros(rgb.shape[:2], np.float32))
+    assert prediction.degraded == ("no_depth",)
 
 
 def test_the_uncertainty_comes_where_the_model_has_it(model_file, make_frame):
@@ -96,24 +93,15 @@ def test_the_uncertainty_comes_where_the_model_has_it(model_file, make_frame):
         assert np.array_equal(resized.depth_uncertainty, resized.depth / 16)
 
 
-# --- a frame of another size than a fixed model ------------------------------------------------
-
-
 def test_a_small_frame_comes_back_at_its_own_size_and_place(model_file):
+    """Tripled and back again, nearest returns every pixel as it was."""
     rgb = np.full((40, 50, 3), 60, np.uint8)
     rgb[:20, :, 0] = 255
     depth = np.zeros((40, 50), np.float32)
     depth[5, 7], depth[39, 49] = 10, 20
     prediction = Predictor(model_file(size=(120, 150))).predict(rgb, depth)
-    assert_right_after_whole_factor(prediction, rgb, depth)
-
-
-def assert_right_after_whole_factor(prediction, rgb, depth):
-    """Tripled and back again, nearest gives every pixel back as it was."""
-    assert prediction.frame_size == depth.shape == prediction.boundary.shape
-    assert np.array_equal(prediction.semantic, (rgb[..., 0] >= 128).astype(np.uint8))
-    assert np.array_equal(prediction.depth, depth + np.float32(DEPTH_OFFSET_M))
-    assert np.allclose(prediction.boundary, 1)
+    assert_right(prediction, rgb, depth)
+    assert prediction.frame_size == (40, 50)
 
 
 @pytest.mark.parametrize(("size", "trained", "frame", "runs_at"), [
@@ -146,9 +134,6 @@ def test_a_model_of_free_size_runs_at_the_size_asked_for(
     assert prediction.semantic_logits.shape == (2, *frame)
 
 
-# --- bad input ---------------------------------------------------------------------------------
-
-
 def test_impossible_depth_is_no_measurement(model_file, make_frame):
     rgb, depth = make_frame()
     clean = depth.copy()
@@ -174,31 +159,17 @@ def test_nan_and_inf_in_an_answer_are_never_passed_on_silently(model_file, make_
         prediction = predictor.predict(rgb, depth)
         assert not prediction.valid
         assert prediction.degraded == ("boundary_not_finite",)
-
-
-def test_reasons_of_the_frame_stay_beside_those_of_the_answer(model_file, make_frame):
-    rgb, depth = make_frame()
     rgb[:], depth[:] = 0, 0
-    prediction = Predictor(model_file()).predict(rgb, depth)
-    assert prediction.degraded == ("no_depth", "image_constant", "boundary_not_finite")
-    assert not prediction.valid
+    reasons = predictor.predict(rgb, depth).degraded
+    assert reasons == ("no_depth", "image_constant", "boundary_not_finite")
 
 
 def test_after_bad_input_the_predictor_is_as_good_as_new(model_file, make_frame):
     rgb, depth = make_frame()
-    bad_frames = [
-        (rgb.astype(np.float32), depth),
-        (rgb.transpose(2, 0, 1), depth),
-        (rgb, depth[:-1]),
-        (rgb, (depth * 256).astype(np.uint16)),
-        (rgb, depth.astype(np.float64)),
-        (rgb[..., 0], depth),
-        (None, None),
-    ]
     with Predictor(model_file(size=(48, 64))) as predictor:
-        for bad_rgb, bad_depth in bad_frames:
+        for bad in [(rgb.astype(np.float32), depth), (rgb, depth[:-1]), (None, None)]:
             with pytest.raises(InputError):
-                predictor.predict(bad_rgb, bad_depth)
+                predictor.predict(*bad)
             assert_right(predictor.predict(rgb, depth), rgb, depth)
 
 
@@ -228,7 +199,7 @@ def test_arguments_out_of_range_are_refused(model_file, name, value):
         Predictor(model_file(), **{name: value})
 
 
-@pytest.mark.parametrize("size", [(-1, 40), 5, (40.0, 40.0), (40, 40, 3), (40, 10**6)])
+@pytest.mark.parametrize("size", [(-1, 40), 5, (40, 10**6)])
 def test_warm_up_refuses_an_invalid_size(model_file, size):
     with pytest.raises(InputError, match="must be"):
         Predictor(model_file()).warm_up(size)
@@ -272,10 +243,9 @@ def test_after_a_fork_every_call_is_an_error_and_the_parent_goes_on(model_file):
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("copy_it", [pickle.dumps, copy.copy, copy.deepcopy])
-def test_a_predictor_that_is_pickled_names_what_to_do(model_file, copy_it):
+def test_a_predictor_that_is_pickled_names_what_to_do(model_file):
     with pytest.raises(InputError, match="each process"):
-        copy_it(Predictor(model_file(), warmup=0))
+        pickle.dumps(Predictor(model_file(), warmup=0))
 
 
 def test_a_prediction_names_its_classes_and_is_short(model_file, make_frame):
@@ -287,33 +257,23 @@ def test_a_prediction_names_its_classes_and_is_short(model_file, make_frame):
     assert dataclasses.replace(prediction, contract=None).class_names == ()
 
 
-@pytest.fixture
-def lose_device(monkeypatch):
-    """Have the device of the next session that runs fall off the bus; others have their own."""
-    run, lost = InferenceSession.run, []
+def test_reset_recovers_from_a_provider_that_failed(model_file, make_frame, monkeypatch):
+    frame, run, lost = make_frame(), InferenceSession.run, []
 
     def run_or_fail(session, *given):
-        if not lost:
-            lost.append(session)
+        lost[:] = lost or [session]
         if session is lost[0]:
             raise RuntimeError("CUDA error 999")
         return run(session, *given)
 
-    return lambda: monkeypatch.setattr(InferenceSession, "run", run_or_fail)
-
-
-def test_reset_recovers_from_a_provider_that_failed(model_file, make_frame, lose_device):
-    frame = make_frame()
     with Predictor(model_file(), threads=1) as predictor:
         expected = predictor.predict(*frame)
-        providers = predictor.providers
-        lose_device()
+        monkeypatch.setattr(InferenceSession, "run", run_or_fail)
         for _ in range(2):
             with pytest.raises(InferenceError, match="CUDA error 999"):
                 predictor.predict(*frame)
         predictor.reset()
         np.testing.assert_array_equal(predictor.predict(*frame).depth, expected.depth)
-        assert predictor.providers == providers
 
 
 def test_reset_runs_no_other_model_than_before(model_file, make_frame):

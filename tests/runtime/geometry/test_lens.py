@@ -6,7 +6,7 @@ import pytest
 
 from runtime import InputError, project_points
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.lens import Lens, rays
+from runtime.geometry.lens import Lens, as_key, rays
 from runtime.geometry.motion import project_moved
 from runtime.geometry.point_cloud import to_points
 from runtime.geometry.poses import PoseTrack
@@ -48,7 +48,7 @@ def test_rays_and_pixels_are_those_of_opencv(intrinsics, model, coefficients):
     lens = Lens(model, coefficients)
     points = scattered()
     x, y = (points[:, :2] / points[:, 2:]).T
-    table = rays(lens, intrinsics, SIZE)
+    table = rays(lens, as_key(intrinsics), SIZE)
     seen = np.isfinite(table[..., 0])
     assert seen.mean() > 0.95
     row, column = np.nonzero(seen)
@@ -132,9 +132,8 @@ def test_nothing_folds_back_into_the_image(model, coefficients, end_deg):
 
 
 @pytest.mark.parametrize(("model", "distortion"), [
-    ("brown", [0, 0, 0, 0]), ("plumb_bob", [0.1]), ("rational_polynomial", [0.1] * 5),
-    ("equidistant", [0.1, 0, 0, np.nan]), ("fisheye", [0.0] * 4), ("plumb_bob", "many"),
-    ("plumb_bob", None), (None, [0.1] * 5),
+    ("brown", [0, 0, 0, 0]), ("plumb_bob", [0.1]), ("equidistant", [0.1, 0, 0, np.nan]),
+    ("plumb_bob", "many"), ("plumb_bob", None), (None, [0.1] * 5),
 ])  # fmt: skip
 def test_what_is_no_lens(model, distortion):
     with pytest.raises(InputError, match="lens"):

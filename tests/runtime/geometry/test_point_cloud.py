@@ -53,21 +53,16 @@ def test_a_prediction_gives_its_cloud(model_file, make_frame):
     with Predictor(model_file(), threads=1) as predictor:
         prediction = predictor.predict(rgb, sparse_depth)
         cloud, kept = prediction.points(K, rgb), prediction.boundary <= 0.25
-        for found, values in (
-            (cloud.points[:, 2], prediction.depth),
-            (cloud.rgb, rgb),
-            (cloud.semantic, prediction.semantic),
-        ):
-            np.testing.assert_array_equal(found, values[kept])
+        np.testing.assert_array_equal(cloud.points[:, 2], prediction.depth[kept])
+        np.testing.assert_array_equal(cloud.rgb, rgb[kept])
+        np.testing.assert_array_equal(cloud.semantic, prediction.semantic[kept])
         assert len(prediction.points(K, edge_boundary=None).points) == 48 * 64
-        assert prediction.points(K).rgb is None
-
         rgb[5, 5] = 0  # boundary is NaN there
         with pytest.raises(InputError, match="boundary_not_finite"):
             predictor.predict(rgb, sparse_depth).points(K)
 
 
-def test_the_boundary_of_a_model_without_classes_is_not_halved(model_file, make_frame):
+def test_the_boundary_of_a_model_without_classes_is_not_halved():
     """Every pixel was an edge where it says less than even odds."""
     depth, boundary = np.full((8, 8), 5, np.float32), np.full((8, 8), 0.3, np.float32)
     assert len(to_points(depth, K, boundary=boundary).points) == 64
@@ -75,11 +70,6 @@ def test_the_boundary_of_a_model_without_classes_is_not_halved(model_file, make_
     assert len(to_points(depth, K, boundary=boundary, edge_boundary=0.25).points) == 0
     labels = np.zeros((8, 8), np.uint8)
     assert len(to_points(depth, K, boundary=boundary, semantic=labels).points) == 0
-    with Predictor(model_file(heads=("depth", "boundary")), threads=1) as predictor:
-        prediction = predictor.predict(*make_frame())
-    kept = prediction.boundary <= 0.5
-    assert (prediction.boundary[kept] > 0.25).any()
-    assert len(prediction.points(K).points) == kept.sum()
 
 
 def test_the_sky_has_no_points_unless_asked_for(model_file, make_frame, contract):

@@ -128,9 +128,8 @@ def test_other_inputs_are_named(key, value):
 
 
 @pytest.mark.parametrize("options", [
-    {"window": (4, 3)}, {"window": (0, 3)}, {"window": 5}, {"window": (3, 3, 3)},
-    {"window": (3.0, 3)}, {"window": (10**9 + 1, 3)}, {"relative_gap": 1.0},
-    {"relative_gap": "0.1"}, {"gap_m": -1.0}, {"gap_m": float("inf")},
+    {"window": (4, 3)}, {"window": 5}, {"window": (10**9 + 1, 3)}, {"relative_gap": 1.0},
+    {"gap_m": -1.0},
 ])  # fmt: skip
 def test_filters_that_make_no_sense_are_refused(options):
     with pytest.raises(InputError, match="must be"):
