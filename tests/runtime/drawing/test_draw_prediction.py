@@ -57,10 +57,7 @@ def test_an_answer_that_cannot_be_used_is_drawn(answered):
 def test_a_picture_of_another_frame_is_refused(answered, rgb):
     with pytest.raises(InputError, match="48, 64, 3"):
         answered[1].draw(rgb)
-
-
-def test_a_prediction_of_no_model_says_what_it_lacks(answered):
-    with pytest.raises(InputError, match=r"contract=predictor\.contract"):
+    with pytest.raises(InputError, match="contract"):
         dataclasses.replace(answered[1], contract=None).draw()
 
 
@@ -105,23 +102,18 @@ def test_a_cloud_is_saved_with_colours_and_labels(tmp_path, answered, read_ply, 
 def test_a_cloud_without_picture_and_classes_is_points_alone(tmp_path, answered, read_ply):
     prediction = change(answered[1], without=["semantic"], contract=None)
     prediction.save(tmp_path / "a.ply", intrinsics=K)
-    lines, points = read_ply(tmp_path / "a.ply")
-    assert points.dtype.names == ("x", "y", "z")
-    assert not [line for line in lines if "label" in line]
+    assert read_ply(tmp_path / "a.ply")[1].dtype.names == ("x", "y", "z")
 
 
 def test_a_name_of_a_class_does_not_break_the_header(tmp_path, answered, read_ply, contract):
-    names = ("Straße", "a\nelement vertex 9")
-    classes = tuple(dataclasses.replace(contract.classes[0], name=name) for name in names)
+    classes = (contract.classes[0], dataclasses.replace(contract.classes[0], name="Straße\nend"))
     spoiled = dataclasses.replace(contract, classes=classes)
     dataclasses.replace(answered[1], contract=spoiled).save(tmp_path / "a.ply", intrinsics=K)
-    lines, _ = read_ply(tmp_path / "a.ply")
-    assert "comment label 1 a element vertex 9 0 0 128" in lines
+    assert "comment label 1 Stra?e end 0 0 128" in read_ply(tmp_path / "a.ply")[0]
 
 
 @pytest.mark.parametrize(("name", "error", "text"), [
-    ("a.ply", InputError, "give intrinsics="),
-    ("a.tiff", InputError, r"must end in one of \.png, \.jpg, \.jpeg, \.npz, \.ply"),
+    ("a.ply", InputError, "intrinsics="), ("a.tiff", InputError, r"\.tiff must end"),
     ("none/a.png", OutputError, "cannot write"),
 ])  # fmt: skip
 def test_what_cannot_be_saved_leaves_nothing(tmp_path, answered, name, error, text):

@@ -8,7 +8,7 @@ import pytest
 
 import runtime.io.images
 from runtime import InputError
-from runtime.io.images import read_rgb, read_sparse_depth
+from runtime.io.images import image_size, read_rgb, read_sparse_depth
 
 
 def write(path: Path, image) -> Path:
@@ -126,3 +126,53 @@ def test_a_picture_of_too_many_pixels_is_refused_before_it_is_decoded(
     monkeypatch.delattr(cv2, "imdecode")
     with pytest.raises(InputError, match="1,999"):
         read_rgb(path)
+
+
+# --- the size in the header --------------------------------------------------------------------
+
+
+def encode(suffix, shape, dtype=np.uint8, *options):
+    image = np.random.default_rng(0).integers(0, 255, shape).astype(dtype)
+    return cv2.imencode(suffix, image, options)[1].tobytes()
+
+
+PROGRESSIVE = (cv2.IMWRITE_JPEG_PROGRESSIVE, 1, cv2.IMWRITE_JPEG_RST_INTERVAL, 1)
+
+
+@pytest.mark.parametrize(("suffix", "shape", "dtype", "options"), [
+    (".png", (1, 1), np.uint8, ()), (".png", (300, 2, 3), np.uint8, ()),
+    (".png", (20, 30), np.uint16, ()), (".png", (20, 30, 4), np.uint8, ()),
+    (".jpg", (1, 1), np.uint8, ()), (".jpg", (37, 1242, 3), np.uint8, ()),
+    (".jpg", (20, 30, 3), np.uint8, PROGRESSIVE),
+])  # fmt: skip
+def test_a_header_has_the_size_of_the_picture(suffix, shape, dtype, options):
+    assert image_size(encode(suffix, shape, dtype, *options)) == shape[:2]
+
+
+HUFFMAN_TABLE = b"\xff\xc4\x00\x14\x00\x01" + bytes(16)  # of one code
+BETWEEN = {
+    "markers in a segment": b"\xff\xe1\x00\x0a" + b"\xff\xc0\xff\xd8\xff\xd9ab",  # a thumbnail's
+    "fill": b"\xff" * 9,
+    "garbage": b"extraneous \xff\x00 bytes",
+    "markers without a segment": b"\xff\x01\xff\xd3",
+    "comments": b"\xff\xfe\x00\x02" * 300,
+    "a table whose marker is among those of frames": HUFFMAN_TABLE,
+}
+
+
+@pytest.mark.parametrize("between", BETWEEN.values(), ids=BETWEEN)
+def test_a_header_of_a_jpeg_is_read_as_the_decoder_reads_it(between):
+    whole = encode(".jpg", (20, 30, 3))
+    content = whole[:20] + between + whole[20:]  # after the segment that says JFIF
+    assert cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR).shape == (20, 30, 3)
+    assert image_size(content) == (20, 30)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_the_beginning_of_a_file_has_its_size_or_none(suffix):
+    whole = encode(suffix, (20, 30, 3))
+    sizes = [image_size(whole[:length]) for length in range(len(whole) + 1)]
+    known = sizes.index((20, 30))
+    assert sizes[:known] == [None] * known
+    assert set(sizes[known:]) == {(20, 30)}
+    assert image_size(b"BM" + bytes(100)) is None

@@ -134,15 +134,8 @@ HEADERS = {
 
 def saved(array) -> bytes:
     file = io.BytesIO()
-    np.save(file, array, allow_pickle=True)
+    np.save(file, array)
     return file.getvalue()
-
-
-def cut_literal() -> bytes:
-    """Two points of which the last literal says 32 bytes and has 28, as many as are missing."""
-    packed = bytes([31, *range(32)]) + bytes([31, *range(28)])
-    sizes = np.array([len(packed), 60], "<u4").tobytes()
-    return pcd(sizes + packed, "binary_compressed", 4)
 
 
 def longer() -> bytes:
@@ -155,29 +148,23 @@ BILLION = 10**9
 HOSTILE = {
     "cut.bin": bytes(1602),
     "cut.pcd.bin": bytes(1604),
-    "empty.pcd": b"",
     "endless.ply": b"ply\n" * 10**5 + b"end_header\n",
     "cut.pcd": FILES["binary.pcd"][:-1],
     "cut-ascii.pcd": FILES["ascii.pcd"].rstrip().rpartition(b"\n")[0],
     "cut-line.pcd": FILES["ascii.pcd"].rpartition(b" ")[0],
     "cut-compressed.pcd": FILES["compressed.pcd"][:-1],
     "cut.ply": ply(records("<", *OF_PLY)[:-1], "binary_little_endian"),
-    "huge.pcd": pcd(OF_PCD, "binary", BILLION),
     "huge-compressed.pcd": pcd(compressed(), "binary_compressed", BILLION),
     "digits.pcd": pcd(OF_PCD, "binary", POINTS="9" * 5000),
     "negative.pcd": pcd(OF_PCD, "binary", -1),
-    "mixed.ply": ply(OF_PCD, "binary_compressed"),
     "headless.ply": FILES["little.ply"].removeprefix(b"ply\n"),
-    "cut-literal.pcd": cut_literal(),
     "longer.pcd": pcd(longer(), "binary_compressed"),
-    "blank.pcd": pcd(b" \n" * 400, "ascii"),
     "more.pcd": pcd(OF_PCD, "binary", 49),
     "unfinished.pcd": pcd(OF_PCD, "binary", 0),
     "more-ascii.pcd": FILES["ascii.pcd"] + b"1 2 3 4\n",
     "other.pcd": pcd(OF_PCD, "zip"),
     "short.pcd": pcd(OF_PCD, "binary", SIZE="1 4"),
     "lacks.pcd": pcd(OF_PCD, "binary", TYPE="", POINTS=""),
-    "word.pcd": pcd(b"7 7 7 a b c\n" * 50, "ascii"),
     "no-x.ply": ply(OF_PCD, "ascii", header=HEADERS["no x"]),
     "list.ply": ply(OF_PCD, "ascii", header=HEADERS["list"]),
     "face.ply": ply(OF_PCD, "ascii", header=HEADERS["face first"]),
@@ -223,14 +210,9 @@ def sweep(columns: int, *, lasers: int = 16, points: int = 3200) -> np.ndarray:
     return scan
 
 
-@pytest.mark.parametrize("right", [3, 4, 5, 6, 7])
-@pytest.mark.parametrize("given", [None, 5, 6])
+@pytest.mark.parametrize(("right", "given"), [(3, 5), (5, None), (4, 5), (4, 6), (6, 5), (7, None)])
 def test_another_number_of_columns_is_an_error_that_names_the_right_one(tmp_path, right, given):
-    scan = sweep(right, points=15 * 16 * 28)
-    scan.tofile(tmp_path / "a.bin")
-    if (given or 4) == right or (right, given) == (3, 6):  # each second point is a scan, too
-        assert read_scan(tmp_path / "a.bin", columns=given).size == scan.size
-        return
+    sweep(right, points=15 * 16 * 28).tofile(tmp_path / "a.bin")
     with pytest.raises(InputError, match=f"point_columns={right}"):
         read_scan(tmp_path / "a.bin", columns=given)
 
@@ -250,14 +232,6 @@ def test_points_in_no_order_are_read_as_asked(tmp_path):
     np.testing.assert_array_equal(read_scan(tmp_path / "a.bin"), shuffled)
 
 
-def ouster() -> np.ndarray:
-    """Packed records of 29 bytes."""
-    fields = [("xyz", "<f4", 3), ("i", "<f4"), ("t", "<u4"), ("u", "<u2"), ("ring", "u1")]
-    rows = np.zeros(3200, [*fields, ("ambient", "<u2"), ("range", "<u4")])
-    rows["xyz"], rows["i"], rows["t"] = sweep(3), 90, np.arange(3200) * 700
-    return rows
-
-
 def padded(scan: np.ndarray) -> np.ndarray:
     """PCL's records of 32 bytes: x, y, z, 1, intensity, three gaps."""
     rows = np.zeros((len(scan), 8), np.float32)
@@ -265,15 +239,15 @@ def padded(scan: np.ndarray) -> np.ndarray:
     return rows
 
 
+PACKED = np.zeros(3200, [("xyz", "<f4", 3), ("rest", "V17")])  # as of Ouster
+PACKED["xyz"] = sweep(3)
 AHEAD = sweep(4)[np.abs(sweep(4)[:, 1]) < sweep(4)[:, 0]]  # as of a LiDAR that looks ahead
 OTHERS = {
-    "29 bytes": ouster(),
+    "29 bytes": PACKED,
     "float64": sweep(4).astype("<f8"),
-    "float64 of float64": sweep(4).astype("<f8") * 1.000123457,
     "int32": (1000 * sweep(4)).astype("<i4"),
     "padded": padded(AHEAD),
     "x, then y": np.ascontiguousarray(sweep(4).T),
-    "x, then y, ahead": np.ascontiguousarray(AHEAD[:800].T),
 }
 
 
