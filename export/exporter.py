@@ -22,7 +22,7 @@ from export.parity import HeadParity, measure_parity, reference
 from export.precision import Int8Options, Precision
 from export.probe_frames import ProbeFrame, probe_frames, recorded_frames
 from export.trace import DEFAULT_OPSET, trace
-from export.triton import require_replaceable, write_triton_model
+from export.triton import require_model_folder, write_triton_model
 from models import Checkpoint, Network, load_checkpoint
 from models.answers import check_output
 from runtime import Contract, InputError, OutputError, __version__
@@ -114,6 +114,9 @@ def export_checkpoint(
         raise InputError(str(error)) from error
     target = Path(onnx_path)
     _check_target(target, Path(checkpoint_path), overwrite=overwrite)
+    triton_folder = None if triton_dir is None else Path(triton_dir) / target.stem
+    if triton_folder is not None:
+        require_model_folder(triton_folder, overwrite=overwrite)
     checkpoint = load_checkpoint(checkpoint_path)
     _require_finite(checkpoint.model)
     try:
@@ -128,8 +131,6 @@ def export_checkpoint(
     model = trace(graph, size=size, dynamic=dynamic, opset=opset)
     contract = _contract(checkpoint, _digest(checkpoint_path), size=size, opset=opset)
     frames = _frames(size, dynamic=dynamic, max_depth_m=contract.max_depth_m)
-    if triton_dir is not None:
-        require_replaceable(Path(triton_dir) / target.stem, overwrite=overwrite)
     settings = Settings("ssdnet-export", "frame" if dynamic else None, provider="torch")
     with contextlib.ExitStack() as written:
         temporary = written.enter_context(atomic_file(target, overwrite=overwrite, durable=True))
@@ -146,7 +147,8 @@ def export_checkpoint(
         if precision is not Precision.FP32 or validate:
             model, contract = _finish(model, contract, precision, validate)
             _write(model, file, contract)
-            if precision is Precision.FP16:  # rounds more than the artificial frames allow
+            # On artificial frames half precision rounds too much: recorded ones decide.
+            if precision is Precision.FP16:
                 frames = recorded_frames(size)
             parity = measure(frames)
         if precision is Precision.FP16:
@@ -157,11 +159,8 @@ def export_checkpoint(
         if recorder is not None:
             _record(checkpoint.model, graph.heads, frames, recorder)
             recorder.finish(file)
-        if triton_dir is not None:
-            content = file.read_bytes()
-            write_triton_model(
-                Path(triton_dir), model, content, name=target.stem, overwrite=overwrite
-            )
+        if triton_folder is not None:
+            write_triton_model(triton_folder, model, file.read_bytes(), overwrite=overwrite)
     return ExportReport(
         target, size, dynamic, graph.heads, parity, len(frames), num_bytes, contract
     )
@@ -226,7 +225,7 @@ def _digest(path: Path | str) -> str:
 
 
 def _frames(size: tuple[int, int], *, dynamic: bool, max_depth_m: float) -> list[ProbeFrame]:
-    """Frames of the native size; for free sizes also of two other sizes, one of them odd."""
+    """Return frames of the native size; for a free size also of two others, one of them odd."""
     sizes = [size]
     if dynamic:
         sizes.append((max(size[0] // 2 | 1, MIN_SIDE), max(size[1] // 2 | 1, MIN_SIDE)))
@@ -248,7 +247,7 @@ def _finish(
     precision: Precision | Int8Options,
     validate: Sequence[str],
 ) -> tuple[onnx.ModelProto, Contract]:
-    """The graph in the requested precision, and its contract with accuracy and parity."""
+    """Return the graph in the requested precision, and its contract with accuracy."""
     if precision is Precision.FP16:
         model = to_half(model)
     contract = replace(
@@ -293,7 +292,7 @@ def _record(
 
 
 def _write(model: onnx.ModelProto, path: Path, contract: Contract) -> int:
-    """Write the model, then its metadata, which describes the bytes before it; return the size."""
+    """Write the model with its contract, which holds the digest of the rest; return the size."""
     del model.metadata_props[:]
     try:
         content = with_contract(model.SerializeToString(), contract)

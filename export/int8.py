@@ -40,7 +40,9 @@ from training.recipe import parse_source
 #: LiDAR inputs of the calibration frames, in turn. Activations beyond the calibrated ranges are
 #: clipped.
 CALIBRATION_LIDARS = ("own", "none", "16", "4")
-_SENSITIVITY_FRAMES = 4
+#: Numbers of frames that ranges are calibrated on, evenly spread over the sets, and of those that
+#: tell how much each convolution changes an answer.
+CALIBRATION_FRAMES, _SENSITIVITY_FRAMES = 128, 4
 #: Convolutions that read or write a grid of this stride or less stay in float: they have few
 #: channels on many pixels, where converting to 8 bits takes longer than 8 bits save, and they see
 #: the finest detail.
@@ -191,7 +193,7 @@ def _feeds(path: Path, options: Int8Options) -> Iterator[Feed]:
         contract = predictor.contract
         table = trained_classes(contract.classes, contract.training)
         sources = [_open_set(text, table) for text in options.calibrate]
-        counts = share_frames([len(source) for source in sources], options.frames)
+        counts = share_frames([len(source) for source in sources], CALIBRATION_FRAMES)
         for source, count in zip(sources, counts, strict=True):
             for turn, index in enumerate(np.linspace(0, len(source) - 1, count).round()):
                 sample = source[int(index)]

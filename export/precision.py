@@ -8,6 +8,8 @@ LEAST_FRAMES = 100
 
 
 class Precision(StrEnum):
+    """Floating-point precision; for 8-bit integers see `Int8Options`."""
+
     FP32 = "fp32"
     FP16 = "fp16"
 
@@ -19,12 +21,10 @@ class Int8Options:
     Attributes:
         calibrate: data sets as `ssdnet-eval` takes them, KIND:FOLDER[,KEY=VALUE...], that the
             ranges are measured on.
-        frames: number of calibration frames, evenly spread over the sets.
         max_drop_miou: the most that the mIoU of a set may fall, in points.
         max_rise_mae: the most that the MAE of the depth of a set may rise, in percent.
     """
 
     calibrate: tuple[str, ...]
-    frames: int = 128
     max_drop_miou: float = 0.5
     max_rise_mae: float = 2.0

@@ -62,8 +62,7 @@ def trace(
             f"PyTorch's exporter failed on {graph.model.config.name!r} at {height} x {width}, "
             f"opset {opset}: {error}"
         ) from error
-    if program is None:
-        raise ExportError("PyTorch's exporter returned nothing: try another version of torch")
+    assert program is not None
     model = program.model_proto
     _strip_notes(model)
     _name_axes(model.graph)

@@ -11,13 +11,13 @@ from pathlib import Path
 import onnx
 
 from export.errors import ExportError
-from runtime.errors import OutputError
 from runtime.io.own_folder import atomic_folder, require_folder_free
 
 #: Frames that the server may put into one run of a model whose batch axis is free.
 MAX_BATCH_SIZE = 8
-CONFIG_FILE, MODEL_FILE = "config.pbtxt", "model.onnx"
+MODEL_FILE = "model.onnx"
 
+#: The types of the contract's tensors, see `runtime.heads.Head.dtype`.
 _TYPES = {onnx.TensorProto.UINT8: "TYPE_UINT8", onnx.TensorProto.FLOAT: "TYPE_FP32"}
 _FREE = -1
 _FOLDER_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
@@ -31,9 +31,6 @@ def triton_config(model: onnx.ModelProto, *, name: str) -> str:
     Args:
         model: the ONNX model.
         name: of the model in the repository.
-
-    Raises:
-        ExportError: for a tensor of a type that the contract does not have.
     """
     tensors = [*model.graph.input, *model.graph.output]
     batched = all(_dims(tensor)[0] == _FREE for tensor in tensors)
@@ -51,65 +48,47 @@ def triton_config(model: onnx.ModelProto, *, name: str) -> str:
 
 
 def write_triton_model(
-    repository: Path, model: onnx.ModelProto, content: bytes, *, name: str, overwrite: bool = False
-) -> Path:
+    folder: Path, model: onnx.ModelProto, content: bytes, *, overwrite: bool
+) -> None:
     """Write a model into a repository; other models there are not touched.
 
     Args:
-        repository: its folder.
+        folder: of the model in the repository, named as the model.
         model: the ONNX model.
         content: bytes of the model file.
-        name: of the model in the repository.
         overwrite: replace an older model of that name.
 
-    Returns:
-        The model's folder.
-
     Raises:
-        ExportError: as `triton_config` and `require_replaceable`.
         OutputError: if the folder cannot be written or replaced.
     """
-    config = triton_config(model, name=name)
-    folder = repository / name
-    require_replaceable(folder, overwrite=overwrite)
     with atomic_folder(folder, overwrite=overwrite) as temporary:
         (temporary / "1").mkdir()
         (temporary / "1" / MODEL_FILE).write_bytes(content)
-        (temporary / CONFIG_FILE).write_text(config)
-    return folder
+        (temporary / "config.pbtxt").write_text(triton_config(model, name=folder.name))
 
 
-def require_replaceable(folder: Path, *, overwrite: bool) -> None:
-    """Raise OutputError for what may not be replaced, and a folder that cannot be made.
+def require_model_folder(folder: Path, *, overwrite: bool) -> None:
+    """Check that `write_triton_model` can write a folder.
 
-    Raises ExportError for a name that cannot be a folder of a repository.
+    Raises:
+        ExportError: for a name that cannot be a folder of a repository.
+        OutputError: for a folder that cannot be made or replaced.
     """
     if not _FOLDER_NAME.fullmatch(folder.name):
         raise ExportError(
             f"{folder.name!r} cannot be a model of a Triton repository, whose name may hold "
             "letters, digits, dots, dashes and underscores: give the file such a name"
         )
-    if folder.exists() and not overwrite:
-        raise OutputError(
-            f"{folder} exists: choose another repository, or replace it with --overwrite"
-        )
-    if folder.exists() and not (folder / CONFIG_FILE).is_file():
-        raise OutputError(f"{folder} is not a model of a Triton repository: choose another one")
-    if not folder.exists():
-        # Whichever of both is made: the repository must not stay if the export fails.
-        require_folder_free(folder if folder.parent.exists() else folder.parent)
+    # The check makes missing parents, and a new repository must not stay if the export fails.
+    new = folder if folder.parent.exists() else folder.parent
+    require_folder_free(new, overwrite=overwrite)
 
 
 def _entries(kind: str, tensors: Iterable[onnx.ValueInfoProto], *, batched: bool) -> Iterable[str]:
     for tensor in tensors:
-        number = tensor.type.tensor_type.elem_type
-        if number not in _TYPES:
-            raise ExportError(
-                f"{tensor.name} is {onnx.TensorProto.DataType.Name(number)}, which the contract "
-                "does not have: nothing was written"
-            )
+        data_type = _TYPES[tensor.type.tensor_type.elem_type]
         dims = ", ".join(map(str, _dims(tensor)[batched:]))
-        yield f'{kind} {{ name: "{tensor.name}" data_type: {_TYPES[number]} dims: [ {dims} ] }}'
+        yield f'{kind} {{ name: "{tensor.name}" data_type: {data_type} dims: [ {dims} ] }}'
 
 
 def _dims(tensor: onnx.ValueInfoProto) -> list[int]:

@@ -124,7 +124,7 @@ def test_exports_at_an_odd_size(name, tmp_path, monkeypatch):
     monkeypatch.setitem(NETWORKS, name, entry._replace(network=Short))
     torch.manual_seed(0)
     model = build(name).train()
-    frames = probe_frames((64, 96), max_depth_m=100.0, seeds=(5, 6, 7))[:3]
+    frames = probe_frames((64, 96), max_depth_m=100.0)[:4]  # without faults
     rgb = torch.stack([torch.from_numpy(f.rgb).permute(2, 0, 1).float() for f in frames])
     sparse_depth = torch.stack([torch.from_numpy(f.sparse_depth)[None] for f in frames])
     with torch.no_grad():
