@@ -34,7 +34,7 @@ def data(exported, tmp_path_factory):
     for name in ("images", "depth", "labels", "none"):
         (folder / name).mkdir(parents=True)
     with Predictor(exported.path) as predictor:
-        for index, frame in enumerate(probe_frames(SIZE, max_depth_m=80.0, seeds=(1, 2, 3))[:3]):
+        for index, frame in enumerate(probe_frames(SIZE, max_depth_m=80.0)[:3]):
             name = f"{index}.png"
             answer = predictor.predict(frame.rgb, None)
             depth = np.rint(answer.depth * 256 * 1.05).astype(np.uint16)
@@ -73,19 +73,14 @@ def export_int8(lite_checkpoint, data, tmp_path, traced):
 
 
 def test_too_few_frames_are_refused_before_any_work(export_int8, data, tmp_path, monkeypatch):
-    def trace(*args, **kwargs):
-        raise AssertionError("the network was traced first")
-
-    monkeypatch.setattr("export.exporter.trace", trace)
-    result = export_int8()
-    assert result.exit_code == 1
-    assert "--calibrate: 3 frames in all, expected 100 or more" in result.output
+    monkeypatch.setattr("export.exporter.trace", lambda *_, **__: pytest.fail("traced first"))
     again = [f"folders:{data.parent}/other/street,name=again{number}" for number in range(33)]
-    result = export_int8(*(word for text in again for word in ("--calibrate", text)))
-    assert "--calibrate: 3 frames in all, expected 100 or more" in result.output
+    for options in ([], [word for text in again for word in ("--calibrate", text)]):
+        result = export_int8(*options)
+        assert result.exit_code == 1
+        assert "--calibrate: 3 frames in all, expected 100 or more" in result.output
     monkeypatch.setattr(int8, "LEAST_FRAMES", 3)
     result = export_int8(target="depth=depth,first=1")
-    assert result.exit_code == 1
     assert "--validate: 2 frames in all, expected 3 or more" in result.output
     assert list(tmp_path.iterdir()) == []
 
@@ -122,8 +117,8 @@ def test_an_int8_file_states_how_it_was_made(export_int8, tmp_path, exported):
     facts = contract.quantization
     assert facts["calibration"] == ["folders:street"]
     assert facts["calibration_frames"] == 3
-    assert facts["float_convolutions"]
     listed = ", ".join(facts["float_convolutions"])
+    assert listed
     assert f"convolutions left in float: {listed}" in result.output
     (rare,) = facts["not_gated"]
     assert rare.startswith("IoU of sky, building, pole")
@@ -144,14 +139,10 @@ def test_an_int8_file_states_how_it_was_made(export_int8, tmp_path, exported):
     assert f"MAE {1000 * before['mae_m']:.4g} -> {1000 * after['mae_m']:.4g} mm" in result.output
 
     # The engine verifies it within what was measured and what rounding changes, and no more.
-    recording = read_recording(tmp_path / "recording")
-    measured, limits = contract.parity, recording.limits
-    assert limits["depth"] == {
-        "mean_relative": pytest.approx(measured["depth"]["mean_relative"] + 0.025)
-    }
-    assert limits["semantic"] == {
-        "agreement": pytest.approx(measured["semantic"]["agreement"] - 0.04)
-    }
+    measured, limits = contract.parity, read_recording(tmp_path / "recording").limits
+    relative, agreement = measured["depth"]["mean_relative"], measured["semantic"]["agreement"]
+    assert limits["depth"] == {"mean_relative": pytest.approx(relative + 0.025)}
+    assert limits["semantic"] == {"agreement": pytest.approx(agreement - 0.04)}
     verified = CliRunner().invoke(verify_app, [str(tmp_path / "recording")])
     assert verified.exit_code == 0, verified.output
 
@@ -174,20 +165,6 @@ def test_a_missed_gate_writes_nothing_and_names_the_head(export_int8, tmp_path, 
     assert "of mIoU on street" in result.output
     assert "convolutions were left in float" in " ".join(result.output.split())
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("loose", "few")
-def test_convolutions_that_cost_most_stay_in_float_until_the_gate_is_passed(export_int8, tmp_path):
-    assert export_int8("--max-drop-miou", "100", "--max-rise-mae", "1000").exit_code == 0
-    drop = 100 * (1 - _miou(tmp_path / "lite.onnx"))
-    options = ["--max-rise-mae", "1000", "--overwrite"]
-    result = export_int8("--max-drop-miou", f"{0.8 * drop:.4f}", *options)
-    assert result.exit_code == 0, result.output
-    facts = load_model_file(tmp_path / "lite.onnx").contract.quantization
-    assert facts["float_convolutions"]
-    assert all(name in result.output for name in facts["float_convolutions"])
-    assert 100 * (1 - _miou(tmp_path / "lite.onnx")) <= 0.8 * drop
 
 
 def test_convolutions_on_fine_grids_are_left_in_float_before_any_is_ranked(monkeypatch, tmp_path):
@@ -238,10 +215,6 @@ def test_convolutions_on_fine_grids_are_left_in_float_before_any_is_ranked(monke
     assert found.facts["float_convolutions"] == tried[5]
 
 
-def _miou(path):
-    return load_model_file(path).contract.accuracy["rows"][0]["miou"]
-
-
 @pytest.mark.usefixtures("traced")
 def test_a_file_in_single_precision_states_its_accuracy_and_its_work(
     lite_checkpoint, data, tmp_path, exported
@@ -274,19 +247,18 @@ def test_a_file_in_single_precision_states_its_accuracy_and_its_work(
 
 
 @pytest.mark.parametrize(
-    ("target", "missing", "would_do"),
+    ("target", "message"),
     [
-        ("depth=depth", "labels of the model's classes", "folders:DIR,labels=FOLDER, camvid:DIR"),
-        ("labels=labels", "depth", "folders:DIR,depth=FOLDER, kitti-depth:DIR"),
+        ("depth=depth", "no set has labels of the model's classes, so the loss of the semantic"),
+        ("labels=labels", "no set has depth, so the loss of the depth"),
+        ("labels=none", "neither labels of the model's classes nor depth"),
     ],
 )
 @pytest.mark.usefixtures("few")
-def test_each_head_needs_truth_or_int8_is_refused(export_int8, tmp_path, target, missing, would_do):
-    """A model whose classes nobody measured was written however bad they were."""
+def test_each_head_needs_truth_or_int8_is_refused(export_int8, tmp_path, target, message):
     result = export_int8("--max-drop-miou", "100", "--max-rise-mae", "1000", target=target)
     assert result.exit_code == 1
-    assert f"no set has {missing}, so the loss of the" in result.output
-    assert would_do in result.output
+    assert message in result.output
     assert list(tmp_path.iterdir()) == []
 
 
@@ -299,21 +271,9 @@ ROW = Accuracy("street", "own", 120, 0.7, 0.5, 0.6, 0.63, {"tree": 0.9})
         ({"miou": 0.696}, {"miou": 0.694}, "semantic loses 0.60 points of mIoU on street"),
         ({"mae_m": 0.509}, {"mae_m": 0.511}, "depth's MAE rises by 2.20 % on street, LiDAR own"),
         ({"boundary_f": 0.591}, {"boundary_f": 0.589}, "boundary loses 0.0110 of F on street"),
-        (
-            {"coverage_1": 0.601},
-            {"coverage_1": 0.599},
-            "within depth_uncertainty changes by 3.10 points",
-        ),
-        (
-            {"coverage_1": 0.659},
-            {"coverage_1": 0.661},
-            "within depth_uncertainty changes by 3.10 points",
-        ),
-        (
-            {"class_iou": {"tree": 0.871}},
-            {"class_iou": {"tree": 0.869}},
-            "semantic loses 3.10 points of the IoU of tree on street",
-        ),
+        ({"coverage_1": 0.601}, {"coverage_1": 0.599}, "depth_uncertainty changes by 3.10 points"),
+        ({"coverage_1": 0.659}, {"coverage_1": 0.661}, "depth_uncertainty changes by 3.10 points"),
+        ({"class_iou": {"tree": 0.871}}, {"class_iou": {"tree": 0.869}}, "3.10 points of the IoU"),
     ],
 )
 def test_the_gate_holds_what_each_head_loses(kept, missed, words):
@@ -321,6 +281,11 @@ def test_the_gate_holds_what_each_head_loses(kept, missed, words):
     assert not int8._missed([ROW], [replace(ROW, **kept)], options)
     (text,) = int8._missed([ROW], [replace(ROW, **missed)], options).values()
     assert words in text
+
+
+def test_the_head_that_misses_most_comes_first():
+    after = replace(ROW, miou=0.68, boundary_f=0.58, mae_m=0.6)
+    assert list(int8._missed([ROW], [after], Int8Options(()))) == ["depth", "semantic", "boundary"]
 
 
 @pytest.mark.parametrize(
@@ -337,14 +302,6 @@ def test_a_class_is_compared_from_so_many_pixels_and_frames(frames, pixels, comp
     assert labelled == {"tree": (frames * pixels, frames)}
     row = Row("m", "e", "d", "own", "none", frames, figures, labelled=labelled)
     assert accuracy._accuracy(row).class_iou == ({"tree": 1.0} if compared else {})
-
-
-@pytest.mark.usefixtures("few")
-def test_sets_that_cannot_tell_the_accuracy_are_refused(export_int8, tmp_path):
-    result = export_int8(target="labels=none")
-    assert result.exit_code == 1
-    assert "neither labels of the model's classes nor depth" in result.output
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -364,21 +321,12 @@ def test_int8_needs_data(lite_checkpoint, tmp_path):
             lite_checkpoint, tmp_path / "a.onnx", precision=Int8Options(("folders:x",))
         )
     assert not (tmp_path / "a.onnx").exists()
-    words = [str(lite_checkpoint), str(tmp_path / "lite.onnx"), "--precision", "int8"]
-    result = CliRunner().invoke(app, [*words, "--calibrate", "folders:x"])
+    words = [str(lite_checkpoint), str(tmp_path / "a.onnx")]
+    for given, missing in (("--precision int8", "calibrate"), ("--calibrate x", "precision")):
+        result = CliRunner().invoke(app, [*words, *given.split(), "--validate", "folders:x"])
+        assert result.exit_code == 2
+        assert missing in result.output
+    words += ["--precision", "int8", "--calibrate", "folders:x"]
+    result = CliRunner().invoke(app, words)
     assert result.exit_code == 2
     assert "--validate" in result.output
-
-
-@pytest.mark.usefixtures("traced")
-def test_half_precision_warns_on_the_processor(lite_checkpoint, tmp_path):
-    path = tmp_path / "lite.onnx"
-    words = [str(lite_checkpoint), str(path), "--height", "64", "--width", "96"]
-    result = CliRunner().invoke(app, [*words, "--precision", "fp16"])
-    assert result.exit_code == 0, result.output
-    assert load_model_file(path).contract.precision == "fp16"
-    with pytest.warns(RuntimeWarning, match="fp32 gives the same answers faster") as warned:
-        predictor = Predictor(path)
-    frame = probe_frames(SIZE, max_depth_m=100.0)[0]
-    assert predictor.predict(frame.rgb, frame.sparse_depth).valid
-    assert len(warned) == 1

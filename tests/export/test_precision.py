@@ -4,20 +4,16 @@ import numpy as np
 import onnx
 import onnxruntime
 import pytest
-import torch
 from onnx import TensorProto, helper, numpy_helper
 from typer.testing import CliRunner
 
-from export.deploy import DeployGraph
 from export.errors import ExportError
 from export.exporter import export_checkpoint
 from export.half import to_half
 from export.precision import Precision
 from export.probe_frames import probe_frames
 from export.quantize import measure_ranges, quantize, strides
-from export.trace import trace
 from export.trunk import trunk
-from models import create_model
 from runtime.agreement import compare
 from runtime.tools.verify import app as verify_app
 from training.initial_weights import find_weights
@@ -101,7 +97,8 @@ def test_the_bundled_weights_pass_in_half_precision(name, tmp_path):
     )
     assert report.contract.precision == "fp16"
     assert report.parity["depth"].figures["share_beyond"] < 0.01
-    verified = CliRunner().invoke(verify_app, [str(tmp_path / "r")])
+    with pytest.warns(RuntimeWarning, match="fp32 gives the same answers faster"):
+        verified = CliRunner().invoke(verify_app, [str(tmp_path / "r")])
     assert verified.exit_code == 0, verified.output
 
 
@@ -126,6 +123,11 @@ def test_half_precision_that_answers_otherwise_is_refused(lite_checkpoint, tmp_p
 def test_quantised_answers_are_close_to_the_float_ones(dynamic_model, feeds):
     quantized = quantize(dynamic_model, measure_ranges(dynamic_model, feeds))
     onnx.checker.check_model(quantized, full_check=True)
+    # A Clip in float between two 8-bit convolutions would cost more than they gain.
+    names = set(trunk(dynamic_model))
+    clips = {n.name for n in dynamic_model.graph.node if n.op_type == "Clip"} & names
+    assert clips
+    assert not clips & {n.name for n in quantized.graph.node if n.op_type == "Clip"}
     for feed in feeds:
         expected, found = run(dynamic_model, feed), run(quantized, feed)
         assert compare("semantic", found["semantic"], expected["semantic"])["agreement"] > 0.9
@@ -184,25 +186,3 @@ def test_8_bit_products_do_not_saturate_in_16_bits():
     for weight in quantized.graph.initializer:
         if weight.data_type == TensorProto.INT8:
             assert np.abs(numpy_helper.to_array(weight).astype(int)).max() <= 64
-
-
-@pytest.mark.slow
-def test_a_trunk_of_relu6_is_quantised_with_its_activations_and_depthwise_convolutions():
-    """A Clip in float between two 8-bit convolutions would cost more than they gain."""
-    torch.manual_seed(0)
-    network = create_model("ssdnet-nano").eval()
-    model = trace(DeployGraph(network), size=SIZE)
-    names = set(trunk(model))
-    wide = [n for n in model.graph.node if n.op_type == "Conv" and n.name in names]
-    groups = [item.i for n in wide for item in n.attribute if item.name == "group" and item.i > 1]
-    assert len(groups) == 16  # a block each
-    clips = [n for n in model.graph.node if n.op_type == "Clip" and n.name in names]
-    assert len(clips) == 16 + 15  # the first block has no expansion
-    frames = probe_frames(SIZE, max_depth_m=200.0)[:2]
-    feeds = [{"rgb": f.rgb[None], "sparse_depth": f.sparse_depth[None]} for f in frames]
-    quantized = quantize(model, measure_ranges(model, feeds))
-    left = {n.name for n in quantized.graph.node if n.op_type == "Clip"}
-    assert not left & {n.name for n in clips}
-    for feed in feeds:
-        expected, found = run(model, feed), run(quantized, feed)
-        assert compare("depth", found["depth"], expected["depth"])["mean_abs_m"] < 2.0
