@@ -11,9 +11,8 @@ from typer.testing import CliRunner
 from runtime import Predictor
 from runtime.geometry.calibration import Calibration
 from runtime.health.calibration_size import CalibrationSize
-from runtime.io.images import read_rgb, read_sparse_depth
 from runtime.run.cli import app
-from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
+from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 
 
 @pytest.fixture(scope="module")
@@ -25,17 +24,14 @@ def nano():
 @pytest.fixture(scope="module")
 def bundled():
     """Images of the bundled stream, their returns as points in the camera's frame, intrinsics."""
-    images, depths = bundled_stream()
-    frames = []
-    for name in ("00000", "00007", "00014"):
-        rgb = read_rgb(images / f"{name}.jpg")
-        height, width = rgb.shape[:2]
-        focal = BUNDLED_FOCAL_LENGTH_PX
+    frames, focal = [], BUNDLED_FOCAL_LENGTH_PX
+    for frame in bundled_frames()[:15:7]:
+        height, width = frame.size
         intrinsics = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
-        depth = read_sparse_depth(depths / f"{name}.png")
-        row, column = np.nonzero(depth)
+        row, column = np.nonzero(frame.sparse_depth)
         rays = np.stack([column, row, np.ones(len(row))]).T @ np.linalg.inv(intrinsics).T
-        frames.append((rgb, (rays * depth[row, column, None]).astype(np.float32)))
+        depth = frame.sparse_depth[row, column, None]
+        frames.append((frame.rgb, (rays * depth).astype(np.float32)))
     return frames, intrinsics
 
 

@@ -4,9 +4,8 @@ import pytest
 from runtime import Predictor
 from runtime.degraded import IMAGE_CONSTANT, NO_DEPTH
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility, Implausible
-from runtime.io.images import read_rgb, read_sparse_depth
 from runtime.prediction import Latency, Prediction
-from runtime.sources.bundled_stream import bundled_stream
+from runtime.sources.bundled_stream import bundled_frames
 
 SIZE = (96, 160)
 FAR = "far where the depth predicted from the image is near"
@@ -117,11 +116,10 @@ def test_the_advice_names_what_was_given(ratio, depth_scale, focal_px, advised):
 
 
 def test_a_bundled_model_on_a_frame_of_the_bundled_stream():
-    folders = bundled_stream()
-    rgb = read_rgb(folders[0] / "00000.jpg")
-    depth = read_sparse_depth(folders[1] / "00000.png")
+    frame = bundled_frames()[0]
+    depth = frame.sparse_depth
     with Predictor("ssdnet-nano", warmup=0) as predictor:
-        answer = predictor.predict(rgb, None)
+        answer = predictor.predict(frame.rgb, None)
 
     def found(sparse):
         check = DepthPlausibility()

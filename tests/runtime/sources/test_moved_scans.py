@@ -1,5 +1,8 @@
 """Scans of recordings, moved by the recording's poses to the time of the image."""
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 from small_rig import INTRINSICS, MS, SIZE, START_NS, agree, projected
@@ -9,6 +12,7 @@ from runtime.geometry.poses import PoseFrame
 from runtime.sources.bag import BagSource
 from runtime.sources.folders import FolderSource
 
+DATA = os.environ.get("SSDNET_DATA")
 N = 6
 SPEED = 15.0
 
@@ -166,6 +170,39 @@ def test_a_depth_map_is_reused_as_it_is_and_flagged(folders, write_depth, make_f
     assert (own.degraded, reused.depth_motion) == ((), "none")
     assert reused.degraded == ("depth_reused", "depth_uncompensated")
     assert np.array_equal(own.sparse_depth, reused.sparse_depth)
+
+
+@pytest.mark.skipif(not DATA, reason="SSDNET_DATA names no folder of recordings")
+def test_moved_returns_lie_where_the_withheld_scan_has_them(tmp_path):
+    """A drive at 1.1 m a frame; its poses were made from all scans, also from the missing ones."""
+    recorded = Path(DATA or "") / "kitti_drive_0009"
+    (tmp_path / "image").mkdir()
+    (tmp_path / "points").mkdir()
+    for number in range(20):
+        (tmp_path / f"image/{number}.jpg").symlink_to(recorded / f"image_02/{number:010d}.jpg")
+        if number % 2 == 0:
+            scan = recorded / f"velodyne_fov/{number:010d}.bin"
+            (tmp_path / f"points/{number}.bin").symlink_to(scan)
+    for name in ("poses.txt", "image_02_timestamps.txt"):
+        lines = (recorded / name).read_text().splitlines(keepends=True)[:20]
+        (tmp_path / name).write_text("".join(lines))
+    given = {"calibration": recorded, "timestamps": tmp_path / "image_02_timestamps.txt"}
+    poses = {"poses": tmp_path / "poses.txt", "pose_frame": PoseFrame.LIDAR}
+    own = FolderSource(
+        recorded / "image_02", points=recorded / "velodyne_fov", calibration=recorded
+    )
+    errors = []
+    for moved in (poses, {}):
+        source = FolderSource(tmp_path / "image", points=tmp_path / "points", **given, **moved)
+        off = []
+        for listed, truth in zip(source.list_frames(), own.list_frames(), strict=False):
+            if listed.reused:
+                depth, exact = source.read(listed).sparse_depth, own.read(truth).sparse_depth
+                both = (depth > 0) & (exact > 0)
+                off.append(abs(depth - exact)[both])
+        # Road and walls along it look the same from further on: not the median.
+        errors.append(np.percentile(np.concatenate(off), [75, 90]))
+    assert (errors[0] < 0.7 * errors[1]).all(), errors
 
 
 # --- bags ----------------------------------------------------------------------------------------

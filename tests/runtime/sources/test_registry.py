@@ -8,8 +8,7 @@ import pytest
 from runtime import InputError
 from runtime.geometry.poses import PoseFrame
 from runtime.run.options import RunOptions, UsageError
-from runtime.sources.folders import FolderSource
-from runtime.sources.registry import SOURCES, open_source, parse_source
+from runtime.sources.registry import SOURCES, detect_source, open_source, parse_source
 from runtime.sources.source import ListedFrame, Source, up_to
 
 KINDS = "one of the kinds kitti-raw, kitti-object, video, bag, one-folder, folders"
@@ -21,36 +20,21 @@ def test_what_is_no_kind_and_path_is_an_error_with_the_kinds(text):
         parse_source(text)
 
 
-def test_a_path_may_hold_a_colon():
-    kind, path, _ = parse_source("folders:a:b")
-    source = open_source(kind, path, depth=Path("c"))
-    assert isinstance(source, FolderSource)
-    assert source.folders == (Path("a:b"), Path("c"))
-
-
-def test_a_path_may_start_at_home(monkeypatch):
-    monkeypatch.setenv("HOME", "/home/driver")
-    assert parse_source("folders:~/drive") == ("folders", Path("/home/driver/drive"), {})
-
-
 def test_keys_are_read_by_their_types(monkeypatch):
     monkeypatch.setenv("HOME", "/home/driver")
-    text = "folders:a,point_columns=5,depth_scale=1e3,timestamps=~/t.txt,pose_frame=body"
-    kind, path, keys = parse_source(f"{text},scan_stamp=end")
-    assert (kind, path) == ("folders", Path("a"))
-    assert keys == {
-        "point_columns": 5,
-        "depth_scale": 1000.0,
-        "timestamps": Path("/home/driver/t.txt"),
-        "pose_frame": PoseFrame.BODY,
-        "scan_stamp": "end",
-    }
-    assert isinstance(keys["pose_frame"], PoseFrame)
-    topics = {"depth_topic": "none", "image_topic": "/a"}
-    assert parse_source("bag:x.mcap,depth_topic=none,image_topic=/a").keys == topics
+    text = "folders:~/a,point_columns=5,depth_scale=1e3,timestamps=~/t.txt,pose_frame=body"
+    home, numbers = Path("/home/driver"), {"point_columns": 5, "depth_scale": 1000.0}
+    others = {"timestamps": home / "t.txt", "pose_frame": PoseFrame.BODY, "scan_stamp": "end"}
+    found = parse_source(f"{text},scan_stamp=end")
+    assert found == ("folders", home / "a", numbers | others)
+    assert isinstance(found.keys["pose_frame"], PoseFrame)
+    topics = {"depth_topic": "none", "image_topic": "/a", "rectified": True, "registered": False}
+    text = "bag:x.mcap,depth_topic=none,image_topic=/a,rectified=true,registered=false"
+    assert parse_source(text).keys == topics
 
 
-def test_a_path_may_hold_commas_and_equals_signs(tmp_path):
+def test_a_path_may_hold_colons_commas_and_equals_signs(tmp_path):
+    assert parse_source("folders:a:b").path == Path("a:b")
     assert parse_source("bag:a, b,c.mcap,info_topic=/x=1,y").path == Path("a, b,c.mcap")
     assert parse_source("bag:a=b,depth_topic=none").path == Path("a=b")
     for name in ("run=3,sensor=2", "t,0=1"):
@@ -64,7 +48,7 @@ def test_a_path_may_hold_commas_and_equals_signs(tmp_path):
     "depth_scale=0", "depth_scale=nan", "depth_scale=1e-50", "depth_scale=", "point_columns=2",
     "point_columns=4.5", "point_time_column=1", "pose_frame=wheel", "scan_stamp=first",
     "timestamps=", "depth_scale=1,depth_scale=2", "topic=2", "depth-scale=2",
-    "depth_scale=2,scale=3",
+    "depth_scale=2,scale=3", "camera=4", "camera=-1", "rectified=true",
 ])  # fmt: skip
 def test_a_wrong_key_is_a_usage_error_that_names_it(keys):
     wrong = keys.split(",")[-1].split("=")[0]
@@ -72,23 +56,21 @@ def test_a_wrong_key_is_a_usage_error_that_names_it(keys):
         RunOptions(source=f"folders:no,{keys}")
 
 
-def test_options_of_another_kind_are_wrong_usage_of_the_command(run, tmp_path):
-    answers = run("--source", f"kitti-raw:{tmp_path}", "--depth", tmp_path)
-    assert answers.exit_code == 2
-    assert "not --depth" in answers.text
-    assert run("--source", "nothing:here").exit_code == 2
-    assert not (tmp_path / "out").exists()
+def test_options_of_another_kind_are_wrong_usage_of_the_command(tmp_path):
+    with pytest.raises(UsageError, match="not --depth"):
+        RunOptions(source=f"kitti-raw:{tmp_path}", depth=tmp_path)
+    with pytest.raises(UsageError, match=KINDS):
+        RunOptions(source="nothing:here")
 
 
 @pytest.mark.parametrize("name", ["", "notes.txt", "none", "none.mp4"])
-def test_a_path_that_is_no_source_is_an_error_with_what_is_accepted(run, tmp_path, name):
+def test_a_path_that_is_no_source_is_an_error_with_what_is_accepted(tmp_path, name):
     (tmp_path / "notes.txt").touch()
-    answers = run(tmp_path / name)
-    assert answers.exit_code == 1
-    assert ("does not exist" if "none" in name else "is none of these") in answers.text
-    for accepted in ("KITTI raw", ".mp4", ".mcap", "image*/ and depth*/"):
-        assert accepted in answers.text
-    assert not (tmp_path / "out").exists()
+    fault = "does not exist" if "none" in name else "is none of these"
+    with pytest.raises(
+        InputError, match=rf"{fault}.*KITTI raw.*\.mp4.*\.mcap.*image\*/ and depth\*/"
+    ):
+        detect_source(tmp_path / name)
 
 
 @pytest.mark.parametrize("kind", SOURCES)

@@ -1,7 +1,5 @@
 """Matching live and of recordings: by hand, against a plain loop, invariants of any sequence."""
 
-from collections import Counter
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -154,35 +152,21 @@ def test_live_memory_is_bounded_by_dropping_the_oldest():
 # --- the options of a recording ------------------------------------------------------------------
 
 
-def match_recorded(messages, **options):
-    """[(image stamp, depth stamp or None)] in ms, and what was left out."""
-    left_out = Counter()
-    matching = StampMatching(**{"max_skew_ms": 20, "reuse_depth_ms": 0, "capacity": 64} | options)
-
-    def count(decided):
-        left_out.update(f"{gone.sensor}: {gone.outcome}" for gone in decided.discarded)
-
-    stamped = [(Sensor(sensor), Message(stamp, stamp * MS)) for sensor, stamp in messages]
-    frames = list(matching.match(stamped, count))
-    stamps = [(p.image.stamp_ns // MS, p.depth and p.depth.stamp_ns // MS) for p in frames]
-    return stamps, dict(left_out)
-
-
 @pytest.mark.parametrize("order", [1, -1])
 def test_a_silent_sensor_does_not_block(order):
-    messages = (
-        [("image", 100 * i) for i in range(1000)],
-        [("depth", 500_000 + i) for i in range(600)],
-    )
-    stamps, left_out = match_recorded([m for part in messages[::order] for m in part])
-    assert stamps == [(100 * i, None) for i in range(1000)]
-    assert left_out == {"depth: no_image": 600}
+    played = Played(live=False)
+    parts = [(IMAGE, 100 * i) for i in range(1000)], [(DEPTH, 500_000 + i) for i in range(600)]
+    for sensor, stamp in [message for part in parts[::order] for message in part]:
+        played.push(sensor, stamp)
+    played.flush()
+    assert stamps(played.frames) == [(100 * i, None) for i in range(1000)]
+    assert played.outcomes() == [(*message, Outcome.NO_IMAGE) for message in parts[1]]
 
 
 @pytest.mark.parametrize("skew", [-1, float("nan"), 1e9])
 def test_an_invalid_skew(skew):
     with pytest.raises(InputError, match="max_skew_ms"):
-        match_recorded([], max_skew_ms=skew)
+        Played(live=False, max_skew=skew)
 
 
 # --- images without depth of their own -----------------------------------------------------------
