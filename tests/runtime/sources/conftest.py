@@ -80,6 +80,15 @@ def write_depth():
     return write
 
 
+def header(stamp_ns, frame_id):
+    stamp = {"sec": stamp_ns // 10**9, "nanosec": stamp_ns % 10**9}
+    return {"stamp": stamp, "frame_id": frame_id}
+
+
+def vector(values):
+    return dict(zip("xyzw", map(float, values), strict=False))
+
+
 class BagMaker:
     """Collects messages, then writes them into a bag of one of KINDS in the order of recording."""
 
@@ -94,114 +103,72 @@ class BagMaker:
             self.store.register(get_types_from_msg(transforms, "tf2_msgs/msg/TFMessage"))
         self.messages = []  # topic, type, raw, recorded_ns
 
-    def make(self, kind, **fields):
+    def make(self, kind, given):
+        """A message with the fields that are given, by name; the others are 0 or empty."""
+        fields = {}
+        for name, (node, inner) in self.store.fielddefs[kind][1]:
+            value = given.get(name, given.get(name.lower()))  # CameraInfo of ROS 1 has capitals
+            if node.name == "NAME":
+                fields[name] = self.make(inner, value or {})
+            elif node.name == "BASE":
+                fields[name] = value if value is not None else "" if inner[0] == "string" else 0
+            elif inner[0][0].name == "NAME":
+                fields[name] = [self.make(inner[0][1], each) for each in value]
+            else:
+                content = np.zeros(inner[1]) if value is None else value
+                fields[name] = np.asarray(content, inner[0][1][0]).reshape(-1)
         return self.store.types[kind](**fields)
 
-    def header(self, stamp_ns, frame_id):
-        stamp = self.make(
-            "builtin_interfaces/msg/Time", sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9
-        )
-        sequence = {"seq": 0} if self.is_ros1 else {}
-        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id, **sequence)
-
-    def add(self, topic, message, recorded_ns):
-        kind = message.__msgtype__
+    def send(self, kind, topic, stamp_ns, given, recorded_ns=None):
+        message = self.make(kind, given)
         serialize = self.store.serialize_ros1 if self.is_ros1 else self.store.serialize_cdr
-        self.messages.append((topic, kind, bytes(serialize(message, kind)), recorded_ns))
+        raw = bytes(serialize(message, kind))
+        self.messages.append((topic, kind, raw, recorded_ns or stamp_ns))
 
-    def send(self, kind, topic, stamp_ns, frame_id, recorded_ns=None, **fields):
-        message = self.make(kind, header=self.header(stamp_ns, frame_id), **fields)
-        self.add(topic, message, recorded_ns or stamp_ns)
-
-    def image(
-        self, topic, array, encoding, stamp_ns, *, frame_id="camera", recorded_ns=None, **more
-    ):
+    def image(self, topic, array, encoding, stamp_ns, *, frame_id="camera", recorded_ns=None):
         height, width = array.shape[:2]
-        fields = {"height": height, "width": width, "encoding": encoding, "is_bigendian": 0}
+        fields = {"header": header(stamp_ns, frame_id), "height": height, "width": width}
         fields["data"] = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
-        fields |= {"step": array[0].nbytes, **more}
-        self.send("sensor_msgs/msg/Image", topic, stamp_ns, frame_id, recorded_ns, **fields)
+        fields |= {"encoding": encoding, "step": array[0].nbytes}
+        self.send("sensor_msgs/msg/Image", topic, stamp_ns, fields, recorded_ns)
 
-    def compressed(self, topic, content, text, stamp_ns, *, frame_id="camera"):
-        fields = {"format": text, "data": np.frombuffer(content, np.uint8)}
-        self.send("sensor_msgs/msg/CompressedImage", topic, stamp_ns, frame_id, **fields)
+    def compressed(self, topic, content, text, stamp_ns):
+        fields = {"header": header(stamp_ns, "camera"), "format": text}
+        fields["data"] = np.frombuffer(content, np.uint8)
+        self.send("sensor_msgs/msg/CompressedImage", topic, stamp_ns, fields)
 
     def cloud(self, topic, points, stamp_ns, *, fourth="intensity", recorded_ns=None):
         """points: (N, 4) of x, y, z and the fourth; written as float32 with a gap of 4 bytes."""
         records = np.zeros((len(points), 5), np.float32)
         records[:, [0, 1, 2, 4]] = points
-        places = {"x": 0, "y": 4, "z": 8, fourth: 16}
-        kind, form = "sensor_msgs/msg/PointField", {"datatype": 7, "count": 1}
-        fields = {"height": 1, "width": len(points), "is_bigendian": False, "is_dense": True}
-        fields["fields"] = [self.make(kind, name=n, offset=o, **form) for n, o in places.items()]
+        fields = {"header": header(stamp_ns, "lidar"), "height": 1, "width": len(points)}
+        places = {"x": 0, "y": 4, "z": 8, fourth: 16}.items()
+        kind = {"datatype": 7, "count": 1}
+        fields["fields"] = [{"name": name, "offset": place, **kind} for name, place in places]
         fields |= {"point_step": 20, "row_step": 20 * len(points)}
         fields["data"] = records.reshape(-1).view(np.uint8)
-        self.send("sensor_msgs/msg/PointCloud2", topic, stamp_ns, "lidar", recorded_ns, **fields)
+        self.send("sensor_msgs/msg/PointCloud2", topic, stamp_ns, fields, recorded_ns)
 
-    def info(
-        self,
-        topic,
-        intrinsics,
-        size,
-        *,
-        frame_id="camera",
-        model="plumb_bob",
-        distortion=(),
-        shift_px=0.0,
-        rectified=None,
-        turn=None,
-        roi=(0, 0, 0, 0),
-        binning=0,
-        stamp_ns=1,
-    ):
-        """rectified: the first three columns of P, else K; roi: x, y, height, width."""
-        k = np.asarray(intrinsics, np.float64)
-        p = np.hstack([k if rectified is None else rectified, [[shift_px], [0], [0]]])
-        r = np.eye(3) if turn is None else np.asarray(turn, np.float64)
-        matrices = {"d": np.array(distortion, np.float64), "k": k.reshape(-1)}
-        matrices |= {"r": r.reshape(-1), "p": p.reshape(-1)}
-        if self.is_ros1:
-            matrices = {name.upper(): matrix for name, matrix in matrices.items()}
-        region = self.make(
-            "sensor_msgs/msg/RegionOfInterest",
-            **dict(zip(("x_offset", "y_offset", "height", "width"), roi, strict=True)),
-            do_rectify=False,
-        )
-        fields = {"height": size[0], "width": size[1], "distortion_model": model, "roi": region}
-        fields |= {"binning_x": binning, "binning_y": binning, **matrices}
-        self.send("sensor_msgs/msg/CameraInfo", topic, stamp_ns, frame_id, **fields)
+    def info(self, topic, k, size, *, frame_id="camera", stamp_ns=1, **given):
+        """given: fields; of P: `rectified` (its first three columns, else K) and `shift_px`."""
+        shift = [[given.pop("shift_px", 0.0)], [0], [0]]
+        fields = {"header": header(stamp_ns, frame_id), "height": size[0], "width": size[1]}
+        fields |= {"distortion_model": "plumb_bob", "k": k, "d": [], "r": np.eye(3)}
+        fields["p"] = np.hstack([given.pop("rectified", k), shift])
+        self.send("sensor_msgs/msg/CameraInfo", topic, stamp_ns, fields | given)
 
-    def vector(self, kind, values):
-        fields = dict(zip("xyzw", map(float, values), strict=False))
-        return self.make(f"geometry_msgs/msg/{kind}", **fields)
-
-    def odometry(self, topic, position, stamp_ns, *, frame="odom", child="base", turn=(0, 0, 0, 1)):
-        kinds, zero = "geometry_msgs/msg/", self.vector("Vector3", (0, 0, 0))
-        place, turned = self.vector("Point", position), self.vector("Quaternion", turn)
-        pose = self.make(f"{kinds}Pose", position=place, orientation=turned)
-        twist = self.make(f"{kinds}Twist", linear=zero, angular=zero)
-        self.send(
-            "nav_msgs/msg/Odometry",
-            topic,
-            stamp_ns,
-            frame,
-            child_frame_id=child,
-            pose=self.make(f"{kinds}PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
-            twist=self.make(f"{kinds}TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
-        )
+    def odometry(self, topic, position, stamp_ns, *, child="base", turn=(0, 0, 0, 1)):
+        pose = {"position": vector(position), "orientation": vector(turn)}
+        fields = {"header": header(stamp_ns, "odom"), "child_frame_id": child}
+        self.send("nav_msgs/msg/Odometry", topic, stamp_ns, fields | {"pose": {"pose": pose}})
 
     def static_transform(self, parent, child, quaternion, shift):
         self.transform(parent, child, quaternion, shift, 1, topic="/tf_static")
 
     def transform(self, parent, child, quaternion, shift, stamp_ns, *, topic="/tf"):
-        turn, place = self.vector("Quaternion", quaternion), self.vector("Vector3", shift)
-        stamped = self.make(
-            "geometry_msgs/msg/TransformStamped",
-            header=self.header(stamp_ns, parent),
-            child_frame_id=child,
-            transform=self.make("geometry_msgs/msg/Transform", translation=place, rotation=turn),
-        )
-        self.add(topic, self.make("tf2_msgs/msg/TFMessage", transforms=[stamped]), stamp_ns)
+        stamped = {"header": header(stamp_ns, parent), "child_frame_id": child}
+        stamped["transform"] = {"translation": vector(shift), "rotation": vector(quaternion)}
+        self.send("tf2_msgs/msg/TFMessage", topic, stamp_ns, {"transforms": [stamped]})
 
     def write(self, name="drive", *, compression=None):
         """Write the bag and give back what --source takes.

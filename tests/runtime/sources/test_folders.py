@@ -283,13 +283,17 @@ def test_pairs_come_in_natural_order(empty_folders):
     (["f_01_2.png", "f_1_10.png"], ["lidar1-02.png", "lidar1-10.png"]),
 ])  # fmt: skip
 def test_numbers_are_the_same_with_zeros_in_front(empty_folders, rgb, depth):
-    frames = listed(*empty_folders(rgb, depth))
+    images, maps = empty_folders(rgb, depth)
+    source = FolderSource(images, depth=maps)
+    frames = source.list_frames()
     assert [frame.image.name for frame in frames] == rgb
     assert [frame.depth.name for frame in frames] == depth
+    assert source.notes[0].endswith(f"as {rgb[0]} with {depth[0]}")
 
 
 @pytest.mark.parametrize(("rgb", "depth", "named"), [
     (["1.png", "01.png"], ["001.png", "2.png"], "depth"),
+    (["left_1.png"], ["depth_1.png", "other_1.png"], "no name occurs in both"),
     ([], ["1.png"], "rgb has no"),
     (["1.png"], [], "depth has no"),
     (["1.png"], ["1.jpg"], "depth has no"),

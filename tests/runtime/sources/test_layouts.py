@@ -11,7 +11,6 @@ from typer.testing import CliRunner
 
 from runtime import InputError
 from runtime.io.recording import read_recording
-from runtime.sources.folders import FolderSource
 from runtime.sources.layouts import KittiObjectSource
 from runtime.sources.registry import detect_source, open_source
 from runtime.tools.verify import app as verify_app
@@ -124,17 +123,6 @@ def test_a_folder_is_read_as_it_is(write, make_frame, make_scan, kind, files):
         assert not has_calibration or source.calibration.focal_length_px == 60
 
 
-def test_pairs_by_number_are_said_and_are_one_to_one(write):
-    folder = write({"image/left_{}.png": IMAGE, "depth/depth_{}.png": DEPTH})
-    with open_path(folder) as source:
-        assert [each.name for each in source.list_frames()] == ["left_0", "left_1", "left_2"]
-        (note,) = source.notes
-        assert note.endswith("pairs by the numbers in their names, as left_0.png with depth_0.png")
-    (folder / "depth/other_1.png").touch()
-    with pytest.raises(InputError, match="no name occurs in both"):
-        open_path(folder).list_frames()
-
-
 def test_scans_beside_depth_maps_are_reported_as_not_read(write, make_frame):
     scans = {"lidar/{}.bin": SCAN, "velodyne/{}.bin": SCAN}
     with open_path(write({"image/{}.png": IMAGE, "depth/{}.png": DEPTH, **scans})) as source:
@@ -162,19 +150,6 @@ def test_arrays_are_what_their_folder_says(write, make_frame, make_scan, folder,
         np.testing.assert_allclose(
             depth, projected(make_scan()) if is_scan else make_frame()[1], atol=0.01
         )
-
-
-def test_a_folder_of_calibrations_has_one_a_frame(write):
-    folder = write({"image/{}.png": IMAGE, "points/{}.bin": SCAN, "../calib/{}.toml": TOML})
-    calib = folder.parent / "calib"
-    (calib / "1.toml").write_text(TOML.replace("60", "50"))
-    (calib / "2.toml").unlink()
-    source = FolderSource(folder / "image", points=folder / "points", calibration=calib)
-    frames = source.list_frames()
-    assert [source.read(each).calibration.focal_length_px for each in frames[:2]] == [60, 50]
-    assert source.calibration.focal_length_px == 60
-    with pytest.raises(InputError, match="2 has no calibration"):
-        source.read(frames[2])
 
 
 # --- KITTI's object data -------------------------------------------------------------------------

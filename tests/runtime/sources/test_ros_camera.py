@@ -48,6 +48,11 @@ def twice(bag):
     bag.static_transform("base", "lidar", (0, 0, 0, 1), (0, 0, 0.3))
 
 
+def roi(x, y, height, width):
+    return {"x_offset": x, "y_offset": y, "height": height, "width": width}
+
+
+BINNED = {"binning_x": 2, "binning_y": 2}
 RAW, RECT = "/cam/image_raw", "/cam/image_rect"
 BASELINE = {"shift_px": -6.0}  # 0.1 m
 OFF = scaled(1.3, 1.3, 3, 5)  # as of a larger image
@@ -55,7 +60,7 @@ OFF = scaled(1.3, 1.3, 3, 5)  # as of a larger image
 RIGHT = {
     "a pinhole": (camera(RAW, {}), {}),
     "rectified by its name": (
-        camera(RECT, {"intrinsics": OFF, "rectified": K, "distortion": CURVED}), {},
+        camera(RECT, {"intrinsics": OFF, "rectified": K, "d": CURVED}), {},
     ),
     "rectified, in colour": (
         camera("/cam/image_rect_color", {"intrinsics": OFF, "rectified": K}), {},
@@ -71,20 +76,21 @@ RIGHT = {
     "autofocus of half a pixel": (camera(RAW, {}, {"intrinsics": scaled(1.008, 1.008)}), {}),
     "never rectified": (camera(RAW, {"rectified": ZERO}), {}),
     "K is not set": (camera(RAW, {"intrinsics": ZERO, "rectified": K}), {}),
-    "R is not set": (camera(RAW, {"turn": ZERO}), {}),
-    "the whole region": (camera(RAW, {"roi": (0, 0, *SIZE)}), {}),
+    "R is not set": (camera(RAW, {"r": ZERO}), {}),
+    "the whole region": (camera(RAW, {"roi": roi(0, 0, *SIZE)}), {}),
     "a region": (
-        camera(RAW, {"intrinsics": scaled(1, 1, 9, 4), "size": (60, 80), "roi": (9, 4, *SIZE)}), {},
+        camera(RAW, {"intrinsics": scaled(1, 1, 9, 4), "size": (60, 80), "roi": roi(9, 4, *SIZE)}),
+        {},
     ),
     "binned": (
-        camera(RAW, {"intrinsics": scaled(2, 2, 0.5, 0.5), "size": (96, 128), "binning": 2}), {},
+        camera(RAW, {"intrinsics": scaled(2, 2, 0.5, 0.5), "size": (96, 128), **BINNED}), {},
     ),
-    "binned, with the size of the images": (camera(RAW, {"binning": 2}), {}),
+    "binned, with the size of the images": (camera(RAW, {**BINNED}), {}),
     "its own frame of a pair": (camera(RECT, BASELINE, rig=pair), {}),
     "a slash before the frame": (camera(RAW, {"frame_id": "/camera"}), {}),
     "the frame of the CameraInfo alone": (camera(RAW, {}, frame_id=""), {}),
     "stated to be rectified": (
-        camera("/cam/image", {"intrinsics": OFF, "rectified": K, "distortion": CURVED}),
+        camera("/cam/image", {"intrinsics": OFF, "rectified": K, "d": CURVED}),
         {"rectified": True},
     ),
     "stated to be raw": (
@@ -93,11 +99,11 @@ RIGHT = {
 }  # fmt: skip
 ASSUMED = {
     "kitti2bag": (
-        camera(RAW, {"intrinsics": OFF, "rectified": K, "distortion": CURVED}), "rectified=true",
+        camera(RAW, {"intrinsics": OFF, "rectified": K, "d": CURVED}), "rectified=true",
     ),
     "no word in the name": (camera("/cam/image", {"rectified": OFF}), "rectified=true"),
-    "R": (camera(RECT, {"turn": TURN}), "R"),
-    "another lens": (camera(RAW, {"model": "omni", "distortion": (0, 0)}), "omni"),
+    "R": (camera(RECT, {"r": TURN}), "R"),
+    "another lens": (camera(RAW, {"distortion_model": "omni", "d": (0, 0)}), "omni"),
     "zoom": (camera(RAW, {}, {"intrinsics": scaled(2, 2)}), "first CameraInfo"),
     "two frames": (camera(RAW, {"frame_id": "lidar"}), "lidar"),
     "two transforms": (camera(RAW, {}, rig=twice), "lidar"),
@@ -105,14 +111,16 @@ ASSUMED = {
 REFUSED = {
     "never set": (camera(RAW, {"intrinsics": ZERO}), "K or P"),
     "a region of another size": (
-        camera(RAW, {"size": (60, 80), "roi": (9, 4, 20, 20)}), "20, 20",
+        camera(RAW, {"size": (60, 80), "roi": roi(9, 4, 20, 20)}), "20, 20",
     ),
     "rectified by its name, without P": (
-        camera(RECT, {"rectified": ZERO, "distortion": CURVED}), "no P",
+        camera(RECT, {"rectified": ZERO, "d": CURVED}), "no P",
     ),
-    "R is no rotation": (camera(RAW, {"turn": 1.1 * np.eye(3)}), "R must"),
-    "a fisheye without coefficients": (camera(RAW, {"model": "equidistant"}), "equidistant"),
-    "another lens": (camera(RAW, {"model": "omni", "distortion": (0.1, 0, 0, 0)}), "omni"),
+    "R is no rotation": (camera(RAW, {"r": 1.1 * np.eye(3)}), "R must"),
+    "a fisheye without coefficients": (
+        camera(RAW, {"distortion_model": "equidistant"}), "equidistant",
+    ),
+    "another lens": (camera(RAW, {"distortion_model": "omni", "d": (0.1, 0, 0, 0)}), "omni"),
 }  # fmt: skip
 
 
@@ -174,7 +182,7 @@ def test_what_cannot_be_is_refused(read, case):
     (camera(RECT, BASELINE, rig=pair), 0, False),
     (camera(RECT, BASELINE, rig=pair, others=[("/depth/camera_info", "camera")]), 0, False),
     (camera(RECT, BASELINE, others=[("/left/camera_info", "left")]), -0.1, True),
-    (camera(RAW, BASELINE | {"distortion": CURVED}), 0, False),
+    (camera(RAW, BASELINE | {"d": CURVED}), 0, False),
 ])  # fmt: skip
 def test_the_baseline_of_a_pair_is_applied_once(read, write, right_m, said):
     """By P to a frame that it shares with the first camera, or by /tf_static."""
@@ -190,7 +198,7 @@ def test_the_baseline_of_a_pair_is_applied_once(read, write, right_m, said):
 ])  # fmt: skip
 def test_a_raw_image_has_the_lens(read, make_scan, model, distortion, lens):
     """A fisheye of zeros is one."""
-    write = camera(RAW, {"model": model, "distortion": distortion})
+    write = camera(RAW, {"distortion_model": model, "d": distortion})
     _, depth, calibration, notes = read(write)
     assert (calibration.lens, notes) == (lens, [])
     np.testing.assert_array_equal(depth, calibration.project(make_scan(0), SIZE))
@@ -205,13 +213,13 @@ FOCAL = 0.5
 def depth_bag(make_bag, make_frame):
     """Give a bag of a camera and a depth camera beside it, of half its focal length: a wall."""
 
-    def make(*, of="depth", frame_id="camera", info=True, tree=True, focal=FOCAL, distortion=()):
+    def make(*, of="depth", frame_id="camera", info=True, tree=True, focal=FOCAL, d=()):
         bag, (rgb, _) = make_bag("ros2"), make_frame(*SIZE)
         depth = np.full(SIZE, 6000, np.uint16)
         depth[:, ::2] = 65535
         bag.image("/rgb/image_raw", rgb, "rgb8", START_NS, frame_id=frame_id)
         bag.image("/depth/image_raw", depth, "16UC1", START_NS, frame_id=of)
-        bag.info("/rgb/camera_info", K, SIZE, frame_id=frame_id, distortion=distortion)
+        bag.info("/rgb/camera_info", K, SIZE, frame_id=frame_id, d=d)
         if info:
             half = [[60 * focal, 0, 32], [0, 60 * focal, 24], [0, 0, 1]]
             bag.info("/depth/camera_info", half, SIZE, frame_id=of)
@@ -225,7 +233,7 @@ def depth_bag(make_bag, make_frame):
 @pytest.mark.parametrize(("changes", "options", "said"), [
     ({"of": "camera", "focal": 1}, {}, False),
     ({"of": "camera"}, {}, True),  # one name for two cameras
-    ({"of": "camera", "focal": 1, "distortion": CURVED}, {}, True),
+    ({"of": "camera", "focal": 1, "d": CURVED}, {}, True),
     ({"of": "camera"}, {"registered": True}, False),
     ({"of": "/camera", "info": False, "tree": False}, {}, False),
     ({}, {"registered": True}, False),
