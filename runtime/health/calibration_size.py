@@ -54,7 +54,7 @@ class CalibrationSize:
         if camera_only is not None:
             gain = _gain(camera_only, sparse_depth, self._scale)
         else:
-            gain = 1.0 if middle_x > width else None  # any return is better than none
+            gain = 1.0 if middle_x > width else None  # no return falls into the image as it is
         if gain is None:
             return
         self._gains.append(gain)

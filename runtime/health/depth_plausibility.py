@@ -18,13 +18,13 @@ from runtime.degraded import IMAGE_CONSTANT
 from runtime.prediction import Prediction
 from runtime.returns import is_measured
 
-FIRST_FRAMES = 5  # checked when a stream starts; the median of the last so many counts
+FIRST_FRAMES = 5  # checked when a stream starts; the median of the last 5 counts
 _LEAST_RETURNS, _MOST_RETURNS = 200, 50_000  # denser maps are subsampled
 BANDS = 48  # over the height of the image
 _LEAST_DEPTH_M = 0.1
 _ALIKE = 0.5  # correlation from which two depth maps show the same scene
 _MIRRORED_MARGIN = 0.2  # by which the mirrored map must correlate better
-_NEAREST, _FARTHEST = 0.25, 2.5  # return / camera-only depth; right ones: 0.66 to 1.14
+_NEAREST, _FARTHEST = 0.25, 2.5  # return / camera-only depth; correct frames: 0.66 to 1.14
 _FOCAL_RATIO = 10  # a wrong focal length explains at most this ratio
 _DEPTH_SCALES = (1, 100, 256, 1000)  # of metres, centimetres, KITTI and millimetres
 
@@ -87,7 +87,7 @@ class DepthPlausibility:
         self._figures.append((float(np.median(measured - seen)), overall, alike, alike_mirrored))
 
     def finding(self) -> Implausible | None:
-        """What is wrong by the last frames; None = nothing, or it is not certain."""
+        """What is wrong with the last frames; None = nothing, or nothing certain."""
         if not self._figures:
             return None
         log_ratio, overall, alike, mirrored = np.median(self._figures, axis=0)

@@ -29,10 +29,10 @@ _BRIGHT, _BRIGHT_SHARE = 250, 0.5  # darkest channel
 _COLUMNS, _ROWS = 16, 8
 _LEARNED_FROM = 5  # frames before the first check
 _MEMORY = 0.1  # weight of a new frame in the running mean
-_LEAST_RETURNS = 30  # mean of a cell, to be checked
-_LEAST_SHARE = 0.03  # of all returns in a cell, to be checked
-_CELL_LOST = 0.25  # of the cell's mean
-_TOTAL_LOST = 0.7  # of the mean of all returns: single scan lines are lost all over the image
+# A cell is checked if its mean has so many returns, and this share of all.
+_LEAST_RETURNS, _LEAST_SHARE = 30, 0.03
+_CELL_LOST = 0.25  # share of its mean below which a cell is lost
+_TOTAL_LOST = 0.7  # the same of all returns: scan lines that are lost all over the image
 
 
 class FrameHealth:

@@ -44,7 +44,7 @@ COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-#: As depth_topic: the camera alone.
+#: Value of depth_topic for the camera alone, and of pose_topic for scans that are not moved.
 NO_TOPIC = "none"
 
 
@@ -115,7 +115,7 @@ class BagSource(Source):
             self._has_clouds = self._depth_topic in self._of_kind(POINT_CLOUD)
             infos, beside = self._of_kind(CAMERA_INFO), self._infos_beside(self._image_topic)
             self._info_topic = self._choose("info_topic", infos, beside[:1])
-            self._depth_camera: Calibration | None = None  # of depth images that are moved
+            self._depth_camera: Calibration | None = None  # if depth images are projected
             with collect_assumptions(self._notes):
                 self.calibration = self._calibrate()
                 self._pose_topic = self._find_poses()
@@ -153,7 +153,7 @@ class BagSource(Source):
         images, depths = self._of_kind(COMPRESSED_IMAGE), self._of_kind(POINT_CLOUD)
         images = [topic for topic in images if not topic.endswith("/compressedDepth")]
         for topic in self._of_kind(IMAGE):
-            with contextlib.suppress(InputError):  # none of its messages can be decoded
+            with contextlib.suppress(InputError):  # if no message can be decoded
                 encoding = self._bag.first(topic).encoding
                 (depths if encoding in DEPTHS else images).append(topic)
         twice = {f"{topic}/compressed" for topic in images}  # compressed copies of the same images
@@ -190,7 +190,7 @@ class BagSource(Source):
         )
 
     def _infos_beside(self, topic: str) -> list[str]:
-        """The topics of CameraInfo that may be of a topic of images, the nearest first."""
+        """The topics of CameraInfo in the namespaces of a topic of images, the innermost first."""
         parts, infos = topic.split("/"), self._of_kind(CAMERA_INFO)
         names = ("/".join([*parts[:end], "camera_info"]) for end in reversed(range(len(parts))))
         return [name for name in names if name in infos]
@@ -201,7 +201,10 @@ class BagSource(Source):
         if depth is None or not (self._has_clouds or self._is_apart(depth)):
             if path is not None:
                 return Calibration.from_file(path)
-            with contextlib.suppress(InputError), collect_assumptions([]):  # the focal length
+            with (
+                contextlib.suppress(InputError),
+                collect_assumptions([]),
+            ):  # only for the focal length
                 return self._camera(image)
             return None
         try:
@@ -227,7 +230,7 @@ class BagSource(Source):
         if all(frames) and frames[0] != frames[1]:
             return True
         is_proved = all(frames)
-        with contextlib.suppress(InputError), collect_assumptions([]):  # one has no CameraInfo
+        with contextlib.suppress(InputError), collect_assumptions([]):  # without CameraInfo
             ours, its = self._camera(self._image_topic), self._camera(depth)
             is_near = np.abs(ours.intrinsics - its.intrinsics).max() < SAME_PX
             is_straight = ours.lens_model is not None and its.lens_model is None
@@ -238,7 +241,10 @@ class BagSource(Source):
         return False
 
     def _camera(self, topic: str, source: str = "") -> Calibration:
-        """The calibration of images or depth images, for points in a frame. Raises InputError."""
+        """The calibration of a topic of images or depth images.
+
+        source: frame of the points to be projected; "" = that of the images. Raises InputError.
+        """
         is_image = topic == self._image_topic
         info = self._info_topic if is_image else next(iter(self._infos_beside(topic)), None)
         if info is None:
@@ -257,9 +263,9 @@ class BagSource(Source):
         return TransformTree(chain.from_iterable(map(self._bag.decoded, topics)))
 
     def _find_poses(self) -> str | None:
-        """Read the poses of the car, where clouds can be moved by them; their topic.
+        """Read the poses of the car if there are clouds to be moved, and return their topic.
 
-        Raises InputError.
+        Raises InputError if the requested topic cannot be used.
         """
         odometry = self._of_kind(ODOMETRY)
         moving = [t for t in self._of_kind(*TRANSFORMS) if not t.endswith("tf_static")]
@@ -302,7 +308,7 @@ class BagSource(Source):
         cameras: list[list[float]] = []
 
         def stamped() -> Iterator[tuple[Sensor, int, int]]:
-            """The messages of both sensors, with their positions in `_recorded`."""
+            """Yield (sensor, stamp, position in `_recorded`) of images and depth."""
             for place, message in self._recorded():
                 if message.topic == self._info_topic:
                     with contextlib.suppress(InputError):  # damaged
@@ -335,14 +341,15 @@ class BagSource(Source):
             raise InputError(
                 f"the topic {self._image_topic} of {self._bag.path} has no messages with a stamp"
             )
-        # Position of a message in the bag -> its last frame; messages read ahead of their frame.
+        # Position of a message -> sequence of the last frame that needs it. `_kept` holds what was
+        # read ahead and is needed later.
         self._owners = {place: f.sequence for f in frames for place in (f.image, f.depth)}
         self._kept: dict[int, RecordedMessage] = {}
         self._messages, self._next_place = self._recorded(), 0
         return frames
 
     def _recorded(self) -> Iterator[tuple[int, RecordedMessage]]:
-        """The messages of the camera and of depth with positions, in the same order each time."""
+        """Yield (position, message) of the topics that are read, in the same order each time."""
         topics = (self._image_topic, self._depth_topic, self._info_topic)
         return enumerate(self._bag.messages([topic for topic in topics if topic is not None]))
 
@@ -358,7 +365,7 @@ class BagSource(Source):
         return self.measured(frame, rgb, depth, self.calibration)
 
     def _decode_depth(self, frame: ListedFrame, message: Any) -> NDArray[np.float32] | Scan:
-        """The depth map of a frame, or its scan: a cloud, or a depth image to be moved."""
+        """The depth map of a frame; as a scan if it is a cloud, or of another camera."""
         if self._has_clouds:
             points, after_s = decode_points(message), None
             if self._poses is not None and frame.depth_stamp_ns is not None:

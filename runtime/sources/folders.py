@@ -31,7 +31,7 @@ from runtime.sources.source import ListedFrame, Source, up_to
 from runtime.stamp import NS_PER_MS, read_timestamps
 from runtime.sync.frame import Frame, Outcome, Sensor
 
-_APART_NS = 100 * NS_PER_MS  # between images without times
+_APART_NS = 100 * NS_PER_MS  # assumed between images without times
 #: Camera of a folder of KITTI, or of an image in it: image_02, image_2/0.png, image_02/data.
 _KITTI_CAMERA = re.compile(r"(?:^|/)image_0?([0-3])(?:/data)?(?:/[^/\n]*\.\w+)?$", re.MULTILINE)
 
@@ -53,8 +53,8 @@ class FolderOptions(NamedTuple):
             so old. None: 150 with `poses` or `timestamps`; without any of the three an image
             without depth is a frame that cannot be read. Images without times are 100 ms apart.
         poses: file of poses, see `read_poses`, by which scans are moved to the time of an image.
-        pose_frame: of which they are.
-        scan_stamp: what instant of a scan the time of its image is.
+        pose_frame: the frame whose poses the file holds.
+        scan_stamp: which instant of a scan the time of its image marks.
         point_time_column: number, from 0, of the column of .bin and .npy scans with the time of
             each point, in seconds after the time of its image.
     """
@@ -123,10 +123,10 @@ class FolderSource(Source):
                 self._open_calibration(calibration, given.camera)
         if given.pose_frame is not None and self.calibration is not None:
             self._pose_frame = given.pose_frame
-            lidar_mount(given.pose_frame, self.calibration)  # raises InputError if unknown
+            lidar_mount(given.pose_frame, self.calibration)  # raises InputError without its place
 
     def _open_calibration(self, path: Path, camera: int | None) -> None:
-        """Read the calibration, of a folder with one a frame the first that can be read."""
+        """Read the calibration; of a folder with a file a frame, the first that can be read."""
         is_raw = any(os.path.lexists(path / name) for name in (RAW_CAMERAS, RAW_SCANNER))
         if os.path.isdir(path) and not is_raw:
             self._calibration_files = list_files(path, (".txt", ".toml"))

@@ -43,7 +43,7 @@ class KittiRawSource(FolderSource):
         max_skew_ms: largest difference of the time stamps of an image and its scan; None: match by
             number, without poses.
         reuse_depth_ms: largest age of a scan that an image without one of its own takes.
-        scan_stamp: what instant of a scan its time stamp is; "middle" of KITTI's.
+        scan_stamp: which instant of a scan its time stamp marks; "middle" for KITTI.
 
     Raises:
         InputError: if a folder, the calibration or a time stamp is missing or damaged.
@@ -86,7 +86,7 @@ class KittiRawSource(FolderSource):
             scan_stamp=scan_stamp,
         )
         self._drive, self._reuse_depth_ms = drive, reuse_depth_ms
-        self._oxts: Path | None = None  # if they are used
+        self._oxts: Path | None = None  # the folder, if its poses are used
         self._stamped: list[tuple[Sensor, int, Path]] = []
         if max_skew_ms is not None:
             pictures = _read_stamps(Sensor.IMAGE, images, RGB_SUFFIXES)
@@ -142,7 +142,7 @@ class KittiRawSource(FolderSource):
 def _read_stamps(
     sensor: Sensor, folder: Path, suffixes: tuple[str, ...]
 ) -> list[tuple[Sensor, int, Path]]:
-    """(sensor, nanoseconds, path) of each number: its line of timestamps.txt, from 0.
+    """(sensor, nanoseconds, path) of each file; its number is the line of its time, from 0.
 
     Empty without the file. Raises InputError for a line that is no time, and for a number without
     one.

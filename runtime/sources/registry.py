@@ -29,11 +29,11 @@ SOURCES: dict[str, type[Source]] = {
 
 
 class SourceKey(NamedTuple):
-    """A key.
+    """A key of --source.
 
     Attributes:
         expected: what its value is, in words.
-        read: returns the value of a text; ValueError or InputError if it is another.
+        read: returns the value of a text; raises ValueError or InputError.
     """
 
     expected: str

@@ -22,7 +22,7 @@ MAX_CHUNK_BYTES = 2**28
 
 _BAG_SUFFIXES = (".yaml", ".db3", ".mcap", ".zstd")
 _TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
-_ZSTD = b"\x28\xb5\x2f\xfd"  # how compressed data starts, and no message in CDR
+_ZSTD = b"\x28\xb5\x2f\xfd"  # start of compressed data; no message in CDR starts so
 
 
 class RecordedMessage(NamedTuple):
@@ -75,7 +75,7 @@ class RosBag:
                 if self._is_cdr and raw[:4] == _ZSTD:  # a file without the metadata.yaml of its bag
                     raw = _decompress(raw)
                 yield RecordedMessage(connection.topic, recorded_ns, raw)
-        # The most of all readings.
+        # A bag is read several times: the largest count of one reading.
         self.left_out |= Counter({f"{t} (only in the index)": n for t, n in left.items()})
 
     def decoded(self, topic: str, check: Callable[[Any], object] = bool) -> Iterator[Any]:
@@ -172,7 +172,7 @@ def _require_merged(file: Path) -> None:
     for journal in filter(os.path.lexists, journals):
         with open_input(journal, max_bytes=None) as opened:
             start = opened.read(33)
-        if len(start) == 33 and any(start[:28]):  # else it has no pages, or a header that is void
+        if len(start) == 33 and any(start[:28]):  # else the journal is empty, or marked as done
             raise InputError(
                 f"{file} lacks what its recorder left in {journal.name}: sqlite3 {file} "
                 "'PRAGMA journal_mode = DELETE' merges the two"

@@ -22,10 +22,14 @@ from runtime.sources.ros_poses import TransformTree, frame_name
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 #: Words, between / and _, of the names of topics of images that are, or are not, rectified.
 _RECTIFIED, _RAW = {"rect", "rectified"}, {"raw", "unrectified", "distorted"}
-_OFF_CENTRE = 0.05  # of the image's sides; a principal point beyond it is of images of another size
-_SHIFT_M, _TURN = 1e-3, 2e-3  # same place; same axes, radians: a pixel at 500 px
-_SHIFT_SHARE, _PAIR_TURN = 0.1, 0.1  # of the baseline, and of the axes of a pair: before R
-SAME_PX = 1.0  # of focal lengths and principal points
+# A principal point farther from the middle, in shares of the sides, is of images of another size.
+_OFF_CENTRE = 0.05
+# Two frames are the same up to this distance and turn [rad], which is a pixel at 500 px.
+_SHIFT_M, _TURN = 1e-3, 2e-3
+# Two cameras are a stereo pair up to this error, in shares of the baseline, and this turn [rad]:
+# the turn to the rectified axes is not in /tf_static.
+_SHIFT_SHARE, _PAIR_TURN = 0.1, 0.1
+SAME_PX = 1.0  # largest difference of equal focal lengths and principal points
 GIVE = "give --calibration"
 
 
@@ -58,7 +62,7 @@ def calibrate(
     size = getattr(image, "height", 0), getattr(image, "width", 0)
     if not all(size):
         size = image_size(bytes(memoryview(image.data))) or size
-    if size == (fields["height"], fields["width"]):  # of K and P: these are not cut
+    if size == (fields["height"], fields["width"]):  # K and P are of the images, not of the sensor
         fields |= {"binning_x": 0, "binning_y": 0, "roi": {}}
     try:
         if rectified is None:
@@ -71,20 +75,20 @@ def calibrate(
         found = Calibration.from_camera_info(fields, extrinsics, rectified=rectified)
     except InputError as error:
         raise InputError(f"the CameraInfo of {beside}: {error}; or {GIVE}") from error
-    shift = found.extrinsics[:3, 3] - extrinsics[:3, 3]  # of the second camera of a pair, by P
+    shift = found.extrinsics[:3, 3] - extrinsics[:3, 3]  # by P, of the second camera of a pair
     if np.abs(shift).max() > _SHIFT_M and _has_own_frame(bag, tree, frame, shift):
         return replace(found, extrinsics=extrinsics)
     return found
 
 
 def projection_of(info: Any) -> list[list[float]]:
-    """Return the 21 numbers of K and P; none where a driver sent 0, 1 or NaN: it knew neither."""
+    """[The 21 numbers of K and P]; [] if a driver sent 0, 1 or NaN, because it knew neither."""
     k, p = (_fields(info)[name] for name in "kp")
     return [[*k, *p]] if k[0] > 1 or p[0] > 1 else []
 
 
 def is_rectified(fields: Mapping[str, Any], topic: str) -> bool:
-    """Whether P describes the images of a topic, and not K and D, as far as it matters."""
+    """Whether the images of a topic are described by P; if not, by K and D."""
     words = set(re.split("[/_]", topic.lower()))
     camera, projection = np.reshape(fields["k"], (3, 3)), np.reshape(fields["p"], (3, 4))[:, :3]
     if words & _RECTIFIED or not (camera.any() and projection.any()):
@@ -104,14 +108,14 @@ def is_rectified(fields: Mapping[str, Any], topic: str) -> bool:
 
 
 def _has_own_frame(bag: RosBag, tree: TransformTree, frame: str, shift: Any) -> bool:
-    """Whether `frame` is already moved by the baseline, as ROS's of a stereo pair is not."""
+    """Whether `frame` is that of the second camera itself; ROS's convention is the first one's."""
     if any(_is_at(tree, each, frame, shift) for each in tree.frames if each != frame):
         return True
     for topic in (topic for topic, kind in bag.types.items() if kind == CAMERA_INFO):
         for info in bag.decoded(topic):
             p = _fields(info)["p"]
             if frame_name(info.header.frame_id) == frame and p[0] and not any(p[3::4]):
-                return False  # the first camera's
+                return False  # the frame is the first camera's
             break
     beside = f"{np.linalg.norm(shift):.3g} m beside"
     assume(f"{frame} is the frame of a stereo pair's first camera, {beside} the images", GIVE)
@@ -119,7 +123,7 @@ def _has_own_frame(bag: RosBag, tree: TransformTree, frame: str, shift: Any) -> 
 
 
 def _is_at(tree: TransformTree, source: str, target: str, shift: Any) -> bool:
-    """Whether one frame is another one that is moved by `shift` [m] along the same axes."""
+    """Whether `target` has the axes of `source`, and its points are moved by `shift` [m]."""
     try:
         matrix = tree.between(source, target)
     except InputError:  # not connected

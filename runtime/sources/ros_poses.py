@@ -40,14 +40,14 @@ def point_times_s(
 
     | type | values | are |
     |---|---|---|
-    | int32, uint32 | all; below 1 ms it is said | ns after the stamp (Ouster, Autoware, Livox) |
+    | int32, uint32 | all; assumed below 1 ms | ns after the stamp (Ouster, Autoware, Livox) |
     | float32, float64 | up to 1 | s after the stamp (Velodyne) |
     | float32, float64 | up to 10^6, over a span of more than 10^3 | us after the stamp |
     | float64 | larger, over a span of up to 1 | s of the clock (Hesai, RoboSense) |
     | float64 | from 10^17 on, over a span of up to 10^9 | ns of the clock (Livox) |
 
-    A scan takes at most a second; other values are an error. Values are those of nine tenths of the
-    returns: single ones may be broken.
+    A scan takes at most a second; other values are an error. The middle nine tenths of the returns
+    decide, because single times may be broken.
 
     Args:
         message: sensor_msgs/PointCloud2.
@@ -68,7 +68,7 @@ def point_times_s(
     values: NDArray[np.float64] = times.astype(np.float64)
     known = values[is_return(points) & np.isfinite(values)]
     if not known.size or known.min() == known.max():
-        return None  # drivers that do not fill it
+        return None  # the driver does not fill it
     lowest, highest = np.percentile(known, (5, 95))
     if times.dtype.kind in "iu":
         if highest - lowest < _LEAST_SPAN_NS:
@@ -152,10 +152,10 @@ def transform_poses(
 
 
 class TransformTree:
-    """The transforms of /tf_static between frames; of several of a child the last counts.
+    """The transforms of /tf_static between frames; if a child has several, the last counts.
 
-    Its methods raise InputError for an invalid rotation and for numbers that are not finite on
-    their way; other transforms may be invalid.
+    Its methods raise InputError for invalid transforms between the frames in question; others may
+    be invalid.
 
     Args:
         messages: tf2_msgs/TFMessage.
@@ -192,7 +192,7 @@ class TransformTree:
         return sorted({*self._parents, *parents})
 
     def ancestors(self, frame: str) -> dict[str, NDArray[np.float64]]:
-        """Each frame that a frame is fixed to and the matrix to it; first itself, then upwards."""
+        """A frame, its parent and so on, each with the matrix from the frame to it."""
         frame = frame_name(frame)
         matrices = {frame: np.eye(4)}
         while frame in self._parents:
@@ -225,8 +225,6 @@ def _stamp_ns(header: Any) -> int:
 
 
 def _pose(position: Any, quaternion: Any, name: str) -> NDArray[np.float64]:
-    return pose_of(
-        (position.x, position.y, position.z),
-        (quaternion.x, quaternion.y, quaternion.z, quaternion.w),
-        name,
-    )
+    place = position.x, position.y, position.z
+    turn = quaternion.x, quaternion.y, quaternion.z, quaternion.w
+    return pose_of(place, turn, name)

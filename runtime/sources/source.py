@@ -38,10 +38,10 @@ class ListedFrame:
         sequence: index in the source, from 0.
         name: of the frame and of its output files, unique in the source.
         image: where the source finds the image (a path, an index, ...), None without one.
-        depth: the same of the depth.
+        depth: where it finds the depth, None without any.
         image_stamp_ns: time of the image by its sensor's clock [ns], None if unknown.
-        depth_stamp_ns: the same of the depth.
-        complete: whether it has both, the depth of its own, or all that the source is to read.
+        depth_stamp_ns: time of the depth by its sensor's clock [ns], None if unknown.
+        complete: whether it has an image and depth of its own; or an image, if no depth is read.
         reused: whether the depth is an older scan, because the image has none of its own.
     """
 
@@ -236,16 +236,12 @@ class Source(ABC):
         def listed() -> Iterator[ListedFrame]:
             for sequence, frame in enumerate(matching.match(stamped, count)):
                 image, depth = frame.image, frame.depth
-                yield ListedFrame(
-                    sequence,
-                    name(image),
-                    image.data,
-                    None if depth is None else depth.data,
-                    image.stamp_ns,
-                    None if depth is None else depth.stamp_ns,
-                    complete=camera_only if depth is None else not frame.reused,
-                    reused=frame.reused,
-                )
+                found = sequence, name(image), image.data
+                if depth is None:
+                    yield ListedFrame(*found, None, image.stamp_ns, complete=camera_only)
+                else:
+                    stamps_ns, own = (image.stamp_ns, depth.stamp_ns), not frame.reused
+                    yield ListedFrame(*found, depth.data, *stamps_ns, own, frame.reused)
 
         middle_after = MIDDLE_AFTER[check_scan_stamp(self._scan_stamp)]
         frames = up_to(listed(), limit)
@@ -291,7 +287,7 @@ def by_number(files: Mapping[str, Path]) -> dict[int, Path]:
 
 
 def left_out_note(left_out: Mapping[str, int]) -> tuple[str, ...]:
-    """A line that counts what is in no frame; none if that is nothing."""
+    """(A line with the counts of what is in no frame,); () if there is nothing."""
     counts = ", ".join(f"{reason} {count}" for reason, count in sorted(left_out.items()))
     return (f"left out: {counts}",) if counts else ()
 

@@ -19,7 +19,7 @@ from runtime.sources.source import ListedFrame, by_number
 from runtime.sync.frame import Frame, Message
 
 _SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm")
-_MOST_DAMAGED = 1000  # frames in a row; more are the end
+_MOST_DAMAGED = 1000  # frames in a row, after which the video is at its end
 
 
 class VideoSource(FolderSource):
@@ -57,7 +57,7 @@ class VideoSource(FolderSource):
         sides = (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH)
         height, width = (int(self._video.get(side)) for side in sides)
         require_pixels((height, width), name=str(path))
-        self._most: int | None = None  # frames that are listed
+        self._most: int | None = None  # frames to be counted; None = all
 
     @staticmethod
     def accepts(path: Path) -> bool:
@@ -75,7 +75,7 @@ class VideoSource(FolderSource):
             tried += 1
             if video.grab():
                 self._count = tried
-        stated = video.get(cv2.CAP_PROP_FRAME_COUNT)  # of the header, or from its rate and duration
+        stated = video.get(cv2.CAP_PROP_FRAME_COUNT)  # by the header, or its rate and duration
         video.release()
         if self._count == 0:
             raise InputError(f"{self._rgb} has no frame: it is empty, truncated or damaged")
@@ -131,6 +131,6 @@ def _open(path: Path, *, threads: int = 1) -> cv2.VideoCapture:
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, threads])
     if not video.isOpened():
         raise InputError(f"cannot read the video {path}: it is damaged, or OpenCV lacks its codec")
-    # As with images, pixels stay where the sensor has them.
+    # An orientation in the header is not applied, as for images.
     video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     return video

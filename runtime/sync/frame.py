@@ -132,20 +132,14 @@ class Frame:
         Raises:
             InputError: if the calibration that projects a scan is of images of another size.
         """
-        depth, is_reused = self.depth, self.reused
+        depth, image_ns = self.depth, self.image.stamp_ns
         if depth is None:
             return DepthInTime(np.zeros(self.size, np.float32), "none", ())
-        if isinstance(depth.data, Scan):
+        if isinstance(scan := depth.data, Scan):
             assert self.calibration is not None  # required by what takes scans
-            return project_in_time(
-                self.calibration,
-                depth.data,
-                self.poses,
-                self.image.stamp_ns,
-                self.size,
-                reused=is_reused,
-            )
-        is_apart = self.poses is not None and depth.stamp_ns != self.image.stamp_ns
-        reasons: tuple[str, ...] = (DEPTH_REUSED,) if is_reused else ()
-        reasons += (DEPTH_UNCOMPENSATED,) if is_reused or is_apart else ()
+            given = self.calibration, scan, self.poses, image_ns, self.size
+            return project_in_time(*given, reused=self.reused)
+        is_apart = self.poses is not None and depth.stamp_ns != image_ns
+        reasons: tuple[str, ...] = (DEPTH_REUSED,) if self.reused else ()
+        reasons += (DEPTH_UNCOMPENSATED,) if self.reused or is_apart else ()
         return DepthInTime(depth.data, "none", reasons)

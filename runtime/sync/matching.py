@@ -55,7 +55,7 @@ class Decided:
 
 @dataclass(eq=False)
 class _Kept:
-    """A depth map that may be reused. outcome: counted on dropping; None = counted before."""
+    """A depth map that may be reused; `outcome` when it is dropped, None = it has one already."""
 
     depth: Message
     outcome: Outcome | None
@@ -146,7 +146,7 @@ class Matching(ABC):
 
     @abstractmethod
     def _next_decidable(self) -> Message | None:
-        """The image to decide next; None = all wait on."""
+        """The image to decide next; None = all of them have to wait."""
 
     @abstractmethod
     def _is_over(self, message: Message, other: Sensor) -> bool:
@@ -154,7 +154,7 @@ class Matching(ABC):
 
     @abstractmethod
     def _decide_images(self, decided: Decided) -> None:
-        """Decide all images with what is there."""
+        """Decide all images that wait, at the end of the stream."""
 
     # --- deciding --------------------------------------------------------------------------------
 
@@ -186,7 +186,7 @@ class Matching(ABC):
         return True
 
     def _decide(self, decided: Decided) -> None:
-        """Decide what does not wait on."""
+        """Decide all messages that need not wait any longer."""
         while (image := self._next_decidable()) is not None:
             self._decide_image(decided, image)
         for depth in list(self._depths):
@@ -209,7 +209,7 @@ class Matching(ABC):
         elif depth is not None:
             self._mark_reused(decided, depth)
         for dead in list(self._depths):
-            if dead.stamp_ns < image.stamp_ns - self._max_skew_ns:  # later images are newer still
+            if dead.stamp_ns < image.stamp_ns - self._max_skew_ns:  # too old for later images, too
                 self._keep(decided, dead, Outcome.NO_IMAGE)
         self._forget_depths(decided, image.stamp_ns)
 
@@ -221,7 +221,7 @@ class Matching(ABC):
         self._drop(decided, list(self._kept))
 
     def _partner(self, image: Message) -> Message | None:
-        """The nearest depth map that has no nearer image; of two equally near the older."""
+        """The nearest depth map that has no nearer image; ties keep the older."""
         own = (
             depth
             for depth in self._depths
@@ -275,7 +275,7 @@ class Matching(ABC):
                 kept.outcome = Outcome.REUSED
 
     def _forget_depths(self, decided: Decided, image_ns: int) -> None:
-        """Drop depth maps that no later image can reuse: all before the image except the newest."""
+        """Drop depth maps before the image, except the newest: no later image can reuse them."""
         before = [kept for kept in self._kept if kept.depth.stamp_ns <= image_ns]
         if before and image_ns - before[-1].depth.stamp_ns < self._reuse_ns:
             before.pop()
@@ -410,7 +410,7 @@ class StampMatching(Matching):
         return decided
 
     def _next_decidable(self) -> Message | None:
-        """The oldest image, if no later message can change its answer."""
+        """The oldest image, if no later message can change its partner."""
         if not self._images:
             return None
         oldest = self._images[0]
