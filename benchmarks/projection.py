@@ -23,7 +23,6 @@ from runtime import project_points
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import project_moved
 from runtime.geometry.poses import PoseTrack
-from runtime.geometry.projection import OcclusionFilter
 from runtime.run.pipeline import dedicate_process
 
 SIZE = (375, 1242)
@@ -76,16 +75,12 @@ def main() -> None:
     cv2.setNumThreads(1)
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     points = street_scan(np.random.default_rng(0))
-    occlusion = OcclusionFilter()
     stamps = range(-20_000_000, 130_000_000, 10_000_000)
     track = PoseTrack.of([_pose(stamp) for stamp in stamps], stamps)
     times = np.tile(np.linspace(0, 100_000_000, 1800).astype(np.int64), 64)
     calibration = Calibration(INTRINSICS, EXTRINSICS)
     ways: dict[str, Callable[[], NDArray[np.float32]]] = {
         "plain": lambda: project_points(points, INTRINSICS, EXTRINSICS, SIZE),
-        "with occlusion filter": lambda: project_points(
-            points, INTRINSICS, EXTRINSICS, SIZE, occlusion=occlusion
-        ),
         **{
             f"lens {lens}": partial(
                 Calibration(INTRINSICS, EXTRINSICS, lens=lens, distortion=distortion).project,

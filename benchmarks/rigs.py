@@ -30,7 +30,6 @@ from numpy.typing import NDArray
 from runtime import project_points
 from runtime.bundled_models import find_model
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.projection import OcclusionFilter
 from runtime.io.images import read_rgb
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
@@ -41,7 +40,13 @@ from training.evaluation.evaluate import short_names
 from training.evaluation.metrics import FARTHEST_M, frame_errors
 from training.evaluation.scored_model import open_method, open_model
 from training.evaluation.scoring import Predict
-from training.lidar.split import LidarInput, frame_generator, random_share, split_lidar
+from training.lidar.split import (
+    LidarInput,
+    OcclusionFilter,
+    frame_generator,
+    random_share,
+    split_lidar,
+)
 from training.loading.open_dataset import open_dataset
 
 ROWS = 400

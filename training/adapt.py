@@ -18,7 +18,6 @@ from tqdm import tqdm
 
 from models import Network, SSDNetLite, load_checkpoint, save_checkpoint
 from runtime.errors import InputError
-from runtime.geometry.projection import OcclusionFilter
 from runtime.io.encode import encode_metres, encode_png
 from runtime.io.images import read_rgb
 from runtime.io.own_folder import atomic_folder
@@ -34,7 +33,7 @@ from training.evaluation.metrics import FARTHEST_M, frame_errors
 from training.evaluation.scored_model import method_predict, trained_classes
 from training.evaluation.scoring import Predict, torch_predict
 from training.initial_weights import Weights
-from training.lidar.split import SENSOR_LINES, is_kept, masked, random_share
+from training.lidar.split import SENSOR_LINES, OcclusionFilter, is_kept, masked, random_share
 from training.loading.open_dataset import open_dataset
 from training.loop import train
 from training.losses.total import TERMS

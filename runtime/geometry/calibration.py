@@ -14,7 +14,7 @@ from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.geometry.kitti_calibration import NumbersFile, chain, is_kitti
 from runtime.geometry.lens import PLUMB_BOB, Lens, as_key, rectifying_maps
-from runtime.geometry.projection import OcclusionFilter, check_intrinsics, project_points
+from runtime.geometry.projection import check_intrinsics, project_points
 from runtime.geometry.rigid import read_rigid
 from runtime.read_input import read_toml
 
@@ -38,7 +38,6 @@ class Calibration:
         extrinsics: float64 (4, 4) from the LiDAR's frame to the camera's [m]; the camera looks
             along z, x to the right.
         size: (height, width) of the images, None if unknown.
-        occlusion: removes returns that the camera cannot see; None: keeps them.
         body_from_lidar: float64 (4, 4) from the LiDAR's frame to the vehicle's [m], needed for
             poses of the frame "body"; None if unknown.
         lens: model of the images' distortion, "plumb_bob", "rational_polynomial" or "equidistant"
@@ -54,7 +53,6 @@ class Calibration:
     intrinsics: NDArray[np.float64]
     extrinsics: NDArray[np.float64]
     size: tuple[int, int] | None = None
-    occlusion: OcclusionFilter | None = None
     body_from_lidar: NDArray[np.float64] | None = None
     lens: str | None = None
     distortion: Sequence[float] | None = None
@@ -124,14 +122,7 @@ class Calibration:
             InputError: if the size is not the calibration's or the points are invalid.
         """
         self.require_size(size)
-        return project_points(
-            points,
-            self.intrinsics,
-            self.extrinsics,
-            size,
-            lens=self.lens_model,
-            occlusion=self.occlusion,
-        )
+        return project_points(points, self.intrinsics, self.extrinsics, size, lens=self.lens_model)
 
     def require_size(self, size: tuple[int, ...]) -> None:
         """Raise InputError if `size` is known and differs from this (height, width)."""

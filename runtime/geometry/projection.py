@@ -5,73 +5,19 @@ u - 0.5 to u + 0.5, as in the intrinsics of KITTI and OpenCV. A return at (u, v)
 (rint(u), rint(v)).
 """
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.checks import check_integer, check_number, shown
-from runtime.contract import MAX_DEPTH_RANGE_M, MAX_SIDE
+from runtime.checks import check_integer, shown
+from runtime.contract import MAX_SIDE
 from runtime.errors import InputError
 from runtime.geometry.lens import Lens, as_key, ray_bounds
 from runtime.geometry.rigid import check_matrix, read_rigid
 from runtime.returns import axes_of, check_points
 
 _INDEX_BITS = 32
-_MAX_WINDOW = 1023  # pixels
-_MAX_RELATIVE_GAP = 0.999
-
-
-@dataclass(frozen=True)
-class OcclusionFilter:
-    """Removes returns that the camera cannot see because something nearer is in front of them.
-
-    A LiDAR above or beside the camera looks past near objects, so far returns show through them in
-    the projection. A return at depth d is removed if one nearer than ``d * (1 - relative_gap) -
-    gap_m`` lies in the window around it. Background seen right beside an object's edge goes too;
-    surfaces at a grazing angle stay.
-
-    Attributes:
-        window: (height, width), odd, pixels. The default bridges the gap between two of 64 scan
-            lines in images of 1242 x 375.
-        relative_gap: 0 to 0.999.
-        gap_m: metres, 0 to 10,000.
-
-    Raises:
-        InputError: for values out of range.
-    """
-
-    window: tuple[int, int] = (15, 9)
-    relative_gap: float = 0.1
-    gap_m: float = 0.5
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        window = _check_sides("window", self.window, _MAX_WINDOW)
-        if not all(side % 2 for side in window):
-            raise InputError(f"each side of window must be odd, got {window}")
-        check_number("relative_gap", self.relative_gap, 0, _MAX_RELATIVE_GAP, error=InputError)
-        check_number("gap_m", self.gap_m, 0, MAX_DEPTH_RANGE_M, "metres", error=InputError)
-
-    def apply(
-        self, target: NDArray[np.float32], returns: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        """Return a depth map without its hidden returns.
-
-        Args:
-            target: float32 (H, W), metres, 0 = none.
-            returns: float32 (H, W), metres: all returns of the frame, whatever part of them
-                `target` holds.
-
-        Returns:
-            float32 (H, W), a new array.
-        """
-        measured = np.where(returns > 0, returns, np.float32(np.inf))
-        nearest = cv2.erode(measured, np.ones(self.window, dtype=np.uint8))
-        visible = nearest >= target * np.float32(1 - self.relative_gap) - np.float32(self.gap_m)
-        return np.where(visible, target, np.float32(0))
 
 
 class ProjectedPoints(NamedTuple):
@@ -93,7 +39,6 @@ def project_points(
     size: tuple[int, int],
     *,
     lens: Lens | None = None,
-    occlusion: OcclusionFilter | None = None,
 ) -> NDArray[np.float32]:
     """Project LiDAR returns into a camera as a sparse depth map.
 
@@ -108,7 +53,6 @@ def project_points(
         size: (height, width) of the image.
         lens: the distortion of the image; None = it is rectified. Returns outside the lens's field
             are dropped.
-        occlusion: removes returns that the camera cannot see; None = keeps them.
 
     Returns:
         float32 (height, width), metres along the optical axis, 0 = no return.
@@ -117,9 +61,7 @@ def project_points(
         InputError: for points, matrices or a size of another type or shape, for matrices that are
             not those of a camera, and for a scan whose points are none.
     """
-    return project_with_rows(
-        points, intrinsics, extrinsics, size, lens=lens, occlusion=occlusion
-    ).sparse_depth
+    return project_with_rows(points, intrinsics, extrinsics, size, lens=lens).sparse_depth
 
 
 def project_with_rows(
@@ -129,13 +71,12 @@ def project_with_rows(
     size: tuple[int, int],
     *,
     lens: Lens | None = None,
-    occlusion: OcclusionFilter | None = None,
 ) -> ProjectedPoints:
     """Project as `project_points`, and also return the point of each pixel; ties keep the first."""
     check_points(points)
     check_intrinsics(intrinsics)
     extrinsics = read_rigid("extrinsics", extrinsics)
-    height, width = _check_sides("size", size, MAX_SIDE)
+    height, width = _check_size(size)
     axes = axes_of(points)
     with np.errstate(over="ignore", invalid="ignore"):
         product = intrinsics.astype(np.float64) @ extrinsics[:3].astype(np.float64)
@@ -177,9 +118,6 @@ def project_with_rows(
     sparse_depth.reshape(-1)[pixel] = z[order]
     rows = np.full((height, width), -1, dtype=np.int32)
     rows.reshape(-1)[pixel] = row[order]
-    if occlusion is not None:
-        sparse_depth = occlusion.apply(sparse_depth, sparse_depth)
-        rows[sparse_depth == 0] = -1
     return ProjectedPoints(sparse_depth, rows)
 
 
@@ -218,11 +156,11 @@ def check_intrinsics(matrix: Any, name: str = "intrinsics") -> None:
         )
 
 
-def _check_sides(name: str, sides: Any, most: int) -> tuple[int, int]:
-    if not isinstance(sides, tuple) or len(sides) != 2:
-        raise InputError(f"{name} must be (height, width), got {shown(sides)}")
+def _check_size(size: Any) -> tuple[int, int]:
+    if not isinstance(size, tuple) or len(size) != 2:
+        raise InputError(f"size must be (height, width), got {shown(size)}")
     height, width = (
-        check_integer(f"each side of {name}", side, 1, most, "pixels", error=InputError)
-        for side in sides
+        check_integer("each side of size", side, 1, MAX_SIDE, "pixels", error=InputError)
+        for side in size
     )
     return height, width

@@ -9,7 +9,6 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
-from runtime.geometry.projection import OcclusionFilter
 from runtime.sources.kitti_raw import KittiRawSource
 from runtime.sources.source import ListedFrame
 from training.datasets.class_mapping import ClassTable
@@ -23,6 +22,7 @@ from training.datasets.files import (
 from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import Names, SourceRecipe
 from training.lidar.scan import project_lines
+from training.lidar.split import OcclusionFilter
 from training.limits import STRICT
 
 #: Images that were published without their scans.

@@ -1,6 +1,5 @@
 """Calibrations from every kind of file come to the same pixels."""
 
-import dataclasses
 import re
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import pytest
 from runtime.errors import InputError
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import Lens
-from runtime.geometry.projection import OcclusionFilter, project_points
+from runtime.geometry.projection import project_points
 
 K = np.array([[700.0, 0, 320], [0, 710, 120], [0, 0, 1]])
 P2 = np.hstack([K, K @ [[0.06], [-0.01], [0.002]]])
@@ -186,8 +185,6 @@ def test_projection_is_project_points_and_minds_the_size():
     expected = project_points(points, K, extrinsics(), SIZE)
     np.testing.assert_array_equal(calibration.project(points, SIZE), expected)
     assert np.count_nonzero(expected) > 50
-    filtered = dataclasses.replace(calibration, occlusion=OcclusionFilter(window=(81, 81)))
-    assert np.count_nonzero(filtered.project(points, SIZE)) < np.count_nonzero(expected)
     with pytest.raises(InputError, match="scale the intrinsics"):
         calibration.project(points, (120, 320))
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from runtime import InputError, project_points
-from runtime.geometry.projection import OcclusionFilter, project_with_rows
+from runtime.geometry.projection import project_with_rows
 
 SIZE = (24, 60)
 K = np.array([[30.0, 0, 29.5], [0, 30.0, 11.5], [0, 0, 1]])
@@ -62,8 +62,8 @@ def at(u, v, depth):
     return (np.linalg.inv(LIDAR_TO_CAMERA) @ (*camera, 1))[:3]
 
 
-def project(*points, **options):
-    return project_points(np.array(points, np.float32), K, LIDAR_TO_CAMERA, SIZE, **options)
+def project(*points):
+    return project_points(np.array(points, np.float32), K, LIDAR_TO_CAMERA, SIZE)
 
 
 @pytest.mark.parametrize(
@@ -96,23 +96,6 @@ def test_points_that_are_not_finite_are_left_out(bad, place):
     assert np.argwhere(depth).tolist() == [[9, 9]]
 
 
-def test_occlusion_filter_takes_away_what_shows_through_a_near_object():
-    wall = [at(u, v, 30.0) for u in range(10, 50, 2) for v in range(4, 20, 3)]
-    car = [at(u, v, 8.0) for u in range(20, 30, 2) for v in range(5, 20, 3)]
-    filtered = project(*wall, *car, occlusion=OcclusionFilter(window=(5, 3)))
-    plain = project(*wall, *car)
-    assert (plain[4:20, 20:30] > 20).any()
-    assert not (filtered[4:20, 20:30] > 20).any()
-    near = (plain > 0) & (plain < 10)
-    np.testing.assert_array_equal(filtered[near], plain[near])
-    assert (filtered[:, 40:] == plain[:, 40:]).all()
-    points = np.array([*wall, *car], np.float32)
-    rows = project_with_rows(
-        points, K, LIDAR_TO_CAMERA, SIZE, occlusion=OcclusionFilter(window=(5, 3))
-    ).rows
-    assert ((rows >= 0) == (filtered > 0)).all()
-
-
 @pytest.mark.parametrize(("key", "value"), [
     ("points", np.zeros((5, 3))), ("points", np.zeros((5, 2), np.float32)),
     ("intrinsics", K.astype(int)), ("intrinsics", K[:2]), ("intrinsics", K * np.nan),
@@ -125,22 +108,3 @@ def test_other_inputs_are_named(key, value):
     arguments = {"points": scan(5, 0), "intrinsics": K, "extrinsics": LIDAR_TO_CAMERA, "size": SIZE}
     with pytest.raises(InputError, match=key):
         project_points(**arguments | {key: value})
-
-
-@pytest.mark.parametrize("options", [
-    {"window": (4, 3)}, {"window": 5}, {"window": (10**9 + 1, 3)}, {"relative_gap": 1.0},
-    {"gap_m": -1.0},
-])  # fmt: skip
-def test_filters_that_make_no_sense_are_refused(options):
-    with pytest.raises(InputError, match="must be"):
-        OcclusionFilter(**options)
-
-
-def test_slopes_stay_and_the_window_is_how_far_a_near_return_hides():
-    returns = np.zeros((21, 21), dtype=np.float32)
-    returns[10, 8], returns[10, 11] = 5.0, 40.0  # 40 m shows through beside 5 m
-    returns[2, 2], returns[4, 2] = 10.0, 11.0  # a slope
-    visible = OcclusionFilter(window=(15, 9)).apply(returns, returns)
-    assert visible[10, 11] == 0
-    assert (visible[10, 8], visible[2, 2], visible[4, 2]) == (5.0, 10.0, 11.0)
-    assert OcclusionFilter(window=(15, 5)).apply(returns, returns)[10, 11] == 40.0

@@ -7,7 +7,7 @@ import pytest
 
 from runtime.errors import InputError
 from training.datasets.sample import Sample
-from training.lidar.split import LidarInput, split_lidar
+from training.lidar.split import LidarInput, OcclusionFilter, split_lidar
 
 SIZE = (48, 160)
 K = np.array([[80.0, 0, 80], [0, 80.0, 20], [0, 0, 1]])
@@ -142,3 +142,13 @@ def test_simulated_lines_need_intrinsics_and_a_random_share_none(dense, rng):
     blind = replace(dense, intrinsics=None)
     assert split(blind, "own", rng) is split(blind, "16", rng) is None
     assert split(blind, "random:0.1", rng).fed.any()
+
+
+def test_slopes_stay_and_the_window_is_how_far_a_near_return_hides():
+    returns = np.zeros((21, 21), dtype=np.float32)
+    returns[10, 8], returns[10, 11] = 5.0, 40.0  # 40 m shows through beside 5 m
+    returns[2, 2], returns[4, 2] = 10.0, 11.0  # a slope
+    visible = OcclusionFilter(window=(15, 9)).apply(returns, returns)
+    assert visible[10, 11] == 0
+    assert (visible[10, 8], visible[2, 2], visible[4, 2]) == (5.0, 10.0, 11.0)
+    assert OcclusionFilter(window=(15, 5)).apply(returns, returns)[10, 11] == 40.0
