@@ -50,8 +50,7 @@ def run(predictor, folders, **options):
 
 
 def test_every_frame_is_predicted_and_written_in_order(predictor, stream_of, make_frame):
-    written = []
-    seen = []
+    written, seen = [], []
     result = run(
         predictor,
         stream_of(12),
@@ -60,17 +59,15 @@ def test_every_frame_is_predicted_and_written_in_order(predictor, stream_of, mak
     )
     names = [str(index) for index in range(12)]
     assert [record.name for record in result.records] == names
-    assert [name for name, _, _ in written] == names
-    assert seen == list(range(12))
-    assert not result.interrupted
-    for index, (_, rgb, prediction) in enumerate(written):
+    assert (seen, result.interrupted) == (list(range(12)), False)
+    for index, (name, rgb, prediction) in enumerate(written):
         expected_rgb, expected_depth = make_frame(seed=index)
+        assert name == names[index]
         assert np.array_equal(rgb, expected_rgb)
         expected = np.rint(expected_depth * 256) / 256 + 1.5
         np.testing.assert_allclose(prediction.depth, expected, rtol=1e-6)
     for record in result.records:
-        assert record.status == "ok"
-        assert record.prediction.frame_size == (48, 64)
+        assert (record.status, record.prediction.frame_size) == ("ok", (48, 64))
         assert record.read_ms > 0
         assert record.write_ms is not None
         latency = record.prediction.latency

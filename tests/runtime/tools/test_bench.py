@@ -57,15 +57,14 @@ def write_convolution(path):
 
 def test_our_model_and_a_foreign_one_stand_side_by_side(run, model_file, tmp_path):
     foreign = write_convolution(tmp_path / "foreign|one.onnx")
-    arguments = [model_file(), foreign, "--size", "64x96", "--batch", 2, "--batch", 3]
-    result, cells = run(*arguments)
+    result, cells = run(model_file(), foreign, "--size", "64x96", "--batch", 2, "--batch", 3)
     assert result.exit_code == 0, result.output
     first = result.output.splitlines()[0]
     assert machine_facts().processor in first
     assert "2 runs in turn" in first
-    for case in ("32 x 48", "64 x 96"):
-        for batch in (2, 3):
-            assert f"**{case}, threads 1, batch {batch}**" in result.output
+    cases = [line for line in result.output.splitlines() if line.startswith("**")]
+    sizes = [f"{size}, threads 1, batch {n}" for size in ("32 x 48", "64 x 96") for n in (2, 3)]
+    assert cases == [f"**{case}**" for case in sizes]
     titles, ours, theirs, _, more, _, _, large, *_ = cells
     assert len(titles) == len(ours) == len(theirs) == 10
     assert (ours[1], more[1], large[1]) == ("2x32x48x3", "3x32x48x3", "2x64x96x3")
@@ -171,22 +170,16 @@ def test_a_latency_counts_from_when_the_frame_is_due(monkeypatch, period_s, late
 @pytest.mark.parametrize(("shape", "filled", "notes"), [
     (["N", 3, "H", "W"], (4, 3, 32, 48), ()),
     (["batch", None, None, 3], (4, 32, 48, 3), ()),
-    ([1, 3, "H", "W"], (1, 3, 32, 48), ("its own batch",)),
-    (["N", "C", "H", "W"], (4, 3, 32, 48), ()),
     (["batch_size", "in_channels", "img_height", "img_width"], (4, 3, 32, 48), ()),
-    (["N", 3, "H", 96], (4, 3, 32, 96), ("its own size",)),
-    (["s0", 3, 32, "s1"], None, ("s1",)),
-    ([1, "x", "y", 1], (1, 32, 48, 1), ("its own batch",)),
-    (["N", 64, "a", "b"], (4, 64, 32, 48), ()),
-    (["N", "height", "width"], (4, 32, 48), ()),
-    (["N", "a", "b"], None, ("a",)),
-    (["H", "W", 3], (32, 48, 3), ("its own batch",)),
     (["N", "W", "H", 3], (4, 48, 32, 3), ()),
+    (["N", 3, "H", 96], (4, 3, 32, 96), ("its own size",)),
+    ([1, "x", "y", 1], (1, 32, 48, 1), ("its own batch",)),
+    (["H", "W", 3], (32, 48, 3), ("its own batch",)),
     (["N", 8], (4, 8), ("its own size",)),
-    (["N", "tokens", 8], None, ("tokens",)),
-    (["N", 3, "a", 3], None, ("a",)),
-    (["N", "C", "x", 96], None, ("x",)),
     ([], (), ("its own size", "its own batch")),
+    (["s0", 3, 32, "s1"], None, ("s1",)),
+    (["N", "a", "b"], None, ("a",)),
+    (["N", "C", "x", 96], None, ("x",)),
 ])  # fmt: skip
 def test_free_axes_are_filled_where_they_are_certain(shape, filled, notes):
     inputs = [SimpleNamespace(name="x", type="tensor(float)", shape=shape)]
@@ -221,12 +214,10 @@ def test_inputs_are_noise_or_one_valid_value(element, dtype, values):
 
 
 def test_ctrl_c_prints_what_there_is(run, model_file, monkeypatch):
-    calls = []
-    real = bench_worker.time_runs
+    real, calls = bench_worker.time_runs, iter(range(100))
 
     def interrupted(*arguments):
-        calls.append(arguments)
-        if len(calls) == 9:  # 2 are opened and warmed up, then 5 runs
+        if next(calls) == 8:  # 2 are opened and warmed up, then 4 runs
             os.kill(os.getpid(), signal.SIGINT)
             time.sleep(0.1)
         return real(*arguments)
@@ -235,8 +226,7 @@ def test_ctrl_c_prints_what_there_is(run, model_file, monkeypatch):
     result, cells = run(model_file(), model_file(), "--rounds", 9, "--size", "64x96")
     assert result.exit_code == 130
     assert "9 runs in turn, interrupted" in result.output
-    assert len(cells) == 3
-    assert all(float(row[2]) > 0 for row in cells[1:])
+    assert [float(row[2]) > 0 for row in cells[1:]] == [True, True]
 
 
 @pytest.mark.parametrize(
