@@ -4,7 +4,6 @@ No test with them sleeps: the clock is moved by hand, and a prediction lasts unt
 opened.
 """
 
-import contextlib
 import threading
 from types import SimpleNamespace
 
@@ -28,8 +27,6 @@ class ManualClock:
         self._now_ns = 0
         self._conditions = set()
         self._lock = threading.Lock()
-        self._waiting = {}  # thread -> what it waits for
-        self._a_thread_waits = threading.Condition()
 
     def now_ns(self):
         return self._now_ns
@@ -38,22 +35,7 @@ class ManualClock:
         with self._lock:
             self._conditions.add(changed)
         if timeout_ns is None or timeout_ns > 0:
-            with self._a_thread_waits:
-                self._waiting[threading.get_ident()] = changed
-                self._a_thread_waits.notify_all()
             assert changed.wait(60), "a test that hangs fails"
-            with self._a_thread_waits:
-                del self._waiting[threading.get_ident()]
-
-    def holds_up(self, thread):
-        """Whether `thread` starts to wait."""
-        with self._a_thread_waits:
-            seen = self._a_thread_waits.wait_for(lambda: thread.ident in self._waiting, timeout=60)
-        changed = self._waiting.get(thread.ident)
-        with (
-            changed or contextlib.nullcontext()
-        ):  # no thread is between: a notified one waits again or has moved
-            return seen and thread.ident in self._waiting
 
     def advance_ms(self, milliseconds):
         with self._lock:
