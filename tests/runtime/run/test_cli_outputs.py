@@ -1,11 +1,14 @@
 """The files that ssdnet-run writes, and those that it leaves alone."""
 
+import dataclasses
 import json
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from cli_runs import N, arguments, files_in, rows_of
+from runtime import OutputError
 from runtime.run.cli import app
 from runtime.run.options import KINDS, RunOptions
 from runtime.run.run import run as run_command
@@ -66,23 +69,18 @@ def test_a_full_disk_is_exit_code_1_with_whole_files_only(tmp_path, run, mount_d
 
 def test_a_second_run_has_a_folder_of_its_own(tmp_path, stream, all_heads, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    rgb, depth = stream
-    given = ["--rgb", rgb, "--depth", depth, "--limit", 1, "--save", "none", "--model", all_heads]
-    for name in ("ssdnet-run", "ssdnet-run-2", "ssdnet-run-3"):
-        result = CliRunner().invoke(app, [str(a) for a in given])
-        assert result.exit_code == 0, result.output
-        assert f"results: {tmp_path / name}\n" in result.stdout
-        assert (tmp_path / name / "report.json").exists()
-    replaced = CliRunner().invoke(app, [str(a) for a in [*given, "--overwrite"]])
-    assert f"results: {tmp_path / 'ssdnet-run'}\n" in replaced.stdout
-    refused = CliRunner().invoke(app, [str(a) for a in [*given, "--out", "ssdnet-run"]])
-    assert (refused.exit_code, "is not empty" in refused.stderr) == (1, True)
-    at_once = [RunOptions(rgb=rgb, depth=depth, model=str(all_heads), save=["none"]) for _ in "12"]
-    assert [options.folder.name for options in at_once] == ["ssdnet-run-4"] * 2
-    assert [run_command(options).out.name for options in at_once] == [
-        "ssdnet-run-4",
-        "ssdnet-run-5",
-    ]
+    options = RunOptions(
+        rgb=stream[0], depth=stream[1], limit=1, save=["none"], model=str(all_heads)
+    )
+    names = ("ssdnet-run", "ssdnet-run-2", "ssdnet-run-3")
+    assert [run_command(options).out.name for _ in names] == [*names]
+    replaced = run_command(dataclasses.replace(options, overwrite=True))
+    assert replaced.out.name == "ssdnet-run"
+    with pytest.raises(OutputError, match="is not empty"):
+        run_command(dataclasses.replace(options, out=Path("ssdnet-run")))
+    at_once = [dataclasses.replace(options) for _ in "12"]
+    assert [each.folder.name for each in at_once] == ["ssdnet-run-4"] * 2
+    assert [run_command(each).out.name for each in at_once] == ["ssdnet-run-4", "ssdnet-run-5"]
 
 
 def test_only_what_the_model_answers_is_saved(tmp_path, stream, model_file):
@@ -98,22 +96,18 @@ def test_only_what_the_model_answers_is_saved(tmp_path, stream, model_file):
     assert report["saved"] == ["semantic", "depth", "overlay"]
 
 
-def test_places_that_cannot_be_written_are_errors_before_the_run(tmp_path, run, monkeypatch):
+@pytest.mark.parametrize("place", ["taken", "file/a", "loop/a", "n" * 256])
+@pytest.mark.parametrize("option", ["--record", "--out"])
+def test_places_that_cannot_be_written_are_errors_before_the_run(
+    tmp_path, run, monkeypatch, option, place
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("mine")
     (tmp_path / "taken").mkdir()
+    (tmp_path / "taken/mine").touch()
     (tmp_path / "loop").symlink_to("loop")
     before = files_in(tmp_path)
-    for options in (
-        ["--record", "taken"],
-        ["--record", "file/a"],
-        ["--record", "loop/recording"],
-        ["--record", "n" * 256],
-        ["--out", "file/out"],
-        ["--out", "loop/out"],
-        ["--out", "n" * 256],
-    ):
-        result = run(*options)
-        assert result.exit_code == 1, (options, result.exception)
-        assert result.stderr.startswith("error: ")
-        assert files_in(tmp_path) == before
+    result = run(option, place)
+    assert result.exit_code == 1, result.exception
+    assert result.stderr.startswith("error: ")
+    assert files_in(tmp_path) == before

@@ -65,15 +65,12 @@ def test_statistics_hold_every_answer(setup):
     made = setup(deadline_ms=30)
     for number, takes_ms in enumerate([10, 40, 50, 20]):
         made.predictor.takes_ms = takes_ms
-        made.stream.push_image(image(), number / 10)
-        made.stream.push_depth(depth(), number / 10)
+        push_pair(made.stream, number)
         next(made.stream)
-    statistics = made.stream.statistics
-    stages = statistics.stages
+    statistics, stages = made.stream.statistics, made.stream.statistics.stages
     assert (stages["latency"].n, stages["latency"].max_ms, stages["latency"].mean_ms) == (4, 50, 30)
     assert stages["age"] == stages["latency"]
-    assert (stages["skew"].n, stages["skew"].max_ms) == (4, 0)
-    assert (stages["jitter"].n, stages["predict"].n) == (3, 4)
+    assert (stages["skew"].max_ms, stages["jitter"].n, stages["predict"].n) == (0, 3, 4)
     assert (statistics.missed.count, statistics.missed.longest_run) == (2, 2)
 
 

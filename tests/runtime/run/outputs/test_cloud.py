@@ -27,9 +27,6 @@ def test_the_command_writes_clouds(tmp_path, run, stream, all_heads, read_ply, o
     np.testing.assert_array_equal(points["green"], expected.rgb[:, 1])
     np.testing.assert_array_equal(points["label"], expected.semantic)
     assert "comment label 0 dark 0 0 128" in lines
-    again = [option, toml if option == "--calibration" else 62, "--save", "cloud", "--limit", 1]
-    assert run(*again, "--overwrite").exit_code == 0, "clouds are replaced with their run"
-    assert [path.name for path in (tmp_path / "out/cloud").iterdir()] == ["f0.ply"]
 
 
 def test_without_a_camera_the_command_fails_before_anything_is_written(tmp_path, run):
@@ -37,8 +34,3 @@ def test_without_a_camera_the_command_fails_before_anything_is_written(tmp_path,
     assert result.exit_code == 1
     assert "--save cloud needs the camera's intrinsics: give --calibration" in result.stderr
     assert not (tmp_path / "out").exists()
-
-
-def test_all_is_all_but_the_clouds(tmp_path, run):
-    assert run("--focal-length", 60, "--limit", 1).exit_code == 0
-    assert not (tmp_path / "out" / "cloud").exists()
