@@ -16,7 +16,7 @@ from runtime import Predictor
 from runtime.run.options import KINDS, RunOptions
 from runtime.run.outputs.frame_writer import FrameWriter, make_run_folder
 from runtime.run.outputs.output import OpenRun
-from runtime.run.pipeline import FrameReader, dedicate_process, run_stream
+from runtime.run.pipeline import dedicate_process, run_stream
 from runtime.sources.bundled_stream import bundled_stream
 from runtime.sources.folders import FolderSource
 from runtime.streams.answerer import Answerer
@@ -58,7 +58,7 @@ def main() -> None:
             print(f"| {done} | {resident_mb():.1f} |", flush=True)
             if done < arguments.frames:
                 repeated = [listed[index % len(listed)] for index in range(part)]
-                run_stream(Answerer(engine), repeated, FrameReader(source), outputs=[writer])
+                run_stream(Answerer(engine), repeated, source, outputs=[writer])
 
 
 if __name__ == "__main__":

@@ -73,35 +73,10 @@ class Output(Protocol):
         """Write the answer to a frame; always called from one thread. Raises OutputError."""
 
 
-class FrameReader:
-    """Reads the frames of a source; the first frames may be read before the stream, once."""
-
-    def __init__(self, source: Source) -> None:
-        self._source = source
-        self._kept: dict[int, tuple[Frame, float]] = {}
-
-    def read_first(self, listed: ListedFrame) -> Frame:
-        """Read a frame and keep it until `read` takes it or a later one. Raises InputError."""
-        if listed.sequence not in self._kept:
-            self._kept[listed.sequence] = self._read(listed)
-        return self._kept[listed.sequence][0]
-
-    def read(self, listed: ListedFrame) -> tuple[Frame, float]:
-        """Return a frame and the time of reading it [ms]; called in order. Raises InputError."""
-        timed = self._kept.get(listed.sequence)
-        self._kept = {n: each for n, each in self._kept.items() if n > listed.sequence}
-        return timed or self._read(listed)
-
-    def _read(self, listed: ListedFrame) -> tuple[Frame, float]:
-        started = time.perf_counter()
-        frame = self._source.read(listed)
-        return frame, (time.perf_counter() - started) * 1e3
-
-
 def run_stream(
     answerer: Answerer,
     frames: Sequence[ListedFrame],
-    reader: FrameReader,
+    source: Source,
     *,
     rate_hz: float | None = None,
     deadline_ms: float | None = None,
@@ -118,7 +93,7 @@ def run_stream(
     Args:
         answerer: answers the frames, in the calling thread.
         frames: to read.
-        reader: reads them in order, in the reading thread.
+        source: reads them in order, in the reading thread.
         rate_hz: frames are due at this rate from the start on, and none is predicted earlier
             (constant stream of MLPerf); None = each when the one before is done (single stream).
         deadline_ms: limit of `FrameResult.latency_ms`; None = no limit.
@@ -136,9 +111,15 @@ def run_stream(
     waiting = iter(enumerate(frames))
     jitter = Jitter()
 
+    def read(listed: ListedFrame) -> tuple[Frame, float]:
+        """Return a frame and the time of reading it [ms]."""
+        started = time.perf_counter()
+        frame = source.read(listed)
+        return frame, (time.perf_counter() - started) * 1e3
+
     def read_next() -> None:
         for index, listed in waiting:
-            reads.append((index, listed.name, reading_thread.submit(reader.read, listed)))
+            reads.append((index, listed.name, reading_thread.submit(read, listed)))
             return
 
     def answer(

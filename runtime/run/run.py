@@ -15,7 +15,7 @@ from runtime.run.options import CLOUD, KINDS, SAVED_HEADS, RunOptions
 from runtime.run.outputs.frame_writer import make_run_folder
 from runtime.run.outputs.output import OpenRun
 from runtime.run.outputs.registry import open_outputs, require_outputs
-from runtime.run.pipeline import FrameReader, StreamResult, dedicate_process, run_stream
+from runtime.run.pipeline import StreamResult, dedicate_process, run_stream
 from runtime.run.run_report import RunReport, describe_predictor, group_reasons, write_report
 from runtime.sources.source import ListedFrame, Source
 from runtime.streams.answerer import Answerer, known_focal_length_px
@@ -103,7 +103,6 @@ class _Stream:
     Attributes:
         source: of the frames.
         frames: to answer.
-        reader: has read the first of them.
         predictor: warmed up at their size.
         kinds: of files to write of each frame.
         frame_size: (height, width) of the first frame; None = none can be predicted.
@@ -114,7 +113,6 @@ class _Stream:
 
     source: Source
     frames: Sequence[ListedFrame]
-    reader: FrameReader
     predictor: Predictor
     kinds: tuple[str, ...]
     frame_size: tuple[int, int] | None
@@ -139,12 +137,11 @@ def _prepare(options: RunOptions, source: Source, predictor: Predictor) -> _Stre
     frames = listed[options.part]
     focal_px = known_focal_length_px(predictor, source.calibration)
     kinds = _answered_kinds(options, predictor, focal_px)
-    reader = FrameReader(source)
-    size = _warm_up(predictor, frames, reader, runs=options.warmup)
+    size = _warm_up(predictor, frames, source, runs=options.warmup)
     scale = predictor.camera_scale(size, focal_length_px=focal_px) if size else None
     # Of the first frames of all shards, which so have the same finding.
-    fault = find_depth_fault(predictor, listed, source, reader)
-    return _Stream(source, frames, reader, predictor, kinds, size, focal_px, scale, fault)
+    fault = find_depth_fault(predictor, listed, source)
+    return _Stream(source, frames, predictor, kinds, size, focal_px, scale, fault)
 
 
 def _answer(
@@ -167,7 +164,7 @@ def _answer(
         result = run_stream(
             answerer,
             stream.frames,
-            stream.reader,
+            stream.source,
             rate_hz=options.rate,
             deadline_ms=options.deadline_ms,
             outputs=outputs,
@@ -203,7 +200,7 @@ def _answered_kinds(
 
 
 def _warm_up(
-    predictor: Predictor, frames: Sequence[ListedFrame], reader: FrameReader, *, runs: int
+    predictor: Predictor, frames: Sequence[ListedFrame], source: Source, *, runs: int
 ) -> tuple[int, int] | None:
     """Warm up at the size of the first frame that can be predicted; returns that size.
 
@@ -213,7 +210,7 @@ def _warm_up(
     reasons = []
     for listed in frames[:_FIRST_FRAMES]:
         try:
-            frame = reader.read_first(listed)
+            frame = source.read(listed)
             check_sparse_depth(frame.sparse_depth, size=frame.size)
             predictor.warm_up(frame.size, runs=runs)
         except SSDNetError as error:

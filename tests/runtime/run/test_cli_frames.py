@@ -15,7 +15,6 @@ from cli_runs import N, arguments, files_in, rows_of
 from runtime.io.recording import read_recording
 from runtime.run.cli import app
 from runtime.run.options import KINDS
-from runtime.sources.folders import FolderSource
 
 
 @pytest.fixture
@@ -162,21 +161,6 @@ def test_folders_that_make_no_stream_are_exit_code_1(tmp_path, run, stream):
     assert result.exit_code == 1
     assert "no name occurs in both" in result.stderr
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("given", [(), ("--shard", "2/3")])
-def test_each_frame_is_read_once(tmp_path, run, given, monkeypatch):
-    """Also the first ones, on which the run warms up and checks the depth."""
-    names, read = [], FolderSource.read
-
-    def count(self, listed):
-        names.append(listed.name)
-        return read(self, listed)
-
-    monkeypatch.setattr(FolderSource, "read", count)
-    assert run("--save", "none", *given).exit_code == 0
-    assert {row["name"] for row in rows_of(tmp_path / "out")} <= {*names}
-    assert len(names) == len({*names})
 
 
 @pytest.mark.parametrize("n", [19, 21])

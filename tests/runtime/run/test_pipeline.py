@@ -12,7 +12,7 @@ import pytest
 import runtime.io.images
 import runtime.run.pipeline
 from runtime import OutputError, Predictor
-from runtime.run.pipeline import FrameReader, run_stream
+from runtime.run.pipeline import run_stream
 from runtime.sources.folders import FolderSource
 from runtime.streams.answerer import Answerer
 
@@ -44,7 +44,7 @@ def run(predictor, folders, **options):
     source = FolderSource(folders[0], depth=folders[1])
     if write := options.pop("write", None):
         options["outputs"] = [SimpleNamespace(write=write)]
-    reader = FrameReader(SimpleNamespace(read=options.pop("read", source.read)))
+    reader = SimpleNamespace(read=options.pop("read", source.read))
     answerer = Answerer(predictor, check_depth=False)
     return run_stream(answerer, source.list_frames(), reader, **options)
 
