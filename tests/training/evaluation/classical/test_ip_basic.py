@@ -68,20 +68,6 @@ def test_ip_basic_equals_scipy(share):
     np.testing.assert_allclose(ours, ip_basic_in_scipy(sparse_depth), atol=1e-3)
 
 
-def test_ip_basic_dilates_one_point_and_extends_its_columns_up():
-    point = np.zeros((60, 80), np.float32)
-    point[40, 30] = 20.0
-    filled = complete(point)
-    known = filled > 0
-    inside = cv2.erode(known.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    np.testing.assert_allclose(filled[inside], 20.0, atol=1e-4)
-    # Dilated by 2, closed, by 3, then by 15 around the column: 30 +- 20 wide, 40 + 20 deep.
-    assert known[10, 10:51].all()
-    assert not known[10, :10].any()
-    assert not known[10, 51:].any()
-    assert known[:60, 30].all()
-
-
 def multiscale_in_scipy(sparse_depth):
     """Its steps once more, pixel by pixel where a range or a column decides."""
     height, width = sparse_depth.shape
@@ -115,13 +101,3 @@ def test_the_multiscale_variant_equals_scipy(share):
     sparse_depth = random_returns(share)
     ours = complete(sparse_depth, IPBasicMultiscale)
     np.testing.assert_allclose(ours, multiscale_in_scipy(sparse_depth), atol=1e-3)
-
-
-def test_the_bilateral_blur_keeps_a_step_that_the_gaussian_softens():
-    step = np.full((60, 80), 10.0, np.float32)
-    step[:, 40:] = 30.0
-    between = {}
-    for method in (IPBasic, IPBasicMultiscale):
-        filled = complete(step, method)
-        between[method] = int(((filled > 11) & (filled < 29)).sum())
-    assert between[IPBasicMultiscale] == 0 < between[IPBasic]

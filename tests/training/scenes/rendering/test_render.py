@@ -97,21 +97,6 @@ def test_sun_throws_a_shadow_and_an_overcast_sky_does_not():
     assert brightness(replace(overhead, sun=(0.0, 0.0, 0.0))) > 0.85
 
 
-def test_fog_washes_out_what_is_far():
-    dark = replace(WALL, color=(0.02, 0.02, 0.02))
-    near, far = box((1, 6, 6), (10, -5, 3), dark), box((1, 60, 60), (150, 60, 30), dark)
-    street = hand_made_street(GROUND, near, far)
-    fog = draw_weather("fog", 1)
-
-    def contrast(weather):
-        frame = rendered(street, weather)
-        near_by = (frame.label == SceneClass.BUILDING) & (frame.depth < 20)
-        return frame.rgb[frame.depth > 140].mean() / frame.rgb[near_by].mean()
-
-    assert contrast(fog) > 2.0
-    assert contrast(replace(fog, haze=1e-6)) < 1.5
-
-
 def test_poses_and_depth_of_a_stream_fit_together():
     """Static points of one frame, moved by the poses, meet the depth of a later frame."""
     street = replace(build_street(7, kind="town"), actors=())

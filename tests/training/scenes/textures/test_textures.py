@@ -10,7 +10,6 @@ from training.scenes.textures.noise import fractal_noise, value_noise
 from training.scenes.textures.paint import Stripe, band, paint_cover
 from training.scenes.textures.surface import SurfaceKind
 from training.scenes.things.mesh import Look, ellipsoid, polygon, tube
-from training.scenes.things.people import draw_dress, make_cyclist, make_walker
 from training.scenes.things.vehicles import make_bus, make_car, make_truck, make_van
 
 PLAIN = Look(SurfaceKind.PLAIN, (0.5, 0.4, 0.3), SceneClass.MISC, (2.0, 3.0))
@@ -94,14 +93,3 @@ def test_vehicles_have_their_size_and_stand_on_the_road(make):
         assert height[0] < high[2] < height[1]
         assert abs(low[2]) < 0.02
         assert (mesh.label == label).all()
-
-
-def test_people_walk_and_ride():
-    dress = draw_dress(np.random.default_rng(2))
-    walker = [make_walker(dress, phase) for phase in (0.0, 0.25)]
-    assert walker[0].positions[..., 2].max() == pytest.approx(dress.height, rel=0.05)
-    assert np.ptp(walker[1].positions[..., 0]) > np.ptp(walker[0].positions[..., 0]) + 0.1
-    cyclist = make_cyclist(dress, 0.3)
-    assert (cyclist.label == SceneClass.CYCLIST).all()
-    assert 1.6 < cyclist.positions[..., 2].max() < 2.0
-    assert np.ptp(cyclist.positions[..., 0]) == pytest.approx(1.75, abs=0.15)
