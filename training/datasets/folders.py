@@ -134,14 +134,13 @@ class Folders(FrameList):
         """
         if not lacking:
             return
-        text = f"{folder}: has no file of the frame {lacking[0]} ({len(lacking)} of "
-        text += f"{len(self._frames)} frames lack it)"
-        if len(lacking) == len(self._frames):
-            raise DatasetError(f"{text}. Add the files, or leave the folder out.")
-        if self._recipe.missing == "error":
+        count = len(self._frames)
+        text = f"{folder}: has no file of the frame {lacking[0]} ({len(lacking)} of {count} frames"
+        text += " lack it)"
+        if len(lacking) == count or self._recipe.missing == "error":
             raise DatasetError(
-                f"{text}. Add the files, or leave out the target of such frames with missing = "
-                '"skip-target".'
+                f"{text}. Add the files, or leave the folder out. Where single files are missing, "
+                'missing = "skip-target" leaves out the target of their frames.'
             )
         tqdm.write(f"warning: {text}: not a target, or no LiDAR, there", file=sys.stderr)
 
@@ -202,18 +201,16 @@ class Folders(FrameList):
 def _label_ids(recipe: FoldersRecipe, classes: ClassTable) -> dict[int, int]:
     """Return id in the files -> id in the class table, `IGNORE` for none."""
     names = [info.name for info in list_classes(classes)]
-    for index, name in (recipe.label_ids or {}).items():
-        if name not in (*names, "ignore"):
-            raise DatasetError(
-                f"label_ids: {index} = {name!r} is no class of model.classes; expected one of "
-                f"{', '.join(names)}, or 'ignore'."
-            )
     if recipe.label_ids:
-        ids = {
-            index: names.index(name) if name in names else IGNORE
-            for index, name in recipe.label_ids.items()
-        }
-        return {recipe.ignore: IGNORE, **ids}
+        ids = {"ignore": IGNORE, **{name: index for index, name in enumerate(names)}}
+        unknown = [name for name in recipe.label_ids.values() if name not in ids]
+        if unknown:
+            raise DatasetError(
+                f"label_ids: {unknown[0]!r} is no class of model.classes; expected one of "
+                f"{', '.join(ids)}."
+            )
+        named = {index: ids[name] for index, name in recipe.label_ids.items()}
+        return {recipe.ignore: IGNORE, **named}
     order = list(range(len(names)))
     if recipe.label_classes is not None:
         order = id_lookup(recipe.label_classes, classes, TRAIN_LABELS)[: len(TRAIN_LABELS)].tolist()

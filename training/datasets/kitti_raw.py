@@ -61,7 +61,6 @@ class KittiRaw(FrameList):
     """
 
     def __init__(self, root: Path, recipe: KittiRawRecipe) -> None:
-        require_folder(root, "dates of KITTI raw data, each with its drives")
         self._withhold_hidden = recipe.withhold_hidden
         self._frames: list[tuple[KittiRawSource, ListedFrame, str]] = []
         found = {path.name: path for path in sorted(root.glob("*/*_sync")) if path.is_dir()}

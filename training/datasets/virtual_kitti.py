@@ -17,7 +17,6 @@ from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
 from runtime.geometry.kitti_calibration import NumbersFile
-from runtime.io.images import RGB_SUFFIXES
 from runtime.read_input import read_text
 from training.datasets.class_mapping import ClassTable, class_ids
 from training.datasets.files import (
@@ -161,12 +160,9 @@ def _list_second_edition(
                 kind: variant / "frames" / kind / f"Camera_{camera}"
                 for kind in ("rgb", "depth", "classSegmentation", "lidar")
             }
-            images = {
-                path.stem.removeprefix("rgb_"): path
-                for path in sorted(require_folder(folders["rgb"], "the images").glob("rgb_*"))
-                if path.name.lower().endswith(RGB_SUFFIXES)
-            }
-            numbers = [n for n in images if n.isdecimal() and selection.takes(scene, n)]
+            images = require_folder(folders["rgb"], "the images").glob("rgb_*.jpg")
+            found = sorted(path.stem.removeprefix("rgb_") for path in images)
+            numbers = [n for n in found if n.isdecimal() and selection.takes(scene, n)]
             parts = {"depth": "depth_{}.png", "classSegmentation": "classgt_{}.png"}
             if scans:
                 parts["lidar"] = "lidar_{}.bin"
@@ -184,7 +180,7 @@ def _list_second_edition(
                 frames.append(
                     _Frame(
                         f"{scene}/{variant.name}/{number}" + (f"/{camera}" if camera else ""),
-                        images[number],
+                        folders["rgb"] / f"rgb_{number}.jpg",
                         folders["depth"] / f"depth_{number}.png",
                         folders["classSegmentation"] / f"classgt_{number}.png",
                         variant / "colors.txt",
