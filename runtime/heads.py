@@ -5,7 +5,7 @@ the drawing read this table, so a new head is a row here. It loads nothing but P
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 from typing import Literal
 
@@ -20,14 +20,6 @@ class Unit(StrEnum):
     METRES = "m"
     PROBABILITY = "probability"
     SCORE = "score"  # before the soft-max
-
-
-class Encoding(StrEnum):
-    """How a head is stored as a picture file."""
-
-    IDS_PNG = "8-bit PNG of class ids"
-    METRES_PNG = "16-bit PNG, metres x 256"
-    PROBABILITY_PNG = "8-bit PNG, probability x 255"
 
 
 class Difference(StrEnum):
@@ -50,7 +42,7 @@ class Panel(StrEnum):
 
 @dataclass(frozen=True)
 class Head:
-    """One output of a network.
+    """One output of a network: what it is, then what is done with it.
 
     Limits of heads in metres are shares of the contract's `max_depth_m`; the `tolerance` of an
     absolute difference is a share of it up to 100 m.
@@ -59,39 +51,39 @@ class Head:
         name: of the ONNX output, and in `Prediction.heads`.
         dtype: numpy's name of the type.
         unit: what a value is.
-        resize: rule where the network runs at another size than the frame, see `runtime.resize`:
-            "nearest" never mixes two values, "bilinear" takes the mean of the area where a side
-            shrinks, "surface" mixes depths of one surface.
-        difference: how two runtimes are compared.
-        tolerance: least share of equal pixels, else the largest (mean) difference between two
-            runtimes.
-        tolerance_int8: between two runtimes of one 8-bit file, the largest share of pixels that
-            differ, mean difference, or mean difference as a share of the mean value.
         least: smallest plausible value; None = any.
         most: largest plausible value; None = any. Class ids are limited by the class table.
         per_class: True if an answer is (C, H, W), a plane a class, instead of (H, W).
         needs: the head it has no meaning without; "" = none.
-        saved_as: name for `ssdnet-run --save` and of the subfolder; "" = is not written.
-        encoding: of its files; None = is not written.
-        panel: how it is drawn; None = is not drawn.
         unlabelled: value of a pixel without a label in the targets of a training.
+        resize: rule where the network runs at another size than the frame, see `runtime.resize`:
+            "nearest" never mixes two values, "bilinear" takes the mean of the area where a side
+            shrinks, "surface" mixes depths of one surface.
+        difference: how two runtimes are compared, at an export and for a recording.
+        tolerance: least share of equal pixels, else the largest (mean) difference between two
+            runtimes.
+        tolerance_int8: between two runtimes of one 8-bit file, the largest share of pixels that
+            differ, mean difference, or mean difference as a share of the mean value.
+        saved_as: name for `ssdnet-run --save` and of the subfolder; "" = is not written. Its files
+            are encoded by the unit, see `runtime.io.encode`.
+        panel: how it is drawn; None = is not drawn.
     """
 
     name: str
     dtype: Literal["uint8", "float32"]
     unit: Unit
-    resize: ResizeRule
-    difference: Difference
-    tolerance: float
-    tolerance_int8: float = 0.1
+    _: KW_ONLY
     least: float | None = None
     most: float | None = None
     per_class: bool = False
     needs: str = ""
-    saved_as: str = ""
-    encoding: Encoding | None = None
-    panel: Panel | None = None
     unlabelled: float = math.nan
+    resize: ResizeRule
+    difference: Difference
+    tolerance: float
+    tolerance_int8: float = 0.1
+    saved_as: str = ""
+    panel: Panel | None = None
 
     def bounds(self, max_depth_m: float) -> tuple[float, float]:
         """Return the smallest and the largest plausible value, -inf and inf where any is."""
@@ -127,7 +119,6 @@ HEADS: dict[str, Head] = {
             tolerance=0.9995,  # rounding changes a class only where two classes tie
             tolerance_int8=0.04,  # ONNX Runtime 1.25 against 1.31: 0.012; another model: 0.10
             saved_as="semantic",
-            encoding=Encoding.IDS_PNG,
             panel=Panel.CLASSES,
             unlabelled=255,
         ),
@@ -143,7 +134,6 @@ HEADS: dict[str, Head] = {
             least=0.0,
             most=1.0,
             saved_as="depth",
-            encoding=Encoding.METRES_PNG,
             panel=Panel.DEPTH,
             unlabelled=0,
         ),
@@ -159,7 +149,6 @@ HEADS: dict[str, Head] = {
             least=0.0,
             most=1.0,
             saved_as="boundary",
-            encoding=Encoding.PROBABILITY_PNG,
             panel=Panel.GRAY,
         ),
         Head(
@@ -173,7 +162,6 @@ HEADS: dict[str, Head] = {
             least=0.0,
             needs="depth",
             saved_as="uncertainty",
-            encoding=Encoding.METRES_PNG,
             panel=Panel.SHARE_OF_DEPTH,
         ),
         Head(

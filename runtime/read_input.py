@@ -54,12 +54,12 @@ def open_input(path: Path, *, max_bytes: int | None) -> Iterator[BinaryIO]:
         yield file
 
 
-def read_input(path: Path, *, max_bytes: int | None = None) -> bytes:
+def read_input(path: Path, *, max_bytes: int = MAX_FILE_BYTES) -> bytes:
     """Read a regular file of bounded size.
 
     Args:
         path: the file; links are followed.
-        max_bytes: its largest size; None: `MAX_FILE_BYTES`.
+        max_bytes: its largest size.
 
     Returns:
         Its content.
@@ -67,8 +67,7 @@ def read_input(path: Path, *, max_bytes: int | None = None) -> bytes:
     Raises:
         InputError: if it cannot be read, is no regular file or is larger.
     """
-    most = MAX_FILE_BYTES if max_bytes is None else max_bytes
-    with open_input(path, max_bytes=most) as file, _reported(path):
+    with open_input(path, max_bytes=max_bytes) as file, _reported(path):
         return file.read(os.fstat(file.fileno()).st_size)  # files in /proc have size 0
 
 

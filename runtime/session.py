@@ -112,15 +112,12 @@ def _options(ort: Any, threads: int, weights_folder: str) -> Any:
     options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
     options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
     options.log_severity_level = 4  # errors are exceptions
-    entries = {
-        # A spinning thread occupies a core between the frames of a stream, and is no faster.
-        "session.intra_op.allow_spinning": "0",
-        "session.inter_op.allow_spinning": "0",
-        "session.record_ep_graph_assignment_info": "1",
-        "session.model_external_initializers_file_folder_path": weights_folder,
-    }
-    for key, value in entries.items():
-        options.add_session_config_entry(key, value)
+    add = options.add_session_config_entry
+    # A spinning thread occupies a core between the frames of a stream, and is no faster.
+    add("session.intra_op.allow_spinning", "0")
+    add("session.inter_op.allow_spinning", "0")
+    add("session.record_ep_graph_assignment_info", "1")
+    add("session.model_external_initializers_file_folder_path", weights_folder)
     return options
 
 

@@ -1,6 +1,5 @@
 """Time stamps of sensors, of any clock: as numbers, and as the text of files."""
 
-import math
 import operator
 import warnings
 from decimal import Decimal
@@ -39,23 +38,17 @@ def stamp_ns(stamp: Any) -> int:
         InputError: if it is of another type, not finite, beyond 64 bits of nanoseconds, or a float
             that is too short to tell milliseconds apart.
     """
-    if isinstance(stamp, float | np.floating):
-        nanoseconds_float = float(stamp) * 1e9
-        nanoseconds = round(nanoseconds_float) if math.isfinite(nanoseconds_float) else _LIMIT_NS
-    elif isinstance(stamp, bool | np.bool_):
-        raise InputError(f"stamp must be seconds (float) or nanoseconds (int), got {stamp}")
-    else:
-        try:
-            nanoseconds = operator.index(stamp)
-        except TypeError:
-            raise InputError(
-                "stamp must be seconds (float) or nanoseconds (int), got "
-                f"{type(stamp).__name__}: give the sensor's own stamp, of any clock"
-            ) from None
+    try:
+        if isinstance(stamp, bool | np.bool_):
+            raise TypeError
+        is_float = isinstance(stamp, float | np.floating)
+        nanoseconds = round(float(stamp) * 1e9) if is_float else operator.index(stamp)
+    except (OverflowError, TypeError, ValueError):  # Inf, another type, NaN
+        nanoseconds = _LIMIT_NS
     if not -_LIMIT_NS <= nanoseconds < _LIMIT_NS:
         raise InputError(
-            f"stamp must be finite and fit in 64 bits of nanoseconds, got {shown(stamp)}: "
-            "a float is seconds, an int nanoseconds"
+            "stamp must be seconds (float) or nanoseconds (int), finite and within 64 bits of "
+            f"nanoseconds, got {shown(stamp)}: give the sensor's own stamp, of any clock"
         )
     if isinstance(stamp, np.floating) and (step_s := float(np.spacing(abs(stamp)))) > _COARSEST_S:
         raise InputError(

@@ -18,7 +18,7 @@ from models import Network, NetworkConfig, NetworkOutput, load_checkpoint, save_
 from models.blocks import pad_to_multiple
 from models.registry import NETWORKS, Entry
 from runtime import Predictor
-from runtime.heads import HEADS, Difference, Encoding, Head, Panel, Unit
+from runtime.heads import HEADS, Difference, Head, Panel, Unit
 from runtime.io.encode import ENCODERS
 from runtime.io.recording import read_recording
 from runtime.tools.verify import verify
@@ -49,7 +49,6 @@ ROW = Head(
     least=0.0,
     most=1.0,
     saved_as="free-space",
-    encoding=Encoding.PROBABILITY_PNG,
     panel=Panel.GRAY,
 )
 #: Runs ssdnet-run with the row.
@@ -137,7 +136,7 @@ def test_a_head_of_one_row_goes_all_the_way(folder, tmp_path, frame):
     with np.load(tmp_path / "a.npz") as arrays:
         np.testing.assert_array_equal(arrays["drivable"], answer)
     png = cv2.imdecode(
-        np.frombuffer(ENCODERS[HEADS["drivable"].encoding](answer), np.uint8), cv2.IMREAD_UNCHANGED
+        np.frombuffer(ENCODERS[HEADS["drivable"].unit](answer), np.uint8), cv2.IMREAD_UNCHANGED
     )
     np.testing.assert_allclose(png / 255, answer, atol=0.5 / 255 + 1e-6)
 

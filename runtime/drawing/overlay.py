@@ -147,10 +147,8 @@ class Overlay:
         rows, columns = rows[order], columns[order]
         colors = self._depth_scale.paint(returns[rows, columns][:, np.newaxis])[:, 0]
         painted = image.copy()
-        last_row, last_column = image.shape[0] - 1, image.shape[1] - 1
-        painted[np.minimum(rows // step, last_row), np.minimum(columns // step, last_column)] = (
-            colors
-        )
+        rows, columns = np.minimum(rows // step, len(image) - 1), columns // step
+        painted[rows, np.minimum(columns, image.shape[1] - 1)] = colors
         return painted
 
     def _paint_classes(self, ids: NDArray[np.uint8], image: NDArray[Any] | None) -> NDArray[Any]:
@@ -162,8 +160,7 @@ class Overlay:
     @cached_property
     def _class_colors(self) -> NDArray[np.uint8]:
         colors = np.zeros((256, 1, 3), dtype=np.uint8)
-        for index, info in enumerate(self._classes):
-            colors[index, 0] = info.color[::-1]
+        colors[: len(self._classes), 0] = [info.color[::-1] for info in self._classes]
         return colors
 
     def _legend(self, width: int, scales: tuple[ColorScale, ...]) -> NDArray[np.uint8]:

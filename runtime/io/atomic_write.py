@@ -20,11 +20,9 @@ from runtime.errors import OutputError
 _NAME_LENGTH = 40  # characters of the target's name in the name of its hidden folder
 
 
-def atomic_write(
-    path: Path, content: bytes | memoryview, *, overwrite: bool = True, durable: bool = False
-) -> None:
+def atomic_write(path: Path, content: bytes | memoryview, *, overwrite: bool = True) -> None:
     """Write a file whole or not at all; arguments and errors as in `atomic_file`."""
-    with atomic_file(path, overwrite=overwrite, durable=durable) as file:
+    with atomic_file(path, overwrite=overwrite) as file:
         file.write(content)
 
 

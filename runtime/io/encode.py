@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from runtime.contract import ClassInfo
 from runtime.geometry.point_cloud import PointCloud
-from runtime.heads import Encoding
+from runtime.heads import Unit
 
 METRES_PNG_SCALE = 256  # units of a 16-bit PNG per metre, as KITTI has it
 METRES_PNG_MAX_M = 65535 / METRES_PNG_SCALE
@@ -92,11 +92,11 @@ def encode_ply(cloud: PointCloud, classes: Sequence[ClassInfo] = ()) -> bytes:
     return "\n".join(header).encode("ascii") + b"\n" + vertices.tobytes()
 
 
-#: Encoding of a head -> function that encodes its array as the content of a file.
-ENCODERS: dict[Encoding, Callable[[NDArray[Any]], memoryview]] = {
-    Encoding.IDS_PNG: encode_ids,
-    Encoding.METRES_PNG: encode_metres,
-    Encoding.PROBABILITY_PNG: encode_probability,
+#: Unit of a head -> function that encodes its array as the content of a file.
+ENCODERS: dict[Unit, Callable[[NDArray[Any]], memoryview]] = {
+    Unit.CLASS_ID: encode_ids,
+    Unit.METRES: encode_metres,
+    Unit.PROBABILITY: encode_probability,
 }
 
 

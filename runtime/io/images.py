@@ -1,5 +1,6 @@
 """Read images and depth maps from files of bounded size."""
 
+import contextlib
 import io
 import re
 import struct
@@ -132,14 +133,12 @@ def image_size(content: bytes) -> tuple[int, int] | None:
 
     It is read where OpenCV's decoders (libpng, libjpeg) read it.
     """
-    try:
+    with contextlib.suppress(struct.error):  # truncated
         if content.startswith(_PNG_START):
             width, height = struct.unpack_from(">II", content, len(_PNG_START))
             return height, width
         if content.startswith(_JPEG_START):
             return _jpeg_size(content)
-    except struct.error:  # truncated
-        pass
     return None
 
 

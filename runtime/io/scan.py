@@ -128,7 +128,8 @@ def _is_of_a_scanner(points: NDArray[np.float32]) -> bool | None:
     cosines = np.einsum("ij,ij->i", directions[1:], directions[:-1])
     is_ordered = np.median(cosines) > math.cos(math.radians(_MAX_TURN_DEGREES))
     is_near = np.median(distances[is_return]) < _MAX_DISTANCE_M
-    # Points of three x are on the diagonal, those of an intensity and gaps on an axis.
+    # Rows of three x (all x, then all y) lie on the diagonal (1, 1, 1), rows of an intensity and
+    # two zeros on an axis. Neither is a scan.
     is_spread = np.median(np.abs(directions.sum(axis=1))) < math.sqrt(3) * _DIAGONAL
     is_spread &= np.mean(np.count_nonzero(directions, axis=1) == 1) < _MOST_ON_AXIS
     return bool(is_ordered and is_near and is_spread)

@@ -38,12 +38,8 @@ from runtime.sources.source import Source
 from runtime.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 
 OVERLAY, CLOUD = "overlay", "cloud"
-#: Kind of a file that holds one head -> its name and encoding.
-SAVED_HEADS = {
-    head.saved_as: (head.name, head.encoding)
-    for head in HEADS.values()
-    if head.encoding is not None
-}
+#: Kind of a file that holds one head -> its name and unit.
+SAVED_HEADS = {head.saved_as: (head.name, head.unit) for head in HEADS.values() if head.saved_as}
 #: Kind of a frame's file, also the name of its subfolder -> suffix.
 SUFFIXES = {**dict.fromkeys(SAVED_HEADS, ".png"), OVERLAY: ".jpg", CLOUD: ".ply"}
 #: What is written unless something else is requested; the others are large.

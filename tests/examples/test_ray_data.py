@@ -53,7 +53,7 @@ def test_rows_are_the_files_of_a_plain_run(predict_source, tmp_path):
             continue
         for head in heads:
             expected = (out / HEADS[head].saved_as / f"{row['name']}.png").read_bytes()
-            assert ENCODERS[HEADS[head].encoding](row[head]) == expected
+            assert ENCODERS[HEADS[head].unit](row[head]) == expected
 
 
 def actor_processes():

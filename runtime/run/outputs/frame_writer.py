@@ -47,9 +47,9 @@ class FrameWriter:
             return encode_ply(cloud, run.predictor.contract.classes)
         if kind == OVERLAY:
             return encode_jpeg(run.draw(frame, result))
-        head, encoding = SAVED_HEADS[kind]
+        head, unit = SAVED_HEADS[kind]
         values = prediction.heads.get(head)
-        return None if values is None else ENCODERS[encoding](values)
+        return None if values is None else ENCODERS[unit](values)
 
 
 def _intrinsics(frame: Frame, focal_length_px: float | None) -> Calibration | NDArray[np.float64]:
