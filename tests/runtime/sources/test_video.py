@@ -26,10 +26,7 @@ def write_video(path, codec):
     if not writer.isOpened():
         pytest.skip(f"this OpenCV writes no {codec}")
     for index in range(N):
-        image = np.full((48, 64, 3), (90, 60, red_of(index)), np.uint8)
-        image[:, :32] += 10
-        image[:, 32:] -= 10
-        writer.write(image)
+        writer.write(np.full((48, 64, 3), (90, 60, red_of(index)), np.uint8))
     writer.release()
 
 
@@ -60,10 +57,8 @@ def test_frames_may_be_read_in_any_order(video):
     with VideoSource(video) as source:
         frames = source.list_frames()
         for index in (0, 0, 1, 5, 2, 7, 7):
-            red, green, blue = source.read(frames[index]).rgb.reshape(-1, 3).mean(axis=0)
-            assert abs(red - red_of(index)) < 6, index
-            assert abs(green - 60) < 6
-            assert abs(blue - 90) < 6
+            mean = source.read(frames[index]).rgb.mean(axis=(0, 1))
+            np.testing.assert_allclose(mean, (red_of(index), 60, 90), atol=6)
 
 
 def test_frames_and_depth_maps_without_a_partner_are_listed(video, depth_maps):
