@@ -132,6 +132,12 @@ def test_scans_beside_depth_maps_are_reported_as_not_read(write, make_frame):
             assert any(f"{name}/ is not the depth, nor read" in note for note in source.notes)
 
 
+def test_several_folders_of_images_are_an_error(write):
+    files = {"image_02/{}.png": IMAGE, "image_03/{}.png": IMAGE, "depth/{}.png": DEPTH}
+    with pytest.raises(InputError, match="image_02, image_03, depth"):
+        open_path(write(files))
+
+
 def test_scans_beside_images_need_a_calibration(write):
     folder = write({"{}.jpg": IMAGE, "{}.pcd.bin": SCAN, "../given.toml": TOML})
     with pytest.raises(InputError, match="--calibration"):
