@@ -13,8 +13,8 @@ from training.evaluation.score_report import Row
 from training.lidar.split import LidarInput
 from training.recipe import parse_source
 
-#: What a file is measured with: all returns of a frame, 16 lines, none. What an 8-bit file is fed,
-#: too, where no set gives a LiDAR with its depth.
+#: LiDAR inputs that a file is measured with: all returns of a frame, 16 scan lines, none. If no set
+#: has returns besides its ground truth, random samples of the ground truth are added for int8.
 LIDARS, OTHER_LIDAR = ("own", "16", "none"), "random:0.05"
 #: Least numbers of labelled pixels and frames for comparing the IoU of a class.
 LEAST_CLASS_PIXELS, LEAST_CLASS_FRAMES = 20_000, 10
@@ -26,13 +26,13 @@ class Accuracy:
 
     Attributes:
         data: the set, as `ssdnet-eval` names it.
-        lidar: that was fed.
-        frames: number of them.
+        lidar: the LiDAR input, as `ssdnet-eval` names it.
+        frames: number of frames.
         miou: 0..1.
         mae_m: of the depth [m].
         boundary_f: 0..1.
         coverage_1: share of the depth's errors within `depth_uncertainty`.
-        class_iou: class -> IoU, of those that are labelled often enough to compare it.
+        class_iou: class -> IoU, for the classes that are labelled often enough to compare it.
     """
 
     data: str
@@ -95,7 +95,7 @@ def repeat_command(data: Iterable[str], rows: Iterable[Accuracy]) -> str:
 
 
 def without_folders(text: str) -> str:
-    """A data set as on the command line; absolute folders are shortened to their last part."""
+    """Return a data set as on the command line, absolute folders shortened to their last part."""
     kind, _, rest = text.partition(":")
     folder, *options = re.split(r"(?=,\w+=)", rest, maxsplit=1)
     path = Path(folder)

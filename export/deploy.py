@@ -80,7 +80,8 @@ class DeployGraph(nn.Module):
 def _crop(x: Tensor, rgb: Tensor) -> Tensor:
     """Crop the last two axes to the size of the image (N, H, W, 3).
 
-    In a graph of free size it is one operation; of a fixed size the tracer drops what cuts nothing.
+    With a free size the graph has one operation for it; with a fixed size it has none where nothing
+    is cropped.
     """
     size = rgb.shape[1:3]
     if all(isinstance(side, int) for side in size):

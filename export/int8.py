@@ -40,15 +40,15 @@ from training.recipe import parse_source
 #: LiDAR inputs of the calibration frames, in turn. Activations beyond the calibrated ranges are
 #: clipped.
 CALIBRATION_LIDARS = ("own", "none", "16", "4")
-#: Numbers of frames that ranges are calibrated on, evenly spread over the sets, and of those that
-#: tell how much each convolution changes an answer.
+#: Number of frames that ranges are calibrated on, evenly spread over the sets; and of the frames on
+#: which the effect of each convolution is measured.
 CALIBRATION_FRAMES, _SENSITIVITY_FRAMES = 128, 4
 #: Convolutions that read or write a grid of this stride or less stay in float: they have few
 #: channels on many pixels, where converting to 8 bits takes longer than 8 bits save, and they see
 #: the finest detail.
 _FINE_STRIDE = 2
-#: Limits besides `Int8Options`: loss of a class's IoU [points], loss of boundary F (0..1), and
-#: change of the share of errors within one scale of the uncertainty [points].
+#: Limits without an option: loss of a class's IoU [points], loss of boundary F (0..1), and change
+#: of the share of errors within one scale of the uncertainty [points].
 MAX_DROP_CLASS_IOU, MAX_DROP_BOUNDARY_F, MAX_CHANGE_COVERAGE = 3.0, 0.01, 3.0
 #: Head -> its figure in `Accuracy`; scores are those of the classes.
 _FIGURES = {
@@ -70,11 +70,11 @@ _NEEDED = {
 
 @dataclass(frozen=True)
 class Quantized:
-    """A quantised graph that passed.
+    """A quantised graph that passed the gate.
 
     Attributes:
         model: the graph.
-        accuracy: that it has.
+        accuracy: of the graph.
         facts: `Contract.quantization`.
     """
 
@@ -120,9 +120,9 @@ def quantize_within(
 ) -> Quantized:
     """Quantise a graph; convolutions that cost too much accuracy stay in single precision.
 
-    Convolutions on the finest grids stay in float, see _FINE_STRIDE. While the gate is missed, so
-    do those that, quantised alone, change the head that misses most. One at first, then each time
-    half as many again.
+    Convolutions on the finest grids stay in float, see _FINE_STRIDE. As long as the gate is missed,
+    further convolutions do: of the head that misses its limit most, the convolution that changes
+    this head most when it alone is quantised; then each time half as many again.
 
     Args:
         model: a traced graph.

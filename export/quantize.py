@@ -38,9 +38,9 @@ def quantize(
 ) -> onnx.ModelProto:
     """Return the graph with the trunk in 8-bit integers.
 
-    Activations are unsigned, weights signed with a scale a channel and within +-64: a product of
-    two pairs of 8-bit values then fits the 16 bits that processors without VNNI (AVX2, AVX-512)
-    add them in, so that no sum saturates.
+    Activations are unsigned; weights are signed, with one scale for each channel, and within +-64.
+    The sum of two products of 8-bit values then fits 16 bits, in which processors without VNNI
+    (AVX2, AVX-512) compute it, and does not saturate.
 
     Args:
         model: a traced graph.

@@ -4,8 +4,8 @@ from collections.abc import Collection, Sequence
 
 import onnx
 
-#: A convolution with fewer input or output channels is outside the trunk: it reads pixels, returns
-#: or boundary maps, or computes an answer. It stays in single precision, which costs little time.
+#: A convolution with fewer input or output channels is outside the trunk, because it reads pixels,
+#: returns or boundary maps, or computes an answer. In single precision it takes little time.
 _LEAST_CHANNELS = 16
 _BETWEEN = ("Add", "Clip", "Mul", "Relu", "Resize")
 _ACTIVATIONS = ("Clip", "Relu")

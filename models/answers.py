@@ -31,7 +31,7 @@ def answers(output: NetworkOutput, max_depth_m: float) -> dict[str, Tensor]:
 
 
 def head_maps(output: NetworkOutput) -> dict[str, Tensor]:
-    """Head -> what the network gives for it, (N, C, h, w) with C = 1 but for the classes."""
+    """Return head -> its map, (N, C, h, w); C is 1, and for the classes their number."""
     maps = {
         "semantic": output.semantic_logits,
         "boundary": output.boundary_logits,
@@ -57,9 +57,9 @@ def to_unit(head: str, values: Tensor, max_depth_m: float) -> Tensor:
 
 
 def class_ids(scores: Tensor) -> Tensor:
-    """Class ids of scores (N, C, h, w), uint8 (N, h, w).
+    """Return the class ids of scores (N, C, h, w): uint8 (N, h, w).
 
-    NO_CLASS where a score is NaN or Inf, which an arg-max hides.
+    NO_CLASS where a score is NaN or Inf: an arg-max would return a class.
     """
     # NaN and Inf reach the sum; times 0 both are NaN.
     unknown = torch.isnan(scores.sum(dim=1) * 0.0)
@@ -72,9 +72,9 @@ def class_ids(scores: Tensor) -> Tensor:
 def with_thin_boundary(found: dict[str, Tensor]) -> dict[str, Tensor]:
     """Halve the probability of a boundary where the classes do not change; `answers` to `answers`.
 
-    The boundary decoder works at a quarter of the image's size, so its lines are wide; those of the
-    classes are finer. They change at a pixel of every second row and column if the 3 x 3 of these
-    around it have two; the others are as the pixel above and to the left.
+    The boundary decoder works at a quarter of the image's size, so its lines are wide; the borders
+    of classes are finer. On the grid of every second row and column the classes change at a pixel
+    if the 3 x 3 pixels around it have more than one class. The answer is repeated to full size.
     """
     if not {"boundary", "semantic"} <= found.keys():
         return found
@@ -87,7 +87,7 @@ def with_thin_boundary(found: dict[str, Tensor]) -> dict[str, Tensor]:
     return found | {"boundary": found["boundary"] * differences}
 
 
-#: Odd sides that no stride divides.
+#: Size of the image of `check_output`: odd sides, which no stride divides.
 _PROBED = (37, 53)
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-#: Of RGB in 0..255.
+#: Mean and standard deviation of RGB in 0..255.
 RGB_MEAN, RGB_STD = 127.0, 128.0
 #: Channels of the features, by their stride.
 CHANNELS = {2: 16, 4: 24, 8: 40, 16: 112, 32: 320}
@@ -21,7 +21,7 @@ _STAGES = (
     ((3, 2, 80), *((3, 1, 80),) * 2, *((5, 1, 112),) * 3),
     ((5, 2, 192), *((5, 1, 192),) * 3, (3, 1, 320)),
 )
-#: Channels of the stem, then those within each block after the first: six times its input.
+#: Channels of the stem, then those within each block after the first: six times those of its input.
 WIDTHS = (32, 96, *[144] * 2, *[240] * 2, *[480] * 3, *[672] * 3, *[1152] * 4)
 
 
@@ -70,7 +70,7 @@ class InvertedResidual(nn.Module):
         self.expand = _normalised(SameConv(in_channels, width, 1)) if expand else None
         self.depthwise = _normalised(SameConv(width, width, kernel, stride, groups=width))
         self.project = _normalised(SameConv(width, out_channels, 1))
-        # The first block has none, whatever is left of the stem.
+        # The first block has no residual, whatever the pruned width of the stem.
         self.residual = expand and stride == 1 and in_channels == out_channels
 
     def forward(self, x: Tensor) -> Tensor:

@@ -1,8 +1,8 @@
 """Faster forms of operations that PyTorch computes slowly on a CPU for few channels.
 
 Networks call the plain form in `models.pooling` or `models.blocks`, which is marked with
-`fast_on_cpu`; the fast form, here, then takes its place on a CPU, but not in an exported graph:
-ONNX Runtime is fast with the plain one.
+`fast_on_cpu`. On a CPU the fast form of this module is called instead, but not in an exported
+graph: ONNX Runtime is fast with the plain form.
 """
 
 import functools
@@ -16,12 +16,12 @@ from torch.nn import functional as F
 P = ParamSpec("P")
 Operation = Callable[Concatenate[Tensor, P], Tensor]
 
-#: Up to this number of channels maps are upsampled one by one; from sixteen on PyTorch is faster.
+#: Up to this number of channels the maps are upsampled one by one; from 16 on PyTorch is faster.
 _FEW_CHANNELS = 8
 
 
 def fast_on_cpu(fast: Operation[P]) -> Callable[[Operation[P]], Operation[P]]:
-    """Replace an operation by a form of the same answer; ``__wrapped__`` is the plain one."""
+    """Replace an operation by a faster form of equal answers; ``__wrapped__`` is the plain form."""
 
     def decorate(plain: Operation[P]) -> Operation[P]:
         @functools.wraps(plain)

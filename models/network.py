@@ -23,10 +23,10 @@ from runtime.contract import (
     farthest_return,
 )
 
-#: Coarsest grid on which classes are decided: scores of a coarser one are upsampled to it, and each
-#: decision counts for so many pixels along both sides. At full size it takes a tenth more time.
+#: Stride of the coarsest grid on which classes are decided. Scores of a coarser grid are upsampled
+#: to it, and each decision is repeated to full size. At full size it takes a tenth more time.
 CLASS_STRIDE = 2
-#: Channels of a layer, far beyond any network in use.
+#: Limit of the channels of a layer, far beyond any network in use.
 MAX_CHANNELS = 8192
 
 

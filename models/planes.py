@@ -1,16 +1,16 @@
 """The base of the depth: planes between the returns that pass through the returns on them.
 
-A plane in the world is an affine function of the pixel in inverse depth. Around each cell of a grid
-the affine function that fits the returns best is found. The returns of a small window have their
-full weight, those of the larger windows around it together the weight of a third of a return: they
-count where the small one leaves a value or a slope open. Where the world is a plane, the result is
-that plane, whatever the pattern of the returns. Local linear regression (Cleveland 1979) over a
-pyramid (Gortler et al. 1996).
+The inverse depth of a plane is an affine function of the pixel. For each cell of a grid the affine
+function that fits the returns around it best is found: local linear regression (Cleveland 1979)
+over a pyramid of windows (Gortler et al. 1996). The returns of the smallest window have their full
+weight. All returns of a larger window have together the weight of a third of a return, so they
+matter where the smaller window does not determine a value or a slope. Where the scene is a plane,
+the result is that plane, whatever the pattern of the returns.
 
-What a fit needs of the returns are nine sums. The sums of larger and of smaller cells, and around
-other centres, are linear in them: each is a convolution with constant weights. Only the finest grid
-is solved. On a grid half as wide, what the returns differ from their plane by is then spread around
-them and added: `anchor`.
+A fit needs nine sums over the returns. The sums of larger and of smaller cells, and those around
+other centres, are linear functions of these: convolutions with constant weights. Only the finest
+grid is solved. On a grid of half the cell size, the differences of the returns from their plane are
+then averaged around them and added: `anchor`.
 """
 
 import math
@@ -31,38 +31,38 @@ CELL, LEVELS = 4, 3
 #: Side of a cell of the base, in pixels.
 BASE_CELL = 2
 #: Half the width, in cells, of the two windows on the coarsest grid, and of the window on each
-#: finer grid. The weight falls linearly to 0 there.
+#: finer grid. The weight of a cell falls linearly with its distance, to 0 at the window's edge.
 COARSE_WINDOWS, FINE_WINDOW = (6, 3), 2
 #: Weight of all returns of a larger window together, in returns. Larger values smooth more.
 LARGER_WINDOW_WEIGHT = 0.3
 #: Weight of a slope of 0, in returns a cell away. Larger values flatten.
 FLAT_WEIGHT = 0.002
 #: Square of the distance of a cell from the centroid of the returns, in their standard deviations,
-#: up to which there is a slope in full; from 1 more on there is none. Larger values continue slopes
-#: farther beyond the returns.
+#: up to which the slope has its full weight. The weight falls to 0 at a value 1 larger. Larger
+#: values continue slopes farther beyond the returns.
 INSIDE = 2.0
 #: The result lies between the nearest and the farthest return of a window of so many coarsest
 #: cells.
 BOUND_WINDOW = 7
-#: The sums are of 1; of r, c, z; of rr, cc, rc, zr, zc: r is below a centre, c to the right of it,
-#: z the inverse depth. The powers of r and c of those without z, and of those with it, and their
-#: places among all.
+#: The sums are those of 1; r, c, z; rr, cc, rc, zr, zc. r is the distance below a centre, c to the
+#: right of it, z the inverse depth. First the powers of r and c in the sums without z, and in those
+#: with z; then the places of these sums among the nine.
 _POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1)), ((0, 0), (1, 0), (0, 1))
 _PLACES = (0, 1, 2, 4, 5, 6), (3, 7, 8)
 _SUMS = 9
-#: Less than one return in a window, and less than any spread of several.
+#: Against divisions by 0: less than one return in a window, and less than any spread of several.
 _LEAST_COUNT, _LEAST_SPREAD = 1e-3, 1e-2
 
 
-#: Relative difference of inverse depth up to which a return is on the plane. From twice as much on
-#: it is on another surface.
+#: Relative difference of inverse depth up to which a return is on the plane. From twice this
+#: difference on it is on another surface.
 ON_PLANE = 0.15
-#: Weight of what the coarser cells differ by, in returns, and the number of coarser grids.
+#: Weight of the mean difference of coarser cells, in returns, and the number of coarser grids.
 ANCHOR_WEIGHT, ANCHOR_LEVELS = 0.1, 2
 
 
 class Base(NamedTuple):
-    """What the returns alone show of the depth."""
+    """The depth as the returns alone show it."""
 
     #: Inverse depth at the centres of cells of CELL pixels, (N, 1, h, w), 0 where no return is in
     #: reach of the largest window.
@@ -110,8 +110,9 @@ def fit_planes(pixels: Tensor, extremes: Tensor) -> Tensor:
 def anchor(plane: Tensor, sums: Tensor) -> Tensor:
     """Move planes to the returns on them.
 
-    What the returns of a cell differ from the plane by is averaged in a window, that of coarser
-    cells with the weight of ANCHOR_WEIGHT returns, as far as they are on the plane, see ON_PLANE.
+    The differences of the returns from the plane are averaged in a window of cells. The mean of
+    coarser cells counts as ANCHOR_WEIGHT returns. Returns of other surfaces have no weight, see
+    ON_PLANE.
 
     Args:
         plane: inverse depth at the cells' centres, (N, 1, h, w).
@@ -149,9 +150,9 @@ def _of_one_return(sums: Tensor) -> Tensor:
 
 
 def _inside(sums: Tensor) -> Tensor:
-    """1 where a centre lies between its returns, 0 beyond them: for both slopes, (N, 2, h, w).
+    """Return the weight of both slopes, (N, 2, h, w): 1 between the returns, 0 beyond them.
 
-    Slopes between returns are measured, beyond them they are guessed.
+    Between returns a slope is measured; beyond them it would be extrapolated.
     """
     _, about, moved = _about_centroid(sums)
     distance = moved[:, :2] / (about[:, :2] + _LEAST_SPREAD)
@@ -159,9 +160,9 @@ def _inside(sums: Tensor) -> Tensor:
 
 
 def _about_centroid(sums: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the means of r, c and z; the sums of rr, cc, rc, zr and zc about them; the difference.
+    """Return the means of r, c and z; the sums of rr, cc, rc, zr and zc about them; the change.
 
-    Products are taken of several channels at once: fewer and larger operations.
+    One product computes several channels: fewer and larger operations.
     """
     count, first, second = sums.split([1, 3, 5], dim=1)
     mean = first / count.clamp(min=_LEAST_COUNT)
@@ -172,7 +173,7 @@ def _about_centroid(sums: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 def _solve(sums: Tensor, inside: Tensor) -> Tensor:
     """Fit a plane to the returns around each centre: its value there, (N, 1, h, w).
 
-    sums: (N, 9, h, w); inside: the share of both slopes that is believed, see `_inside`.
+    sums: (N, 9, h, w); inside: the weight of both slopes, see `_inside`.
     """
     mean, about, _ = _about_centroid(sums)
     flat = (FLAT_WEIGHT, FLAT_WEIGHT, 0.0, 0.0, 0.0)
@@ -209,9 +210,9 @@ def _sums_around(sums: Tensor, window: int) -> Tensor:
 
 
 def _to_finer(sums: Tensor) -> Tensor:
-    """Sums around the centres of cells half as wide, of the four closest, weighted bilinearly.
+    """Return the sums around the centres of cells of half the width, times LARGER_WINDOW_WEIGHT.
 
-    The result is multiplied by LARGER_WINDOW_WEIGHT.
+    Each is the sum over the four closest cells, with bilinear weights.
     """
     return F.conv_transpose2d(sums, torch.from_numpy(_finer_kernel()).to(sums), stride=2, padding=1)
 
@@ -270,10 +271,10 @@ def _window_kernel(window: int) -> NDArray[np.float32]:
 
 
 def _moved(down: float, right: float, *, scale: float = 1.0) -> NDArray[Any]:
-    """Matrix (9, 9): sums around a centre to those around another.
+    """Return the matrix (9, 9) from sums around one centre to sums around another.
 
-    A place p from the old centre is ``scale * p`` plus (down, right) from the new one; its powers
-    are binomials of the old ones.
+    A position p relative to the old centre is ``scale * p + (down, right)`` relative to the new
+    one; its powers follow from the binomial theorem.
     """
     matrix = np.zeros((_SUMS, _SUMS))
     for powers, places in zip(_POWERS, _PLACES, strict=True):

@@ -125,10 +125,6 @@ class SurfaceDepthHead(nn.Module):
         *_, bias = self.head.parameters()
         bias[: chosen - 1].copy_(torch.tensor(_FIRST_CONFIDENCES))
 
-    def add_semantics(self, features: Tensor, semantics: Tensor | None) -> Tensor:
-        """Add the projected features of the semantic decoder, if there are any."""
-        return features if self.semantics is None else features + self.semantics(semantics)
-
     def forward(
         self,
         candidates: Candidates,
@@ -150,7 +146,8 @@ class SurfaceDepthHead(nn.Module):
         guess = torch.minimum(guess, candidates.guess_limit)
         geometry = self.geometry(self._geometry(candidates, semantics, boundary_logits)).float()
         features = features + self.project(candidates.features)
-        features = self.add_semantics(features, semantics)
+        if self.semantics is not None:
+            features = features + self.semantics(semantics)
         surfaces = candidates.surfaces
         if self.refinement is None:
             found = self.head(features)

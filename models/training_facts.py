@@ -9,18 +9,18 @@ from runtime.contract import ClassInfo, check_side
 
 @dataclass(frozen=True)
 class TrainingFacts:
-    """The facts of a training that outlive it; files have them as plain values.
+    """What a file says about the training of its weights, there as plain values.
 
     Attributes:
-        data: titles of the data sets.
+        data: titles of the data sets that the weights were trained on.
         terms: data and terms that a model card and an exported file must state.
-        trained_height: height [px] of the images that it was trained for; None = unknown.
+        trained_height: height [px] of the images that the network was trained for; None = unknown.
         recipe: the resolved recipe, as plain values.
-        crop: (height, width) of the crops that it was trained on; None = unknown.
-        init: the weights that it started from; None = random ones.
-        teacher: the weights whose answers it learned; None = there were none.
-        processes: that trained together.
-        step: of these weights; None = unknown.
+        crop: (height, width) of the training crops; None = unknown.
+        init: the weights that the training started from; None = random weights.
+        teacher: the weights whose answers the network was trained to give; None = none.
+        processes: number of processes that trained together.
+        step: number of the training step of these weights; None = unknown.
     """
 
     data: tuple[str, ...] = ()
