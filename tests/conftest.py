@@ -1,14 +1,12 @@
 """What tests of every part share: small models whose right answers can be worked out by hand."""
 
 import contextlib
-import dataclasses
-import importlib.util
 import os
-import secrets
 import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from html.parser import HTMLParser
@@ -164,7 +162,7 @@ def model_file(tmp_path: Path) -> ModelFile:
 
 @pytest.fixture
 def contract() -> Contract:
-    return dataclasses.replace(CONTRACT)
+    return CONTRACT
 
 
 @pytest.fixture
@@ -286,76 +284,39 @@ def bench_in_threads(monkeypatch):
 
 
 @pytest.fixture
-def read_only():
-    """Give a function that makes a folder read-only even for root."""
+def mount():
+    """Give a function that calls `mount` with its arguments, the last one a folder."""
     mounted = []
 
-    def mount(folder):
-        command = ["mount", "--bind", str(folder), str(folder)]
+    def call(*arguments):
+        command = ["mount", *map(str, arguments)]
         if shutil.which("mount") is None or subprocess.run(command, capture_output=True).returncode:
             pytest.skip("mounting is not permitted here")
-        mounted.append(folder)
+        mounted.append(arguments[-1])
+
+    yield call
+    for folder in mounted:
+        subprocess.run(["umount", "--lazy", str(folder)], check=True)  # a file may be open yet
+
+
+@pytest.fixture
+def read_only(mount):
+    """Give a function that makes a folder read-only even for root."""
+
+    def make(folder):
+        mount("--bind", folder, folder)
         subprocess.run(["mount", "-o", "remount,bind,ro", str(folder)], check=True)
 
-    yield mount
-    for folder in mounted:
-        subprocess.run(["umount", "--lazy", str(folder)], check=True)
+    return make
 
 
 @pytest.fixture
-def mount_disk(tmp_path):
+def mount_disk(tmp_path, mount):
     """Give a function that mounts a real file system of so many kilobytes: its folder."""
-    mounted = []
 
-    def mount(kilobytes):
-        disk = tmp_path / f"disk{len(mounted)}"
-        disk.mkdir()
-        command = ["mount", "-t", "tmpfs", "-o", f"size={kilobytes}k", "tmpfs", str(disk)]
-        if shutil.which("mount") is None or subprocess.run(command, capture_output=True).returncode:
-            pytest.skip("mounting a small file system is not permitted here")
-        mounted.append(disk)
+    def make(kilobytes):
+        disk = Path(tempfile.mkdtemp(prefix="disk", dir=tmp_path))
+        mount("-t", "tmpfs", "-o", f"size={kilobytes}k", "tmpfs", disk)
         return disk
 
-    yield mount
-    for disk in mounted:
-        subprocess.run(["umount", "--lazy", str(disk)], check=True)  # a file may be open yet
-
-
-@pytest.fixture(scope="session")
-def cluster():
-    """A local Ray of its own, that reports to nobody and leaves nothing in the home."""
-    if importlib.util.find_spec("ray") is None:
-        pytest.skip("the extra ray is not installed")
-    before = dict(os.environ)
-    os.environ |= {
-        "RAY_USAGE_STATS_ENABLED": "0",
-        "RAY_AUTH_TOKEN": secrets.token_hex(32),
-        "RAY_worker_niceness": "0",  # by default others go first
-    }
-    import ray
-
-    ray.init(
-        address="local",
-        num_cpus=2,
-        object_store_memory=128 << 20,
-        include_dashboard=False,
-        log_to_driver=False,
-        logging_level="ERROR",
-    )
-    yield ray
-    ray.shutdown()
-    os.environ.clear()
-    os.environ.update(before)
-
-
-@pytest.fixture
-def predict_source(cluster):
-    """The function of examples/ray_data.py; its actor is sent to the cluster by value."""
-    path = Path(__file__).parents[1] / "examples" / "ray_data.py"
-    spec = importlib.util.spec_from_file_location("ray_data_example", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    cluster.cloudpickle.register_pickle_by_value(module)
-    yield module.predict_source
-    cluster.cloudpickle.unregister_pickle_by_value(module)
+    return make

@@ -98,13 +98,8 @@ def folder(tmp_path_factory):
         patch.setitem(HEADS, "drivable", ROW)
         patch.setitem(NETWORKS, config.name, Entry(Drivable, config))
         save_checkpoint(folder / "c.pt", Drivable(config).eval(), training={})
-        report = export_checkpoint(
-            folder / "c.pt",
-            folder / "m.onnx",
-            size=SIZE,
-            dynamic=True,
-            record_dir=folder / "exported",
-        )
+        options = {"size": SIZE, "dynamic": True, "record_dir": folder / "exported"}
+        report = export_checkpoint(folder / "c.pt", folder / "m.onnx", **options)
         assert report.heads == ("drivable",)
         assert report.parity["drivable"].figures["max_abs"] <= ROW.tolerance
         yield folder
@@ -135,9 +130,8 @@ def test_a_head_of_one_row_goes_all_the_way(folder, tmp_path, frame):
     prediction.save(tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz") as arrays:
         np.testing.assert_array_equal(arrays["drivable"], answer)
-    png = cv2.imdecode(
-        np.frombuffer(ENCODERS[HEADS["drivable"].unit](answer), np.uint8), cv2.IMREAD_UNCHANGED
-    )
+    encoded = np.frombuffer(ENCODERS[ROW.unit](answer), np.uint8)
+    png = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED)
     np.testing.assert_allclose(png / 255, answer, atol=0.5 / 255 + 1e-6)
 
 
@@ -152,29 +146,17 @@ def test_a_broken_answer_of_it_is_invalid(folder, frame, change_run):
 
 
 def test_ssdnet_run_saves_and_records_it(folder, tmp_path):
-    out = tmp_path / "out"
-    arguments = [
-        "--demo",
-        "--limit",
-        "1",
-        "--model",
-        str(folder / "m.onnx"),
-        "--size",
-        "64",
-        "--warmup",
-        "0",
-    ]
+    out, recording = tmp_path / "out", tmp_path / "r"
+    arguments = ["--demo", "--limit", "1", "--model", folder / "m.onnx", "--size", "64"]
+    arguments += ["--out", out, "--record", recording]
     result = subprocess.run(
-        [sys.executable, "-c", COMMAND, *arguments, "--out", out, "--record", tmp_path / "r"],
-        capture_output=True,
-        text=True,
+        [sys.executable, "-c", COMMAND, *arguments], capture_output=True, text=True
     )
     assert result.returncode == 0, result.stderr
     (saved,) = (out / "free-space").iterdir()
     assert cv2.imread(str(saved), cv2.IMREAD_UNCHANGED).shape == (256, 832)
-    assert json.loads((tmp_path / "r" / "recording.json").read_text())["limits"].keys() == {
-        "drivable"
-    }
+    limits = json.loads((recording / "recording.json").read_text())["limits"]
+    assert limits.keys() == {"drivable"}
 
 
 class Streets:
