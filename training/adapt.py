@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -69,7 +69,7 @@ class Adapted:
     """
 
     path: Path
-    lines: tuple[str, ...] = ()
+    lines: Sequence[str] = ()
     paid: bool = False
 
 
@@ -96,12 +96,15 @@ def adapt(
         stop: called between two steps; True stops.
 
     Raises:
-        InputError: for a network without depth, too few frames with returns, frames of different
-            sizes or focal lengths, and as `train`.
+        InputError: for a network that is no `SSDNetLite` with depth, too few frames with returns,
+            frames of different sizes or focal lengths, and as `train`.
     """
     network = init.network
-    if "depth" not in network.heads:
-        raise InputError(f"{init.path}: predicts no depth that could be adapted.")
+    if not isinstance(network, SSDNetLite) or "depth" not in network.heads:
+        raise InputError(
+            f"{init.path}: has no layers that the depth alone reads, which could be adapted. Give "
+            "ssdnet-lite, ssdnet-nano, or weights that began with these."
+        )
     frames = out / FRAMES
     if frames.is_dir():
         tqdm.write(f"{frames}: the frames of an earlier start are taken", file=sys.stderr)
@@ -109,12 +112,6 @@ def adapt(
         _write_frames(source, frames, init.facts.trained_height)
     focal_px = float((frames / "focal_length_px.txt").read_text()) or None
     recipe = make_recipe(init, frames, focal_px, changes)
-    if not isinstance(network, SSDNetLite):
-        tqdm.write(
-            f"warning: {network.config.name} has no layers that the depth alone reads: its classes "
-            "and boundaries change, too",
-            file=sys.stderr,
-        )
     path = train(recipe, data=[out], out=out / TRAINING, init=init, device=device, stop=stop)
     if path.name != FINAL:
         return Adapted(path)
@@ -131,29 +128,22 @@ def adapt(
     # The mean over the feeds of MAE and of RMSE.
     figures = {name: np.mean(list(found.values()), axis=0)[:2] for name, found in scores.items()}
     ratio = {name: float((figures[name] / figures["before"]).mean()) for name in models}
-    changes_of = {name: bundled_changes(network, models[name]) for name in ("between", "after")}
-    forgetful = {name for name, changed in changes_of.items() if changed.depth > MOST_CHANGE}
-    allowed = [name for name in models if name not in forgetful]
+    change = {name: bundled_change(network, models[name]) for name in ("between", "after")}
+    allowed = ["before", *(name for name, share in change.items() if share <= MOST_CHANGE)]
     best = min(allowed, key=lambda name: ratio[name])  # of equals that before
+    paid = best != "before"
     with folder_errors(out):
-        facts = dict(trained.training) if best != "before" else init.facts.to_dict()
+        facts = dict(trained.training) if paid else init.facts.to_dict()
         save_checkpoint(out / FINAL, models[best], training=facts)
-    return Adapted(
-        out / FINAL,
-        (
-            *_table(scores, len(samples)),
-            "the bundled recording, changed against before:",
-            *(
-                f"{name:8} {100 * changed.classes:.1f} % of the classes, depth by "
-                f"{100 * changed.depth:.1f} %{', too much to be kept' if name in forgetful else ''}"
-                for name, changed in changes_of.items()
-            ),
-            f"kept: {best}, {100 * (ratio[best] - 1):+.1f} % in MAE and RMSE"
-            if best != "before"
-            else "kept: the model before; the adaptation does not pay on the frames kept apart",
-        ),
-        best != "before",
-    )
+    lines = [*_table(scores, len(samples)), "depth on the bundled recording, changed by:"]
+    for name, share in change.items():
+        note = "" if name in allowed else ", too much to be kept"
+        lines.append(f"{name:8} {100 * share:.1f} %{note}")
+    if paid:
+        lines.append(f"kept: {best}, {100 * (ratio[best] - 1):+.1f} % in MAE and RMSE")
+    else:
+        lines.append("kept: the model before; the adaptation does not pay on the frames kept apart")
+    return Adapted(out / FINAL, lines, paid)
 
 
 def choose_frames(listed: Sequence[ListedFrame]) -> tuple[list[ListedFrame], list[ListedFrame]]:
@@ -162,14 +152,10 @@ def choose_frames(listed: Sequence[ListedFrame]) -> tuple[list[ListedFrame], lis
     Without stamps their order is the time. InputError for too few frames with depth.
     """
     found = [frame for frame in listed if frame.complete and frame.depth is not None]
-    if not found:
-        raise InputError(
-            "the recording has no frame with a scan or depth. Give --points and --calibration, or "
-            "--depth, for a folder of images."
-        )
     if len(found) < LEAST_FRAMES:
         raise InputError(
-            f"the recording has {len(found)} frames with a scan; expected at least {LEAST_FRAMES}."
+            f"the recording has {len(found)} frames with a scan or depth; expected at least "
+            f"{LEAST_FRAMES}. For a folder of images give --points and --calibration, or --depth."
         )
     stamped = all(frame.image_stamp_ns is not None for frame in found)
     times = np.array([frame.image_stamp_ns if stamped else i for i, frame in enumerate(found)])
@@ -245,7 +231,7 @@ def make_recipe(
 ) -> Recipe:
     """Return the recipe of the training; ``changes`` as of `build_recipe`."""
     config, facts = init.network.config, init.facts
-    only, frozen = DEPTH_ALONE if isinstance(init.network, SSDNetLite) else ((), ())
+    only, frozen = DEPTH_ALONE
     model: dict[str, Any] = {"name": config.name, "config": config_changes(config)}
     table = trained_classes(config.classes, facts.to_dict())
     if table:
@@ -327,22 +313,15 @@ def _table(scores: Mapping[str, Mapping[str, Any]], frames: int) -> Iterator[str
         yield f"{feed:20}" + "".join(f"{cell:>22}" for cell in cells)
 
 
-class Changes(NamedTuple):
-    """Shares of what an adaptation changes: pixels with another class, and the depth."""
-
-    classes: float
-    depth: float
-
-
-def bundled_changes(before: Network, after: Network) -> Changes:
-    """Compare two models on the recording that is installed with the engine."""
-    predicts = torch_predict(before), torch_predict(after)
-    classes, depth = [0.0], []
+def bundled_change(before: Network, after: Network) -> float:
+    """Return the mean relative change of the depth on the recording installed with the engine."""
+    predicts, changes = (torch_predict(before), torch_predict(after)), []
     for frame in bundled_frames():
-        one, other = (p(frame.rgb, frame.sparse_depth, BUNDLED_FOCAL_LENGTH_PX) for p in predicts)
-        assert one.depth is not None
-        assert other.depth is not None
-        depth.append(float(np.abs(other.depth / one.depth - 1).mean()))
-        if one.semantic is not None:
-            classes.append(float(np.mean(other.semantic != one.semantic)))
-    return Changes(max(classes), float(np.mean(depth)))
+        old, new = (
+            predict(frame.rgb, frame.sparse_depth, BUNDLED_FOCAL_LENGTH_PX).depth
+            for predict in predicts
+        )
+        assert old is not None
+        assert new is not None
+        changes.append(float(np.abs(new / old - 1).mean()))
+    return float(np.mean(changes))

@@ -6,7 +6,6 @@ What a file leaves out comes from the training of the weights that it begins wit
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from runtime.read_input import read_toml
 from training.initial_weights import Weights, weights_folder
 from training.losses import LossConfig
 from training.losses.total import PAIR_TERMS, TERMS
-from training.recipe import LoopRecipe, OptimizerRecipe, build_recipe, merge, parse_changes
+from training.recipe import LoopRecipe, OptimizerRecipe, build_recipe, change, merge
 from training.recipes.registry import RECIPES
 from training.stages import Stage
 
@@ -40,15 +39,14 @@ def read_stages(
         InputError: for an unknown name, and as in `build_recipe`.
     """
     if text.endswith(".toml") or "/" in text or "\\" in text:
-        table = read_toml(Path(text))
-        return (Stage("", build_recipe(table, text, changes, partial(fine_tune, init=init))),)
+        return (Stage("", build_recipe(fine_tune(read_toml(Path(text)), changes, init), text)),)
     if text not in RECIPES:
         raise InputError(
             f"unknown recipe {text!r}; known: {', '.join(RECIPES)}. For a recipe of your own give "
             "a path that ends in .toml or holds a slash."
         )
     stages = RECIPES[text].stages
-    for key in _below(_below(parse_changes(changes), "model"), "config"):
+    for key in _below(_below(change({}, changes), "model"), "config"):
         if len({str(stage.recipe.model.config.get(key)) for stage in stages}) > 1:
             raise InputError(
                 f"{text}: model.config.{key} is not the same in all stages, so that it cannot be "
@@ -79,16 +77,20 @@ _DEFAULTS = {
 }
 
 
-def fine_tune(table: Mapping[str, Any], init: Weights | None) -> Mapping[str, Any]:
-    """Return a recipe's table with the settings of the earlier training where it has none.
+def fine_tune(
+    table: Mapping[str, Any], changes: Sequence[str], init: Weights | None
+) -> Mapping[str, Any]:
+    """Return a recipe's changed table, with settings of the earlier training where it has none.
 
     What is added, unless it is the default, is reported on stderr. For weights of the package the
     recipe of their first stage is taken: it trains all heads.
 
     Args:
         table: the recipe, as TOML has it.
+        changes: of it, see `training.recipe.change`.
         init: the checkpoint that the training begins with; None = there is none.
     """
+    table = change(table, changes)
     if init is None:
         return table
     earlier, source = init.facts.recipe, str(init.path)

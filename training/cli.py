@@ -3,7 +3,6 @@
 import shlex
 import tomllib
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -146,8 +145,6 @@ def train(
         raise typer.BadParameter("--labels and --classes go together")
     with reported_errors("train"):
         # Heavy imports here, so that --help is quick.
-        import torch
-
         from training.chosen_recipe import fine_tune, read_stages
         from training.dry_run import dry_run as draw_first_batch
         from training.initial_weights import find_weights, read_weights
@@ -155,15 +152,13 @@ def train(
         from training.recipe import build_recipe
         from training.stages import Stage, next_stage, train_stages
 
-        if threads is not None:
-            torch.set_num_threads(threads)
+        _set_threads(threads)
         with stop_signal() as stop:
             weights, taught_by = (
                 None if text is None else read_weights(find_weights(text))
                 for text in (init, teacher)
             )
             if recipe is not None:
-                assert data is not None  # checked above
                 stages = read_stages(recipe, change or (), weights)
             else:
                 assert images is not None  # checked above, like --init
@@ -171,15 +166,11 @@ def train(
                 own = OwnFolders(images, labels, depth, classes)
                 text, data = own.make_recipe(weights), [own.root]
                 typer.echo(text)
-                made = build_recipe(
-                    tomllib.loads(text),
-                    out / RECIPE_TEXT,
-                    change or (),
-                    partial(fine_tune, init=weights),
-                )
-                stages = (Stage("", made),)
+                table = fine_tune(tomllib.loads(text), change or (), weights)
+                stages = (Stage("", build_recipe(table, out / RECIPE_TEXT)),)
                 if not dry_run:
                     keep_recipe(text, out)
+            assert data is not None
             if dry_run:
                 stage, folder, weights = next_stage(stages, out, weights, data)
                 path, lines = draw_first_batch(
@@ -205,8 +196,19 @@ def train(
                 )
     typer.echo(str(path))
     if stop() and path.name == "last.pt":
-        typer.echo(f"stopped; the same command resumes from {path}", err=True)
-        raise typer.Exit(INTERRUPTED)
+        _end_stopped(path)
+
+
+def _set_threads(threads: int | None) -> None:
+    import torch
+
+    if threads is not None:
+        torch.set_num_threads(threads)
+
+
+def _end_stopped(last: Path) -> None:
+    typer.echo(f"stopped; the same command resumes from {last}", err=True)
+    raise typer.Exit(INTERRUPTED)
 
 
 def _adapt(
@@ -220,14 +222,11 @@ def _adapt(
 ) -> None:
     """Adapt ``init`` to a recording, and print what came of it and what to run next."""
     with reported_errors("train"):
-        import torch
-
         from runtime.sources.registry import SOURCES, detect_source, open_source, parse_source
         from training.adapt import adapt
         from training.initial_weights import find_weights, read_weights
 
-        if threads is not None:
-            torch.set_num_threads(threads)
+        _set_threads(threads)
         is_named = text.partition(":")[0] in SOURCES
         kind, path, keys = parse_source(text) if is_named else detect_source(Path(text))
         with stop_signal() as stop, open_source(kind, path, **files, **keys) as source:
@@ -238,8 +237,7 @@ def _adapt(
     for line in found.lines:
         typer.echo(line)
     if not found.lines:
-        typer.echo(f"stopped; the same command resumes from {found.path}", err=True)
-        raise typer.Exit(INTERRUPTED)
+        _end_stopped(found.path)
     if not found.paid:
         return
     model = str(found.path.with_suffix(".onnx"))

@@ -14,7 +14,6 @@ from training.datasets.sample import IGNORE, SampleSource
 from training.distributed import join_processes
 from training.evaluation.pictures import draw_batch
 from training.initial_weights import Weights
-from training.loading.augment import AugmentConfig
 from training.loading.batches import read_batches
 from training.loading.open_dataset import spread_indices
 from training.recipe import Recipe
@@ -68,25 +67,19 @@ def _describe(recipe: Recipe, task: Task) -> Iterator[str]:
     """Describe the sets of the mixture by some frames of each."""
     height, width = task.data.augment.size
     yield f"crops of {height} x {width} px"
-    classes = [info.name for info in list_classes(recipe.model.class_table)]
     for item, source in zip(recipe.data.source, task.sources, strict=True):
-        scale = item.scale or recipe.data.augment.scale
-        augment = AugmentConfig((height, width), scale)
-        yield from _describe_set(item.title, source, classes, augment)
+        yield from _describe_set(item.title, source, recipe.model.class_names)
 
 
-def _describe_set(
-    title: str, source: SampleSource, classes: Sequence[str], augment: AugmentConfig
-) -> Iterator[str]:
+def _describe_set(title: str, source: SampleSource, classes: Sequence[str]) -> Iterator[str]:
     counts = np.zeros(256, dtype=np.int64)
-    depths, pixels, padding = [], 0, []
+    depths, pixels = [], 0
     for index in spread_indices(source, _DESCRIBED):
         sample = source[index]
         counts += np.bincount(sample.semantic.ravel(), minlength=256)
         depths.append(sample.depth[sample.depth > 0])
         pixels += sample.semantic.size
-        padding.append(_padding_share(sample.size, augment))
-    yield f"{title}: {len(source)} frames, {np.mean(padding):.0%} of a crop is padding"
+    yield f"{title}: {len(source)} frames"
     labelled = counts.sum() - counts[IGNORE]
     if labelled:
         shares = (f"{name} {counts[index] / labelled:.1%}" for index, name in enumerate(classes))
@@ -96,11 +89,3 @@ def _describe_set(
         metres = zip(_PERCENTILES, np.percentile(depth, _PERCENTILES), strict=True)
         text = ", ".join(f"{share} % {value:.1f} m" for share, value in metres)
         yield f"  depth ({depth.size / pixels:.1%} of the pixels), percentiles: {text}"
-
-
-def _padding_share(size: tuple[int, int], config: AugmentConfig) -> float:
-    """Return the mean share of a crop that is beyond a frame of (height, width), 0..1."""
-    scale = np.geomspace(*config.scale, num=101)
-    height, width = (side / scale for side in config.size)
-    inside = np.minimum(1, size[0] / height) * np.minimum(1, size[1] / width)
-    return float(1 - inside.mean())

@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 
 from models import Network, SSDNetLite
-from models.checkpoint import check_weights
 from models.efficientnet_lite import RGB_MEAN, RGB_STD, EfficientNetLite, InvertedResidual
 from runtime.errors import CheckpointError, InputError, install_command
 from training.prune import prune_trunk
@@ -68,28 +67,20 @@ def pretrain(network: Network, pictures: Iterable[Tensor], *, load: bool) -> SSD
 
 
 def load_imagenet(trunk: EfficientNetLite) -> None:
-    """Fill every tensor of the trunk with the weights of ImageNet.
+    """Fill every tensor of the trunk, of all widths, with the weights of ImageNet.
 
     Raises:
-        CheckpointError: if the package is not installed, its file is another one, or the trunk has
-            other widths.
+        CheckpointError: if the package is not installed, or its file is another one.
     """
     source = _read_package()
     layers = dict(_STEM)
     names = [name for name, part in trunk.named_modules() if isinstance(part, InvertedResidual)]
     for index, block in enumerate(names):
         layers |= {f"{block}.{ours}": f"_blocks.{index}.{its}" for ours, its in _BLOCK.items()}
-    wanted = trunk.state_dict()
     weights = {}
-    for name in wanted:
+    for name in trunk.state_dict():
         layer, _, value = name.rpartition(".")
         weights[name] = source[f"{layers[layer]}.{value}"]
-    try:
-        check_weights(weights, wanted)
-    except ValueError as error:
-        raise CheckpointError(
-            f"ImageNet's weights do not fit the trunk: {error}. Prune it after it is loaded."
-        ) from error
     trunk.load_state_dict(weights)
 
 

@@ -13,12 +13,6 @@ from runtime.contract import MAX_SIDE, MIN_SIDE
 #: Configuration of all tables of a recipe: no conversions ("3", true), unknown keys, NaN or Inf.
 STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 
-#: Most pixels of a batch: 5 GiB of loaded tensors.
-MAX_BATCH_PIXELS = 2**28
-#: Most pixels of the window of a frame before it is resized to the crop: 1.6 GiB.
-MAX_WINDOW_PIXELS = 2**27
-#: Of a training; their order takes 16 bytes each.
-MAX_SAMPLES = 10**8
 Index = Annotated[int, Field(ge=0, le=10**9)]
 Seed = Annotated[int, Field(ge=0, le=2**32 - 1)]
 Steps = Annotated[int, Field(ge=1, le=10**8)]

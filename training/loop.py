@@ -87,8 +87,8 @@ def train(
             files = list_data(data, [item.path for item in sets])
             prepare_folder(out, resolved, files)
         processes.wait()
-        state = TrainingState(recipe, task, processes, out, from_init=init is not None)
-        state.resume(out / LAST, resolved)
+        state = TrainingState(recipe, task, processes, out)
+        state.resume(out / LAST)
         steps = recipe.schedule.steps
         if state.step == steps and (out / FINAL).is_file():
             if processes.is_first:
@@ -147,7 +147,8 @@ def train(
                 if state.step % recipe.log_every == 0:
                     board.add_step(done, dict(state.criterion.log_variances.items()), state.step)
                 # Before the checkpoint: a run killed in between validates again after it resumes.
-                if task.validation and recipe.validates_at(state.step):
+                due = state.step % recipe.validate_every == 0 or state.step == steps
+                if task.validation and due:
                     score(released())
                 if state.step % recipe.checkpoint_every == 0:
                     state.save(out / LAST, facts())

@@ -4,7 +4,7 @@ import contextlib
 import json
 import re
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union
@@ -17,15 +17,11 @@ from models.registry import NETWORKS
 from runtime.checks import shown
 from runtime.contract import MAX_CLASSES, MAX_NAME_LENGTH, MIN_SIDE, ClassInfo
 from runtime.errors import InputError
-from runtime.read_input import read_toml
 from training.datasets.class_mapping import ClassTable, list_classes
 from training.datasets.registry import DATASETS
 from training.datasets.source_recipe import SourceRecipe
 from training.lidar.split import LidarInput
 from training.limits import (
-    MAX_BATCH_PIXELS,
-    MAX_SAMPLES,
-    MAX_WINDOW_PIXELS,
     STRICT,
     BatchSize,
     NotNegative,
@@ -156,24 +152,12 @@ class DataRecipe:
     rare_classes: Annotated[tuple[str, ...], Field(max_length=MAX_CLASSES)] = ()
 
     def __post_init__(self) -> None:
-        """Check that a batch and its crops fit into memory."""
+        """Check the crop, and that there are classes to choose it for."""
         crop = self.augment.size
         if min(crop) < MIN_SIDE:
             raise ValueError(f"augment.crop = {list(crop)}; both must be at least {MIN_SIDE}")
         if self.augment.rare_crops and not self.rare_classes:
             raise ValueError("augment.rare_crops needs rare_classes, names of model.classes")
-        views = 2 if self.augment.pair_shift else 1
-        if views * self.batch_size * crop[0] * crop[1] > MAX_BATCH_PIXELS:
-            raise ValueError(
-                f"batch_size = {self.batch_size}: with crops of {crop[0]}x{crop[1]} a batch has "
-                f"more than {MAX_BATCH_PIXELS} pixels"
-            )
-        least = min((self.augment.scale, *(item.scale for item in self.source if item.scale)))[0]
-        if crop[0] * crop[1] / least**2 > MAX_WINDOW_PIXELS:
-            raise ValueError(
-                f"augment.scale: at {least:g} a crop of {crop[0]}x{crop[1]} is cut from more than "
-                f"{MAX_WINDOW_PIXELS} pixels"
-            )
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -295,13 +279,7 @@ class Recipe:
     terms: Annotated[str, Field(max_length=10_000)] = ""
 
     def __post_init__(self) -> None:
-        """Check the number of samples, and the classes and the views that the loss needs."""
-        samples = self.schedule.steps * self.data.batch_size * self.loop.accumulate
-        if samples > MAX_SAMPLES:
-            raise ValueError(
-                f"schedule.steps = {self.schedule.steps}: with data.batch_size and "
-                f"loop.accumulate this draws {samples} samples; expected at most {MAX_SAMPLES}"
-            )
+        """Check the classes and the views that data and loss need."""
         for name in self.data.rare_classes:
             if self.model.class_id(name.lower()) is None:
                 raise ValueError(f"data.rare_classes: {name!r} is not a class of model.classes")
@@ -337,71 +315,49 @@ class Recipe:
         """Steps between two validations: by default a fifth, at most 1000."""
         return self.validation.every or self._share_of_steps(5, 1000)
 
-    def validates_at(self, step: int) -> bool:
-        """Whether there is a validation after a step."""
-        return step % self.validate_every == 0 or step == self.schedule.steps
-
     def _share_of_steps(self, parts: int, most: int) -> int:
         return max(1, min(most, self.schedule.steps // parts))
 
 
 def derive(recipe: T, **changes: Any) -> T:
     """Return a recipe with other keys; a mapping changes keys of a table."""
-    values = {key: getattr(recipe, key) for key in changes}
-    return replace(  # type: ignore[type-var]
-        recipe,
-        **{
-            key: derive(values[key], **change) if _is_table(values[key], change) else change
-            for key, change in changes.items()
-        },
-    )
+    for key, change in changes.items():
+        if is_dataclass(table := getattr(recipe, key)) and isinstance(change, Mapping):
+            changes[key] = derive(table, **change)
+    return replace(recipe, **changes)  # type: ignore[type-var]
 
 
-def _is_table(value: object, change: object) -> bool:
-    """Whether a change is of keys of a value, instead of another value."""
-    return is_dataclass(value) and isinstance(change, Mapping)
-
-
-def read_recipe(path: Path | str, changes: Sequence[str] = ()) -> Recipe:
-    """Read a recipe from a TOML file; arguments and errors as in `build_recipe`."""
-    return build_recipe(read_toml(Path(path)), path, changes)
-
-
-def build_recipe(
-    table: Mapping[str, Any],
-    name: Path | str,
-    changes: Sequence[str] = (),
-    complete: Callable[[Mapping[str, Any]], Mapping[str, Any]] = lambda table: table,
-) -> Recipe:
+def build_recipe(table: Mapping[str, Any], name: Path | str, changes: Sequence[str] = ()) -> Recipe:
     """Build a recipe from its table.
 
     Args:
         table: the recipe, as TOML has it.
         name: its file or name, for messages.
-        changes: further changes, each "table.key = value" in TOML; a list (``data.source``) is
-            replaced as a whole.
-        complete: adds to the changed table what it lacks.
+        changes: see `change`.
 
     Raises:
-        InputError: for a missing file, invalid TOML, unknown keys or values of the wrong type.
+        InputError: for changes that are not TOML, unknown keys or values of the wrong type.
     """
     try:
-        return build(Recipe, complete(merge(table, parse_changes(changes))))
+        return build(Recipe, change(table, changes))
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
 
 
-def parse_changes(changes: Sequence[str]) -> dict[str, Any]:
-    """Return changes, each "table.key = value" in TOML, as one table."""
-    table: dict[str, Any] = {}
-    for change in changes:
+def change(table: Mapping[str, Any], changes: Sequence[str]) -> dict[str, Any]:
+    """Return a table with changes, each "table.key = value" in TOML.
+
+    A list (``data.source``) is replaced as a whole.
+    """
+    changed = dict(table)
+    for text in changes:
         try:
-            table = merge(table, tomllib.loads(change))
+            changed = merge(changed, tomllib.loads(text))
         except tomllib.TOMLDecodeError as error:
             raise InputError(
-                f"{change!r} is not 'table.key = value' in TOML ({error}); text needs quotes."
+                f"{text!r} is not 'table.key = value' in TOML ({error}); text needs quotes."
             ) from error
-    return table
+    return changed
 
 
 def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -491,9 +447,11 @@ def _table_at(kind: Any, place: Sequence[str | int]) -> Any:
 
 def _join(place: Sequence[str | int]) -> str:
     """Return a location as in the recipe, data.source[0].split, without tags of unions."""
-    inner = [part for part in place[:-1] if part not in _TAGS]
-    parts = [*inner, *(part for part in place[-1:] if part not in (_NAMED, _OWN))]
-    # Of other unions the tags are types, tuple[constrained-int, constrained-int].
-    parts = [part for part in parts if isinstance(part, int) or part.isidentifier()]
+    # Of some unions the tags are types, tuple[constrained-int, constrained-int].
+    parts = [
+        part
+        for part in place
+        if isinstance(part, int) or (part.isidentifier() and part not in _TAGS)
+    ]
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts)
     return text.removeprefix(".")

@@ -55,7 +55,7 @@ def prepare_folder(
     with folder_errors(out):
         first = files
         if path.is_file():
-            before = _read_json(path)
+            before = json.loads(path.read_text(encoding="utf-8"))
             require_same(before, resolved, path)
             first = before.get(_DATA) or files
             for name in (name for name in files if files[name] != first.get(name)):
@@ -155,13 +155,3 @@ def _flatten(value: Any, place: str = "") -> dict[str, Any]:
     else:
         return {place: value}
     return {key: item for name, part in parts for key, item in _flatten(part, name).items()}
-
-
-def _read_json(path: Path) -> Mapping[str, Any]:
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise InputError(f"{path}: is not JSON ({error}). Choose another --out.") from error
-    if not isinstance(document, dict):
-        raise InputError(f"{path}: contains no recipe. Choose another --out.")
-    return document

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from runtime.errors import InputError
 from runtime.io.atomic_write import atomic_write
 
 #: Scores of a set that the progress line and TensorBoard show.
@@ -21,7 +20,6 @@ class ScoreTable:
     """A CSV file with one row per step and set: "step", "set", and one column per score.
 
     Rows of steps after ``step`` are dropped, at step 0 all: an interrupted run computes them again.
-    InputError for a file of another kind.
     """
 
     def __init__(self, path: Path, step: int) -> None:
@@ -29,16 +27,9 @@ class ScoreTable:
         self._rows: list[dict[str, str]] = []
         if not path.is_file():
             return
-        try:
-            with path.open(encoding="utf-8", newline="") as stream:
-                rows = list(csv.DictReader(stream))
-            if not all(row["set"] for row in rows):
-                raise ValueError("a row without its set")
-            self._rows = [row for row in rows if int(row["step"]) <= step and step > 0]
-        except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
-            raise InputError(
-                f"{path}: is not a table of scores ({type(error).__name__}: {error}). Move it away."
-            ) from error
+        with path.open(encoding="utf-8", newline="") as stream:
+            rows = list(csv.DictReader(stream))
+        self._rows = [row for row in rows if int(row["step"]) <= step and step > 0]
 
     def add(self, step: int, scores: Mapping[str, Mapping[str, float]], best: str) -> bool:
         """Write the scores of a step; return whether the score ``best`` is the best so far.

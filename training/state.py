@@ -18,7 +18,6 @@ from runtime.io.atomic_write import atomic_write
 from training.distributed import Processes, share_network
 from training.loading.mixture import Batch
 from training.recipe import Recipe, ScheduleRecipe
-from training.run_folder import BEST, require_same
 from training.task import Task
 
 #: `Network.forward`, or its distributed wrapper.
@@ -50,14 +49,10 @@ class TrainingState:
         task: what it trains on what.
         processes: that train together.
         out: folder of the run, for errors.
-        from_init: whether it began with other weights, which are scored first.
     """
 
-    def __init__(
-        self, recipe: Recipe, task: Task, processes: Processes, out: Path, *, from_init: bool
-    ) -> None:
+    def __init__(self, recipe: Recipe, task: Task, processes: Processes, out: Path) -> None:
         self.step = 0
-        self._keeps_best = from_init and bool(task.validation)
         self._recipe, self._processes, self._out = recipe, processes, out
         self._network, self.criterion, self._teacher = task.network, task.criterion, task.teacher
         self._optimizer = task.optimizer
@@ -82,11 +77,10 @@ class TrainingState:
             "criterion": self.criterion,
         }
 
-    def resume(self, path: Path, resolved: Mapping[str, Any]) -> None:
+    def resume(self, path: Path) -> None:
         """Load the state of the run if there is one."""
         if path.is_file():
             checkpoint = load_checkpoint(path)
-            require_same(checkpoint.training, resolved, path)
             self._network.load_state_dict(checkpoint.model.state_dict())
             try:
                 for name, part in self._parts.items():
@@ -161,12 +155,10 @@ class TrainingState:
         if self._processes.is_first:
             document = {"step": self.step, "terms": values, "frames": frames}
             atomic_write(path, json.dumps(document, indent=2).encode())
-        # Those of last.pt, and all of a run from random weights, may have diverged before.
-        best = f" with --init {self._out / BEST}" if self._keeps_best else ""
         return NonFiniteLossError(
             f"step {self.step}: the loss ({values['total']}) or its gradient is not finite; the "
             f"terms and the {len(frames)} frames of the batch are in {path}. Check them, or start "
-            f"a new --out{best} and a lower optimizer.learning_rate."
+            "a new --out with a lower optimizer.learning_rate."
         )
 
 

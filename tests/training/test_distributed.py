@@ -6,7 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import torch
@@ -14,6 +13,7 @@ import torch.distributed as dist
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from torch import nn
 
+from layouts.pictures import write
 from models import load_checkpoint
 from training.distributed import Processes, share_batch_norm
 from training.loading.mixture import Pair
@@ -34,11 +34,13 @@ NETWORKS["ssdnet-small"] = Entry(SSDNet, replace(
 ))
 torch.set_num_threads(1)
 from training import loop, state
-from training.datasets.virtual_kitti import RenderedRecipe
+from training.datasets.folders import FoldersRecipe
 from training.loading.augment import AugmentConfig
 from training.losses import LossConfig
 from training.recipe import *
-source = RenderedRecipe(path="scenes")
+source = FoldersRecipe(
+    path="scenes", labels="labels", depth="depth", intrinsics=(60.0, 60.0, 28.0, 20.0)
+)
 recipe = Recipe(
     model=ModelRecipe("ssdnet-small"),
     data=DataRecipe((source,), AugmentConfig(crop=(40, 56)), workers=0),
@@ -49,7 +51,7 @@ recipe = Recipe(
     validation=ValidationRecipe(every=2, source=(source,), pictures=1),
 )
 share = state.share_network
-def train(data, out, *, batch=2, parts=1, stop_after=None):
+def train(data, out, *, batch=2, parts=1, stop_rank=None):
     def keep(network, processes):
         nonlocal kept
         kept = network
@@ -62,7 +64,8 @@ def train(data, out, *, batch=2, parts=1, stop_after=None):
         data=replace(recipe.data, batch_size=batch),
         loop=replace(recipe.loop, accumulate=parts),
     )
-    loop.train(run, data=[data], out=out, stop_after=stop_after)
+    steps = iter([False, os.environ["RANK"] == stop_rank])  # one of them is told to stop
+    loop.train(run, data=[data], out=out, stop=lambda: next(steps, False))
     torch.save(kept.state_dict(), out / f"rank{os.environ['RANK']}.weights")
 root = Path(sys.argv[1])
 for name, processes, options in json.loads(sys.argv[2]):
@@ -85,7 +88,7 @@ RUNS = [
     ("one", 1, {"batch": 4, "parts": 2}),
     ("two", 2, {"parts": 2}),
     ("whole", 2, {}),
-    ("stopped", 2, {"stop_after": 1}),
+    ("stopped", 2, {"stop_rank": "1"}),
     ("resumed", 2, {}),
 ]
 
@@ -95,26 +98,15 @@ def root(tmp_path_factory):
     """Where RUNS lie."""
     root = tmp_path_factory.mktemp("distributed")
     rng = np.random.default_rng(0)
-    folder = root / "data" / "scenes" / "Scene01" / "clone"
-    for kind in ("rgb", "depth", "classSegmentation"):
-        (folder / "frames" / kind / "Camera_0").mkdir(parents=True)
-    (folder / "colors.txt").write_text("Category r g b\nRoad 100 60 100\nCar 0 9 9\nMisc 1 2 3\n")
-    colors = np.array([[100, 60, 100], [9, 9, 0], [3, 2, 1]], np.uint8)
-    rows = ["frame cameraID fx fy cx cy"]
     for index in range(6):
-        label = np.zeros((40, 56), np.uint8)
-        label[:, : 5 + 8 * index] = 1
-        label[: 6 * index] = 2  # ignored: more and more of it
-        depth = rng.integers(300, 7000, (40, 56)).astype(np.uint16)
-        depth[: 3 * index] = 65535
+        label = np.full((40, 56), 3, np.uint8)
+        label[:, : 5 + 8 * index] = 8
+        label[: 6 * index] = 255  # more and more of it
+        depth = (256 * rng.uniform(3, 70, (40, 56))).astype(np.uint16)
+        depth[: 3 * index] = 0
         image = rng.integers(0, 255, (40, 56, 3), dtype=np.uint8)
-        frames = folder / "frames"
-        cv2.imwrite(str(frames / "rgb" / "Camera_0" / f"rgb_{index:05d}.jpg"), image)
-        cv2.imwrite(str(frames / "depth" / "Camera_0" / f"depth_{index:05d}.png"), depth)
-        labels = frames / "classSegmentation" / "Camera_0" / f"classgt_{index:05d}.png"
-        cv2.imwrite(str(labels), colors[label])
-        rows.append(f"{index} 0 60 60 28 20")
-    (folder / "intrinsic.txt").write_text("\n".join(rows))
+        for kind, picture in (("images", image), ("labels", label), ("depth", depth)):
+            write(root / "data" / "scenes" / kind / f"{index}.png", picture)
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", TRAIN, root, json.dumps(RUNS)],
         capture_output=True,
@@ -176,6 +168,7 @@ def test_two_processes_resume_to_the_same_weights(root):
     halfway = torch.load(stopped / "rank0.weights")
     assert any(not torch.equal(halfway[name], expected[name]) for name in expected)
     assert not (stopped / "model.pt").exists()
+    assert load_checkpoint(stopped / "last.pt").trainer["step"] == 1
     for rank in (0, 1):
         reached = torch.load(resumed / f"rank{rank}.weights")
         for name in expected:

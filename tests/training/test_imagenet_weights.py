@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from models.efficientnet_lite import RGB_MEAN, RGB_STD, WIDTHS, EfficientNetLite
-from runtime.errors import CheckpointError
+from models.efficientnet_lite import RGB_MEAN, RGB_STD, EfficientNetLite
 from training.imagenet_weights import PACKAGE, load_imagenet
 
 REFERENCE = "efficientnet_lite_pytorch"
@@ -53,8 +52,3 @@ def test_features_are_those_of_the_packages_own_network(trunk, reference, size):
         ours, theirs = all_features(trunk, x), reference_features(reference, x)
     assert [x.shape for x in ours] == [x.shape for x in theirs]
     assert all((a - b).abs().max() < 1e-5 for a, b in zip(ours, theirs, strict=True))
-
-
-def test_a_pruned_trunk_does_not_take_them(trunk):
-    with pytest.raises(CheckpointError, match="Prune it after"):
-        load_imagenet(EfficientNetLite((32, 64, *WIDTHS[2:])))

@@ -1,4 +1,4 @@
-"""Workers that do not inherit the training's memory, as on macOS, Windows and Linux from 3.14."""
+"""Ctrl-C saves and stops, with workers that do not inherit memory, as on Linux from 3.14."""
 
 import os
 import signal
@@ -60,6 +60,8 @@ def test_a_run_with_spawned_workers_trains_and_stops(tmp_path, start_process):
     output, errors = process.communicate(timeout=180)
     assert process.returncode == 130, errors[-3000:]
     assert "Traceback" not in errors
+    assert f"stopped; the same command resumes from {out / 'last.pt'}" in errors
+    assert not (out / "model.pt").exists()
     # The worker went on to the end of the step, beyond what it had prepared.
     assert 3 + output.count("batch\n") == 8
     assert load_checkpoint(out / "last.pt").trainer["step"] == 1

@@ -31,26 +31,17 @@ def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
         assert not (getattr(built, head).bias == 77.0).any()
     guess = built.state_dict()["surface_depth.guess.weight"]
     assert torch.equal(guess, network.surface_depth.guess.weight)
+    with pytest.raises(CheckpointError, match="none of its layers fits"):
+        build_network(ModelRecipe("ssdnet-small"), read_weights(other))
 
 
-@pytest.mark.parametrize(
-    ("name", "changed", "text"),
-    [
-        ("ssdnet-lite", {"max_depth_m": 80.0}, "the depth range [m] changed from 200.0 to 80.0"),
-        (
-            "ssdnet-small",
-            {"boundary_gating": False},
-            "the gating by boundaries changed from True to False",
-        ),
-    ],
-)
-def test_init_reports_settings_that_change_what_weights_mean(tmp_path, capsys, name, changed, text):
+def test_init_reports_settings_that_change_what_weights_mean(tmp_path, capsys):
     other = tmp_path / "other.pt"
-    save_checkpoint(other, create_model(name))
-    build_network(ModelRecipe(name), read_weights(other))
+    save_checkpoint(other, create_model("ssdnet-lite"))
+    build_network(ModelRecipe("ssdnet-lite"), read_weights(other))
     assert capsys.readouterr().err == ""
-    build_network(ModelRecipe(name, config=changed), read_weights(other))
-    assert text in capsys.readouterr().err
+    build_network(ModelRecipe("ssdnet-lite", config={"max_depth_m": 80.0}), read_weights(other))
+    assert "the depth range [m] changed from 200.0 to 80.0" in capsys.readouterr().err
 
 
 def test_frozen_layers_keep_weights_and_statistics_and_have_no_backward_pass():
@@ -112,14 +103,7 @@ def test_images_are_normalised_as_init_does_unless_the_recipe_says_otherwise(tmp
 
 @pytest.mark.parametrize(
     ("name", "config", "text"),
-    [
-        ("enet", {}, "'enet' has no encoder with ImageNet weights. Choose"),
-        (
-            "ssdnet-lite",
-            {"rgb_mean": [123.675, 116.28, 103.53]},
-            r"rgb_mean = \[123.675, 116.28, 103.53\], but the ImageNet weights were trained with",
-        ),
-    ],
+    [("enet", {}, "'enet' has no encoder"), ("ssdnet-lite", {"rgb_mean": [9, 9, 9]}, "rgb_mean")],
 )
 def test_pretrained_weights_that_a_network_cannot_take_are_refused(name, config, text):
     with pytest.raises(InputError, match=text):
@@ -184,11 +168,3 @@ def test_pruning_takes_channels_that_others_make_up_for(spare, capsys):
         found, expected = narrow.encoder.early(rgb), wide.encoder.early(rgb)
     assert torch.equal(found[0], expected[0])
     assert (found[1] - expected[1]).abs().max() < 0.1 * expected[1].std()
-
-
-def test_pruning_without_a_picture_is_refused():
-    network = create_model("ssdnet-lite", encoder_widths=())
-    with pytest.raises(ValueError, match="pruning needs pictures"):
-        prune_trunk(network, WIDTHS, [])
-    assert network.training
-    assert prune_trunk(network, EFFICIENTNET_WIDTHS, []) is network  # nothing is removed

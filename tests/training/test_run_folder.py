@@ -1,33 +1,33 @@
 """Whose a run folder is: what changes the result must be the same, and is named if it is not."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import pytest
 
 from runtime.errors import InputError
 from training.datasets.camvid import CamVidRecipe
-from training.recipe import DataRecipe, ModelRecipe, Recipe, ScheduleRecipe, ValidationRecipe
-from training.run_folder import RECIPE, prepare_folder
+from training.recipe import DataRecipe, ModelRecipe, Recipe, ScheduleRecipe, derive
+from training.run_folder import RECIPE, list_data, prepare_folder
 
 SET = CamVidRecipe(path="camvid")
 FILES = {"camvid": {"files": 3, "sha256": "0"}}
 FIRST = Recipe(ModelRecipe("ssdnet-lite"), DataRecipe((SET,)), ScheduleRecipe(steps=9))
 
 
-def resolved(recipe=FIRST, **changes):
-    return {"recipe": asdict(recipe), "init": None, "processes": 1, **changes}
+def resolved(recipe=None, **changes):
+    run = asdict(derive(FIRST, **(recipe or {})))
+    return {"recipe": run, "init": None, "processes": 1, **changes}
 
 
 def test_what_does_not_change_the_weights_may_change(tmp_path):
     prepare_folder(tmp_path, resolved(), FILES)
-    other = replace(
-        FIRST,
-        data=replace(FIRST.data, workers=5, cache_gib=2.0),
-        loop=replace(FIRST.loop, log_every=3, checkpoint_every=7),
-        validation=ValidationRecipe(every=5, pictures=1),
-        terms="none",
-    )
+    other = {
+        "data": {"workers": 5, "cache_gib": 2.0},
+        "loop": {"log_every": 3, "checkpoint_every": 7},
+        "validation": {"every": 5, "pictures": 1},
+        "terms": "none",
+    }
     prepare_folder(tmp_path, resolved(other), FILES)
     assert json.loads((tmp_path / RECIPE).read_text())["recipe"]["data"]["workers"] == 5
 
@@ -42,7 +42,7 @@ def test_a_key_that_a_release_added_counts_with_its_default(tmp_path):
     (tmp_path / RECIPE).write_text(json.dumps(document))
     prepare_folder(tmp_path, resolved(), FILES)
     (tmp_path / RECIPE).write_text(json.dumps(document))
-    other = replace(FIRST, loop=replace(FIRST.loop, clip_norm=1.0))
+    other = {"loop": {"clip_norm": 1.0}}
     with pytest.raises(InputError, match=r"loop\.clip_norm was 0\.0, now it is 1\.0"):
         prepare_folder(tmp_path, resolved(other), FILES)
 
@@ -50,22 +50,15 @@ def test_a_key_that_a_release_added_counts_with_its_default(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"schedule": ScheduleRecipe(steps=10)}, r"schedule\.steps was 9, now it is 10"),
-        ({"data": replace(FIRST.data, seed=3)}, r"data\.seed was 0, now it is 3"),
+        ({"processes": 2}, "processes was 1, now it is 2"),
+        ({"init": "a.pt (sha256 0)"}, r"init was None, now it is 'a\.pt"),
+        ({"recipe": {"schedule": {"steps": 10}}}, r"schedule\.steps was 9, now it is 10"),
         (
-            {"data": replace(FIRST.data, source=(replace(SET, split="val"),))},
-            r"data\.source\[0\]\.split was 'train', now it is 'val'",
-        ),
-        (
-            {"data": replace(FIRST.data, source=(SET, SET))},
+            {"recipe": {"data": {"source": (SET, SET)}}},
             r"data\.source\[1\]\.kind was None, now it is 'camvid'",
         ),
         (
-            {"validation": ValidationRecipe(source=(SET,))},
-            r"validation\.source\[0\]\.kind was None, now it is 'camvid'",
-        ),
-        (
-            {"validation": ValidationRecipe(lidar="none")},
+            {"recipe": {"validation": {"lidar": "none"}}},
             r"validation\.lidar was 'own', now it is 'none'",
         ),
     ],
@@ -75,20 +68,24 @@ def test_what_changes_them_is_named(tmp_path, changes, text):
     prepare_folder(tmp_path, resolved(), FILES)
     before = (tmp_path / RECIPE).read_bytes()
     with pytest.raises(InputError, match=f"another recipe: {text}"):
-        prepare_folder(tmp_path, resolved(replace(FIRST, **changes)), FILES)
+        prepare_folder(tmp_path, resolved(**changes), FILES)
     assert (tmp_path / RECIPE).read_bytes() == before
 
 
-def test_processes_and_first_weights_are_named(tmp_path):
-    prepare_folder(tmp_path, resolved(), FILES)
-    with pytest.raises(InputError, match="processes was 1, now it is 2"):
-        prepare_folder(tmp_path, resolved(processes=2), FILES)
-    with pytest.raises(InputError, match=r"init was None, now it is 'a\.pt"):
-        prepare_folder(tmp_path, resolved(init="a.pt (sha256 0)"), FILES)
+def test_other_data_than_at_the_start_are_named(tmp_path, capsys):
+    files = tmp_path / "data" / "camvid"
+    files.mkdir(parents=True)
+    for name in "ab":
+        (files / name).touch()
 
+    def start(root):
+        prepare_folder(tmp_path / "run", resolved(), list_data([tmp_path, root], ["camvid"]))
+        return capsys.readouterr().err
 
-@pytest.mark.parametrize("text", ["", "[]", '{"recipe": 3}', '{"recipe": {"loop": {"x": 1}}}'])
-def test_a_file_that_is_no_recipe_is_refused(tmp_path, text):
-    (tmp_path / RECIPE).write_text(text)
-    with pytest.raises(InputError, match=r"recipe\.json"):
-        prepare_folder(tmp_path, resolved(), FILES)
+    assert start(tmp_path / "data") == ""
+    moved = (tmp_path / "data").rename(tmp_path / "moved")
+    assert start(moved) == ""
+    (moved / "camvid" / "a").rename(moved / "camvid" / "c")
+    assert "warning: camvid: the 2 files have other names than when the run began" in start(moved)
+    (moved / "camvid" / "c").unlink()
+    assert "warning: camvid: 2 files when the run began, now 1" in start(moved)

@@ -4,7 +4,6 @@ import csv
 
 import pytest
 
-from runtime.errors import InputError
 from training.score_table import ScoreTable
 
 
@@ -79,11 +78,3 @@ def test_before_and_after_name_what_became_worse(tmp_path):
     random_start = ScoreTable(tmp_path / "other.csv", 0)
     random_start.add(4, {"a": {"miou": 0.5}}, "")
     assert not list(random_start.compare())
-
-
-@pytest.mark.parametrize("text", ["a,b\n1,2\n", "step,set\nx,a\n", "\xff\n", "step,set\n1\n"])
-def test_a_file_that_is_no_table_is_refused(tmp_path, text):
-    path = tmp_path / "scores.csv"
-    path.write_bytes(text.encode("latin-1"))
-    with pytest.raises(InputError, match=r"scores\.csv: is not a table of scores"):
-        ScoreTable(path, 5)

@@ -1,19 +1,12 @@
 """Recipes of several stages: each begins with the weights of the one before, wherever one stops."""
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
 import torch
 from typer.testing import CliRunner
 
-from models import SSDNetLite, SSDNetLiteConfig, load_checkpoint
-from models.registry import NETWORKS, Entry
+from models import load_checkpoint
 from runtime.errors import InputError
 from training import cli
 from training.datasets.camvid import CamVidRecipe
@@ -26,15 +19,14 @@ from training.recipe import (
     OptimizerRecipe,
     Recipe,
     ScheduleRecipe,
+    derive,
 )
 from training.recipes.registry import RECIPES, PackageRecipe
 from training.release import add_offsets, mix_weights
 from training.stages import Stage, train_stages
 
-TINY = SSDNetLiteConfig(
-    encoder_widths=(8,) * 16,
-    decoder_channels=(8, 8, 8),
-)
+pytestmark = pytest.mark.usefixtures("tiny_lite")
+
 ALL = Recipe(
     terms="none",
     model=ModelRecipe("ssdnet-lite"),
@@ -49,66 +41,8 @@ ALL = Recipe(
     optimizer=OptimizerRecipe(encoder_rate=1e-3),
     loop=LoopRecipe(checkpoint_every=1),
 )
-DEPTH = replace(
-    ALL,
-    schedule=ScheduleRecipe(steps=2),
-    optimizer=replace(ALL.optimizer, frozen=("encoder.",)),
-    data=replace(ALL.data, seed=4),
-)
+DEPTH = derive(ALL, schedule={"steps": 2}, optimizer={"frozen": ("encoder.",)}, data={"seed": 4})
 STAGES = (Stage("1-all", ALL), Stage("2-depth", DEPTH))
-
-
-@pytest.fixture(autouse=True)
-def tiny_model(monkeypatch):
-    monkeypatch.setitem(NETWORKS, "ssdnet-lite", Entry(SSDNetLite, TINY))
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory):
-    root, rng = tmp_path_factory.mktemp("data"), np.random.default_rng(0)
-    for folder, shape, top in (("train", (40, 48, 3), 255), ("trainannot", (40, 48), 11)):
-        (root / "camvid" / folder).mkdir(parents=True)
-        for index in range(4):
-            image = rng.integers(0, top, shape, dtype=np.uint8)
-            cv2.imwrite(str(root / "camvid" / folder / f"{index}.png"), image)
-    return root
-
-
-@pytest.mark.parametrize(
-    ("stop_after", "expected"),
-    [
-        (2, "1-all/last.pt"),
-        (3, "1-all/model.pt"),
-        (4, "2-depth/last.pt"),
-        (5, "model.pt"),
-        (6, "model.pt"),
-    ],
-)
-def test_model_pt_is_written_when_the_last_stage_is_finished(data, tmp_path, stop_after, expected):
-    out = tmp_path / "run"
-    result = train_stages(STAGES, data=[data], out=out, stop_after=stop_after)
-    assert result == out / expected
-    assert result.is_file()
-    assert (out / "model.pt").exists() == (expected == "model.pt")
-    assert (out / "2-depth").exists() == (stop_after > 3)
-
-
-@pytest.mark.slow
-def test_several_processes_run_all_stages_in_one_group(data, tmp_path):
-    script = tmp_path / "train.py"
-    script.write_text(
-        "import sys\nfrom pathlib import Path\nfrom test_stages import STAGES, train_stages\n"
-        "print(train_stages(STAGES, data=[Path(sys.argv[1])], out=Path(sys.argv[2])))\n"
-    )
-    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
-    command += [str(script), str(data), str(tmp_path / "run")]
-    folders = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", ""), os.getcwd()]
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(folders)}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=90, env=environment)
-    assert done.returncode == 0, done.stderr
-    first, last = (tmp_path / "run" / name for name in ("model.pt", "2-depth/model.pt"))
-    assert first.read_bytes() == last.read_bytes()
-    assert done.stdout.count(str(tmp_path / "run/model.pt")) == 2
 
 
 class Killed(BaseException):
@@ -131,27 +65,35 @@ def weights(path):
     return load_checkpoint(path).model.state_dict()
 
 
-def assert_same(first, second):
-    expected = weights(second)
-    for name, value in weights(first).items():
-        assert torch.equal(value, expected[name]), name
-
-
-def test_each_stage_begins_with_the_weights_of_the_one_before(data, tmp_path):
-    out = tmp_path / "run"
+def test_killed_at_any_step_each_stage_begins_with_the_weights_of_the_one_before(data, tmp_path):
+    whole, out = tmp_path / "whole", tmp_path / "killed"
+    assert train_stages(STAGES, data=[data], out=whole) == whole / "model.pt"
+    for calls in (1, 2, 2, 2, 2):  # before each step
+        with pytest.raises(Killed):
+            train_stages(STAGES, data=[data], out=out, stop=killer(calls))
+        assert not (out / "model.pt").exists()
     assert train_stages(STAGES, data=[data], out=out) == out / "model.pt"
     assert (out / "model.pt").read_bytes() == (out / "2-depth" / "model.pt").read_bytes()
-    before, after = weights(out / "1-all" / "model.pt"), weights(out / "model.pt")
-    frozen = {name for name in before if name.startswith("encoder.")}
-    assert all(torch.equal(before[name], after[name]) for name in frozen)
+    before, after, expected = (weights(path / "model.pt") for path in (out / "1-all", out, whole))
+    assert all(torch.equal(value, expected[name]) for name, value in after.items())
+    assert all(torch.equal(before[key], after[key]) for key in before if key.startswith("encoder."))
     assert not torch.equal(before["semantic_head.weight"], after["semantic_head.weight"])
     assert load_checkpoint(out / "model.pt").training["init"].startswith("model.pt (sha256 ")
     rates = load_checkpoint(out / "1-all" / "last.pt").trainer["optimizer"]["param_groups"]
     assert [group["lr"] / rates[0]["lr"] for group in rates] == [1, 1, 0.5, 0.5]  # one schedule
+    # A finished stage of another recipe is refused by its name.
+    longer = derive(ALL, schedule={"steps": 4})
+    for stages, text in (
+        ((Stage("1-all", longer), STAGES[1]), r"1-all.*schedule\.steps was 3, now it is 4"),
+        ((Stage("1-other", ALL), STAGES[1]), "holds 1-all, but .* are 1-other"),
+        ((Stage("", ALL),), "holds 1-all"),
+    ):
+        with pytest.raises(InputError, match=text):
+            train_stages(stages, data=[data], out=out)
 
 
 NARROW_WIDTHS = [8] * 15 + [4]
-NARROW = replace(DEPTH, model=replace(DEPTH.model, config={"encoder_widths": NARROW_WIDTHS}))
+NARROW = derive(DEPTH, model={"config": {"encoder_widths": NARROW_WIDTHS}})
 CALLED = (
     Stage("1-all", ALL, then=lambda run: prune_trunk(run.after, NARROW_WIDTHS, run.pictures)),
     Stage("2-narrow", NARROW),
@@ -163,7 +105,9 @@ CALLED = (
 )
 
 
-def test_a_call_makes_what_the_next_stage_begins_with_and_what_is_released(data, tmp_path):
+def test_a_call_makes_what_the_next_stage_begins_with_and_what_is_released(
+    data, tmp_path, tiny_lite
+):
     """Also where the run is killed in a call."""
 
     def killed(run):
@@ -189,33 +133,10 @@ def test_a_call_makes_what_the_next_stage_begins_with_and_what_is_released(data,
         if value.is_floating_point():
             expected = 0.75 * narrow[name] + 0.25 * last[name]
             if name == "semantic_head.bias":
-                expected[[info.name for info in TINY.classes].index("road")] += 2.0
+                expected[[info.name for info in tiny_lite.classes].index("road")] += 2.0
             torch.testing.assert_close(value, expected)
     facts = [load_checkpoint(out / name).training for name in ("model.pt", "3-mixed/model.pt")]
     assert facts[0] == facts[1]
-
-
-def test_killed_at_any_step_it_resumes_to_the_same_weights(data, tmp_path):
-    train_stages(STAGES, data=[data], out=tmp_path / "whole")
-    out = tmp_path / "killed"
-    for calls in (1, 2, 2, 2, 2):  # before each step
-        with pytest.raises(Killed):
-            train_stages(STAGES, data=[data], out=out, stop=killer(calls))
-        assert not (out / "model.pt").exists()
-    assert train_stages(STAGES, data=[data], out=out) == out / "model.pt"
-    assert_same(out / "model.pt", tmp_path / "whole" / "model.pt")
-
-
-def test_a_finished_stage_of_another_recipe_is_refused_by_its_name(data, tmp_path):
-    out = tmp_path / "run"
-    train_stages(STAGES, data=[data], out=out)
-    longer = replace(ALL, schedule=ScheduleRecipe(steps=4))
-    with pytest.raises(InputError, match=r"1-all.*schedule\.steps was 3, now it is 4"):
-        train_stages((Stage("1-all", longer), STAGES[1]), data=[data], out=out)
-    with pytest.raises(InputError, match=r"holds 1-all, but the stages of this recipe are 1-other"):
-        train_stages((Stage("1-other", ALL), STAGES[1]), data=[data], out=out)
-    with pytest.raises(InputError, match="holds 1-all"):
-        train_stages((Stage("", ALL),), data=[data], out=out)
 
 
 def test_the_command_stops_at_a_step_over_all_stages_and_changes_all(data, tmp_path, monkeypatch):
@@ -226,13 +147,15 @@ def test_the_command_stops_at_a_step_over_all_stages_and_changes_all(data, tmp_p
     def run(*options):
         result = CliRunner().invoke(cli.app, [*arguments, *options])
         assert result.exit_code == 0, result.output
-        return result.stdout.splitlines()[-1]
+        return result.stdout.splitlines()[-1].removeprefix(f"{out}/")
 
-    assert run("--dry-run") == str(out / "1-all" / "batch.png")
-    assert run("--stop-after", "3") == str(out / "1-all" / "model.pt")
+    assert run("--dry-run") == "1-all/batch.png"
+    assert run("--stop-after", "2") == "1-all/last.pt"
+    assert run("--stop-after", "3") == "1-all/model.pt"
     assert not (out / "2-depth").exists()
-    assert run("--dry-run") == str(out / "2-depth" / "batch.png")
-    assert run("--stop-after", "4") == str(out / "2-depth" / "last.pt")
+    assert run("--dry-run") == "2-depth/batch.png"
+    assert run("--stop-after", "4") == "2-depth/last.pt"
     assert load_checkpoint(out / "2-depth" / "last.pt").trainer["step"] == 1
-    assert run() == str(out / "model.pt")
+    assert not (out / "model.pt").exists()
+    assert run() == "model.pt"
     assert load_checkpoint(out / "model.pt").training["recipe"]["data"]["batch_size"] == 3

@@ -7,10 +7,9 @@ import pytest
 import torch
 
 from layouts.pictures import write
-from models import SSDNetLite, SSDNetLiteConfig
-from models.registry import NETWORKS, Entry
 from runtime.errors import InputError
 from training.distributed import Processes
+from training.losses.total import TERMS
 from training.recipe import Recipe, build, merge
 from training.task import open_task
 
@@ -32,10 +31,8 @@ RECIPE = {
 
 
 @pytest.fixture
-def start(tmp_path, capsys, monkeypatch):
+def start(tmp_path, capsys, tiny_lite):
     """Open the recipe with changes for eight frames of three classes; return what is reported."""
-    config = SSDNetLiteConfig(encoder_widths=(8,) * 16, decoder_channels=(8, 8, 8))
-    monkeypatch.setitem(NETWORKS, "ssdnet-lite", Entry(SSDNetLite, config))
     for index in range(8):
         ids = np.uint8([[0, 1, 2]]).repeat(48, 0).repeat(20, 1)
         write(tmp_path / f"mine/images/{index}.png", np.full((48, 60, 3), 90, np.uint8))
@@ -44,15 +41,16 @@ def start(tmp_path, capsys, monkeypatch):
 
     def call(changes):
         recipe = build(Recipe, merge(RECIPE, changes))
-        open_task(recipe, Processes(0, 1, torch.device("cpu")), [tmp_path], None, None)
+        processes = Processes(0, 1, torch.device("cpu"))
+        call.task = open_task(recipe, processes, [tmp_path], None, None)
         return capsys.readouterr().err
 
     call.folder = tmp_path
     return call
 
 
-def source(name="mine", **keys):
-    return [{"kind": "folders", "path": name, "labels": "labels", **keys}]
+def source(path="mine", **keys):
+    return [{"kind": "folders", "path": path, "labels": "labels", **keys}]
 
 
 def test_classes_that_no_pixel_shows_are_named(start):
@@ -65,9 +63,23 @@ def test_classes_that_no_pixel_shows_are_named(start):
     )
 
 
-def test_labels_of_weight_0_do_not_train(start):
+OF_LABELS = [f"{name}_weight" for name, term in TERMS.items() if term.target == "semantic"]
+
+
+def test_sets_without_a_target_of_what_learns_are_refused(start):
     with pytest.raises(InputError, match="no frame of mine has a target of the loss"):
         start({"data": {"source": source(semantic_weight=0.0)}})
+    with pytest.raises(InputError, match=r"has a target .* its terms depth.* need depth"):
+        start({"loss": dict.fromkeys(OF_LABELS, 0.0)})
+    # One set that has one is enough.
+    both = [*source(semantic_weight=0.0), *source(name="other")]
+    start({"data": {"source": both}})
+
+
+def test_a_shift_smaller_than_the_cells_of_the_classes_is_refused(start):
+    augment = {"crop": [96, 96], "pair_shift": 4}
+    with pytest.raises(InputError, match=r"pair_shift = 4; .*'fast-scnn' are on cells of 8 px"):
+        start({"model": {"name": "fast-scnn"}, "data": {"augment": augment}})
 
 
 @pytest.mark.parametrize(
@@ -142,6 +154,5 @@ def test_a_validation_set_without_scores_is_reported(start):
 def test_the_smallest_frame_decides_the_crop(start):
     write(start.folder / "mine/images/3.png", np.zeros((32, 40, 3), np.uint8))
     write(start.folder / "mine/labels/3.png", np.zeros((32, 40), np.uint8))
-    recipe = build(Recipe, RECIPE)
-    task = open_task(recipe, Processes(0, 1, torch.device("cpu")), [start.folder], None, None)
-    assert task.data.augment.crop == (32, 32)
+    start({})
+    assert start.task.data.augment.crop == (32, 32)

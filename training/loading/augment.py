@@ -188,22 +188,11 @@ def scale_world(
     beyond ``max_depth_m``, in the unit of the samples, are clipped to it.
     """
     low, high = config.world_scale
-    if low == high == 1 or not all(_is_fed(view) for view in views):
+    fed = (view.sparse_depth for view in views)
+    if low == high == 1 or not all(depth is not None and depth.any() for depth in fed):
         return tuple(views)
-    factor = np.float32(np.exp(rng.uniform(*np.log((low, high)))))
-    scaled = []
-    for view in views:
-        scaled_view = _change_depth(view, lambda depth: depth * factor)
-        if (fed := scaled_view.sparse_depth) is not None:
-            scaled_view = replace(
-                scaled_view, sparse_depth=np.minimum(fed, np.float32(max_depth_m))
-            )
-        scaled.append(scaled_view)
-    return tuple(scaled)
-
-
-def _is_fed(sample: Sample) -> bool:
-    return sample.sparse_depth is not None and bool(sample.sparse_depth.any())
+    factor = float(np.exp(rng.uniform(*np.log((low, high)))))
+    return tuple(_scale_depth(view, factor, max_depth_m) for view in views)
 
 
 def scale_and_crop(
@@ -237,8 +226,7 @@ def approach(sample: Sample, factor: float) -> Sample:
     intrinsics = sample.intrinsics
     if intrinsics is not None:
         intrinsics = intrinsics / np.array([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
-    nearer = _change_depth(sample, lambda depth: depth / np.float32(factor))
-    return replace(nearer, intrinsics=intrinsics)
+    return replace(_scale_depth(sample, 1 / factor), intrinsics=intrinsics)
 
 
 def canonical_depth(sample: Sample, focal_px: float, max_depth_m: float) -> Sample:
@@ -252,19 +240,21 @@ def canonical_depth(sample: Sample, focal_px: float, max_depth_m: float) -> Samp
     focal = sample.focal_length_px
     if focal is None:
         return sample
-    factor = np.float32(focal_px / focal)
+    factor = focal_px / focal
     if (fed := sample.sparse_depth) is not None:  # `farthest_return` is in metres
-        range_m = np.float32(max_depth_m / factor)
-        fed = masked(fed, fed <= farthest_return(float(range_m)))
-        sample = replace(sample, sparse_depth=np.minimum(fed, range_m))
-    return _change_depth(sample, lambda depth: depth * factor)
+        fed = masked(fed, fed <= farthest_return(max_depth_m / factor))
+        sample = replace(sample, sparse_depth=fed)
+    return _scale_depth(sample, factor, max_depth_m)
 
 
-def _change_depth(sample: Sample, change: Callable[[Depth], Depth]) -> Sample:
-    """Change the depth and the sparse depth, where there are any."""
-    if sample.sparse_depth is not None:
-        sample = replace(sample, sparse_depth=change(sample.sparse_depth))
-    return sample.with_targets(depth=change(sample.depth)) if "depth" in sample.targets else sample
+def _scale_depth(sample: Sample, factor: float, farthest: float = np.inf) -> Sample:
+    """Multiply all depth by a factor; returns then beyond ``farthest`` are set to it."""
+    if "depth" in sample.targets:
+        sample = sample.with_targets(depth=sample.depth * np.float32(factor))
+    if sample.sparse_depth is None:
+        return sample
+    fed = np.minimum(sample.sparse_depth * np.float32(factor), np.float32(farthest))
+    return replace(sample, sparse_depth=fed)
 
 
 def _change_maps(
@@ -384,8 +374,7 @@ def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
     if lidar.lines > SENSOR_LINES:  # more than any recorded scan has: simulated
         sample = replace(sample, sparse_depth=None, scan_line=None)
     split = split_lidar(sample, lidar, rng, same_target=False, first_line=first_line)
-    if split is None:
-        raise ValueError(f"{sample.name} cannot be split for the LiDAR {lidar}")
+    assert split is not None  # `_choose_lidar` takes what the sample has
     fed = _disturb(split.fed, sample, config, rng)
     return replace(sample, sparse_depth=fed).with_targets(depth=split.target)
 

@@ -1,8 +1,8 @@
 """From data sets to batches: frames are checked, cached, drawn from a mixture and collated."""
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple, Self
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Self
 
 import numpy as np
 import torch
@@ -128,18 +128,15 @@ class Batch:
         """Return the batch on a device."""
         return self._map(lambda tensor: tensor.to(device, non_blocking=True))
 
-    def _map(self, change: Any) -> Self:
-        def changed(value: Any) -> Any:
-            if isinstance(value, Tensor):
-                return change(value)
-            if isinstance(value, Pair):
-                return Pair(*map(change, value))
-            if isinstance(value, Mapping):
-                return {name: change(tensor) for name, tensor in value.items()}
-            return value
-
-        values = {item.name: changed(getattr(self, item.name)) for item in fields(self)}
-        return replace(self, **values)
+    def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
+        return replace(
+            self,
+            rgb=change(self.rgb),
+            sparse_depth=change(self.sparse_depth),
+            targets={name: change(labels) for name, labels in self.targets.items()},
+            weights={name: change(weights) for name, weights in self.weights.items()},
+            pair=None if self.pair is None else Pair(*map(change, self.pair)),
+        )
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ For the network at the paper's size: --set 'model.name = "ssdnet"'.
 """
 
 from dataclasses import replace
-from typing import Any
 
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.losses import LossConfig
@@ -39,50 +38,27 @@ SSDNET = Recipe(
 )
 
 
-def _network(name: str, **config: Any) -> Recipe:
-    """Return the recipe with another network or configuration."""
-    return derive(SSDNET, model={"name": name, "config": {**SSDNET.model.config, **config}})
+def _network(name: str) -> Recipe:
+    """Return the recipe with another network."""
+    return derive(SSDNET, model={"name": name})
 
 
-def _loss(**changes: Any) -> Recipe:
-    """Return the recipe with another loss."""
-    return derive(SSDNET, loss=changes)
-
-
-def _joint_weights(weight: float, **changes: Any) -> Recipe:
+def _joint_weights(weight: float) -> Recipe:
     """Return the recipe with other weights of Eq. 8 and 11."""
-    return _loss(semantic_boundary_weight=weight, semantic_depth_weight=weight, **changes)
+    return derive(
+        SSDNET, loss={"semantic_boundary_weight": weight, "semantic_depth_weight": weight}
+    )
 
 
 #: Row -> its description and recipe.
 ROWS = {
-    "depth-gain": (
-        "The sparse depth twenty times as strong at the input: as strong as the colours.",
-        _network("ssdnet-small", sparse_depth_gain=20.0),
-    ),
-    "depth-gain-dep": (
-        "SSDNet_Dep with the sparse depth twenty times as strong at the input.",
-        _network("ssdnet-small-dep", sparse_depth_gain=20.0),
-    ),
-    "depth-weight-10": (
-        "Eq. 4 with ten times the weight of the other terms.",
-        _loss(depth_weight=10.0),
-    ),
-    "hard-disagreement": (
-        "Eq. 7 as printed, on arg-max labels: no gradient to the semantic head.",
-        _loss(disagreement="hard"),
-    ),
-    "joint-weights-01": (
-        "Eq. 8 and 11 with a tenth of the weight of the other terms.",
-        _joint_weights(0.1),
-    ),
     "joint-weights-1": (
         "Eq. 8 and 11 with the weight of the other terms, Eq. 12 as printed.",
         _joint_weights(1.0),
     ),
     "paper-class-weights": (
         "Eq. 5's beta as printed, the share of the class: it weighs frequent classes up.",
-        _loss(class_weighting="paper"),
+        derive(SSDNET, loss={"class_weighting": "paper"}),
     ),
     "ssdnet": ("The full network of the ablation, on rendered scenes.", SSDNET),
     "ssdnet-dep": (
@@ -102,12 +78,4 @@ ROWS = {
         _joint_weights(0.0),
     ),
     "ssdnet-sem": ("SSDNet_Sem: no depth decoder.", _network("ssdnet-small-sem")),
-    "uncertainty": (
-        "Weights of the terms, all 1, scaled by learned uncertainties (Kendall et al. 2018).",
-        _joint_weights(1.0, weighting="uncertainty"),
-    ),
-    "ungated": (
-        "B = 0: decoders of plain convolutions; the boundary is still predicted.",
-        _network("ssdnet-small", boundary_gating=False),
-    ),
 }
