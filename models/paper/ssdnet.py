@@ -12,9 +12,8 @@ from torch.nn import functional as F
 
 from models.blocks import ConvBNReLU, pad_to_multiple
 from models.network import Network, NetworkOutput, initialise, present_heads
-from models.paper.boundary_decoder import BoundaryDecoder
 from models.paper.config import SSDNetConfig
-from models.paper.task_decoder import TaskDecoder
+from models.paper.decoders import BoundaryDecoder, TaskDecoder
 
 
 class SSDNet(Network):
