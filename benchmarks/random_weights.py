@@ -18,6 +18,7 @@ from export.exporter import count_giga_macs
 from export.trace import trace
 from models import Network, SSDNetConfig, SSDNetLiteConfig, create_model
 from models.blocks import upsample
+from models.classes import numbered_classes
 from models.registry import NETWORKS
 from runtime.io.atomic_write import atomic_write
 
@@ -72,7 +73,7 @@ def random_graph(name: str) -> DeployGraph:
     entry = NETWORKS[name]
     if isinstance(entry.config, SSDNetConfig | SSDNetLiteConfig) or not entry.config.classes:
         return DeployGraph(create_model(name).eval())
-    return LogitsGraph(create_model(name, num_classes=NUM_CLASSES).eval())
+    return LogitsGraph(create_model(name, classes=numbered_classes(NUM_CLASSES)).eval())
 
 
 def export_graph(graph: DeployGraph) -> bytes:

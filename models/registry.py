@@ -1,6 +1,5 @@
 """All networks by name."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -16,12 +15,10 @@ from models.baselines.nconv import NConv
 from models.baselines.pidnet_s import PIDNetS
 from models.baselines.sparse_conv import SparseConvNet
 from models.baselines.sparse_to_dense import SparseToDense
-from models.classes import numbered_classes
 from models.network import Network, NetworkConfig, check_fields
 from models.paper.config import SSDNETS
 from models.paper.ssdnet import SSDNet
 from models.ssdnet_lite import SSDNET_NANO, SSDNetLite, SSDNetLiteConfig
-from runtime.contract import ClassInfo
 
 
 class Entry(NamedTuple):
@@ -57,41 +54,23 @@ def list_models() -> list[str]:
     return list(NETWORKS)
 
 
-def create_model(
-    name: str,
-    *,
-    classes: Sequence[ClassInfo] | None = None,
-    num_classes: int | None = None,
-    max_depth_m: float | None = None,
-    **changes: Any,
-) -> Network:
+def create_model(name: str, **changes: Any) -> Network:
     """Build a network by name, with random weights.
 
     Args:
         name: one of `list_models`.
-        classes: the semantic classes; by default CamVid's eleven.
-        num_classes: numbered classes in place of ``classes``.
-        max_depth_m: the depth range in metres.
-        **changes: other fields of the network's configuration, for example
-            ``boundary_gating=False`` of `SSDNetConfig`.
+        **changes: fields of the network's configuration, for example a tuple ``classes``,
+            ``max_depth_m``, or ``boundary_gating=False`` of `SSDNetConfig`.
 
     Returns:
         The network in training mode, on the CPU.
 
     Raises:
-        ValueError: for an unknown name, for ``classes`` together with ``num_classes``, for classes
-            on a network without a semantic head, and for a field that the network does not have.
+        ValueError: for an unknown name, for classes on a network without a semantic head, and for a
+            field that the network does not have.
     """
     if name not in NETWORKS:
         raise ValueError(f"unknown model {name!r}; known: {', '.join(NETWORKS)}")
     network, config = NETWORKS[name]
-    if classes is not None and num_classes is not None:
-        raise ValueError("give classes or num_classes, not both")
-    if num_classes is not None:
-        classes = numbered_classes(num_classes)
-    if classes is not None:
-        changes["classes"] = tuple(classes)
-    if max_depth_m is not None:
-        changes["max_depth_m"] = max_depth_m
     check_fields(type(config), changes, name)
     return network(replace(config, **changes))

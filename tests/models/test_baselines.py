@@ -24,6 +24,7 @@ from models.baselines.max_unpooling import max_mask, max_unpool
 from models.baselines.nconv import NormalisedConv
 from models.baselines.sparse_conv import SparseConv
 from models.blocks import adaptive_mean
+from models.classes import numbered_classes
 from models.registry import NETWORKS
 
 SMALL, THIRD = (128, 416), (125, 414)
@@ -59,7 +60,7 @@ def has_classes(name):
 
 
 def build(name):
-    return create_model(name, **({"num_classes": 19} if has_classes(name) else {}))
+    return create_model(name, **({"classes": numbered_classes(19)} if has_classes(name) else {}))
 
 
 @pytest.mark.parametrize("name", KNOWN)
@@ -238,7 +239,7 @@ def test_boundaries_gate_every_block_of_bacnn(monkeypatch):
     """Where all is boundary, the image says nothing."""
     monkeypatch.setattr(fcn8s, "_WIDE", 16)
     torch.manual_seed(0)
-    model = create_model("bacnn", num_classes=4).eval()
+    model = create_model("bacnn", classes=numbered_classes(4)).eval()
     pictures = 255 * torch.rand(2, 3, 33, 47)
     open_, shut = {}, {}
     with torch.no_grad():
@@ -254,7 +255,7 @@ def test_boundaries_gate_every_block_of_bacnn(monkeypatch):
 def test_few_scores_of_many_channels_are_computed_in_single_precision(monkeypatch):
     """Their gradient in bfloat16 ends the process, see `FCN8s.score`."""
     monkeypatch.setattr(fcn8s, "_WIDE", 16)
-    model = create_model("fcn8s", num_classes=4)
+    model = create_model("fcn8s", classes=numbered_classes(4))
     dtypes = []
     model.semantic_head.register_forward_hook(lambda *call: dtypes.append(call[-1].dtype))
     with torch.autocast("cpu", dtype=torch.bfloat16):

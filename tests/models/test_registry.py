@@ -20,6 +20,7 @@ from models import (
 )
 from models.answers import head_maps
 from models.blocks import ConvBNReLU, pad_to_multiple
+from models.classes import numbered_classes
 from models.registry import NETWORKS, Entry
 from runtime.errors import CheckpointError
 from training import cli
@@ -159,8 +160,7 @@ def test_weights_of_another_network_are_not_taken_over(tmp_path, monkeypatch):
     [
         ("ssd", {}, "ssdnet-lite"),
         ("tiny-semantic", {"boundary_gating": False}, "network 'tiny-semantic': boundary_gating"),
-        ("tiny-depth", {"num_classes": 4}, "exactly when there is a semantic head"),
-        ("tiny-semantic", {"classes": (), "num_classes": 4}, "classes or num_classes"),
+        ("tiny-depth", {"classes": numbered_classes(4)}, "exactly when there is a semantic head"),
     ],
 )
 def test_what_create_model_cannot_build_is_named(name, changes, message):
@@ -170,7 +170,8 @@ def test_what_create_model_cannot_build_is_named(name, changes, message):
 
 def test_create_model_changes_the_configuration():
     assert create_model("tiny-depth", max_depth_m=60).config.max_depth_m == 60
-    assert create_model("ssdnet-lite", num_classes=19).semantic_head.out_channels == 19
+    network = create_model("ssdnet-lite", classes=numbered_classes(19))
+    assert network.semantic_head.out_channels == 19
 
 
 @pytest.mark.parametrize("name", list_models())

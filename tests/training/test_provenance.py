@@ -30,7 +30,7 @@ def write(tmp_path):
     def write(name, **facts):
         path = tmp_path / f"{name}.pt"
         training = TrainingFacts(**facts).to_dict()
-        save_checkpoint(path, create_model("fast-scnn", num_classes=11), training=training)
+        save_checkpoint(path, create_model("fast-scnn"), training=training)
         return read_weights(path)
 
     return write

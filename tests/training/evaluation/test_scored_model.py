@@ -3,7 +3,8 @@
 import dataclasses
 from pathlib import Path
 
-from models import CAMVID_CLASSES, create_model
+from models import CAMVID_CLASSES
+from models.classes import numbered_classes
 from runtime import Predictor
 from training.evaluation.evaluate import short_names
 from training.evaluation.scored_model import trained_classes
@@ -16,7 +17,7 @@ def test_a_network_without_classes_is_scored_in_the_table_it_was_trained_with():
 
 
 def test_classes_of_no_table_are_a_table_of_their_own():
-    own = create_model("ssdnet", num_classes=3).config.classes
+    own = numbered_classes(3)
     assert trained_classes(own, {}) == own
     table = [{"name": info.name, "color": list(info.color)} for info in own]
     trained = {"recipe": {"model": {"classes": table}}}
