@@ -72,7 +72,8 @@ def run(
             )
         )
         reports: dict[str, RunReport] = {}
-        stop: Callable[[], bool] = lambda: False  # noqa: E731 - a signal ends the process yet
+        # Before the first frame a signal ends the process.
+        stop: Callable[[], bool] = lambda: False  # noqa: E731
         for camera, source in cameras.items():
             if stop():
                 break
