@@ -1,6 +1,5 @@
 """ssdnet-run stopped at any moment: what is on disk is listed, and nobody sees a traceback."""
 
-import os
 import signal
 import sys
 from pathlib import Path
@@ -11,7 +10,7 @@ from typer.testing import CliRunner
 import runtime.run.cli
 import runtime.run.pipeline
 import runtime.run.run
-from cli_runs import COMMAND, rows_of
+from cli_runs import rows_of
 from runtime.run.cli import app
 from runtime.run.options import KINDS
 
@@ -86,18 +85,3 @@ def test_at_every_line_of_the_main_thread(tmp_path, command, sensitive_to_ctrl_c
         if trace.left > 0:  # the run has no such line
             break
     assert set(listed) >= {0, 1, 2, 3, N}
-
-
-def test_from_another_process_many_at_once(tmp_path, command, start_process):
-    """As soon as it says that it runs, on a stream that would take it long."""
-    for folder in ("cam", "lidar"):
-        for index in range(N, 6000):
-            os.link(tmp_path / folder / f"f{index % N}.png", tmp_path / folder / f"f{index}.png")
-    process = start_process(sys.executable, "-c", COMMAND, *command)
-    assert process.stdout.readline().startswith("by-hand sha256:")
-    for number in (signal.SIGINT, signal.SIGTERM) * 10:
-        process.send_signal(number)
-    stdout, stderr = process.communicate()
-    assert (process.returncode, stderr) == (3, "")
-    assert "interrupted" in stdout
-    assert len(require_consistent(tmp_path / "out")) < 6000
