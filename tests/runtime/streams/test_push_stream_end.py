@@ -91,17 +91,26 @@ def test_an_unexpected_error_ends_the_stream_and_reaches_on_error_the_pushes_and
 
     made = setup(on_error=hear)
     failure = made.predictor.fail_with = ZeroDivisionError("a bug")
+    made.predictor.gate.clear()
     push_pair(made.stream, 0)
+    made.predictor.entered.acquire()
+    push_pair(made.stream, 1)
+    made.predictor.gate.set()
     assert heard.wait(60)
     for _ in range(2):
         with pytest.raises(InferenceError, match=r"a bug.*make a new one") as raised:
-            made.stream.push_image(image(), 1)
+            made.stream.push_image(image(), 2)
         assert raised.value.__cause__ is failure
     with pytest.raises(ZeroDivisionError):
         made.stream.close()
     made.stream.close()
     assert reported == [failure]
-    assert add_up(made.stream.counts).pending == 0
+    counts = add_up(made.stream.counts)
+    assert (counts.pending, counts.errors, counts.dropped["closed"]) == (
+        0,
+        {"inference_error": 2},
+        4,
+    )
 
 
 def test_an_error_of_the_callback_ends_the_stream_and_comes_out_at_close(setup):
@@ -111,10 +120,12 @@ def test_an_error_of_the_callback_ends_the_stream_and_comes_out_at_close(setup):
         for number in range(10_000):
             push_pair(stream, number)
 
-    with pytest.raises(InferenceError, match="ZeroDivisionError"):
+    with (
+        pytest.raises(ZeroDivisionError),
+        stream,
+        pytest.raises(InferenceError, match="ZeroDivisionError"),
+    ):
         push_until_it_raises()
-    with pytest.raises(ZeroDivisionError):
-        stream.close()
     stream.close()
     assert add_up(stream.counts).pending == 0
 
