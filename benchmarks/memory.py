@@ -58,7 +58,7 @@ def main() -> None:
             print(f"| {done} | {resident_mb():.1f} |", flush=True)
             if done < arguments.frames:
                 repeated = [listed[index % len(listed)] for index in range(part)]
-                run_stream(Answerer(engine), repeated, source, outputs=[writer])
+                run_stream(Answerer(engine), repeated, source, options, outputs=[writer])
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from typing import Protocol
 import cv2
 
 from runtime.errors import SSDNetError
+from runtime.run.options import RunOptions
 from runtime.sources.source import ListedFrame, Source
 from runtime.stamp import NS_PER_MS
 from runtime.streams.answerer import Answerer
@@ -77,9 +78,8 @@ def run_stream(
     answerer: Answerer,
     frames: Sequence[ListedFrame],
     source: Source,
+    options: RunOptions,
     *,
-    rate_hz: float | None = None,
-    deadline_ms: float | None = None,
     outputs: Sequence[Output] = (),
     recorders: Sequence[Output] = (),
     on_record: Callable[[FrameResult], None] = lambda record: None,
@@ -94,9 +94,9 @@ def run_stream(
         answerer: answers the frames, in the calling thread.
         frames: to read.
         source: reads them in order, in the reading thread.
-        rate_hz: frames are due at this rate from the start on, and none is predicted earlier
-            (constant stream of MLPerf); None = each when the one before is done (single stream).
-        deadline_ms: limit of `FrameResult.latency_ms`; None = no limit.
+        options: --rate: frames are due at it from the start on, and none is predicted earlier
+            (constant stream of MLPerf), without it each when the one before is done (single
+            stream); --deadline-ms: limit of `FrameResult.latency_ms`.
         outputs: get each valid answer, in the writing thread.
         recorders: get each answer, valid or not, in the calling thread, while nothing is predicted.
         on_record: called with the result of each frame when it is done.
@@ -108,7 +108,7 @@ def run_stream(
     reads: deque[tuple[int, str, Future[tuple[Frame, float]]]] = deque()
     writes: deque[tuple[FrameResult, Future[float] | None]] = deque()
     records: list[FrameResult] = []
-    waiting = iter(enumerate(frames))
+    waiting, rate_hz, deadline_ms = iter(enumerate(frames)), options.rate, options.deadline_ms
     jitter = Jitter()
 
     def read(listed: ListedFrame) -> tuple[Frame, float]:

@@ -300,12 +300,6 @@ def describe_run(report: RunReport) -> str:
         + ("n/a" if first_ms is None else f"{first_ms:.1f} ms")
         + " (not in the table)"
     )
-    range_m = report.engine.model.max_depth_m
-    if "depth" in report.saved and range_m > METRES_PNG_MAX_M:
-        lines.append(
-            f"note: the model's depth reaches {range_m:g} m, a depth PNG {METRES_PNG_MAX_M:.2f} m: "
-            f"depth beyond is stored as {METRES_PNG_MAX_M:.2f} m"
-        )
     return "\n".join(lines)
 
 

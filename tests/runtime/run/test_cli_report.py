@@ -1,6 +1,5 @@
 """What ssdnet-run prints and reports of a run, and its exit code."""
 
-import dataclasses
 import json
 import os
 import re
@@ -11,11 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from cli_runs import COMMAND, N, arguments, rows_of
 from runtime.io.recording import read_recording
-from runtime.run.cli import app
 from runtime.run.options import KINDS, SUFFIXES
 
 
@@ -46,6 +43,7 @@ def test_a_run_from_end_to_end(tmp_path, run):
     report = json.loads((out / "report.json").read_text())
     assert (report["format"], report["version"]) == ("ssdnet-run", "2.0")
     assert report["frames"]["by_status"] == {"ok": N}
+    assert report["depth_png"] == {"units_per_metre": 256, "max_m": 65535 / 256}
     assert (report["provider"]["threads"], len(report["model"]["sha256"])) == (1, 64)
     assert report["provider"]["nodes"]["CPUExecutionProvider"] > 5
     assert report["deadline"] == {"deadline_ms": 60_000, "count": 0, "longest_run": 0}
@@ -82,15 +80,6 @@ def test_a_constant_stream_reports_age_and_jitter_and_late_frames(tmp_path, run,
     assert report["stages"]["age"]["max_ms"] == pytest.approx(max(ages), abs=1e-3)
     assert float(rows[1]["jitter_ms"]) == pytest.approx(abs(ages[1] - ages[0]), abs=2e-3)
     assert all(float(row["age_ms"] or 1e9) > float(row["predict_ms"] or 0) for row in rows)
-
-
-def test_depth_beyond_the_range_of_a_png_is_reported(tmp_path, stream, model_file, contract):
-    assert "note:" not in CliRunner().invoke(app, arguments(stream, model_file(), tmp_path)).stdout
-    far = model_file(contract=dataclasses.replace(contract, max_depth_m=400.0))
-    result = CliRunner().invoke(app, arguments(stream, far, tmp_path / "far"))
-    assert "depth reaches 400 m, a depth PNG 256.00 m" in result.stdout
-    report = json.loads((tmp_path / "far/out/report.json").read_text())
-    assert report["depth_png"] == {"units_per_metre": 256, "max_m": 65535 / 256}
 
 
 def test_ctrl_c_leaves_whole_outputs_of_what_was_done(tmp_path, run, read_page, signal_in_frame_6):

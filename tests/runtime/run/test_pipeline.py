@@ -12,6 +12,7 @@ import pytest
 import runtime.io.images
 import runtime.run.pipeline
 from runtime import OutputError, Predictor
+from runtime.run.options import RunOptions
 from runtime.run.pipeline import run_stream
 from runtime.sources.folders import FolderSource
 from runtime.streams.answerer import Answerer
@@ -40,13 +41,17 @@ def predictor(model_file):
         yield predictor
 
 
+TIMING = {"rate", "deadline_ms"}
+
+
 def run(predictor, folders, **options):
     source = FolderSource(folders[0], depth=folders[1])
     if write := options.pop("write", None):
         options["outputs"] = [SimpleNamespace(write=write)]
     reader = SimpleNamespace(read=options.pop("read", source.read))
     answerer = Answerer(predictor, check_depth=False)
-    return run_stream(answerer, source.list_frames(), reader, **options)
+    given = RunOptions(demo=True, **{name: options.pop(name) for name in TIMING & options.keys()})
+    return run_stream(answerer, source.list_frames(), reader, given, **options)
 
 
 def test_every_frame_is_predicted_and_written_in_order(predictor, stream_of, make_frame):
@@ -204,7 +209,7 @@ def constant_stream(predictor, folders, monkeypatch, *, takes_s, **options):
 
     monkeypatch.setattr(runtime.run.pipeline, "time", clock)
     monkeypatch.setattr(predictor, "predict", slow_predict)
-    return clock, run(predictor, folders, rate_hz=4, **options)
+    return clock, run(predictor, folders, rate=4, **options)
 
 
 def test_frames_of_a_constant_stream_are_predicted_when_due_and_late_ones_are_made_up(
