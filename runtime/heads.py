@@ -51,10 +51,9 @@ class Head:
         name: of the ONNX output, and in `Prediction.heads`.
         dtype: numpy's name of the type.
         unit: what a value is.
-        least: smallest plausible value; None = any.
-        most: largest plausible value; None = any. Class ids are limited by the class table.
+        least: smallest plausible value.
+        most: largest plausible value. Class ids are limited by the class table.
         per_class: True if an answer is (C, H, W), a plane a class, instead of (H, W).
-        needs: the head it has no meaning without; "" = none.
         unlabelled: value of a pixel without a label in the targets of a training.
         resize: rule where the network runs at another size than the frame, see `runtime.resize`:
             "nearest" never mixes two values, "bilinear" takes the mean of the area where a side
@@ -73,10 +72,9 @@ class Head:
     dtype: Literal["uint8", "float32"]
     unit: Unit
     _: KW_ONLY
-    least: float | None = None
-    most: float | None = None
+    least: float = -math.inf
+    most: float = math.inf
     per_class: bool = False
-    needs: str = ""
     unlabelled: float = math.nan
     resize: ResizeRule
     difference: Difference
@@ -87,18 +85,14 @@ class Head:
 
     def bounds(self, max_depth_m: float) -> tuple[float, float]:
         """Return the smallest and the largest plausible value, -inf and inf where any is."""
-        scale = self._scale(max_depth_m)
-        least = -math.inf if self.least is None else self.least * scale
-        return least, math.inf if self.most is None else self.most * scale
+        scale = max_depth_m if self.unit is Unit.METRES else 1.0
+        return self.least * scale, self.most * scale
 
     def limit(self, max_depth_m: float) -> float:
         """Return `tolerance` in the unit of the difference."""
-        absolute = self.difference is Difference.ABSOLUTE
+        is_metres = self.unit is Unit.METRES and self.difference is Difference.ABSOLUTE
         # Absolute errors are limited for a range of 100 m, also where the range is larger.
-        return self.tolerance * (self._scale(min(max_depth_m, 100.0)) if absolute else 1.0)
-
-    def _scale(self, max_depth_m: float) -> float:
-        return max_depth_m if self.unit is Unit.METRES else 1.0
+        return self.tolerance * (min(max_depth_m, 100.0) if is_metres else 1.0)
 
 
 #: Pixels with a larger probability of the boundary decoder are object edges, where predicted depth
@@ -160,7 +154,6 @@ HEADS: dict[str, Head] = {
             tolerance=5e-5,
             tolerance_int8=0.1,  # measured: 0.045; another model: 0.4
             least=0.0,
-            needs="depth",
             saved_as="uncertainty",
             panel=Panel.SHARE_OF_DEPTH,
         ),

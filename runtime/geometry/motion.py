@@ -1,7 +1,7 @@
 """The depth of an image of a moving car: its returns, moved to the time of the image."""
 
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,8 +132,7 @@ def check_scan_stamp(value: Any) -> ScanStamp:
     """Return the instant of a scan that its stamp is; InputError for another word."""
     if value not in MIDDLE_AFTER:
         raise InputError(f"scan_stamp must be one of {', '.join(MIDDLE_AFTER)}, got {shown(value)}")
-    known: ScanStamp = value
-    return known
+    return cast(ScanStamp, value)
 
 
 def point_times(times: Any, count: int, stamp_ns: int) -> NDArray[np.float64]:
