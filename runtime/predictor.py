@@ -190,8 +190,9 @@ class Predictor:
             InferenceError: as `predict`; then there is no answer for any frame.
         """
         started = time.perf_counter()
-        focals = _one_each("focal_lengths_px", focal_lengths_px, frames)
-        stamps = _one_each("stamps", stamps, frames)
+        frames = list(frames)
+        focals = _one_each("focal_lengths_px", focal_lengths_px, len(frames))
+        stamps = _one_each("stamps", stamps, len(frames))
         inputs: list[NetworkInput] = []
         preprocess_ms = []
         for index, (frame, focal) in enumerate(zip(frames, focals, strict=True)):
@@ -335,17 +336,12 @@ class Predictor:
         )
 
 
-def _one_each(name: str, values: Any, frames: Any) -> list[Any]:
+def _one_each(name: str, values: Any, count: int) -> list[Any]:
     """Return a value for each frame, None for all without values. Raises InputError."""
-    if not isinstance(frames, Sequence):
-        raise InputError(
-            f"frames must be a list of (rgb, sparse_depth), got {type(frames).__name__}"
-        )
-    if values is None:
-        return [None] * len(frames)
-    if not hasattr(values, "__len__") or len(values) != len(frames):
-        raise InputError(f"{name} must hold one entry for each of {len(frames)} frames")
-    return list(values)
+    each: list[Any] = [None] * count if values is None else list(values)
+    if len(each) != count:
+        raise InputError(f"{name} must hold one entry for each of {count} frames")
+    return each
 
 
 def _check_focal_length(focal_px: Any) -> float | None:

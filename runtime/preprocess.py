@@ -15,7 +15,7 @@ from runtime.degraded import IMAGE_CONSTANT, NO_DEPTH, SPARSE_DEPTH_LOW
 from runtime.errors import InputError
 from runtime.prediction import Cleaned
 from runtime.resize import Size, move_returns, resize_image
-from runtime.returns import drop_saturated
+from runtime.returns import drop_saturated, kind_of
 
 _CONSTANT_STEP = 16  # every 16th pixel usually rules out a constant image
 # The image is divided into a fixed number of cells. 16 of KITTI's 64 lines have returns in 6.6 %
@@ -101,7 +101,11 @@ def preprocess(
 
 def check_rgb(rgb: Any) -> NDArray[np.uint8]:
     """Return `rgb`, contiguous; InputError unless it is uint8 (H, W, 3), each side >= MIN_SIDE."""
-    _check_plain("rgb", rgb, "np.asarray(rgb)")
+    if (kind := kind_of(rgb)) != np.uint8:
+        raise InputError(
+            f"rgb must be a plain numpy array of uint8, values 0..255, got {kind}: give the "
+            "camera's pixels as they are, the network normalises them itself"
+        )
     if rgb.ndim != 3 or rgb.shape[2] != 3:
         hint = ""
         if rgb.ndim == 2 or (rgb.ndim == 3 and rgb.shape[2] == 1):
@@ -111,11 +115,6 @@ def check_rgb(rgb: Any) -> NDArray[np.uint8]:
         elif rgb.ndim == 3 and rgb.shape[0] == 3:
             hint = ": channels come last, use rgb.transpose(1, 2, 0)"
         raise InputError(f"rgb must have the shape (H, W, 3), got {rgb.shape}{hint}")
-    if rgb.dtype != np.uint8:
-        raise InputError(
-            f"rgb must be uint8 with values 0..255, got {rgb.dtype}: give the camera's "
-            "pixels as they are, the network normalises them itself"
-        )
     if min(rgb.shape[:2]) < MIN_SIDE:
         raise InputError(f"rgb must be at least {MIN_SIDE} x {MIN_SIDE} pixels, got {rgb.shape}")
     return np.ascontiguousarray(rgb)
@@ -123,31 +122,21 @@ def check_rgb(rgb: Any) -> NDArray[np.uint8]:
 
 def check_sparse_depth(sparse_depth: Any, *, size: tuple[int, int]) -> NDArray[np.float32]:
     """Return `sparse_depth`, contiguous; InputError unless it is float32 (H, W) of `size`."""
-    _check_plain("sparse_depth", sparse_depth, "np.asarray(sparse_depth, np.float32)")
-    if sparse_depth.dtype != np.float32:
-        if sparse_depth.dtype.kind in "iu":
+    if (kind := kind_of(sparse_depth)) != np.float32:
+        hint = "use np.asarray(sparse_depth, np.float32), of a masked array its .filled(0)"
+        if isinstance(kind, np.dtype) and kind.kind in "iu":
             hint = (
                 "the unit of integers is not known: convert to metres first, for KITTI's PNG files "
                 "with (pixels / 256).astype(np.float32)"
             )
-        else:
-            hint = "use sparse_depth.astype(np.float32)"
-        raise InputError(f"sparse_depth must be float32 metres, got {sparse_depth.dtype}: {hint}")
+        raise InputError(
+            f"sparse_depth must be a plain numpy array of float32, metres, got {kind}: {hint}"
+        )
     if sparse_depth.shape != size:
         raise InputError(
             f"sparse_depth must have the shape (H, W) of rgb, {size}, got {sparse_depth.shape}"
         )
     return np.ascontiguousarray(sparse_depth)
-
-
-def _check_plain(name: str, array: Any, remedy: str) -> None:
-    """Raise InputError unless an input is an array without a mask."""
-    if isinstance(array, np.ma.MaskedArray):
-        raise InputError(
-            f"{name} must be a plain numpy array, got a masked one: use {name}.filled(0)"
-        )
-    if not isinstance(array, np.ndarray):
-        raise InputError(f"{name} must be a numpy array, got {type(array).__name__}: use {remedy}")
 
 
 def clean_sparse_depth(

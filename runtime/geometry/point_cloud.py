@@ -60,13 +60,12 @@ def to_points(
         InputError: for arrays that do not fit.
     """
     check_intrinsics(intrinsics)
-    if rgb is not None and (rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3):
-        raise InputError(f"rgb must be uint8 (H, W, 3), got {rgb.dtype} {rgb.shape}")
-    for name, array in (("rgb", rgb), ("semantic", semantic), ("boundary", boundary)):
-        if array is not None and array.shape[:2] != depth.shape:
-            raise InputError(
-                f"{name} must have the size of the depth map, {depth.shape}, got {array.shape[:2]}"
-            )
+    if rgb is not None and rgb.dtype != np.uint8:
+        raise InputError(f"rgb must be uint8, got {rgb.dtype}")
+    arrays = {"rgb": (rgb, (3,)), "semantic": (semantic, ()), "boundary": (boundary, ())}
+    for name, (array, channels) in arrays.items():
+        if array is not None and array.shape != (expected := (*depth.shape, *channels)):
+            raise InputError(f"{name} must have the shape {expected}, got {array.shape}")
     if edge_boundary == "auto":
         edge_boundary = EDGE_BOUNDARY if semantic is None else EDGE_BOUNDARY / 2
     kept = (depth > 0) & (depth < np.inf)

@@ -99,7 +99,6 @@ def test_a_bad_frame_is_named_before_any_runs(model_file, make_frame, counted):
             ([good, None, good], {}, "frame 1 of 3"),
             ([good, good], {"stamps": [1]}, "each of 2"),
             ([good], {"focal_lengths_px": [-1.0]}, "frame 0 of 1: focal_length_px"),
-            (iter([good]), {}, "list"),
         ]:
             with pytest.raises(InputError, match=named):
                 predictor.predict_batch(frames, **options)

@@ -23,7 +23,7 @@ from runtime.preprocess import (
     (np.zeros((40, 50, 4), np.uint8), "alpha"),
     (np.zeros((31, 50, 3), np.uint8), "32 x 32"),
     (None, "NoneType"),
-    (np.ma.zeros((40, 50, 3), np.uint8), "masked"),
+    (np.ma.zeros((40, 50, 3), np.uint8), "Masked"),
 ])  # fmt: skip
 def test_other_pictures_are_refused(rgb, named):
     with pytest.raises(InputError, match=named):
