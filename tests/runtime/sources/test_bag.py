@@ -83,7 +83,9 @@ def test_a_recording_of_a_loop_answers_every_turn(make_bag, make_frame):
             stamp_ns = START_NS + 100 * MS * index
             bag.image("/cam", grey, "mono8", stamp_ns, recorded_ns=stamp_ns + 8000 * MS * turn)
     with BagSource(bag.write(), depth_topic="none") as source:
-        names = [frame.name for frame in source.list_frames()]
+        frames = source.list_frames()
+    assert all(frame.complete for frame in frames), "the camera alone"
+    names = [frame.name for frame in frames]
     assert len(set(names)) == 160
     assert names[80] == f"{names[0]}-2"
 
