@@ -74,32 +74,32 @@ class PushStream:
         predictor: a `Predictor`, or a drop-in replacement; it must outlive the stream.
         deadline_ms: limit for `FrameResult.latency_ms`; None = no limit.
         max_skew_ms: largest difference between the stamps of an image and its depth map.
-        max_wait_ms: how long an image waits for its depth map before it is answered from the
-            camera alone, and a depth map for its image.
+        max_wait_ms: how long an image waits for its depth map, before it is answered without, and
+            a depth map for its image.
         calibration: of camera and LiDAR, required by `push_points`; its focal length is used where
             the predictor has none.
-        reuse_depth_ms: an image without depth of its own takes the newest one before it that is at
-            most so old; 0 = never.
-        pose_frame: the frame of which `push_pose` gives poses, "lidar", "camera" or "body" (the
+        reuse_depth_ms: an image without depth of its own takes the newest depth before it, if that
+            is at most so old; 0 = never.
+        pose_frame: the frame whose poses `push_pose` takes, "lidar", "camera" or "body" (the
             calibration's `body_from_lidar`): scans are moved to the time of their image. None = no
             poses.
-        scan_stamp: what instant of a scan its stamp is, "start", "middle" or "end", where its
-            points have no times of their own; it is moved from its middle.
+        scan_stamp: whether the stamp of a scan marks its "start", "middle" or "end"; a scan whose
+            points have no times is moved as if all were measured in its middle.
         consistency: share of the returns that is held out of each frame to check whether camera
-            and LiDAR are still calibrated and in sync (0.05, for example); every 10th frame then
-            takes a second prediction. None = no check.
-        check_depth: whether returns are compared with a prediction from the image alone, for
-            "implausible_depth" in `Prediction.degraded` of the frames after it: of the first five
-            frames with depth, then of one in a hundred, when no frame waits. It runs after the
-            frame's result was handed over, and is in no latency of that frame.
+            and LiDAR are still calibrated and in sync (0.05, for example); every 10th frame is then
+            predicted a second time. None = no check.
+        check_depth: whether the returns of the first five frames with depth, then of one in a
+            hundred when no frame waits, are compared with a prediction from the image alone. Later
+            frames then have "implausible_depth" in `Prediction.degraded`. The check runs after the
+            frame's result was handed over, and is not part of its latency.
         on_result: called with each `FrameResult` in the stream's thread, instead of iterating.
         on_error: called there with each InputError or InferenceError of a frame, and with an
             unexpected error, which ends the stream.
         on_state: called there with each new `state`.
         watchdog: limits for `state`.
-        sensor_clock: returns the present time of the clock that the stamps are of, for
+        sensor_clock: returns the present time by the clock of the stamps, for
             `FrameResult.age_ms`.
-        clock: the clock used for waiting; for tests.
+        clock: by which the stream waits; for tests.
 
     Raises:
         InputError: if an option is out of range.
@@ -166,8 +166,7 @@ class PushStream:
 
         Args:
             rgb: uint8 (H, W, 3), RGB.
-            stamp: seconds as a float or nanoseconds as an int, of any clock that the depth maps'
-                stamps are of, too.
+            stamp: seconds as a float or nanoseconds as an int, by any clock that all sensors share.
 
         Raises:
             InputError: if the array or the stamp is not valid, or the image has another size than
