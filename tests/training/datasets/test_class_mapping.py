@@ -7,15 +7,6 @@ from runtime.errors import DatasetError
 from training.datasets.cityscapes import TRAIN_LABELS
 from training.datasets.class_mapping import class_ids, id_lookup
 
-KNOWN_PAIRS = [
-    ("camvid", "camvid"),
-    ("cityscapes", "cityscapes"),
-    ("cityscapes", "camvid"),
-    ("virtual_kitti", "virtual_kitti"),
-    ("virtual_kitti", "camvid"),
-    ("virtual_kitti", "cityscapes"),
-]
-
 
 def test_a_set_in_its_own_table_keeps_its_ids():
     for name in ("camvid", "cityscapes"):
@@ -51,13 +42,10 @@ def test_rendered_scenes_in_every_table():
 
 @pytest.mark.parametrize(
     ("labels", "table"),
-    [
-        (labels, table)
-        for labels in ("camvid", "cityscapes", "virtual_kitti")
-        for table in (*CLASS_TABLES, "ade20k")
-        if (labels, table) not in KNOWN_PAIRS
-    ],
+    [("camvid", "cityscapes"), ("cityscapes", "virtual_kitti"), ("virtual_kitti", "ade20k")],
 )
 def test_a_pair_that_mixes_up_classes_is_refused(labels, table):
-    with pytest.raises(DatasetError, match=rf"labels of {labels} .* classes of '{table}'.*camvid"):
+    with pytest.raises(DatasetError, match=rf"{labels} .*'{table}'.*camvid"):
         class_ids(labels, table)
+    with pytest.raises(DatasetError, match=labels):
+        class_ids(labels, CLASS_TABLES["camvid"])

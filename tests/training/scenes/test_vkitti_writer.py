@@ -77,12 +77,3 @@ def test_the_command_renders_scenes_in_turn_of_the_variants(tmp_path):
     again = run(tmp_path, "--scenes", 1, "--variant", "fog", *small)
     assert again.exit_code == 1
     assert "exists already" in again.output
-
-
-WRONG = ("--variant snow", "--camera nuscenes", "--size 375", "--street lane", "--frames 400")
-
-
-@pytest.mark.parametrize("wrong", WRONG)
-def test_wrong_usage_is_exit_code_2_and_writes_nothing(tmp_path, wrong):
-    assert run(tmp_path / "out", *wrong.split()).exit_code == 2
-    assert not (tmp_path / "out").exists()

@@ -35,7 +35,7 @@ def complete(name, rgb, sparse_depth):
     return open_method(name).predict(rgb, sparse_depth, 700.0).depth
 
 
-@pytest.mark.parametrize("size", [(40, 50), (33, 47), (97, 32)])
+@pytest.mark.parametrize("size", [(40, 50), (33, 47), (5, 7)])
 def test_the_answer_is_depth_of_the_frames_size_and_nothing_else(name, size):
     rgb, sparse_depth = frame(*size)
     before = sparse_depth.copy()
@@ -73,20 +73,6 @@ def test_one_return(name, at):
         assert 0 < np.count_nonzero(depth) < depth.size
     else:  # to it, one return is noise, but in a corner
         assert depth.any() == (at != (20, 30))
-
-
-@pytest.mark.parametrize("size", [(1, 1), (1, 7), (7, 1), (3, 2), (5, 5)])
-def test_methods_themselves_take_the_smallest_frames(name, size):
-    rgb = np.full((*size, 3), 100, np.uint8)
-    sparse_depth = np.full(size, np.nan, np.float32)
-    assert not create_method(name).complete(rgb, sparse_depth).any()
-    sparse_depth.flat[0] = 8.0
-    depth = create_method(name).complete(rgb, sparse_depth)
-    assert depth.shape == size
-    assert depth.dtype == np.float32
-    assert np.isfinite(depth).all()
-    if name in FILLS_EVERYTHING:
-        np.testing.assert_allclose(depth, 8.0, rtol=1e-5)
 
 
 def test_an_answer_that_is_not_finite_is_an_error():
