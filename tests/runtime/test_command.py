@@ -16,20 +16,16 @@ from runtime.command import reported_errors, stop_requested
 from runtime.errors import InputError
 
 
-@pytest.mark.parametrize(
-    ("error", "code", "text"),
-    [
-        (InputError("the fault"), 1, "error: the fault\n"),
-        (ModuleNotFoundError("No module named 'x'"), 1,
-         "error: No module named 'x': pip install -c constraints.txt \".[train]\" "
-         "in a clone of ssdnet\n"),
-        (ImportError("libGL.so.1: cannot open shared object file"), 1,
-         "error: libGL.so.1: cannot open shared object file: it is installed but cannot be loaded, "
-         "ssdnet-doctor examines it\n"),
-        (KeyboardInterrupt(), 130, ""),
-    ],
-    ids=["ours", "missing package", "broken package", "Ctrl-C"],
-)  # fmt: skip
+@pytest.mark.parametrize(("error", "code", "text"), [
+    (InputError("the fault"), 1, "error: the fault\n"),
+    (ModuleNotFoundError("No module named 'x'"), 1,
+     "error: No module named 'x': pip install -c constraints.txt \".[train]\" "
+     "in a clone of ssdnet\n"),
+    (ImportError("libGL.so.1: cannot open"), 1,
+     "error: libGL.so.1: cannot open: it is installed but cannot be loaded, ssdnet-doctor examines "
+     "it\n"),
+    (KeyboardInterrupt(), 130, ""),
+], ids=["ours", "missing package", "broken package", "Ctrl-C"])  # fmt: skip
 def test_an_error_is_a_line_and_an_exit_code(capfd, error, code, text):
     with pytest.raises(SystemExit) as caught, reported_errors("train"):
         raise error
@@ -55,21 +51,17 @@ def test_a_block_that_can_be_interrupted_cleans_up(number):
     assert signal.getsignal(number) == before
 
 
-@pytest.mark.parametrize(
-    ("block", "code"),
-    [
-        ("signal.raise_signal(signal.SIGINT)", 130),
-        ("signal.raise_signal(signal.SIGTERM)", 130),
-        # A second one does not wait for what the first one cleans up.
-        ("import time\n"
-         "with stop_requested(interrupts=True):\n"
-         "  try: signal.raise_signal(signal.SIGINT)\n"
-         "  finally: time.sleep(0.3); signal.raise_signal(signal.SIGINT); time.sleep(60)", 130),
-        ("signal.signal(signal.SIGINT, signal.SIG_IGN); begin_command(); "
-         "signal.raise_signal(signal.SIGINT); sys.exit(7)", 7),
-    ],
-    ids=["Ctrl-C", "SIGTERM", "twice", "deaf from the start"],
-)  # fmt: skip
+@pytest.mark.parametrize(("block", "code"), [
+    ("signal.raise_signal(signal.SIGINT)", 130),
+    ("signal.raise_signal(signal.SIGTERM)", 130),
+    # A second one does not wait for what the first one cleans up.
+    ("import time\n"
+     "with stop_requested(interrupts=True):\n"
+     "  try: signal.raise_signal(signal.SIGINT)\n"
+     "  finally: time.sleep(0.3); signal.raise_signal(signal.SIGINT); time.sleep(60)", 130),
+    ("signal.signal(signal.SIGINT, signal.SIG_IGN); begin_command(); "
+     "signal.raise_signal(signal.SIGINT); sys.exit(7)", 7),
+], ids=["Ctrl-C", "SIGTERM", "twice", "deaf from the start"])  # fmt: skip
 def test_a_process_ends_without_a_traceback(block, code):
     program = f"import signal, sys\nfrom runtime.command import *\nbegin_command()\n{block}"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
@@ -100,14 +92,10 @@ def test_the_second_signal_ends_a_process_that_hangs(start_process, numbers):
     assert process.returncode == 130
 
 
-@pytest.mark.parametrize(
-    ("options", "numbers", "apart_s"),
-    [
-        ("{}", [signal.SIGTERM], 0),
-        ("{}", [signal.SIGTERM] * 2, 0),  # as timeout(1) sends it
-        ("{'second_ends': False}", [signal.SIGINT, signal.SIGTERM], 0.3),
-    ],
-)
+@pytest.mark.parametrize(("options", "numbers", "apart_s"), [
+    ("{}", [signal.SIGTERM] * 2, 0),  # as timeout(1) sends it
+    ("{'second_ends': False}", [signal.SIGINT, signal.SIGTERM], 0.3),
+])  # fmt: skip
 def test_one_signal_is_a_request_to_stop(start_process, options, numbers, apart_s):
     program = HANGS.replace("OPTIONS", options).replace("ROUNDS", "3_000_000")
     process = start_process(sys.executable, "-c", program)

@@ -26,15 +26,10 @@ def test_the_rule(asked, frame, trained, expected):
     assert network_size(asked, frame, trained_height=trained) == expected
 
 
-@pytest.mark.parametrize(
-    "asked",
-    [
-        *(True, False, 0, 31, -400, 16_385, 400.0, "400", "Frame", "auto", b"frame", {}, object),
-        *((400,), (400, 31), (400, True), (400.0, 640), (16_384, 16_384), (64, 64, 64)),
-        np.zeros(2, int),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize("asked", [
+    True, 31, 16_385, 400.0, "400", b"frame", (400, 31), (400.0, 640), (16_384, 16_384),
+    (64, 64, 64), np.zeros(2, int),
+], ids=str)  # fmt: skip
 def test_nonsense_is_refused(asked):
     with pytest.raises(InputError, match="size"):
         check_network_size(asked, fixed=False)

@@ -37,17 +37,12 @@ def only_one_frame(graph):
         tensor.type.tensor_type.shape.dim[0].dim_value = 1
 
 
-@pytest.mark.parametrize(
-    ("sizes", "options", "edit", "runs"),
-    [
-        ([(48, 64)] * 4, {}, None, [(4, 48, 64)]),
-        ([(48, 64), (40, 80), (48, 64)], {}, None, [(2, 48, 64), (1, 40, 80)]),
-        ([(48, 64), (96, 128)], {"size": (40, 56)}, None, [(2, 40, 56)]),
-        ([(48, 64)] * 3, {}, only_one_frame, [(1, 48, 64)] * 3),
-        ([], {}, None, []),
-    ],
-    ids=["one size", "two sizes", "resized to one", "a file of one frame", "no frames"],
-)
+@pytest.mark.parametrize(("sizes", "options", "edit", "runs"), [
+    ([(48, 64), (40, 80), (48, 64)], {}, None, [(2, 48, 64), (1, 40, 80)]),
+    ([(48, 64), (96, 128)], {"size": (40, 56)}, None, [(2, 40, 56)]),
+    ([(48, 64)] * 3, {}, only_one_frame, [(1, 48, 64)] * 3),
+    ([], {}, None, []),
+], ids=["two sizes", "resized to one", "a file of one frame", "no frames"])  # fmt: skip
 def test_frames_that_the_network_sees_at_one_size_are_one_run(
     model_file, make_frame, counted, sizes, options, edit, runs
 ):

@@ -106,7 +106,7 @@ def test_what_is_no_text_is_an_input_error(tmp_path):
         read_text(tmp_path / "a")
 
 
-@pytest.mark.parametrize("text", ["a = " + "[" * 900, "a = " + "9" * 5000, "a = "])
+@pytest.mark.parametrize("text", ["a = " + "[" * 900, "a = " + "9" * 5000])
 def test_toml_is_read_or_an_input_error(tmp_path, text):
     path = tmp_path / "a.toml"
     path.write_text(text)

@@ -36,7 +36,6 @@ def as_float32(array):
 
 NO_SCANS = {
     "float64": as_float32(SCAN.astype(np.float64)),
-    "random float64": as_float32(RNG.normal(0, 20, (2000, 4))),
     "int32 of mm": as_float32((SCAN * 1000).astype(np.int32)),
     "int16 of cm": as_float32((SCAN * 100).astype(np.int16)),
     "big-endian": as_float32(SCAN.astype(">f4")),
@@ -74,8 +73,7 @@ def test_scans_that_look_like_none_are_taken(name):
 
 
 @pytest.mark.parametrize(("shape", "text"), [
-    ((3, 17), "use points.T"), ((4, 400), "use points.T"), ((5, 34), "use points.T"),
-    ((400, 2), r"got \(400, 2\)$"), ((3,), r"got \(3,\)$"),
+    ((3, 17), "use points.T"), ((4, 400), "use points.T"), ((400, 2), r"got \(400, 2\)$"),
     ((3, 3), None), ((4, 5), None), ((3, 16), None), ((0, 3), None), ((400, 20), None),
 ])  # fmt: skip
 def test_points_come_one_a_row(shape, text):

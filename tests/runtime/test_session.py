@@ -85,11 +85,9 @@ def test_without_onnxruntime_the_two_commands_are_named(monkeypatch, model_file)
 
 def test_an_onnxruntime_that_cannot_be_loaded_is_not_called_missing(monkeypatch):
     def broken(name, *arguments, **options):
-        if name == "onnxruntime":
-            raise ImportError("libcudart.so.13: cannot open shared object file")
-        return import_module(name, *arguments, **options)
+        raise ImportError("libcudart.so.13: cannot open shared object file")
 
-    import_module = builtins.__import__
+    monkeypatch.delitem(sys.modules, "onnxruntime", raising=False)
     monkeypatch.setattr(builtins, "__import__", broken)
     with pytest.raises(ProviderError, match=r"libcudart.*ssdnet-doctor"):
         open_cuda()

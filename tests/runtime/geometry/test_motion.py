@@ -107,27 +107,24 @@ def test_a_scan_is_projected_where_the_picture_sees_it():
 def test_only_what_no_time_brings_before_the_camera_is_left_out(odd):
     """While the car turns around: many returns come before the camera by moving them alone."""
     rng = np.random.default_rng(0)
-    poses, stamps = drive(200, turn=1.5)
-    track = PoseTrack.of(poses, stamps)
-    points = rng.uniform(-40, 40, (20_000, 3)).astype(np.float32)
-    points[:, 2] /= 10
+    track = PoseTrack.of(*drive(200, turn=1.5))
+    points = rng.uniform((-40, -40, -4), (40, 40, 4), (20_000, 3)).astype(np.float32)
     if odd is not None:
         points[::7, 1] = odd
     times = rng.integers(0, 1900 * MS, len(points))
     for to in (50 * MS, 500 * MS):
-        moved = move_points(points, times, track, to)
-        whole = CALIBRATION.project(moved, (40, 80))
-        depth = project_moved(CALIBRATION, points, times, track, to, (40, 80))
+        whole = CALIBRATION.project(move_points(points, times, track, to), (40, 80))
         assert np.count_nonzero(whole) > 1000
+        depth = project_moved(CALIBRATION, points, times, track, to, (40, 80))
         np.testing.assert_array_equal(depth, whole)
 
 
 def test_mounts_are_those_of_the_calibration():
     body = pose((1, 0, 2), (0, 0, 0.1))
     calibration = Calibration(INTRINSICS, TO_CAMERA, body_from_lidar=body)
-    np.testing.assert_array_equal(lidar_mount(PoseFrame.LIDAR, calibration), np.eye(4))
-    np.testing.assert_array_equal(lidar_mount(PoseFrame.CAMERA, calibration), TO_CAMERA)
-    np.testing.assert_array_equal(lidar_mount(PoseFrame.BODY, calibration), body)
+    mounts = {PoseFrame.LIDAR: np.eye(4), PoseFrame.CAMERA: TO_CAMERA, PoseFrame.BODY: body}
+    for frame, mount in mounts.items():
+        np.testing.assert_array_equal(lidar_mount(frame, calibration), mount)
     with pytest.raises(InputError, match="body_from_lidar"):
         lidar_mount(PoseFrame.BODY, CALIBRATION)
 
@@ -138,12 +135,11 @@ def test_returns_behind_the_lidar_may_be_before_the_camera():
     behind[2, 3] = 5.0
     calibration = Calibration(INTRINSICS, behind, (40, 80))
     poses, stamps = drive(30)
-    track, to = PoseTrack.of(poses, stamps), stamps[10]
-    points = np.float32([[-3, 0, 0], [-6, 0, 0], [8, 1, 0]])
-    times = np.full(3, to, np.int64)
+    points, times = np.float32([[-3, 0, 0], [-6, 0, 0], [8, 1, 0]]), np.full(3, stamps[10])
     expected = calibration.project(points, (40, 80))
     assert (expected > 0).sum() == 2
-    found = project_moved(calibration, points, times, track, to, (40, 80))
+    track = PoseTrack.of(poses, stamps)
+    found = project_moved(calibration, points, times, track, stamps[10], (40, 80))
     np.testing.assert_allclose(found, expected, atol=1e-4)
 
 

@@ -50,13 +50,9 @@ def test_oxts_are_metres_from_the_first_frame(tmp_path):
 
 
 @pytest.mark.parametrize(("read", "text"), [
-    (read_kitti_poses, "1 2 3\n"),
-    (read_kitti_poses, "1 0 0 0 0 1 0 0 0 0 1 nan\n"),
-    (read_kitti_poses, "1 0 0 x 0 1 0 0 0 0 1 0\n"),
-    (read_tum_poses, "0 0 0 0 0 0 0\n"),
-    (read_tum_poses, "0 0 0 0 0 0 0 0\n"),
-    (read_tum_poses, "1e300 0 0 0 0 0 0 1\n"),
-    (lambda path: read_oxts_poses([path]), "1 2\n"),
+    (read_kitti_poses, "1 2 3\n"), (read_kitti_poses, "1 0 0 0 0 1 0 0 0 0 1 nan\n"),
+    (read_kitti_poses, "1 0 0 x 0 1 0 0 0 0 1 0\n"), (read_tum_poses, "0 0 0 0 0 0 0\n"),
+    (read_tum_poses, "0 0 0 0 0 0 0 0\n"), (read_tum_poses, "1e300 0 0 0 0 0 0 1\n"),
     (lambda path: read_oxts_poses([path]), ""),
     (lambda path: read_oxts_poses([path]), "100 " + "0 " * 29),
     (lambda path: read_oxts_poses([path]), "49 8 0 0 0 90 " + "0 " * 24),

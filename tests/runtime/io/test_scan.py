@@ -90,10 +90,9 @@ def test_x_y_and_z_are_found_by_their_names(tmp_path, name):
     np.testing.assert_array_equal(points, POINTS)
 
 
-@pytest.mark.parametrize(
-    ("name", "columns", "expected"),
-    [("a.bin", None, 4), ("a.pcd.bin", None, 5), ("a.BIN", 6, 6), ("a.pcd.bin", 3, 3)],
-)
+@pytest.mark.parametrize(("name", "columns", "expected"), [
+    ("a.bin", None, 4), ("a.pcd.bin", None, 5), ("a.BIN", 6, 6), ("a.pcd.bin", 3, 3),
+])  # fmt: skip
 def test_raw_floats_have_so_many_columns(tmp_path, name, columns, expected):
     values = sweep(expected)
     values.tofile(tmp_path / name)
