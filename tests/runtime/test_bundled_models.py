@@ -48,13 +48,12 @@ def test_an_ending_or_a_folder_makes_a_path(assets, text):
 def test_a_file_of_a_models_name_in_the_current_folder_is_not_taken(
     assets, tmp_path, monkeypatch, model_file
 ):
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-    shutil.copy(model_file(), "other")
-    shutil.copy(model_file(), "mine")
-    with Predictor("other", warmup=0) as by_name, Predictor("./other", warmup=0) as by_path:
-        assert by_name.model == str(assets / "other.onnx")
-        assert by_path.model == "other"
+    monkeypatch.chdir(tmp_path)
+    for name in ("other", "mine"):
+        shutil.copy(model_file(), name)
+    assert find_model("other") == assets / "other.onnx"
+    with Predictor("./other", warmup=0) as predictor:
+        assert predictor.model == "other"
     with pytest.raises(ContractError, match="mine"):
         find_model("mine")
 

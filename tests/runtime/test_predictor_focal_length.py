@@ -16,12 +16,8 @@ OFFSET_M = 1.5  # what the graph by hand adds to what it is fed
 @pytest.fixture
 def canonical(model_file, contract):
     """A model file that works in the depth of a camera of 100 px, up to 400 m of it."""
-    return model_file(
-        contract=dataclasses.replace(
-            contract, canonical_focal_px=CANONICAL_PX, max_depth_m=RANGE_M
-        ),
-        heads=HEADS,
-    )
+    canonical = {"canonical_focal_px": CANONICAL_PX, "max_depth_m": RANGE_M}
+    return model_file(contract=dataclasses.replace(contract, **canonical), heads=HEADS)
 
 
 @pytest.fixture

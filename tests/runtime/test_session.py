@@ -13,29 +13,15 @@ from runtime.session import node_counts, open_session
 CPU, CUDA = "CPUExecutionProvider", "CUDAExecutionProvider"
 
 
-class FakeSession:
+def fake_session(running, nodes):
     """A session that runs `running`, with nodes of (provider, operator)."""
-
-    def __init__(self, running, nodes):
-        self.running = running
-        self.nodes = nodes
-
-    def get_providers(self):
-        return self.running
-
-    def get_provider_graph_assignment_info(self):
-        return [
-            SimpleNamespace(ep_name=name, get_nodes=lambda op=op: [SimpleNamespace(op_type=op)])
-            for name, op in self.nodes
-        ]
-
-
-class FakeOptions:
-    def __init__(self):
-        self.entries = {}
-
-    def add_session_config_entry(self, key, value):
-        self.entries[key] = value
+    assigned = [
+        SimpleNamespace(ep_name=name, get_nodes=lambda op=op: [SimpleNamespace(op_type=op)])
+        for name, op in nodes
+    ]
+    return SimpleNamespace(
+        get_providers=lambda: running, get_provider_graph_assignment_info=lambda: assigned
+    )
 
 
 @pytest.fixture
@@ -59,7 +45,7 @@ def fake_runtime(monkeypatch):
         module = SimpleNamespace(
             __version__="9.9",
             InferenceSession=make_session,
-            SessionOptions=FakeOptions,
+            SessionOptions=lambda: SimpleNamespace(add_session_config_entry=lambda *entry: None),
             ExecutionMode=SimpleNamespace(ORT_SEQUENTIAL=0),
             GraphOptimizationLevel=SimpleNamespace(ORT_ENABLE_ALL=99),
             get_available_providers=lambda: list(available),
@@ -107,7 +93,7 @@ def test_a_provider_of_another_name(model_file, name):
 
 def test_cuda_that_runs(fake_runtime):
     nodes = [(CUDA, "Conv"), (CUDA, "Relu"), (CPU, "Gather")]
-    calls = fake_runtime({CUDA: FakeSession([CUDA, CPU], nodes)})
+    calls = fake_runtime({CUDA: fake_session([CUDA, CPU], nodes)})
     session = open_cuda()
     assert node_counts(session) == {CUDA: 2, CPU: 1}
     ((name, provider_options), options) = calls[0]
@@ -117,7 +103,7 @@ def test_cuda_that_runs(fake_runtime):
 
 
 def test_a_silent_fall_back_to_the_cpu_is_an_error(fake_runtime, capsys):
-    fake_runtime({CUDA: FakeSession([CPU], [(CPU, "Conv")])})
+    fake_runtime({CUDA: fake_session([CPU], [(CPU, "Conv")])})
     with pytest.raises(ProviderError, match=r"CPUExecutionProvider.*libcudnn"):
         open_cuda()
     assert capsys.readouterr().out == "", "the library printed"
@@ -126,8 +112,8 @@ def test_a_silent_fall_back_to_the_cpu_is_an_error(fake_runtime, capsys):
 @pytest.mark.parametrize(
     ("cuda", "cpu", "error", "text"),
     [
-        (FakeSession([CUDA, CPU], [(CPU, "Conv")]), None, ProviderError, "Conv on CPUExecution"),
-        (RuntimeError("no CUDA device"), FakeSession([CPU], []), ProviderError, "no CUDA device"),
+        (fake_session([CUDA, CPU], [(CPU, "Conv")]), None, ProviderError, "Conv on CPUExecution"),
+        (RuntimeError("no CUDA device"), fake_session([CPU], []), ProviderError, "no CUDA device"),
         # A damaged model is not blamed on the GPU.
         (*[RuntimeError("Protobuf parsing failed")] * 2, ContractError, "Protobuf parsing failed"),
     ],

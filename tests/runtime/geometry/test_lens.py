@@ -133,18 +133,16 @@ def test_nothing_folds_back_into_the_image(model, coefficients, end_deg):
 
 @pytest.mark.parametrize(("model", "distortion"), [
     ("brown", [0, 0, 0, 0]), ("plumb_bob", [0.1]), ("equidistant", [0.1, 0, 0, np.nan]),
-    ("plumb_bob", "many"), ("plumb_bob", None), (None, [0.1] * 5),
+    ("plumb_bob", "many"), ("plumb_bob", None), (None, [0.1] * 5), ("plumb_bob", [0] * 13 + [0.1]),
 ])  # fmt: skip
 def test_what_is_no_lens(model, distortion):
-    with pytest.raises(InputError, match="lens"):
+    with pytest.raises(InputError, match=r"lens|distortion"):
         Calibration(K, np.eye(4), lens=model, distortion=distortion)
 
 
 def test_zeros_beyond_the_coefficients_of_a_model_do_nothing():
-    first = [-0.3, 0.1, 0.001, -0.002, 0.01]
-    assert Lens.of("plumb_bob", [*first, *[0.0] * 9]).coefficients == tuple(first)
-    with pytest.raises(InputError, match="plumb_bob"):
-        Lens.of("plumb_bob", [*first, *[0.0] * 8, 0.1])
+    first = (-0.3, 0.1, 0.001, -0.002, 0.01)
+    assert Lens.of("plumb_bob", [*first, *[0.0] * 9]).coefficients == first
 
 
 def test_a_rectified_image_shows_what_the_rectified_calibration_projects():
