@@ -1,7 +1,6 @@
 """`Prediction.draw` and `Prediction.save`."""
 
 import io
-from collections.abc import Sequence
 from functools import lru_cache
 from os import PathLike
 from pathlib import Path
@@ -16,8 +15,9 @@ from runtime.drawing.overlay import Overlay
 from runtime.errors import InputError, OutputError
 from runtime.geometry.calibration import Calibration
 from runtime.io.atomic_write import atomic_write
-from runtime.io.encode import encode_ply
+from runtime.io.encode import encode_jpeg, encode_ply, encode_png
 from runtime.prediction import Prediction
+from runtime.returns import kind_of
 
 _PICTURES, _ARRAYS, _CLOUD = (".png", ".jpg", ".jpeg"), ".npz", ".ply"
 
@@ -26,19 +26,7 @@ def draw_prediction(
     prediction: Prediction, rgb: NDArray[np.uint8] | None = None
 ) -> NDArray[np.uint8]:
     """Return the picture of `Prediction.draw`, uint8 (H', W', 3), RGB. Raises InputError."""
-    contract = prediction.contract
-    if contract is None:
-        raise InputError(
-            "the prediction has no contract, which names the classes and their colours: draw "
-            "what Predictor.predict returns, or set contract=predictor.contract"
-        )
-    size = prediction.frame_size
-    if rgb is not None:
-        given = f"{rgb.dtype} {rgb.shape}" if isinstance(rgb, np.ndarray) else type(rgb).__name__
-        if given != f"uint8 {(*size, 3)}":
-            raise InputError(f"rgb must be the frame's image, uint8 {(*size, 3)}, got {given}")
-    overlay = _overlay(tuple(contract.classes), contract.max_depth_m)
-    return cv2.cvtColor(overlay.draw(rgb, prediction), cv2.COLOR_BGR2RGB)  # type: ignore[return-value]
+    return cv2.cvtColor(_draw(prediction, rgb), cv2.COLOR_BGR2RGB)  # type: ignore[return-value]
 
 
 def save_prediction(
@@ -53,11 +41,11 @@ def save_prediction(
     suffix = path.suffix.lower()
     content: bytes | memoryview
     if suffix in _PICTURES:
-        drawn = cv2.cvtColor(draw_prediction(prediction, rgb), cv2.COLOR_RGB2BGR)
-        done, encoded = cv2.imencode(suffix, drawn)
-        if not done:
-            raise OutputError(f"{path}: {drawn.shape[0]} x {drawn.shape[1]} is too large for it")
-        content = encoded.ravel().data
+        drawn = _draw(prediction, rgb)
+        try:
+            content = encode_png(drawn) if suffix == ".png" else encode_jpeg(drawn, quality=95)
+        except ValueError as error:
+            raise OutputError(f"{path}: {error}") from error
     elif suffix == _ARRAYS:
         arrays: dict[str, Any] = {**prediction.heads, "valid": np.bool_(prediction.valid)}
         arrays["degraded"] = np.array(prediction.degraded, dtype=np.str_)
@@ -78,7 +66,22 @@ def save_prediction(
     atomic_write(path, content)
 
 
+def _draw(prediction: Prediction, rgb: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
+    """The picture, blue first."""
+    if (contract := prediction.contract) is None:
+        raise InputError(
+            "the prediction has no contract, which names the classes and their colours: draw "
+            "what Predictor.predict returns, or set contract=predictor.contract"
+        )
+    expected = (*prediction.frame_size, 3)
+    if rgb is not None and (kind_of(rgb) != np.uint8 or rgb.shape != expected):
+        raise InputError(
+            f"rgb must be the frame's image, uint8 {expected}, got {kind_of(rgb)} {np.shape(rgb)}"
+        )
+    return _overlay(contract.classes, contract.max_depth_m).draw(rgb, prediction)
+
+
 @lru_cache(maxsize=8)
-def _overlay(classes: Sequence[ClassInfo], max_depth_m: float) -> Overlay:
+def _overlay(classes: tuple[ClassInfo, ...], max_depth_m: float) -> Overlay:
     """The overlay of a model; it keeps the legend for the next frame."""
     return Overlay(classes, max_depth_m)

@@ -233,18 +233,7 @@ def _parse(folder: Path, document: Any) -> Recording:
 
 def _frame(entry: Any) -> RecordedFrame:
     degraded = entry["degraded"]
-    return RecordedFrame(
-        name=str(entry["name"]),
-        valid=bool(entry["valid"]),
-        degraded=None if degraded is None else tuple(map(str, degraded)),
-        predict_ms=_number(entry, "predict_ms"),
-        focal_length_px=_number(entry, "focal_length_px"),
-    )
-
-
-def _number(entry: Mapping[str, Any], key: str) -> float | None:
-    value = entry.get(key)
-    return None if value is None else check_number(key, value, 0, _LARGEST)
+    return RecordedFrame(**{**entry, "degraded": None if degraded is None else tuple(degraded)})
 
 
 def _limits(head: str, entry: Mapping[str, Any]) -> dict[str, float]:
