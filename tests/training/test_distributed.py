@@ -16,8 +16,6 @@ from torch import nn
 from layouts.pictures import write
 from models import load_checkpoint
 from training.distributed import Processes, share_batch_norm
-from training.loading.mixture import Pair
-from training.losses.consistency import depth_consistency_loss, semantic_consistency_loss
 
 # Every term of the loss, on a set whose frames differ in how much of them is known. PyTorch is
 # imported once; the processes of each run are forked, with the environment that torchrun sets.
@@ -212,46 +210,3 @@ def test_shared_batch_norm_is_batch_norm(tmp_path):
     for name, value in plain.state_dict().items():
         torch.testing.assert_close(network.state_dict()[f"0.{name}"], value)
     torch.testing.assert_close(network.eval()(x), plain.eval()(x))
-
-
-#: Frames of each process.
-PARTS = (slice(2), slice(2, 6))
-
-
-def consistency(first, second, offsets, lidar):
-    """Both consistency losses and their gradients with respect to the first views."""
-    views = [first.clone().requires_grad_(), second]
-    pair = Pair(torch.tensor(offsets), *lidar)
-    loss = depth_consistency_loss(*views, pair)
-    logits = (torch.cat((view, 0 * view), dim=1) for view in views)
-    loss = loss + semantic_consistency_loss(*logits, pair, side=1)
-    loss.backward()
-    return loss.item(), views[0].grad
-
-
-def consistency_of_process(rank, folder, values):
-    dist.init_process_group("gloo", init_method=f"file://{folder}/group", rank=rank, world_size=2)
-    part = PARTS[rank]
-    first, second, offsets, lidar = values
-    result = consistency(first[part], second[part], offsets[part], [view[part] for view in lidar])
-    torch.save(result, folder / f"{rank}.pt")
-    dist.destroy_process_group()
-
-
-@pytest.mark.slow
-def test_consistency_of_views_is_a_mean_over_the_frames_of_all_processes(tmp_path, monkeypatch):
-    """The first process has two frames, of which no depth counts, the second four."""
-    generator = torch.Generator().manual_seed(0)
-    first, second = torch.rand(2, 6, 1, 80, 96, generator=generator) + 0.1
-    second[3:] += 2
-    lidar = torch.zeros(2, 6, 1, 80, 96)
-    lidar[1, :2] = 9.0  # just one of the views has returns
-    values = (first, second, [(4 * index, 8) for index in range(3)] * 2, lidar)
-    expected, gradient = consistency(*values)
-    monkeypatch.syspath_prepend(Path(__file__).parents[2])  # the processes import this module
-    torch.multiprocessing.spawn(consistency_of_process, (tmp_path, values), nprocs=2)
-    for rank in range(2):
-        loss, part = torch.load(tmp_path / f"{rank}.pt")
-        assert loss == pytest.approx(expected, rel=1e-5)
-        # Gradients of a sum over both processes: their mean is what is trained with.
-        torch.testing.assert_close(part / 2, gradient[PARTS[rank]])

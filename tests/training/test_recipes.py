@@ -90,15 +90,6 @@ def shrunk_networks(monkeypatch):
         monkeypatch.setitem(NETWORKS, name, Entry(network, shrunk))
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    """Threads cost more than they bring to tensors this small."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
-
-
 def shrink(size):
     """A small size that leaves the same remainder on the networks' coarsest grid, 32 pixels."""
     return 32 + size[0] % 32, 64 + size[1] % 32
@@ -156,7 +147,7 @@ def read_scalars(folder):
     """What TensorBoard shows: {group: {name: value}}."""
     events = EventAccumulator(str(folder))
     events.Reload()
-    groups = {"loss": {}, "log_variance": {}, "validation": {}}
+    groups = {"loss": {}, "validation": {}}
     for tag in events.Tags()["scalars"]:
         group, _, name = tag.partition("/")
         groups.setdefault(group, {})[name] = events.Scalars(tag)[-1].value
@@ -208,16 +199,9 @@ def check_training(recipe, data, out, init):
     config = checkpoint.model.config
     assert config.name == recipe.model.name
     assert config.classes == (CLASS_TABLES[recipe.model.classes] if config.semantic_head else ())
-    named = NETWORKS[recipe.model.name].config
-    assert config.max_depth_m == recipe.model.config.get("max_depth_m", named.max_depth_m)
-    gating = recipe.model.config.get("boundary_gating", True)
-    assert getattr(config, "boundary_gating", True) == gating
     assert checkpoint.training["recipe"]["loss"] == asdict(recipe.loss)
-    assert checkpoint.training["terms"].startswith(recipe.terms)
     assert recipe.terms
-    is_pretrained = recipe.model.pretrained == "imagenet"
-    assert ("ImageNet" in checkpoint.training["data"]) == is_pretrained
-    assert ("ImageNet: research" in checkpoint.training["terms"]) == is_pretrained
+    assert checkpoint.facts.terms.startswith(recipe.terms)
 
     weights = checkpoint.model.state_dict()
     assert all(value.isfinite().all() for value in weights.values())
@@ -229,29 +213,15 @@ def check_training(recipe, data, out, init):
     # Heads of coarser scales that no loss looks at.
     coarse = {name for name in start if re.fullmatch(r"depth_heads\.[1-9]\.weight", name)}
     idle = coarse if recipe.loss.depth_scales == "finest" else set()
-    only = recipe.optimizer.only or ("",)
-    frozen = {name for name, p in checkpoint.model.named_parameters() if p.ndim > 1} - {
-        name for name in start if name.startswith(only)
-    }
-    frozen |= {
-        name
-        for name, value in checkpoint.model.named_parameters()
-        if value.ndim > 1 and name.startswith(recipe.optimizer.frozen)
-    }
+    named = {name for name, value in checkpoint.model.named_parameters() if value.ndim > 1}
+    frozen = {name for name in named if name.startswith(recipe.optimizer.frozen)}
     assert still == idle | frozen
 
     shown = read_scalars(out / "tensorboard")
     terms = expected_terms(recipe.loss, config)
     assert shown["loss"].keys() == terms | {"total"}
-    wrong = {
-        name: value
-        for name, value in shown["loss"].items()
-        if name != "depth_uncertainty" and not 0 < value < math.inf  # the log of a density
-    }
-    assert not wrong
-    assert math.isfinite(shown["loss"].get("depth_uncertainty", 0.0))
-    learned = terms - {"depth_uncertainty"} if recipe.loss.weighting == "uncertainty" else set()
-    assert shown["log_variance"].keys() == learned
+    shown["loss"].pop("depth_uncertainty", None)  # the log of a density
+    assert all(0 < value < math.inf for value in shown["loss"].values())
     assert shown["validation"].keys() == {
         f"{item.title}/{score}" for item in recipe.validation.source for score in SCORES[item.kind]
     }

@@ -96,22 +96,3 @@ def test_soft_iou_equals_loops(sample_weight):
     loss = soft_iou_loss(probabilities, shares, torch.tensor(sample_weight).double())
     expected = soft_iou_by_loops(probabilities.numpy(), semantic, sample_weight)
     assert loss.item() == pytest.approx(expected, rel=1e-9)
-
-
-def test_a_cell_scored_by_shares_is_a_logit_repeated_over_its_pixels():
-    rng = np.random.default_rng(0)
-    coarse = torch.from_numpy(rng.standard_normal((2, 4, 3, 4)))
-    semantic = rng.choice([0, 0, 1, 2, 3, 255], size=(2, 5, 8))
-    repeated = coarse.repeat_interleave(2, dim=2).repeat_interleave(2, dim=3)[:, :, :5]
-    weights = torch.tensor([0.5, 2.0, 1.0, 3.0]).double()
-    sample_weight = torch.tensor([1.0, 0.2]).double()
-    cross_entropy, iou = [], []
-    for logits in (coarse, repeated):
-        shares = shares_of(semantic, logits)
-        log_probabilities = torch.log_softmax(logits, dim=1)
-        cross_entropy.append(
-            weighted_cross_entropy(log_probabilities, shares, weights, sample_weight)
-        )
-        iou.append(soft_iou_loss(log_probabilities.exp(), shares, sample_weight))
-    torch.testing.assert_close(*cross_entropy)
-    torch.testing.assert_close(*iou)

@@ -195,23 +195,13 @@ def test_finest_scale_alone_leaves_the_coarse_ones_untrained():
 
 def test_bf16_answers_are_scored_in_float32_under_autocast():
     parts = leaves(dtype=torch.bfloat16)
-    semantic, depth = targets()
     criterion = Loss(LossConfig(), max_depth_m=100.0)
     with torch.autocast("cpu", dtype=torch.bfloat16):
         output = answer(parts)
-        terms = criterion(output, semantic, depth)
-    exact = criterion(
-        NetworkOutput(
-            output.semantic_logits.float(),
-            tuple(depth.float() for depth in output.depths),
-            output.boundary_logits.float(),
-        ),
-        semantic,
-        depth,
-    )
-    for name, term in terms.items():
-        assert term.dtype == torch.float32
-        assert term.item() == pytest.approx(exact[name].item(), rel=1e-6), name
+        terms = criterion(output, *targets())
+    depths = tuple(depth.float() for depth in output.depths)
+    exact = NetworkOutput(output.semantic_logits.float(), depths, output.boundary_logits.float())
+    torch.testing.assert_close(terms, criterion(exact, *targets()))
     terms["total"].backward()
     assert all(part.grad.isfinite().all() for part in parts.values())
 
@@ -268,22 +258,16 @@ def test_learned_weighting_by_hand():
 
 
 def test_learned_weighting_counts_other_heads(monkeypatch):
-    monkeypatch.setitem(HEAD_LOSSES, "other", lambda *_: torch.tensor(5.0))
-    monkeypatch.setitem(HEAD_LOSSES, "unweighted", lambda *_: torch.tensor(5.0))
-    config = LossConfig(
-        **ALL_OFF, head_weights={"other": 2.0, "unweighted": 0.0}, weighting="uncertainty"
-    )
+    heads = {"other": 2.0, "unweighted": 0.0}
+    for head in heads:
+        monkeypatch.setitem(HEAD_LOSSES, head, lambda *_: torch.tensor(5.0))
+    config = LossConfig(**ALL_OFF, head_weights=heads, weighting="uncertainty")
     criterion = SSDNetLoss(config, max_depth_m=100.0)
     assert set(criterion.log_variances) == {"other"}
     criterion.log_variances["other"].data.fill_(0.5)
-    labels, weights = torch.zeros(2, 16, 24), torch.ones(2)
-    batch = replace(
-        batch_of(*targets()),
-        targets={"other": labels, "unweighted": labels},
-        weights={"other": weights, "unweighted": weights},
-    )
-    logits = torch.zeros(2, 1, 16, 24)
-    terms = criterion(NetworkOutput(others={"other": logits, "unweighted": logits}), batch)
+    maps = dict.fromkeys(heads, torch.zeros(2, 1, 16, 24))
+    batch = replace(batch_of(*targets()), targets=maps, weights=maps)
+    terms = criterion(NetworkOutput(others=maps), batch)
     assert set(terms) == {"other", "total"}
     assert terms["total"].item() == pytest.approx(2 * 5 / math.exp(0.5) + 0.25)
 
