@@ -36,7 +36,7 @@ from training.initial_weights import Weights
 from training.lidar.split import SENSOR_LINES, OcclusionFilter, is_kept, masked, random_share
 from training.loading.open_dataset import open_dataset
 from training.loop import train
-from training.losses.total import TERMS
+from training.losses import total as losses
 from training.network import DEPTH_ALONE
 from training.recipe import Recipe, build_recipe
 from training.release import mix_weights
@@ -238,7 +238,6 @@ def make_recipe(
         model["classes"] = table if isinstance(table, str) else [asdict(info) for info in table]
     if facts.trained_height:
         model["trained_height"] = facts.trained_height
-    others = {f"{name}_weight": 0.0 for name in TERMS if not name.startswith("depth")}
     return build_recipe(
         {
             "terms": "a recording of the user's",
@@ -255,7 +254,7 @@ def make_recipe(
                 },
             },
             "loss": {
-                **others,
+                **losses.DEPTH_ALONE,
                 "depth_form": "metric",
                 "depth_scales": "finest",
                 "metric_l2": 0.02,

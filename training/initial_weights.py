@@ -21,14 +21,14 @@ _CLASS_LAYERS = ("semantic_head.", "semantic_coarse_head.")
 #: Buffers that hold settings of the configuration.
 _SETTINGS = ("rgb_mean", "rgb_std")
 #: Settings that change what weights of the same shape compute.
-_MEANINGS = {
-    "max_depth_m": "the depth range [m]",
-    "canonical_focal_px": "the focal length of the canonical camera [px]",
-    "sparse_depth_gain": "the factor on the sparse depth",
-    "boundary_gating": "the gating by boundaries",
-    "rgb_mean": "the mean of RGB",
-    "rgb_std": "the standard deviation of RGB",
-}
+_MEANINGS = (
+    "max_depth_m",
+    "canonical_focal_px",
+    "sparse_depth_gain",
+    "boundary_gating",
+    "rgb_mean",
+    "rgb_std",
+)
 
 #: Added to the terms of the recipe if ImageNet weights are used.
 IMAGENET_TERMS = (
@@ -129,11 +129,11 @@ def start_from(network: Network, init: Weights, *, resumed: bool = False) -> Non
     if fresh:
         tqdm.write(f"{init.path}: {len(taken)} of {len(wanted)} tensors loaded", file=sys.stderr)
         tqdm.write(f"with random weights: {', '.join(fresh)}", file=sys.stderr)
-    for key, meaning in _MEANINGS.items():
+    for key in _MEANINGS:
         before, now = getattr(source.config, key, None), getattr(network.config, key, None)
         if before != now:
             tqdm.write(
-                f"{init.path}: {meaning} changed from {before} to {now}; the weights have to adapt",
+                f"{init.path}: {key} changed from {before} to {now}; the weights have to adapt",
                 file=sys.stderr,
             )
 

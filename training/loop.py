@@ -108,7 +108,7 @@ def train(
 
         def released() -> Network:
             share = recipe.release.logit_adjustment
-            return adjust_logits(state.averaged, task.class_weights, share)
+            return adjust_logits(state.averaged, task.criterion.class_weights, share)
 
         scores = ScoreTable(out / SCORES, state.step) if processes.is_first else None
         last_step = steps if stop_after is None else min(steps, stop_after)

@@ -14,13 +14,13 @@ from runtime.errors import InputError
 _BIAS = "semantic_head.bias"
 
 
-def adjust_logits(network: Network, class_weights: Tensor | None, share: float) -> Network:
+def adjust_logits(network: Network, class_weights: Tensor, share: float) -> Network:
     """Lower the semantic bias by ``share`` * log(class weight) (Menon et al. 2021).
 
     A network trained with class weights w predicts the odds of w * p; subtracting log w from the
-    logits gives p. Without weights the network itself is returned.
+    logits gives p. Without a share or classes the network itself is returned.
     """
-    if class_weights is None or not share:
+    if not share or "semantic" not in network.heads:
         return network
     # A class without weight is not changed.
     return _with_bias(network, -share * torch.where(class_weights > 0, class_weights, 1.0).log())

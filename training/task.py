@@ -12,7 +12,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from torch import Tensor
 from tqdm import tqdm
 
 from models import Network
@@ -59,7 +58,6 @@ class Task:
         optimizer: of both, at the recipe's rates.
         targets: those that the loss uses.
         depth_target: unit of the depth target, and the depth of the sky.
-        class_weights: of the semantic loss; None = it has none.
         known_data: names of the data that the weights know, from other trainings too.
         data_terms: their terms.
         teacher: the network whose answers are learned, on the device too; None = there is none.
@@ -74,7 +72,6 @@ class Task:
     optimizer: torch.optim.Optimizer
     targets: Collection[str]
     depth_target: DepthTarget
-    class_weights: Tensor | None
     known_data: tuple[str, ...]
     data_terms: str
     teacher: Network | None
@@ -177,7 +174,6 @@ def open_task(
         optimizer=optimizer,
         targets=targets,
         depth_target=depth,
-        class_weights=weights,
         known_data=known_data,
         data_terms=data_terms,
         teacher=taught_by,

@@ -41,7 +41,7 @@ def test_init_reports_settings_that_change_what_weights_mean(tmp_path, capsys):
     build_network(ModelRecipe("ssdnet-lite"), read_weights(other))
     assert capsys.readouterr().err == ""
     build_network(ModelRecipe("ssdnet-lite", config={"max_depth_m": 80.0}), read_weights(other))
-    assert "the depth range [m] changed from 200.0 to 80.0" in capsys.readouterr().err
+    assert "max_depth_m changed from 200.0 to 80.0" in capsys.readouterr().err
 
 
 def test_frozen_layers_keep_weights_and_statistics_and_have_no_backward_pass():

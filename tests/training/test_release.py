@@ -26,7 +26,8 @@ def test_logit_adjustment_undoes_the_class_weights():
     torch.testing.assert_close(adjusted(1.0)[BIAS], torch.zeros(len(weights)))
     torch.testing.assert_close(adjusted(0.5)[BIAS][1], torch.tensor(0.5 * math.log(2.0)))
     state = network.state_dict()
-    assert torch.equal(adjusted(1.0, None)[BIAS], state[BIAS])
+    assert torch.equal(adjusted(0.0)[BIAS], state[BIAS])
+    assert torch.equal(adjusted(1.0, torch.ones(()))[BIAS], state[BIAS])
     assert state[BIAS][1] == pytest.approx(math.log(2.0))
     changed = {name for name, value in adjusted(1.0).items() if not torch.equal(value, state[name])}
     assert changed == {BIAS}

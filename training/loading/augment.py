@@ -19,7 +19,6 @@ from training.lidar.faults import absorb, add_false_returns, drop_sectors, misal
 from training.lidar.split import SENSOR_LINES, LidarInput, masked, split_lidar
 from training.limits import (
     PAIR_BORDER_PX,
-    PAIR_STEP_PX,
     STRICT,
     CropSide,
     Degrees,
@@ -160,7 +159,7 @@ def with_margin(config: AugmentConfig) -> AugmentConfig:
 
 
 def take_views(
-    sample: Sample, config: AugmentConfig, rng: Generator, *, step: int = PAIR_STEP_PX
+    sample: Sample, config: AugmentConfig, rng: Generator, *, step: int
 ) -> tuple[Sample, Sample, tuple[int, int]]:
     """Return two views of ``config.size`` and the offset (rows, columns) [px] of the second.
 
@@ -170,13 +169,14 @@ def take_views(
     """
     top, left = (step * int(count) for count in rng.integers(0, config.pair_shift // step + 1, 2))
     draw = rng.random()
-    second = sample
-    if sample.sparse_depth is not None:
-        if draw < config.pair_lidar_missing:
-            second = replace(sample, sparse_depth=nothing_known(sample.size))
-        elif draw < config.pair_lidar_missing + config.pair_lidar_false:
-            second = replace(sample, sparse_depth=add_false_returns(sample.sparse_depth, rng))
-    return cut(sample, 0, 0, config.size), cut(second, top, left, config.size), (top, left)
+    fed = sample.sparse_depth
+    if draw < config.pair_lidar_missing:
+        fed = nothing_known(sample.size)
+    elif draw < config.pair_lidar_missing + config.pair_lidar_false:
+        assert fed is not None
+        fed = add_false_returns(fed, rng)
+    second = cut(replace(sample, sparse_depth=fed), top, left, config.size)
+    return cut(sample, 0, 0, config.size), second, (top, left)
 
 
 def scale_world(
@@ -218,15 +218,7 @@ def scale_and_crop(
     top, left = choose_crop(sample.semantic, window, offsets, rare)
     is_dense = _is_dense(sample)  # before cropping: a crop of dense depth may be mostly sky
     sample = resize(cut(sample, top, left, window), config.size, is_dense=is_dense)
-    return approach(sample, scale) if is_closer else sample
-
-
-def approach(sample: Sample, factor: float) -> Sample:
-    """Treat an image magnified by ``factor`` as one of the same camera closer to the scene."""
-    intrinsics = sample.intrinsics
-    if intrinsics is not None:
-        intrinsics = intrinsics / np.array([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
-    return replace(_scale_depth(sample, 1 / factor), intrinsics=intrinsics)
+    return _scale_depth(sample, 1 / scale) if is_closer else sample
 
 
 def canonical_depth(sample: Sample, focal_px: float, max_depth_m: float) -> Sample:

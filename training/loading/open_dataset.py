@@ -46,23 +46,15 @@ class CheckedSource:
     def __getitem__(self, index: int) -> Sample:
         sample = self._source[index]
         for target, values in sample.targets.items():
-            try:
-                dtype, unlabelled, _ = target_kind(target)
-            except ValueError as error:
-                raise self._error(sample, f"a target {target!r}; {error}") from error
-            found = type(values).__name__
-            if isinstance(values, np.ndarray):
-                found = f"{values.dtype} {values.shape}"
-            expected = f"{dtype} {sample.size}"
-            if found != expected:
-                text = f"{target} = {found}; expected {expected}, {unlabelled:g} = unknown"
-                raise self._error(sample, f"{text}. A set without this target must omit it")
+            kind = target_kind(target)
+            if values.dtype != kind.dtype or values.shape != sample.size:
+                raise DatasetError(
+                    f"{sample.name}: the reader {type(self._source).__name__} returned {target} = "
+                    f"{values.dtype} {values.shape}; expected {kind.dtype} {sample.size}, "
+                    f"{kind.unlabelled:g} = unknown. A set without this target must omit it."
+                )
         size = network_size(self._size or "frame", sample.size, trained_height=None)
         return resize(sample, size)
-
-    def _error(self, sample: Sample, text: str) -> DatasetError:
-        reader = type(self._source).__name__
-        return DatasetError(f"{sample.name}: the reader {reader} returned {text}.")
 
 
 def open_dataset(

@@ -69,7 +69,7 @@ class Compared:
         self.heads = _float_maps(output)
         self.depths = tuple(depth.float() for depth in output.depths or ())
 
-    @property
+    @cached_property
     def labels(self) -> Tensor:
         """Class ids, int64 (N, H, W)."""
         return self.batch.targets["semantic"].long()
@@ -258,6 +258,8 @@ def _term_of_head(head: str) -> Term:
     return Term(frozenset({head}), head, loss)
 
 
+#: Keys of `LossConfig` that leave the terms of depth alone.
+DEPTH_ALONE = {f"{name}_weight": 0.0 for name in TERMS if not name.startswith("depth")}
 #: Terms that compare two views of each frame.
 PAIR_TERMS = frozenset({"depth_consistency", "depth_seam", "semantic_consistency"})
 

@@ -15,6 +15,7 @@ from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.loading.augment import AugmentConfig
 from training.losses import LossConfig
+from training.losses.total import DEPTH_ALONE
 from training.prune import prune_trunk
 from training.recipe import (
     DataRecipe,
@@ -159,19 +160,6 @@ JOINT = derive(
     schedule={"steps": 8000},
 )
 
-#: Without the terms of classes and boundaries.
-DEPTH_ALONE = {
-    "class_weighting": "none",
-    "semantic_weight": 0.0,
-    "semantic_iou_weight": 0.0,
-    "semantic_consistency_weight": 0.0,
-    "boundary_weight": 0.0,
-    "semantic_boundary_weight": 0.0,
-    "semantic_depth_weight": 0.0,
-    "road_weight": 0.0,
-    "depth_uncertainty_weight": 0.2,
-}
-
 # The depth alone; classes and boundaries do not change. The truth of the streets is of two kinds,
 # accumulated scans and the returns that are not fed: the one has cars as closed models.
 DEPTH = derive(
@@ -206,6 +194,8 @@ DEPTH = derive(
     # A little squared error hedges at edges. Of 0.1 and more, few-line scans dominate the gradient.
     loss={
         **DEPTH_ALONE,
+        "class_weighting": "none",
+        "depth_uncertainty_weight": 0.2,
         "metric_l2": 0.02,
         "depth_consistency_weight": 1.0,
         "depth_seam_weight": 2.0,

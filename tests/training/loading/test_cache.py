@@ -55,7 +55,6 @@ def test_what_no_longer_fits_is_decoded_anew_and_drops_nothing():
 @pytest.mark.parametrize(
     ("labels", "found"),
     [
-        (None, "NoneType"),
         (np.zeros((9, 10), np.uint8), r"uint8 \(9, 10\)"),
         (np.zeros((10, 10), np.int64), r"int64 \(10, 10\)"),
     ],
