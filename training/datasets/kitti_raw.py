@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
@@ -22,7 +21,6 @@ from training.datasets.files import (
 from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import Names, SourceRecipe
 from training.lidar.scan import project_lines
-from training.lidar.split import OcclusionFilter
 from training.limits import STRICT
 
 #: Images that were published without their scans.
@@ -40,8 +38,6 @@ class KittiRawRecipe(SourceRecipe):
     drives: Names | None = None
     #: 2 = left, 3 = right.
     cameras: Annotated[tuple[Literal[2, 3], ...], Field(min_length=1, max_length=2)] = (2,)
-    #: Leave out the returns that the camera cannot see behind nearer ones.
-    withhold_hidden: bool = False
 
     def open(self, folder: Path, classes: ClassTable) -> "KittiRaw":
         """See `SourceRecipe.open`; there are no classes."""
@@ -61,7 +57,6 @@ class KittiRaw(FrameList):
     """
 
     def __init__(self, root: Path, recipe: KittiRawRecipe) -> None:
-        self._withhold_hidden = recipe.withhold_hidden
         self._frames: list[tuple[KittiRawSource, ListedFrame, str]] = []
         found = {path.name: path for path in sorted(root.glob("*/*_sync")) if path.is_dir()}
         unknown = sorted(set(recipe.drives or ()) - set(found))
@@ -95,9 +90,6 @@ class KittiRaw(FrameList):
         depth, scan_line = project_lines(
             points, calibration.intrinsics, calibration.extrinsics, size
         )
-        if self._withhold_hidden:
-            depth = OcclusionFilter().apply(depth, depth)
-            scan_line = np.where(depth > 0, scan_line, np.int16(-1))
         return Sample(
             rgb=rgb,
             targets={"depth": depth},

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from layouts import open_set
-from layouts.kitti_raw import DATE, DRIVE, UPPER, seen_at, write_frame
+from layouts.kitti_raw import DATE, DRIVE, UPPER, write_frame
 from runtime.errors import DatasetError
 
 KittiRaw = partial(open_set, "kitti-raw")
@@ -51,24 +51,6 @@ def test_the_right_camera_has_its_own_projection(raw):
     assert right.depth[5, 18] == pytest.approx(10.0)
     assert right.depth[9, 17] == pytest.approx(6.0)
     assert left.depth[5, 18] == right.depth[5, 20] == 0
-
-
-def test_returns_hidden_behind_nearer_ones_can_be_withheld(tmp_path):
-    # Hidden by the one at (20, 12) is what lies behind it up to 4 columns or 7 rows away.
-    hidden = [seen_at(24, 12, 20.0), seen_at(16, 5, 20.0), seen_at(20, 19, 6.2)]
-    visible = {
-        (20, 12): 5.0,
-        (20, 13): 6.0,  # a tenth and half a metre less are 4.9 m, no more than 5 m
-        (15, 12): 20.0,
-        (25, 12): 20.0,
-        (20, 4): 20.0,
-    }
-    write_frame(tmp_path, hidden + [seen_at(*pixel, depth) for pixel, depth in visible.items()])
-    assert np.count_nonzero(KittiRaw(tmp_path)[0].depth) == 8
-    sample = KittiRaw(tmp_path, withhold_hidden=True)[0]
-    assert measured(sample.depth, 0) == pytest.approx(visible)
-    assert sample.sparse_depth is None
-    assert ((sample.scan_line >= 0) == (sample.depth > 0)).all()
 
 
 def test_drives_are_all_or_those_named(tmp_path):

@@ -110,8 +110,3 @@ def test_real_stream_has_lines_labels_and_the_projected_depth():
     )
     assert 40 <= sample.scan_line.max() <= 63  # the lines in the camera's view
     assert ((sample.scan_line >= 0) == (sample.depth > 0)).all()
-    # A queue of cars on the road, sky above.
-    assert (sample.semantic[300:] == 8).mean() > 0.2
-    assert (sample.semantic[300:] == 3).mean() > 0.1
-    assert (sample.semantic[:100] == 0).any()
-    assert not (sample.semantic[300:] == 0).any()

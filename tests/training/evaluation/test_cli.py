@@ -223,14 +223,6 @@ def test_errors_name_what_is_wrong(folder, model, options, text):
     assert text in result.output
 
 
-def test_one_row_where_no_lidar_could_be_fed(folder, scored):
-    """Whatever was asked for: CamVid has no depth."""
-    data = ["--data", f"camvid:{folder}/camvid,split=val", "--faults", "nan,shift"]
-    for lidar in ("own", "64,16,random:0.05", "none, none"):
-        (row,), _ = scored(folder / "lite.pt", *data, "--lidar", lidar)
-        assert (row["lidar"], row["fault"]) == ("none", "none")
-
-
 def test_truth_that_is_missing_or_not_scored_is_counted(scored, tmp_path):
     """Depth beyond 100 m, as of a wrong unit, pixels without a class, and classes not shown."""
     write(tmp_path / "images" / "a.png", GREY)
