@@ -119,7 +119,6 @@ def open_method(name: str) -> ScoredModel:
 
     Raises:
         InputError: for an unknown name.
-        ProviderError: if a package that the method needs is not installed.
     """
     return ScoredModel(method_predict(create_method(name)), "no network")
 

@@ -34,7 +34,6 @@ def create_method(name: str) -> CompletionMethod:
 
     Raises:
         InputError: for an unknown name.
-        ProviderError: if a package that the method needs is not installed.
     """
     if name not in METHODS:
         raise InputError(f"unknown method {shown(name)}; known: {', '.join(METHODS)}")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.classical.method import Depth, import_scipy, is_measured
+from training.evaluation.classical.method import Depth, is_measured
 from training.evaluation.classical.nearest import Nearest
 
 #: Returns that span a triangle.
@@ -18,22 +18,17 @@ class Linear:
 
     A plane is an affine function of the pixel in inverse depth, so planes are exact. Outside of
     the triangles, and where all returns lie on one line, `Nearest` fills. The image is not used.
-
-    Raises:
-        ProviderError: if SciPy cannot be imported.
     """
-
-    def __post_init__(self) -> None:
-        import_scipy("interpolate", "linear")
 
     def complete(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:
         """See `CompletionMethod.complete`."""
+        from scipy.interpolate import LinearNDInterpolator
+
         depth = Nearest().complete(rgb, sparse_depth)
         at = np.argwhere(is_measured(sparse_depth))
         if len(at) < _FEWEST or np.linalg.matrix_rank(at - at[0]) < 2:
             return depth
         inverse = 1.0 / sparse_depth[at[:, 0], at[:, 1]].astype(np.float64)
         pixels = tuple(np.indices(sparse_depth.shape))
-        interpolate = import_scipy("interpolate", "linear")
-        found = interpolate.LinearNDInterpolator(at, inverse)(pixels)
+        found = LinearNDInterpolator(at, inverse)(pixels)
         return np.where(np.isnan(found), depth, 1.0 / found).astype(np.float32)

@@ -1,13 +1,9 @@
 """The protocol of depth completion methods."""
 
-from importlib import import_module
-from types import ModuleType
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-
-from runtime.errors import ProviderError, import_remedy
 
 Depth = NDArray[np.float32]
 
@@ -35,13 +31,3 @@ def is_measured(sparse_depth: Depth) -> NDArray[np.bool_]:
     classical methods are scored, before it calls a method.
     """
     return np.asarray((sparse_depth > 0) & np.isfinite(sparse_depth))
-
-
-def import_scipy(module: str, method: str) -> ModuleType:
-    """Import a module of SciPy for a method; ProviderError says what to install."""
-    try:
-        return import_module(f"scipy.{module}")
-    except ImportError as error:
-        raise ProviderError(
-            f"cannot import SciPy ({error}), which {method} needs: {import_remedy(error, 'train')}"
-        ) from error

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.errors import InferenceError
-from training.evaluation.classical.method import Depth, import_scipy, is_measured
+from training.evaluation.classical.method import Depth, is_measured
 
 #: Least weight of neighbours: with exp() of very different colours a region would be isolated.
 _LEAST_WEIGHT = 1e-4
@@ -31,23 +30,19 @@ class MRF:
     Attributes:
         data_weight: k of the paper, against weights of at most 1.
         edge_sharpness: c of the paper; 1000 halves a weight at 7 grey values of one colour.
-
-    Raises:
-        ProviderError: if SciPy cannot be imported.
     """
 
     data_weight: float = 10.0
     edge_sharpness: float = 1000.0
 
-    def __post_init__(self) -> None:
-        import_scipy("sparse", "mrf")
-
     def complete(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:
-        """See `CompletionMethod.complete`. Raises InferenceError if memory does not suffice."""
+        """See `CompletionMethod.complete`."""
+        from scipy import sparse
+        from scipy.sparse import linalg
+
         measured = is_measured(sparse_depth)
         if not measured.any():
             return np.zeros(sparse_depth.shape, dtype=np.float32)
-        sparse, linalg = (import_scipy(name, "mrf") for name in ("sparse", "sparse.linalg"))
         count = sparse_depth.size
         first, second, weight = neighbours(rgb, self.edge_sharpness)
         coupling = sparse.coo_array((weight, (first, second)), shape=(count, count))
@@ -57,15 +52,8 @@ class MRF:
         )
         system = sparse.diags_array(diagonal) - coupling - coupling.T
         right_side = data_term * np.where(measured, sparse_depth, 0).ravel()
-        try:
-            # This ordering, for symmetric patterns, needs half the memory of the default.
-            solution = linalg.spsolve(system.tocsc(), right_side, permc_spec="MMD_AT_PLUS_A")
-        except (MemoryError, RuntimeError) as error:  # SuperLU's allocations raise either
-            height, width = sparse_depth.shape
-            raise InferenceError(
-                f"cannot solve for {height} x {width} pixels at once ({str(error).strip()}): make "
-                "the frame smaller, or free memory"
-            ) from error
+        # This ordering, for symmetric patterns, needs half the memory of the default.
+        solution = linalg.spsolve(system.tocsc(), right_side, permc_spec="MMD_AT_PLUS_A")
         depth: Depth = solution.reshape(sparse_depth.shape).astype(np.float32)
         return depth
 

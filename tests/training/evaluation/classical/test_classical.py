@@ -1,15 +1,14 @@
 """Every classical method, on frames as they are recorded and on damaged ones."""
 
 import os
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from layouts import open_set
-from runtime.errors import InputError, ProviderError, SSDNetError
-from training.evaluation.classical import METHODS, create_method
+from runtime.errors import InputError, SSDNetError
+from training.evaluation.classical import METHODS
 from training.evaluation.metrics import DepthScores
 from training.evaluation.scored_model import method_predict, open_method
 from training.lidar.split import LidarInput, frame_generator, split_lidar
@@ -87,15 +86,6 @@ def test_an_answer_that_is_not_finite_is_an_error():
 def test_an_unknown_method_names_the_known_ones():
     with pytest.raises(InputError, match=f"'magic'.*{', '.join(METHODS)}"):
         open_method("magic")
-
-
-@pytest.mark.parametrize(
-    ("name", "module"), [("linear", "scipy.interpolate"), ("mrf", "scipy.sparse")]
-)
-def test_without_scipy_it_says_what_to_install(monkeypatch, name, module):
-    monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(ProviderError, match=rf'{name} needs: .*"\.\[train\]"'):
-        create_method(name)
 
 
 STREAM = Path(os.environ.get("SSDNET_DATA", "")) / "kitti_stream"

@@ -3,10 +3,9 @@
 import cv2
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from training.evaluation.classical.ip_basic import IPBasic, IPBasicMultiscale
-
-ndimage = pytest.importorskip("scipy.ndimage")
 
 
 def complete(sparse_depth, method=IPBasic):

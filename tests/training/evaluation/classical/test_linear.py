@@ -5,8 +5,6 @@ import pytest
 
 from training.evaluation.classical.linear import Linear
 
-pytest.importorskip("scipy.interpolate")
-
 
 def complete(sparse_depth):
     return Linear().complete(np.zeros((*sparse_depth.shape, 3), np.uint8), sparse_depth)

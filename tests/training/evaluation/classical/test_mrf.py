@@ -3,10 +3,7 @@
 import numpy as np
 import pytest
 
-from runtime.errors import InferenceError
 from training.evaluation.classical.mrf import MRF
-
-pytest.importorskip("scipy.sparse")
 
 
 def scene(height, width, share=0.2, seed=0):
@@ -46,13 +43,3 @@ def test_it_is_the_minimum_of_the_energy(size, data_weight, edge_sharpness):
     assert depth.dtype == np.float32
     wanted = dense_solution(rgb, sparse_depth, data_weight, edge_sharpness)
     np.testing.assert_allclose(depth, wanted, rtol=1e-4)
-
-
-@pytest.mark.parametrize("failure", [MemoryError, RuntimeError])
-def test_too_little_memory_is_an_error_that_says_so(monkeypatch, failure):
-    def spsolve(*args, **options):
-        raise failure("SUPERLU_MALLOC fails")
-
-    monkeypatch.setattr("scipy.sparse.linalg.spsolve", spsolve)
-    with pytest.raises(InferenceError, match="40 x 50 pixels"):
-        MRF().complete(*scene(40, 50))

@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from scipy import optimize
 
 from training.evaluation.classical.tgv import TGV, edge_tensor
 
@@ -48,7 +49,6 @@ def test_a_slanted_plane_is_found_from_scattered_returns_whatever_the_picture(si
 
 def test_the_answer_has_the_least_energy():
     """Against a quasi-Newton method on the energy with lengths made smooth, less and less."""
-    optimize = pytest.importorskip("scipy.optimize")
     rng = np.random.default_rng(1)
     size = height, width = 4, 4
     count = height * width
