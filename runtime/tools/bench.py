@@ -10,8 +10,8 @@ import math
 import multiprocessing
 import os
 import re
-from collections.abc import Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from itertools import product
@@ -177,28 +177,22 @@ def _measure(group: Sequence[BenchRow], options: BenchOptions) -> None:
                 1, multiprocessing.get_context("spawn"), initializer=leave_signals_to_parent
             )
             workers.append((row, stack.enter_context(executor)))
-            opening = executor.submit(
-                open_model, row.model, row.size, row.batch, row.threads, options.provider
-            )
-            row.opened = _result(row, opening)
+            case = row.model, row.size, row.batch, row.threads, options.provider
+            row.opened = _answer(row, executor, open_model, *case)
         for row, executor in workers:
-            _run(row, executor, _WARM_UP, period_s)
+            _answer(row, executor, time_model, _WARM_UP, period_s)
         for at in range(0, rounds, most):
             for row, executor in workers:
-                row.times_ms += _run(row, executor, min(most, rounds - at), period_s)
+                frames = min(most, rounds - at)
+                row.times_ms += _answer(row, executor, time_model, frames, period_s) or []
 
 
-def _run(row: BenchRow, executor: Executor, frames: int, period_s: float | None) -> list[float]:
-    """Return the times of `time_model`; none after a failure."""
+def _answer(row: BenchRow, executor: Executor, call: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function in the process of a row. None after a failure, which is noted in the row."""
     if row.error is not None:
-        return []
-    return _result(row, executor.submit(time_model, frames, period_s)) or []
-
-
-def _result(row: BenchRow, future: Future[Any]) -> Any:
-    """Return the answer of a process; None after a failure, which is noted in the row."""
+        return None
     try:
-        return future.result()
+        return executor.submit(call, *arguments).result()
     except BrokenProcessPool:
         row.error = "its process ended, most likely because it ran out of memory"
     except Exception as error:

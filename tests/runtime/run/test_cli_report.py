@@ -61,7 +61,7 @@ def test_a_run_from_end_to_end(tmp_path, run):
         assert float(line.split()[3]) == pytest.approx(statistics["median_ms"], abs=6e-3)
     for row in rows:
         parts = sum(float(row[f"{stage}_ms"]) for stage in stages[1:4])
-        assert float(row["predict_ms"]) == pytest.approx(parts, abs=0.1)
+        assert float(row["predict_ms"]) >= parts - 0.002, "three rounded times"
 
 
 def test_a_constant_stream_reports_age_and_jitter_and_late_frames(tmp_path, run, stream):
