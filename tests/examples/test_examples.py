@@ -15,7 +15,7 @@ from runtime.sources.bundled_stream import bundled_stream
 EXAMPLES = Path(__file__).parents[2] / "examples"
 TESTED = {
     *("bare_onnxruntime.py", "callbacks.py", "driving_loop.py", "multi_camera.py", "odometry.py"),
-    *("ray_data.py", "rerun_viewer.py"),  # by tests of their own
+    *("ray_data.py", "rerun_viewer.py", "ros2_node.py"),  # by tests of their own
 }
 
 

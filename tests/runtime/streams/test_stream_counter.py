@@ -54,14 +54,10 @@ def test_misses_and_their_longest_run():
         counter.record_answer(BOTH, result(number, deadline_met=met))
     statistics = counter.statistics()
     assert statistics.missed == MissedDeadlines(count=3, longest_run=2)
-    assert statistics.stages["latency"].n == 5
-    assert statistics.stages["jitter"] is None
-    assert json.loads(json.dumps(statistics.to_dict()))["deadline"] == {
-        "deadline_ms": 50.0,
-        "count": 3,
-        "longest_run": 2,
-    }
-    lines = statistics.table().splitlines()
-    assert lines[-1] == "missed deadlines of 50 ms: 3, longest run 2"
-    names = [line.split()[0] for line in lines]
-    assert names[5:10] == ["latency", "age", "jitter", "skew", "depth_age"]
+    assert (statistics.stages["latency"].n, statistics.stages["jitter"]) == (5, None)
+    deadline = {"deadline_ms": 50.0, "count": 3, "longest_run": 2}
+    assert json.loads(json.dumps(statistics.to_dict()))["deadline"] == deadline
+    *lines, last = statistics.table().splitlines()
+    assert last == "missed deadlines of 50 ms: 3, longest run 2"
+    stages = [line.split()[0] for line in lines]
+    assert stages[5:10] == ["latency", "age", "jitter", "skew", "depth_age"]
