@@ -92,9 +92,8 @@ class ModelRecipe:
         doubled = sorted({item.name for item in fields(self)} & set(self.config))
         if doubled:
             raise ValueError(f"config has {doubled[0]!r}, which is a separate key: {doubled[0]}")
-        names = [] if isinstance(self.classes, str) else [info.name for info in self.classes]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
+        names = self.class_names
+        if twice := sorted({name for name in names if names.count(name) > 1}):
             raise ValueError(f"classes has {twice[0]!r} twice")
         if self.name not in NETWORKS:
             raise ValueError(f"name: unknown model {self.name!r}; known: {', '.join(NETWORKS)}")
@@ -118,7 +117,7 @@ class ModelRecipe:
     def class_id(self, name: str) -> int | None:
         """Return the id of the class of this name, ignoring case; None = no such class."""
         names = [known.lower() for known in self.class_names]
-        return names.index(name) if name in names else None
+        return names.index(name.lower()) if name.lower() in names else None
 
     @property
     def class_names(self) -> list[str]:
@@ -281,12 +280,14 @@ class Recipe:
     def __post_init__(self) -> None:
         """Check the classes and the views that data and loss need."""
         for name in self.data.rare_classes:
-            if self.model.class_id(name.lower()) is None:
+            if self.model.class_id(name) is None:
                 raise ValueError(f"data.rare_classes: {name!r} is not a class of model.classes")
-        if self.data.sky_depth_m and self.model.class_id("sky") is None:
-            raise ValueError("data.sky_depth_m needs a class called 'sky' in model.classes")
-        if self.loss.road_weight and self.model.class_id("road") is None:
-            raise ValueError("loss.road_weight needs a class called 'road' in model.classes")
+        for key, value, name in (
+            ("data.sky_depth_m", self.data.sky_depth_m, "sky"),
+            ("loss.road_weight", self.loss.road_weight, "road"),
+        ):
+            if value and self.model.class_id(name) is None:
+                raise ValueError(f"{key} needs a class called {name!r} in model.classes")
         pair_terms = [name for name in PAIR_TERMS if getattr(self.loss, f"{name}_weight")]
         if pair_terms and not self.data.augment.pair_shift:
             raise ValueError(
@@ -297,7 +298,7 @@ class Recipe:
     @property
     def rare_ids(self) -> tuple[int, ...]:
         """The ids of `DataRecipe.rare_classes`."""
-        ids = (self.model.class_id(name.lower()) for name in self.data.rare_classes)
+        ids = (self.model.class_id(name) for name in self.data.rare_classes)
         return tuple(index for index in ids if index is not None)
 
     @property

@@ -33,13 +33,6 @@ def test_changes_are_of_every_stage():
         read_stages("nano", ["data.sede = 1"])
 
 
-@pytest.mark.parametrize(("key", "text"), [("stage", "[[stage]]"), ("base", "base = 'lite'")])
-def test_a_file_is_of_one_run_and_whole(tmp_path, key, text):
-    (tmp_path / "r.toml").write_text(text)
-    with pytest.raises(InputError, match=rf"r\.toml: unknown key {key}; known here: model, data"):
-        read_stages(str(tmp_path / "r.toml"))
-
-
 def test_unknown_names_list_the_known():
     result = CliRunner().invoke(app, ["city", "--data", "x", "--out", "y"])
     assert result.exit_code == 1

@@ -156,6 +156,15 @@ def _depth_uncertainty(c: Compared) -> Tensor:
     return laplace_loss(scale, c.heads["depth"], target, measured, max_depth_m=max_depth_m)
 
 
+def _semantic(c: Compared) -> Tensor:
+    weights = c.loss.class_weights
+    return weighted_cross_entropy(c.log_probabilities, c.shares, weights, c.label_weights)
+
+
+def _semantic_iou(c: Compared) -> Tensor:
+    return soft_iou_loss(c.probabilities, c.shares, c.label_weights)
+
+
 def _lovasz(c: Compared) -> Tensor:
     side, (height, width) = c.side, grid_of(c.labels)
     cells = c.probabilities
@@ -186,6 +195,18 @@ def _semantic_depth(c: Compared) -> Tensor:
     return semantic_depth_loss(c.disagreement, c.on_classes(c.heads["depth"]), side=c.side)
 
 
+def _semantic_consistency(c: Compared) -> Tensor:
+    return semantic_consistency_loss(*c.views("semantic"), side=c.side)
+
+
+def _distilled_semantic(c: Compared) -> Tensor:
+    return distilled_semantic_loss(c.heads["semantic"], c.taught["semantic"])
+
+
+def _distilled_boundary(c: Compared) -> Tensor:
+    return distilled_boundary_loss(c.heads["boundary"], c.taught["boundary"])
+
+
 def _distilled_depth(c: Compared) -> Tensor:
     scale = c.taught.get("depth_uncertainty")
     return distilled_depth_loss(c.heads["depth"], c.taught["depth"], scale)
@@ -205,20 +226,8 @@ TERMS: Mapping[str, Term] = {
     for name, heads, target, loss in (
         ("depth", "depth", "depth", _depth),
         ("depth_uncertainty", "depth depth_uncertainty", "depth", _depth_uncertainty),
-        (
-            "semantic",
-            "semantic",
-            "semantic",
-            lambda c: weighted_cross_entropy(
-                c.log_probabilities, c.shares, c.loss.class_weights, c.label_weights
-            ),
-        ),
-        (
-            "semantic_iou",
-            "semantic",
-            "semantic",
-            lambda c: soft_iou_loss(c.probabilities, c.shares, c.label_weights),
-        ),
+        ("semantic", "semantic", "semantic", _semantic),
+        ("semantic_iou", "semantic", "semantic", _semantic_iou),
         ("lovasz", "semantic", "semantic", _lovasz),
         ("road", "semantic", "road_mask", _road),
         ("boundary", "boundary", "semantic", _boundary),
@@ -226,25 +235,10 @@ TERMS: Mapping[str, Term] = {
         ("semantic_depth", "semantic depth", "semantic", _semantic_depth),
         ("depth_consistency", "depth", "", lambda c: depth_consistency_loss(*c.views("depth"))),
         ("depth_seam", "depth", "", lambda c: depth_seam_loss(*c.views("depth"))),
-        (
-            "semantic_consistency",
-            "semantic",
-            "",
-            lambda c: semantic_consistency_loss(*c.views("semantic"), side=c.side),
-        ),
-        (
-            "distilled_semantic",
-            "semantic",
-            "",
-            lambda c: distilled_semantic_loss(c.heads["semantic"], c.taught["semantic"]),
-        ),
+        ("semantic_consistency", "semantic", "", _semantic_consistency),
+        ("distilled_semantic", "semantic", "", _distilled_semantic),
         ("distilled_depth", "depth", "", _distilled_depth),
-        (
-            "distilled_boundary",
-            "boundary",
-            "",
-            lambda c: distilled_boundary_loss(c.heads["boundary"], c.taught["boundary"]),
-        ),
+        ("distilled_boundary", "boundary", "", _distilled_boundary),
     )
 }
 

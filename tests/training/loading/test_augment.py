@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from runtime.errors import InputError
 from runtime.preprocess import clean_sparse_depth
 from runtime.resize import move_returns, resize_image, resize_nearest
 from training.datasets.sample import IGNORE, Sample
@@ -22,6 +23,7 @@ from training.loading.augment import (
     flip,
     resize,
     scale_and_crop,
+    with_crop,
 )
 
 K = np.array([[50.0, 0, 31.5], [0, 50.0, 23.5], [0, 0, 1]])
@@ -305,3 +307,23 @@ def test_crops_chosen_for_a_rare_class_show_it_more_often():
     assert share(rare_crops=1.0, crop_candidates=1) == pytest.approx(by_chance, abs=0.1)
     assert share(rare_crops=1.0) == pytest.approx(1 - (1 - by_chance) ** 4, abs=0.1)
     assert by_chance + 0.1 < share(rare_crops=0.5) < share(rare_crops=1.0) - 0.1
+
+
+@pytest.mark.parametrize(
+    ("size", "crop"),
+    [
+        ((125, 414), (96, 144)),
+        ((375, 1242), (320, 480)),
+        ((640, 256), (320, 256)),
+        ((20, 20), (32, 32)),
+    ],
+)
+def test_the_crop_follows_the_smallest_frame(size, crop):
+    assert with_crop(AugmentConfig(), size).crop == crop
+    stated = AugmentConfig(crop=(64, 64))
+    assert with_crop(stated, size) == stated
+
+
+def test_a_crop_that_is_too_small_for_two_views_is_refused():
+    with pytest.raises(InputError, match=r"crop was set to \[96, 144\] .*; with pair_shift = 32"):
+        with_crop(AugmentConfig(pair_shift=32), (125, 414))
