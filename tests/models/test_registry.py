@@ -112,10 +112,6 @@ def test_a_network_of_one_head_goes_through_every_tool(name, head, tmp_path):
     path = tmp_path / "run/model.pt"
     network = load_checkpoint(path).model
     assert type(network) is NETWORKS[name].network
-    torch.manual_seed(0)
-    assert not torch.equal(
-        network.layer[0].weight, create_model(name).layer[0].weight
-    )  # it learned
 
     report = export_checkpoint(path, tmp_path / "m.onnx", size=(47, 62), dynamic=True)
     assert report.heads == (head,)

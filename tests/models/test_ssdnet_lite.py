@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from models import SSDNetLiteConfig, create_model
-from models.efficientnet_lite import InvertedResidual
+from models import create_model
 from models.lite_decoder import UpBlock
 from models.surfaces import NEAREST
 
@@ -137,15 +136,3 @@ def test_an_additive_refinement_adds_to_what_both_heads_answer_at_stride_4():
     coarse, fine = parts
     assert torch.allclose(coarse + fine, both.semantic_logits, atol=1e-5)
     assert min(coarse.std(), fine.std()) > 0
-
-
-def test_the_trunk_of_an_efficientnet_encoder_has_the_widths_of_the_configuration():
-    widths = (16, 48, *[72] * 2, *[120] * 2, *[240] * 3, *[336] * 3, *[576] * 4)
-    network = create_model("ssdnet-nano", encoder_widths=widths)
-    blocks = [m for m in network.modules() if isinstance(m, InvertedResidual)]
-    assert tuple(block.depthwise[0].out_channels for block in blocks) == widths
-    assert SSDNetLiteConfig.from_dict(network.config.to_dict()) == network.config
-    with pytest.raises(ValueError, match="expected 16 positive widths"):
-        create_model("ssdnet-lite", encoder_widths=(16,))
-    with pytest.raises(ValueError, match="encoder_widths: expected 1 to"):
-        create_model("ssdnet-lite", encoder_widths=(0,) * 16)
