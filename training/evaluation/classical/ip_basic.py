@@ -47,7 +47,7 @@ class IPBasic:
 
     def _fill(self, start: Depth) -> MatLike:
         """Fill what is unknown of an inverted depth."""
-        inverted = cv2.dilate(start, _diamond(5))
+        inverted = cv2.dilate(start, cv2.getStructuringElement(cv2.MORPH_DIAMOND, (5, 5)))
         inverted = cv2.morphologyEx(inverted, cv2.MORPH_CLOSE, _full(5))
         inverted = _fill_unknown(inverted, _full(7))
         inverted = _fill_unknown(_extend_to_top(inverted), _full(31))
@@ -99,23 +99,14 @@ def _dilate_by_range(inverted: Depth) -> MatLike:
         (5, (depth > _NEAR_M) & (depth <= _MEDIUM_M)),
         (7, depth <= _NEAR_M),
     ):
-        dilated = cv2.dilate(np.where(chosen, inverted, np.float32(0)), _cross(size))
+        cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (size, size))
+        dilated = cv2.dilate(np.where(chosen, inverted, np.float32(0)), cross)
         combined = np.where(dilated > _MEASURED_M, dilated, combined)
     return combined
 
 
 def _full(size: int) -> NDArray[np.uint8]:
     return np.ones((size, size), dtype=np.uint8)
-
-
-def _diamond(size: int) -> NDArray[np.uint8]:
-    offset = np.abs(np.arange(size) - size // 2)
-    return np.asarray(offset[:, None] + offset[None, :] <= size // 2, dtype=np.uint8)
-
-
-def _cross(size: int) -> NDArray[np.uint8]:
-    offset = np.arange(size) - size // 2
-    return np.asarray((offset[:, None] == 0) | (offset[None, :] == 0), dtype=np.uint8)
 
 
 def _fill_unknown(
