@@ -187,14 +187,14 @@ class SurfaceDepthHead(nn.Module):
     ) -> Tensor:
         """Return the input of the geometry's branch: nothing that depends on camera or LiDAR."""
         surfaces, beside = candidates.surfaces, candidates.beside
-        ratios = torch.cat([beside.near, beside.far], dim=1)
+        ratios, density = torch.cat(beside[:2], dim=1), candidates.features[:, -1:]
         maps = [
             ratios,
             5.0 * apart(ratios),
             surfaces.support,
             surfaces.reached,
             beside.share * (1.0 / MOST_BESIDE),
-            candidates.features[:, -1:],  # the density of returns
+            density,
             torch.sigmoid(boundary_logits.float()),
         ]
         if self.classes is not None:
