@@ -37,7 +37,7 @@ def open_model(
 ) -> Model:
     """Open a model; outputs of its graph that are no heads are ignored.
 
-    Whether the graph gives what the contract says shows the first prediction, see `run_batch`.
+    The first prediction shows whether the graph gives what the contract says, see `run_batch`.
 
     Args:
         path: of the file.

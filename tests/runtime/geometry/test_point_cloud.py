@@ -46,6 +46,9 @@ def test_colours_and_labels_are_those_of_the_pixels_and_edges_have_no_point():
         boundary[0, 3] <= 0.25  # infinity
     )
     assert len(to_points(depth_map(), K, **options, edge_boundary=None).points) == 48 * 64 - 5
+    for bad in ({"rgb": rgb.astype(float)}, {"rgb": rgb[1:]}, {"semantic": semantic[..., None]}):
+        with pytest.raises(InputError, match=next(iter(bad))):
+            to_points(depth_map(), K, **bad)
 
 
 def test_a_prediction_gives_its_cloud(model_file, make_frame):

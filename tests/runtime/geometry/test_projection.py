@@ -102,7 +102,7 @@ def test_points_that_are_not_finite_are_left_out(bad, place):
     ("intrinsics", K.T), ("intrinsics", np.ma.masked_less(K, 1)),
     ("intrinsics", np.diag([-1.0, 1, 1])), ("intrinsics", np.diag([1e300, 1, 1])),
     ("extrinsics", LIDAR_TO_CAMERA[:3]), ("extrinsics", LIDAR_TO_CAMERA.T),
-    ("size", (0, 5)), ("size", (10**6, 10**6)),
+    ("size", 5), ("size", (0, 5)), ("size", (10**6, 10**6)),
 ])  # fmt: skip
 def test_other_inputs_are_named(key, value):
     arguments = {"points": scan(5, 0), "intrinsics": K, "extrinsics": LIDAR_TO_CAMERA, "size": SIZE}
