@@ -17,6 +17,7 @@ import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
+from math import nan
 from pathlib import Path
 
 import cv2
@@ -187,7 +188,7 @@ def main() -> None:
     print("| returns | " + " | ".join(f"{region} MAE | RMSE" for region in REGIONS) + " |")
     print("|---" * 7 + "|")
     for way, regions in errors.items():
-        found = [sums.figures("m") for sums in regions.values()]
+        found = [{"mae_m": nan, "rmse_m": nan, **sums.figures("m")} for sums in regions.values()]
         cells = " | ".join(f"{each['mae_m']:.3f} | {each['rmse_m']:.3f}" for each in found)
         print(f"| ({way}) {WAYS[way]} | {cells} |")
     counts = {region: sums.pixels for region, sums in errors["d"].items()}
