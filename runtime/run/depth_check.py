@@ -15,6 +15,7 @@ from runtime.io.images import holds_metres
 from runtime.predictor import Predictor
 from runtime.preprocess import check_sparse_depth, clean_sparse_depth
 from runtime.returns import is_measured
+from runtime.run.pipeline import ReadFrame
 from runtime.sources.source import ListedFrame, Source
 from runtime.streams.answerer import known_focal_length_px
 from runtime.sync.frame import Sensor
@@ -57,6 +58,7 @@ def find_depth_fault(
     predictor: Predictor,
     frames: Sequence[ListedFrame],
     source: Source,
+    read: ReadFrame,
 ) -> str | None:
     """Return why the depth of a stream cannot be right, and what to try; None = nothing found.
 
@@ -73,7 +75,7 @@ def find_depth_fault(
     returns: list[int] = []  # of each scan or depth map
     for listed in frames[:FIRST_FRAMES]:
         with contextlib.suppress(SSDNetError):  # the run itself reports it
-            frame = source.read(listed)
+            frame, _ = read(listed)
             check_sparse_depth(frame.sparse_depth, size=frame.size)
             if listed.depth is None:
                 continue

@@ -9,11 +9,13 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Protocol
 
 import cv2
 
 from runtime.errors import SSDNetError
+from runtime.health.depth_plausibility import FIRST_FRAMES
 from runtime.run.options import RunOptions
 from runtime.sources.source import ListedFrame, Source
 from runtime.stamp import NS_PER_MS
@@ -63,6 +65,25 @@ class StreamResult:
     interrupted: bool
 
 
+#: Reads a frame; returns it and the time that reading it took [ms]. Raises InputError.
+ReadFrame = Callable[[ListedFrame], tuple[Frame, float]]
+
+
+def frame_reader(source: Source) -> ReadFrame:
+    """Return a function that reads frames, and the last few again at once.
+
+    The warm-up, the check of the depth and the run all take the first frames: they are read once.
+    """
+
+    @lru_cache(FIRST_FRAMES + 1)  # those of the check, and that of the warm-up in another shard
+    def read(listed: ListedFrame) -> tuple[Frame, float]:
+        started = time.perf_counter()
+        frame = source.read(listed)
+        return frame, (time.perf_counter() - started) * 1e3
+
+    return read
+
+
 class Output(Protocol):
     """Where the answers of a run are written.
 
@@ -77,7 +98,7 @@ class Output(Protocol):
 def run_stream(
     answerer: Answerer,
     frames: Sequence[ListedFrame],
-    source: Source,
+    read: ReadFrame,
     options: RunOptions,
     *,
     outputs: Sequence[Output] = (),
@@ -93,7 +114,7 @@ def run_stream(
     Args:
         answerer: answers the frames, in the calling thread.
         frames: to read.
-        source: reads them in order, in the reading thread.
+        read: reads them in order, in the reading thread.
         options: --rate: frames are due at it from the start on, and none is predicted earlier
             (constant stream of MLPerf), without it each when the one before is done (single
             stream); --deadline-ms: limit of `FrameResult.latency_ms`.
@@ -110,12 +131,6 @@ def run_stream(
     records: list[FrameResult] = []
     waiting, rate_hz, deadline_ms = iter(enumerate(frames)), options.rate, options.deadline_ms
     jitter = Jitter()
-
-    def read(listed: ListedFrame) -> tuple[Frame, float]:
-        """Return a frame and the time of reading it [ms]."""
-        started = time.perf_counter()
-        frame = source.read(listed)
-        return frame, (time.perf_counter() - started) * 1e3
 
     def read_next() -> None:
         for index, listed in waiting:

@@ -15,7 +15,13 @@ from runtime.run.options import CLOUD, KINDS, SAVED_HEADS, RunOptions
 from runtime.run.outputs.frame_writer import make_run_folder
 from runtime.run.outputs.output import OpenRun
 from runtime.run.outputs.registry import open_outputs, require_outputs
-from runtime.run.pipeline import StreamResult, dedicate_process, run_stream
+from runtime.run.pipeline import (
+    ReadFrame,
+    StreamResult,
+    dedicate_process,
+    frame_reader,
+    run_stream,
+)
 from runtime.run.run_report import RunReport, describe_predictor, group_reasons, write_report
 from runtime.sources.source import ListedFrame, Source
 from runtime.streams.answerer import Answerer, known_focal_length_px
@@ -104,6 +110,7 @@ class _Stream:
     Attributes:
         source: of the frames.
         frames: to answer.
+        read: reads one; has read the first.
         predictor: warmed up at their size.
         kinds: of files to write of each frame.
         frame_size: (height, width) of the first frame; None = none can be predicted.
@@ -114,6 +121,7 @@ class _Stream:
 
     source: Source
     frames: Sequence[ListedFrame]
+    read: ReadFrame
     predictor: Predictor
     kinds: tuple[str, ...]
     frame_size: tuple[int, int] | None
@@ -138,11 +146,12 @@ def _prepare(options: RunOptions, source: Source, predictor: Predictor) -> _Stre
     frames = listed[options.part]
     focal_px = known_focal_length_px(predictor, source.calibration)
     kinds = _answered_kinds(options, predictor, focal_px)
-    size = _warm_up(predictor, frames, source, runs=options.warmup)
+    read = frame_reader(source)
+    size = _warm_up(predictor, frames, read, runs=options.warmup)
     scale = predictor.camera_scale(size, focal_length_px=focal_px) if size else None
     # Of the first frames of all shards, which so have the same finding.
-    fault = find_depth_fault(predictor, listed, source)
-    return _Stream(source, frames, predictor, kinds, size, focal_px, scale, fault)
+    fault = find_depth_fault(predictor, listed, source, read)
+    return _Stream(source, frames, read, predictor, kinds, size, focal_px, scale, fault)
 
 
 def _answer(
@@ -165,7 +174,7 @@ def _answer(
         result = run_stream(
             answerer,
             stream.frames,
-            stream.source,
+            stream.read,
             options,
             outputs=outputs,
             recorders=recorders,
@@ -200,7 +209,7 @@ def _answered_kinds(
 
 
 def _warm_up(
-    predictor: Predictor, frames: Sequence[ListedFrame], source: Source, *, runs: int
+    predictor: Predictor, frames: Sequence[ListedFrame], read: ReadFrame, *, runs: int
 ) -> tuple[int, int] | None:
     """Warm up at the size of the first frame that can be predicted; returns that size.
 
@@ -210,7 +219,7 @@ def _warm_up(
     reasons = []
     for listed in frames[:_FIRST_FRAMES]:
         try:
-            frame = source.read(listed)
+            frame, _ = read(listed)
             check_sparse_depth(frame.sparse_depth, size=frame.size)
             predictor.warm_up(frame.size, runs=runs)
         except SSDNetError as error:

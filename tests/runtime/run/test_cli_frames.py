@@ -15,6 +15,7 @@ from cli_runs import N, arguments, files_in, rows_of
 from runtime.io.recording import read_recording
 from runtime.run.cli import app
 from runtime.run.options import KINDS
+from runtime.sources.folders import FolderSource
 
 
 @pytest.fixture
@@ -177,3 +178,18 @@ def test_a_stream_that_is_refused_from_the_start_is_an_error(tmp_path, make_stre
         assert "error: none of the first 20 frames can be predicted" in result.stderr
         assert "20 frames, first f0: sparse_depth must have the shape" in result.stderr
         assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("given", [(), ("--shard", "2/3")])
+def test_each_frame_is_read_once(tmp_path, run, given, monkeypatch):
+    """Also the first ones, on which the run warms up and checks the depth."""
+    names, read = [], FolderSource.read
+
+    def count(self, listed):
+        names.append(listed.name)
+        return read(self, listed)
+
+    monkeypatch.setattr(FolderSource, "read", count)
+    assert run("--save", "none", *given).exit_code == 0
+    assert {row["name"] for row in rows_of(tmp_path / "out")} <= {*names}
+    assert len(names) == len({*names})

@@ -13,7 +13,7 @@ import runtime.io.images
 import runtime.run.pipeline
 from runtime import OutputError, Predictor
 from runtime.run.options import RunOptions
-from runtime.run.pipeline import run_stream
+from runtime.run.pipeline import frame_reader, run_stream
 from runtime.sources.folders import FolderSource
 from runtime.streams.answerer import Answerer
 
@@ -48,10 +48,10 @@ def run(predictor, folders, **options):
     source = FolderSource(folders[0], depth=folders[1])
     if write := options.pop("write", None):
         options["outputs"] = [SimpleNamespace(write=write)]
-    reader = SimpleNamespace(read=options.pop("read", source.read))
+    read = frame_reader(SimpleNamespace(read=options.pop("read", source.read)))
     answerer = Answerer(predictor, check_depth=False)
     given = RunOptions(demo=True, **{name: options.pop(name) for name in TIMING & options.keys()})
-    return run_stream(answerer, source.list_frames(), reader, given, **options)
+    return run_stream(answerer, source.list_frames(), read, given, **options)
 
 
 def test_every_frame_is_predicted_and_written_in_order(predictor, stream_of, make_frame):
