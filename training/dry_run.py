@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -26,13 +25,6 @@ _DRAWN, _DESCRIBED = 8, 50
 _PERCENTILES = (1, 50, 99)
 
 
-class DryRun(NamedTuple):
-    """The picture of the first batch, and a description of the data, as lines of text."""
-
-    picture: Path
-    lines: Sequence[str]
-
-
 def dry_run(
     recipe: Recipe,
     *,
@@ -41,7 +33,7 @@ def dry_run(
     init: Weights | None = None,
     teacher: Weights | None = None,
     device: str,
-) -> DryRun:
+) -> tuple[Path, list[str]]:
     """Open all that a training needs and draw its first batch; arguments and errors as in `train`.
 
     Returns:
@@ -60,7 +52,7 @@ def dry_run(
             )
             atomic_write(out / BATCH, encode_png(draw_batch(batch, overlay, count=_DRAWN)))
         processes.wait()
-    return DryRun(out / BATCH, list(_describe(recipe, task)))
+    return out / BATCH, list(_describe(recipe, task))
 
 
 def _describe(recipe: Recipe, task: Task) -> Iterator[str]:

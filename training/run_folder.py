@@ -76,10 +76,8 @@ def list_data(roots: Sequence[Path], paths: Sequence[str]) -> dict[str, dict[str
         folder = next((root / path for root in roots if (root / path).is_dir()), None)
         if folder is not None:
             places = os.walk(folder, followlinks=True)
-            names = sorted(
-                os.path.join(place, name) for place, _, files in places for name in files
-            )
-            names = [os.path.relpath(name, folder) for name in names]
+            found = (os.path.join(place, name) for place, _, files in places for name in files)
+            names = [os.path.relpath(name, folder) for name in sorted(found)]
             digest = hashlib.sha256("\n".join(names).encode(errors="surrogateescape"))
             described[path] = {"files": len(names), "sha256": digest.hexdigest()}
     return described

@@ -119,6 +119,9 @@ def open_task(
         check_output(network)
     except ValueError as error:
         raise InputError(f"the network {config.name!r}: {error}") from error
+    for part in (network, taught_by):
+        if part is not None:
+            part.to(processes.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     found = survey(recipe.data.source, sources, model.class_names, config)
     decided = replace(
@@ -155,9 +158,6 @@ def open_task(
     for text in warnings if processes.is_first else ():
         tqdm.write(f"warning: {text}", file=sys.stderr)
 
-    for part in (network, taught_by):
-        if part is not None:
-            part.to(processes.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     depth = DepthTarget(
         config.canonical_focal_px,
         sky if recipe.data.sky_depth_m else None,
@@ -238,8 +238,8 @@ def _learning_heads(network: Network, rates: OptimizerRecipe) -> set[str]:
         own = rates.encoder_rate if part == "encoder" else None
         if not (rates.learning_rate if own is None else own):
             layers.requires_grad_(False)
-    size = (1, 1, MIN_SIDE, MIN_SIDE)
-    output = network(torch.zeros(size).expand(-1, 3, -1, -1), torch.zeros(size))
+    depth = torch.zeros(1, 1, MIN_SIDE, MIN_SIDE, device=network.rgb_mean.device)
+    output = network(depth.expand(-1, 3, -1, -1), depth)
     return {head for head, answer in head_maps(output).items() if answer.requires_grad}
 
 
