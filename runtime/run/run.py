@@ -143,10 +143,9 @@ def _prepare(options: RunOptions, source: Source, predictor: Predictor) -> _Stre
     if options.rectify:
         source.rectify_images()
     listed = source.list_frames(limit=options.limit)
-    frames = listed[options.part]
+    frames, read = listed[options.part], frame_reader(source)
     focal_px = known_focal_length_px(predictor, source.calibration)
     kinds = _answered_kinds(options, predictor, focal_px)
-    read = frame_reader(source)
     size = _warm_up(predictor, frames, read, runs=options.warmup)
     scale = predictor.camera_scale(size, focal_length_px=focal_px) if size else None
     # Of the first frames of all shards, which so have the same finding.
