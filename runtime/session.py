@@ -142,10 +142,10 @@ def _require_running(session: Any, provider: str, printed: str) -> None:
         if where != name and operator in _HEAVY_OPERATORS
     }
     if name not in running or strays:
+        found = ", ".join(sorted(strays) if name in running else running)
         raise ProviderError(
-            f"provider {provider!r} was requested, but ONNX Runtime would use {', '.join(running)} "
-            f"{printed} for {', '.join(sorted(strays)) or 'all'}: export the model again, or "
-            f"use another provider; {provider} needs: {_GPU_NEEDS}"
+            f"provider {provider!r} was requested, but ONNX Runtime would run {found} {printed}: "
+            f"{_GPU_NEEDS}. If it runs other models, export this one again"
         )
 
 

@@ -35,8 +35,7 @@ def atomic_file(path: Path, *, overwrite: bool = True, durable: bool = False) ->
 
     Args:
         path: the file's name, in a folder that exists.
-        overwrite: False: of several writers of one path only one succeeds. (On file systems without
-            hard links an empty file has the name for a moment before the whole one.)
+        overwrite: False: of several writers of one path only one succeeds.
         durable: whether the content is on the disk, not in a cache, before the file gets its name.
 
     Yields:
@@ -165,20 +164,8 @@ def _require_replaceable(path: Path) -> None:
 
 
 def _publish(made: Path, path: Path, *, overwrite: bool) -> None:
-    """Rename `made` to `path`. Raises OutputError if it exists, without `overwrite`."""
-    if overwrite:
-        _require_replaceable(path)
-        os.replace(made, path)
-        return
-    try:
-        try:
-            os.link(made, path)
-        except FileExistsError:
-            raise
-        except OSError:  # no hard links: an empty file takes the name, or fails
-            os.close(os.open(path, os.O_CREAT | os.O_EXCL))
-            os.replace(made, path)
-    except FileExistsError as error:
-        raise OutputError(
-            f"{path} exists: choose another name, or replace it with --overwrite"
-        ) from error
+    """Rename `made` to `path`, whose hidden folder is locked. Raises OutputError if it exists."""
+    _require_replaceable(path)
+    if not overwrite and os.path.lexists(path):
+        raise OutputError(f"{path} exists: choose another name, or replace it with --overwrite")
+    os.replace(made, path)
