@@ -127,6 +127,9 @@ class KittiRawSource(FolderSource):
         self._oxts = folder
         self.calibration = replace(self.calibration, body_from_lidar=body_from_lidar)
 
+    def _list_depths(self, folder: Path) -> dict[str, Path]:
+        return list_files(folder, _SCANS)
+
     @property
     def inputs(self) -> dict[str, Any]:
         """See `Source.inputs`."""
