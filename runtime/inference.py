@@ -27,7 +27,7 @@ def run_batch(
         Head -> array, of each frame.
 
     Raises:
-        InferenceError: if the session fails, or an output is of another shape than these frames.
+        InferenceError: if the session fails, or an output is of another type or shape.
     """
     size, count = frames[0].network_size, len(frames)
     feed = {
@@ -42,11 +42,12 @@ def run_batch(
             f"the session failed on {several} of {size[0]} x {size[1]}: {explain(error)}"
         ) from error
     for head, values in outputs.items():
-        expected = (count, *((len(contract.classes),) if HEADS[head].per_class else ()), *size)
-        if values.shape != expected:
+        planes = (len(contract.classes),) if HEADS[head].per_class else ()
+        expected = HEADS[head].dtype, (count, *planes, *size)
+        if (values.dtype.name, values.shape) != expected:
             raise InferenceError(
-                f"the model gave {head} of the shape {values.shape}, expected {expected}: "
-                "export it again with ssdnet-export"
+                f"the model gave {head} as {values.dtype} {values.shape}, expected "
+                f"{' '.join(map(str, expected))}: export it again with ssdnet-export"
             )
     return [{head: values[index] for head, values in outputs.items()} for index in range(count)]
 

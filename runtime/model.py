@@ -10,6 +10,8 @@ from runtime.heads import HEADS
 from runtime.model_file import load_model_file
 from runtime.session import open_session
 
+_INPUTS = {"rgb": ("tensor(uint8)", 4), "sparse_depth": ("tensor(float)", 3)}
+
 
 @dataclass(frozen=True)
 class Model:
@@ -52,16 +54,17 @@ def open_model(
     """
     file = load_model_file(path, sha256=sha256)
     session = open_session(file.content, provider=provider, device_id=device_id, threads=threads)
-    inputs = {tensor.name: tensor.shape for tensor in session.get_inputs()}
+    shapes = {tensor.name: tensor.shape for tensor in session.get_inputs()}
+    inputs = {tensor.name: (tensor.type, len(tensor.shape)) for tensor in session.get_inputs()}
     outputs = {tensor.name for tensor in session.get_outputs()}
     heads = tuple(name for name in HEADS if name in outputs)
-    if inputs.keys() != {"rgb", "sparse_depth"} or not heads:
+    if inputs != _INPUTS or not heads:
         raise ContractError(
-            "not a model for this engine: expected the inputs rgb and sparse_depth and some of the "
-            f"outputs {', '.join(HEADS)}, found {', '.join([*inputs, *outputs])}: export one with "
-            "ssdnet-export"
+            f"not a model for this engine: expected the inputs {_INPUTS} (type, dimensions) and "
+            f"some of the outputs {', '.join(HEADS)}, found {inputs} and {', '.join(outputs)}: "
+            "export one with ssdnet-export"
         )
-    batch, height, width = inputs["sparse_depth"]
+    batch, height, width = shapes["sparse_depth"]
     return Model(
         contract=file.contract,
         sha256=file.sha256,

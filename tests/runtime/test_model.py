@@ -5,10 +5,11 @@ from collections.abc import Callable
 import numpy as np
 import onnx
 import pytest
-from onnx import TensorProto, helper, numpy_helper
+from onnx import helper, numpy_helper
 
 from runtime import InferenceError, Predictor
 
+INT64 = onnx.TensorProto.INT64
 HEADS = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
 
 
@@ -35,7 +36,7 @@ def repeated(head: str, *times: int) -> Callable[..., None]:
         head,
         helper.make_node("ReduceMin", ["colors"], ["darkest"], keepdims=0),
         helper.make_node("Mul", ["darkest", "nothing"], ["zero"]),
-        helper.make_node("Cast", ["zero"], ["none"], to=TensorProto.INT64),
+        helper.make_node("Cast", ["zero"], ["none"], to=INT64),
         helper.make_node("Add", ["times", "none"], ["repeats"]),
         helper.make_node("Tile", ["before", "repeats"], [head]),
         times=np.array(times),
@@ -51,6 +52,16 @@ def test_an_answer_of_another_shape_is_an_inference_error(model_file, head, time
     path = model_file(edit=repeated(head, *times), heads=HEADS)
     with pytest.raises(InferenceError, match=head):
         Predictor(path, warmup=0)
+
+
+def test_an_answer_of_another_type_is_an_inference_error(model_file):
+    def count_in_64_bits(graph):
+        behind("semantic", helper.make_node("Cast", ["before"], ["semantic"], to=INT64))(graph)
+        (output,) = (each for each in graph.output if each.name == "semantic")
+        output.type.tensor_type.elem_type = INT64
+
+    with pytest.raises(InferenceError, match="semantic as int64"):
+        Predictor(model_file(edit=count_in_64_bits), warmup=0)
 
 
 def test_an_answer_of_another_rank_is_one_of_another_shape(model_file):

@@ -51,24 +51,26 @@ def rename_output(graph):
     graph.output[0].name = "red"
 
 
+def drop_a_side(graph):
+    del graph.input[1].type.tensor_type.shape.dim[2]
+
+
 @pytest.mark.parametrize(("options", "named"), [
     ({"contract": None}, "ssdnet"), ({"contract": None, "metadata": "{"}, "damaged"),
-    ({"opset": 999}, "newer"), ({"edit": rename_input}, "found image"),
+    ({"opset": 999}, "newer"), ({"edit": rename_input}, "found .*image"),
     ({"edit": rename_output, "heads": ("depth",)}, "found .*red"),
+    ({"rgb_type": TensorProto.FLOAT}, "found .*float"), ({"edit": drop_a_side}, "found .*2"),
 ])  # fmt: skip
 def test_a_foreign_model_is_refused_with_its_fault(model_file, options, named):
     with pytest.raises(ContractError, match=named):
         Predictor(model_file(**options))
 
 
-@pytest.mark.parametrize(
-    "options", [{"rgb_type": TensorProto.FLOAT}, {"heads": ("semantic_logits",)}]
-)
-def test_a_graph_that_is_not_that_of_its_contract_fails_at_once(model_file, contract, options):
+def test_a_graph_that_is_not_that_of_its_contract_fails_at_once(model_file, contract):
     classes = (*contract.classes, ClassInfo("third", (0, 0, 0)))
-    path = model_file(contract=dataclasses.replace(contract, classes=classes), **options)
-    with pytest.raises(InferenceError, match=r"uint8|semantic_logits"):
-        Predictor(path)
+    more = dataclasses.replace(contract, classes=classes)
+    with pytest.raises(InferenceError, match="semantic_logits"):
+        Predictor(model_file(contract=more, heads=("semantic_logits",)))
 
 
 def test_an_unknown_further_output_does_no_harm(model_file):
