@@ -176,15 +176,10 @@ class FolderSource(Source):
         names = sorted(images.keys() | without_image, key=natural_order)
         if self._is_timed:
             return self._list_timed({name: images[name] for name in names}, depths, limit)
+        whole = images.keys() if self._depth is None else images.keys() & depths.keys()
         frames = (
-            ListedFrame(
-                sequence,
-                name,
-                images.get(name),
-                depths.get(name),
-                complete=name in images and (self._depth is None or name in depths),
-            )
-            for sequence, name in enumerate(names)
+            ListedFrame(number, name, images.get(name), depths.get(name), complete=name in whole)
+            for number, name in enumerate(names)
         )
         return up_to(frames, limit)
 
