@@ -94,10 +94,10 @@ def export(
     ] = None,
     max_drop_miou: Annotated[
         float, typer.Option(min=0, help="Largest loss of mIoU by int8 on any set [points].")
-    ] = 0.5,
+    ] = Int8Options.max_drop_miou,
     max_rise_mae: Annotated[
         float, typer.Option(min=0, help="Largest rise of the depth's MAE by int8 on any set [%].")
-    ] = 2.0,
+    ] = Int8Options.max_rise_mae,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace an older file, recording and Triton model.")
     ] = False,
