@@ -38,7 +38,6 @@ def test_a_network_answers_as_if_an_isolated_return_were_not_there():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"sparse_depth_gain": 2.0}, "fields of the network 'ssdnet-lite': sparse_depth_gain"),
         ({"use_sparse_depth": False}, "fields of the network 'ssdnet-lite': use_sparse_depth"),
         ({"semantic_head": False, "depth_head": False}, "a semantic head, a depth head or both"),
         ({"decoder_channels": (8, 8)}, "one entry per skip .3., got 2"),
