@@ -15,13 +15,14 @@ from runtime.bundled_models import find_model
 from runtime.canonical_focal import CameraScale, camera_scale
 from runtime.checks import check_integer
 from runtime.contract import check_focal_length, check_size
+from runtime.cores import available_cores
 from runtime.errors import ContractError, InferenceError, InputError
 from runtime.inference import run_batch, to_prediction
 from runtime.model import open_model
 from runtime.network_size import NetworkSize, check_network_size, network_size
 from runtime.prediction import Prediction
 from runtime.preprocess import NetworkInput, preprocess
-from runtime.process import ProcessGuard, available_cores
+from runtime.process_guard import ProcessGuard
 from runtime.session import node_counts
 
 _MOST_THREADS = 1024

@@ -27,7 +27,7 @@ from runtime.checks import check_number, shown
 from runtime.errors import InferenceError, InputError, SSDNetError
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import ScanStamp
-from runtime.process import ProcessGuard
+from runtime.process_guard import ProcessGuard
 from runtime.stamp import (
     DEFAULT_MAX_SKEW_MS,
     DEFAULT_REUSE_DEPTH_MS,

@@ -31,7 +31,7 @@ from runtime.command import (
     stop_requested,
 )
 from runtime.command_options import Version
-from runtime.process import available_cores
+from runtime.cores import available_cores
 from runtime.run.engine_facts import MachineFacts, machine_facts
 from runtime.session import import_onnxruntime
 from runtime.streams.statistics import LatencyStatistics, latency_statistics

@@ -1,36 +1,11 @@
-"""This process: the processor cores that it may use, and whether it was forked."""
+"""Number of processor cores that this process may use."""
 
 import math
 import os
 from pathlib import Path
 
-from runtime.errors import InferenceError
-
 _TOPOLOGY = "/sys/devices/system/cpu/cpu{}/topology/thread_siblings_list"
 _CGROUPS, _MOUNT = "/proc/self/cgroup", Path("/sys/fs/cgroup")
-
-
-class ProcessGuard:
-    """Remembers the process that made an object, whose threads do not survive a fork.
-
-    what: names the object.
-    """
-
-    def __init__(self, what: str) -> None:
-        self._what, self._process = what, os.getpid()
-
-    @property
-    def is_forked(self) -> bool:
-        """Whether this is a child of that process."""
-        return os.getpid() != self._process
-
-    def check(self) -> None:
-        """Raise InferenceError in a child."""
-        if self.is_forked:
-            raise InferenceError(
-                f"the {self._what} was created before this process was forked, and threads do "
-                f"not survive a fork: create a {self._what} in each process"
-            )
 
 
 def available_cores() -> int:
