@@ -1,4 +1,4 @@
-"""The weights that a training starts from: by path or name, and what the installed ones do."""
+"""Weights that a training starts or learns from: by path or name, and where they come from."""
 
 from dataclasses import replace
 
@@ -11,15 +11,26 @@ from typer.testing import CliRunner
 from export.parity import reference
 from export.probe_frames import ProbeFrame
 from layouts import camvid
-from models import load_checkpoint
+from models import create_model, load_checkpoint, save_checkpoint
 from models.registry import NETWORKS
+from models.training_facts import TrainingFacts
 from runtime import Predictor
 from runtime.bundled_models import list_bundled_models
 from runtime.errors import InputError
 from runtime.sources.bundled_stream import bundled_stream
 from training import cli
 from training.chosen_recipe import read_stages
-from training.initial_weights import find_weights, list_weights, read_weights
+from training.datasets.camvid import CamVidRecipe
+from training.initial_weights import (
+    IMAGENET_TERMS,
+    find_weights,
+    list_weights,
+    prepare_teacher,
+    read_weights,
+    state_provenance,
+)
+from training.losses import LossConfig
+from training.recipe import DataRecipe, ModelRecipe, Recipe, ScheduleRecipe, derive
 from training.recipes.registry import RECIPES
 
 RECIPE = """
@@ -128,3 +139,64 @@ def test_four_steps_from_the_name_keep_what_was_learned(tmp_path):
         before, now = reference(start, camera_only), reference(tuned, camera_only)
         # 0.98; with batch statistics of mean 0 and variance 1 instead, 0.3.
         assert (before["semantic"] == now["semantic"]).mean() > 0.95
+
+
+STUDENT = "ssdnet-nano"
+TAUGHT = LossConfig(distilled_semantic_weight=1.0, distilled_depth_weight=1.0)
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Give a function that writes a checkpoint of these facts, of a network with changes."""
+
+    def write(name="teacher", facts=None, **changes):
+        path = tmp_path / f"{name}.pt"
+        training = TrainingFacts(**(facts or {})).to_dict()
+        save_checkpoint(path, create_model(STUDENT, **changes), training=training)
+        return read_weights(path)
+
+    return write
+
+
+def test_a_teacher_answers_as_it_was_released_and_does_not_learn(write):
+    teacher = prepare_teacher(write(), TAUGHT, create_model(STUDENT))
+    assert not teacher.training
+    assert not any(parameter.requires_grad for parameter in teacher.parameters())
+    with pytest.raises(InputError, match=r"distilled_semantic_weight .* --teacher ssdnet-lite"):
+        prepare_teacher(None, TAUGHT, create_model(STUDENT))
+    with pytest.raises(InputError, match="nothing would be learned"):
+        prepare_teacher(write(), LossConfig(), create_model(STUDENT))
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"classes": create_model(STUDENT).config.classes[::-1]}, "its classes is"),
+        ({"max_depth_m": 80.0}, "its max_depth_m is 80.0"),
+        ({"canonical_focal_px": 500.0}, "its canonical_focal_px is 500.0, that of the recipe"),
+        ({"depth_head": False}, "has no head 'depth'"),
+    ],
+)
+def test_a_teacher_whose_answers_mean_something_else_is_refused(write, changes, text):
+    with pytest.raises(InputError, match=text):
+        prepare_teacher(write(**changes), TAUGHT, create_model(STUDENT))
+
+
+def test_weights_state_the_data_and_terms_of_all_that_they_come_from_once(write):
+    source = CamVidRecipe(path="camvid")
+    recipe = Recipe(
+        ModelRecipe(STUDENT, pretrained="imagenet"),
+        DataRecipe((source, source)),
+        ScheduleRecipe(steps=1),
+        terms="CamVid: research; drawn scenes: ours",
+    )
+    first = write("init", {"data": ("streets", "camvid"), "terms": "Streets: non-commercial"})
+    terms = "drawn scenes: ours; Boston: share alike"
+    teacher = write("teacher", {"data": ("boston",), "terms": terms})
+    data, terms = state_provenance(recipe, first, teacher)
+    assert data == ("camvid", "ImageNet", "streets", "boston")
+    assert terms == (
+        f"{recipe.terms}; {IMAGENET_TERMS}; Streets: non-commercial; Boston: share alike"
+    )
+    plain = derive(recipe, model={"pretrained": "none"})
+    assert state_provenance(plain, None, None) == (("camvid",), recipe.terms)

@@ -1,4 +1,4 @@
-"""What is made of trained weights before they are used."""
+"""What is made of trained weights; `test_stages` mixes weights and adds offsets."""
 
 import math
 
@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from models import create_model
-from training.release import add_offsets, adjust_logits, mix_weights
+from training.release import adjust_logits
 
 BIAS = "semantic_head.bias"
 
@@ -31,34 +31,3 @@ def test_logit_adjustment_undoes_the_class_weights():
     assert state[BIAS][1] == pytest.approx(math.log(2.0))
     changed = {name for name, value in adjusted(1.0).items() if not torch.equal(value, state[name])}
     assert changed == {BIAS}
-
-
-def test_mixed_weights_lie_between_those_before_and_after():
-    before, after = create_model("ssdnet-lite"), create_model("ssdnet-lite")
-    expected = {
-        name: 0.75 * value + 0.25 * after.state_dict()[name]
-        for name, value in before.state_dict().items()
-        if value.is_floating_point()
-    }
-    after.encoder.stem[0][1].num_batches_tracked.fill_(7)
-    last = {name: value.clone() for name, value in after.state_dict().items()}
-    mixed = mix_weights(before, after, 0.25).state_dict()
-    for name, value in expected.items():
-        torch.testing.assert_close(mixed[name], value)
-    assert mixed["encoder.stem.0.1.num_batches_tracked"] == 7  # a count
-    assert all(torch.equal(value, last[name]) for name, value in after.state_dict().items())
-    for other in (None, create_model("ssdnet-lite", max_depth_m=80.0)):
-        with pytest.raises(ValueError, match="mixing needs the weights before"):
-            mix_weights(other, after, 0.25)
-
-
-def test_offsets_are_added_to_the_logits_of_their_classes():
-    network = create_model("ssdnet-lite")
-    names = [info.name for info in network.config.classes]
-    state = network.state_dict()
-    moved = add_offsets(network, {"road": -0.5, "pole": 1.0}).state_dict()
-    steps = dict(zip(names, (moved[BIAS] - state[BIAS]).tolist(), strict=True))
-    assert {name: step for name, step in steps.items() if step} == pytest.approx(
-        {"road": -0.5, "pole": 1.0}
-    )
-    assert {name for name in state if not torch.equal(moved[name], state[name])} == {BIAS}

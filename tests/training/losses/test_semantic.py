@@ -1,4 +1,4 @@
-"""Eq. 5 against a plain loop, class weights by hand."""
+"""Losses of classes against plain loops and sets, class weights by hand."""
 
 import math
 
@@ -9,6 +9,9 @@ import torch
 from training.losses.semantic import (
     class_shares,
     class_weights,
+    lovasz_softmax_loss,
+    picture_mean,
+    road_loss,
     soft_iou_loss,
     weighted_cross_entropy,
 )
@@ -96,3 +99,87 @@ def test_soft_iou_equals_loops(sample_weight):
     loss = soft_iou_loss(probabilities, shares, torch.tensor(sample_weight).double())
     expected = soft_iou_by_loops(probabilities.numpy(), semantic, sample_weight)
     assert loss.item() == pytest.approx(expected, rel=1e-9)
+
+
+def picture(classes=4, size=(5, 7), seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    logits = torch.randn(classes, *size, generator=generator, dtype=torch.float64)
+    semantic = torch.randint(0, classes - 1, size, generator=generator)  # the last is not shown
+    semantic[0, :3] = 255
+    return logits, semantic
+
+
+def jaccard_loss(wrong, of_class):
+    """1 - IoU of a class, given the set of pixels that are wrong about it and its own pixels."""
+    return len(wrong) / len(wrong | of_class)
+
+
+def lovasz_by_sets(probabilities, semantic):
+    pixels = [(int(y), int(x)) for y, x in (semantic != 255).nonzero()]
+    losses = []
+    for index in range(len(probabilities)):
+        of_class = {p for p in pixels if semantic[p] == index}
+        if not of_class:
+            continue
+        errors = {p: abs(float(p in of_class) - float(probabilities[index][p])) for p in pixels}
+        loss, wrong, before = 0.0, set(), 0.0
+        for p in sorted(pixels, key=lambda p: -errors[p]):
+            wrong = wrong | {p}
+            now = jaccard_loss(wrong, of_class)
+            loss, before = loss + errors[p] * (now - before), now
+        losses.append(loss)
+    return sum(losses) / len(losses)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_lovasz_softmax_is_its_definition(seed):
+    logits, semantic = picture(seed=seed)
+    probabilities = logits.softmax(dim=0)
+    loss = lovasz_softmax_loss(probabilities, semantic)
+    assert float(loss) == pytest.approx(lovasz_by_sets(probabilities, semantic), abs=1e-12)
+
+
+def test_pictures_without_labels_do_not_count():
+    known = torch.tensor([True, False, True])[:, None, None].expand(3, 2, 2)
+    losses = torch.tensor([0.5, 0.0, 0.25])
+    weighted = picture_mean(losses, known, torch.tensor([1.0, 1.0, 0.2]))
+    assert float(weighted) == pytest.approx((0.5 + 0.05) / 2)
+
+
+def road_logits(*, requires_grad=False):
+    """Three classes on 4 x 6 pixels, the road the second."""
+    values = torch.randn(2, 3, 4, 6, generator=torch.Generator().manual_seed(0))
+    return values.requires_grad_(requires_grad)
+
+
+def test_a_road_mask_is_the_binary_cross_entropy_of_the_class():
+    mask = torch.full((2, 4, 6), 255, dtype=torch.uint8)
+    mask[0, 1, 2], mask[0, 3, 5], mask[1, 0, 0] = 1, 0, 0
+    p = road_logits().softmax(dim=1)[:, 1]
+    expected = -(p[0, 1, 2].log() + (1 - p[0, 3, 5]).log() + (1 - p[1, 0, 0]).log()) / 3
+    torch.testing.assert_close(road_loss(road_logits(), mask, 1), expected)
+
+
+def test_a_road_mask_does_not_say_which_other_class_it_is():
+    """Odds among the others stay: their gradients stand in the ratio of their probabilities."""
+    values = road_logits(requires_grad=True)
+    road_loss(values, torch.zeros(2, 4, 6, dtype=torch.uint8), 1).backward()
+    p = values.detach().softmax(dim=1)
+    assert (values.grad[:, 1] > 0).all()
+    torch.testing.assert_close(values.grad[:, 0] * p[:, 2], values.grad[:, 2] * p[:, 0])
+
+
+def test_sure_answers_about_the_road_have_a_finite_loss():
+    sure = torch.tensor([500.0, -500.0, 0.0]).view(1, 3, 1, 1)
+    mask = torch.ones(1, 1, 1, dtype=torch.uint8)
+    assert road_loss(sure, mask, 1).item() == pytest.approx(1000.0)
+    assert road_loss(sure, mask, 0).item() == 0
+
+
+def test_a_coarser_grid_of_the_road_counts_every_pixel_in_its_cell():
+    """Logits of cells score as if they were repeated over their pixels, also at the border."""
+    coarse = torch.randn(1, 3, 2, 3, generator=torch.Generator().manual_seed(1))
+    mask = torch.randint(0, 3, (1, 7, 9), generator=torch.Generator().manual_seed(2))
+    mask = torch.where(mask == 2, 255, mask).to(torch.uint8)
+    repeated = coarse.repeat_interleave(4, dim=2).repeat_interleave(4, dim=3)[..., :7, :9]
+    torch.testing.assert_close(road_loss(coarse, mask, 1), road_loss(repeated, mask, 1))
