@@ -219,10 +219,9 @@ class Predictor:
                     each, inputs[index], self.contract, times_ms, stamp=stamps[index]
                 )
         total_ms = _ms_since(started)
-        in_order = (answers[index] for index in range(len(frames)))
         return [
             replace(answer, latency=replace(answer.latency, total_ms=total_ms))
-            for answer in in_order
+            for _, answer in sorted(answers.items())
         ]
 
     def network_size(self, frame_size: tuple[int, int]) -> tuple[int, int]:
