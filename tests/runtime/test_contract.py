@@ -66,6 +66,7 @@ def test_the_document_holds_its_own_digest(contract):
 
 @pytest.mark.parametrize(("key", "value"), [
     ("model_name", 3), ("classes", ["road"]), ("classes", [{"name": "a", "color": [1, 2]}]),
+    ("classes", [{"name": "a", "color": [1, 2, 256]}]),
     ("classes", [{"name": "a", "color": [1, 2, "3), url(//host"]}]),  # pages write CSS of it
     ("classes", [{"name": "a", "color": [1, 2, 3]}] * 2),
     ("classes", [{"name": str(i), "color": [1, 2, 3]} for i in range(256)]),
