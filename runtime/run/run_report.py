@@ -16,7 +16,6 @@ from runtime.io.atomic_write import atomic_write
 from runtime.io.encode import METRES_PNG_MAX_M, METRES_PNG_SCALE
 from runtime.prediction import Cleaned, Prediction
 from runtime.predictor import Predictor
-from runtime.run.engine_facts import EngineFacts
 from runtime.run.options import OVERLAY, RunOptions
 from runtime.run.pipeline import StreamResult
 from runtime.streams.frame_result import FIGURES, OK, FrameResult
@@ -37,7 +36,7 @@ class RunReport:
     """The outcome of a run.
 
     Attributes:
-        engine: facts of model, provider and machine.
+        engine: what `engine_facts` returns.
         options: of the run.
         inputs: where the frames came from, as the user gave it; ready for JSON.
         saved: kinds of files that were written of each frame.
@@ -45,7 +44,7 @@ class RunReport:
         implausible_depth: why the returns cannot be right; None = nothing was found.
     """
 
-    engine: EngineFacts
+    engine: Mapping[str, Any]
     options: RunOptions
     inputs: Mapping[str, Any]
     saved: tuple[str, ...]
@@ -178,7 +177,7 @@ class RunReport:
         return {
             "format": REPORT_FORMAT,
             "version": REPORT_VERSION,
-            **asdict(self.engine),
+            **self.engine,
             "inputs": self.inputs,
             "output": str(self.out),
             "saved": self.saved,
@@ -293,10 +292,10 @@ def describe_run(report: RunReport) -> str:
     if report.options.rate is not None:
         lines.append(f"constant stream of {report.options.rate:g} Hz")
     lines += ["", report.statistics.table(), ""]
-    rate, first_ms = report.frames_per_second, report.engine.first_inference_ms
+    rate, first_ms = report.frames_per_second, report.engine["first_inference_ms"]
     lines.append(f"frames a second, end to end: {'n/a' if rate is None else f'{rate:.1f}'}")
     lines.append(
-        f"load {report.engine.load_ms:.0f} ms, first inference "
+        f"load {report.engine['load_ms']:.0f} ms, first inference "
         + ("n/a" if first_ms is None else f"{first_ms:.1f} ms")
         + " (not in the table)"
     )

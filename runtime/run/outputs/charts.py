@@ -2,24 +2,20 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
 from typing import Any
 
 from runtime.streams.frame_result import INVALID, OK, SKIPPED, FrameResult
-from runtime.streams.statistics import LatencyStatistics
 
 UNANSWERED = (SKIPPED, INVALID)  # frames without a usable answer
 LATE = "late"
 _MOST_SPANS = 490  # of a chart
 _MOST_FRAME_TICKS = 6
-_MOST_POINTS = 140  # a chart with more spans draws points for late spans only
+_MOST_POINTS = 140  # a chart with more spans draws points for late ones only
 _LEAST_BAR = 0.25  # width of a bar in percent of its strip
-_LOG_FROM = 12.0  # the axis is logarithmic if maximum / median is larger
-#: Distances of ticks.
-_STEPS = tuple(step * 10.0**power for power in range(-6, 10) for step in (1, 2, 5))
 
 #: Left, width and height in percent, and opacity 0..1.
 Bar = tuple[float, float, float, float]
@@ -64,9 +60,9 @@ class Span:
         return [each.latency_ms for each in self.records if each.latency_ms is not None]
 
     @property
-    def mean_ms(self) -> float:
-        """Mean latency of the answered frames, of which there are some."""
-        return sum(self.times_ms) / len(self.times_ms)
+    def slowest_ms(self) -> float:
+        """Largest latency of the answered frames, of which there are some."""
+        return max(self.times_ms)
 
     @cached_property
     def marks(self) -> Counter[str]:
@@ -88,76 +84,45 @@ def join_frames(records: Sequence[FrameResult]) -> list[Span]:
     ]
 
 
-class _Axis:
-    """The vertical axis [ms]: linear from 0, or logarithmic where a few values are far off."""
-
-    def __init__(self, lowest: float, median: float, highest: float) -> None:
-        self._scale: Callable[[float], float] = float
-        self.unit = "ms"
-        if highest > _LOG_FROM * median and lowest > 0:
-            self.unit, self._scale = "ms, logarithmic", math.log
-            above = next(step for step in _STEPS if step >= highest)
-            below = max((step for step in _STEPS if step <= lowest), default=lowest)
-            self.ticks = [step for step in _STEPS if below <= step <= above]
-        else:
-            step = next(step for step in _STEPS if step >= highest / 5)
-            self.ticks = [step * tick for tick in range(max(math.ceil(highest / step), 1) + 1)]
-
-    def place(self, value: float) -> float:
-        """Return where a value is on the axis: 0 at its lower end, 1 at its upper end."""
-        low, high, at = map(self._scale, (self.ticks[0], self.ticks[-1], value))
-        return (at - low) / (high - low)
-
-
 def latency_chart(spans: Sequence[Span], *, deadline_ms: float | None) -> dict[str, Any]:
-    """Draw the latencies over the frames, the deadline, late and unanswered frames.
+    """Draw the latency of the slowest frame of each span, the deadline, and unanswered frames.
 
-    Where spans hold several frames, a band shows the smallest and largest latency of each. Returns
-    the values of chart.html; {} if no frame was answered.
+    Returns the values of chart.html; {} if no frame was answered.
     """
     answered = [span for span in spans if span.times_ms]
     if not answered:
         return {}
-    means = sorted(span.mean_ms for span in answered)
     limits = [] if deadline_ms is None else [deadline_ms]
-    lowest = min(min(span.times_ms) for span in answered)
-    highest = max(max(span.times_ms) for span in answered)
-    axis = _Axis(min([lowest, *limits]), means[len(means) // 2], max([highest, *limits]))
-    last = max(spans[-1].last, 1)
+    highest = max([*limits, *(span.slowest_ms for span in answered)])
+    step, last = _distance(highest / 5), max(spans[-1].last, 1)
+    top = step * max(math.ceil(highest / step), 1)
 
     def x(frame: float) -> float:
         return 100 * frame / last if len(spans) > 1 else 50.0
 
     def y(value_ms: float) -> float:
-        return 100 * (1 - axis.place(value_ms))
+        return 100 * (1 - value_ms / top)
 
-    def path(places: Iterable[tuple[float, float]]) -> str:
-        return " ".join(f"{x(frame):.2f},{y(value_ms):.2f}" for frame, value_ms in places)
-
-    bands, lines, points = [], [], []
-    for is_answered, group in groupby(spans, lambda span: bool(span.times_ms)):
-        if is_answered:
-            run = list(group)
-            lines.append(path((span.middle, span.mean_ms) for span in run))
-            above = [(span.middle, max(span.times_ms)) for span in run]
-            below = [(span.middle, min(span.times_ms)) for span in reversed(run)]
-            bands.append(path(above + below))
+    points = []
     for span in answered:
-        text = f"{span.title}: {span.mean_ms:.1f} ms"
-        if len(span.records) > 1:
-            text += f" at the mean, {max(span.times_ms):.1f} ms at most, {span.marks[LATE]} late"
-        if span.marks[LATE]:
-            points.append((LATE, x(span.middle), y(max(span.times_ms)), text))
-        elif len(spans) <= _MOST_POINTS:
-            points.append(("point", x(span.middle), y(span.mean_ms), text))
-    every = next(step for step in _STEPS if step >= max(last / _MOST_FRAME_TICKS, 1))
+        late = span.marks[LATE]
+        if late or len(spans) <= _MOST_POINTS:
+            text = f"{span.title}: {span.slowest_ms:.1f} ms"
+            if len(span.records) > 1:
+                text += f" at most, {late} late"
+            points.append((LATE if late else "point", x(span.middle), y(span.slowest_ms), text))
     return {
-        "unit": axis.unit,
-        "ticks": [(y(tick), tick) for tick in axis.ticks],
-        "frames": [(x(frame), frame) for frame in range(0, last + 1, round(every))],
-        "joined": any(len(span.records) > 1 for span in spans),  # else the bands have no height
-        "bands": bands,
-        "lines": lines,
+        "ticks": [(y(step * tick), step * tick) for tick in range(round(top / step) + 1)],
+        "frames": [
+            (x(frame), frame)
+            for frame in range(0, last + 1, round(_distance(max(last / _MOST_FRAME_TICKS, 1))))
+        ],
+        "joined": any(len(span.records) > 1 for span in spans),
+        "lines": [
+            " ".join(f"{x(span.middle):.2f},{y(span.slowest_ms):.2f}" for span in run)
+            for is_answered, run in groupby(spans, lambda span: bool(span.times_ms))
+            if is_answered
+        ],
         "deadline": [y(limit) for limit in limits],
         "unanswered": [
             (x(span.middle), f"{span.title}: {' '.join(kinds)}")
@@ -166,6 +131,12 @@ def latency_chart(spans: Sequence[Span], *, deadline_ms: float | None) -> dict[s
         ],
         "points": points,
     }
+
+
+def _distance(least: float) -> float:
+    """The distance of ticks: 1, 2 or 5 of a power of ten, and not below `least`."""
+    steps = (step * 10.0**power for power in range(-6, 10) for step in (1, 2, 5))
+    return next(step for step in steps if step >= least)
 
 
 def mark_strip(spans: Sequence[Span], mark: str) -> list[Bar]:
@@ -187,12 +158,6 @@ def returns_strip(spans: Sequence[Span]) -> list[Bar]:
         for span in spans
         if span.mean_returns is not None
     ]
-
-
-def range_strip(statistics: LatencyStatistics, most_ms: float) -> list[Bar]:
-    """The latency of a stage: a bar from 0 to the median, and a lighter one to the maximum."""
-    median, highest = statistics.median_ms / most_ms, statistics.max_ms / most_ms
-    return [_bar(0, highest, opacity=0.3), _bar(0, median)]
 
 
 def _bar(start: float, end: float, *, height: float = 1.0, opacity: float = 1.0) -> Bar:

@@ -15,6 +15,7 @@ from runtime.contract import Contract
 from runtime.drawing.overlay import Overlay
 from runtime.io.atomic_write import atomic_write
 from runtime.io.encode import encode_jpeg, encode_png
+from runtime.run.engine_facts import machine_facts
 from runtime.run.outputs import charts
 from runtime.run.outputs.output import OpenRun
 from runtime.run.run_report import RunReport, running_providers
@@ -22,7 +23,6 @@ from runtime.streams.frame_result import INVALID, SKIPPED, FrameResult
 from runtime.streams.statistics import LatencyStatistics
 from runtime.sync.frame import Frame
 
-_PARTS = ("preprocess", "inference", "postprocess")  # of a prediction
 _WORST_MARKS = (*charts.UNANSWERED, charts.LATE)
 _MOST_PROBLEMS = 200  # frames that are listed
 _EVEN_SAMPLES = 6  # at most, at equal distances
@@ -113,7 +113,7 @@ class RunPage:
         records, statistics = report.records, report.statistics
         spans = charts.join_frames(records)
         marks = Counter(mark for record in records for mark in charts.marks_of(record))
-        is_stream = report.options.rate is not None
+        is_stream, provider = report.options.rate is not None, report.engine["provider"]
         responses = statistics.stages["age" if is_stream else "predict"]
         values = {
             "report": report,
@@ -125,14 +125,13 @@ class RunPage:
             "responses": responses,
             "highest": responses and _highest_percentile(responses),
             "chart": charts.latency_chart(spans, deadline_ms=statistics.deadline_ms),
-            "stages": _stages(statistics.stages),
+            "stages": [(name, each) for name, each in statistics.stages.items() if each],
             "lanes": _lanes(marks, spans),
             "most_problems": _MOST_PROBLEMS,
             "samples": self._sample_figures(),
             "facts": _facts(report, self._started),
-            "running": running_providers(
-                report.engine.provider.running, report.engine.provider.nodes
-            ),
+            "running": running_providers(provider["running"], provider["nodes"]),
+            "processor": machine_facts().processor,
             "libraries": {
                 name: library.__version__
                 for module, name in _LIBRARIES.items()
@@ -190,18 +189,6 @@ def _highest_percentile(times: LatencyStatistics) -> tuple[str, float]:
     return next((name, value) for name, value in values.items() if value is not None)
 
 
-def _stages(statistics: Mapping[str, LatencyStatistics | None]) -> dict[str, Any]:
-    """Parts of a prediction (name, mean, share of their sum), and rows of the table of stages."""
-    stages = {name: each for name, each in statistics.items() if each is not None}
-    most_ms = max((each.max_ms for each in stages.values()), default=0) or 1.0
-    means = {name: stages[name].mean_ms for name in _PARTS if name in stages}
-    sum_ms = sum(means.values()) or 1.0
-    return {
-        "parts": [(name, mean_ms, mean_ms / sum_ms) for name, mean_ms in means.items()],
-        "rows": [(name, each, charts.range_strip(each, most_ms)) for name, each in stages.items()],
-    }
-
-
 def _lanes(marks: Counter[str], spans: Sequence[charts.Span]) -> list[tuple[Any, ...]]:
     """Class, name, count, meaning and bars of each lane of "Health over time".
 
@@ -214,10 +201,8 @@ def _lanes(marks: Counter[str], spans: Sequence[charts.Span]) -> list[tuple[Any,
         lanes.append((kind, mark, count, _MEANINGS.get(mark, ""), charts.mark_strip(spans, mark)))
     means = [span.mean_returns for span in spans if span.mean_returns is not None]
     if means:
-        count, meaning = (
-            f"{min(means):,.0f} to {max(means):,.0f}",
-            "in a frame, before it is resized",
-        )
+        count = f"{min(means):,.0f} to {max(means):,.0f}"
+        meaning = "in a frame, before it is resized"
         lanes.append(("tall", "LiDAR returns", count, meaning, charts.returns_strip(spans)))
     return lanes
 
