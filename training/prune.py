@@ -1,7 +1,8 @@
 """Structured pruning of EfficientNet-Lite0's trunk: fewer channels within its blocks."""
 
+import copy
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -81,18 +82,9 @@ def _without_channels(
     network: SSDNetLite, widths: Sequence[int], pictures: Iterable[Tensor]
 ) -> dict[str, Tensor]:
     """Return the weights of a network without the pruned channels."""
-    state = dict(network.state_dict())
-    blocks = {
-        name: part
-        for name, part in network.encoder.named_modules()
-        if isinstance(part, InvertedResidual)
-    }
+    state, blocks = dict(network.state_dict()), _blocks(network)
     before = network.config.encoder_widths or WIDTHS
-    narrowed = {
-        name: block
-        for (name, block), old, new in zip(blocks.items(), before, widths, strict=True)
-        if new < old
-    }
+    narrowed = [name for name, old, new in zip(blocks, before, widths, strict=True) if new < old]
     moments = _observe(network, narrowed, pictures)
     # The first block has no expansion: its channels are the stem's.
     makers = ["stem.0", *(f"{name}.expand" for name in list(blocks)[1:])]
@@ -110,28 +102,26 @@ def _without_channels(
     return state
 
 
+def _blocks(network: SSDNetLite) -> dict[str, InvertedResidual]:
+    modules = network.encoder.named_modules()
+    return {name: part for name, part in modules if isinstance(part, InvertedResidual)}
+
+
 @torch.no_grad()
 def _observe(
-    network: SSDNetLite, blocks: Mapping[str, InvertedResidual], pictures: Iterable[Tensor]
+    network: SSDNetLite, names: Sequence[str], pictures: Iterable[Tensor]
 ) -> dict[str, _Moments]:
     """Return the moments of the inputs of each block's projection, for images without LiDAR."""
-    moments = {name: _Moments() for name in blocks}
-    hooks = [
-        block.project.register_forward_pre_hook(
+    moments = {name: _Moments() for name in names}
+    probe = copy.deepcopy(network).eval()
+    blocks = _blocks(probe)
+    for name in names:
+        blocks[name].project.register_forward_pre_hook(
             lambda _, inputs, name=name: moments[name].add(inputs[0])
         )
-        for name, block in blocks.items()
-    ]
-    training = network.training
-    network.eval()
-    try:
-        for picture in pictures:
-            rgb = pad_to_multiple(picture, network.stride)
-            network(rgb, rgb.new_zeros(rgb[:, :1].shape))
-    finally:
-        network.train(training)
-        for hook in hooks:
-            hook.remove()
+    for picture in pictures:
+        rgb = pad_to_multiple(picture, network.stride)
+        probe(rgb, rgb.new_zeros(rgb[:, :1].shape))
     return moments
 
 

@@ -88,6 +88,8 @@ def test_interrupted_run_ends_at_the_same_weights(data, tmp_path):
     for stop in (1, 2):
         last = train(run, data=[data], out=tmp_path / "parts", stop_after=stop)
         assert last == tmp_path / "parts/last.pt"
+    train(run, data=[data], out=tmp_path / "parts")
+    (tmp_path / "parts" / "model.pt").unlink()  # killed before the last file
     assert_equal(weights(train(run, data=[data], out=tmp_path / "parts")), expected)
     whole, parts = (
         load_checkpoint(tmp_path / name / "last.pt").trainer["criterion"]
