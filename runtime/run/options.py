@@ -247,18 +247,22 @@ class RunOptions:
     @property
     def folder(self) -> Path:
         """The folder of the results: --out, else ssdnet-run, ssdnet-run-2 and so on, a new one."""
-        return self._named_folder or next(
-            path for path in _new_folders() if not os.path.lexists(path)
-        )
+        if self.out is not None or self.overwrite:
+            return self.out or _OUT
+        numbered = (_OUT.with_name(f"{_OUT}-{number}") for number in itertools.count(2))
+        return next(path for path in itertools.chain([_OUT], numbered) if not os.path.lexists(path))
 
     def with_folder(self) -> "RunOptions":
         """The options with --out; a folder that was not named is made, so that no run shares it."""
-        named = self._named_folder or next(path for path in _new_folders() if _is_made(path))
-        return dataclasses.replace(self, out=named)
-
-    @property
-    def _named_folder(self) -> Path | None:
-        return _OUT if self.out is None and self.overwrite else self.out
+        folder = self.folder
+        if self.out is None and not self.overwrite:
+            try:
+                folder.mkdir()
+            except FileExistsError:  # another run has just made it
+                return self.with_folder()
+            except OSError:  # reported where the folder is used
+                pass
+        return dataclasses.replace(self, out=folder)
 
     @cached_property
     def network_size(self) -> NetworkSize:
@@ -320,23 +324,6 @@ class RunOptions:
                 f"--shard is I/N with 1 <= I <= N, such as 2/4, got {shown(self.shard)}"
             )
         return slice(part - 1, None, parts)
-
-
-def _new_folders() -> Iterator[Path]:
-    """Names of folders that a run may take without --out."""
-    yield _OUT
-    yield from (_OUT.with_name(f"{_OUT}-{number}") for number in itertools.count(2))
-
-
-def _is_made(path: Path) -> bool:
-    """Make a folder; False if there is one, or another run has just made it."""
-    try:
-        path.mkdir()
-    except FileExistsError:
-        return False
-    except OSError:  # reported where the folder is used
-        pass
-    return True
 
 
 @contextlib.contextmanager

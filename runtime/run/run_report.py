@@ -27,8 +27,6 @@ FRAMES_SKIPPED, DEADLINE_MISSED = 3, 4  # exit codes
 
 #: Stage -> its time for a frame. "latency" is left out: it equals "age" or "predict".
 STAGES = {stage: time_of for stage, time_of in FIGURES.items() if stage != "latency"}
-_CONSTANT_STREAM = ("age", "jitter")
-_OF_STAMPS = ("skew", "depth_age")
 
 
 @dataclass(frozen=True)
@@ -143,12 +141,11 @@ class RunReport:
 
     @cached_property
     def statistics(self) -> StreamStatistics:
-        """Statistics over the frames that passed each stage; the stages of the scenario."""
-        optional = _OF_STAMPS if self.options.rate else (*_CONSTANT_STREAM, *_OF_STAMPS)
+        """Statistics over the frames that passed each stage; without stages that none passed."""
         stages = {}
         for stage, time_of in STAGES.items():
             times_ms = [ms for record in self.records if (ms := time_of(record)) is not None]
-            if times_ms or stage not in optional:
+            if times_ms:
                 stages[stage] = latency_statistics(times_ms)
         misses = MissCounter()
         for record in self.records:

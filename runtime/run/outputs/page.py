@@ -57,13 +57,13 @@ _MEANINGS = {
 
 @dataclass(frozen=True)
 class Sample:
-    """A frame whose pictures the page shows: (title, JPEG) of each panel."""
+    """A frame whose pictures the page shows: (title, address of its data) of each panel."""
 
     index: int
     name: str
     predict_ms: float
     marks: tuple[str, ...]
-    panels: tuple[tuple[str, bytes], ...]
+    panels: tuple[tuple[str, str], ...]
     slowest: bool = False
 
 
@@ -92,7 +92,7 @@ class RunPage:
             return
         drawn = self._overlay.panels(frame.rgb, prediction, frame.sparse_depth, widest=_PANEL_WIDTH)
         panels = tuple(
-            (title, bytes(encode_jpeg(panel, quality=_JPEG_QUALITY)))
+            (title, _data("image/jpeg", encode_jpeg(panel, quality=_JPEG_QUALITY)))
             for title, panel in list(drawn.items())[:_SAMPLE_PANELS]
         )
         sample = Sample(index, frame.name, time_ms, marks, panels)
@@ -114,7 +114,7 @@ class RunPage:
         spans = charts.join_frames(records)
         marks = Counter(mark for record in records for mark in charts.marks_of(record))
         is_stream, provider = report.options.rate is not None, report.engine["provider"]
-        responses = statistics.stages["age" if is_stream else "predict"]
+        responses = statistics.stages.get("age" if is_stream else "predict")
         values = {
             "report": report,
             "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
@@ -125,10 +125,12 @@ class RunPage:
             "responses": responses,
             "highest": responses and _highest_percentile(responses),
             "chart": charts.latency_chart(spans, deadline_ms=statistics.deadline_ms),
-            "stages": [(name, each) for name, each in statistics.stages.items() if each],
             "lanes": _lanes(marks, spans),
             "most_problems": _MOST_PROBLEMS,
-            "samples": self._sample_figures(),
+            "samples": self.samples(),
+            "depth_scale": _data(
+                "image/png", encode_png(self._overlay.draw_depth_bar(_DEPTH_BAR_WIDTH))
+            ),
             "facts": _facts(report, self._started),
             "running": running_providers(provider["running"], provider["nodes"]),
             "processor": machine_facts().processor,
@@ -140,17 +142,6 @@ class RunPage:
         }
         # File names need not be valid text.
         return render_template("page.html", values).encode(errors="backslashreplace")
-
-    def _sample_figures(self) -> dict[str, Any]:
-        samples, scale = self.samples(), ""
-        if any("depth" in title for sample in samples for title, _ in sample.panels):
-            bar = self._overlay.draw_depth_bar(_DEPTH_BAR_WIDTH)
-            scale = _data("image/png", bytes(encode_png(bar)))
-        figures = [
-            (sample, [(title, _data("image/jpeg", jpeg)) for title, jpeg in sample.panels])
-            for sample in samples
-        ]
-        return {"figures": figures, "scale": scale}
 
 
 @contextlib.contextmanager
@@ -223,5 +214,5 @@ def _facts(report: RunReport, started: datetime) -> dict[str, Any]:
     return {name: fact for name, fact in facts.items() if fact not in (None, "")}
 
 
-def _data(kind: str, content: bytes) -> str:
+def _data(kind: str, content: bytes | memoryview) -> str:
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"

@@ -32,14 +32,9 @@ class VideoWriter:
         if self._file is None:
             self._size = _video_size(*picture.shape[:2])
             codec, rate_hz = cv2.VideoWriter.fourcc(*_CODEC), self._run.options.rate
-            self._file = cv2.VideoWriter(
-                str(self._path),
-                cv2.CAP_FFMPEG,
-                codec,
-                rate_hz or DEFAULT_RATE_HZ,
-                self._size[::-1],
-            )
-        self._file.write(cv2.resize(picture, self._size[::-1], interpolation=cv2.INTER_AREA))
+            settings = cv2.CAP_FFMPEG, codec, rate_hz or DEFAULT_RATE_HZ, self._size
+            self._file = cv2.VideoWriter(str(self._path), *settings)
+        self._file.write(cv2.resize(picture, self._size, interpolation=cv2.INTER_AREA))
         self._frames += 1
 
     def finish(self) -> None:
@@ -70,6 +65,6 @@ def open_video(run: OpenRun) -> Iterator[VideoWriter]:
 
 
 def _video_size(height: int, width: int) -> tuple[int, int]:
-    """The size of the video: sides of at most _LARGEST_SIDE, and even for chroma subsampling."""
+    """(Width, height) of the video: at most _LARGEST_SIDE, and even for chroma subsampling."""
     shrunk = min(1.0, _LARGEST_SIDE / max(height, width))
-    return max(round(height * shrunk / 2) * 2, 2), max(round(width * shrunk / 2) * 2, 2)
+    return max(round(width * shrunk / 2) * 2, 2), max(round(height * shrunk / 2) * 2, 2)

@@ -1,5 +1,6 @@
 """ssdnet-run --report writes one page that is true and self-contained."""
 
+import base64
 import dataclasses
 import json
 import re
@@ -238,6 +239,6 @@ def test_the_slowest_and_the_first_of_each_fault_are_kept(look, answered):
     assert not {"f38", "f39"} & kept.keys()
     assert [sample.name for sample in samples if sample.slowest] == ["f101"]
     assert [title for title, _ in samples[0].panels] == ["image with returns", "classes", "depth"]
-    image = np.frombuffer(samples[0].panels[0][1], np.uint8)
-    image = cv2.imdecode(image, cv2.IMREAD_COLOR_RGB).astype(int)
+    content = base64.b64decode(samples[0].panels[0][1].partition(",")[2])
+    image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR_RGB).astype(int)
     assert abs(image - answered[0].rgb).mean() < 50, "noise is hard to encode"
