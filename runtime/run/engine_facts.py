@@ -2,6 +2,7 @@
 
 import os
 import platform
+import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ import runtime
 if TYPE_CHECKING:
     from runtime.predictor import Predictor
 
+_LIBRARIES = ("onnxruntime", "cv2", "numpy")  # that a predictor has loaded
 _CPU_INFO = Path("/proc/cpuinfo")
 #: Instruction sets that decide how fast a network runs -> Linux' flags, of which any counts.
 _SETS = {
@@ -44,8 +46,8 @@ def engine_facts(predictor: "Predictor") -> dict[str, Any]:
         "ssdnet", the version of this package; "model", the file and how it is run, (height, width)
         and lengths in pixels; "provider", the one asked for, those of the session with the nodes
         of the graph that each runs, and the threads of inference; "machine", as `MachineFacts`;
-        "load_ms", of reading and optimising the model; and "first_inference_ms". None = not known,
-        or there is none.
+        "libraries", name of the import -> version; "load_ms", of reading and optimising the model;
+        and "first_inference_ms". None = not known, or there is none.
     """
     contract, is_free = predictor.contract, predictor.free_size
     return {
@@ -69,6 +71,7 @@ def engine_facts(predictor: "Predictor") -> dict[str, Any]:
             "threads": predictor.threads,
         },
         "machine": asdict(machine_facts()),
+        "libraries": {name: sys.modules[name].__version__ for name in _LIBRARIES},
         "load_ms": predictor.load_ms,
         "first_inference_ms": predictor.first_inference_ms,
     }

@@ -4,7 +4,6 @@ Packages are imported one by one, so a broken one does not hide the others.
 """
 
 import importlib
-import platform
 import shlex
 import sys
 from collections.abc import Iterator
@@ -61,8 +60,9 @@ class Check:
 
 def examine(provider: str) -> Iterator[Check]:
     """Run all checks, the self-tests on "cpu" or "cuda"; yield each result as it is known."""
-    yield Check("python", "ok", f"{platform.python_version()} on {platform.platform()}")
-    yield Check("processor", "note", machine_facts().processor)
+    machine = machine_facts()
+    yield Check("python", "ok", f"{machine.python} on {machine.system}")
+    yield Check("processor", "note", machine.processor)
     yield Check("ssdnet", "ok", _installed("ssdnet") or "not installed")
     for module, distribution in _ENGINE.items():
         yield _package(module, _pip("install", "--force-reinstall", "--no-deps", distribution))

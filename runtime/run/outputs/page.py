@@ -30,7 +30,6 @@ _MARKED_SAMPLES = 4  # at most, of frames with marks that no earlier sample has
 _SAMPLE_PANELS, _PANEL_WIDTH = 3, 480  # the image and the first two heads
 _JPEG_QUALITY = 82
 _DEPTH_BAR_WIDTH = 640
-_LIBRARIES = {"onnxruntime": "ONNX Runtime", "cv2": "OpenCV", "numpy": "NumPy"}
 #: Mark -> its meaning.
 _MEANINGS = {
     SKIPPED: "could not be read or predicted",
@@ -134,11 +133,6 @@ class RunPage:
             "facts": _facts(report, self._started),
             "running": running_providers(provider["running"], provider["nodes"]),
             "processor": machine_facts().processor,
-            "libraries": {
-                name: library.__version__
-                for module, name in _LIBRARIES.items()
-                if (library := sys.modules.get(module))  # this process has loaded it
-            },
         }
         # File names need not be valid text.
         return render_template("page.html", values).encode(errors="backslashreplace")

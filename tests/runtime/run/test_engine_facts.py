@@ -2,6 +2,8 @@
 
 import json
 
+import numpy as np
+
 import runtime
 from runtime import Predictor
 from runtime.run.engine_facts import MachineFacts, engine_facts
@@ -18,5 +20,6 @@ def test_the_facts_are_those_of_the_predictor(model_file, contract):
         assert facts["first_inference_ms"] > 0
     machine = {**facts["machine"], "cpu": "Fast One", "instruction_sets": ("AVX2", "VNNI")}
     assert MachineFacts(**machine).processor == "Fast One (AVX2, VNNI)"
-    names = {"ssdnet", "model", "provider", "machine", "load_ms", "first_inference_ms"}
+    assert facts["libraries"]["numpy"] == np.__version__
+    names = {"ssdnet", "model", "provider", "machine", "libraries", "load_ms", "first_inference_ms"}
     assert json.loads(json.dumps(facts)).keys() == names

@@ -61,7 +61,7 @@ def test_the_page_shows_the_run_and_loads_nothing(tmp_path, page_of, stream):
     assert frames["health"] == {"image_frozen": 1}, "as on the page"
     assert {"10 ok, 2 skipped", "f6 has an image, but no depth map", "red"} <= set(page.texts)
     assert "deadline 60000 ms" in page.texts
-    for library in ("ONNX Runtime", "OpenCV", "NumPy", "Python"):
+    for library in ("onnxruntime", "cv2", "numpy", "Python"):
         assert re.match(r"\d+\.\d+", page.after(library))
     assert text.count("<polyline") == 3, "the line is broken twice"
     assert "background:rgb(200, 30, 30)" in text
