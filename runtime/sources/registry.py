@@ -148,12 +148,14 @@ def choose_source(kind: str, path: str | Path, **options: Any) -> Callable[[], S
     Raises:
         InputError: for an unknown kind, or for options that the kind does not take.
     """
-    return partial(SOURCES[kind], Path(path), **_checked(kind, options))
+    given = _checked(kind, options)
+    return partial(SOURCES[kind], Path(path), **given)
 
 
 def choose_cameras(kind: str, path: str | Path, **options: Any) -> Callable[[], dict[str, Source]]:
     """Return what opens a source for each camera; see `choose_source`, `Source.open_cameras`."""
-    return partial(SOURCES[kind].open_cameras, Path(path), **_checked(kind, options))
+    given = _checked(kind, options)
+    return partial(SOURCES[kind].open_cameras, Path(path), **given)
 
 
 def open_source(kind: str, path: str | Path, **options: Any) -> Source:

@@ -73,6 +73,11 @@ def test_a_path_that_is_no_source_is_an_error_with_what_is_accepted(tmp_path, na
         detect_source(tmp_path / name)
 
 
+def test_an_unknown_kind_is_an_input_error_with_the_kinds(tmp_path):
+    with pytest.raises(InputError, match=KINDS):
+        open_source("folder", tmp_path)
+
+
 @pytest.mark.parametrize("kind", SOURCES)
 def test_a_path_that_is_not_there_is_an_input_error(kind, tmp_path):
     with pytest.raises(InputError, match="nothing"):
