@@ -191,18 +191,25 @@ class Predictor:
             InferenceError: as `predict`; then there is no answer for any frame.
         """
         started = time.perf_counter()
-        frames = list(frames)
+        try:
+            frames = list(frames)
+        except TypeError as error:
+            raise InputError(f"frames must be (rgb, sparse_depth) of each: {error}") from error
         focals = _one_each("focal_lengths_px", focal_lengths_px, len(frames))
         stamps = _one_each("stamps", stamps, len(frames))
         inputs: list[NetworkInput] = []
         preprocess_ms = []
         for index, (frame, focal) in enumerate(zip(frames, focals, strict=True)):
             frame_started = time.perf_counter()
+            named = f"frame {index} of {len(frames)}"
             try:
                 rgb, sparse_depth = frame
+            except (TypeError, ValueError) as error:
+                raise InputError(f"{named} must be (rgb, sparse_depth): {error}") from error
+            try:
                 inputs.append(self._preprocess(rgb, sparse_depth, focal))
-            except (InputError, TypeError, ValueError) as error:
-                raise InputError(f"frame {index} of {len(frames)}: {error}") from error
+            except InputError as error:
+                raise InputError(f"{named}: {error}") from error
             preprocess_ms.append(_ms_since(frame_started))
         batches: dict[object, list[int]] = {}
         for index, ready in enumerate(inputs):

@@ -90,8 +90,9 @@ def test_a_bad_frame_is_named_before_any_runs(model_file, make_frame, counted):
         batches = counted()
         for frames, options, named in [
             ([good, (good[0], good[1][:-1]), good], {}, "frame 1 of 3: sparse_depth"),
-            ([good, (good[0],), good], {}, "frame 1 of 3"),
+            ([good, (good[0],), good], {}, r"frame 1 of 3 must be \(rgb, sparse_depth\)"),
             ([good, None, good], {}, "frame 1 of 3"),
+            (None, {}, r"frames must be \(rgb, sparse_depth\)"),
             ([good, good], {"stamps": [1]}, "each of 2"),
             ([good], {"focal_lengths_px": [-1.0]}, "frame 0 of 1: focal_length_px"),
         ]:
