@@ -82,9 +82,8 @@ def test_half_precision_keeps_inputs_outputs_and_answers(dynamic_model, feeds):
         assert not np.array_equal(found["depth"], expected["depth"])
 
 
-@pytest.mark.parametrize(
-    "name", ["ssdnet-nano", pytest.param("ssdnet-lite", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ssdnet-nano", "ssdnet-lite"])
 def test_the_bundled_weights_pass_in_half_precision(name, tmp_path):
     """Their choice between two surfaces differs in single pixels, by more than half a metre."""
     path = tmp_path / "half.onnx"
