@@ -16,12 +16,10 @@ from runtime import Predictor
 from runtime.run.options import KINDS, RunOptions
 from runtime.run.outputs.frame_writer import FrameWriter, make_run_folder
 from runtime.run.outputs.output import OpenRun
-from runtime.run.pipeline import dedicate_process, run_stream
+from runtime.run.pipeline import dedicate_process, frame_reader, run_stream
 from runtime.sources.bundled_stream import bundled_stream
 from runtime.sources.folders import FolderSource
-from runtime.sources.source import ListedFrame
 from runtime.streams.answerer import Answerer
-from runtime.sync.frame import Frame
 
 
 def resident_mb() -> float:
@@ -56,15 +54,15 @@ def main() -> None:
                 engine.predict(frame.rgb, frame.sparse_depth)
         dedicate_process()  # as ssdnet-run does; an embedded Predictor does not
 
-        def read(frame: ListedFrame) -> tuple[Frame, float]:
-            return source.read(frame), 0.0
-
+        read = frame_reader(source)
         print("\n| frames | stream with writing [MB] |\n|---|---|")
         for done in range(0, arguments.frames + 1, part):
             print(f"| {done} | {resident_mb():.1f} |", flush=True)
             if done < arguments.frames:
                 repeated = [listed[index % len(listed)] for index in range(part)]
-                run_stream(Answerer(engine), repeated, read, options, outputs=[writer])
+                run_stream(
+                    Answerer(engine), repeated, frame_reader(source), options, outputs=[writer]
+                )
 
 
 if __name__ == "__main__":

@@ -75,7 +75,7 @@ def find_depth_fault(
     returns: list[int] = []  # of each scan or depth map
     for listed in frames[:FIRST_FRAMES]:
         with contextlib.suppress(SSDNetError):  # the run itself reports it
-            frame, _ = read(listed)
+            frame, _ = read(listed, keep=True)
             check_sparse_depth(frame.sparse_depth, size=frame.size)
             if listed.depth is None:
                 continue

@@ -9,13 +9,11 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Protocol
 
 import cv2
 
 from runtime.errors import SSDNetError
-from runtime.health.depth_plausibility import FIRST_FRAMES
 from runtime.run.options import RunOptions
 from runtime.sources.source import ListedFrame, Source
 from runtime.stamp import NS_PER_MS
@@ -65,21 +63,26 @@ class StreamResult:
     interrupted: bool
 
 
-#: Reads a frame; returns it and the time that reading it took [ms]. Raises InputError.
-ReadFrame = Callable[[ListedFrame], tuple[Frame, float]]
+class ReadFrame(Protocol):
+    """Reads a frame; returns it and the time that reading it took [ms]. Raises InputError."""
+
+    def __call__(self, listed: ListedFrame, *, keep: bool = False) -> tuple[Frame, float]:
+        """Read a frame, unless it is kept. keep: until it is read again, which costs nothing."""
 
 
 def frame_reader(source: Source) -> ReadFrame:
-    """Return a function that reads frames, and the last few again at once.
+    """Return a function that reads frames: the first ones once for warm-up, check and run."""
+    kept: dict[int, tuple[Frame, float]] = {}
 
-    The warm-up, the check of the depth and the run all take the first frames: they are read once.
-    """
-
-    @lru_cache(FIRST_FRAMES + 1)  # those of the check, and that of the warm-up in another shard
-    def read(listed: ListedFrame) -> tuple[Frame, float]:
-        started = time.perf_counter()
-        frame = source.read(listed)
-        return frame, (time.perf_counter() - started) * 1e3
+    def read(listed: ListedFrame, *, keep: bool = False) -> tuple[Frame, float]:
+        timed = kept.pop(listed.sequence, None)
+        if timed is None:
+            started = time.perf_counter()
+            frame = source.read(listed)
+            timed = frame, (time.perf_counter() - started) * 1e3
+        if keep:
+            kept[listed.sequence] = timed
+        return timed
 
     return read
 

@@ -218,7 +218,7 @@ def _warm_up(
     reasons = []
     for listed in frames[:_FIRST_FRAMES]:
         try:
-            frame, _ = read(listed)
+            frame, _ = read(listed, keep=True)
             check_sparse_depth(frame.sparse_depth, size=frame.size)
             predictor.warm_up(frame.size, runs=runs)
         except SSDNetError as error:
