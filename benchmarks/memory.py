@@ -53,16 +53,13 @@ def main() -> None:
                 frame = frames[index % len(frames)]
                 engine.predict(frame.rgb, frame.sparse_depth)
         dedicate_process()  # as ssdnet-run does; an embedded Predictor does not
-
         read = frame_reader(source)
         print("\n| frames | stream with writing [MB] |\n|---|---|")
         for done in range(0, arguments.frames + 1, part):
             print(f"| {done} | {resident_mb():.1f} |", flush=True)
             if done < arguments.frames:
                 repeated = [listed[index % len(listed)] for index in range(part)]
-                run_stream(
-                    Answerer(engine), repeated, frame_reader(source), options, outputs=[writer]
-                )
+                run_stream(Answerer(engine), repeated, read, options, outputs=[writer])
 
 
 if __name__ == "__main__":
