@@ -33,9 +33,9 @@ from models import Network, create_model
 from models.registry import NETWORKS
 from random_weights import TRACED_AT, count_params_m, export_graph
 from runtime import Predictor
+from runtime.base.errors import InputError, SSDNetError
 from runtime.bundled_models import find_model
 from runtime.command import INTERRUPTED
-from runtime.errors import InputError, SSDNetError
 from runtime.io.atomic_write import atomic_write
 from runtime.model_file import load_model_file
 from runtime.tools.bench import BenchOptions, bench

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from runtime import Predictor
-from runtime.errors import InputError, SSDNetError
+from runtime.base.errors import InputError, SSDNetError
 from runtime.heads import HEADS
 from runtime.sources.registry import choose_source
 from runtime.sources.source import Source

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from training.evaluation.evaluate import evaluate
 from training.evaluation.score_report import Row
 from training.lidar.split import LidarInput

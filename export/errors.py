@@ -1,6 +1,6 @@
 """The error that exporting adds to the family."""
 
-from runtime.errors import SSDNetError
+from runtime.base.errors import SSDNetError
 
 
 class ExportError(SSDNetError):

@@ -13,8 +13,8 @@ from torch import Tensor
 from models.network import Network
 from models.registry import NETWORKS
 from models.training_facts import TrainingFacts
-from runtime.checks import shown
-from runtime.errors import CheckpointError, OutputError
+from runtime.base.checks import shown
+from runtime.base.errors import CheckpointError, OutputError
 from runtime.io.atomic_write import atomic_file
 
 FORMAT = "ssdnet-checkpoint"

@@ -11,7 +11,7 @@ from torch.nn import functional as F
 
 from models.blocks import repeat, upsample
 from models.classes import CAMVID_CLASSES
-from runtime.checks import shown
+from runtime.base.checks import shown
 from runtime.contract import (
     MIN_SIDE,
     ClassInfo,

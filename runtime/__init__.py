@@ -15,15 +15,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from runtime.base.errors import ContractError as ContractError
+    from runtime.base.errors import InferenceError as InferenceError
+    from runtime.base.errors import InputError as InputError
+    from runtime.base.errors import OutputError as OutputError
+    from runtime.base.errors import ProviderError as ProviderError
+    from runtime.base.errors import SSDNetError as SSDNetError
     from runtime.bundled_models import list_bundled_models as list_bundled_models
     from runtime.contract import ClassInfo as ClassInfo
     from runtime.contract import Contract as Contract
-    from runtime.errors import ContractError as ContractError
-    from runtime.errors import InferenceError as InferenceError
-    from runtime.errors import InputError as InputError
-    from runtime.errors import OutputError as OutputError
-    from runtime.errors import ProviderError as ProviderError
-    from runtime.errors import SSDNetError as SSDNetError
     from runtime.geometry.calibration import Calibration as Calibration
     from runtime.geometry.projection import project_points as project_points
     from runtime.prediction import Cleaned as Cleaned
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "bundled_models": "list_bundled_models",
     "contract": "ClassInfo Contract",
-    "errors": "ContractError InferenceError InputError OutputError ProviderError SSDNetError",
+    "base.errors": "ContractError InferenceError InputError OutputError ProviderError SSDNetError",
     "geometry.calibration": "Calibration",
     "geometry.projection": "project_points",
     "prediction": "Cleaned Latency Prediction",

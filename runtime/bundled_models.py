@@ -5,8 +5,8 @@ from importlib import resources
 from os import PathLike
 from pathlib import Path
 
-from runtime.checks import shown
-from runtime.errors import ContractError, InputError
+from runtime.base.checks import shown
+from runtime.base.errors import ContractError, InputError
 
 #: The model that runs by default.
 DEFAULT_MODEL = "ssdnet-lite"

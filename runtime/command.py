@@ -11,7 +11,7 @@ from enum import StrEnum
 from types import FrameType
 from typing import Any
 
-from runtime.errors import OutputError, SSDNetError, import_remedy
+from runtime.base.errors import OutputError, SSDNetError, import_remedy
 
 ERROR, INTERRUPTED = 1, 130  # exit codes
 SIGNALS = (signal.SIGINT, signal.SIGTERM)

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, TypeVar
 
-from runtime.checks import check_integer, check_number, shown
-from runtime.errors import ContractError
+from runtime.base.checks import check_integer, check_number, shown
+from runtime.base.errors import ContractError
 from runtime.heads import HEADS
 
 METADATA_KEY = "ssdnet"

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.base.errors import InferenceError
 from runtime.contract import NO_CLASS, Contract
-from runtime.errors import InferenceError
 from runtime.heads import HEADS, Head, Unit
 from runtime.prediction import Latency, Prediction
 from runtime.preprocess import NetworkInput

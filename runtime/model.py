@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from runtime.base.errors import ContractError
 from runtime.contract import Contract
-from runtime.errors import ContractError
 from runtime.heads import HEADS
 from runtime.model_file import load_model_file
 from runtime.session import open_session

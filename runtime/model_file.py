@@ -21,9 +21,9 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from runtime.checks import shown
+from runtime.base.checks import shown
+from runtime.base.errors import ContractError, InputError
 from runtime.contract import METADATA_KEY, Content, Contract
-from runtime.errors import ContractError, InputError
 from runtime.read_input import read_input
 
 MAX_MODEL_BYTES = 2**31 - 1  # limit of protobuf

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.base.errors import InputError
 from runtime.contract import MAX_RETURN_M, Contract
-from runtime.errors import InputError
 
 if TYPE_CHECKING:
     from runtime.geometry.calibration import Calibration

@@ -11,12 +11,12 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.base.checks import check_integer
+from runtime.base.errors import ContractError, InferenceError, InputError
 from runtime.bundled_models import find_model
 from runtime.canonical_focal import CameraScale, camera_scale
-from runtime.checks import check_integer
 from runtime.contract import check_focal_length, check_size
 from runtime.cores import available_cores
-from runtime.errors import ContractError, InferenceError, InputError
 from runtime.inference import run_batch, to_prediction
 from runtime.model import open_model
 from runtime.network_size import NetworkSize, check_network_size, network_size

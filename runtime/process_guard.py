@@ -2,7 +2,7 @@
 
 import os
 
-from runtime.errors import InferenceError
+from runtime.base.errors import InferenceError
 
 
 class ProcessGuard:

@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from runtime.checks import cut
-from runtime.errors import InputError
+from runtime.base.checks import cut
+from runtime.base.errors import InputError
 
 MAX_FILE_BYTES = 256_000_000  # of an image or a scan
 MAX_TEXT_BYTES = 32_000_000  # of a calibration, time stamps, a table or a recipe

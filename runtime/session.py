@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from runtime.checks import shown
-from runtime.errors import ContractError, ProviderError, import_remedy, install_command
+from runtime.base.checks import shown
+from runtime.base.errors import ContractError, ProviderError, import_remedy, install_command
 
 PROVIDERS: Mapping[str, str] = MappingProxyType(
     {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from models import Network, SSDNetLite, load_checkpoint, save_checkpoint
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from runtime.io.encode import encode_metres, encode_png
 from runtime.io.images import read_rgb
 from runtime.io.own_folder import atomic_folder

@@ -13,8 +13,8 @@ from tqdm import tqdm
 
 from models import NetworkConfig
 from models.registry import NETWORKS
-from runtime.checks import shown
-from runtime.errors import InputError
+from runtime.base.checks import shown
+from runtime.base.errors import InputError
 from runtime.read_input import read_toml
 from training.initial_weights import Weights, weights_folder
 from training.losses import LossConfig

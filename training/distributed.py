@@ -17,7 +17,7 @@ import torch.distributed as dist
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 
 T = TypeVar("T")
 

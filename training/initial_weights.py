@@ -12,7 +12,7 @@ from tqdm import tqdm
 from models import Network, SSDNetLite, load_checkpoint
 from models.efficientnet_lite import WIDTHS
 from models.training_facts import TrainingFacts
-from runtime.errors import CheckpointError, InputError
+from runtime.base.errors import CheckpointError, InputError
 from training.losses import LossConfig
 from training.recipe import Recipe
 

@@ -6,7 +6,7 @@ from typing import Any
 from torch import Tensor
 
 from models import Network, SSDNetLite, create_model
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from training.imagenet_weights import COLORS, pretrain
 from training.initial_weights import Weights, start_from
 from training.recipe import ModelRecipe

@@ -5,7 +5,7 @@ from typing import Any
 import torch
 
 from models import Network
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from training.losses import SSDNetLoss
 from training.recipe import OptimizerRecipe
 

@@ -12,9 +12,9 @@ from typing import Any
 from tqdm import tqdm
 
 from models import SSDNetLite
-from runtime.checks import shown
+from runtime.base.checks import shown
+from runtime.base.errors import InputError
 from runtime.contract import ClassInfo
-from runtime.errors import InputError
 from runtime.io.atomic_write import atomic_write
 from runtime.io.images import image_size, read_rgb
 from runtime.network_size import LARGEST_RATIO, network_size

@@ -12,7 +12,7 @@ from tqdm import tqdm
 from models import SSDNetLite
 from models.blocks import pad_to_multiple
 from models.efficientnet_lite import WIDTHS, InvertedResidual, SameConv
-from runtime.errors import CheckpointError
+from runtime.base.errors import CheckpointError
 
 #: Sampled pixels of each picture.
 _PIXELS = 6000

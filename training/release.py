@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from models import Network
-from runtime.checks import shown
-from runtime.errors import InputError
+from runtime.base.checks import shown
+from runtime.base.errors import InputError
 
 #: The bias of the classes' logits.
 _BIAS = "semantic_head.bias"

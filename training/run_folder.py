@@ -14,7 +14,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from runtime.io.atomic_write import atomic_write
 from runtime.io.own_folder import mark_folder
 from training.recipe import Recipe, build

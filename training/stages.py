@@ -7,7 +7,7 @@ from pathlib import Path
 from torch import Tensor
 
 from models import Network, load_checkpoint, save_checkpoint
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from runtime.io.atomic_write import atomic_write
 from training.distributed import join_processes
 from training.initial_weights import Weights, read_weights

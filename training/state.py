@@ -12,8 +12,8 @@ from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
 
 from models import Network, NetworkOutput, load_checkpoint, save_checkpoint
-from runtime.checks import shown
-from runtime.errors import CheckpointError, InputError, SSDNetError
+from runtime.base.checks import shown
+from runtime.base.errors import CheckpointError, InputError, SSDNetError
 from runtime.io.atomic_write import atomic_write
 from training.distributed import Processes, share_network
 from training.loading.mixture import Batch

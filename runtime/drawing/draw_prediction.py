@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.base.errors import InputError, OutputError
 from runtime.contract import ClassInfo
 from runtime.drawing.overlay import Overlay
-from runtime.errors import InputError, OutputError
 from runtime.geometry.calibration import Calibration
 from runtime.io.atomic_write import atomic_write
 from runtime.io.encode import encode_jpeg, encode_ply, encode_png

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.checks import shown
-from runtime.errors import InputError
+from runtime.base.checks import shown
+from runtime.base.errors import InputError
 from runtime.geometry.kitti_calibration import NumbersFile, chain, is_kitti
 from runtime.geometry.lens import PLUMB_BOB, Lens, as_key, rectifying_maps
 from runtime.geometry.projection import check_intrinsics, project_points

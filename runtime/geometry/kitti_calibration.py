@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.checks import shown
-from runtime.errors import InputError
+from runtime.base.checks import shown
+from runtime.base.errors import InputError
 from runtime.geometry.projection import check_intrinsics
 from runtime.read_input import read_text
 

@@ -6,13 +6,13 @@ from typing import Any, Literal, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.checks import shown
+from runtime.base.checks import shown
+from runtime.base.errors import InputError
+from runtime.base.stamp import NS_PER_MS
 from runtime.degraded import DEPTH_REUSED, DEPTH_UNCOMPENSATED, POINTS_UNTIMED
-from runtime.errors import InputError
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.poses import NoPoseError, PoseFrame, PoseTrack
 from runtime.returns import axes_of, check_points, is_return
-from runtime.stamp import NS_PER_MS
 
 DepthMotion = Literal["each", "scan", "none"]
 #: The instant of a scan that its stamp marks.

@@ -6,7 +6,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from runtime.geometry.lens import Lens, as_key, rays, to_plane
 from runtime.geometry.projection import check_intrinsics
 from runtime.heads import EDGE_BOUNDARY

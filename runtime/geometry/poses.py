@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.checks import check_integer, shown
+from runtime.base.checks import check_integer, shown
+from runtime.base.errors import InputError
+from runtime.base.stamp import JUMP_BACK_NS, NS_PER_MS
 from runtime.degraded import NO_POSE, POSE_CLOCK, POSE_GAP, POSE_JUMP
-from runtime.errors import InputError
 from runtime.geometry.rigid import read_rigid
-from runtime.stamp import JUMP_BACK_NS, NS_PER_MS
 
 MAX_EXTRAPOLATION_MS = 100.0
 #: Longest time between two poses to interpolate over: at 10 m/s² a car leaves the straight line by

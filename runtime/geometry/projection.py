@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.checks import check_integer, shown
+from runtime.base.checks import check_integer, shown
+from runtime.base.errors import InputError
 from runtime.contract import MAX_SIDE
-from runtime.errors import InputError
 from runtime.geometry.lens import Lens, as_key, ray_bounds
 from runtime.geometry.rigid import check_matrix, read_rigid
 from runtime.returns import axes_of, check_points

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.assumptions import assume
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from runtime.returns import kind_of
 
 _EXACT = 1e-3  # of float32, and of files with four digits

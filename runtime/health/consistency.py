@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.checks import check_number
-from runtime.errors import InputError
+from runtime.base.checks import check_number
+from runtime.base.errors import InputError
 from runtime.prediction import Prediction
 from runtime.returns import is_measured
 

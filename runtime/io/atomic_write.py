@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from runtime.errors import OutputError
+from runtime.base.errors import OutputError
 
 _NAME_LENGTH = 40  # characters of the target's name in the name of its hidden folder
 

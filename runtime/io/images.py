@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.checks import cut
+from runtime.base.checks import cut
+from runtime.base.errors import InputError
 from runtime.contract import MAX_PIXELS
-from runtime.errors import InputError
 from runtime.read_input import read_input
 from runtime.returns import to_metres
 

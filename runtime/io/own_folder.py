@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
-from runtime.errors import InputError, OutputError
+from runtime.base.errors import InputError, OutputError
 from runtime.io.atomic_write import atomic_write, remove_leftover, temporary_path
 from runtime.read_input import read_text
 

@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.checks import shown
-from runtime.errors import InputError
+from runtime.base.checks import shown
+from runtime.base.errors import InputError
+from runtime.base.stamp import parse_seconds
 from runtime.geometry.rigid import read_rigid
 from runtime.read_input import read_text
-from runtime.stamp import parse_seconds
 
 _KITTI, _TUM, _OXTS = 12, 8, 30
 _EARTH_RADIUS_M = 6378137.0

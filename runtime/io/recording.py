@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.agreement import compare, recording_limits
-from runtime.checks import check_number, cut, shown
-from runtime.errors import InputError
+from runtime.base.checks import check_number, cut, shown
+from runtime.base.errors import InputError
 from runtime.heads import HEADS
 from runtime.io.own_folder import atomic_folder
 from runtime.model_file import load_model_file

@@ -14,8 +14,8 @@ import lzf
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.checks import cut, shown
-from runtime.errors import InputError
+from runtime.base.checks import cut, shown
+from runtime.base.errors import InputError
 from runtime.io.images import read_npy
 from runtime.read_input import MAX_FILE_BYTES, read_input
 from runtime.returns import is_return, is_transposed

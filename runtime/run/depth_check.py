@@ -6,7 +6,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from runtime.errors import SSDNetError
+from runtime.base.errors import SSDNetError
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import EQUIDISTANT, as_key, rays
 from runtime.health.calibration_size import CalibrationSize

@@ -15,11 +15,12 @@ from typing import Any
 
 import typer
 
+from runtime.base.checks import shown
+from runtime.base.errors import InputError
+from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
-from runtime.checks import shown
 from runtime.command import Provider
 from runtime.contract import MAX_FOCAL_PX, MAX_PIXELS, MIN_FOCAL_PX
-from runtime.errors import InputError
 from runtime.heads import HEADS
 from runtime.io.encode import METRES_PNG_SCALE
 from runtime.io.scan import SCAN_SUFFIXES
@@ -35,7 +36,6 @@ from runtime.sources.registry import (
     parse_source,
 )
 from runtime.sources.source import Source
-from runtime.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 
 OVERLAY, CLOUD = "overlay", "cloud"
 #: Kind of a file that holds one head -> its name and unit.

@@ -13,10 +13,10 @@ from typing import Protocol
 
 import cv2
 
-from runtime.errors import SSDNetError
+from runtime.base.errors import SSDNetError
+from runtime.base.stamp import NS_PER_MS
 from runtime.run.options import RunOptions
 from runtime.sources.source import ListedFrame, Source
-from runtime.stamp import NS_PER_MS
 from runtime.streams.answerer import Answerer
 from runtime.streams.frame_result import FrameResult
 from runtime.streams.statistics import Jitter

@@ -4,9 +4,9 @@ import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from runtime.base.errors import InputError, SSDNetError
 from runtime.canonical_focal import CameraScale
 from runtime.command import stop_requested
-from runtime.errors import InputError, SSDNetError
 from runtime.predictor import Predictor
 from runtime.preprocess import check_sparse_depth
 from runtime.run.depth_check import NoDepth, find_depth_fault, find_lens_fault

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.assumptions import assume, collect_assumptions
-from runtime.errors import InputError
+from runtime.base.errors import InputError
+from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import Scan, ScanStamp
 from runtime.geometry.point_cloud import to_points
@@ -36,7 +37,6 @@ from runtime.sources.ros_poses import (
     transform_poses,
 )
 from runtime.sources.source import ListedFrame, Source, left_out_note, track_of
-from runtime.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 from runtime.sync.frame import Frame, Message, Outcome, Sensor
 
 IMAGE = "sensor_msgs/msg/Image"

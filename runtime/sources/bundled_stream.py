@@ -3,7 +3,7 @@
 from importlib import resources
 from pathlib import Path
 
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from runtime.sources.folders import FolderSource
 from runtime.sync.frame import Frame
 

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.assumptions import assume, collect_assumptions
-from runtime.errors import InputError
+from runtime.base.errors import InputError
+from runtime.base.stamp import NS_PER_MS, read_timestamps
 from runtime.geometry.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration
 from runtime.geometry.motion import Scan, ScanStamp, lidar_mount, point_times
 from runtime.geometry.poses import PoseFrame, PoseTrack
@@ -28,7 +29,6 @@ from runtime.io.images import (
 from runtime.io.poses import read_poses
 from runtime.io.scan import SCAN_SUFFIXES, read_scan
 from runtime.sources.source import ListedFrame, Source, up_to
-from runtime.stamp import NS_PER_MS, read_timestamps
 from runtime.sync.frame import Frame, Outcome, Sensor
 
 _APART_NS = 100 * NS_PER_MS  # assumed between images without times

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from runtime.geometry.calibration import find_raw_calibration
 from runtime.io.images import DEPTH_SUFFIXES, RGB_SUFFIXES, list_files
 from runtime.io.scan import SCAN_SUFFIXES

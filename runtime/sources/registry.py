@@ -7,8 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from runtime.checks import check_number, shown
-from runtime.errors import InputError
+from runtime.base.checks import check_number, shown
+from runtime.base.errors import InputError
 from runtime.geometry.motion import MIDDLE_AFTER, check_scan_stamp
 from runtime.geometry.poses import PoseFrame
 from runtime.sources.bag import BagSource

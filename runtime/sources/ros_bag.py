@@ -9,8 +9,8 @@ from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from runtime.checks import cut
-from runtime.errors import InputError, SSDNetError, import_remedy
+from runtime.base.checks import cut
+from runtime.base.errors import InputError, SSDNetError, import_remedy
 from runtime.read_input import MAX_TEXT_BYTES, open_input, require_regular
 
 if TYPE_CHECKING:

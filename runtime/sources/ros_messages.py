@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.checks import cut, shown
-from runtime.errors import InputError
+from runtime.base.checks import cut, shown
+from runtime.base.errors import InputError
 from runtime.io.images import decode_rgb, require_pixels
 from runtime.returns import to_metres
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.assumptions import assume
-from runtime.checks import cut, shown
-from runtime.errors import InputError
+from runtime.base.checks import cut, shown
+from runtime.base.errors import InputError
 from runtime.io.poses import pose_of
 from runtime.returns import is_return
 from runtime.sources.ros_messages import view_fields

@@ -12,7 +12,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.errors import InputError
+from runtime.base.errors import InputError
+from runtime.base.stamp import DEFAULT_REUSE_DEPTH_MS
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import (
     FIRST_SCAN_NS,
@@ -23,7 +24,6 @@ from runtime.geometry.motion import (
     lidar_mount,
 )
 from runtime.geometry.poses import PoseFrame, PoseTrack
-from runtime.stamp import DEFAULT_REUSE_DEPTH_MS
 from runtime.sync.frame import Frame, Message, Sensor
 from runtime.sync.matching import Decided, StampMatching
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from runtime.io.images import DEPTH_SUFFIXES, KITTI_DEPTH_SCALE, list_files, require_pixels
 from runtime.read_input import require_regular
 from runtime.sources.folders import FolderSource

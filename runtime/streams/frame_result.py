@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.base.stamp import NS_PER_MS, Stamp, stamp_ns
 from runtime.geometry.motion import DepthMotion
 from runtime.health.consistency import Consistency
 from runtime.prediction import Prediction
-from runtime.stamp import NS_PER_MS, Stamp, stamp_ns
 
 OK, SKIPPED, INVALID = "ok", "skipped", "invalid"
 _NONE: Any = None  # in the report of a run alone: a stream gives these fields in each result

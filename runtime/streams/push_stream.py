@@ -23,18 +23,18 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.checks import check_number, shown
-from runtime.errors import InferenceError, InputError, SSDNetError
-from runtime.geometry.calibration import Calibration
-from runtime.geometry.motion import ScanStamp
-from runtime.process_guard import ProcessGuard
-from runtime.stamp import (
+from runtime.base.checks import check_number, shown
+from runtime.base.errors import InferenceError, InputError, SSDNetError
+from runtime.base.stamp import (
     DEFAULT_MAX_SKEW_MS,
     DEFAULT_REUSE_DEPTH_MS,
     NS_PER_MS,
     Stamp,
     stamp_ns,
 )
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.motion import ScanStamp
+from runtime.process_guard import ProcessGuard
 from runtime.streams.answerer import Answerer, FramePredictor
 from runtime.streams.frame_result import FrameResult
 from runtime.streams.sensor_input import Kind, SensorInput

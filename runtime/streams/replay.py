@@ -11,11 +11,11 @@ from typing import Any, Literal
 
 from numpy.typing import NDArray
 
-from runtime.checks import shown
-from runtime.errors import InputError, SSDNetError
+from runtime.base.checks import shown
+from runtime.base.errors import InputError, SSDNetError
+from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS, Stamp
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import ScanStamp
-from runtime.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS, Stamp
 from runtime.streams.answerer import Answerer, FramePredictor
 from runtime.streams.frame_result import FrameResult
 from runtime.streams.sensor_input import SENSORS, Kind, SensorInput

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.assumptions import assume
-from runtime.checks import shown
-from runtime.errors import InputError
+from runtime.base.checks import shown
+from runtime.base.errors import InputError
+from runtime.base.stamp import Stamp, stamp_ns
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import (
     FIRST_SCAN_NS,
@@ -23,7 +24,6 @@ from runtime.geometry.poses import PoseBuffer, PoseFrame
 from runtime.geometry.rigid import read_rigid
 from runtime.preprocess import check_rgb, check_sparse_depth
 from runtime.returns import check_points
-from runtime.stamp import Stamp, stamp_ns
 from runtime.streams.stream_counter import StreamCounter
 from runtime.sync.frame import Frame, Message, Outcome, Sensor
 from runtime.sync.matching import Intervals

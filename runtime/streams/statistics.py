@@ -8,7 +8,7 @@ from dataclasses import asdict, astuple, dataclass
 from itertools import accumulate
 from typing import Any
 
-from runtime.stamp import NS_PER_MS
+from runtime.base.stamp import NS_PER_MS
 
 _GROWTH = math.log1p(1 / 1024)  # of a bucket to the next one
 _LEAST_MS = 1e-4

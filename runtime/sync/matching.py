@@ -18,9 +18,9 @@ from dataclasses import dataclass, field
 from statistics import median_low
 from typing import NamedTuple
 
-from runtime.checks import check_number
-from runtime.errors import InputError
-from runtime.stamp import JUMP_BACK_NS, NS_PER_MS
+from runtime.base.checks import check_number
+from runtime.base.errors import InputError
+from runtime.base.stamp import JUMP_BACK_NS, NS_PER_MS
 from runtime.sync.frame import MATCHED, Frame, Message, Outcome, Sensor
 
 _REMEMBERED_STAMPS = 64  # latest of a sensor, to detect duplicates

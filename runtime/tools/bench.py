@@ -20,7 +20,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from runtime.checks import shown
+from runtime.base.checks import shown
 from runtime.command import (
     ERROR,
     INTERRUPTED,

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.base.checks import shown
+from runtime.base.errors import InputError, SSDNetError
 from runtime.bundled_models import find_model
-from runtime.checks import shown
-from runtime.errors import InputError, SSDNetError
 from runtime.model_file import read_onnx
 from runtime.session import explain, import_onnxruntime, open_session
 

@@ -13,9 +13,9 @@ from typing import Annotated, Literal
 
 import typer
 
+from runtime.base.errors import SSDNetError
 from runtime.command import ERROR, Provider, print_result, reported_errors
 from runtime.command_options import Version
-from runtime.errors import SSDNetError
 from runtime.run.engine_facts import machine_facts
 
 #: "note" is a fact, or something missing that is not needed; only "fault" fails.

@@ -12,10 +12,10 @@ import typer
 from numpy.typing import NDArray
 
 from runtime.agreement import compare, first_figure, within, worst
-from runtime.checks import shown
+from runtime.base.checks import shown
+from runtime.base.errors import InferenceError, InputError
 from runtime.command import Provider, print_result, reported_errors
 from runtime.command_options import Version
-from runtime.errors import InferenceError, InputError
 from runtime.io.recording import RecordedFrame, Recording, read_recording
 from runtime.predictor import Predictor
 

@@ -9,7 +9,7 @@ import torch
 from models import SSDNetLite, SSDNetLiteConfig, load_checkpoint, save_checkpoint
 from models.checkpoint import Checkpoint
 from models.classes import CAMVID_CLASSES, numbered_classes
-from runtime.errors import CheckpointError
+from runtime.base.errors import CheckpointError
 
 SMALL = SSDNetLiteConfig(
     encoder_widths=(8,) * 16,

@@ -22,7 +22,7 @@ from models.answers import head_maps
 from models.blocks import ConvBNReLU, pad_to_multiple
 from models.classes import numbered_classes
 from models.registry import NETWORKS, Entry
-from runtime.errors import CheckpointError
+from runtime.base.errors import CheckpointError
 from training import cli
 from training.evaluation import cli as evaluation_cli
 from training.initial_weights import read_weights

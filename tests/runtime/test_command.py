@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 import runtime
+from runtime.base.errors import InputError
 from runtime.command import reported_errors, stop_requested
-from runtime.errors import InputError
 
 
 @pytest.mark.parametrize(("error", "code", "text"), [

@@ -10,7 +10,7 @@ import pytest
 
 import runtime.read_input
 from runtime import InputError
-from runtime.errors import SSDNetError
+from runtime.base.errors import SSDNetError
 from runtime.geometry.calibration import Calibration
 from runtime.io.images import read_rgb
 from runtime.io.scan import read_scan

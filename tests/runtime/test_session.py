@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from runtime import ContractError, Predictor, ProviderError
-from runtime.errors import install_command
+from runtime.base.errors import install_command
 from runtime.session import node_counts, open_session
 
 CPU, CUDA = "CPUExecutionProvider", "CUDAExecutionProvider"

@@ -9,7 +9,7 @@ import torch
 from typer.testing import CliRunner
 
 from models import SSDNetLite, SSDNetLiteConfig, create_model, load_checkpoint, save_checkpoint
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from runtime.sources.registry import open_source
 from runtime.sources.source import ListedFrame
 from training import adapt as adapting

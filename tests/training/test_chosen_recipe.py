@@ -4,7 +4,7 @@ import pytest
 from typer.testing import CliRunner
 
 from models import list_models
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from training.chosen_recipe import read_stages
 from training.cli import app
 from training.recipes.registry import RECIPES

@@ -15,8 +15,8 @@ from models import create_model, load_checkpoint, save_checkpoint
 from models.registry import NETWORKS
 from models.training_facts import TrainingFacts
 from runtime import Predictor
+from runtime.base.errors import InputError
 from runtime.bundled_models import list_bundled_models
-from runtime.errors import InputError
 from runtime.sources.bundled_stream import bundled_stream
 from training import cli
 from training.chosen_recipe import read_stages

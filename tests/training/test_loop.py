@@ -14,7 +14,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from layouts.virtual_kitti import write_second_edition
 from models import create_model, load_checkpoint
-from runtime.errors import CheckpointError, DatasetError, InputError, OutputError
+from runtime.base.errors import CheckpointError, DatasetError, InputError, OutputError
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.initial_weights import read_weights

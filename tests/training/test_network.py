@@ -8,7 +8,7 @@ import torch
 from models import CLASS_TABLES, create_model, save_checkpoint
 from models.efficientnet_lite import WIDTHS as EFFICIENTNET_WIDTHS
 from models.efficientnet_lite import EfficientNetLite
-from runtime.errors import CheckpointError, InputError
+from runtime.base.errors import CheckpointError, InputError
 from training.imagenet_weights import PACKAGE, load_imagenet
 from training.initial_weights import read_weights
 from training.network import build_network

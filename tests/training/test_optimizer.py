@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from models import create_model
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from training.losses import LossConfig, SSDNetLoss
 from training.optimizer import build_optimizer
 from training.recipe import OptimizerRecipe, ScheduleRecipe

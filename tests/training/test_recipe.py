@@ -2,7 +2,7 @@
 
 import pytest
 
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from training.chosen_recipe import read_stages
 from training.datasets.cityscapes import CityscapesRecipe
 from training.recipe import AnySource, build, parse_source

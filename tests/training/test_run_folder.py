@@ -5,7 +5,7 @@ from dataclasses import asdict
 
 import pytest
 
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from training.datasets.camvid import CamVidRecipe
 from training.recipe import DataRecipe, ModelRecipe, Recipe, ScheduleRecipe, derive
 from training.run_folder import RECIPE, list_data, prepare_folder

@@ -7,7 +7,7 @@ import torch
 from typer.testing import CliRunner
 
 from models import load_checkpoint
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from training import cli
 from training.datasets.camvid import CamVidRecipe
 from training.loading.augment import AugmentConfig

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from layouts.pictures import write
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from training.distributed import Processes
 from training.losses.total import TERMS
 from training.recipe import Recipe, build, merge

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
 from models import CLASS_TABLES
-from runtime.errors import DatasetError
+from runtime.base.errors import DatasetError
 from runtime.read_input import read_text
 from training.datasets.class_mapping import ClassTable, LabelFiles
 from training.datasets.files import dataset_errors, read_gray, read_rgb, require_folder

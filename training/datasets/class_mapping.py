@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models import CLASS_TABLES
+from runtime.base.errors import DatasetError
 from runtime.contract import ClassInfo
-from runtime.errors import DatasetError
 from training.datasets.files import read_gray
 from training.datasets.sample import IGNORE
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from runtime.errors import DatasetError, InputError
+from runtime.base.errors import DatasetError, InputError
 from runtime.io import images, scan
 from runtime.read_input import read_input
 

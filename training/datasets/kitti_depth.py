@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass as checked_dataclass
 
-from runtime.errors import DatasetError
+from runtime.base.errors import DatasetError
 from runtime.geometry.kitti_calibration import NumbersFile
 from runtime.io.images import KITTI_DEPTH_SCALE
 from runtime.read_input import read_text

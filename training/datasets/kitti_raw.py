@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from runtime.errors import DatasetError
+from runtime.base.errors import DatasetError
 from runtime.sources.kitti_raw import KittiRawSource
 from runtime.sources.source import ListedFrame
 from training.datasets.class_mapping import ClassTable

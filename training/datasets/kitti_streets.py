@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
-from runtime.errors import DatasetError
+from runtime.base.errors import DatasetError
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.kitti_calibration import NumbersFile
 from training.datasets.camvid import LABELS

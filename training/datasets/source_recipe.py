@@ -7,8 +7,8 @@ from typing import Annotated, ClassVar, TypeVar
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from runtime.base.errors import DatasetError
 from runtime.contract import MAX_NAME_LENGTH
-from runtime.errors import DatasetError
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import SampleSource
 from training.limits import STRICT, FactorRange, Index, Positive, Side

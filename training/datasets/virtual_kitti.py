@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from runtime.errors import DatasetError
+from runtime.base.errors import DatasetError
 from runtime.geometry.kitti_calibration import NumbersFile
 from runtime.read_input import read_text
 from training.datasets.class_mapping import ClassTable, class_ids

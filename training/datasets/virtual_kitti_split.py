@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from runtime.errors import DatasetError
+from runtime.base.errors import DatasetError
 from training.datasets.files import list_names
 
 Split = Literal["train", "val", "test", "all"]

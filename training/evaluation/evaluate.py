@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from runtime.base.errors import ContractError, InputError, OutputError
 from runtime.bundled_models import find_model
-from runtime.errors import ContractError, InputError, OutputError
 from runtime.io.atomic_write import atomic_write, require_writable
 from runtime.io.encode import encode_metres
 from runtime.io.own_folder import require_folder_free

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from models import Network
 from models.answers import answers
+from runtime.base.errors import InputError, SSDNetError
 from runtime.canonical_focal import camera_scale
 from runtime.contract import NO_CLASS
-from runtime.errors import InputError, SSDNetError
 from runtime.heads import HEADS
 from runtime.inference import to_frame
 from runtime.preprocess import preprocess

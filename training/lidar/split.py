@@ -11,7 +11,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from training.datasets.sample import Sample, nothing_known
 
 Depth = NDArray[np.float32]

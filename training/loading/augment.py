@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from runtime.base.errors import InputError
 from runtime.contract import MAX_RETURN_M, MIN_SIDE, farthest_return
-from runtime.errors import InputError
 from runtime.resize import RESIZE, move_returns, move_scan_lines, resize_image, resize_nearest
 from training.datasets.sample import IGNORE, Sample, nothing_known, target_kind
 from training.lidar.faults import absorb, add_false_returns, drop_sectors, misalign

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from models import NetworkConfig
-from runtime.errors import DatasetError
+from runtime.base.errors import DatasetError
 from runtime.network_size import network_size
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import Sample, SampleSource, target_kind

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.errors import OutputError
+from runtime.base.errors import OutputError
 from runtime.io.encode import encode_jpeg, encode_png
 from runtime.io.own_folder import atomic_folder
 from training.scenes.arrays import Floats

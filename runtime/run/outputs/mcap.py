@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from runtime.errors import OutputError
+from runtime.base.errors import OutputError
 from runtime.heads import HEADS
 from runtime.io.atomic_write import atomic_path
 from runtime.io.encode import encode_jpeg

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import NamedTuple
 
-from runtime.errors import OutputError, install_command
+from runtime.base.errors import OutputError, install_command
 from runtime.io.atomic_write import atomic_path
 from runtime.io.own_folder import require_folder_free
 from runtime.run.options import SUFFIXES, RunOptions

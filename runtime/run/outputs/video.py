@@ -6,7 +6,7 @@ from pathlib import Path
 
 import cv2
 
-from runtime.errors import OutputError
+from runtime.base.errors import OutputError
 from runtime.io.atomic_write import atomic_path
 from runtime.run.options import DEFAULT_RATE_HZ
 from runtime.run.outputs.output import OpenRun

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from car_poses import DAY_NS, MS, drive, pose
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import (
     Scan,

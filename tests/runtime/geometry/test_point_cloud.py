@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from runtime import Predictor, project_points
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from runtime.geometry.point_cloud import to_points
 
 K = np.array([[60.0, 0.5, 31.5], [0, 62, 20.25], [0, 0, 1]])

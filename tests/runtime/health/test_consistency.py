@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from runtime.health.consistency import ConsistencyCheck
 from runtime.prediction import Latency, Prediction
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from runtime.io.poses import read_kitti_poses, read_oxts_poses, read_tum_poses
 
 

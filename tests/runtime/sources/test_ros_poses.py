@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from runtime.assumptions import AssumptionWarning
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from runtime.sources.ros_poses import TransformTree, odometry_pose, point_times_s
 
 STAMP_NS = 1_700_000_000 * 10**9 + 123_456_789

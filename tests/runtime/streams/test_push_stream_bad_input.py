@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from runtime.geometry.calibration import Calibration
 from runtime.streams.push_stream import PushStream
 from runtime.streams.replay import replay

@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from runtime.errors import InferenceError, InputError
+from runtime.base.errors import InferenceError, InputError
 from stream_messages import add_up, depth, image, push_pair
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from moving_car import CALIBRATION, MS, POINTS, car, expected, measured, messages, wall_scan
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from stream_messages import image
 
 

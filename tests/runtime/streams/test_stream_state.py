@@ -1,6 +1,6 @@
 import pytest
 
-from runtime.errors import InferenceError, InputError
+from runtime.base.errors import InferenceError, InputError
 from runtime.streams.stream_counter import Level, StreamCounter, WatchdogLimits
 from runtime.sync.frame import Frame, Message
 from stream_messages import result

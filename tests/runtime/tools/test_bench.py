@@ -13,7 +13,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 from typer.testing import CliRunner
 
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from runtime.run.engine_facts import machine_facts
 from runtime.tools import bench_worker
 from runtime.tools.bench import app

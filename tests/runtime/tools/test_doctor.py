@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from runtime import Predictor, list_bundled_models
-from runtime.errors import ProviderError
+from runtime.base.errors import ProviderError
 from runtime.run.engine_facts import machine_facts
 from runtime.tools.doctor import app, examine, self_test
 

@@ -3,7 +3,7 @@
 import pytest
 
 from models import CLASS_TABLES
-from runtime.errors import DatasetError
+from runtime.base.errors import DatasetError
 from training.datasets.cityscapes import TRAIN_LABELS
 from training.datasets.class_mapping import class_ids, id_lookup
 

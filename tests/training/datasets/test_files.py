@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from runtime.errors import DatasetError
+from runtime.base.errors import DatasetError
 from training.datasets.files import read_gray
 
 GREY, COLOR, PALETTE = 0, 2, 3

@@ -7,7 +7,7 @@ import pytest
 
 from layouts import open_set
 from layouts.kitti_depth import DATE, DRIVE, NUMBERS, write_drive, write_selection
-from runtime.errors import DatasetError
+from runtime.base.errors import DatasetError
 
 KittiDepth = partial(open_set, "kitti-depth")
 

@@ -7,7 +7,7 @@ import pytest
 
 from layouts import open_set
 from layouts.kitti_raw import DATE, DRIVE, UPPER, write_frame
-from runtime.errors import DatasetError
+from runtime.base.errors import DatasetError
 
 KittiRaw = partial(open_set, "kitti-raw")
 

@@ -10,7 +10,7 @@ import pytest
 
 from layouts import open_set
 from layouts.kitti_stream import write_objects, write_stream
-from runtime.errors import DatasetError
+from runtime.base.errors import DatasetError
 
 KittiStream = partial(open_set, "kitti-stream")
 

@@ -10,7 +10,7 @@ import pytest
 from layouts import open_set
 from layouts.kitti_streets import HEIGHT, WIDTH, write_streets
 from layouts.pictures import write
-from runtime.errors import DatasetError
+from runtime.base.errors import DatasetError
 
 KittiStreets = partial(open_set, "kitti-streets")
 

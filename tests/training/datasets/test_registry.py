@@ -20,7 +20,7 @@ from layouts import (
     virtual_kitti,
 )
 from layouts.pictures import cut_short, write
-from runtime.errors import DatasetError
+from runtime.base.errors import DatasetError
 from training.datasets.registry import DATASETS
 from training.loading.open_dataset import open_dataset
 from training.recipe import AnySource, build

@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("embreex", reason="the renderer needs the train extra")
 
 from layouts import open_set
-from runtime.errors import DatasetError
+from runtime.base.errors import DatasetError
 from runtime.geometry.projection import project_points
 from training.datasets.class_mapping import id_lookup
 from training.scenes.scene_job import SceneClass, SceneJob, Variant, render_frames, run_job

@@ -12,7 +12,7 @@ from layouts.virtual_kitti import (
     write_first_edition,
     write_second_edition,
 )
-from runtime.errors import DatasetError
+from runtime.base.errors import DatasetError
 from training.datasets.class_mapping import class_ids
 from training.datasets.virtual_kitti_split import PAPER_VARIANTS, Selection
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from models import NetworkOutput, SSDNetLiteConfig, create_model
-from runtime.errors import InputError, SSDNetError
+from runtime.base.errors import InputError, SSDNetError
 from runtime.heads import HEADS
 from training.datasets.sample import AUXILIARY, Sample
 from training.evaluation.pictures import draw_pictures

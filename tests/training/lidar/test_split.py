@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from training.datasets.sample import Sample
 from training.lidar.split import LidarInput, OcclusionFilter, split_lidar
 

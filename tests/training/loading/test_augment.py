@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from runtime.errors import InputError
+from runtime.base.errors import InputError
 from runtime.preprocess import clean_sparse_depth
 from runtime.resize import move_returns, resize_image, resize_nearest
 from training.datasets.sample import IGNORE, Sample

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from runtime.errors import DatasetError
+from runtime.base.errors import DatasetError
 from training.datasets.sample import Sample
 from training.loading.mixture import CachedSource
 from training.loading.open_dataset import CheckedSource

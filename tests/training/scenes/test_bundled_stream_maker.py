@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from layouts.virtual_kitti import write_second_edition
-from runtime.errors import DatasetError
+from runtime.base.errors import DatasetError
 from runtime.sources.folders import FolderSource
 from training.scenes.bundled_stream_maker import write_lidar_stream
 

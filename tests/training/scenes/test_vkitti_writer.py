@@ -9,7 +9,7 @@ pytest.importorskip("embreex", reason="the renderer needs the train extra")
 from typer.testing import CliRunner
 
 from layouts import open_set
-from runtime.errors import OutputError
+from runtime.base.errors import OutputError
 from training.scenes.cli import app
 from training.scenes.rendering.lidar_scan import LidarScan
 from training.scenes.rendering.render import RenderedFrame

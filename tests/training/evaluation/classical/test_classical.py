@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from layouts import open_set
-from runtime.errors import InputError, SSDNetError
+from runtime.base.errors import InputError, SSDNetError
 from training.evaluation.classical import METHODS
 from training.evaluation.metrics import DepthScores
 from training.evaluation.scored_model import method_predict, open_method

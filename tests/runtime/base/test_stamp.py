@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from runtime.errors import InputError
-from runtime.stamp import read_timestamps, stamp_ns
+from runtime.base.errors import InputError
+from runtime.base.stamp import read_timestamps, stamp_ns
 
 
 @pytest.mark.parametrize(("stamp", "nanoseconds"), [

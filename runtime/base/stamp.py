@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from runtime.checks import shown
-from runtime.errors import InputError
+from runtime.base.checks import shown
+from runtime.base.errors import InputError
 from runtime.read_input import read_text
 
 #: Seconds as a float or nanoseconds as an int.

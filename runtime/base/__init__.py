@@ -1,0 +1,1 @@
+"""Checks, errors and time stamps that every other room uses."""
