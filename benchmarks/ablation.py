@@ -30,7 +30,7 @@ import matplotlib as mpl
 import torch
 
 from models import load_checkpoint
-from runtime.io.atomic_write import atomic_file, atomic_write
+from runtime.files.atomic_write import atomic_file, atomic_write
 from training.chosen_recipe import read_stages
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.scoring import score, split_frames, torch_predict

@@ -36,7 +36,7 @@ from runtime import Predictor
 from runtime.base.errors import InputError, SSDNetError
 from runtime.bundled_models import find_model
 from runtime.command import INTERRUPTED
-from runtime.io.atomic_write import atomic_write
+from runtime.files.atomic_write import atomic_write
 from runtime.model_file import load_model_file
 from runtime.tools.bench import BenchOptions, bench
 from runtime.tools.bench_worker import make_input, time_runs

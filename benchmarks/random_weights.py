@@ -20,7 +20,7 @@ from models import Network, SSDNetConfig, SSDNetLiteConfig, create_model
 from models.blocks import upsample
 from models.classes import numbered_classes
 from models.registry import NETWORKS
-from runtime.io.atomic_write import atomic_write
+from runtime.files.atomic_write import atomic_write
 
 #: Classes of Cityscapes, for which the others' networks were published.
 NUM_CLASSES = 19

@@ -27,7 +27,7 @@ from models import Checkpoint, Network, load_checkpoint
 from models.answers import check_output
 from runtime import Contract, InputError, OutputError, __version__
 from runtime.contract import MIN_SIDE, SCHEMA_VERSION, check_size
-from runtime.io.atomic_write import atomic_file
+from runtime.files.atomic_write import atomic_file
 from runtime.io.recording import RecordedFrame, Recorder, Settings, record
 from runtime.model_file import with_contract
 

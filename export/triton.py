@@ -11,7 +11,7 @@ from pathlib import Path
 import onnx
 
 from export.errors import ExportError
-from runtime.io.own_folder import atomic_folder, require_folder_free
+from runtime.files.own_folder import atomic_folder, require_folder_free
 
 #: Frames that the server may put into one run of a model whose batch axis is free.
 MAX_BATCH_SIZE = 8

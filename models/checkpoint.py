@@ -15,7 +15,7 @@ from models.registry import NETWORKS
 from models.training_facts import TrainingFacts
 from runtime.base.checks import shown
 from runtime.base.errors import CheckpointError, OutputError
-from runtime.io.atomic_write import atomic_file
+from runtime.files.atomic_write import atomic_file
 
 FORMAT = "ssdnet-checkpoint"
 VERSION = 2

@@ -24,7 +24,7 @@ from pathlib import Path
 from runtime.base.checks import shown
 from runtime.base.errors import ContractError, InputError
 from runtime.contract import METADATA_KEY, Content, Contract
-from runtime.read_input import read_input
+from runtime.files.read_input import read_input
 
 MAX_MODEL_BYTES = 2**31 - 1  # limit of protobuf
 MAX_DOCUMENT_BYTES = 2**22

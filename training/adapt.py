@@ -18,9 +18,9 @@ from tqdm import tqdm
 
 from models import Network, SSDNetLite, load_checkpoint, save_checkpoint
 from runtime.base.errors import InputError
+from runtime.files.own_folder import atomic_folder
 from runtime.io.encode import encode_metres, encode_png
 from runtime.io.images import read_rgb
-from runtime.io.own_folder import atomic_folder
 from runtime.network_size import network_size
 from runtime.resize import move_returns, resize_image
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames

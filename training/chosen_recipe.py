@@ -15,7 +15,7 @@ from models import NetworkConfig
 from models.registry import NETWORKS
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
-from runtime.read_input import read_toml
+from runtime.files.read_input import read_toml
 from training.initial_weights import Weights, weights_folder
 from training.losses import LossConfig
 from training.losses.total import PAIR_TERMS, TERMS

@@ -15,8 +15,8 @@ from typing import Any
 from tqdm import tqdm
 
 from runtime.base.errors import InputError
-from runtime.io.atomic_write import atomic_write
-from runtime.io.own_folder import mark_folder
+from runtime.files.atomic_write import atomic_write
+from runtime.files.own_folder import mark_folder
 from training.recipe import Recipe, build
 
 RECIPE = "recipe.json"

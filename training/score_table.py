@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from runtime.io.atomic_write import atomic_write
+from runtime.files.atomic_write import atomic_write
 
 #: Scores of a set that the progress line and TensorBoard show.
 SHOWN = ("miou", "mae_m", "rmse_m", "boundary_f")

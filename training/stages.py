@@ -8,7 +8,7 @@ from torch import Tensor
 
 from models import Network, load_checkpoint, save_checkpoint
 from runtime.base.errors import InputError
-from runtime.io.atomic_write import atomic_write
+from runtime.files.atomic_write import atomic_write
 from training.distributed import join_processes
 from training.initial_weights import Weights, read_weights
 from training.loading.open_dataset import open_dataset, spread_pictures

@@ -14,7 +14,7 @@ from torch.optim.swa_utils import AveragedModel
 from models import Network, NetworkOutput, load_checkpoint, save_checkpoint
 from runtime.base.checks import shown
 from runtime.base.errors import CheckpointError, InputError, SSDNetError
-from runtime.io.atomic_write import atomic_write
+from runtime.files.atomic_write import atomic_write
 from training.distributed import Processes, share_network
 from training.loading.mixture import Batch
 from training.recipe import Recipe, ScheduleRecipe

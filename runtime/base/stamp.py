@@ -10,7 +10,7 @@ import numpy as np
 
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
-from runtime.read_input import read_text
+from runtime.files.read_input import read_text
 
 #: Seconds as a float or nanoseconds as an int.
 Stamp = float | int

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from runtime.base.errors import InputError, OutputError
 from runtime.contract import ClassInfo
 from runtime.drawing.overlay import Overlay
+from runtime.files.atomic_write import atomic_write
 from runtime.geometry.calibration import Calibration
-from runtime.io.atomic_write import atomic_write
 from runtime.io.encode import encode_jpeg, encode_ply, encode_png
 from runtime.prediction import Prediction
 from runtime.returns import kind_of

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
+from runtime.files.read_input import read_toml
 from runtime.geometry.kitti_calibration import NumbersFile, chain, is_kitti
 from runtime.geometry.lens import PLUMB_BOB, Lens, as_key, rectifying_maps
 from runtime.geometry.projection import check_intrinsics, project_points
 from runtime.geometry.rigid import read_rigid
-from runtime.read_input import read_toml
 
 RAW_CAMERAS, RAW_SCANNER = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
 #: Of a camera, to be filled in for another.

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
+from runtime.files.read_input import read_text
 from runtime.geometry.projection import check_intrinsics
-from runtime.read_input import read_text
 
 #: Names by one of which a file of object or odometry data is known.
 _NAMES = ("P0", "P1", "P2", "P3", "R0_rect", "Tr_velo_to_cam", "Tr")

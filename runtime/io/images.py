@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from runtime.base.checks import cut
 from runtime.base.errors import InputError
 from runtime.contract import MAX_PIXELS
-from runtime.read_input import read_input
+from runtime.files.read_input import read_input
 from runtime.returns import to_metres
 
 RGB_SUFFIXES = (".png", ".jpg", ".jpeg")

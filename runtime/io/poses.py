@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import parse_seconds
+from runtime.files.read_input import read_text
 from runtime.geometry.rigid import read_rigid
-from runtime.read_input import read_text
 
 _KITTI, _TUM, _OXTS = 12, 8, 30
 _EARTH_RADIUS_M = 6378137.0

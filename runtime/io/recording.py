@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 from runtime.agreement import compare, recording_limits
 from runtime.base.checks import check_number, cut, shown
 from runtime.base.errors import InputError
+from runtime.files.own_folder import atomic_folder
+from runtime.files.read_input import open_input, read_text
 from runtime.heads import HEADS
-from runtime.io.own_folder import atomic_folder
 from runtime.model_file import load_model_file
 from runtime.network_size import NetworkSize
-from runtime.read_input import open_input, read_text
 
 RECORDING_FORMAT, RECORDING_VERSION = "ssdnet-recording", "2.0"
 RECORDING_FILE, MODEL_FILE = "recording.json", "model.onnx"

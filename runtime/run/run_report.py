@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from runtime.canonical_focal import CameraScale
-from runtime.io.atomic_write import atomic_write
+from runtime.files.atomic_write import atomic_write
 from runtime.io.encode import METRES_PNG_MAX_M, METRES_PNG_SCALE
 from runtime.prediction import Cleaned, Prediction
 from runtime.predictor import Predictor

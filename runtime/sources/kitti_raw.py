@@ -10,13 +10,13 @@ import numpy as np
 from runtime.assumptions import collect_assumptions
 from runtime.base.errors import InputError
 from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS, parse_date
+from runtime.files.read_input import read_text
 from runtime.geometry.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration, find_raw_calibration
 from runtime.geometry.kitti_calibration import NumbersFile
 from runtime.geometry.motion import ScanStamp
 from runtime.geometry.rigid import read_rigid
 from runtime.io.images import RGB_SUFFIXES, list_files
 from runtime.io.poses import read_oxts_poses
-from runtime.read_input import read_text
 from runtime.sources.folders import FolderSource
 from runtime.sources.source import ListedFrame, by_number, track_of
 from runtime.sync.frame import Sensor

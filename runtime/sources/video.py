@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
+from runtime.files.read_input import require_regular
 from runtime.io.images import DEPTH_SUFFIXES, KITTI_DEPTH_SCALE, list_files, require_pixels
-from runtime.read_input import require_regular
 from runtime.sources.folders import FolderSource
 from runtime.sources.source import ListedFrame, by_number
 from runtime.sync.frame import Frame, Message

@@ -10,7 +10,7 @@ from pydantic.dataclasses import dataclass
 
 from models import CLASS_TABLES
 from runtime.base.errors import DatasetError
-from runtime.read_input import read_text
+from runtime.files.read_input import read_text
 from training.datasets.class_mapping import ClassTable, LabelFiles
 from training.datasets.files import dataset_errors, read_gray, read_rgb, require_folder
 from training.datasets.sample import FrameList, Sample

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from runtime.base.errors import DatasetError, InputError
+from runtime.files.read_input import read_input
 from runtime.io import images, scan
-from runtime.read_input import read_input
 
 
 @contextmanager

@@ -16,8 +16,8 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import DatasetError
+from runtime.files.read_input import read_text
 from runtime.geometry.kitti_calibration import NumbersFile
-from runtime.read_input import read_text
 from training.datasets.class_mapping import ClassTable, class_ids
 from training.datasets.files import (
     dataset_errors,

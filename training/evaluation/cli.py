@@ -76,7 +76,7 @@ def evaluate(
     """Score models on data sets; prints a table."""
     with reported_errors("cpu,train"):
         # Heavy imports here, so that --help answers at once.
-        from runtime.io.atomic_write import require_writable
+        from runtime.files.atomic_write import require_writable
         from runtime.network_size import parse_network_size
         from training.evaluation.evaluate import DepthFolder
         from training.evaluation.evaluate import evaluate as run

@@ -12,9 +12,9 @@ from tqdm import tqdm
 
 from runtime.base.errors import ContractError, InputError, OutputError
 from runtime.bundled_models import find_model
-from runtime.io.atomic_write import atomic_write, require_writable
+from runtime.files.atomic_write import atomic_write, require_writable
+from runtime.files.own_folder import require_folder_free
 from runtime.io.encode import encode_metres
-from runtime.io.own_folder import require_folder_free
 from runtime.network_size import NetworkSize
 from training.datasets.class_mapping import ClassTable, is_mapped, list_classes
 from training.datasets.sample import IGNORE, SampleSource

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from runtime.io.atomic_write import atomic_write
+from runtime.files.atomic_write import atomic_write
 from training.evaluation.depth_regions import REGIONS, RETURN_DISTANCES
 from training.evaluation.metrics import FARTHEST_M, RANGES_M
 from training.evaluation.scoring import scored_classes

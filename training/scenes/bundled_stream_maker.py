@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from runtime.command import reported_errors
-from runtime.io.atomic_write import atomic_write
+from runtime.files.atomic_write import atomic_write
 from runtime.io.images import KITTI_DEPTH_SCALE
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.lidar.split import scan_lines

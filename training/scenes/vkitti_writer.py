@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import OutputError
+from runtime.files.own_folder import atomic_folder
 from runtime.io.encode import encode_jpeg, encode_png
-from runtime.io.own_folder import atomic_folder
 from training.scenes.arrays import Floats
 from training.scenes.names import SceneClass
 from training.scenes.rendering.render import RenderedFrame

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.files.atomic_write import atomic_write
+from runtime.files.own_folder import make_own_folder
 from runtime.geometry.calibration import Calibration
-from runtime.io.atomic_write import atomic_write
 from runtime.io.encode import ENCODERS, encode_jpeg, encode_ply
-from runtime.io.own_folder import make_own_folder
 from runtime.run.options import CLOUD, OVERLAY, SAVED_HEADS, SUFFIXES, RunOptions
 from runtime.run.outputs.output import OpenRun
 from runtime.run.run_report import FRAMES_FILE, REPORT_FILE, write_report

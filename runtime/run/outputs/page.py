@@ -13,7 +13,7 @@ from typing import Any
 
 from runtime.contract import Contract
 from runtime.drawing.overlay import Overlay
-from runtime.io.atomic_write import atomic_write
+from runtime.files.atomic_write import atomic_write
 from runtime.io.encode import encode_jpeg, encode_png
 from runtime.run.engine_facts import machine_facts
 from runtime.run.outputs import charts

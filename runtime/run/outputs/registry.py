@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from runtime.base.errors import OutputError, install_command
-from runtime.io.atomic_write import atomic_path
-from runtime.io.own_folder import require_folder_free
+from runtime.files.atomic_write import atomic_path
+from runtime.files.own_folder import require_folder_free
 from runtime.run.options import SUFFIXES, RunOptions
 from runtime.run.outputs.frame_writer import open_frame_files
 from runtime.run.outputs.mcap import open_mcap

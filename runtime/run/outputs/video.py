@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 
 from runtime.base.errors import OutputError
-from runtime.io.atomic_write import atomic_path
+from runtime.files.atomic_write import atomic_path
 from runtime.run.options import DEFAULT_RATE_HZ
 from runtime.run.outputs.output import OpenRun
 from runtime.streams.frame_result import FrameResult

@@ -9,7 +9,7 @@ import pytest
 
 from cli_runs import files_in
 from runtime import OutputError
-from runtime.io.atomic_write import atomic_file
+from runtime.files.atomic_write import atomic_file
 from runtime.run.options import KINDS, RunOptions
 from runtime.run.outputs import frame_writer
 from runtime.run.outputs.frame_writer import FrameWriter

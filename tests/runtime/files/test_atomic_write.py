@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from runtime import OutputError
-from runtime.io.atomic_write import (
+from runtime.files.atomic_write import (
     atomic_file,
     atomic_path,
     atomic_write,
     remove_leftover,
     require_writable,
 )
-from runtime.io.own_folder import MARKER, atomic_folder
+from runtime.files.own_folder import MARKER, atomic_folder
 
 
 def names_in(folder):
@@ -125,7 +125,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path):
 WRITER = """
 import sys
 from pathlib import Path
-from runtime.io.atomic_write import temporary_path
+from runtime.files.atomic_write import temporary_path
 with temporary_path(Path(sys.argv[1])) as made:
     made.touch()
     print("half", flush=True)

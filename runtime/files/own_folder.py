@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
 from runtime.base.errors import InputError, OutputError
-from runtime.io.atomic_write import atomic_write, remove_leftover, temporary_path
-from runtime.read_input import read_text
+from runtime.files.atomic_write import atomic_write, remove_leftover, temporary_path
+from runtime.files.read_input import read_text
 
 MARKER = ".ssdnet"
 _TEXT = "Written by ssdnet, which may replace the files of this list, and nothing else here.\n"

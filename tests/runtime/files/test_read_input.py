@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-import runtime.read_input
+import runtime.files.read_input
 from runtime import InputError
 from runtime.base.errors import SSDNetError
+from runtime.files.read_input import read_input, read_text, read_toml
 from runtime.geometry.calibration import Calibration
 from runtime.io.images import read_rgb
 from runtime.io.scan import read_scan
 from runtime.model_file import load_model_file
-from runtime.read_input import read_input, read_text, read_toml
 from runtime.sources.bag import BagSource
 from runtime.sources.video import VideoSource
 
@@ -79,7 +79,7 @@ def test_a_file_is_read_up_to_its_limit(tmp_path, monkeypatch):
     assert read_input(path, max_bytes=5) == b"12345"
     with pytest.raises(InputError, match="at most 4"):
         read_input(path, max_bytes=4)
-    monkeypatch.setattr(runtime.read_input, "MAX_TEXT_BYTES", 4)
+    monkeypatch.setattr(runtime.files.read_input, "MAX_TEXT_BYTES", 4)
     with pytest.raises(InputError, match="at most 4"):
         read_text(path)
 
