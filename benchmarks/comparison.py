@@ -36,8 +36,8 @@ from runtime import Predictor
 from runtime.base.errors import InputError, SSDNetError
 from runtime.bundled_models import find_model
 from runtime.command import INTERRUPTED
+from runtime.contract.model_file import load_model_file
 from runtime.files.atomic_write import atomic_write
-from runtime.model_file import load_model_file
 from runtime.tools.bench import BenchOptions, bench
 from runtime.tools.bench_worker import make_input, time_runs
 from training.chosen_recipe import read_stages

@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from models import Network, load_checkpoint
-from runtime.canonical_focal import camera_scale
+from runtime.contract.canonical_focal import camera_scale
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.source_recipe import SourceRecipe

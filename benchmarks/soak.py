@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from memory import resident_mb
 from runtime import InputError, Predictor, PushStream
-from runtime.resize import move_returns
+from runtime.contract.resize import move_returns
 from runtime.run.pipeline import dedicate_process
 from runtime.sources.bundled_stream import bundled_frames
 from runtime.streams.statistics import StreamStatistics

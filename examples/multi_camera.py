@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from runtime import Predictor
-from runtime.resize import move_returns
+from runtime.contract.resize import move_returns
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 
 FRAMES_APART = 3

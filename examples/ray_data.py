@@ -16,7 +16,7 @@ import numpy as np
 
 from runtime import Predictor
 from runtime.base.errors import InputError, SSDNetError
-from runtime.heads import HEADS
+from runtime.contract.heads import HEADS
 from runtime.sources.registry import choose_source
 from runtime.sources.source import Source
 

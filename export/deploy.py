@@ -7,7 +7,7 @@ from models import Network
 from models.answers import class_ids, head_maps, to_unit, with_thin_boundary
 from models.blocks import repeat, upsample
 from models.network import class_scores
-from runtime.heads import HEADS, Unit
+from runtime.contract.heads import HEADS, Unit
 
 
 class DeployGraph(nn.Module):
@@ -39,7 +39,7 @@ class DeployGraph(nn.Module):
             sparse_depth: float32 (N, H, W), metres; the network masks what is no measurement.
 
         Returns:
-            (N, H, W) of the dtype and unit of the head, see `runtime.heads`; class scores
+            (N, H, W) of the dtype and unit of the head, see `runtime.contract.heads`; class scores
             (N, C, H, W).
         """
         max_depth_m = self.model.config.max_depth_m

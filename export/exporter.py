@@ -26,10 +26,10 @@ from export.triton import require_model_folder, write_triton_model
 from models import Checkpoint, Network, load_checkpoint
 from models.answers import check_output
 from runtime import Contract, InputError, OutputError, __version__
-from runtime.contract import MIN_SIDE, SCHEMA_VERSION, check_size
+from runtime.contract.contract import MIN_SIDE, SCHEMA_VERSION, check_size
+from runtime.contract.model_file import with_contract
 from runtime.files.atomic_write import atomic_file
 from runtime.io.recording import RecordedFrame, Recorder, Settings, record
-from runtime.model_file import with_contract
 
 #: (height, width) a model of any size is verified at: Cityscapes at half size, as in the paper.
 DEFAULT_SIZE = (512, 1024)

@@ -26,7 +26,7 @@ from export.quantize import Feed, measure_ranges, quantize, strides
 from export.trunk import trunk
 from models import Checkpoint
 from runtime import InputError, Predictor
-from runtime.heads import HEADS, Unit
+from runtime.contract.heads import HEADS, Unit
 from runtime.preprocess import preprocess
 from runtime.session import open_session
 from training.datasets.class_mapping import ClassTable

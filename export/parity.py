@@ -15,7 +15,7 @@ from export.probe_frames import ProbeFrame
 from models import Network
 from models.answers import answers
 from runtime import Predictor
-from runtime.agreement import compare, file_limits, within, worst
+from runtime.contract.agreement import compare, file_limits, within, worst
 from runtime.session import open_session
 
 #: The figure that half precision is judged by in place of the largest difference, and its limit.
@@ -27,7 +27,7 @@ class HeadParity:
     """The worst difference of one head over all frames.
 
     Attributes:
-        figures: see `runtime.agreement.compare`.
+        figures: see `runtime.contract.agreement.compare`.
         passed: whether they are within the tolerance.
     """
 

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.contract import farthest_return
-from runtime.resize import move_returns, resize_image
+from runtime.contract.contract import farthest_return
+from runtime.contract.resize import move_returns, resize_image
 from runtime.sources.bundled_stream import bundled_frames
 
 

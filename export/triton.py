@@ -17,7 +17,7 @@ from runtime.files.own_folder import atomic_folder, require_folder_free
 MAX_BATCH_SIZE = 8
 MODEL_FILE = "model.onnx"
 
-#: The types of the contract's tensors, see `runtime.heads.Head.dtype`.
+#: The types of the contract's tensors, see `runtime.contract.heads.Head.dtype`.
 _TYPES = {onnx.TensorProto.UINT8: "TYPE_UINT8", onnx.TensorProto.FLOAT: "TYPE_FP32"}
 _FREE = -1
 _FOLDER_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")

@@ -6,8 +6,8 @@ from torch.nn import functional as F
 
 from models.blocks import repeat
 from models.network import CLASS_STRIDE, Network, NetworkOutput
-from runtime.contract import NO_CLASS
-from runtime.heads import HEADS, Unit
+from runtime.contract.contract import NO_CLASS
+from runtime.contract.heads import HEADS, Unit
 
 
 def answers(output: NetworkOutput, max_depth_m: float) -> dict[str, Tensor]:
@@ -18,7 +18,7 @@ def answers(output: NetworkOutput, max_depth_m: float) -> dict[str, Tensor]:
         max_depth_m: of the network's configuration.
 
     Returns:
-        Head -> (N, H, W) in the unit of the head, see `runtime.heads`; the class scores as
+        Head -> (N, H, W) in the unit of the head, see `runtime.contract.heads`; the class scores as
         "semantic_logits" (N, C, H, W).
     """
     found = {}

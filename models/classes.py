@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from runtime.contract import ClassInfo
+from runtime.contract.contract import ClassInfo
 
 #: CamVid's eleven classes in the split and order of the SegNet papers (Brostow et al. 2009;
 #: Badrinarayanan et al. 2017); colours are RGB. Those of pavement, sign, fence and car are

@@ -12,7 +12,7 @@ from torch.nn import functional as F
 from models.blocks import repeat, upsample
 from models.classes import CAMVID_CLASSES
 from runtime.base.checks import shown
-from runtime.contract import (
+from runtime.contract.contract import (
     MIN_SIDE,
     ClassInfo,
     check_classes,
@@ -43,7 +43,7 @@ class NetworkOutput(NamedTuple):
     #: (N, 1, H, W), normalised as the depth: the scale b of a Laplace distribution of its error,
     #: 63 % of the errors are below b, 86 % below 2 b.
     depth_uncertainty: Tensor | None = None
-    #: Other heads of `runtime.heads` by name, (N, 1, H, W): logits of a probability, metres as a
+    #: Other heads of `runtime.contract.heads` by name, (N, 1, H, W): logits of a probability, metres as a
     #: share of the range.
     others: Mapping[str, Tensor] = MappingProxyType({})
 
@@ -134,7 +134,7 @@ class Network(nn.Module):
         ValueError: if there are classes without a semantic head or the other way round.
     """
 
-    #: Names of the network's heads, rows of `runtime.heads`.
+    #: Names of the network's heads, rows of `runtime.contract.heads`.
     heads: tuple[str, ...]
     #: Ratio of the image to the coarsest grid.
     stride: int

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Self
 
-from runtime.contract import ClassInfo, check_side
+from runtime.contract.contract import ClassInfo, check_side
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from runtime.base.errors import ProviderError as ProviderError
     from runtime.base.errors import SSDNetError as SSDNetError
     from runtime.bundled_models import list_bundled_models as list_bundled_models
-    from runtime.contract import ClassInfo as ClassInfo
-    from runtime.contract import Contract as Contract
+    from runtime.contract.contract import ClassInfo as ClassInfo
+    from runtime.contract.contract import Contract as Contract
     from runtime.geometry.calibration import Calibration as Calibration
     from runtime.geometry.projection import project_points as project_points
     from runtime.prediction import Cleaned as Cleaned
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 #: Module -> the public names that it holds.
 _MODULES = {
     "bundled_models": "list_bundled_models",
-    "contract": "ClassInfo Contract",
+    "contract.contract": "ClassInfo Contract",
     "base.errors": "ContractError InferenceError InputError OutputError ProviderError SSDNetError",
     "geometry.calibration": "Calibration",
     "geometry.projection": "project_points",

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InferenceError
-from runtime.contract import NO_CLASS, Contract
-from runtime.heads import HEADS, Head, Unit
+from runtime.contract.contract import NO_CLASS, Contract
+from runtime.contract.heads import HEADS, Head, Unit
+from runtime.contract.resize import RESIZE
 from runtime.prediction import Latency, Prediction
 from runtime.preprocess import NetworkInput
-from runtime.resize import RESIZE
 from runtime.session import explain
 
 _ROUNDING = 1e-3  # of a head's range: how far arithmetic may leave it

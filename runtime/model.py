@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from runtime.base.errors import ContractError
-from runtime.contract import Contract
-from runtime.heads import HEADS
-from runtime.model_file import load_model_file
+from runtime.contract.contract import Contract
+from runtime.contract.heads import HEADS
+from runtime.contract.model_file import load_model_file
 from runtime.session import open_session
 
 _INPUTS = {"rgb": ("tensor(uint8)", 4), "sparse_depth": ("tensor(float)", 3)}

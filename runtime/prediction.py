@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
-from runtime.contract import MAX_RETURN_M, Contract
+from runtime.contract.contract import MAX_RETURN_M, Contract
 
 if TYPE_CHECKING:
     from runtime.geometry.calibration import Calibration
@@ -47,7 +47,7 @@ class Prediction:
     """The answers for one frame, at the frame's own size (H, W). The arrays belong to the caller.
 
     Attributes:
-        heads: head -> answer, see `runtime.heads`; the heads of the model.
+        heads: head -> answer, see `runtime.contract.heads`; the heads of the model.
         frame_size: (height, width).
         network_size: (height, width) at which the network ran; the answers are resized if it is not
             the frame's.

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from runtime.base.checks import check_integer
 from runtime.base.errors import ContractError, InferenceError, InputError
 from runtime.bundled_models import find_model
-from runtime.canonical_focal import CameraScale, camera_scale
-from runtime.contract import check_focal_length, check_size
+from runtime.contract.canonical_focal import CameraScale, camera_scale
+from runtime.contract.contract import check_focal_length, check_size
+from runtime.contract.network_size import NetworkSize, check_network_size, network_size
 from runtime.cores import available_cores
 from runtime.inference import run_batch, to_prediction
 from runtime.model import open_model
-from runtime.network_size import NetworkSize, check_network_size, network_size
 from runtime.prediction import Prediction
 from runtime.preprocess import NetworkInput, preprocess
 from runtime.process_guard import ProcessGuard
@@ -50,7 +50,7 @@ class Predictor:
             keeping the aspect; or (height, width).
         focal_length_px: fx of the camera in pixels of the frames as they are given to `predict`. A
             model with `contract.canonical_focal_px` then scales distances for this camera, see
-            `runtime.canonical_focal`; None = as if the network's image were the canonical camera's.
+            `runtime.contract.canonical_focal`; None = as if the network's image were the canonical camera's.
         threads: threads within an operator; None = the physical cores this process may use.
         warmup: predictions made at once at the model's own size, so that the first frame is fast.
 

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
-from runtime.canonical_focal import CameraScale
-from runtime.contract import MIN_SIDE, farthest_return
-from runtime.degraded import IMAGE_CONSTANT, NO_DEPTH, SPARSE_DEPTH_LOW
+from runtime.contract.canonical_focal import CameraScale
+from runtime.contract.contract import MIN_SIDE, farthest_return
+from runtime.contract.degraded import IMAGE_CONSTANT, NO_DEPTH, SPARSE_DEPTH_LOW
+from runtime.contract.resize import Size, move_returns, resize_image
 from runtime.prediction import Cleaned
-from runtime.resize import Size, move_returns, resize_image
 from runtime.returns import drop_saturated
 
 _CONSTANT_STEP = 16  # every 16th pixel usually rules out a constant image

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
-from runtime.contract import MAX_DEPTH_RANGE_M
+from runtime.contract.contract import MAX_DEPTH_RANGE_M
 
 _NEAREST_M = 0.01  # nearer points are rounded (0, 0, 0), by which Ouster, Livox and SICK mark none
 _LEAST_JUDGED, _MOST_IMPLAUSIBLE = 50, 0.25

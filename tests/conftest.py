@@ -20,8 +20,8 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from runtime.contract import METADATA_KEY, SCHEMA_VERSION, ClassInfo, Contract
-from runtime.model_file import with_contract
+from runtime.contract.contract import METADATA_KEY, SCHEMA_VERSION, ClassInfo, Contract
+from runtime.contract.model_file import with_contract
 
 cv2.setNumThreads(1)
 

@@ -18,7 +18,7 @@ from models import Network, NetworkConfig, NetworkOutput, load_checkpoint, save_
 from models.blocks import pad_to_multiple
 from models.registry import NETWORKS, Entry
 from runtime import Predictor
-from runtime.heads import HEADS, Difference, Head, Panel, Unit
+from runtime.contract.heads import HEADS, Difference, Head, Panel, Unit
 from runtime.io.encode import ENCODERS
 from runtime.io.recording import read_recording
 from runtime.tools.verify import verify
@@ -54,7 +54,7 @@ ROW = Head(
 #: Runs ssdnet-run with the row.
 COMMAND = f"""
 import pickle
-from runtime.heads import HEADS
+from runtime.contract.heads import HEADS
 HEADS["drivable"] = pickle.loads({pickle.dumps(ROW)!r})
 from runtime.tools.commands import run
 run()

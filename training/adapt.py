@@ -18,11 +18,11 @@ from tqdm import tqdm
 
 from models import Network, SSDNetLite, load_checkpoint, save_checkpoint
 from runtime.base.errors import InputError
+from runtime.contract.network_size import network_size
+from runtime.contract.resize import move_returns, resize_image
 from runtime.files.own_folder import atomic_folder
 from runtime.io.encode import encode_metres, encode_png
 from runtime.io.images import read_rgb
-from runtime.network_size import network_size
-from runtime.resize import move_returns, resize_image
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 from runtime.sources.source import ListedFrame, Source
 from training.chosen_recipe import config_changes

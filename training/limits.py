@@ -8,7 +8,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, ConfigDict, Field
 
-from runtime.contract import MAX_SIDE, MIN_SIDE
+from runtime.contract.contract import MAX_SIDE, MIN_SIDE
 
 #: Configuration of all tables of a recipe: no conversions ("3", true), unknown keys, NaN or Inf.
 STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)

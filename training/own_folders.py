@@ -14,11 +14,11 @@ from tqdm import tqdm
 from models import SSDNetLite
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
-from runtime.contract import ClassInfo
+from runtime.contract.contract import ClassInfo
+from runtime.contract.network_size import LARGEST_RATIO, network_size
 from runtime.files.atomic_write import atomic_write
 from runtime.files.read_input import MAX_FILE_BYTES, open_input, read_text
 from runtime.io.images import image_size, read_rgb
-from runtime.network_size import LARGEST_RATIO, network_size
 from training.datasets.folders import Folders, FoldersRecipe
 from training.initial_weights import Weights
 from training.network import DEPTH_ALONE

@@ -16,7 +16,7 @@ from models import NetworkConfig
 from models.registry import NETWORKS
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
-from runtime.contract import MAX_CLASSES, MAX_NAME_LENGTH, MIN_SIDE, ClassInfo
+from runtime.contract.contract import MAX_CLASSES, MAX_NAME_LENGTH, MIN_SIDE, ClassInfo
 from training.datasets.class_mapping import ClassTable, list_classes
 from training.datasets.registry import DATASETS
 from training.datasets.source_recipe import SourceRecipe

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError, OutputError
-from runtime.contract import ClassInfo
+from runtime.contract.contract import ClassInfo
 from runtime.drawing.overlay import Overlay
 from runtime.files.atomic_write import atomic_write
 from runtime.geometry.calibration import Calibration

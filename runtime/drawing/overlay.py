@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.contract import ClassInfo, find_sky
+from runtime.contract.contract import ClassInfo, find_sky
+from runtime.contract.heads import HEADS, Panel
 from runtime.drawing.color_scale import NO_VALUE_COLOR, ColorScale
 from runtime.drawing.picture_text import text_width, write_text
-from runtime.heads import HEADS, Panel
 
 # Larger frames are shrunk by a whole number until they fit: a JPEG side has at most 65500 pixels.
 _PANEL_WIDTH, _PANEL_HEIGHT = 640, 4096

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import NS_PER_MS
-from runtime.degraded import DEPTH_REUSED, DEPTH_UNCOMPENSATED, POINTS_UNTIMED
+from runtime.contract.degraded import DEPTH_REUSED, DEPTH_UNCOMPENSATED, POINTS_UNTIMED
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.poses import NoPoseError, PoseFrame, PoseTrack
 from runtime.returns import axes_of, check_points, is_return

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
+from runtime.contract.heads import EDGE_BOUNDARY
 from runtime.geometry.lens import Lens, as_key, rays, to_plane
 from runtime.geometry.projection import check_intrinsics
-from runtime.heads import EDGE_BOUNDARY
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from runtime.base.checks import check_integer, shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import JUMP_BACK_NS, NS_PER_MS
-from runtime.degraded import NO_POSE, POSE_CLOCK, POSE_GAP, POSE_JUMP
+from runtime.contract.degraded import NO_POSE, POSE_CLOCK, POSE_GAP, POSE_JUMP
 from runtime.geometry.rigid import read_rigid
 
 MAX_EXTRAPOLATION_MS = 100.0

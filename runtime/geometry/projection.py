@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from runtime.base.checks import check_integer, shown
 from runtime.base.errors import InputError
-from runtime.contract import MAX_SIDE
+from runtime.contract.contract import MAX_SIDE
 from runtime.geometry.lens import Lens, as_key, ray_bounds
 from runtime.geometry.rigid import check_matrix, read_rigid
 from runtime.returns import axes_of, check_points

@@ -8,7 +8,7 @@ returns to where they fit better to the depth that the model predicts from the i
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.degraded import IMAGE_CONSTANT
+from runtime.contract.degraded import IMAGE_CONSTANT
 from runtime.geometry.calibration import Calibration
 from runtime.health.depth_plausibility import BANDS, correlations, log_depth
 from runtime.prediction import Prediction

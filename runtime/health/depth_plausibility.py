@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.degraded import IMAGE_CONSTANT
+from runtime.contract.degraded import IMAGE_CONSTANT
 from runtime.prediction import Prediction
 from runtime.returns import is_measured
 

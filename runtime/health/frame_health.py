@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.contract import MAX_RETURN_M, farthest_return
+from runtime.contract.contract import MAX_RETURN_M, farthest_return
 
 IMAGE_FROZEN = "image_frozen"  # the same bytes as the image before
 IMAGE_BLACK = "image_black"  # nearly every pixel is dark

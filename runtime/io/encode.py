@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.contract import ClassInfo
+from runtime.contract.contract import ClassInfo
+from runtime.contract.heads import Unit
 from runtime.geometry.point_cloud import PointCloud
-from runtime.heads import Unit
 
 METRES_PNG_SCALE = 256  # units of a 16-bit PNG per metre, as KITTI has it
 METRES_PNG_MAX_M = 65535 / METRES_PNG_SCALE

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from runtime.base.checks import cut
 from runtime.base.errors import InputError
-from runtime.contract import MAX_PIXELS
+from runtime.contract.contract import MAX_PIXELS
 from runtime.files.read_input import read_input
 from runtime.returns import to_metres
 

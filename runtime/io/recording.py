@@ -23,14 +23,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.agreement import compare, recording_limits
 from runtime.base.checks import check_number, cut, shown
 from runtime.base.errors import InputError
+from runtime.contract.agreement import compare, recording_limits
+from runtime.contract.heads import HEADS
+from runtime.contract.model_file import load_model_file
+from runtime.contract.network_size import NetworkSize
 from runtime.files.own_folder import atomic_folder
 from runtime.files.read_input import open_input, read_text
-from runtime.heads import HEADS
-from runtime.model_file import load_model_file
-from runtime.network_size import NetworkSize
 
 RECORDING_FORMAT, RECORDING_VERSION = "ssdnet-recording", "2.0"
 RECORDING_FILE, MODEL_FILE = "recording.json", "model.onnx"
@@ -85,7 +85,7 @@ class Recording:
         settings: of the predictor.
         model_name: of the model that answered.
         model_sha256: digest of that model's file.
-        limits: head -> limits of its figures, see `runtime.agreement`.
+        limits: head -> limits of its figures, see `runtime.contract.agreement`.
         frames: facts about each frame.
     """
 

@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from runtime.base.errors import InputError, SSDNetError
-from runtime.canonical_focal import CameraScale
 from runtime.command import stop_requested
+from runtime.contract.canonical_focal import CameraScale
 from runtime.predictor import Predictor
 from runtime.preprocess import check_sparse_depth
 from runtime.run.depth_check import NoDepth, find_depth_fault, find_lens_fault

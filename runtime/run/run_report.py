@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from runtime.canonical_focal import CameraScale
+from runtime.contract.canonical_focal import CameraScale
 from runtime.files.atomic_write import atomic_write
 from runtime.io.encode import METRES_PNG_MAX_M, METRES_PNG_SCALE
 from runtime.prediction import Cleaned, Prediction

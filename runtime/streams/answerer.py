@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import SSDNetError
-from runtime.degraded import IMPLAUSIBLE_DEPTH
+from runtime.contract.degraded import IMPLAUSIBLE_DEPTH
 from runtime.geometry.calibration import Calibration
 from runtime.health.consistency import ConsistencyCheck
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility

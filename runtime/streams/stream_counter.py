@@ -12,7 +12,7 @@ from enum import StrEnum
 from runtime.base.checks import check_number, shown
 from runtime.base.errors import InferenceError, InputError, SSDNetError
 from runtime.base.stamp import NS_PER_MS
-from runtime.degraded import DEPTH_REUSED
+from runtime.contract.degraded import DEPTH_REUSED
 from runtime.streams.frame_result import FIGURES, FrameResult
 from runtime.streams.statistics import DurationHistogram, MissCounter, StreamStatistics
 from runtime.sync.frame import DROPPED, ERRORS, UNMATCHED, Frame, Outcome, Sensor

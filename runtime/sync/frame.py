@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.degraded import DEPTH_REUSED, DEPTH_UNCOMPENSATED
+from runtime.contract.degraded import DEPTH_REUSED, DEPTH_UNCOMPENSATED
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import DepthInTime, DepthMotion, Scan, project_in_time
 from runtime.geometry.poses import PoseTrack

@@ -11,11 +11,11 @@ from typing import Annotated, Any
 import typer
 from numpy.typing import NDArray
 
-from runtime.agreement import compare, first_figure, within, worst
 from runtime.base.checks import shown
 from runtime.base.errors import InferenceError, InputError
 from runtime.command import Provider, print_result, reported_errors
 from runtime.command_options import Version
+from runtime.contract.agreement import compare, first_figure, within, worst
 from runtime.io.recording import RecordedFrame, Recording, read_recording
 from runtime.predictor import Predictor
 

@@ -12,7 +12,7 @@ import psutil
 import pytest
 from typer.testing import CliRunner
 
-from runtime.heads import HEADS
+from runtime.contract.heads import HEADS
 from runtime.io.encode import ENCODERS
 from runtime.run.cli import app
 from runtime.sources.bundled_stream import bundled_frames

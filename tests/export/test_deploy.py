@@ -12,7 +12,7 @@ from export.deploy import DeployGraph
 from export.trace import trace
 from models import NetworkOutput
 from models.blocks import repeat
-from runtime.contract import NO_CLASS
+from runtime.contract.contract import NO_CLASS
 from runtime.session import open_session
 
 STRIDE = 2

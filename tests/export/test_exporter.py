@@ -18,7 +18,7 @@ from export.parity import measure_parity
 from export.probe_frames import probe_frames
 from models import CAMVID_CLASSES, load_checkpoint, save_checkpoint
 from runtime import InputError, OutputError, Predictor
-from runtime.model_file import with_contract
+from runtime.contract.model_file import with_contract
 
 SIZE = (64, 96)
 FIXED = ("--height", "64", "--width", "96")

@@ -9,7 +9,7 @@ from models import create_model
 from models.answers import answers, check_output, class_ids, with_thin_boundary
 from models.blocks import pad_to_multiple
 from models.network import CLASS_STRIDE, Network, NetworkConfig, NetworkOutput, class_scores
-from runtime.contract import NO_CLASS
+from runtime.contract.contract import NO_CLASS
 
 
 def test_a_boundary_is_halved_where_the_class_does_not_change():

@@ -6,7 +6,7 @@ import pytest
 
 from models import load_checkpoint
 from models.training_facts import TrainingFacts
-from runtime.contract import ClassInfo
+from runtime.contract.contract import ClassInfo
 from training.initial_weights import find_weights, list_weights
 
 FACTS = TrainingFacts(("camvid",), "research", 400, {"model": {"classes": "cityscapes"}})

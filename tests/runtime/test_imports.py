@@ -29,7 +29,7 @@ def loaded_after(statement: str) -> set[str]:
 @pytest.mark.parametrize("statement", [
     "import runtime",
     pytest.param("from models import load_checkpoint, save_checkpoint", marks=needs_torch),
-    "from runtime.contract import Contract",
+    "from runtime.contract.contract import Contract",
     "from runtime import Contract, SSDNetError, __version__",
 ])  # fmt: skip
 def test_the_leaves_load_neither_opencv_nor_onnxruntime(statement):

@@ -10,7 +10,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from runtime import ClassInfo, ContractError, InferenceError, Predictor
-from runtime.model_file import with_contract
+from runtime.contract.model_file import with_contract
 
 
 @pytest.mark.parametrize("content", [None, b"", b"\x89PNG\r\n", b"\0" * 100])

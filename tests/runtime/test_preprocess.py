@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from runtime import Cleaned, InputError
-from runtime.canonical_focal import CameraScale
-from runtime.degraded import SPARSE_DEPTH_LOW
+from runtime.contract.canonical_focal import CameraScale
+from runtime.contract.degraded import SPARSE_DEPTH_LOW
 from runtime.preprocess import (
     check_rgb,
     check_sparse_depth,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from models import CLASS_TABLES
 from runtime.base.errors import DatasetError
-from runtime.contract import ClassInfo
+from runtime.contract.contract import ClassInfo
 from training.datasets.files import read_gray
 from training.datasets.sample import IGNORE
 

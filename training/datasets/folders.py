@@ -13,7 +13,7 @@ from pydantic.dataclasses import dataclass
 from tqdm import tqdm
 
 from runtime.base.errors import DatasetError
-from runtime.contract import ClassInfo
+from runtime.contract.contract import ClassInfo
 from runtime.io.images import KITTI_DEPTH_SCALE
 from runtime.sources.folders import FolderSource
 from training.datasets.cityscapes import TRAIN_LABELS

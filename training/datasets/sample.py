@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.heads import HEADS, ResizeRule
+from runtime.contract.heads import HEADS, ResizeRule
 
 IGNORE = 255
 
@@ -21,7 +21,7 @@ class TargetKind(NamedTuple):
     dtype: np.dtype[Any]
     #: The value of a pixel without a label.
     unlabelled: float
-    #: Rule where it is resized, see `runtime.heads`.
+    #: Rule where it is resized, see `runtime.contract.heads`.
     resize: ResizeRule
 
 
@@ -32,7 +32,7 @@ AUXILIARY: Mapping[str, TargetKind] = {
 
 
 def target_kind(name: str) -> TargetKind:
-    """Return how a target is stored: a head's by its row in `runtime.heads`, or an auxiliary one.
+    """Return how a target is stored: a head's by its row in `runtime.contract.heads`, or an auxiliary one.
 
     Raises:
         ValueError: for another name.

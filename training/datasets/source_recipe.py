@@ -8,7 +8,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import DatasetError
-from runtime.contract import MAX_NAME_LENGTH
+from runtime.contract.contract import MAX_NAME_LENGTH
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import SampleSource
 from training.limits import STRICT, FactorRange, Index, Positive, Side

@@ -76,8 +76,8 @@ def evaluate(
     """Score models on data sets; prints a table."""
     with reported_errors("cpu,train"):
         # Heavy imports here, so that --help answers at once.
+        from runtime.contract.network_size import parse_network_size
         from runtime.files.atomic_write import require_writable
-        from runtime.network_size import parse_network_size
         from training.evaluation.evaluate import DepthFolder
         from training.evaluation.evaluate import evaluate as run
         from training.evaluation.score_report import format_table, write_json

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from models import CLASS_TABLES, load_checkpoint
 from models.training_facts import TrainingFacts
 from runtime.base.errors import InputError, SSDNetError
-from runtime.contract import ClassInfo
-from runtime.network_size import NetworkSize, check_network_size, network_size
+from runtime.contract.contract import ClassInfo
+from runtime.contract.network_size import NetworkSize, check_network_size, network_size
 from runtime.predictor import Predictor
 from runtime.preprocess import clean_sparse_depth
 from training.datasets.class_mapping import ClassTable

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from models import Network
 from models.answers import answers
 from runtime.base.errors import InputError, SSDNetError
-from runtime.canonical_focal import camera_scale
-from runtime.contract import NO_CLASS
-from runtime.heads import HEADS
+from runtime.contract.canonical_focal import camera_scale
+from runtime.contract.contract import NO_CLASS
+from runtime.contract.heads import HEADS
+from runtime.contract.resize import Size
 from runtime.inference import to_frame
 from runtime.preprocess import preprocess
-from runtime.resize import Size
 from training.datasets.sample import IGNORE, SampleSource
 from training.distributed import Processes
 from training.evaluation.depth_regions import DepthRegionScores

@@ -12,8 +12,14 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import InputError
-from runtime.contract import MAX_RETURN_M, MIN_SIDE, farthest_return
-from runtime.resize import RESIZE, move_returns, move_scan_lines, resize_image, resize_nearest
+from runtime.contract.contract import MAX_RETURN_M, MIN_SIDE, farthest_return
+from runtime.contract.resize import (
+    RESIZE,
+    move_returns,
+    move_scan_lines,
+    resize_image,
+    resize_nearest,
+)
 from training.datasets.sample import IGNORE, Sample, nothing_known, target_kind
 from training.lidar.faults import absorb, add_false_returns, drop_sectors, misalign
 from training.lidar.split import SENSOR_LINES, LidarInput, masked, split_lidar
@@ -303,7 +309,7 @@ def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:
 
 
 def resize(sample: Sample, size: tuple[int, int], *, is_dense: bool | None = None) -> Sample:
-    """Resize to (height, width) by the engine's rule, see `runtime.resize`.
+    """Resize to (height, width) by the engine's rule, see `runtime.contract.resize`.
 
     Labels are resized by the rule of their head, dense depth by nearest neighbour. Recorded returns
     are moved one by one: none is duplicated, and of several on a pixel the nearest is kept.

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from models import NetworkOutput
-from runtime.contract import MAX_RETURN_M
+from runtime.contract.contract import MAX_RETURN_M
 from training.datasets.sample import Sample, SampleSource
 from training.limits import PAIR_STEP_PX
 from training.loading.augment import (

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from models import NetworkConfig
 from runtime.base.errors import DatasetError
-from runtime.network_size import network_size
+from runtime.contract.network_size import network_size
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import Sample, SampleSource, target_kind
 from training.datasets.source_recipe import SourceRecipe

@@ -10,7 +10,7 @@ import typer
 
 from runtime.command import leave_signals_to_parent, reported_errors, stop_requested
 from runtime.command_options import Version
-from runtime.contract import MIN_SIDE
+from runtime.contract.contract import MIN_SIDE
 from training.scenes.names import CameraName, StreetKind, Variant
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from runtime.base.errors import OutputError
+from runtime.contract.heads import HEADS
 from runtime.files.atomic_write import atomic_path
-from runtime.heads import HEADS
 from runtime.io.encode import encode_jpeg
 from runtime.prediction import Prediction
 from runtime.run.options import DEFAULT_RATE_HZ, FILE_SUFFIXES

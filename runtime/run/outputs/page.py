@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from runtime.contract import Contract
+from runtime.contract.contract import Contract
 from runtime.drawing.overlay import Overlay
 from runtime.files.atomic_write import atomic_write
 from runtime.io.encode import encode_jpeg, encode_png

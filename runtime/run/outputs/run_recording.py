@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from runtime.degraded import OF_THE_STREAM
+from runtime.contract.degraded import OF_THE_STREAM
 from runtime.io.recording import RecordedFrame, Recorder, Settings, record
 from runtime.predictor import Predictor
 from runtime.run.outputs.output import OpenRun

@@ -8,7 +8,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from models import SSDNet, SSDNetConfig, SSDNetLiteConfig, create_model
 from models.registry import NETWORKS
-from runtime.contract import ClassInfo
+from runtime.contract.contract import ClassInfo
 
 # Params and MACs at 125 x 414 of the family, which the paper prints to two digits.
 PAPER = {

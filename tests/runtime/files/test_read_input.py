@@ -11,11 +11,11 @@ import pytest
 import runtime.files.read_input
 from runtime import InputError
 from runtime.base.errors import SSDNetError
+from runtime.contract.model_file import load_model_file
 from runtime.files.read_input import read_input, read_text, read_toml
 from runtime.geometry.calibration import Calibration
 from runtime.io.images import read_rgb
 from runtime.io.scan import read_scan
-from runtime.model_file import load_model_file
 from runtime.sources.bag import BagSource
 from runtime.sources.video import VideoSource
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from runtime import Predictor
-from runtime.degraded import IMAGE_CONSTANT, NO_DEPTH
+from runtime.contract.degraded import IMAGE_CONSTANT, NO_DEPTH
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility, Implausible
 from runtime.prediction import Latency, Prediction
 from runtime.sources.bundled_stream import bundled_frames

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from runtime.heads import HEADS
+from runtime.contract.heads import HEADS
 from runtime.io.encode import ENCODERS, encode_ids, encode_metres, encode_probability
 
 

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from runtime.canonical_focal import CameraScale
+from runtime.contract.canonical_focal import CameraScale
 from runtime.prediction import Latency, Prediction
 from runtime.preprocess import preprocess
 from runtime.streams.push_stream import PushStream

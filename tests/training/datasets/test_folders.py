@@ -11,7 +11,7 @@ import pytest
 from layouts import open_set
 from layouts.pictures import write
 from runtime.base.errors import DatasetError, InputError
-from runtime.contract import ClassInfo
+from runtime.contract.contract import ClassInfo
 from training.datasets.folders import FoldersRecipe
 from training.datasets.source_recipe import SourceRecipe
 from training.recipe import parse_source

@@ -13,7 +13,7 @@ from export.exporter import export_checkpoint
 from layouts import camvid, kitti_streets, virtual_kitti
 from layouts.pictures import read, write
 from models import create_model, load_checkpoint, save_checkpoint
-from runtime.contract import ClassInfo
+from runtime.contract.contract import ClassInfo
 from training.evaluation.classical import METHODS
 from training.evaluation.cli import app
 from training.evaluation.scored_model import open_method

@@ -8,7 +8,7 @@ import torch
 
 from models import NetworkOutput, SSDNetLiteConfig, create_model
 from runtime.base.errors import InputError, SSDNetError
-from runtime.heads import HEADS
+from runtime.contract.heads import HEADS
 from training.datasets.sample import AUXILIARY, Sample
 from training.evaluation.pictures import draw_pictures
 from training.evaluation.scoring import HeadMaps, score, split_frames, torch_predict

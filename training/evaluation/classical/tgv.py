@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.resize import move_returns, resize_image
+from runtime.contract.resize import move_returns, resize_image
 from training.evaluation.classical.method import Depth, is_measured
 from training.evaluation.classical.nearest import Nearest
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from runtime.canonical_focal import camera_scale
+from runtime.contract.canonical_focal import camera_scale
 
 
 @pytest.mark.parametrize(("canonical_px", "focal_px", "network_size", "factor"), [

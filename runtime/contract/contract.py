@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from runtime.base.checks import check_integer, check_number, shown
 from runtime.base.errors import ContractError
-from runtime.heads import HEADS
+from runtime.contract.heads import HEADS
 
 METADATA_KEY = "ssdnet"
 SCHEMA_VERSION = "1.4"
@@ -73,7 +73,7 @@ class Contract:
         checkpoint_sha256: digest of the checkpoint the file was made from.
         trained_height: rows of the images it was trained on; None = not known.
         canonical_focal_px: focal length [px] of the camera in whose metres the graph works, see
-            `runtime.canonical_focal`; None = plain metres.
+            `runtime.contract.canonical_focal`; None = plain metres.
         giga_macs: multiplications with addition that a frame of `native_size` takes, billions;
             None = not counted.
         accuracy: measured with this file: "repeat", the command, and "rows", each with data, lidar,

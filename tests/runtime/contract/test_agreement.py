@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from runtime.agreement import compare, file_limits, recording_limits, within, worst
-from runtime.heads import HEADS
+from runtime.contract.agreement import compare, file_limits, recording_limits, within, worst
+from runtime.contract.heads import HEADS
 
 
 @pytest.mark.parametrize(("head", "answer", "expected", "figures"), [

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from runtime import InputError
-from runtime.network_size import check_network_size, network_size, parse_network_size
+from runtime.contract.network_size import check_network_size, network_size, parse_network_size
 
 
 @pytest.mark.parametrize(("asked", "frame", "trained", "expected"), [

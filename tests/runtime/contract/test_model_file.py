@@ -13,8 +13,8 @@ from onnx import helper
 from onnxruntime import InferenceSession
 
 from runtime import ContractError, Predictor
-from runtime.contract import METADATA_KEY
-from runtime.model_file import load_model_file, parse_model_file, with_contract
+from runtime.contract.contract import METADATA_KEY
+from runtime.contract.model_file import load_model_file, parse_model_file, with_contract
 
 
 def test_the_layout_as_the_onnx_library_reads_it(model_file):
@@ -40,7 +40,7 @@ def test_the_contract_is_the_one_that_onnx_runtime_hands_out(model_file):
 
 
 def test_the_check_in_the_documentation(model_file, tmp_path, monkeypatch):
-    page = (Path(__file__).parents[2] / "docs/model_file.md").read_text()
+    page = (Path(__file__).parents[3] / "docs/model_file.md").read_text()
     program = page.partition("```python")[2].partition("```")[0]
     whole = model_file().read_bytes()
     monkeypatch.chdir(tmp_path)

@@ -9,7 +9,7 @@ from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 from typing import Literal
 
-#: How a map is resized, see `runtime.resize`.
+#: How a map is resized, see `runtime.contract.resize`.
 ResizeRule = Literal["nearest", "bilinear", "surface"]
 
 
@@ -55,7 +55,7 @@ class Head:
         most: largest plausible value. Class ids are limited by the class table.
         per_class: True if an answer is (C, H, W), a plane a class, instead of (H, W).
         unlabelled: value of a pixel without a label in the targets of a training.
-        resize: rule where the network runs at another size than the frame, see `runtime.resize`:
+        resize: rule where the network runs at another size than the frame, see `runtime.contract.resize`:
             "nearest" never mixes two values, "bilinear" takes the mean of the area where a side
             shrinks, "surface" mixes depths of one surface.
         difference: how two runtimes are compared, at an export and for a recording.

@@ -4,7 +4,7 @@ from typing import Any, Literal
 
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
-from runtime.contract import MAX_PIXELS, MAX_SIDE, MIN_SIDE, check_side, check_size
+from runtime.contract.contract import MAX_PIXELS, MAX_SIDE, MIN_SIDE, check_side, check_size
 
 #: None = about the trained height, "frame" = the frame's own, rows, or (height, width).
 NetworkSize = Literal["frame"] | int | tuple[int, int] | None

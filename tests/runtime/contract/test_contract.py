@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from runtime import ClassInfo, Contract, ContractError
-from runtime.contract import Content
-from runtime.heads import HEADS
+from runtime.contract.contract import Content
+from runtime.contract.heads import HEADS
 
 
 @pytest.fixture

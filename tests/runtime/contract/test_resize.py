@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from runtime.resize import (
+from runtime.contract.resize import (
     move_returns,
     move_scan_lines,
     resize_image,

@@ -1,7 +1,7 @@
 """Differences between two answers of a head, and their limits.
 
 Used by the export (model file against PyTorch) and by recordings (present run against the recorded
-run). The tolerances are in `runtime.heads`.
+run). The tolerances are in `runtime.contract.heads`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.contract import Contract
-from runtime.heads import HEADS, Difference, Head, Unit
+from runtime.contract.contract import Contract
+from runtime.contract.heads import HEADS, Difference, Head, Unit
 
 #: Factors by which half precision may differ more than single precision: in the share of pixels
 #: that differ, and in values.

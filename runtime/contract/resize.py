@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.heads import ResizeRule
+from runtime.contract.heads import ResizeRule
 
 Size = tuple[int, int]  # (height, width)
 
