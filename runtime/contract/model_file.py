@@ -7,7 +7,7 @@ A file holds, in this order and nothing else:
 | content | a serialised ONNX model (protobuf `ModelProto`) without the metadata below |
 | `72` LENGTH | the key and length of one more `metadata_props` entry (field 14 of `ModelProto`) |
 | `0A 06` "ssdnet" | the entry's key |
-| `12` LENGTH JSON | the entry's value: the document of `runtime.contract.contract.Contract` |
+| `12` LENGTH JSON | the entry's value: the document of `runtime.Contract` |
 
 LENGTH is a protobuf varint. The document holds the length and SHA-256 of the content, and its own
 SHA-256, so that no byte of the file can change unnoticed. The entry is found by its key, which JSON

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.assumptions import assume
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
+from runtime.geometry.assumptions import assume
 
 PLUMB_BOB, RATIONAL_POLYNOMIAL, EQUIDISTANT = "plumb_bob", "rational_polynomial", "equidistant"
 #: Other names of these models: Kalibr's, OpenCV's, librealsense's.

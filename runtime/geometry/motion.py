@@ -12,7 +12,7 @@ from runtime.base.stamp import NS_PER_MS
 from runtime.contract.degraded import DEPTH_REUSED, DEPTH_UNCOMPENSATED, POINTS_UNTIMED
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.poses import NoPoseError, PoseFrame, PoseTrack
-from runtime.returns import axes_of, check_points, is_return
+from runtime.geometry.returns import axes_of, check_points, is_return
 
 DepthMotion = Literal["each", "scan", "none"]
 #: The instant of a scan that its stamp marks.

@@ -14,8 +14,8 @@ from runtime.base.checks import check_integer, shown
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_SIDE
 from runtime.geometry.lens import Lens, as_key, ray_bounds
+from runtime.geometry.returns import axes_of, check_points
 from runtime.geometry.rigid import check_matrix, read_rigid
-from runtime.returns import axes_of, check_points
 
 _INDEX_BITS = 32
 

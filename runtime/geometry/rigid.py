@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.assumptions import assume
 from runtime.base.errors import InputError
-from runtime.returns import kind_of
+from runtime.geometry.assumptions import assume
+from runtime.geometry.returns import kind_of
 
 _EXACT = 1e-3  # of float32, and of files with four digits
 _LARGEST_M = 1e7

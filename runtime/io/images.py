@@ -15,7 +15,7 @@ from runtime.base.checks import cut
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_PIXELS
 from runtime.files.read_input import read_input
-from runtime.returns import to_metres
+from runtime.geometry.returns import to_metres
 
 RGB_SUFFIXES = (".png", ".jpg", ".jpeg")
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.assumptions import assume, collect_assumptions
 from runtime.base.errors import InputError
 from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
+from runtime.geometry.assumptions import assume, collect_assumptions
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import Scan, ScanStamp
 from runtime.geometry.point_cloud import to_points

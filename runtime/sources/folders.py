@@ -11,9 +11,9 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.assumptions import assume, collect_assumptions
 from runtime.base.errors import InputError
 from runtime.base.stamp import NS_PER_MS, read_timestamps
+from runtime.geometry.assumptions import assume, collect_assumptions
 from runtime.geometry.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration
 from runtime.geometry.motion import Scan, ScanStamp, lidar_mount, point_times
 from runtime.geometry.poses import PoseFrame, PoseTrack

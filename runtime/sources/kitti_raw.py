@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from runtime.assumptions import collect_assumptions
 from runtime.base.errors import InputError
 from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS, parse_date
 from runtime.files.read_input import read_text
+from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration, find_raw_calibration
 from runtime.geometry.kitti_calibration import NumbersFile
 from runtime.geometry.motion import ScanStamp

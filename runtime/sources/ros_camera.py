@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from runtime.assumptions import assume
 from runtime.base.errors import InputError
+from runtime.geometry.assumptions import assume
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import Lens
 from runtime.geometry.rigid import read_rotation

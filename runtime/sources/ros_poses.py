@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.assumptions import assume
 from runtime.base.checks import cut, shown
 from runtime.base.errors import InputError
+from runtime.geometry.assumptions import assume
+from runtime.geometry.returns import is_return
 from runtime.io.poses import pose_of
-from runtime.returns import is_return
 from runtime.sources.ros_messages import view_fields
 
 #: Field of a PointCloud2 with the time of each point, as drivers name it; the first that is there.

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from runtime import InputError
-from runtime.assumptions import AssumptionWarning
+from runtime.geometry.assumptions import AssumptionWarning
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.poses import PoseTrack
 from runtime.geometry.rigid import read_rigid

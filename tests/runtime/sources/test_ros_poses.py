@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from runtime.assumptions import AssumptionWarning
 from runtime.base.errors import InputError
+from runtime.geometry.assumptions import AssumptionWarning
 from runtime.sources.ros_poses import TransformTree, odometry_pose, point_times_s
 
 STAMP_NS = 1_700_000_000 * 10**9 + 123_456_789

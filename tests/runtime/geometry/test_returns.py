@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from runtime import InputError, project_points
-from runtime.returns import check_points, is_return
+from runtime.geometry.returns import check_points, is_return
 
 RNG = np.random.default_rng(0)
 SCAN = (RNG.normal(size=(2000, 4)) * [20, 20, 3, 1]).astype(np.float32)

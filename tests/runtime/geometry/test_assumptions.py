@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from runtime.assumptions import AssumptionWarning, assume, collect_assumptions
+from runtime.geometry.assumptions import AssumptionWarning, assume, collect_assumptions
 
 
 def test_an_assumption_is_collected_once_in_its_thread():
