@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime import project_points
-from runtime.bundled_models import find_model
+from runtime.engine.bundled_models import find_model
 from runtime.geometry.calibration import Calibration
 from runtime.io.images import read_rgb
 from training.datasets.kitti_stream import KittiStreamRecipe

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from runtime.bundled_models import find_model
 from runtime.contract.contract import find_sky
+from runtime.engine.bundled_models import find_model
 from training.datasets.class_mapping import list_classes
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.sample import Sample

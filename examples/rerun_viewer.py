@@ -15,7 +15,7 @@ import rerun
 import rerun.blueprint as views
 
 from runtime import Predictor
-from runtime.prediction import Prediction
+from runtime.engine.prediction import Prediction
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 from runtime.sources.folders import FolderSource
 from runtime.sync.frame import Frame

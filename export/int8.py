@@ -27,8 +27,8 @@ from export.trunk import trunk
 from models import Checkpoint
 from runtime import InputError, Predictor
 from runtime.contract.heads import HEADS, Unit
-from runtime.preprocess import preprocess
-from runtime.session import open_session
+from runtime.engine.preprocess import preprocess
+from runtime.engine.session import open_session
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import SampleSource
 from training.evaluation.evaluate import scored_classes

@@ -16,7 +16,7 @@ from models import Network
 from models.answers import answers
 from runtime import Predictor
 from runtime.contract.agreement import compare, file_limits, within, worst
-from runtime.session import open_session
+from runtime.engine.session import open_session
 
 #: The figure that half precision is judged by in place of the largest difference, and its limit.
 _BEYOND, _MOST_BEYOND = "share_beyond", 0.03

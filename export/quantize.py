@@ -13,7 +13,7 @@ from onnxruntime.quantization.qdq_quantizer import QDQQuantizer
 
 from export.trace import quiet
 from export.trunk import trunk
-from runtime.session import open_session
+from runtime.engine.session import open_session
 
 #: Input of the graph -> array with a batch of one.
 Feed = dict[str, NDArray[Any]]

@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from runtime.base.errors import OutputError as OutputError
     from runtime.base.errors import ProviderError as ProviderError
     from runtime.base.errors import SSDNetError as SSDNetError
-    from runtime.bundled_models import list_bundled_models as list_bundled_models
     from runtime.contract.contract import ClassInfo as ClassInfo
     from runtime.contract.contract import Contract as Contract
+    from runtime.engine.bundled_models import list_bundled_models as list_bundled_models
+    from runtime.engine.prediction import Cleaned as Cleaned
+    from runtime.engine.prediction import Latency as Latency
+    from runtime.engine.prediction import Prediction as Prediction
+    from runtime.engine.predictor import Predictor as Predictor
     from runtime.geometry.calibration import Calibration as Calibration
     from runtime.geometry.projection import project_points as project_points
-    from runtime.prediction import Cleaned as Cleaned
-    from runtime.prediction import Latency as Latency
-    from runtime.prediction import Prediction as Prediction
-    from runtime.predictor import Predictor as Predictor
     from runtime.sources.registry import open_source as open_source
     from runtime.streams.frame_result import FrameResult as FrameResult
     from runtime.streams.push_stream import PushStream as PushStream
@@ -42,13 +42,13 @@ if TYPE_CHECKING:
 
 #: Module -> the public names that it holds.
 _MODULES = {
-    "bundled_models": "list_bundled_models",
+    "engine.bundled_models": "list_bundled_models",
     "contract.contract": "ClassInfo Contract",
     "base.errors": "ContractError InferenceError InputError OutputError ProviderError SSDNetError",
     "geometry.calibration": "Calibration",
     "geometry.projection": "project_points",
-    "prediction": "Cleaned Latency Prediction",
-    "predictor": "Predictor",
+    "engine.prediction": "Cleaned Latency Prediction",
+    "engine.predictor": "Predictor",
     "sources.registry": "open_source",
     "streams.frame_result": "FrameResult",
     "streams.push_stream": "PushStream",

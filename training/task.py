@@ -18,7 +18,7 @@ from models import Network
 from models.answers import check_output, head_maps
 from runtime.base.errors import InputError
 from runtime.contract.contract import MIN_SIDE
-from runtime.cores import available_cores
+from runtime.engine.cores import available_cores
 from training.datasets.sample import SampleSource
 from training.distributed import Processes
 from training.evaluation.scoring import figure_names

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from runtime.base.errors import InputError, OutputError
 from runtime.contract.contract import ClassInfo
 from runtime.drawing.overlay import Overlay
+from runtime.engine.prediction import Prediction
 from runtime.files.atomic_write import atomic_write
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.returns import kind_of
 from runtime.io.encode import encode_jpeg, encode_ply, encode_png
-from runtime.prediction import Prediction
 
 _PICTURES, _ARRAYS, _CLOUD = (".png", ".jpg", ".jpeg"), ".npz", ".ply"
 

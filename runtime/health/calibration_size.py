@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.contract.degraded import IMAGE_CONSTANT
+from runtime.engine.prediction import Prediction
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.returns import is_measured
 from runtime.health.depth_plausibility import BANDS, correlations, log_depth
-from runtime.prediction import Prediction
 
 _FAR = 0.08  # offset of the principal point / width; KITTI, PandaSet, View-of-Delft: at most 0.02
 _LEAST_RETURNS = 200

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from runtime.base.checks import check_number
 from runtime.base.errors import InputError
+from runtime.engine.prediction import Prediction
 from runtime.geometry.returns import is_measured
-from runtime.prediction import Prediction
 
 _SHARE = "consistency, the share of the returns that is held out,"
 _WEIGHT = 0.1  # of a new frame in the running means

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.contract.degraded import IMAGE_CONSTANT
+from runtime.engine.prediction import Prediction
 from runtime.geometry.returns import is_measured
-from runtime.prediction import Prediction
 
 FIRST_FRAMES = 5  # checked when a stream starts; the median of the last 5 counts
 _LEAST_RETURNS, _MOST_RETURNS = 200, 50_000  # denser maps are subsampled

@@ -7,14 +7,14 @@ from enum import StrEnum
 import numpy as np
 
 from runtime.base.errors import SSDNetError
+from runtime.engine.predictor import Predictor
+from runtime.engine.preprocess import check_sparse_depth, clean_sparse_depth
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import EQUIDISTANT, as_key, rays
 from runtime.geometry.returns import is_measured
 from runtime.health.calibration_size import CalibrationSize
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.io.images import holds_metres
-from runtime.predictor import Predictor
-from runtime.preprocess import check_sparse_depth, clean_sparse_depth
 from runtime.run.pipeline import ReadFrame
 from runtime.sources.source import ListedFrame, Source
 from runtime.streams.answerer import known_focal_length_px

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import runtime
 
 if TYPE_CHECKING:
-    from runtime.predictor import Predictor
+    from runtime.engine.predictor import Predictor
 
 _LIBRARIES = ("onnxruntime", "cv2", "numpy")  # that a predictor has loaded
 _CPU_INFO = Path("/proc/cpuinfo")

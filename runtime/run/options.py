@@ -18,11 +18,11 @@ import typer
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
-from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
 from runtime.command import Provider
 from runtime.contract.contract import MAX_FOCAL_PX, MAX_PIXELS, MIN_FOCAL_PX
 from runtime.contract.heads import HEADS
 from runtime.contract.network_size import NetworkSize, parse_network_size
+from runtime.engine.bundled_models import DEFAULT_MODEL, list_bundled_models
 from runtime.io.encode import METRES_PNG_SCALE
 from runtime.io.scan import SCAN_SUFFIXES
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream

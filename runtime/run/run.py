@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from runtime.base.errors import InputError, SSDNetError
 from runtime.command import stop_requested
 from runtime.contract.canonical_focal import CameraScale
-from runtime.predictor import Predictor
-from runtime.preprocess import check_sparse_depth
+from runtime.engine.predictor import Predictor
+from runtime.engine.preprocess import check_sparse_depth
 from runtime.run.depth_check import NoDepth, find_depth_fault, find_lens_fault
 from runtime.run.engine_facts import engine_facts
 from runtime.run.options import CLOUD, KINDS, SAVED_HEADS, RunOptions

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from runtime.contract.canonical_focal import CameraScale
+from runtime.engine.prediction import Cleaned, Prediction
+from runtime.engine.predictor import Predictor
 from runtime.files.atomic_write import atomic_write
 from runtime.io.encode import METRES_PNG_MAX_M, METRES_PNG_SCALE
-from runtime.prediction import Cleaned, Prediction
-from runtime.predictor import Predictor
 from runtime.run.options import OVERLAY, RunOptions
 from runtime.run.pipeline import StreamResult
 from runtime.streams.frame_result import FIGURES, OK, FrameResult

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from runtime.base.errors import SSDNetError
 from runtime.contract.degraded import IMPLAUSIBLE_DEPTH
+from runtime.engine.prediction import Prediction
 from runtime.geometry.calibration import Calibration
 from runtime.health.consistency import ConsistencyCheck
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.health.frame_health import FrameHealth
-from runtime.prediction import Prediction
 from runtime.streams.frame_result import FrameResult
 from runtime.sync.frame import Frame
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.stamp import NS_PER_MS, Stamp, stamp_ns
+from runtime.engine.prediction import Prediction
 from runtime.geometry.motion import DepthMotion
 from runtime.health.consistency import Consistency
-from runtime.prediction import Prediction
 
 OK, SKIPPED, INVALID = "ok", "skipped", "invalid"
 _NONE: Any = None  # in the report of a run alone: a stream gives these fields in each result

@@ -32,9 +32,9 @@ from runtime.base.stamp import (
     Stamp,
     stamp_ns,
 )
+from runtime.engine.process_guard import ProcessGuard
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import ScanStamp
-from runtime.process_guard import ProcessGuard
 from runtime.streams.answerer import Answerer, FramePredictor
 from runtime.streams.frame_result import FrameResult
 from runtime.streams.sensor_input import Kind, SensorInput

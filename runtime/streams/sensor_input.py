@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import Stamp, stamp_ns
+from runtime.engine.preprocess import check_rgb, check_sparse_depth
 from runtime.geometry.assumptions import assume
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import (
@@ -23,7 +24,6 @@ from runtime.geometry.motion import (
 from runtime.geometry.poses import PoseBuffer, PoseFrame
 from runtime.geometry.returns import check_points
 from runtime.geometry.rigid import read_rigid
-from runtime.preprocess import check_rgb, check_sparse_depth
 from runtime.streams.stream_counter import StreamCounter
 from runtime.sync.frame import Frame, Message, Outcome, Sensor
 from runtime.sync.matching import Intervals

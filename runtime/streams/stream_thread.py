@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from runtime.process_guard import ProcessGuard
+from runtime.engine.process_guard import ProcessGuard
 
 _EXIT_S = 10.0  # time that the exit of the interpreter waits for a prediction
 

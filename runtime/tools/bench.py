@@ -1,7 +1,7 @@
 """`ssdnet-bench`: models side by side on this machine.
 
 Each runs in a process of its own, which gives it its own memory and load time. All take turns, so
-that a disturbance affects all alike. Threads that wait do not spin (`runtime.session`): they would
+that a disturbance affects all alike. Threads that wait do not spin (`runtime.engine.session`): they would
 take the cores of the model whose turn it is.
 """
 
@@ -31,9 +31,9 @@ from runtime.command import (
     stop_requested,
 )
 from runtime.command_options import Version
-from runtime.cores import available_cores
+from runtime.engine.cores import available_cores
+from runtime.engine.session import import_onnxruntime
 from runtime.run.engine_facts import MachineFacts, machine_facts
-from runtime.session import import_onnxruntime
 from runtime.streams.statistics import LatencyStatistics, latency_statistics
 from runtime.tools.bench_worker import Opened, open_model, time_model
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from runtime.base.checks import shown
 from runtime.base.errors import InputError, SSDNetError
-from runtime.bundled_models import find_model
 from runtime.contract.model_file import read_onnx
-from runtime.session import explain, import_onnxruntime, open_session
+from runtime.engine.bundled_models import find_model
+from runtime.engine.session import explain, import_onnxruntime, open_session
 
 Feeds = Mapping[str, NDArray[Any]]
 

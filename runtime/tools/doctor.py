@@ -105,7 +105,7 @@ def _package(module: str, remedy: str) -> Check:
 
 def _self_tests(provider: str) -> Iterator[Check]:
     """Yield the self-test of each bundled model."""
-    from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models  # loads NumPy
+    from runtime.engine.bundled_models import DEFAULT_MODEL, list_bundled_models  # loads NumPy
 
     for model in list_bundled_models() or [DEFAULT_MODEL]:
         yield self_test(model, provider)
@@ -117,7 +117,7 @@ def self_test(model: str, provider: str) -> Check:
     try:
         import numpy as np
 
-        from runtime.predictor import Predictor
+        from runtime.engine.predictor import Predictor
         from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 
         times_ms, errors = [], []

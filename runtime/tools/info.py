@@ -9,7 +9,7 @@ import typer
 
 from runtime.command import print_result, reported_errors
 from runtime.command_options import Version
-from runtime.predictor import Predictor
+from runtime.engine.predictor import Predictor
 from runtime.run.model_table import describe_bundled_models
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)

@@ -16,8 +16,8 @@ from runtime.base.errors import InferenceError, InputError
 from runtime.command import Provider, print_result, reported_errors
 from runtime.command_options import Version
 from runtime.contract.agreement import compare, first_figure, within, worst
+from runtime.engine.predictor import Predictor
 from runtime.io.recording import RecordedFrame, Recording, read_recording
-from runtime.predictor import Predictor
 
 DIFFERS = 4  # exit code
 Figures = Mapping[str, Mapping[str, float]]  # head -> figure of `agreement.compare` -> value

@@ -8,7 +8,7 @@ import pytest
 
 import comparison
 from layouts import camvid, kitti_streets, virtual_kitti
-from runtime.bundled_models import find_model
+from runtime.engine.bundled_models import find_model
 
 #: A network that is quickly trained, a bundled one, one that is only timed, and a method.
 PLAN = """

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from runtime import Predictor
-from runtime.bundled_models import find_model
+from runtime.engine.bundled_models import find_model
 from runtime.sources.bundled_stream import bundled_stream
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "bare_onnxruntime.py"

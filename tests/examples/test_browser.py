@@ -19,12 +19,12 @@ import numpy as np
 import pytest
 
 from runtime import Predictor
-from runtime.bundled_models import find_model, list_bundled_models
 from runtime.contract.agreement import compare, recording_limits, within
 from runtime.contract.canonical_focal import camera_scale
 from runtime.contract.heads import HEADS
 from runtime.contract.model_file import load_model_file, with_contract
 from runtime.contract.resize import move_returns
+from runtime.engine.bundled_models import find_model, list_bundled_models
 from runtime.sources.bundled_stream import bundled_frames
 
 pytestmark = pytest.mark.slow

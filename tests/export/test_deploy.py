@@ -13,7 +13,7 @@ from export.trace import trace
 from models import NetworkOutput
 from models.blocks import repeat
 from runtime.contract.contract import NO_CLASS
-from runtime.session import open_session
+from runtime.engine.session import open_session
 
 STRIDE = 2
 

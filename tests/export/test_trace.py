@@ -17,7 +17,7 @@ from export.probe_frames import probe_frames
 from export.trace import check_standard, trace
 from models import NetworkOutput
 from models.blocks import pad_to_multiple, repeat
-from runtime.session import open_session
+from runtime.engine.session import open_session
 
 HEIGHT, WIDTH = 64, 96  # a multiple of the small network's stride, which is 8
 

@@ -7,8 +7,8 @@ from skimage.color import deltaE_ciede2000, rgb2lab
 
 from models import CAMVID_CLASSES
 from models.classes import CITYSCAPES_CLASSES
-from runtime.bundled_models import find_model
 from runtime.contract.model_file import load_model_file
+from runtime.engine.bundled_models import find_model
 
 
 def test_no_two_classes_of_camvid_look_alike():

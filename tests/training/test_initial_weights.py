@@ -16,7 +16,7 @@ from models.registry import NETWORKS
 from models.training_facts import TrainingFacts
 from runtime import Predictor
 from runtime.base.errors import InputError
-from runtime.bundled_models import list_bundled_models
+from runtime.engine.bundled_models import list_bundled_models
 from runtime.sources.bundled_stream import bundled_stream
 from training import cli
 from training.chosen_recipe import read_stages

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from runtime.base.errors import ContractError, InputError, OutputError
-from runtime.bundled_models import find_model
 from runtime.contract.network_size import NetworkSize
+from runtime.engine.bundled_models import find_model
 from runtime.files.atomic_write import atomic_write, require_writable
 from runtime.files.own_folder import require_folder_free
 from runtime.io.encode import encode_metres

@@ -15,8 +15,8 @@ from models.training_facts import TrainingFacts
 from runtime.base.errors import InputError, SSDNetError
 from runtime.contract.contract import ClassInfo
 from runtime.contract.network_size import NetworkSize, check_network_size, network_size
-from runtime.predictor import Predictor
-from runtime.preprocess import clean_sparse_depth
+from runtime.engine.predictor import Predictor
+from runtime.engine.preprocess import clean_sparse_depth
 from training.datasets.class_mapping import ClassTable
 from training.distributed import open_device, parse_device
 from training.evaluation.classical import CompletionMethod, create_method

@@ -15,8 +15,8 @@ from runtime.contract.canonical_focal import camera_scale
 from runtime.contract.contract import NO_CLASS
 from runtime.contract.heads import HEADS
 from runtime.contract.resize import Size
-from runtime.inference import to_frame
-from runtime.preprocess import preprocess
+from runtime.engine.inference import to_frame
+from runtime.engine.preprocess import preprocess
 from training.datasets.sample import IGNORE, SampleSource
 from training.distributed import Processes
 from training.evaluation.depth_regions import DepthRegionScores

@@ -11,9 +11,9 @@ import numpy as np
 
 from runtime.base.errors import OutputError
 from runtime.contract.heads import HEADS
+from runtime.engine.prediction import Prediction
 from runtime.files.atomic_write import atomic_path
 from runtime.io.encode import encode_jpeg
-from runtime.prediction import Prediction
 from runtime.run.options import DEFAULT_RATE_HZ, FILE_SUFFIXES
 from runtime.run.outputs.output import OpenRun
 from runtime.streams.frame_result import FrameResult

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.drawing.overlay import Overlay
-from runtime.predictor import Predictor
+from runtime.engine.predictor import Predictor
 from runtime.run.options import RunOptions
 from runtime.run.run_report import RunReport
 from runtime.streams.frame_result import FrameResult

@@ -120,5 +120,5 @@ def test_the_engine_loads_nothing_that_draws():
     program = "import sys; from runtime import Predictor; print(*sys.modules)"
     command = [sys.executable, "-c", program]
     loaded = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
-    assert "runtime.prediction" in loaded
+    assert "runtime.engine.prediction" in loaded
     assert not [name for name in loaded if name.startswith("runtime.drawing")]

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from runtime import InputError, project_points
+from runtime.engine.prediction import Latency, Prediction
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import Lens, as_key, rays
 from runtime.geometry.motion import project_moved
 from runtime.geometry.point_cloud import to_points
 from runtime.geometry.poses import PoseTrack
-from runtime.prediction import Latency, Prediction
 
 K = np.array([[420.0, 0.4, 318.3], [0, 418, 243.6], [0, 0, 1]])
 SIZE = (480, 640)

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from runtime.base.errors import InputError
+from runtime.engine.prediction import Latency, Prediction
 from runtime.health.consistency import ConsistencyCheck
-from runtime.prediction import Latency, Prediction
 
 
 def answer(depth=None, boundary=None):

@@ -3,8 +3,8 @@ import pytest
 
 from runtime import Predictor
 from runtime.contract.degraded import IMAGE_CONSTANT, NO_DEPTH
+from runtime.engine.prediction import Latency, Prediction
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility, Implausible
-from runtime.prediction import Latency, Prediction
 from runtime.sources.bundled_stream import bundled_frames
 
 SIZE = (96, 160)

@@ -1,6 +1,6 @@
 """Outcomes of frames, made by hand."""
 
-from runtime.prediction import Latency, Prediction
+from runtime.engine.prediction import Latency, Prediction
 from runtime.streams.frame_result import OK, SKIPPED, FrameResult
 
 

@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from cli_runs import arguments, files_in, rows_of
 from runtime import list_bundled_models
-from runtime.bundled_models import find_model
 from runtime.contract.model_file import load_model_file
+from runtime.engine.bundled_models import find_model
 from runtime.run.cli import app
 
 

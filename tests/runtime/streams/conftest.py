@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from runtime.contract.canonical_focal import CameraScale
-from runtime.prediction import Latency, Prediction
-from runtime.preprocess import preprocess
+from runtime.engine.prediction import Latency, Prediction
+from runtime.engine.preprocess import preprocess
 from runtime.streams.push_stream import PushStream
 
 pytest.register_assert_rewrite("stream_messages")  # so that `add_up` shows the counts

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from runtime.prediction import Latency, Prediction
+from runtime.engine.prediction import Latency, Prediction
 from runtime.streams.frame_result import FrameResult
 
 

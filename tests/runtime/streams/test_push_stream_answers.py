@@ -4,8 +4,8 @@ import threading
 
 import numpy as np
 
+from runtime.engine.predictor import Predictor
 from runtime.geometry.calibration import Calibration
-from runtime.predictor import Predictor
 from runtime.streams.push_stream import PushStream
 from stream_messages import depth, image, push_pair
 

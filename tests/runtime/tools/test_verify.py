@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from runtime import Predictor
-from runtime.bundled_models import find_model
+from runtime.engine.bundled_models import find_model
 from runtime.io.recording import RecordedFrame, Settings, read_recording, record
 from runtime.run.cli import app as run_app
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames

@@ -8,7 +8,7 @@ import pytest
 
 from runtime.base.errors import InputError
 from runtime.contract.resize import move_returns, resize_image, resize_nearest
-from runtime.preprocess import clean_sparse_depth
+from runtime.engine.preprocess import clean_sparse_depth
 from training.datasets.sample import IGNORE, Sample
 from training.loading.augment import (
     PSEUDO_SKY_MARGIN_PX,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from outcomes import outcome
-from runtime.prediction import Latency
+from runtime.engine.prediction import Latency
 from runtime.run.outputs import charts
 from runtime.run.outputs.page import RunPage, render_template
 from runtime.streams.frame_result import OK, SKIPPED

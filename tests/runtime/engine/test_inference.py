@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from runtime.inference import faults
+from runtime.engine.inference import faults
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

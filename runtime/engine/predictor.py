@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 
 from runtime.base.checks import check_integer
 from runtime.base.errors import ContractError, InferenceError, InputError
-from runtime.bundled_models import find_model
 from runtime.contract.canonical_focal import CameraScale, camera_scale
 from runtime.contract.contract import check_focal_length, check_size
 from runtime.contract.network_size import NetworkSize, check_network_size, network_size
-from runtime.cores import available_cores
-from runtime.inference import run_batch, to_prediction
-from runtime.model import open_model
-from runtime.prediction import Prediction
-from runtime.preprocess import NetworkInput, preprocess
-from runtime.process_guard import ProcessGuard
-from runtime.session import node_counts
+from runtime.engine.bundled_models import find_model
+from runtime.engine.cores import available_cores
+from runtime.engine.inference import run_batch, to_prediction
+from runtime.engine.model import open_model
+from runtime.engine.prediction import Prediction
+from runtime.engine.preprocess import NetworkInput, preprocess
+from runtime.engine.process_guard import ProcessGuard
+from runtime.engine.session import node_counts
 
 _MOST_THREADS = 1024
 _SMALL_SIZE = (64, 64)  # frame of the check of a model of free size

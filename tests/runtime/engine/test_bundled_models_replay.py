@@ -4,7 +4,7 @@ The references lie in `replay/MODEL/`: each head of all frames, thinned and one 
 After a change that is meant to change them (new weights or another bundled model, say) look at the
 answers, then write anew those of all models, or of some:
 
-    python tests/runtime/test_bundled_models_replay.py [MODEL ...]
+    python tests/runtime/engine/test_bundled_models_replay.py [MODEL ...]
 """
 
 import sys

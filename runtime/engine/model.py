@@ -8,7 +8,7 @@ from runtime.base.errors import ContractError
 from runtime.contract.contract import Contract
 from runtime.contract.heads import HEADS
 from runtime.contract.model_file import load_model_file
-from runtime.session import open_session
+from runtime.engine.session import open_session
 
 _INPUTS = {"rgb": ("tensor(uint8)", 4), "sparse_depth": ("tensor(float)", 3)}
 

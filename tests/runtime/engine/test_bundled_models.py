@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-import runtime.bundled_models
+import runtime.engine.bundled_models
 from runtime import ContractError, InputError, Predictor
-from runtime.bundled_models import DEFAULT_MODEL, find_model, list_bundled_models
+from runtime.engine.bundled_models import DEFAULT_MODEL, find_model, list_bundled_models
 
 pytest.importorskip("onnxruntime")
 
@@ -18,7 +18,9 @@ def assets(tmp_path, model_file, monkeypatch):
     """An installation with the models `ssdnet-lite` and `other`."""
     folder = tmp_path / "installed" / "assets"
     folder.mkdir(parents=True)
-    monkeypatch.setattr(runtime.bundled_models.resources, "files", lambda package: folder.parent)
+    monkeypatch.setattr(
+        runtime.engine.bundled_models.resources, "files", lambda package: folder.parent
+    )
     for name in ("ssdnet-lite", "other"):
         shutil.copy(model_file(), folder / f"{name}.onnx")
     (folder / "MODEL_CARD.md").touch()

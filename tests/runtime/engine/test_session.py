@@ -8,7 +8,7 @@ import pytest
 
 from runtime import ContractError, Predictor, ProviderError
 from runtime.base.errors import install_command
-from runtime.session import node_counts, open_session
+from runtime.engine.session import node_counts, open_session
 
 CPU, CUDA = "CPUExecutionProvider", "CUDAExecutionProvider"
 

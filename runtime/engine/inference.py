@@ -11,9 +11,9 @@ from runtime.base.errors import InferenceError
 from runtime.contract.contract import NO_CLASS, Contract
 from runtime.contract.heads import HEADS, Head, Unit
 from runtime.contract.resize import RESIZE
-from runtime.prediction import Latency, Prediction
-from runtime.preprocess import NetworkInput
-from runtime.session import explain
+from runtime.engine.prediction import Latency, Prediction
+from runtime.engine.preprocess import NetworkInput
+from runtime.engine.session import explain
 
 _ROUNDING = 1e-3  # of a head's range: how far arithmetic may leave it
 

@@ -6,7 +6,7 @@ import pytest
 from runtime import Cleaned, InputError
 from runtime.contract.canonical_focal import CameraScale
 from runtime.contract.degraded import SPARSE_DEPTH_LOW
-from runtime.preprocess import (
+from runtime.engine.preprocess import (
     check_rgb,
     check_sparse_depth,
     clean_sparse_depth,

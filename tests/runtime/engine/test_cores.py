@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-import runtime.cores
-from runtime.cores import available_cores
+import runtime.engine.cores
+from runtime.engine.cores import available_cores
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the system tells less")
 
@@ -25,9 +25,9 @@ def machine(tmp_path, monkeypatch):
             path.write_text(text + "\n")
         (tmp_path / "cgroup").write_text(cgroups)
         monkeypatch.setattr(os, "sched_getaffinity", lambda process: set(usable))
-        monkeypatch.setattr(runtime.cores, "_TOPOLOGY", str(tmp_path / "{}"))
-        monkeypatch.setattr(runtime.cores, "_CGROUPS", tmp_path / "cgroup")
-        monkeypatch.setattr(runtime.cores, "_MOUNT", tmp_path / "sys")
+        monkeypatch.setattr(runtime.engine.cores, "_TOPOLOGY", str(tmp_path / "{}"))
+        monkeypatch.setattr(runtime.engine.cores, "_CGROUPS", tmp_path / "cgroup")
+        monkeypatch.setattr(runtime.engine.cores, "_MOUNT", tmp_path / "sys")
         monkeypatch.setattr(os, "cpu_count", lambda: 16)
 
     return make

@@ -1,0 +1,1 @@
+"""The engine: a model file answers a frame."""
