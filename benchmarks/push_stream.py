@@ -15,7 +15,7 @@ from importlib.metadata import version
 from runtime import Predictor, PushStream
 from runtime.run.engine_facts import machine_facts
 from runtime.run.pipeline import dedicate_process
-from runtime.sync.frame import Frame
+from runtime.streams.frame import Frame
 from soak import resized_frames
 
 SIZES = ("125x414", "375x1242")

@@ -31,9 +31,9 @@ from runtime import InputError, Predictor, PushStream
 from runtime.contract.resize import move_returns
 from runtime.run.pipeline import dedicate_process
 from runtime.sources.bundled_stream import bundled_frames
+from runtime.streams.frame import Frame, Message
 from runtime.streams.statistics import StreamStatistics
 from runtime.streams.stream_counter import StreamCounts
-from runtime.sync.frame import Frame, Message
 
 _LARGEST_GROWTH_MB = 64
 _FAULTY = 0.1  # share of the messages

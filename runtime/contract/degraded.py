@@ -6,7 +6,9 @@ Those that make it unusable (`valid` is False) are of `inference.faults`.
 NO_DEPTH = "no_depth"  # not one usable return: the answer comes from the camera alone
 SPARSE_DEPTH_LOW = "sparse_depth_low"  # returns in too few places, see `preprocess.covers_little`
 IMAGE_CONSTANT = "image_constant"  # all pixels are equal: a covered or dead camera
-IMPLAUSIBLE_DEPTH = "implausible_depth"  # of a stream, see `runtime.health.depth_plausibility`
+IMPLAUSIBLE_DEPTH = (
+    "implausible_depth"  # of a stream, see `runtime.streams.health.depth_plausibility`
+)
 DEPTH_REUSED = "depth_reused"  # the image has no scan of its own, and took an older one
 DEPTH_UNCOMPENSATED = "depth_uncompensated"  # returns are not moved to the time of the image
 POINTS_UNTIMED = "points_untimed"  # returns were left out: their times are not of their scan

@@ -12,13 +12,13 @@ from runtime.engine.preprocess import check_sparse_depth, clean_sparse_depth
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import EQUIDISTANT, as_key, rays
 from runtime.geometry.returns import is_measured
-from runtime.health.calibration_size import CalibrationSize
-from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.io.images import holds_metres
 from runtime.run.pipeline import ReadFrame
 from runtime.sources.source import ListedFrame, Source
 from runtime.streams.answerer import known_focal_length_px
-from runtime.sync.frame import Sensor
+from runtime.streams.frame import Sensor
+from runtime.streams.health.calibration_size import CalibrationSize
+from runtime.streams.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 
 _LEAST_UNSEEN = 0.02  # share of the pixels; the corners of a sound calibration may lie beyond it
 

@@ -18,9 +18,9 @@ from runtime.base.stamp import NS_PER_MS
 from runtime.run.options import RunOptions
 from runtime.sources.source import ListedFrame, Source
 from runtime.streams.answerer import Answerer
+from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
 from runtime.streams.statistics import Jitter
-from runtime.sync.frame import Frame
 
 _READ_AHEAD, _WRITE_BEHIND = 2, 2  # frames held in memory on either side
 _NICENESS = 10

@@ -117,7 +117,7 @@ class RunReport:
 
     @property
     def health(self) -> Counter[str]:
-        """Finding of `runtime.health` -> frames."""
+        """Finding of `runtime.streams.health` -> frames."""
         return Counter(reason for record in self.records for reason in record.health)
 
     @property

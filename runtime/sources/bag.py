@@ -37,7 +37,7 @@ from runtime.sources.ros_poses import (
     transform_poses,
 )
 from runtime.sources.source import ListedFrame, Source, left_out_note, track_of
-from runtime.sync.frame import Frame, Message, Outcome, Sensor
+from runtime.streams.frame import Frame, Message, Outcome, Sensor
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from runtime.base.errors import InputError
 from runtime.sources.folders import FolderSource
-from runtime.sync.frame import Frame
+from runtime.streams.frame import Frame
 
 #: Focal length of its camera: KITTI's 721.54 px of 1242 columns, rendered at 832.
 BUNDLED_FOCAL_LENGTH_PX = 721.54 * 832 / 1242

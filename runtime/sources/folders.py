@@ -29,7 +29,7 @@ from runtime.io.images import (
 from runtime.io.poses import read_poses
 from runtime.io.scan import SCAN_SUFFIXES, read_scan
 from runtime.sources.source import ListedFrame, Source, up_to
-from runtime.sync.frame import Frame, Outcome, Sensor
+from runtime.streams.frame import Frame, Outcome, Sensor
 
 _APART_NS = 100 * NS_PER_MS  # assumed between images without times
 #: Camera of a folder of KITTI, or of an image in it: image_02, image_2/0.png, image_02/data.

@@ -19,7 +19,7 @@ from runtime.io.images import RGB_SUFFIXES, list_files
 from runtime.io.poses import read_oxts_poses
 from runtime.sources.folders import FolderSource
 from runtime.sources.source import ListedFrame, by_number, track_of
-from runtime.sync.frame import Sensor
+from runtime.streams.frame import Sensor
 
 RAW_IMU = "calib_imu_to_velo.txt"
 _SCANS = (".bin",)

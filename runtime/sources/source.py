@@ -24,8 +24,8 @@ from runtime.geometry.motion import (
     lidar_mount,
 )
 from runtime.geometry.poses import PoseFrame, PoseTrack
-from runtime.sync.frame import Frame, Message, Sensor
-from runtime.sync.matching import Decided, StampMatching
+from runtime.streams.frame import Frame, Message, Sensor
+from runtime.streams.matching import Decided, StampMatching
 
 _WAITING = 64  # messages of a sensor that wait for the other one, which may be recorded later
 

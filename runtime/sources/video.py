@@ -16,7 +16,7 @@ from runtime.files.read_input import require_regular
 from runtime.io.images import DEPTH_SUFFIXES, KITTI_DEPTH_SCALE, list_files, require_pixels
 from runtime.sources.folders import FolderSource
 from runtime.sources.source import ListedFrame, by_number
-from runtime.sync.frame import Frame, Message
+from runtime.streams.frame import Frame, Message
 
 _SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm")
 _MOST_DAMAGED = 1000  # frames in a row, after which the video is at its end

@@ -10,11 +10,11 @@ from runtime.base.errors import SSDNetError
 from runtime.contract.degraded import IMPLAUSIBLE_DEPTH
 from runtime.engine.prediction import Prediction
 from runtime.geometry.calibration import Calibration
-from runtime.health.consistency import ConsistencyCheck
-from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
-from runtime.health.frame_health import FrameHealth
+from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
-from runtime.sync.frame import Frame
+from runtime.streams.health.consistency import ConsistencyCheck
+from runtime.streams.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
+from runtime.streams.health.frame_health import FrameHealth
 
 _CHECK_EVERY = 100  # frames with depth, after the first FIRST_FRAMES
 

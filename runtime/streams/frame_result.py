@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from runtime.base.stamp import NS_PER_MS, Stamp, stamp_ns
 from runtime.engine.prediction import Prediction
 from runtime.geometry.motion import DepthMotion
-from runtime.health.consistency import Consistency
+from runtime.streams.health.consistency import Consistency
 
 OK, SKIPPED, INVALID = "ok", "skipped", "invalid"
 _NONE: Any = None  # in the report of a run alone: a stream gives these fields in each result

@@ -36,7 +36,9 @@ from runtime.engine.process_guard import ProcessGuard
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import ScanStamp
 from runtime.streams.answerer import Answerer, FramePredictor
+from runtime.streams.frame import Frame, Outcome
 from runtime.streams.frame_result import FrameResult
+from runtime.streams.matching import Decided, Synchronizer
 from runtime.streams.sensor_input import Kind, SensorInput
 from runtime.streams.statistics import Jitter, StreamStatistics
 from runtime.streams.stream_counter import (
@@ -46,8 +48,6 @@ from runtime.streams.stream_counter import (
     WatchdogState,
 )
 from runtime.streams.stream_thread import MonotonicClock, StreamWork, start_thread
-from runtime.sync.frame import Frame, Outcome
-from runtime.sync.matching import Decided, Synchronizer
 
 _WAITING = 16  # messages of a sensor that wait for their partner
 

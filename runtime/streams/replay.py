@@ -17,11 +17,11 @@ from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS, Stam
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import ScanStamp
 from runtime.streams.answerer import Answerer, FramePredictor
+from runtime.streams.frame import Frame, Message, Sensor
 from runtime.streams.frame_result import FrameResult
+from runtime.streams.matching import StampMatching
 from runtime.streams.sensor_input import SENSORS, Kind, SensorInput
 from runtime.streams.stream_counter import StreamCounter
-from runtime.sync.frame import Frame, Message, Sensor
-from runtime.sync.matching import StampMatching
 
 _WAITING = 16  # messages of a sensor that wait for their partner, and frames that wait for poses
 

@@ -24,9 +24,9 @@ from runtime.geometry.motion import (
 from runtime.geometry.poses import PoseBuffer, PoseFrame
 from runtime.geometry.returns import check_points
 from runtime.geometry.rigid import read_rigid
+from runtime.streams.frame import Frame, Message, Outcome, Sensor
+from runtime.streams.matching import Intervals
 from runtime.streams.stream_counter import StreamCounter
-from runtime.sync.frame import Frame, Message, Outcome, Sensor
-from runtime.sync.matching import Intervals
 
 _SHORTEST_NS = 10**6  # between depth messages: shorter ones are of integers of another unit
 Kind = Literal["image", "depth", "points", "pose"]

@@ -13,10 +13,10 @@ from runtime.base.checks import check_number, shown
 from runtime.base.errors import InferenceError, InputError, SSDNetError
 from runtime.base.stamp import NS_PER_MS
 from runtime.contract.degraded import DEPTH_REUSED
+from runtime.streams.frame import DROPPED, ERRORS, UNMATCHED, Frame, Outcome, Sensor
 from runtime.streams.frame_result import FIGURES, FrameResult
+from runtime.streams.matching import Decided
 from runtime.streams.statistics import DurationHistogram, MissCounter, StreamStatistics
-from runtime.sync.frame import DROPPED, ERRORS, UNMATCHED, Frame, Outcome, Sensor
-from runtime.sync.matching import Decided
 
 _OF_A_RUN = ("read", "write")  # stages of `ssdnet-run` only
 Limits = tuple[float | None, float | None]  # least values for WARN and for ERROR; None = never

@@ -14,8 +14,8 @@ from runtime.io.encode import ENCODERS, encode_jpeg, encode_ply
 from runtime.run.options import CLOUD, OVERLAY, SAVED_HEADS, SUFFIXES, RunOptions
 from runtime.run.outputs.output import OpenRun
 from runtime.run.run_report import FRAMES_FILE, REPORT_FILE, write_report
+from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
-from runtime.sync.frame import Frame
 
 
 class FrameWriter:

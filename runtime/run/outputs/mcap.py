@@ -16,8 +16,8 @@ from runtime.files.atomic_write import atomic_path
 from runtime.io.encode import encode_jpeg
 from runtime.run.options import DEFAULT_RATE_HZ, FILE_SUFFIXES
 from runtime.run.outputs.output import OpenRun
+from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
-from runtime.sync.frame import Frame
 
 _ENCODINGS = {"uint8": "mono8", "float32": "32FC1"}  # dtype -> encoding of sensor_msgs/msg/Image
 #: Head that is a picture -> topic and encoding of its `sensor_msgs/msg/Image`.

@@ -11,8 +11,8 @@ from runtime.drawing.overlay import Overlay
 from runtime.engine.predictor import Predictor
 from runtime.run.options import RunOptions
 from runtime.run.run_report import RunReport
+from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
-from runtime.sync.frame import Frame
 
 
 @dataclass

@@ -19,9 +19,9 @@ from runtime.run.engine_facts import machine_facts
 from runtime.run.outputs import charts
 from runtime.run.outputs.output import OpenRun
 from runtime.run.run_report import RunReport, running_providers
+from runtime.streams.frame import Frame
 from runtime.streams.frame_result import INVALID, SKIPPED, FrameResult
 from runtime.streams.statistics import LatencyStatistics
-from runtime.sync.frame import Frame
 
 _WORST_MARKS = (*charts.UNANSWERED, charts.LATE)
 _MOST_PROBLEMS = 200  # frames that are listed

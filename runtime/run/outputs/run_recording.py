@@ -9,8 +9,8 @@ from runtime.engine.predictor import Predictor
 from runtime.io.recording import RecordedFrame, Recorder, Settings, record
 from runtime.run.outputs.output import OpenRun
 from runtime.streams.answerer import known_focal_length_px
+from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
-from runtime.sync.frame import Frame
 
 
 class RunRecording:

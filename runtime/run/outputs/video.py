@@ -10,8 +10,8 @@ from runtime.base.errors import OutputError
 from runtime.files.atomic_write import atomic_path
 from runtime.run.options import DEFAULT_RATE_HZ
 from runtime.run.outputs.output import OpenRun
+from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
-from runtime.sync.frame import Frame
 
 _CODEC = "mp4v"  # MPEG-4 part 2: what OpenCV's wheels encode on every system, without licences
 _LARGEST_SIDE = 4096  # pixels: what players decode

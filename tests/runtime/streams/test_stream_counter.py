@@ -1,9 +1,9 @@
 import json
 
+from runtime.streams.frame import Frame, Message, Outcome, Sensor
+from runtime.streams.matching import Decided, Discarded
 from runtime.streams.statistics import MissedDeadlines
 from runtime.streams.stream_counter import MessageCounts, StreamCounter
-from runtime.sync.frame import Frame, Message, Outcome, Sensor
-from runtime.sync.matching import Decided, Discarded
 from stream_messages import result
 
 IMAGE, SCAN = Message(1.0, 10**9), Message(0.9, 9 * 10**8)

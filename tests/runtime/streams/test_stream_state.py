@@ -1,8 +1,8 @@
 import pytest
 
 from runtime.base.errors import InferenceError, InputError
+from runtime.streams.frame import Frame, Message
 from runtime.streams.stream_counter import Level, StreamCounter, WatchdogLimits
-from runtime.sync.frame import Frame, Message
 from stream_messages import result
 
 MS = 1_000_000

@@ -5,8 +5,8 @@ import pytest
 from runtime import Predictor
 from runtime.run.options import RunOptions
 from runtime.run.outputs.output import OpenRun
+from runtime.streams.frame import Frame, Message
 from runtime.streams.frame_result import FrameResult
-from runtime.sync.frame import Frame, Message
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 from runtime import OutputError, Predictor
 from runtime.drawing.overlay import Overlay
 from runtime.run.outputs.mcap import open_mcap
-from runtime.sync.frame import Frame, Message
+from runtime.streams.frame import Frame, Message
 
 rosbags = pytest.importorskip("rosbags", reason="the extra bag is not installed")
 

@@ -10,7 +10,7 @@ import pytest
 from runtime import OutputError, Predictor
 from runtime.drawing.overlay import Overlay
 from runtime.run.outputs.video import open_video
-from runtime.sync.frame import Frame, Message
+from runtime.streams.frame import Frame, Message
 
 
 def read_video(path):

@@ -3,7 +3,7 @@ import pytest
 
 from runtime.base.errors import InputError
 from runtime.engine.prediction import Latency, Prediction
-from runtime.health.consistency import ConsistencyCheck
+from runtime.streams.health.consistency import ConsistencyCheck
 
 
 def answer(depth=None, boundary=None):

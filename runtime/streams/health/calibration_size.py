@@ -12,7 +12,7 @@ from runtime.contract.degraded import IMAGE_CONSTANT
 from runtime.engine.prediction import Prediction
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.returns import is_measured
-from runtime.health.depth_plausibility import BANDS, correlations, log_depth
+from runtime.streams.health.depth_plausibility import BANDS, correlations, log_depth
 
 _FAR = 0.08  # offset of the principal point / width; KITTI, PandaSet, View-of-Delft: at most 0.02
 _LEAST_RETURNS = 200

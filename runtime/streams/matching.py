@@ -21,7 +21,7 @@ from typing import NamedTuple
 from runtime.base.checks import check_number
 from runtime.base.errors import InputError
 from runtime.base.stamp import JUMP_BACK_NS, NS_PER_MS
-from runtime.sync.frame import MATCHED, Frame, Message, Outcome, Sensor
+from runtime.streams.frame import MATCHED, Frame, Message, Outcome, Sensor
 
 _REMEMBERED_STAMPS = 64  # latest of a sensor, to detect duplicates
 _REMEMBERED_INTERVALS = 16

@@ -4,8 +4,8 @@ import pytest
 from runtime import Predictor
 from runtime.contract.degraded import IMAGE_CONSTANT, NO_DEPTH
 from runtime.engine.prediction import Latency, Prediction
-from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility, Implausible
 from runtime.sources.bundled_stream import bundled_frames
+from runtime.streams.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility, Implausible
 
 SIZE = (96, 160)
 FAR = "far where the depth predicted from the image is near"

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from runtime import InputError
-from runtime.sync.frame import Outcome, Sensor
-from runtime.sync.matching import Message, StampMatching, Synchronizer
+from runtime.streams.frame import Outcome, Sensor
+from runtime.streams.matching import Message, StampMatching, Synchronizer
 
 MS = 1_000_000
 IMAGE, DEPTH = Sensor.IMAGE, Sensor.DEPTH

@@ -9,9 +9,9 @@ from typer.testing import CliRunner
 
 from runtime import Predictor
 from runtime.geometry.calibration import Calibration
-from runtime.health.calibration_size import CalibrationSize
 from runtime.run.cli import app
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
+from runtime.streams.health.calibration_size import CalibrationSize
 
 
 @pytest.fixture(scope="module")

@@ -1,1 +1,0 @@
-"""Messages of two sensors, their matching, and the frame as it was measured."""
