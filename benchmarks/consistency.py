@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime import Predictor, PushStream, project_points
-from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
+from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 from runtime.streams.frame import Frame
 
 FAULTS = ("healthy", "pitch 1°", "yaw 1°", "100 ms late", "scale 1.1")

@@ -28,9 +28,9 @@ from runtime import Predictor
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import move_points
 from runtime.geometry.poses import PoseTrack
-from runtime.io.images import read_rgb
-from runtime.io.poses import read_kitti_poses
-from runtime.io.scan import read_scan
+from runtime.recordings.images import read_rgb
+from runtime.recordings.poses import read_kitti_poses
+from runtime.recordings.scan import read_scan
 from training.evaluation.metrics import ErrorSums
 from training.lidar.scan import project_lines, scan_line_of
 from training.lidar.split import OcclusionFilter

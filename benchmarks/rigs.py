@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from runtime import project_points
 from runtime.engine.bundled_models import find_model
 from runtime.geometry.calibration import Calibration
-from runtime.io.images import read_rgb
+from runtime.recordings.images import read_rgb
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.source_recipe import SourceRecipe

@@ -11,7 +11,7 @@ import threading
 import time
 
 from runtime import FrameResult, Predictor, PushStream
-from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
+from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 
 DEADLINE_MS = 80.0
 LIDAR_LATE_S = 0.01  # its stamps minus the camera's

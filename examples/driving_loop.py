@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from runtime import InputError, Predictor
-from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
-from runtime.sources.folders import FolderSource
+from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
+from runtime.recordings.folders import FolderSource
 
 PERIOD_S = 0.1
 DEADLINE_MS = 80.0

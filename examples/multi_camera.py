@@ -13,7 +13,7 @@ import numpy as np
 
 from runtime import Predictor
 from runtime.contract.resize import move_returns
-from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
+from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 
 FRAMES_APART = 3
 SMALLER = (192, 624)  # (height, width) of the last camera: three quarters

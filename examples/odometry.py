@@ -18,8 +18,8 @@ from kiss_icp.config import load_config
 from kiss_icp.kiss_icp import KissICP
 
 from runtime import Calibration, Predictor, ReplayMessage, StreamCounter, replay
-from runtime.io.images import read_rgb
-from runtime.io.scan import read_scan
+from runtime.recordings.images import read_rgb
+from runtime.recordings.scan import read_scan
 
 PERIOD_S = 0.1
 

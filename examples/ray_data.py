@@ -17,8 +17,8 @@ import numpy as np
 from runtime import Predictor
 from runtime.base.errors import InputError, SSDNetError
 from runtime.contract.heads import HEADS
-from runtime.sources.registry import choose_source
-from runtime.sources.source import Source
+from runtime.recordings.registry import choose_source
+from runtime.recordings.source import Source
 
 TASK_FRAMES = 8  # of a task, which is repeated when its actor dies
 

@@ -16,8 +16,8 @@ import rerun.blueprint as views
 
 from runtime import Predictor
 from runtime.engine.prediction import Prediction
-from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
-from runtime.sources.folders import FolderSource
+from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
+from runtime.recordings.folders import FolderSource
 from runtime.streams.frame import Frame
 
 STAGES = ("preprocess_ms", "inference_ms", "postprocess_ms", "total_ms")

@@ -29,7 +29,7 @@ from sensor_msgs.msg import Image, PointCloud2
 from sensor_msgs_py import point_cloud2
 
 from runtime import Calibration, FrameResult, Predictor, PushStream, SSDNetError
-from runtime.sources.ros_poses import odometry_pose, point_times_s
+from runtime.recordings.ros_poses import odometry_pose, point_times_s
 
 # Your calibration: fx 0 cx / 0 fy cy / 0 0 1, and LiDAR to camera. Of raw images also
 # Calibration(lens=, distortion=).

@@ -29,7 +29,7 @@ from runtime import Contract, InputError, OutputError, __version__
 from runtime.contract.contract import MIN_SIDE, SCHEMA_VERSION, check_size
 from runtime.contract.model_file import with_contract
 from runtime.files.atomic_write import atomic_file
-from runtime.io.recording import RecordedFrame, Recorder, Settings, record
+from runtime.recordings.recording import RecordedFrame, Recorder, Settings, record
 
 #: (height, width) a model of any size is verified at: Cityscapes at half size, as in the paper.
 DEFAULT_SIZE = (512, 1024)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from runtime.contract.contract import farthest_return
 from runtime.contract.resize import move_returns, resize_image
-from runtime.sources.bundled_stream import bundled_frames
+from runtime.recordings.bundled_stream import bundled_frames
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from runtime.engine.predictor import Predictor as Predictor
     from runtime.geometry.calibration import Calibration as Calibration
     from runtime.geometry.projection import project_points as project_points
-    from runtime.sources.registry import open_source as open_source
+    from runtime.recordings.registry import open_source as open_source
     from runtime.streams.frame_result import FrameResult as FrameResult
     from runtime.streams.push_stream import PushStream as PushStream
     from runtime.streams.replay import ReplayMessage as ReplayMessage
@@ -49,7 +49,7 @@ _MODULES = {
     "geometry.projection": "project_points",
     "engine.prediction": "Cleaned Latency Prediction",
     "engine.predictor": "Predictor",
-    "sources.registry": "open_source",
+    "recordings.registry": "open_source",
     "streams.frame_result": "FrameResult",
     "streams.push_stream": "PushStream",
     "streams.replay": "ReplayMessage replay",

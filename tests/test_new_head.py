@@ -20,7 +20,7 @@ from models.registry import NETWORKS, Entry
 from runtime import Predictor
 from runtime.contract.heads import HEADS, Difference, Head, Panel, Unit
 from runtime.io.encode import ENCODERS
-from runtime.io.recording import read_recording
+from runtime.recordings.recording import read_recording
 from runtime.tools.verify import verify
 from training import task
 from training.datasets.camvid import CamVidRecipe

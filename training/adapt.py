@@ -22,9 +22,9 @@ from runtime.contract.network_size import network_size
 from runtime.contract.resize import move_returns, resize_image
 from runtime.files.own_folder import atomic_folder
 from runtime.io.encode import encode_metres, encode_png
-from runtime.io.images import read_rgb
-from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
-from runtime.sources.source import ListedFrame, Source
+from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
+from runtime.recordings.images import read_rgb
+from runtime.recordings.source import ListedFrame, Source
 from training.chosen_recipe import config_changes
 from training.datasets.folders import FoldersRecipe
 from training.datasets.sample import Sample

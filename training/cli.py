@@ -222,7 +222,7 @@ def _adapt(
 ) -> None:
     """Adapt ``init`` to a recording, and print what came of it and what to run next."""
     with reported_errors("train"):
-        from runtime.sources.registry import SOURCES, detect_source, open_source, parse_source
+        from runtime.recordings.registry import SOURCES, detect_source, open_source, parse_source
         from training.adapt import adapt
         from training.initial_weights import find_weights, read_weights
 

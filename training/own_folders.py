@@ -18,7 +18,7 @@ from runtime.contract.contract import ClassInfo
 from runtime.contract.network_size import LARGEST_RATIO, network_size
 from runtime.files.atomic_write import atomic_write
 from runtime.files.read_input import MAX_FILE_BYTES, open_input, read_text
-from runtime.io.images import image_size, read_rgb
+from runtime.recordings.images import image_size, read_rgb
 from training.datasets.folders import Folders, FoldersRecipe
 from training.initial_weights import Weights
 from training.network import DEPTH_ALONE

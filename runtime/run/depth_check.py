@@ -12,9 +12,9 @@ from runtime.engine.preprocess import check_sparse_depth, clean_sparse_depth
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import EQUIDISTANT, as_key, rays
 from runtime.geometry.returns import is_measured
-from runtime.io.images import holds_metres
+from runtime.recordings.images import holds_metres
+from runtime.recordings.source import ListedFrame, Source
 from runtime.run.pipeline import ReadFrame
-from runtime.sources.source import ListedFrame, Source
 from runtime.streams.answerer import known_focal_length_px
 from runtime.streams.frame import Sensor
 from runtime.streams.health.calibration_size import CalibrationSize

@@ -24,9 +24,8 @@ from runtime.contract.heads import HEADS
 from runtime.contract.network_size import NetworkSize, parse_network_size
 from runtime.engine.bundled_models import DEFAULT_MODEL, list_bundled_models
 from runtime.io.encode import METRES_PNG_SCALE
-from runtime.io.scan import SCAN_SUFFIXES
-from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.sources.registry import (
+from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
+from runtime.recordings.registry import (
     SOURCE_KEYS,
     SOURCES,
     SourcePath,
@@ -35,7 +34,8 @@ from runtime.sources.registry import (
     keys_of,
     parse_source,
 )
-from runtime.sources.source import Source
+from runtime.recordings.scan import SCAN_SUFFIXES
+from runtime.recordings.source import Source
 
 OVERLAY, CLOUD = "overlay", "cloud"
 #: Kind of a file that holds one head -> its name and unit.

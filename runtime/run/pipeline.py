@@ -15,8 +15,8 @@ import cv2
 
 from runtime.base.errors import SSDNetError
 from runtime.base.stamp import NS_PER_MS
+from runtime.recordings.source import ListedFrame, Source
 from runtime.run.options import RunOptions
-from runtime.sources.source import ListedFrame, Source
 from runtime.streams.answerer import Answerer
 from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult

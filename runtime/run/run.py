@@ -9,6 +9,7 @@ from runtime.command import stop_requested
 from runtime.contract.canonical_focal import CameraScale
 from runtime.engine.predictor import Predictor
 from runtime.engine.preprocess import check_sparse_depth
+from runtime.recordings.source import ListedFrame, Source
 from runtime.run.depth_check import NoDepth, find_depth_fault, find_lens_fault
 from runtime.run.engine_facts import engine_facts
 from runtime.run.options import CLOUD, KINDS, SAVED_HEADS, RunOptions
@@ -23,7 +24,6 @@ from runtime.run.pipeline import (
     run_stream,
 )
 from runtime.run.run_report import RunReport, describe_predictor, group_reasons, write_report
-from runtime.sources.source import ListedFrame, Source
 from runtime.streams.answerer import Answerer, known_focal_length_px
 from runtime.streams.frame_result import FrameResult
 

@@ -118,7 +118,7 @@ def self_test(model: str, provider: str) -> Check:
         import numpy as np
 
         from runtime.engine.predictor import Predictor
-        from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
+        from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 
         times_ms, errors = [], []
         with Predictor(

@@ -17,7 +17,7 @@ from runtime.command import Provider, print_result, reported_errors
 from runtime.command_options import Version
 from runtime.contract.agreement import compare, first_figure, within, worst
 from runtime.engine.predictor import Predictor
-from runtime.io.recording import RecordedFrame, Recording, read_recording
+from runtime.recordings.recording import RecordedFrame, Recording, read_recording
 
 DIFFERS = 4  # exit code
 Figures = Mapping[str, Mapping[str, float]]  # head -> figure of `agreement.compare` -> value

@@ -11,7 +11,7 @@ import pytest
 
 from runtime import Predictor
 from runtime.engine.bundled_models import find_model
-from runtime.sources.bundled_stream import bundled_stream
+from runtime.recordings.bundled_stream import bundled_stream
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "bare_onnxruntime.py"
 HEADS = ("semantic", "depth", "boundary", "depth_uncertainty")

@@ -25,7 +25,7 @@ from runtime.contract.heads import HEADS
 from runtime.contract.model_file import load_model_file, with_contract
 from runtime.contract.resize import move_returns
 from runtime.engine.bundled_models import find_model, list_bundled_models
-from runtime.sources.bundled_stream import bundled_frames
+from runtime.recordings.bundled_stream import bundled_frames
 
 pytestmark = pytest.mark.slow
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from runtime.sources.bundled_stream import bundled_stream
+from runtime.recordings.bundled_stream import bundled_stream
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 TESTED = {

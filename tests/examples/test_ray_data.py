@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 
 from runtime.contract.heads import HEADS
 from runtime.io.encode import ENCODERS
+from runtime.recordings.bundled_stream import bundled_frames
+from runtime.recordings.registry import choose_source
 from runtime.run.cli import app
-from runtime.sources.bundled_stream import bundled_frames
-from runtime.sources.registry import choose_source
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "ray_data.py"
 COUNT, DAMAGED = 30, 3

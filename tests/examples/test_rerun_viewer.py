@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from runtime import Predictor
-from runtime.sources.bundled_stream import (
+from runtime.recordings.bundled_stream import (
     BUNDLED_FOCAL_LENGTH_PX,
     bundled_frames,
     bundled_stream,

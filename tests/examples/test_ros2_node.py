@@ -8,7 +8,7 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from runtime.sources.bundled_stream import bundled_frames
+from runtime.recordings.bundled_stream import bundled_frames
 
 NODE = Path(__file__).parents[2] / "examples" / "ros2_node.py"
 SECONDS, NANOSECONDS = 1_700_000_000, 123_456_789

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from export import exporter
 from export.errors import ExportError
-from runtime.io.recording import read_recording
+from runtime.recordings.recording import read_recording
 from runtime.tools.verify import app as verify_app
 
 SIZE = (64, 96)

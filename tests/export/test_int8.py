@@ -18,7 +18,7 @@ from export.precision import Int8Options
 from export.probe_frames import probe_frames
 from runtime import InputError, Predictor
 from runtime.contract.model_file import load_model_file
-from runtime.io.recording import read_recording
+from runtime.recordings.recording import read_recording
 from runtime.tools.info import app as info_app
 from runtime.tools.verify import app as verify_app
 from training.evaluation.score_report import Row

@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 
 from models import SSDNetLite, SSDNetLiteConfig, create_model, load_checkpoint, save_checkpoint
 from runtime.base.errors import InputError
-from runtime.sources.registry import open_source
-from runtime.sources.source import ListedFrame
+from runtime.recordings.registry import open_source
+from runtime.recordings.source import ListedFrame
 from training import adapt as adapting
 from training.adapt import FEEDS, adapt, choose_frames, every_second_line, make_recipe
 from training.cli import app

@@ -17,7 +17,7 @@ from models.training_facts import TrainingFacts
 from runtime import Predictor
 from runtime.base.errors import InputError
 from runtime.engine.bundled_models import list_bundled_models
-from runtime.sources.bundled_stream import bundled_stream
+from runtime.recordings.bundled_stream import bundled_stream
 from training import cli
 from training.chosen_recipe import read_stages
 from training.datasets.camvid import CamVidRecipe

@@ -14,8 +14,8 @@ from tqdm import tqdm
 
 from runtime.base.errors import DatasetError
 from runtime.contract.contract import ClassInfo
-from runtime.io.images import KITTI_DEPTH_SCALE
-from runtime.sources.folders import FolderSource
+from runtime.recordings.folders import FolderSource
+from runtime.recordings.images import KITTI_DEPTH_SCALE
 from training.datasets.cityscapes import TRAIN_LABELS
 from training.datasets.class_mapping import ClassTable, id_lookup, list_classes
 from training.datasets.files import (

@@ -13,7 +13,7 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 from runtime.base.errors import DatasetError
 from runtime.files.read_input import read_text
 from runtime.geometry.kitti_calibration import NumbersFile
-from runtime.io.images import KITTI_DEPTH_SCALE
+from runtime.recordings.images import KITTI_DEPTH_SCALE
 from training.datasets.class_mapping import ClassTable
 from training.datasets.files import dataset_errors, read_depth, read_rgb, require_folder
 from training.datasets.sample import FrameList, Sample

@@ -8,8 +8,8 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import DatasetError
-from runtime.sources.kitti_raw import KittiRawSource
-from runtime.sources.source import ListedFrame
+from runtime.recordings.kitti_raw import KittiRawSource
+from runtime.recordings.source import ListedFrame
 from training.datasets.class_mapping import ClassTable
 from training.datasets.files import (
     dataset_errors,

@@ -13,7 +13,7 @@ import typer
 
 from runtime.command import reported_errors
 from runtime.files.atomic_write import atomic_write
-from runtime.io.images import KITTI_DEPTH_SCALE
+from runtime.recordings.images import KITTI_DEPTH_SCALE
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.lidar.split import scan_lines
 

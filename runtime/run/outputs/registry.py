@@ -11,6 +11,7 @@ from typing import NamedTuple
 from runtime.base.errors import OutputError, install_command
 from runtime.files.atomic_write import atomic_path
 from runtime.files.own_folder import require_folder_free
+from runtime.recordings.source import Source
 from runtime.run.options import SUFFIXES, RunOptions
 from runtime.run.outputs.frame_writer import open_frame_files
 from runtime.run.outputs.mcap import open_mcap
@@ -19,7 +20,6 @@ from runtime.run.outputs.page import open_page
 from runtime.run.outputs.run_recording import open_recording
 from runtime.run.outputs.video import open_video
 from runtime.run.pipeline import Output
-from runtime.sources.source import Source
 
 #: Opens an output.
 #:

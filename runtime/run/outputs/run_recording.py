@@ -6,7 +6,7 @@ from pathlib import Path
 
 from runtime.contract.degraded import OF_THE_STREAM
 from runtime.engine.predictor import Predictor
-from runtime.io.recording import RecordedFrame, Recorder, Settings, record
+from runtime.recordings.recording import RecordedFrame, Recorder, Settings, record
 from runtime.run.outputs.output import OpenRun
 from runtime.streams.answerer import known_focal_length_px
 from runtime.streams.frame import Frame

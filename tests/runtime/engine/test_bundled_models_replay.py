@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from runtime import Prediction, Predictor, list_bundled_models
-from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
+from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 
 REFERENCES = Path(__file__).parent / "replay"
 #: Every so many rows and columns of a head.

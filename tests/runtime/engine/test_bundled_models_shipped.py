@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from runtime import Predictor, list_bundled_models
-from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
+from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 
 pytest.importorskip("onnxruntime")
 

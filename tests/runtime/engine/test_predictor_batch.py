@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from runtime import InferenceError, InputError, Predictor, list_bundled_models
-from runtime.sources.bundled_stream import bundled_frames
+from runtime.recordings.bundled_stream import bundled_frames
 
 HEADS = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
 

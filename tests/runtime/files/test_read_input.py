@@ -14,10 +14,10 @@ from runtime.base.errors import SSDNetError
 from runtime.contract.model_file import load_model_file
 from runtime.files.read_input import read_input, read_text, read_toml
 from runtime.geometry.calibration import Calibration
-from runtime.io.images import read_rgb
-from runtime.io.scan import read_scan
-from runtime.sources.bag import BagSource
-from runtime.sources.video import VideoSource
+from runtime.recordings.bag import BagSource
+from runtime.recordings.images import read_rgb
+from runtime.recordings.scan import read_scan
+from runtime.recordings.video import VideoSource
 
 READERS = {
     "rgb": read_rgb,

@@ -11,7 +11,7 @@ from runtime.geometry.assumptions import AssumptionWarning
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.poses import PoseTrack
 from runtime.geometry.rigid import read_rigid
-from runtime.io.poses import pose_of
+from runtime.recordings.poses import pose_of
 
 K = np.array([[700.0, 0, 320], [0, 710, 120], [0, 0, 1]])
 TURN = Rotation.from_rotvec([0.1, -0.2, 1.4]).as_matrix()

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import runtime.sources.bundled_stream
+import runtime.recordings.bundled_stream
 from cli_runs import N, arguments, files_in, rows_of
-from runtime.io.recording import read_recording
+from runtime.recordings.folders import FolderSource
+from runtime.recordings.recording import read_recording
 from runtime.run.cli import app
 from runtime.run.options import KINDS
-from runtime.sources.folders import FolderSource
 
 
 @pytest.fixture
@@ -88,7 +88,9 @@ def test_the_demo_runs_the_bundled_stream(tmp_path, stream, model_file, monkeypa
     bundled = tmp_path / "assets" / "stream"
     bundled.mkdir(parents=True)
     arguments = ["--demo", "--model", str(model_file()), "--out", str(tmp_path / "out")]
-    monkeypatch.setattr(runtime.sources.bundled_stream.resources, "files", lambda package: tmp_path)
+    monkeypatch.setattr(
+        runtime.recordings.bundled_stream.resources, "files", lambda package: tmp_path
+    )
     empty = CliRunner().invoke(app, arguments)
     assert empty.exit_code == 1
     stream[0].rename(bundled / "rgb")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cli_runs import COMMAND, N, arguments, rows_of
-from runtime.io.recording import read_recording
+from runtime.recordings.recording import read_recording
 from runtime.run.options import KINDS, SUFFIXES
 
 

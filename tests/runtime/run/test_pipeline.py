@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-import runtime.io.images
+import runtime.recordings.images
 import runtime.run.pipeline
 from runtime import OutputError, Predictor
+from runtime.recordings.folders import FolderSource
 from runtime.run.options import RunOptions
 from runtime.run.pipeline import frame_reader, run_stream
-from runtime.sources.folders import FolderSource
 from runtime.streams.answerer import Answerer
 
 

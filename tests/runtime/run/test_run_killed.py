@@ -11,7 +11,7 @@ import cv2
 import pytest
 
 from cli_runs import COMMAND, N, rows_of
-from runtime.io.recording import read_recording
+from runtime.recordings.recording import read_recording
 from runtime.run.options import SUFFIXES
 
 pytestmark = [

@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 
 from runtime import Predictor
 from runtime.engine.bundled_models import find_model
-from runtime.io.recording import RecordedFrame, Settings, read_recording, record
+from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
+from runtime.recordings.recording import RecordedFrame, Settings, read_recording, record
 from runtime.run.cli import app as run_app
-from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 from runtime.tools.verify import app
 
 HEADS = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")

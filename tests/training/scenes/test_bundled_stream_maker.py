@@ -5,7 +5,7 @@ import pytest
 
 from layouts.virtual_kitti import write_second_edition
 from runtime.base.errors import DatasetError
-from runtime.sources.folders import FolderSource
+from runtime.recordings.folders import FolderSource
 from training.scenes.bundled_stream_maker import write_lidar_stream
 
 

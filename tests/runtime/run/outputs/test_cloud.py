@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from runtime import Predictor
-from runtime.sources.folders import FolderSource
+from runtime.recordings.folders import FolderSource
 
 K = np.array([[60.0, 0, 20], [0, 62, 31.5], [0, 0, 1]])
 

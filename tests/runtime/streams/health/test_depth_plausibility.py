@@ -4,7 +4,7 @@ import pytest
 from runtime import Predictor
 from runtime.contract.degraded import IMAGE_CONSTANT, NO_DEPTH
 from runtime.engine.prediction import Latency, Prediction
-from runtime.sources.bundled_stream import bundled_frames
+from runtime.recordings.bundled_stream import bundled_frames
 from runtime.streams.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility, Implausible
 
 SIZE = (96, 160)

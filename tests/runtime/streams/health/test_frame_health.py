@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from runtime.io.images import read_sparse_depth
+from runtime.recordings.images import read_sparse_depth
 from runtime.streams.health.frame_health import FrameHealth
 
 SIZE = (128, 416)

@@ -4,7 +4,7 @@ from importlib import resources
 from pathlib import Path
 
 from runtime.base.errors import InputError
-from runtime.sources.folders import FolderSource
+from runtime.recordings.folders import FolderSource
 from runtime.streams.frame import Frame
 
 #: Focal length of its camera: KITTI's 721.54 px of 1242 columns, rendered at 832.

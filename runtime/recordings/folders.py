@@ -17,7 +17,7 @@ from runtime.geometry.assumptions import assume, collect_assumptions
 from runtime.geometry.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration
 from runtime.geometry.motion import Scan, ScanStamp, lidar_mount, point_times
 from runtime.geometry.poses import PoseFrame, PoseTrack
-from runtime.io.images import (
+from runtime.recordings.images import (
     DEPTH_SUFFIXES,
     KITTI_DEPTH_SCALE,
     RGB_SUFFIXES,
@@ -26,9 +26,9 @@ from runtime.io.images import (
     read_rgb,
     read_sparse_depth,
 )
-from runtime.io.poses import read_poses
-from runtime.io.scan import SCAN_SUFFIXES, read_scan
-from runtime.sources.source import ListedFrame, Source, up_to
+from runtime.recordings.poses import read_poses
+from runtime.recordings.scan import SCAN_SUFFIXES, read_scan
+from runtime.recordings.source import ListedFrame, Source, up_to
 from runtime.streams.frame import Frame, Outcome, Sensor
 
 _APART_NS = 100 * NS_PER_MS  # assumed between images without times

@@ -7,8 +7,8 @@ import pytest
 
 from runtime import InputError, project_points
 from runtime.geometry.calibration import Calibration
-from runtime.sources.folders import FolderSource
-from runtime.sources.registry import open_source
+from runtime.recordings.folders import FolderSource
+from runtime.recordings.registry import open_source
 
 
 @pytest.fixture

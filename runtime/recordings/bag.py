@@ -19,16 +19,16 @@ from runtime.geometry.assumptions import assume, collect_assumptions
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import Scan, ScanStamp
 from runtime.geometry.point_cloud import to_points
-from runtime.sources.ros_bag import RecordedMessage, RosBag
-from runtime.sources.ros_camera import CAMERA_INFO, GIVE, SAME_PX, calibrate, projection_of
-from runtime.sources.ros_messages import (
+from runtime.recordings.ros_bag import RecordedMessage, RosBag
+from runtime.recordings.ros_camera import CAMERA_INFO, GIVE, SAME_PX, calibrate, projection_of
+from runtime.recordings.ros_messages import (
     DEPTHS,
     decode_compressed_image,
     decode_depth_image,
     decode_image,
     decode_points,
 )
-from runtime.sources.ros_poses import (
+from runtime.recordings.ros_poses import (
     TransformTree,
     frame_name,
     odometry_pose,
@@ -36,7 +36,7 @@ from runtime.sources.ros_poses import (
     point_times_s,
     transform_poses,
 )
-from runtime.sources.source import ListedFrame, Source, left_out_note, track_of
+from runtime.recordings.source import ListedFrame, Source, left_out_note, track_of
 from runtime.streams.frame import Frame, Message, Outcome, Sensor
 
 IMAGE = "sensor_msgs/msg/Image"

@@ -11,12 +11,12 @@ from runtime.base.checks import check_number, shown
 from runtime.base.errors import InputError
 from runtime.geometry.motion import MIDDLE_AFTER, check_scan_stamp
 from runtime.geometry.poses import PoseFrame
-from runtime.sources.bag import BagSource
-from runtime.sources.folders import FolderSource
-from runtime.sources.kitti_raw import KittiRawSource
-from runtime.sources.layouts import KittiObjectSource, OneFolderSource
-from runtime.sources.source import Source
-from runtime.sources.video import VideoSource
+from runtime.recordings.bag import BagSource
+from runtime.recordings.folders import FolderSource
+from runtime.recordings.kitti_raw import KittiRawSource
+from runtime.recordings.layouts import KittiObjectSource, OneFolderSource
+from runtime.recordings.source import Source
+from runtime.recordings.video import VideoSource
 
 SOURCES: dict[str, type[Source]] = {
     "kitti-raw": KittiRawSource,

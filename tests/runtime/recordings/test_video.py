@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from runtime import InputError
-from runtime.sources.video import VideoSource
+from runtime.recordings.video import VideoSource
 
 N, RATE_HZ = 8, 20
 

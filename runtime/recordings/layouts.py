@@ -7,9 +7,9 @@ from typing import Any
 
 from runtime.base.errors import InputError
 from runtime.geometry.calibration import find_raw_calibration
-from runtime.io.images import DEPTH_SUFFIXES, RGB_SUFFIXES, list_files
-from runtime.io.scan import SCAN_SUFFIXES
-from runtime.sources.folders import FolderSource, list_entries
+from runtime.recordings.folders import FolderSource, list_entries
+from runtime.recordings.images import DEPTH_SUFFIXES, RGB_SUFFIXES, list_files
+from runtime.recordings.scan import SCAN_SUFFIXES
 
 # Names of folders begin with:
 _IMAGES = ("image", "rgb", "color")

@@ -9,8 +9,8 @@ import pytest
 from small_rig import SIZE, agree, projected
 
 from runtime import InputError
-from runtime.io.images import read_sparse_depth
-from runtime.sources.kitti_raw import KittiRawSource
+from runtime.recordings.images import read_sparse_depth
+from runtime.recordings.kitti_raw import KittiRawSource
 
 CAMERAS = """calib_time: 09-Jan-2012 13:57:47
 S_rect_02: 64 48

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
 from runtime.files.read_input import require_regular
-from runtime.io.images import DEPTH_SUFFIXES, KITTI_DEPTH_SCALE, list_files, require_pixels
-from runtime.sources.folders import FolderSource
-from runtime.sources.source import ListedFrame, by_number
+from runtime.recordings.folders import FolderSource
+from runtime.recordings.images import DEPTH_SUFFIXES, KITTI_DEPTH_SCALE, list_files, require_pixels
+from runtime.recordings.source import ListedFrame, by_number
 from runtime.streams.frame import Frame, Message
 
 _SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm")

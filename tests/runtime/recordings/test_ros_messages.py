@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from runtime import InputError
-from runtime.sources.ros_messages import (
+from runtime.recordings.ros_messages import (
     decode_compressed_image,
     decode_depth_image,
     decode_image,

@@ -15,10 +15,10 @@ from runtime.geometry.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration, 
 from runtime.geometry.kitti_calibration import NumbersFile
 from runtime.geometry.motion import ScanStamp
 from runtime.geometry.rigid import read_rigid
-from runtime.io.images import RGB_SUFFIXES, list_files
-from runtime.io.poses import read_oxts_poses
-from runtime.sources.folders import FolderSource
-from runtime.sources.source import ListedFrame, by_number, track_of
+from runtime.recordings.folders import FolderSource
+from runtime.recordings.images import RGB_SUFFIXES, list_files
+from runtime.recordings.poses import read_oxts_poses
+from runtime.recordings.source import ListedFrame, by_number, track_of
 from runtime.streams.frame import Sensor
 
 RAW_IMU = "calib_imu_to_velo.txt"

@@ -10,9 +10,9 @@ from small_rig import SIZE, projected
 from typer.testing import CliRunner
 
 from runtime import InputError
-from runtime.io.recording import read_recording
-from runtime.sources.layouts import KittiObjectSource
-from runtime.sources.registry import detect_source, open_source
+from runtime.recordings.layouts import KittiObjectSource
+from runtime.recordings.recording import read_recording
+from runtime.recordings.registry import detect_source, open_source
 from runtime.tools.verify import app as verify_app
 
 N = 3

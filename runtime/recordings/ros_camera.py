@@ -15,9 +15,9 @@ from runtime.geometry.assumptions import assume
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import Lens
 from runtime.geometry.rigid import read_rotation
-from runtime.io.images import image_size
-from runtime.sources.ros_bag import RosBag
-from runtime.sources.ros_poses import TransformTree, frame_name
+from runtime.recordings.images import image_size
+from runtime.recordings.ros_bag import RosBag
+from runtime.recordings.ros_poses import TransformTree, frame_name
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 #: Words, between / and _, of the names of topics of images that are, or are not, rectified.

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from runtime import InputError
-from runtime.io.scan import read_scan
+from runtime.recordings.scan import read_scan
 
 POINTS = np.random.default_rng(0).normal(0, 30, (50, 3)).astype(np.float32)
 POINTS[3] = np.nan

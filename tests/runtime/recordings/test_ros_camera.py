@@ -5,7 +5,7 @@ import pytest
 from small_rig import INTRINSICS, MS, SIZE, START_NS, add_tree, projected
 
 from runtime import InputError
-from runtime.sources.bag import BagSource
+from runtime.recordings.bag import BagSource
 
 pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
 

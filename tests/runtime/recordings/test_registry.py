@@ -7,9 +7,9 @@ import pytest
 
 from runtime import InputError
 from runtime.geometry.poses import PoseFrame
+from runtime.recordings.registry import SOURCES, detect_source, open_source, parse_source
+from runtime.recordings.source import ListedFrame, Source, up_to
 from runtime.run.options import RunOptions, UsageError
-from runtime.sources.registry import SOURCES, detect_source, open_source, parse_source
-from runtime.sources.source import ListedFrame, Source, up_to
 
 KINDS = "one of the kinds kitti-raw, kitti-object, video, bag, one-folder, folders"
 

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-import runtime.io.images
+import runtime.recordings.images
 from runtime import InputError
-from runtime.io.images import image_size, read_rgb, read_sparse_depth
+from runtime.recordings.images import image_size, read_rgb, read_sparse_depth
 
 
 def write(path: Path, image) -> Path:
@@ -117,9 +117,9 @@ def test_a_picture_of_too_many_pixels_is_refused_before_it_is_decoded(
 ):
     """Decoded, a JPEG of 631 bytes may take 5 GB and 23 s."""
     path = write(tmp_path / f"a{suffix}", np.zeros((40, 50, 3), np.uint8))
-    monkeypatch.setattr(runtime.io.images, "MAX_PIXELS", 40 * 50)
+    monkeypatch.setattr(runtime.recordings.images, "MAX_PIXELS", 40 * 50)
     assert read_rgb(path).shape == (40, 50, 3)
-    monkeypatch.setattr(runtime.io.images, "MAX_PIXELS", 40 * 50 - 1)
+    monkeypatch.setattr(runtime.recordings.images, "MAX_PIXELS", 40 * 50 - 1)
     monkeypatch.delattr(cv2, "imdecode")
     with pytest.raises(InputError, match="1,999"):
         read_rgb(path)

@@ -18,7 +18,7 @@ from runtime.base.checks import cut, shown
 from runtime.base.errors import InputError
 from runtime.files.read_input import MAX_FILE_BYTES, read_input
 from runtime.geometry.returns import is_return, is_transposed
-from runtime.io.images import read_npy
+from runtime.recordings.images import read_npy
 
 SCAN_SUFFIXES = (".pcd.bin", ".bin", ".pcd", ".ply", ".npy")  # .pcd.bin before .bin
 _MAX_HEADER_BYTES = 100_000

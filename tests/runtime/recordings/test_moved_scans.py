@@ -9,8 +9,8 @@ from small_rig import INTRINSICS, MS, SIZE, START_NS, agree, projected
 
 from runtime import InputError
 from runtime.geometry.poses import PoseFrame
-from runtime.sources.bag import BagSource
-from runtime.sources.folders import FolderSource
+from runtime.recordings.bag import BagSource
+from runtime.recordings.folders import FolderSource
 
 DATA = os.environ.get("SSDNET_DATA")
 N = 6

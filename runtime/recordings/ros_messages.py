@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from runtime.base.checks import cut, shown
 from runtime.base.errors import InputError
 from runtime.geometry.returns import to_metres
-from runtime.io.images import decode_rgb, require_pixels
+from runtime.recordings.images import decode_rgb, require_pixels
 
 #: Encoding of an image -> channels and the conversion to RGB.
 _PICTURES: dict[str, tuple[int, int | None]] = {

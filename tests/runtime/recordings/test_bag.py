@@ -9,7 +9,7 @@ import pytest
 from small_rig import INTRINSICS, MS, OPTICAL, SIZE, START_NS, projected
 
 from runtime import InputError
-from runtime.sources.bag import BagSource
+from runtime.recordings.bag import BagSource
 
 pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from runtime.base.errors import InputError
-from runtime.io.poses import read_kitti_poses, read_oxts_poses, read_tum_poses
+from runtime.recordings.poses import read_kitti_poses, read_oxts_poses, read_tum_poses
 
 
 def test_kittis_poses_are_rows_of_a_matrix(tmp_path):

@@ -8,10 +8,10 @@ import struct
 import pytest
 from small_rig import MS, START_NS
 
-import runtime.sources.ros_bag
+import runtime.recordings.ros_bag
 from runtime import InputError
-from runtime.sources.bag import BagSource
-from runtime.sources.ros_bag import RosBag
+from runtime.recordings.bag import BagSource
+from runtime.recordings.ros_bag import RosBag
 
 pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
 
@@ -76,7 +76,7 @@ def test_a_compressed_bag_is_read_up_to_a_declared_size(record, monkeypatch, kin
     assert frames_of(path) == (N, {})
     if compression == "message":
         return  # no size is declared before the message itself
-    monkeypatch.setattr(runtime.sources.ros_bag, "MAX_CHUNK_BYTES", 1000)
+    monkeypatch.setattr(runtime.recordings.ros_bag, "MAX_CHUNK_BYTES", 1000)
     with pytest.raises(InputError, match="1,000"):
         BagSource(path)
 

@@ -11,8 +11,8 @@ from runtime.base.checks import cut, shown
 from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume
 from runtime.geometry.returns import is_return
-from runtime.io.poses import pose_of
-from runtime.sources.ros_messages import view_fields
+from runtime.recordings.poses import pose_of
+from runtime.recordings.ros_messages import view_fields
 
 #: Field of a PointCloud2 with the time of each point, as drivers name it; the first that is there.
 TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")

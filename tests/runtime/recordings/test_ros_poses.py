@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from runtime.base.errors import InputError
 from runtime.geometry.assumptions import AssumptionWarning
-from runtime.sources.ros_poses import TransformTree, odometry_pose, point_times_s
+from runtime.recordings.ros_poses import TransformTree, odometry_pose, point_times_s
 
 STAMP_NS = 1_700_000_000 * 10**9 + 123_456_789
 QUATERNION = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_quat()

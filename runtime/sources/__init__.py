@@ -1,1 +1,0 @@
-"""Sources of frames, one file per kind; `registry` lists all of them."""
