@@ -33,13 +33,13 @@ from models import Network, create_model
 from models.registry import NETWORKS
 from random_weights import TRACED_AT, count_params_m, export_graph
 from runtime import Predictor
+from runtime.app.command import INTERRUPTED
+from runtime.app.tools.bench import BenchOptions, bench
+from runtime.app.tools.bench_worker import make_input, time_runs
 from runtime.base.errors import InputError, SSDNetError
-from runtime.command import INTERRUPTED
 from runtime.contract.model_file import load_model_file
 from runtime.engine.bundled_models import find_model
 from runtime.files.atomic_write import atomic_write
-from runtime.tools.bench import BenchOptions, bench
-from runtime.tools.bench_worker import make_input, time_runs
 from training.chosen_recipe import read_stages
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe

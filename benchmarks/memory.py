@@ -13,12 +13,12 @@ from pathlib import Path
 import psutil
 
 from runtime import Predictor
+from runtime.app.run.options import KINDS, RunOptions
+from runtime.app.run.outputs.frame_writer import FrameWriter, make_run_folder
+from runtime.app.run.outputs.output import OpenRun
+from runtime.app.run.pipeline import dedicate_process, frame_reader, run_stream
 from runtime.recordings.bundled_stream import bundled_stream
 from runtime.recordings.folders import FolderSource
-from runtime.run.options import KINDS, RunOptions
-from runtime.run.outputs.frame_writer import FrameWriter, make_run_folder
-from runtime.run.outputs.output import OpenRun
-from runtime.run.pipeline import dedicate_process, frame_reader, run_stream
 from runtime.streams.answerer import Answerer
 
 

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime import project_points
+from runtime.app.run.pipeline import dedicate_process
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import project_moved
 from runtime.geometry.poses import PoseTrack
-from runtime.run.pipeline import dedicate_process
 
 SIZE = (375, 1242)
 INTRINSICS = np.array([[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1]])

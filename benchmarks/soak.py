@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 
 from memory import resident_mb
 from runtime import InputError, Predictor, PushStream
+from runtime.app.run.pipeline import dedicate_process
 from runtime.contract.resize import move_returns
 from runtime.recordings.bundled_stream import bundled_frames
-from runtime.run.pipeline import dedicate_process
 from runtime.streams.frame import Frame, Message
 from runtime.streams.statistics import StreamStatistics
 from runtime.streams.stream_counter import StreamCounts

@@ -7,8 +7,8 @@ from typing import Annotated
 import typer
 
 from export.precision import LEAST_FRAMES, Int8Options, Precision
-from runtime.command import reported_errors, stop_requested
-from runtime.command_options import Version
+from runtime.app.command import reported_errors, stop_requested
+from runtime.app.command_options import Version
 from runtime.contract.contract import MIN_SIDE, Contract
 
 #: Key in `Contract.accuracy`, name, factor, unit.

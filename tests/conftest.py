@@ -280,7 +280,7 @@ def start_process():
 def bench_in_threads(monkeypatch):
     """Let ssdnet-bench start threads: processes take seconds to start."""
     threads = lambda workers, *_, **__: ThreadPoolExecutor(workers)  # noqa: E731
-    monkeypatch.setattr("runtime.tools.bench.ProcessPoolExecutor", threads)
+    monkeypatch.setattr("runtime.app.tools.bench.ProcessPoolExecutor", threads)
 
 
 @pytest.fixture

@@ -18,10 +18,10 @@ from models import Network, NetworkConfig, NetworkOutput, load_checkpoint, save_
 from models.blocks import pad_to_multiple
 from models.registry import NETWORKS, Entry
 from runtime import Predictor
+from runtime.app.encode import ENCODERS
+from runtime.app.tools.verify import verify
 from runtime.contract.heads import HEADS, Difference, Head, Panel, Unit
-from runtime.io.encode import ENCODERS
 from runtime.recordings.recording import read_recording
-from runtime.tools.verify import verify
 from training import task
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.sample import Sample
@@ -56,7 +56,7 @@ COMMAND = f"""
 import pickle
 from runtime.contract.heads import HEADS
 HEADS["drivable"] = pickle.loads({pickle.dumps(ROW)!r})
-from runtime.tools.commands import run
+from runtime.app.tools.commands import run
 run()
 """
 SIZE = (64, 96)

@@ -1,6 +1,6 @@
 """`ssdnet-train`, also as `python -m training`."""
 
-from runtime.command import begin_command
+from runtime.app.command import begin_command
 
 
 def main() -> None:

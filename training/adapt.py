@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from models import Network, SSDNetLite, load_checkpoint, save_checkpoint
+from runtime.app.encode import encode_metres, encode_png
 from runtime.base.errors import InputError
 from runtime.contract.network_size import network_size
 from runtime.contract.resize import move_returns, resize_image
 from runtime.files.own_folder import atomic_folder
-from runtime.io.encode import encode_metres, encode_png
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 from runtime.recordings.images import read_rgb
 from runtime.recordings.source import ListedFrame, Source

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from runtime.command import INTERRUPTED, reported_errors
-from runtime.command_options import Version
+from runtime.app.command import INTERRUPTED, reported_errors
+from runtime.app.command_options import Version
 from training.stop_signal import stop_signal
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)

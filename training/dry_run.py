@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from runtime.drawing.overlay import Overlay
+from runtime.app.drawing.overlay import Overlay
+from runtime.app.encode import encode_png
 from runtime.files.atomic_write import atomic_write
-from runtime.io.encode import encode_png
 from training.datasets.class_mapping import list_classes
 from training.datasets.sample import IGNORE, SampleSource
 from training.distributed import join_processes

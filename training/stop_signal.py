@@ -4,7 +4,7 @@ import contextlib
 import os
 from collections.abc import Callable, Iterator
 
-from runtime.command import stop_requested
+from runtime.app.command import stop_requested
 
 
 @contextlib.contextmanager

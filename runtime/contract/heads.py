@@ -64,7 +64,7 @@ class Head:
         tolerance_int8: between two runtimes of one 8-bit file, the largest share of pixels that
             differ, mean difference, or mean difference as a share of the mean value.
         saved_as: name for `ssdnet-run --save` and of the subfolder; "" = is not written. Its files
-            are encoded by the unit, see `runtime.io.encode`.
+            are encoded by the unit, see `runtime.app.encode`.
         panel: how it is drawn; None = is not drawn.
     """
 

@@ -129,13 +129,13 @@ class Prediction:
 
         Returns:
             uint8 (H', W', 3), RGB: panels of image and heads over a legend, shrunk by a whole
-            number where the frame is large, see `runtime.drawing.overlay.Overlay`. Answers with
+            number where the frame is large, see `runtime.app.drawing.overlay.Overlay`. Answers with
             `valid` False are also drawn.
 
         Raises:
             InputError: for an image that is not the frame's, and where `contract` is None.
         """
-        from runtime.drawing.draw_prediction import draw_prediction  # on demand
+        from runtime.app.drawing.draw_prediction import draw_prediction  # on demand
 
         return draw_prediction(self, rgb)
 
@@ -160,7 +160,7 @@ class Prediction:
             InputError: for another ending, and as `draw` and `points`.
             OutputError: if the file cannot be written.
         """
-        from runtime.drawing.draw_prediction import save_prediction  # on demand
+        from runtime.app.drawing.draw_prediction import save_prediction  # on demand
 
         save_prediction(self, path, rgb, intrinsics=intrinsics)
 

@@ -12,11 +12,11 @@ import psutil
 import pytest
 from typer.testing import CliRunner
 
+from runtime.app.encode import ENCODERS
+from runtime.app.run.cli import app
 from runtime.contract.heads import HEADS
-from runtime.io.encode import ENCODERS
 from runtime.recordings.bundled_stream import bundled_frames
 from runtime.recordings.registry import choose_source
-from runtime.run.cli import app
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "ray_data.py"
 COUNT, DAMAGED = 30, 3

@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 
 from export import exporter
 from export.errors import ExportError
+from runtime.app.tools.verify import app as verify_app
 from runtime.recordings.recording import read_recording
-from runtime.tools.verify import app as verify_app
 
 SIZE = (64, 96)
 

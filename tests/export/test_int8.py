@@ -17,10 +17,10 @@ from export.exporter import export_checkpoint
 from export.precision import Int8Options
 from export.probe_frames import probe_frames
 from runtime import InputError, Predictor
+from runtime.app.tools.info import app as info_app
+from runtime.app.tools.verify import app as verify_app
 from runtime.contract.model_file import load_model_file
 from runtime.recordings.recording import read_recording
-from runtime.tools.info import app as info_app
-from runtime.tools.verify import app as verify_app
 from training.evaluation.score_report import Row
 from training.evaluation.scoring import Scores
 

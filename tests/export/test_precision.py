@@ -14,8 +14,8 @@ from export.precision import Precision
 from export.probe_frames import probe_frames
 from export.quantize import measure_ranges, quantize, strides
 from export.trunk import trunk
+from runtime.app.tools.verify import app as verify_app
 from runtime.contract.agreement import compare
-from runtime.tools.verify import app as verify_app
 from training.initial_weights import find_weights
 
 SIZE = (64, 96)

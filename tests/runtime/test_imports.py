@@ -39,7 +39,7 @@ def test_the_leaves_load_neither_opencv_nor_onnxruntime(statement):
 
 
 def test_the_leaves_of_files_and_errors_need_nothing_but_python():
-    statement = "import runtime.base.errors, runtime.files.atomic_write, runtime.command"
+    statement = "import runtime.base.errors, runtime.files.atomic_write, runtime.app.command"
     assert loaded_after(statement) - {"runtime"} <= sys.stdlib_module_names | loaded_after("pass")
 
 
@@ -49,12 +49,12 @@ HEAVY = {"torch", "onnx", "models", "training", "export", "scipy"}
 @pytest.mark.parametrize(("statement", "needed", "unwanted"), [
     ("from runtime import Predictor; Predictor", {"numpy", "cv2"}, {"typer"}),
     (
-        "import runtime.run.cli",
+        "import runtime.app.run.cli",
         {"numpy", "cv2", "typer"},
         {"onnxruntime", "rosbags", "ruamel", "apsw", "jinja2"},
     ),
-    ("import runtime.tools.doctor", {"typer"}, {*ENGINE, "numpy"}),
-    ("import runtime.tools.bench", {"numpy", "typer"}, {*ENGINE, "psutil"}),
+    ("import runtime.app.tools.doctor", {"typer"}, {*ENGINE, "numpy"}),
+    ("import runtime.app.tools.bench", {"numpy", "typer"}, {*ENGINE, "psutil"}),
 ])  # fmt: skip
 def test_a_command_loads_nothing_that_it_does_not_need(statement, needed, unwanted):
     loaded = loaded_after(statement)

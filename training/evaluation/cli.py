@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
+from runtime.app.command import reported_errors, stop_requested
+from runtime.app.command_options import Version
 from runtime.base.errors import InputError
-from runtime.command import reported_errors, stop_requested
-from runtime.command_options import Version
 
 if TYPE_CHECKING:
     from training.evaluation.score_report import Row

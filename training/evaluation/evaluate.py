@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from runtime.app.encode import encode_metres
 from runtime.base.errors import ContractError, InputError, OutputError
 from runtime.contract.network_size import NetworkSize
 from runtime.engine.bundled_models import find_model
 from runtime.files.atomic_write import atomic_write, require_writable
 from runtime.files.own_folder import require_folder_free
-from runtime.io.encode import encode_metres
 from training.datasets.class_mapping import ClassTable, is_mapped, list_classes
 from training.datasets.sample import IGNORE, SampleSource
 from training.datasets.source_recipe import SourceRecipe

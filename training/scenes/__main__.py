@@ -1,6 +1,6 @@
 """`ssdnet-render`, also as `python -m training.scenes`."""
 
-from runtime.command import begin_command
+from runtime.app.command import begin_command
 
 
 def main() -> None:

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from runtime.command import leave_signals_to_parent, reported_errors, stop_requested
-from runtime.command_options import Version
+from runtime.app.command import leave_signals_to_parent, reported_errors, stop_requested
+from runtime.app.command_options import Version
 from runtime.contract.contract import MIN_SIDE
 from training.scenes.names import CameraName, StreetKind, Variant
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.app.encode import encode_jpeg, encode_png
 from runtime.base.errors import OutputError
 from runtime.files.own_folder import atomic_folder
-from runtime.io.encode import encode_jpeg, encode_png
 from training.scenes.arrays import Floats
 from training.scenes.names import SceneClass
 from training.scenes.rendering.render import RenderedFrame

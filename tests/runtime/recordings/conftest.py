@@ -9,7 +9,7 @@ import pytest
 from small_rig import INTRINSICS, MS, SIZE, START_NS, add_tree
 from typer.testing import CliRunner
 
-from runtime.run.cli import app
+from runtime.app.run.cli import app
 
 
 @pytest.fixture

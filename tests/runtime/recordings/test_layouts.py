@@ -10,10 +10,10 @@ from small_rig import SIZE, projected
 from typer.testing import CliRunner
 
 from runtime import InputError
+from runtime.app.tools.verify import app as verify_app
 from runtime.recordings.layouts import KittiObjectSource
 from runtime.recordings.recording import read_recording
 from runtime.recordings.registry import detect_source, open_source
-from runtime.tools.verify import app as verify_app
 
 N = 3
 IMAGE, DEPTH, SCAN = "an image", "a depth map", "a scan"

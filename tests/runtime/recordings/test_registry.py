@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from runtime import InputError
+from runtime.app.run.options import RunOptions, UsageError
 from runtime.geometry.poses import PoseFrame
 from runtime.recordings.registry import SOURCES, detect_source, open_source, parse_source
 from runtime.recordings.source import ListedFrame, Source, up_to
-from runtime.run.options import RunOptions, UsageError
 
 KINDS = "one of the kinds kitti-raw, kitti-object, video, bag, one-folder, folders"
 

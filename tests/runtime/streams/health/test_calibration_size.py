@@ -8,9 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 from runtime import Predictor
+from runtime.app.run.cli import app
 from runtime.geometry.calibration import Calibration
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
-from runtime.run.cli import app
 from runtime.streams.health.calibration_size import CalibrationSize
 
 

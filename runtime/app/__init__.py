@@ -1,0 +1,1 @@
+"""The commands: ssdnet-run, its outputs and pictures, and the tools."""

@@ -1,0 +1,74 @@
+"""Colours for a map of numbers, and the colour bar."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.app.drawing.picture_text import text_width, write_text
+
+NO_VALUE_COLOR = (110, 110, 110)
+_NO_VALUE = 255  # index of "no value" in the colour map
+_TICKS = tuple(step * 10.0**power for power in range(-3, 5) for step in (1, 2, 3, 5))
+
+
+@dataclass(frozen=True)
+class ColorScale:
+    """A logarithmic colour scale: equal ratios look equally different.
+
+    Attributes:
+        title: of the colour bar.
+        unit: of the values.
+        low: value of the first colour, which smaller values also have.
+        high: value of the last colour, which larger values also have.
+        color_map: one of OpenCV's.
+        bright_low: whether the map's last and brightest colour is that of `low`.
+    """
+
+    title: str
+    unit: str
+    low: float
+    high: float
+    color_map: int
+    bright_low: bool = False
+
+    def paint(
+        self, values: NDArray[np.float32], *, hidden: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.uint8]:
+        """Colour a map (H, W): uint8 (H, W, 3), BGR, NO_VALUE_COLOR where `hidden` (H, W)."""
+        logarithms = cv2.log(np.clip(values, self.low, self.high))
+        steps = (_NO_VALUE - 1) / math.log(self.high / self.low)
+        index = cv2.convertScaleAbs(logarithms, alpha=steps, beta=-steps * math.log(self.low))
+        if hidden is not None:
+            np.putmask(index, hidden, _NO_VALUE)
+        return cv2.applyColorMap(index, self._colors)  # type: ignore[return-value]
+
+    @cached_property
+    def _colors(self) -> NDArray[np.uint8]:
+        """From `low` to `high`, then NO_VALUE_COLOR: (256, 1, 3), BGR."""
+        ramp = np.linspace(0, 255, _NO_VALUE).astype(np.uint8).reshape(-1, 1)
+        colors = cv2.applyColorMap(ramp[::-1] if self.bright_low else ramp, self.color_map)
+        return np.concatenate([colors, np.full((1, 1, 3), NO_VALUE_COLOR, dtype=np.uint8)])
+
+    def draw_bar(self, width: int, height: int) -> NDArray[np.uint8]:
+        """Draw the colours from `low` to `high` with values on them: uint8 (H, W, 3), BGR."""
+        bar = np.zeros((height, width, 3), dtype=np.uint8)
+        ramp = np.geomspace(self.low, self.high, width, dtype=np.float32)
+        bar[3:-3] = self.paint(ramp[np.newaxis])
+        end = f"{self.high:g} {self.unit}"
+        end_at = width - text_width(end) - 4
+        write_text(bar, end, (end_at, height - 6))
+        free, title = 0, f"{self.title} "
+        for tick in _TICKS:
+            if not self.low <= tick < self.high:
+                continue
+            x = round((width - 1) * math.log(tick / self.low) / math.log(self.high / self.low))
+            text = f"{title}{tick:g} {self.unit}"
+            if x >= free and x + text_width(text) + 8 < end_at:
+                cv2.line(bar, (x, 3), (x, height - 4), (0, 0, 0))
+                write_text(bar, text, (x + 3, height - 6))
+                free, title = x + text_width(text) + 8, ""
+        return bar

@@ -1,0 +1,216 @@
+"""One picture of a frame and its answers."""
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.app.drawing.color_scale import NO_VALUE_COLOR, ColorScale
+from runtime.app.drawing.picture_text import text_width, write_text
+from runtime.contract.contract import ClassInfo, find_sky
+from runtime.contract.heads import HEADS, Panel
+
+# Larger frames are shrunk by a whole number until they fit: a JPEG side has at most 65500 pixels.
+_PANEL_WIDTH, _PANEL_HEIGHT = 640, 4096
+_STACK_ASPECT = 2.0  # wider panels are stacked
+_STACKED_WIDTH = 960
+_CLASS_OPACITY = 0.7
+_LEGEND_LINE = 22  # pixels
+_NO_DEPTH = ClassInfo("no depth", NO_VALUE_COLOR)  # in the legend
+_NEAREST_M = 3.0  # near end of the colour scale; only the bonnet is nearer
+_UNCERTAINTY_PERCENT = (1.0, 100.0)
+
+
+class Drawable(Protocol):
+    """What can be drawn."""
+
+    @property
+    def heads(self) -> Mapping[str, NDArray[Any]]:
+        """Head -> answer at the picture's size."""
+
+
+class Overlay:
+    """Draws a frame and its heads as panels over a legend, by the `panel` of each head.
+
+    The colours of the depth are the same for every frame: logarithmic, from bright (near) to dark,
+    so that they are readable without hue. The uncertainty is drawn as a share of the depth,
+    logarithmic, bright = uncertain. Neither is drawn where the class is sky and where a depth is
+    not above 0.
+
+    Args:
+        classes: in the order of the ids.
+        max_depth_m: depth of the darkest colour.
+    """
+
+    def __init__(self, classes: Sequence[ClassInfo], max_depth_m: float) -> None:
+        self._classes = tuple(classes)
+        self._sky = find_sky(classes)
+        nearest_m = min(_NEAREST_M, max_depth_m / 10)
+        self._depth_scale = ColorScale(
+            "depth", "m", nearest_m, max_depth_m, cv2.COLORMAP_MAGMA, bright_low=True
+        )
+        self._share_scale = ColorScale(
+            "uncertainty", "%", *_UNCERTAINTY_PERCENT, cv2.COLORMAP_VIRIDIS
+        )
+        self._legends: dict[tuple[int, tuple[ColorScale, ...]], NDArray[np.uint8]] = {}
+
+    def draw(
+        self,
+        rgb: NDArray[np.uint8] | None,
+        prediction: Drawable,
+        returns: NDArray[np.float32] | None = None,
+        *,
+        widest: int | None = None,
+    ) -> NDArray[np.uint8]:
+        """Draw one frame.
+
+        Args:
+            rgb: uint8 (H, W, 3), RGB; None = the answers alone.
+            prediction: answers at the image's size.
+            returns: float32 (H, W) [m], not above 0 = none: drawn on the image, to see whether
+                the LiDAR is where it should be.
+            widest: largest width of a panel; None = 640, of stacked ones 960.
+
+        Returns:
+            uint8 (H', W', 3), BGR, as OpenCV writes it.
+        """
+        panels = self.panels(rgb, prediction, returns, widest=widest)
+        height, width = _size(rgb, prediction)
+        stacked = width >= _STACK_ASPECT * height
+        for title, panel in panels.items():
+            write_text(panel, title, (6, 16))
+        strip = (cv2.vconcat if stacked else cv2.hconcat)(list(panels.values()))
+        kinds = {HEADS[head].panel for head in prediction.heads}
+        scales = {Panel.DEPTH: self._depth_scale, Panel.SHARE_OF_DEPTH: self._share_scale}
+        bars = tuple(scale for kind, scale in scales.items() if kind in kinds)
+        return cv2.vconcat([strip, self._legend(strip.shape[1], bars)])  # type: ignore[return-value]
+
+    def panels(
+        self,
+        rgb: NDArray[np.uint8] | None,
+        prediction: Drawable,
+        returns: NDArray[np.float32] | None = None,
+        *,
+        widest: int | None = None,
+    ) -> dict[str, NDArray[np.uint8]]:
+        """Draw the panels of `draw`: title -> uint8 (H', W', 3), BGR, without text, of one size.
+
+        Args:
+            rgb: uint8 (H, W, 3), RGB; None = the answers alone.
+            prediction: answers at the image's size.
+            returns: see `draw`.
+            widest: largest width of a panel; None = that of `draw`.
+        """
+        step = _step(*_size(rgb, prediction), widest)
+        image = None if rgb is None else cv2.cvtColor(_shrink(rgb, step), cv2.COLOR_RGB2BGR)
+        panels: dict[str, NDArray[Any]] = {} if image is None else {"image": image}
+        if image is not None and returns is not None and (returns > 0).any():
+            panels = {"image with returns": self._paint_returns(image, returns, step)}
+        heads = prediction.heads
+        ids = _shrink_nearest(heads["semantic"], step) if "semantic" in heads else None
+        depth = _shrink_nearest(heads["depth"], step) if "depth" in heads else None
+        hidden = None if depth is None else ~(depth > 0)
+        if hidden is not None and ids is not None and self._sky is not None:
+            hidden |= ids == self._sky
+        for kind, head in ((kind, head) for kind in Panel for head in heads):
+            if HEADS[head].panel is not kind:
+                continue
+            if kind is Panel.CLASSES and ids is not None:
+                panels["classes"] = self._paint_classes(ids, image)
+            elif kind is Panel.DEPTH and depth is not None:
+                title = "depth" if ids is None or self._sky is None else "depth, none in the sky"
+                panels[title] = self._depth_scale.paint(depth, hidden=hidden)
+            elif kind is Panel.SHARE_OF_DEPTH and depth is not None:
+                percent: NDArray[Any] = 100 * _shrink_nearest(heads[head], step)
+                percent = percent / np.maximum(depth, 1e-6)
+                panels["uncertainty, % of the depth"] = self._share_scale.paint(
+                    percent, hidden=hidden
+                )
+            elif kind is Panel.GRAY:
+                gray = cv2.convertScaleAbs(_shrink(heads[head], step), alpha=255)
+                panels[head] = cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR)
+        return panels
+
+    def draw_depth_bar(self, width: int) -> NDArray[np.uint8]:
+        """Draw the colour bar of the depth: uint8 (H', width, 3), BGR."""
+        return self._depth_scale.draw_bar(width, _LEGEND_LINE)
+
+    def _paint_returns(
+        self, image: NDArray[Any], returns: NDArray[np.float32], step: int
+    ) -> NDArray[Any]:
+        """Draw each return as a dot of the depth's colour; the nearest is in front."""
+        rows, columns = np.nonzero(returns > 0)
+        order = np.argsort(-returns[rows, columns])
+        rows, columns = rows[order], columns[order]
+        colors = self._depth_scale.paint(returns[rows, columns][:, np.newaxis])[:, 0]
+        painted = image.copy()
+        rows, columns = np.minimum(rows // step, len(image) - 1), columns // step
+        painted[rows, np.minimum(columns, image.shape[1] - 1)] = colors
+        return painted
+
+    def _paint_classes(self, ids: NDArray[np.uint8], image: NDArray[Any] | None) -> NDArray[Any]:
+        classes = cv2.applyColorMap(ids, self._class_colors)
+        if image is None:
+            return classes
+        return cv2.addWeighted(classes, _CLASS_OPACITY, image, 1 - _CLASS_OPACITY, 0)
+
+    @cached_property
+    def _class_colors(self) -> NDArray[np.uint8]:
+        colors = np.zeros((256, 1, 3), dtype=np.uint8)
+        colors[: len(self._classes), 0] = [info.color[::-1] for info in self._classes]
+        return colors
+
+    def _legend(self, width: int, scales: tuple[ColorScale, ...]) -> NDArray[np.uint8]:
+        key = width, scales
+        if key not in self._legends:
+            swatches = (*self._classes, _NO_DEPTH) if scales else self._classes
+            lines = _class_lines(swatches, width)
+            lines += [scale.draw_bar(width, _LEGEND_LINE) for scale in scales]
+            self._legends[key] = np.vstack([np.zeros((0, width, 3), np.uint8), *lines])
+        return self._legends[key]
+
+
+def _size(rgb: NDArray[np.uint8] | None, prediction: Drawable) -> tuple[int, int]:
+    """(height, width) of the frame."""
+    array = next(iter(prediction.heads.values())) if rgb is None else rgb[..., 0]
+    return array.shape[-2], array.shape[-1]
+
+
+def _step(height: int, width: int, widest: int | None) -> int:
+    """The whole number by which a frame is shrunk, so that its panels are at most `widest` wide."""
+    if widest is None:
+        widest = _STACKED_WIDTH if width >= _STACK_ASPECT * height else _PANEL_WIDTH
+    step = max(-(-width // widest), -(-height // _PANEL_HEIGHT))
+    return min(step, height, width)  # a very long frame keeps a line
+
+
+def _class_lines(swatches: Sequence[ClassInfo], width: int) -> list[NDArray[np.uint8]]:
+    """Swatches with names, in as many lines as needed."""
+    lines: list[NDArray[np.uint8]] = []
+    x = width
+    for info in swatches:
+        needed = 26 + text_width(info.name)
+        if x + needed > width:
+            lines.append(np.zeros((_LEGEND_LINE, width, 3), dtype=np.uint8))
+            x = 6
+        cv2.rectangle(lines[-1], (x, 5), (x + 12, 17), info.color[::-1], cv2.FILLED)
+        write_text(lines[-1], info.name, (x + 16, 16))
+        x += needed
+    return lines
+
+
+def _shrink(image: NDArray[Any], step: int) -> NDArray[np.uint8]:
+    """Average blocks of step x step pixels; an incomplete last block is cropped."""
+    height, width = image.shape[0] // step, image.shape[1] // step
+    whole = image[: height * step, : width * step]
+    if step == 1:
+        return whole.copy()
+    return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)  # type: ignore[return-value]
+
+
+def _shrink_nearest(image: NDArray[Any], step: int) -> NDArray[Any]:
+    height, width = image.shape[0] // step, image.shape[1] // step
+    return np.ascontiguousarray(image[: height * step : step, : width * step : step])

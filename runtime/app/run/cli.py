@@ -1,0 +1,102 @@
+"""`ssdnet-run`: the command line of `runtime.app.run.run`."""
+
+import contextlib
+import dataclasses
+import inspect
+import sys
+from collections.abc import Callable
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperCommand
+
+from runtime.app.command import print_result, reported_errors
+from runtime.app.command_options import Version
+from runtime.app.run.model_table import describe_bundled_models
+from runtime.app.run.options import OPTION, RunOptions, UsageError
+from runtime.app.run.run import OnRecord, run
+from runtime.app.run.run_report import describe_run, list_results
+
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+class GroupedCommand(TyperCommand):
+    """A command whose --help shows the options by their `rich_help_panel`, as plain text."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        groups: dict[str, list[tuple[str, str]]] = {}
+        for parameter in self.get_params(ctx):
+            if (row := parameter.get_help_record(ctx)) is not None:
+                title = getattr(parameter, "rich_help_panel", None) or "Other"
+                groups.setdefault(title, []).append(row)
+        for title, rows in groups.items():
+            with formatter.section(title):
+                formatter.write_dl(rows)
+
+
+def with_run_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Let typer see a parameter for each field of `RunOptions`; the command takes **given."""
+    shown = [
+        inspect.Parameter(
+            field.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=field.default,
+            annotation=Annotated[field.type, field.metadata[OPTION]],
+        )
+        for field in dataclasses.fields(RunOptions)
+    ]
+    shown += list(inspect.signature(command).parameters.values())[:-1]
+    command.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
+    command.__annotations__ = {each.name: each.annotation for each in shown}
+    return command
+
+
+def _print_models(wanted: bool) -> None:
+    if wanted:
+        with reported_errors("cpu"):
+            print_result(describe_bundled_models())
+        raise typer.Exit
+
+
+@app.command(
+    cls=GroupedCommand,
+    epilog="Exit codes: 0 done; 1 error; 2 usage; 3 finished, but frames were skipped, answers "
+    "were invalid, the LiDAR returns are implausible, or the run was stopped by Ctrl-C or SIGTERM; "
+    "4 a frame missed --deadline-ms, also if others were skipped; 130 stopped by "
+    "Ctrl-C or SIGTERM before the first frame.",
+)
+@with_run_options
+def main(
+    *,
+    _list_models: Annotated[
+        bool,
+        typer.Option(
+            "--list-models", callback=_print_models, is_eager=True, help="List the bundled models."
+        ),
+    ] = False,
+    _version: Version = False,
+    **given: Any,
+) -> None:
+    """Predict classes, depth and boundaries of every frame of a stream, and report the latency.
+
+    Images and depth maps or scans in folders are paired by their stems, in natural order.
+    """
+    with reported_errors("cpu"), contextlib.ExitStack() as progress:
+        try:
+            options = RunOptions(**given)
+        except UsageError as error:
+            raise typer.BadParameter(str(error)) from error
+
+        def start(about: str, frames: int) -> OnRecord:
+            progress.close()  # the bar of the camera before
+            print_result(about)
+            if not sys.stderr.isatty():
+                return lambda record: None
+            bar = typer.progressbar(length=frames, file=sys.stderr, label="frames")
+            shown = progress.enter_context(bar)
+            return lambda record: shown.update(1)
+
+        done = run(options, on_start=start)
+        progress.close()
+        print_result("\n".join([describe_run(done), *list_results(done)]))
+        raise typer.Exit(done.exit_code)

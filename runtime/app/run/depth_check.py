@@ -1,0 +1,98 @@
+"""Whether the depth of the first frames can be right; checked before a run."""
+
+import contextlib
+from collections.abc import Sequence
+from enum import StrEnum
+
+import numpy as np
+
+from runtime.app.run.pipeline import ReadFrame
+from runtime.base.errors import SSDNetError
+from runtime.engine.predictor import Predictor
+from runtime.engine.preprocess import check_sparse_depth, clean_sparse_depth
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.lens import EQUIDISTANT, as_key, rays
+from runtime.geometry.returns import is_measured
+from runtime.recordings.images import holds_metres
+from runtime.recordings.source import ListedFrame, Source
+from runtime.streams.answerer import known_focal_length_px
+from runtime.streams.frame import Sensor
+from runtime.streams.health.calibration_size import CalibrationSize
+from runtime.streams.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
+
+_LEAST_UNSEEN = 0.02  # share of the pixels; the corners of a sound calibration may lie beyond it
+
+
+class NoDepth(StrEnum):
+    """Reason why the first frames have no depth ("no_depth"), although the source has depth."""
+
+    NO_RETURNS = (
+        "no scan or depth map of the first frames has a return in the image: check that scans are "
+        "in metres, and that the extrinsics of the calibration lead from the LiDAR to the camera"
+    )
+    NO_MATCH = (
+        "no image matches the time of a scan or depth map: check that both have time stamps of the "
+        "same recording and clock, or give a larger --max-skew-ms"
+    )
+
+
+def find_lens_fault(calibration: Calibration | None, size: tuple[int, int] | None) -> str | None:
+    """Return why a lens cannot be that of images of this (height, width); None = nothing found.
+
+    A fisheye may see less than its images hold.
+    """
+    lens = calibration.lens_model if calibration else None
+    if calibration is None or lens is None or lens.model == EQUIDISTANT or size is None:
+        return None
+    unseen = float(np.isnan(rays(lens, as_key(calibration.intrinsics), size)).any(axis=-1).mean())
+    if unseen < _LEAST_UNSEEN:
+        return None
+    return (
+        f"the lens of the calibration, {lens.model} {list(lens.coefficients)}, ends inside the "
+        f"images: {unseen:.0%} of the pixels have no ray, and get no return. Check the "
+        "coefficients and their order"
+    )
+
+
+def find_depth_fault(
+    predictor: Predictor,
+    frames: Sequence[ListedFrame],
+    source: Source,
+    read: ReadFrame,
+) -> str | None:
+    """Return why the depth of a stream cannot be right, and what to try; None = nothing found.
+
+    Done before the stream, since it takes predictions from the camera alone.
+    """
+    left_out = source.inputs.get("left_out") or {}
+    has_depth = any(reason.startswith(f"{Sensor.DEPTH}:") for reason in left_out)
+    if has_depth and all(each.depth is None for each in frames):
+        return NoDepth.NO_MATCH
+    if "depth" not in predictor.heads:
+        return None
+    check, size_check = DepthPlausibility(), CalibrationSize()
+    depth_scale = source.inputs.get("depth_scale")
+    returns: list[int] = []  # of each scan or depth map
+    for listed in frames[:FIRST_FRAMES]:
+        with contextlib.suppress(SSDNetError):  # the run itself reports it
+            frame, _ = read(listed, keep=True)
+            check_sparse_depth(frame.sparse_depth, size=frame.size)
+            if listed.depth is None:
+                continue
+            focal_px = known_focal_length_px(predictor, frame.calibration)
+            range_m = predictor.camera_scale(frame.size, focal_length_px=focal_px).range_m
+            returns.append(clean_sparse_depth(frame.sparse_depth, max_depth_m=range_m)[2])
+            camera_only = None
+            if is_measured(frame.sparse_depth).any():
+                camera_only = predictor.predict(frame.rgb, None, focal_length_px=focal_px)
+                check.add(camera_only, frame.sparse_depth)
+                if depth_scale is not None and holds_metres(listed.depth):
+                    depth_scale = None
+            size_check.add(camera_only, frame.sparse_depth, frame.calibration)
+    if (other_size := size_check.finding()) is not None:
+        return other_size
+    if (finding := check.finding()) is not None:
+        has_scale = predictor.contract.canonical_focal_px is not None
+        focal_px = known_focal_length_px(predictor, source.calibration) if has_scale else None
+        return finding.advice(depth_scale=depth_scale, focal_length_px=focal_px)
+    return NoDepth.NO_RETURNS if returns and not any(returns) else None

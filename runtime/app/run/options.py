@@ -1,0 +1,335 @@
+"""The options of `ssdnet-run`: written once, and checked before anything is opened."""
+
+# ruff: noqa: RUF009 - what is called in `RunOptions` returns a field
+
+import contextlib
+import dataclasses
+import itertools
+import os
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from runtime.app.command import Provider
+from runtime.app.encode import METRES_PNG_SCALE
+from runtime.base.checks import shown
+from runtime.base.errors import InputError
+from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
+from runtime.contract.contract import MAX_FOCAL_PX, MAX_PIXELS, MIN_FOCAL_PX
+from runtime.contract.heads import HEADS
+from runtime.contract.network_size import NetworkSize, parse_network_size
+from runtime.engine.bundled_models import DEFAULT_MODEL, list_bundled_models
+from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
+from runtime.recordings.registry import (
+    SOURCE_KEYS,
+    SOURCES,
+    SourcePath,
+    choose_cameras,
+    detect_source,
+    keys_of,
+    parse_source,
+)
+from runtime.recordings.scan import SCAN_SUFFIXES
+from runtime.recordings.source import Source
+
+OVERLAY, CLOUD = "overlay", "cloud"
+#: Kind of a file that holds one head -> its name and unit.
+SAVED_HEADS = {head.saved_as: (head.name, head.unit) for head in HEADS.values() if head.saved_as}
+#: Kind of a frame's file, also the name of its subfolder -> suffix.
+SUFFIXES = {**dict.fromkeys(SAVED_HEADS, ".png"), OVERLAY: ".jpg", CLOUD: ".ply"}
+#: What is written unless something else is requested; the others are large.
+KINDS = tuple(kind for kind in SUFFIXES if kind != CLOUD)
+MAX_OVERLAY_WIDTH = 8192  # five panels side by side fit into a JPEG
+#: Option that names a file -> its suffix.
+FILE_SUFFIXES = {"video": ".mp4", "report": ".html", "mcap": ".mcap"}
+DEFAULT_RATE_HZ = 10.0  # of frames without stamps: a LiDAR's
+OPTION = "option"  # of the metadata of a field: the option of the command
+_OUT = Path("ssdnet-run")
+
+
+def _group(title: str) -> Callable[..., Any]:
+    """Return a function that makes a field of an option of this group of --help."""
+
+    def option(text: str, *, default: Any = None, flag: str | None = None, **settings: Any) -> Any:
+        names = (flag,) if flag else ()
+        info = typer.Option(*names, help=text, rich_help_panel=title, **settings)
+        return dataclasses.field(default=default, metadata={OPTION: info})
+
+    return option
+
+
+# In the order of the groups in --help.
+_input, _outputs, _model, _timing = map(_group, ("Input", "Outputs", "Model", "Timing"))
+
+
+_KEYS = "; ".join(f"{kind} ({', '.join(keys_of(kind))})" for kind in SOURCES)
+_PATH = typer.Argument(
+    metavar="[PATH]",
+    help=f"Frames to predict: {'; '.join(kind.accepted for kind in SOURCES.values())}. Its kind "
+    "follows from the path.",
+    rich_help_panel="Input",
+)
+
+
+class UsageError(InputError):
+    """Options that are wrong by themselves, whatever the files hold."""
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """The options of `ssdnet-run`, see `ssdnet-run --help`.
+
+    Raises:
+        UsageError: if an option is out of range, or options contradict each other.
+        InputError: if `path` is not a source, or `demo` is set and the bundled stream is missing.
+    """
+
+    path: Path | None = dataclasses.field(default=None, metadata={OPTION: _PATH})
+    rgb: Path | None = _input(
+        f"Folder of the images (PNG or JPEG, at most {MAX_PIXELS // 10**6} megapixels)."
+    )
+    depth: Path | None = _input(
+        "Folder of the sparse depth maps, or the one of one image: PNG, TIFF or .npy of 16 bits "
+        "(depth_scale in --source), TIFF or .npy of floats in metres. [default: camera only]"
+    )
+    points: Path | None = _input(
+        "Folder of LiDAR scans, or the scan of a single image, instead of --depth: "
+        f"{', '.join(SCAN_SUFFIXES)}. Needs --calibration."
+    )
+    calibration: Path | None = _input(
+        "Calibration of camera and LiDAR: a TOML file, or a file or folder of KITTI. [default: "
+        "from the source]"
+    )
+    rectify: bool = _input(
+        "Remove the distortion of the images by the lens of the calibration, before they are "
+        "predicted. [default: returns are projected through the lens]",
+        flag="--rectify",
+        default=False,
+    )
+    demo: bool = _input("Run the bundled stream.", flag="--demo", default=False)
+    limit: int | None = _input("Stop after N complete frames (of each camera).", min=1)
+    focal_length: float | None = _input(
+        "Focal length (fx) in pixels of the images; models without a canonical focal length ignore "
+        "it. [default: from the calibration of the source, else unknown]",
+        min=MIN_FOCAL_PX,
+        max=MAX_FOCAL_PX,
+    )
+    reuse_depth_ms: float | None = _input(
+        "Largest age of the depth that an image without depth of its own takes; 0 = none. "
+        f"[default: {DEFAULT_REUSE_DEPTH_MS:g}, in folders with --poses or timestamps in --source]",
+        min=0,
+        max=1e6,
+    )
+    poses: Path | None = _input(
+        "Poses by which scans in a folder are moved to the time of the image, in KITTI's or TUM's "
+        "format. Needs pose_frame in --source. Drives of KITTI and bags bring their own.",
+        metavar="FILE",
+    )
+    source: str | None = _input(
+        f"A path with its kind, and options of this kind: {_KEYS}. --rgb DIR equals folders:DIR. "
+        "See docs/recordings.md.",
+        metavar="KIND:PATH[,KEY=VALUE...]",
+    )
+    shard: str | None = _input(
+        "Run part I of N of the stream, from 1/N to N/N: every N-th frame (of --limit frames if "
+        "given). All parts together give the results of one run.",
+        metavar="I/N",
+    )
+    out: Path | None = _outputs(
+        "Folder of the results. [default: ssdnet-run, or ssdnet-run-2, ...]"
+    )
+    overwrite: bool = _outputs(
+        "Replace the files of an earlier run in --out, and existing files of the options below. "
+        "Files of others are never replaced.",
+        flag="--overwrite",
+        default=False,
+    )
+    save: list[str] | None = _outputs(
+        f"Files to write of each frame: {', '.join(SUFFIXES)}; all = all kinds that the model "
+        "answers, except clouds; or none. May be repeated. Depth and uncertainty are metres x "
+        f"{METRES_PNG_SCALE}; a cloud needs --calibration or --focal-length. [default: all]",
+        metavar="KIND,...",
+    )
+    overlay_width: int | None = _outputs(
+        "Largest width in pixels of a panel of the overlays and the video. [default: 640, panels "
+        "one above the other 960; of the video the frame's width]",
+        min=16,
+        max=MAX_OVERLAY_WIDTH,
+    )
+    report: Path | None = _outputs(
+        "Write an HTML page: latency over time, stages, health, samples, facts of the run.",
+        metavar=f"FILE{FILE_SUFFIXES['report']}",
+    )
+    video: Path | None = _outputs(
+        f"Write the overlays as a video, at --rate or {DEFAULT_RATE_HZ:g} Hz.",
+        metavar=f"FILE{FILE_SUFFIXES['video']}",
+    )
+    mcap: Path | None = _outputs(
+        "Write the results as standard ROS 2 messages (extra bag), with the stamps of the camera, "
+        "or at --rate where there are none.",
+        metavar=f"FILE{FILE_SUFFIXES['mcap']}",
+    )
+    record: Path | None = _outputs(
+        "Record frames, results and model for ssdnet-verify; about 17 bytes per pixel and frame.",
+        metavar="DIR",
+    )
+    model: str | None = _model(
+        f"Name of a bundled model ({', '.join(list_bundled_models())}), or path of an ONNX file "
+        f"made by ssdnet-export (ends in .onnx or contains a /). [default: {DEFAULT_MODEL}]",
+        metavar="NAME|PATH",
+    )
+    provider: Provider = _model("Execution provider of the model.", default=Provider.cpu)
+    size: str = _model(
+        "Size at which the network runs: auto (about the height it was trained for, if the frame "
+        "is much larger), frame, ROWS, or HEIGHTxWIDTH. Results have the size of the frame.",
+        default="auto",
+    )
+    threads: int | None = _model("Threads of inference. [default: physical cores]", min=1)
+    sha256: str | None = _model("Required SHA-256 of the model file. [default: any]")
+    deadline_ms: float | None = _timing(
+        "Deadline of a prediction, without reading and writing; with --rate it counts from when "
+        "the frame is due.",
+        min=1e-6,
+        max=1e9,
+    )
+    rate: float | None = _timing(
+        "Frames per second: frames are due at fixed times as from a sensor (constant-stream), and "
+        "age and jitter are reported. [default: each when the one before is done (single-stream)]",
+        min=1e-3,
+        max=1e6,
+    )
+    warmup: int = _timing(
+        "Predictions before the first frame, excluded from the statistics.", default=3, min=0
+    )
+    max_skew_ms: float | None = _timing(
+        "Largest difference of the stamps of an image and its depth, for sources with stamps of "
+        f"both. [default: {DEFAULT_MAX_SKEW_MS:g}]",
+        min=0,
+        max=1e6,
+    )
+
+    def __post_init__(self) -> None:
+        """Check every option."""
+        given = [source for source in (self.path, self.rgb, self.source) if source is not None]
+        if self.demo + len(given) != 1 or (self.demo and (self.depth or self.points)):
+            raise UsageError(
+                "give one of PATH, --demo, --rgb (with --depth or --points) and --source"
+            )
+        for option, path in self.named_files.items():
+            if path.suffix.lower() != FILE_SUFFIXES[option]:
+                raise UsageError(f"--{option} writes {FILE_SUFFIXES[option]} files, got {path}")
+        if self.record is not None:
+            others = (self.folder, *(path.parent for path in self.named_files.values()))
+            record, out, *files = (Path(os.path.realpath(each)) for each in (self.record, *others))
+            inside = [folder for folder in (out, *files) if record in (folder, *folder.parents)]
+            if inside or out in record.parents:
+                raise UsageError(f"--record {record} needs a folder apart from other results")
+        _ = self.kinds, self.network_size, self.part, self.open_cameras
+
+    @cached_property
+    def kinds(self) -> tuple[str, ...]:
+        """The files of a frame that --save names."""
+        texts = ",".join(self.save or ["all"])
+        requested = {kind.strip() for kind in texts.split(",")}
+        if requested in ({"all"}, {"none"}):
+            return KINDS if requested == {"all"} else ()
+        if requested - SUFFIXES.keys():
+            raise UsageError(
+                f"--save is all, none, or some of {', '.join(SUFFIXES)}, got {shown(texts)}"
+            )
+        return tuple(kind for kind in SUFFIXES if kind in requested)
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the results: --out, else ssdnet-run, ssdnet-run-2 and so on, a new one."""
+        if self.out is not None or self.overwrite:
+            return self.out or _OUT
+        numbered = (_OUT.with_name(f"{_OUT}-{number}") for number in itertools.count(2))
+        return next(path for path in itertools.chain([_OUT], numbered) if not os.path.lexists(path))
+
+    def with_folder(self) -> "RunOptions":
+        """The options with --out; a folder that was not named is made, so that no run shares it."""
+        folder = self.folder
+        if self.out is None and not self.overwrite:
+            try:
+                folder.mkdir()
+            except FileExistsError:  # another run has just made it
+                return self.with_folder()
+            except OSError:  # reported where the folder is used
+                pass
+        return dataclasses.replace(self, out=folder)
+
+    @cached_property
+    def network_size(self) -> NetworkSize:
+        """--size, as `Predictor` takes it."""
+        with _usage_errors():
+            return parse_network_size(self.size)
+
+    @cached_property
+    def source_path(self) -> SourcePath:
+        """The source, its kind and its keys."""
+        if self.path is not None:
+            return detect_source(self.path)
+        if self.source is not None:
+            with _usage_errors():
+                return parse_source(self.source)
+        return SourcePath("folders", bundled_stream()[0] if self.demo else Path(self.rgb or ""), {})
+
+    @cached_property
+    def open_cameras(self) -> Callable[[], dict[str, Source]]:
+        """Opens a source for each camera, see `Source.open_cameras`."""
+        names = {name for source in SOURCES.values() for name in source.options}
+        given = {name: getattr(self, name) for name in names - SOURCE_KEYS.keys()}
+        if self.demo:
+            given["depth"] = bundled_stream()[1]
+        kind, path, keys = self.source_path
+        with _usage_errors():
+            return choose_cameras(kind, path, **given, **keys)
+
+    @property
+    def named_files(self) -> dict[str, Path]:
+        """Option -> its file, for the options that were given."""
+        named = {option: getattr(self, option) for option in FILE_SUFFIXES}
+        return {option: path for option, path in named.items() if path is not None}
+
+    def of_camera(self, camera: str) -> "RunOptions":
+        """The options of one camera of a rig, with outputs of its own; "" = the only camera."""
+        if not camera:
+            return self
+        files: dict[str, Any] = {
+            option: path.with_stem(f"{path.stem}-{camera}")
+            for option, path in self.named_files.items()
+        }
+        record = self.record and self.record / camera
+        return dataclasses.replace(self, out=self.folder / camera, record=record, **files)
+
+    @property
+    def focal_length_px(self) -> float | None:
+        """--focal-length, else that of the camera of --demo; None = that of the calibration."""
+        is_known = self.demo and self.focal_length is None
+        return BUNDLED_FOCAL_LENGTH_PX if is_known else self.focal_length
+
+    @cached_property
+    def part(self) -> slice:
+        """The frames that --shard names."""
+        numbers = re.fullmatch("([0-9]{1,7})/([0-9]{1,7})", self.shard or "1/1")
+        part, parts = map(int, numbers.groups()) if numbers else (0, 0)
+        if not 1 <= part <= parts:
+            raise UsageError(
+                f"--shard is I/N with 1 <= I <= N, such as 2/4, got {shown(self.shard)}"
+            )
+        return slice(part - 1, None, parts)
+
+
+@contextlib.contextmanager
+def _usage_errors() -> Iterator[None]:
+    """Let an InputError of the block be a UsageError."""
+    try:
+        yield
+    except InputError as error:
+        raise UsageError(str(error)) from error

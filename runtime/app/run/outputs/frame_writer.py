@@ -1,0 +1,84 @@
+"""Write the files of each frame of a run: all files of a frame, or none."""
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.app.encode import ENCODERS, encode_jpeg, encode_ply
+from runtime.app.run.options import CLOUD, OVERLAY, SAVED_HEADS, SUFFIXES, RunOptions
+from runtime.app.run.outputs.output import OpenRun
+from runtime.app.run.run_report import FRAMES_FILE, REPORT_FILE, write_report
+from runtime.files.atomic_write import atomic_write
+from runtime.files.own_folder import make_own_folder
+from runtime.geometry.calibration import Calibration
+from runtime.streams.frame import Frame
+from runtime.streams.frame_result import FrameResult
+
+
+class FrameWriter:
+    """Write the answers to each frame, one subfolder a kind; see `open_frame_files`."""
+
+    def __init__(self, run: OpenRun) -> None:
+        self._run = run
+
+    def write(self, frame: Frame, result: FrameResult) -> None:
+        """Write the files of one frame: all of them, or, on an error, none. Raises OutputError."""
+        written: list[Path] = []
+        try:
+            for kind in self._run.kinds:
+                content = self._encode(kind, frame, result)
+                if content is not None:
+                    path = self._run.options.folder / kind / (frame.name + SUFFIXES[kind])
+                    atomic_write(path, content)
+                    written.append(path)
+        except BaseException:
+            for path in written:
+                with contextlib.suppress(OSError):  # the first error is reported
+                    path.unlink(missing_ok=True)
+            raise
+
+    def _encode(self, kind: str, frame: Frame, result: FrameResult) -> bytes | memoryview | None:
+        run, prediction = self._run, result.prediction
+        if kind == CLOUD:
+            cloud = prediction.points(_intrinsics(frame, run.predictor.focal_length_px), frame.rgb)
+            return encode_ply(cloud, run.predictor.contract.classes)
+        if kind == OVERLAY:
+            return encode_jpeg(run.draw(frame, result))
+        head, unit = SAVED_HEADS[kind]
+        values = prediction.heads.get(head)
+        return None if values is None else ENCODERS[unit](values)
+
+
+def _intrinsics(frame: Frame, focal_length_px: float | None) -> Calibration | NDArray[np.float64]:
+    """The calibration of a frame, else a camera matrix with its principal point in the middle."""
+    if frame.calibration is not None:
+        return frame.calibration
+    assert focal_length_px is not None, "checked before the run"
+    height, width = frame.rgb.shape[:2]
+    x, y = (width - 1) / 2, (height - 1) / 2
+    return np.array([[focal_length_px, 0, x], [0, focal_length_px, y], [0, 0, 1.0]])
+
+
+@contextlib.contextmanager
+def open_frame_files(run: OpenRun) -> Iterator[FrameWriter | None]:
+    """Make the folder of --out, with the files of --save and, when the block ends, the report.
+
+    Yields None where no file of a frame is to be written.
+    """
+    make_run_folder(run.options, run.kinds, run.names)
+    yield FrameWriter(run) if run.kinds else None
+    write_report(run.report)
+
+
+def make_run_folder(options: RunOptions, kinds: Sequence[str], names: Sequence[str]) -> None:
+    """Make the folder of --out for a run, with a subfolder for each kind of file of its frames.
+
+    With --overwrite an earlier run in it is replaced. Raises OutputError, see `make_own_folder`.
+    """
+    # The report is removed first, since a run with a report is whole.
+    files = [Path(REPORT_FILE), Path(FRAMES_FILE)]
+    files += [Path(kind, name + SUFFIXES[kind]) for kind in kinds for name in names]
+    make_own_folder(options.folder, files, overwrite=options.overwrite)

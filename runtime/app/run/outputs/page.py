@@ -1,0 +1,212 @@
+"""The page of --report: HTML with inline charts and pictures, without external resources."""
+
+import base64
+import contextlib
+import shlex
+import sys
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from runtime.app.drawing.overlay import Overlay
+from runtime.app.encode import encode_jpeg, encode_png
+from runtime.app.run.engine_facts import machine_facts
+from runtime.app.run.outputs import charts
+from runtime.app.run.outputs.output import OpenRun
+from runtime.app.run.run_report import RunReport, running_providers
+from runtime.contract.contract import Contract
+from runtime.files.atomic_write import atomic_write
+from runtime.streams.frame import Frame
+from runtime.streams.frame_result import INVALID, SKIPPED, FrameResult
+from runtime.streams.statistics import LatencyStatistics
+
+_WORST_MARKS = (*charts.UNANSWERED, charts.LATE)
+_MOST_PROBLEMS = 200  # frames that are listed
+_EVEN_SAMPLES = 6  # at most, at equal distances
+_MARKED_SAMPLES = 4  # at most, of frames with marks that no earlier sample has
+_SAMPLE_PANELS, _PANEL_WIDTH = 3, 480  # the image and the first two heads
+_JPEG_QUALITY = 82
+_DEPTH_BAR_WIDTH = 640
+#: Mark -> its meaning.
+_MEANINGS = {
+    SKIPPED: "could not be read or predicted",
+    INVALID: "the answer cannot be used",
+    charts.LATE: "later than the deadline",
+    "no_depth": "no LiDAR return: camera only",
+    "sparse_depth_low": "LiDAR returns in too few places",
+    "depth_reused": "returns of an older scan",
+    "depth_uncompensated": "returns not at the time of the image",
+    "points_untimed": "returns with times that are not of their scan were left out",
+    "no_pose": "no pose at the time of scan or image",
+    "pose_gap": "too long without a pose",
+    "pose_jump": "the odometry jumped",
+    "pose_clock": "poses of another clock",
+    "implausible_depth": "the returns contradict the image",
+    "image_constant": "all pixels are equal",
+    "image_frozen": "same bytes as the image before",
+    "image_black": "nearly all pixels are dark",
+    "image_overexposed": "half of the pixels are saturated",
+    "lidar_sector_lost": "a sector of the LiDAR is missing",
+    "lidar_lines_lost": "scan lines of the LiDAR are missing",
+}
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A frame whose pictures the page shows: (title, address of its data) of each panel."""
+
+    index: int
+    name: str
+    predict_ms: float
+    marks: tuple[str, ...]
+    panels: tuple[tuple[str, str], ...]
+    slowest: bool = False
+
+
+class RunPage:
+    """Collects the samples of a run of so many frames, and makes its page; see `open_page`."""
+
+    def __init__(self, contract: Contract, frames: int) -> None:
+        self._contract = contract
+        self._overlay = Overlay(contract.classes, contract.max_depth_m)
+        self._started = datetime.now(UTC)
+        self._step, self._frames = -(-frames // _EVEN_SAMPLES) or 1, 0
+        self._samples: dict[int, Sample] = {}  # number of the frame -> its sample
+        self._slowest: Sample | None = None
+
+    def write(self, frame: Frame, result: FrameResult) -> None:
+        """Keep the pictures of a frame if it is a sample."""
+        index, self._frames = self._frames, self._frames + 1
+        prediction = result.prediction
+        marks = (*prediction.degraded, *result.health)
+        time_ms = prediction.latency.total_ms
+        is_slowest = self._slowest is None or time_ms > self._slowest.predict_ms
+        known = {sample.marks for sample in self._samples.values()}
+        has_new_marks = bool(marks) and marks not in known and len(known) < _MARKED_SAMPLES
+        is_sample = index % self._step == 0 or has_new_marks
+        if not (is_sample or is_slowest):
+            return
+        drawn = self._overlay.panels(frame.rgb, prediction, frame.sparse_depth, widest=_PANEL_WIDTH)
+        panels = tuple(
+            (title, _data("image/jpeg", encode_jpeg(panel, quality=_JPEG_QUALITY)))
+            for title, panel in list(drawn.items())[:_SAMPLE_PANELS]
+        )
+        sample = Sample(index, frame.name, time_ms, marks, panels)
+        if is_slowest:
+            self._slowest = sample
+        if is_sample:
+            self._samples[index] = sample
+
+    def samples(self) -> list[Sample]:
+        """The samples, in the order of the frames."""
+        samples = dict(self._samples)
+        if self._slowest is not None:
+            samples[self._slowest.index] = replace(self._slowest, slowest=self._frames > 1)
+        return [samples[index] for index in sorted(samples)]
+
+    def render(self, report: RunReport) -> bytes:
+        """Return the page, HTML in UTF-8 without external resources."""
+        records, statistics = report.records, report.statistics
+        spans = charts.join_frames(records)
+        marks = Counter(mark for record in records for mark in charts.marks_of(record))
+        is_stream, provider = report.options.rate is not None, report.engine["provider"]
+        responses = statistics.stages.get("age" if is_stream else "predict")
+        values = {
+            "report": report,
+            "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+            "contract": self._contract,
+            "marks": marks,
+            "flagged": sum(bool(charts.marks_of(record)) for record in records),
+            "response": "age" if is_stream else "prediction",
+            "responses": responses,
+            "highest": responses and _highest_percentile(responses),
+            "chart": charts.latency_chart(spans, deadline_ms=statistics.deadline_ms),
+            "lanes": _lanes(marks, spans),
+            "most_problems": _MOST_PROBLEMS,
+            "samples": self.samples(),
+            "depth_scale": _data(
+                "image/png", encode_png(self._overlay.draw_depth_bar(_DEPTH_BAR_WIDTH))
+            ),
+            "facts": _facts(report, self._started),
+            "running": running_providers(provider["running"], provider["nodes"]),
+            "processor": machine_facts().processor,
+        }
+        # File names need not be valid text.
+        return render_template("page.html", values).encode(errors="backslashreplace")
+
+
+@contextlib.contextmanager
+def open_page(run: OpenRun) -> Iterator[RunPage]:
+    """Make the page of --report, written when the block ends."""
+    assert run.options.report is not None
+    page = RunPage(run.predictor.contract, len(run.names))
+    yield page
+    content = page.render(run.report)
+    atomic_write(run.options.report, content, overwrite=run.options.overwrite)
+
+
+def render_template(template: str, values: Mapping[str, Any]) -> str:
+    """Fill in a file of `templates`; values are escaped, a missing value is an error."""
+    import jinja2  # only where a page is made
+
+    templates = jinja2.Environment(
+        loader=jinja2.PackageLoader("runtime.app.run.outputs", "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        keep_trailing_newline=True,
+    )
+    templates.filters |= {"number": format, "ms": _milliseconds}
+    return templates.get_template(template).render(values)
+
+
+def _milliseconds(value: float | None) -> str:
+    if value is None:
+        return "n/a"
+    return format(value, ".2f" if value < 10 else ".1f" if value < 1000 else ",.0f")
+
+
+def _highest_percentile(times: LatencyStatistics) -> tuple[str, float]:
+    """The highest percentile up to p99 that the number of frames supports, else the maximum."""
+    values = {"p99": times.p99_ms, "p90": times.p90_ms, "slowest": times.max_ms}
+    return next((name, value) for name, value in values.items() if value is not None)
+
+
+def _lanes(marks: Counter[str], spans: Sequence[charts.Span]) -> list[tuple[Any, ...]]:
+    """Class, name, count, meaning and bars of each lane of "Health over time".
+
+    The worst marks are first, then the most frequent.
+    """
+    lanes: list[tuple[Any, ...]] = []
+    frames = sum(len(span.records) for span in spans)
+    for mark in sorted(marks, key=lambda mark: (mark not in _WORST_MARKS, -marks[mark], mark)):
+        kind, count = "bad" if mark in _WORST_MARKS else "warn", f"{marks[mark]:,} of {frames:,}"
+        lanes.append((kind, mark, count, _MEANINGS.get(mark, ""), charts.mark_strip(spans, mark)))
+    means = [span.mean_returns for span in spans if span.mean_returns is not None]
+    if means:
+        count = f"{min(means):,.0f} to {max(means):,.0f}"
+        meaning = "in a frame, before it is resized"
+        lanes.append(("tall", "LiDAR returns", count, meaning, charts.returns_strip(spans)))
+    return lanes
+
+
+def _facts(report: RunReport, started: datetime) -> dict[str, Any]:
+    rate_hz, sizes = report.options.rate, report.by_network_size.items()
+    facts = {
+        "started": f"{started:%Y-%m-%d %H:%M:%S} UTC",
+        "took": f"{report.stream.wall_s:.1f} s",
+        "scenario": report.scenario + (f", {rate_hz:g} Hz" if rate_hz else ""),
+        **{name.replace("_", " "): value for name, value in report.inputs.items()},
+        "network ran at": ", ".join(f"{size} ({count})" for size, count in sizes),
+        "depth": ", ".join(f"{kind} ({count})" for kind, count in report.depth_sources.items()),
+        "implausible depth": report.implausible_depth,
+        "output": report.out,
+        "saved": ", ".join(report.saved) or "nothing",
+    }
+    return {name: fact for name, fact in facts.items() if fact not in (None, "")}
+
+
+def _data(kind: str, content: bytes | memoryview) -> str:
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"

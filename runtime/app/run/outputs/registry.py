@@ -1,0 +1,113 @@
+"""The outputs of a run. A new one: its file, a row here, and its option in `RunOptions`."""
+
+import contextlib
+import importlib.util
+import os
+from collections.abc import Callable, Collection, Iterator
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import NamedTuple
+
+from runtime.app.run.options import SUFFIXES, RunOptions
+from runtime.app.run.outputs.frame_writer import open_frame_files
+from runtime.app.run.outputs.mcap import open_mcap
+from runtime.app.run.outputs.output import OpenRun
+from runtime.app.run.outputs.page import open_page
+from runtime.app.run.outputs.run_recording import open_recording
+from runtime.app.run.outputs.video import open_video
+from runtime.app.run.pipeline import Output
+from runtime.base.errors import OutputError, install_command
+from runtime.files.atomic_write import atomic_path
+from runtime.files.own_folder import require_folder_free
+from runtime.recordings.source import Source
+
+#: Opens an output.
+#:
+#: Args:
+#:     run: the options, and what the outputs share; its report is set before they are closed.
+#:
+#: Yields:
+#:     The output; None if it takes no frames.
+#:
+#: Raises:
+#:     OutputError: if it cannot be opened, and, when the block ends, if it is not whole.
+OpenOutput = Callable[[OpenRun], AbstractContextManager[Output | None]]
+
+
+class OutputRow(NamedTuple):
+    """An output of a run.
+
+    Attributes:
+        open: opens it.
+        package: that it needs, by the name of its import; None = none.
+        extra: that installs the package.
+        raw: whether it is a recorder, see `run_stream`.
+    """
+
+    open: OpenOutput
+    package: str | None = None
+    extra: str = ""
+    raw: bool = False
+
+
+#: Option -> its output, in the order of opening. Outputs are closed in reverse order, so that
+#: report.json and the page are written after all other files are complete.
+OUTPUTS: dict[str, OutputRow] = {
+    "report": OutputRow(open_page),
+    "out": OutputRow(open_frame_files),
+    "video": OutputRow(open_video),
+    "mcap": OutputRow(open_mcap, package="rosbags", extra="bag"),
+    "record": OutputRow(open_recording, raw=True),
+}
+
+
+def _requested(options: RunOptions) -> dict[str, OutputRow]:
+    """The rows of the options that are given."""
+    return {name: row for name, row in OUTPUTS.items() if getattr(options, name) is not None}
+
+
+def require_outputs(options: RunOptions, source: Source) -> None:
+    """Raise OutputError for an output that cannot be made, before anything is written."""
+    answers = {os.path.realpath(options.folder / kind) for kind in SUFFIXES}
+    for folder in source.folders:
+        if os.path.realpath(folder) in answers:
+            raise OutputError(
+                f"{folder} is where --out {options.folder} writes its own pictures: choose another "
+                "--out"
+            )
+    for option, row in _requested(options).items():
+        if row.package is not None and importlib.util.find_spec(row.package) is None:
+            raise OutputError(
+                f"--{option} needs the package {row.package}, which is not installed: "
+                f"{install_command(row.extra)}"
+            )
+    for path in options.named_files.values():
+        _require_free(path, overwrite=options.overwrite, inputs=source.recordings)
+    if options.record is not None:
+        require_folder_free(options.record, overwrite=options.overwrite)
+
+
+def _require_free(path: Path, *, overwrite: bool, inputs: Collection[Path]) -> None:
+    """Raise OutputError unless a file can be made that replaces none of `inputs`."""
+    if os.path.isdir(path) and not os.path.islink(path):
+        raise OutputError(f"{path} is a folder: name a file to write")
+    if os.path.lexists(path):
+        if not overwrite:
+            raise OutputError(f"{path} exists: choose another name, or replace it with --overwrite")
+        target = os.path.realpath(path)
+        if {target, os.path.dirname(target)} & {os.path.realpath(read) for read in inputs}:
+            raise OutputError(f"{path} is what the run reads: choose another name")
+    with atomic_path(path, overwrite=False):  # whether it could be made
+        pass
+
+
+@contextlib.contextmanager
+def open_outputs(run: OpenRun) -> Iterator[tuple[list[Output], list[Output]]]:
+    """Open the requested outputs; yields `outputs` and `recorders` of `run_stream`."""
+    opened: dict[bool, list[Output]] = {False: [], True: []}
+    with contextlib.ExitStack() as stack:
+        for row in _requested(run.options).values():
+            output = stack.enter_context(row.open(run))
+            if output is not None:
+                opened[row.raw].append(output)
+        yield opened[False], opened[True]

@@ -1,0 +1,44 @@
+"""The frames of a run and their answers, kept for `ssdnet-verify`."""
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+
+from runtime.app.run.outputs.output import OpenRun
+from runtime.contract.degraded import OF_THE_STREAM
+from runtime.engine.predictor import Predictor
+from runtime.recordings.recording import RecordedFrame, Recorder, Settings, record
+from runtime.streams.answerer import known_focal_length_px
+from runtime.streams.frame import Frame
+from runtime.streams.frame_result import FrameResult
+
+
+class RunRecording:
+    """Record each frame and its answers, valid or not; see `open_recording`."""
+
+    def __init__(self, recorder: Recorder, predictor: Predictor) -> None:
+        self._recorder, self._predictor = recorder, predictor
+
+    def write(self, frame: Frame, result: FrameResult) -> None:
+        """Record a frame and what `Predictor.predict` answered. Raises OutputError."""
+        prediction = result.prediction
+        entry = RecordedFrame(
+            frame.name,
+            prediction.valid,
+            tuple(reason for reason in prediction.degraded if reason not in OF_THE_STREAM),
+            prediction.latency.total_ms,
+            known_focal_length_px(self._predictor, frame.calibration),
+        )
+        self._recorder.add(entry, frame.rgb, frame.sparse_depth, prediction.heads)
+
+
+@contextlib.contextmanager
+def open_recording(run: OpenRun) -> Iterator[RunRecording]:
+    """Make the recording of --record, whole when the block ends, removed after an error there."""
+    options, predictor = run.options, run.predictor
+    assert options.record is not None
+    focal_length_px, provider = predictor.focal_length_px, str(options.provider)
+    settings = Settings("ssdnet-run", options.network_size, focal_length_px, provider)
+    with record(options.record, settings, overwrite=options.overwrite) as recorder:
+        yield RunRecording(recorder, predictor)
+        recorder.finish(Path(predictor.model), sha256=predictor.digest)

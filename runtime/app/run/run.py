@@ -1,0 +1,254 @@
+"""Run a model over a stream of frames, and write the requested outputs."""
+
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from runtime.app.command import stop_requested
+from runtime.app.run.depth_check import NoDepth, find_depth_fault, find_lens_fault
+from runtime.app.run.engine_facts import engine_facts
+from runtime.app.run.options import CLOUD, KINDS, SAVED_HEADS, RunOptions
+from runtime.app.run.outputs.frame_writer import make_run_folder
+from runtime.app.run.outputs.output import OpenRun
+from runtime.app.run.outputs.registry import open_outputs, require_outputs
+from runtime.app.run.pipeline import (
+    ReadFrame,
+    StreamResult,
+    dedicate_process,
+    frame_reader,
+    run_stream,
+)
+from runtime.app.run.run_report import RunReport, describe_predictor, group_reasons, write_report
+from runtime.base.errors import InputError, SSDNetError
+from runtime.contract.canonical_focal import CameraScale
+from runtime.engine.predictor import Predictor
+from runtime.engine.preprocess import check_sparse_depth
+from runtime.recordings.source import ListedFrame, Source
+from runtime.streams.answerer import Answerer, known_focal_length_px
+from runtime.streams.frame_result import FrameResult
+
+_FIRST_FRAMES = 20  # a stream is refused if none of them can be predicted
+
+OnRecord = Callable[[FrameResult], None]
+#: Called before the first frame with a text about the run and the number of frames. Returns a
+#: function that is called with the result of each frame.
+OnStart = Callable[[str, int], OnRecord]
+
+
+def run(
+    options: RunOptions, *, on_start: OnStart = lambda about, frames: lambda record: None
+) -> RunReport:
+    """Predict every frame of a stream, and write the answers and a report.
+
+    The cameras of a rig are streams one after the other, each with a folder of its own.
+    Ctrl-C and SIGTERM end the stream early: what was predicted is written and reported.
+
+    Args:
+        options: what to run, and what to write.
+        on_start: called before the first frame with a text about the run and the number of frames;
+            returns a function that is called with the result of each frame.
+
+    Returns:
+        What was also written as report.json.
+
+    Raises:
+        SSDNetError: if the source, the model or an output cannot be opened, or there is no room.
+    """
+    dedicate_process()
+    with contextlib.ExitStack() as opened:
+        cameras = options.open_cameras()
+        for source in cameras.values():
+            opened.enter_context(source)
+        if options.focal_length is not None and len(cameras) > 1:
+            raise InputError(
+                f"--focal-length is of one camera, and there are {len(cameras)}: leave it out, or "
+                "run each camera by itself"
+            )
+        for camera, source in cameras.items():
+            require_outputs(options.of_camera(camera), source)
+        predictor = opened.enter_context(
+            Predictor(
+                options.model,
+                sha256=options.sha256,
+                provider=str(options.provider),
+                size=options.network_size,
+                focal_length_px=options.focal_length_px,
+                threads=options.threads,
+                warmup=0,
+            )
+        )
+        reports: dict[str, RunReport] = {}
+        # Before the first frame a signal ends the process.
+        stop: Callable[[], bool] = lambda: False  # noqa: E731
+        for camera, source in cameras.items():
+            if stop():
+                break
+            try:
+                stream = _prepare(options, source, predictor)
+                if not reports:
+                    options = options.with_folder()
+                    if camera:
+                        make_run_folder(options, kinds=(), names=())
+                    stop = opened.enter_context(stop_requested())
+                reports[camera] = _answer(stream, options.of_camera(camera), camera, on_start, stop)
+            except InputError as error:
+                if not camera:
+                    raise
+                raise InputError(f"{camera}: {error}") from error
+        if "" in reports:
+            return reports[""]
+        is_whole = len(reports) == len(cameras)
+        report = RunReport.of_rig(reports, options, interrupted=not is_whole)
+        write_report(report)
+        return report
+
+
+@dataclass(frozen=True)
+class _Stream:
+    """The stream of a camera before its first frame is answered.
+
+    Attributes:
+        source: of the frames.
+        frames: to answer.
+        read: reads one; has read the first.
+        predictor: warmed up at their size.
+        kinds: of files to write of each frame.
+        frame_size: (height, width) of the first frame; None = none can be predicted.
+        focal_px: of the camera; None = not known.
+        scale: of the depth; None where no frame can be predicted.
+        fault: why the returns cannot be right; None = nothing was found.
+    """
+
+    source: Source
+    frames: Sequence[ListedFrame]
+    read: ReadFrame
+    predictor: Predictor
+    kinds: tuple[str, ...]
+    frame_size: tuple[int, int] | None
+    focal_px: float | None
+    scale: CameraScale | None
+    fault: str | None
+
+    @property
+    def about(self) -> str:
+        """The lines that are printed before the first frame."""
+        lines = [*self.source.notes]
+        lines.append(describe_predictor(self.predictor, self.frame_size, self.focal_px, self.scale))
+        faults = (find_lens_fault(self.source.calibration, self.frame_size), self.fault)
+        return "\n".join([*lines, *(f"warning: {each}" for each in faults if each)])
+
+
+def _prepare(options: RunOptions, source: Source, predictor: Predictor) -> _Stream:
+    """List the frames, read the first, and warm up; nothing is written."""
+    if options.rectify:
+        source.rectify_images()
+    listed = source.list_frames(limit=options.limit)
+    frames, read = listed[options.part], frame_reader(source)
+    focal_px = known_focal_length_px(predictor, source.calibration)
+    kinds = _answered_kinds(options, predictor, focal_px)
+    size = _warm_up(predictor, frames, read, runs=options.warmup)
+    scale = predictor.camera_scale(size, focal_length_px=focal_px) if size else None
+    # Of the first frames of all shards, which so have the same finding.
+    fault = find_depth_fault(predictor, listed, source, read)
+    return _Stream(source, frames, read, predictor, kinds, size, focal_px, scale, fault)
+
+
+def _answer(
+    stream: _Stream,
+    options: RunOptions,
+    camera: str,
+    on_start: OnStart,
+    stop: Callable[[], bool],
+) -> RunReport:
+    """Answer the frames of a camera, and write what was requested."""
+    predictor, fault = stream.predictor, stream.fault
+    opened = OpenRun(options, predictor, stream.kinds, [each.name for each in stream.frames])
+    with open_outputs(opened) as (outputs, recorders):
+        answerer = Answerer(
+            predictor,
+            check_depth=False,
+            is_implausible=fault is not None and not isinstance(fault, NoDepth),
+        )
+        about = f"{camera}: {stream.about}" if camera else stream.about
+        result = run_stream(
+            answerer,
+            stream.frames,
+            stream.read,
+            options,
+            outputs=outputs,
+            recorders=recorders,
+            on_record=on_start(about, len(stream.frames)),
+            stop=stop,
+        )
+        answers = [each.prediction for each in result.records if each.prediction]
+        if fault is NoDepth.NO_RETURNS and any(answer.depth_returns for answer in answers):
+            fault = None  # the LiDAR started later
+        opened.report = _report(stream, options, result, fault)
+    return opened.report
+
+
+def _answered_kinds(
+    options: RunOptions, predictor: Predictor, focal_px: float | None
+) -> tuple[str, ...]:
+    """The kinds of files that the model answers. Raises InputError if one was requested by name."""
+    heads = {**{kind: head for kind, (head, _) in SAVED_HEADS.items()}, CLOUD: "depth"}
+    missing = [
+        kind for kind in options.kinds if kind in heads and heads[kind] not in predictor.heads
+    ]
+    if missing and options.kinds is not KINDS:
+        raise InputError(
+            f"--save requests {', '.join(missing)}, but the model {predictor.contract.model_name} "
+            f"answers {', '.join(predictor.heads)}: leave it out, or choose another --model"
+        )
+    if CLOUD in options.kinds and focal_px is None:
+        raise InputError(
+            "--save cloud needs the camera's intrinsics: give --calibration or --focal-length"
+        )
+    return tuple(kind for kind in options.kinds if kind not in missing)
+
+
+def _warm_up(
+    predictor: Predictor, frames: Sequence[ListedFrame], read: ReadFrame, *, runs: int
+) -> tuple[int, int] | None:
+    """Warm up at the size of the first frame that can be predicted; returns that size.
+
+    None if no frame of a short stream can: the run itself reports why. Raises InputError if none of
+    the first _FIRST_FRAMES can.
+    """
+    reasons = []
+    for listed in frames[:_FIRST_FRAMES]:
+        try:
+            frame, _ = read(listed, keep=True)
+            check_sparse_depth(frame.sparse_depth, size=frame.size)
+            predictor.warm_up(frame.size, runs=runs)
+        except SSDNetError as error:
+            reasons.append((listed.name, str(error)))
+            continue
+        return frame.size
+    if len(reasons) == _FIRST_FRAMES:
+        raise InputError(
+            f"none of the first {_FIRST_FRAMES} frames can be predicted, nothing was written: "
+            + "; ".join(group_reasons(reasons))
+        )
+    return None
+
+
+def _report(
+    stream: _Stream, options: RunOptions, result: StreamResult, implausible_depth: str | None
+) -> RunReport:
+    source, scale = stream.source, stream.scale
+    inputs = {
+        "source": f"{options.source_path.kind}:{options.source_path.path}",
+        **source.inputs,
+        "focal_length_px": stream.focal_px,
+        "used_focal_length_px": scale and scale.focal_length_px,
+        "depth_range_m": scale and round(scale.range_m, 2),
+        "lens": source.calibration and source.calibration.lens,
+        "distortion": source.calibration and source.calibration.distortion,
+        "assumptions": [note for note in source.notes if note.startswith("warning: ")],
+        "rectified_by_this_run": options.rectify,
+        "shard": options.shard,
+        "warmup": options.warmup,
+    }
+    facts = engine_facts(stream.predictor)
+    return RunReport(facts, options, inputs, stream.kinds, result, implausible_depth)

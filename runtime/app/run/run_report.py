@@ -1,0 +1,322 @@
+"""The outcome of a run: one typed object, from which every table and document is made."""
+
+import csv
+import io
+import json
+import os
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from runtime.app.encode import METRES_PNG_MAX_M, METRES_PNG_SCALE
+from runtime.app.run.options import OVERLAY, RunOptions
+from runtime.app.run.pipeline import StreamResult
+from runtime.contract.canonical_focal import CameraScale
+from runtime.engine.prediction import Cleaned, Prediction
+from runtime.engine.predictor import Predictor
+from runtime.files.atomic_write import atomic_write
+from runtime.streams.frame_result import FIGURES, OK, FrameResult
+from runtime.streams.statistics import MissCounter, StreamStatistics, latency_statistics
+
+REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "2.0"
+FRAMES_FILE, REPORT_FILE = "frames.csv", "report.json"
+FRAMES_SKIPPED, DEADLINE_MISSED = 3, 4  # exit codes
+
+#: Stage -> its time for a frame. "latency" is left out: it equals "age" or "predict".
+STAGES = {stage: time_of for stage, time_of in FIGURES.items() if stage != "latency"}
+
+
+@dataclass(frozen=True)
+class RunReport:
+    """The outcome of a run.
+
+    Attributes:
+        engine: what `engine_facts` returns.
+        options: of the run.
+        inputs: where the frames came from, as the user gave it; ready for JSON.
+        saved: kinds of files that were written of each frame.
+        stream: results of the frames.
+        implausible_depth: why the returns cannot be right; None = nothing was found.
+    """
+
+    engine: Mapping[str, Any]
+    options: RunOptions
+    inputs: Mapping[str, Any]
+    saved: tuple[str, ...]
+    stream: StreamResult
+    implausible_depth: str | None = None
+
+    @classmethod
+    def of_rig(
+        cls, reports: Mapping[str, "RunReport"], options: RunOptions, *, interrupted: bool
+    ) -> "RunReport":
+        """Return the reports of several cameras as one; its frames are named CAMERA/FRAME.
+
+        Args:
+            reports: camera -> its report; engine and kinds of files are those of the first.
+            options: of all cameras.
+            interrupted: whether cameras are missing.
+        """
+        first, *_ = reports.values()
+        named = [
+            replace(record, name=f"{camera}/{record.name}")
+            for camera, report in reports.items()
+            for record in report.records
+        ]
+        stream = replace(
+            first.stream,
+            records=tuple(replace(record, sequence=index) for index, record in enumerate(named)),
+            wall_s=sum(report.stream.wall_s for report in reports.values()),
+            interrupted=interrupted or any(each.stream.interrupted for each in reports.values()),
+        )
+        found = [
+            f"{camera}: {report.implausible_depth}"
+            for camera, report in reports.items()
+            if report.implausible_depth is not None
+        ]
+        return replace(
+            first,
+            options=options,
+            inputs={"cameras": {camera: report.inputs for camera, report in reports.items()}},
+            stream=stream,
+            implausible_depth="; ".join(found) or None,
+        )
+
+    @property
+    def out(self) -> Path:
+        """Folder of the results."""
+        return self.options.folder
+
+    @property
+    def records(self) -> tuple[FrameResult, ...]:
+        """Results of the frames, in order."""
+        return self.stream.records
+
+    @property
+    def predictions(self) -> list[Prediction]:
+        """Predictions of the frames that have one, in order, without arrays."""
+        return [each.prediction for each in self.records if each.prediction is not None]
+
+    @property
+    def scenario(self) -> str:
+        """Which of MLPerf's scenarios it was."""
+        return "single-stream" if self.options.rate is None else "constant-stream"
+
+    @property
+    def by_status(self) -> Counter[str]:
+        """Status -> frames."""
+        return Counter(record.status for record in self.records)
+
+    @property
+    def degraded(self) -> Counter[str]:
+        """Reason of `Prediction.degraded` -> frames."""
+        return Counter(reason for each in self.predictions for reason in each.degraded)
+
+    @property
+    def health(self) -> Counter[str]:
+        """Finding of `runtime.streams.health` -> frames."""
+        return Counter(reason for record in self.records for reason in record.health)
+
+    @property
+    def depth_sources(self) -> Counter[str]:
+        """Own or reused, and how the returns were moved -> frames with depth."""
+        return Counter(
+            f"{_depth_source(record)}, motion {record.depth_motion}"
+            for record in self.records
+            if record.depth_motion is not None
+        )
+
+    @property
+    def by_network_size(self) -> Counter[str]:
+        """Size at which the network ran -> frames."""
+        return Counter(_size_text(each.network_size) for each in self.predictions)
+
+    @property
+    def not_ok(self) -> list[FrameResult]:
+        """Frames without an answer that can be used."""
+        return [record for record in self.records if record.status != OK]
+
+    @cached_property
+    def statistics(self) -> StreamStatistics:
+        """Statistics over the frames that passed each stage; without stages that none passed."""
+        stages = {}
+        for stage, time_of in STAGES.items():
+            times_ms = [ms for record in self.records if (ms := time_of(record)) is not None]
+            if times_ms:
+                stages[stage] = latency_statistics(times_ms)
+        misses = MissCounter()
+        for record in self.records:
+            if record.deadline_met is not None:
+                misses.record(not record.deadline_met)
+        deadline_ms = self.options.deadline_ms
+        missed = None if deadline_ms is None else misses.misses()
+        return StreamStatistics(stages, deadline_ms, missed)
+
+    @property
+    def frames_per_second(self) -> float | None:
+        """Rate of predicted frames, reading and writing included; None = none was predicted."""
+        return len(self.predictions) / self.stream.wall_s if self.predictions else None
+
+    @property
+    def exit_code(self) -> int:
+        """0, FRAMES_SKIPPED (also if the depth is implausible), or DEADLINE_MISSED before all."""
+        missed = self.statistics.missed
+        if missed is not None and missed.count:
+            return DEADLINE_MISSED
+        doubtful = self.implausible_depth is not None and self.records
+        return FRAMES_SKIPPED if self.stream.interrupted or self.not_ok or doubtful else 0
+
+    def document(self) -> dict[str, Any]:
+        """Return the content of report.json, see REPORT_VERSION."""
+        return {
+            "format": REPORT_FORMAT,
+            "version": REPORT_VERSION,
+            **self.engine,
+            "inputs": self.inputs,
+            "output": str(self.out),
+            "saved": self.saved,
+            "depth_png": {"units_per_metre": METRES_PNG_SCALE, "max_m": METRES_PNG_MAX_M},
+            "frames": {
+                "total": len(self.records),
+                "by_status": self.by_status,
+                "degraded": self.degraded,
+                "health": self.health,
+                "depth": self.depth_sources,
+                "implausible_depth": self.implausible_depth,
+                "by_network_size": self.by_network_size,
+                "not_ok": [
+                    {"name": record.name, "status": record.status, "reason": record.reason}
+                    for record in self.not_ok
+                ],
+            },
+            "interrupted": self.stream.interrupted,
+            "scenario": {"name": self.scenario, "rate_hz": self.options.rate},
+            **self.statistics.to_dict(),
+            "wall_s": self.stream.wall_s,
+            "frames_per_second": self.frames_per_second,
+        }
+
+
+def _size_text(size: tuple[int, int] | None) -> str:
+    """A (height, width) in words; None = any."""
+    return "any size" if size is None else f"{size[0]} x {size[1]}"
+
+
+def _depth_source(record: FrameResult) -> str:
+    """Depth of the image's "own" scan, "reused" from an older one, or "" without depth."""
+    if record.depth_motion is None:
+        return ""
+    return "reused" if record.depth_reused else "own"
+
+
+def write_report(report: RunReport) -> None:
+    """Write frames.csv and report.json into the run's folder. Raises OutputError."""
+    # File names need not be valid text.
+    table = frames_csv(report).encode(errors="surrogateescape")
+    atomic_write(report.out / FRAMES_FILE, table)
+    # Written last: a folder with report.json is complete.
+    document = json.dumps(report.document(), indent=2, allow_nan=False)
+    atomic_write(report.out / REPORT_FILE, (document + "\n").encode())
+
+
+def frames_csv(report: RunReport) -> str:
+    """One row per frame; times in ms; cells that do not apply are empty."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        ["index", "name", "status", "reason", "height", "width"]
+        + [f"{stage}_ms" for stage in STAGES]
+        + ["missed_deadline", "degraded", *(each.name for each in fields(Cleaned))]
+        + ["depth_returns", "network_height", "network_width"]
+        + ["image_stamp_ns", "depth_stamp_ns", "health", "depth_source", "depth_motion"]
+    )
+    for record in report.records:
+        times_ms = (time_of(record) for time_of in STAGES.values())
+        met, answer = record.deadline_met, record.prediction
+        writer.writerow(
+            [record.sequence, record.name, record.status, record.reason]
+            + list(answer.frame_size if answer else ("", ""))
+            + ["" if time_ms is None else f"{time_ms:.3f}" for time_ms in times_ms]
+            + ["" if met is None else int(not met), ";".join(answer.degraded if answer else ())]
+            + list(asdict(answer.cleaned if answer else Cleaned()).values())
+            + [answer.depth_returns if answer else 0]
+            + list(answer.network_size if answer else ("", ""))
+            + [record.image_stamp, record.depth_stamp, ";".join(record.health)]
+            + [_depth_source(record), record.depth_motion]
+        )
+    return text.getvalue()
+
+
+def describe_predictor(
+    predictor: Predictor,
+    frame_size: tuple[int, int] | None,
+    focal_px: float | None,
+    scale: CameraScale | None,
+) -> str:
+    """Lines on model, providers, threads, sizes of frames and network, focal length and range."""
+    network_size = predictor.network_size(frame_size) if frame_size else None
+    running = ", ".join(running_providers(predictor.providers, predictor.node_counts))
+    text = (
+        f"{predictor.contract.model_name} sha256:{predictor.digest[:12]} | {running} | "
+        f"threads {predictor.threads} | frames {_size_text(frame_size)}, "
+        f"network at {_size_text(network_size)}"
+    )
+    if scale is None:
+        return text
+    used = "not known: give --focal-length" if focal_px is None else f"{focal_px:g} px"
+    if scale.focal_length_px is None and focal_px is not None:
+        used += ", not used by this model"
+    return f"{text}\nfocal length {used}; depth up to {scale.range_m:.4g} m"
+
+
+def running_providers(names: Sequence[str], nodes: Mapping[str, int]) -> list[str]:
+    """The execution providers in use, with the number of nodes that each runs."""
+    return [f"{name} {nodes[name]} nodes" for name in names if name in nodes]
+
+
+def describe_run(report: RunReport) -> str:
+    """The table of stages, and the counts and figures around it."""
+    counts = ", ".join(f"{count} {status}" for status, count in report.by_status.items())
+    interrupted = ", interrupted" if report.stream.interrupted else ""
+    lines = [f"frames: {len(report.records)} ({counts}){interrupted}"]
+    not_ok = ((record.name, f"{record.status}: {record.reason}") for record in report.not_ok)
+    lines += [f"  {line}" for line in group_reasons(not_ok)]
+    lines += [f"  degraded: {reason}: {count}" for reason, count in report.degraded.items()]
+    lines += [f"  health: {reason}: {count}" for reason, count in report.health.items()]
+    if report.options.rate is not None:
+        lines.append(f"constant stream of {report.options.rate:g} Hz")
+    lines += ["", report.statistics.table(), ""]
+    rate, first_ms = report.frames_per_second, report.engine["first_inference_ms"]
+    lines.append(f"frames a second, end to end: {'n/a' if rate is None else f'{rate:.1f}'}")
+    lines.append(
+        f"load {report.engine['load_ms']:.0f} ms, first inference "
+        + ("n/a" if first_ms is None else f"{first_ms:.1f} ms")
+        + " (not in the table)"
+    )
+    return "\n".join(lines)
+
+
+def group_reasons(frames: Iterable[tuple[str, str]]) -> Iterator[str]:
+    """A line for each reason; reasons that differ only in the name of the frame are merged."""
+    groups: dict[str, list[tuple[str, str]]] = {}
+    for name, reason in frames:
+        groups.setdefault(reason.replace(name, ""), []).append((name, reason))
+    for (name, reason), *others in groups.values():
+        yield f"{len(others) + 1} frames, first {name}: {reason}" if others else f"{name}: {reason}"
+
+
+def list_results(report: RunReport) -> Iterator[str]:
+    """Lines that say where the results are."""
+    options = report.options
+    yield f"results: {os.path.realpath(report.out)}"
+    if options.record is not None:
+        yield f"recording: {os.path.realpath(options.record)}"
+    for each in map(options.of_camera, report.inputs.get("cameras", [""])):
+        for option, path in each.named_files.items():
+            if path.exists():
+                yield f"{option}: {os.path.realpath(path)}"
+        if OVERLAY in report.saved and report.by_status["ok"]:
+            yield f"pictures: {os.path.realpath(each.folder / OVERLAY)}"

@@ -1,0 +1,253 @@
+"""`ssdnet-bench`: models side by side on this machine.
+
+Each runs in a process of its own, which gives it its own memory and load time. All take turns, so
+that a disturbance affects all alike. Threads that wait do not spin (`runtime.engine.session`): they would
+take the cores of the model whose turn it is.
+"""
+
+import contextlib
+import math
+import multiprocessing
+import os
+import re
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from runtime.app.command import (
+    ERROR,
+    INTERRUPTED,
+    Provider,
+    leave_signals_to_parent,
+    print_result,
+    reported_errors,
+    stop_requested,
+)
+from runtime.app.command_options import Version
+from runtime.app.run.engine_facts import MachineFacts, machine_facts
+from runtime.app.tools.bench_worker import Opened, open_model, time_model
+from runtime.base.checks import shown
+from runtime.engine.cores import available_cores
+from runtime.engine.session import import_onnxruntime
+from runtime.streams.statistics import LatencyStatistics, latency_statistics
+
+_WARM_UP = 2  # runs of each model
+
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+@app.command(
+    epilog="Exit codes: 0 done; 1 a model could not run, its row says why; 2 usage; "
+    "130 interrupted, after printing the results so far.",
+)
+def main(
+    models: Annotated[
+        list[str],
+        typer.Argument(metavar="MODEL", help="Names of bundled models, or paths of ONNX files."),
+    ],
+    size: Annotated[
+        list[str],
+        typer.Option(
+            metavar="HxW", help="Image size, for models with a free size; may be repeated."
+        ),
+    ] = ["375x1242"],  # noqa: B006 - typer copies it
+    threads: Annotated[
+        list[int] | None,
+        typer.Option(
+            min=1, help="Threads of inference; may be repeated. [default: physical cores]"
+        ),
+    ] = None,
+    batch: Annotated[
+        list[int],
+        typer.Option(min=1, help="Batch size, for models with a free batch size; may be repeated."),
+    ] = [1],  # noqa: B006
+    rounds: Annotated[
+        int, typer.Option(min=1, help="Measured runs of each model; p99 needs 100.")
+    ] = 100,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HZ",
+            min=1e-3,
+            max=1e6,
+            help="Frames arrive at this rate; the models take turns of one second, and the "
+            "latency is measured from when a frame is due. [default: turns of one run]",
+        ),
+    ] = None,
+    provider: Annotated[
+        Provider, typer.Option(help="Execution provider of the models.")
+    ] = Provider.cpu,
+    _version: Version = False,
+) -> None:
+    """Measure latency, memory and load time of models side by side."""
+    cases = tuple(map(_size, size)), tuple(threads or [available_cores()]), tuple(batch)
+    with reported_errors("cpu"):
+        with stop_requested(interrupts=True):
+            report = bench(BenchOptions(tuple(models), *cases, rounds, rate, provider.value))
+        print_result(to_markdown(report))
+        if report.interrupted:
+            raise typer.Exit(INTERRUPTED)
+        failed = any(row.error for group in report.groups for row in group)
+        raise typer.Exit(ERROR if failed else 0)
+
+
+def _size(text: str) -> tuple[int, int]:
+    sides = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text, re.ASCII | re.IGNORECASE)
+    if sides is None:
+        raise typer.BadParameter(f"--size is HEIGHTxWIDTH, as 375x1242, got {shown(text)}")
+    return int(sides[1]), int(sides[2])
+
+
+@dataclass(frozen=True)
+class BenchOptions:
+    """What is measured."""
+
+    models: tuple[str, ...]  # bundled names and ONNX files; ratios are to the first that ran
+    sizes: tuple[tuple[int, int], ...]  # (height, width), of models of free size
+    threads: tuple[int, ...]  # within an operator
+    batches: tuple[int, ...] = (1,)  # frames of a run, of models of free batch
+    rounds: int = 100  # measured runs of each model
+    rate_hz: float | None = None  # of frames, for a second in turn; None = one run in turn
+    provider: str = "cpu"
+
+
+@dataclass
+class BenchRow:
+    """A model at a size, with so many threads and frames a run: times, or why there are none."""
+
+    model: str
+    size: tuple[int, int]
+    threads: int
+    batch: int
+    opened: Opened | None = None
+    error: str | None = None
+    times_ms: list[float] = field(default_factory=list)  # of each run
+
+    @property
+    def latency(self) -> LatencyStatistics | None:
+        """Statistics of the runs; None = there were none."""
+        return latency_statistics(self.times_ms)
+
+
+@dataclass
+class BenchReport:
+    """The outcome: a group of rows, which took turns, for each size, threads and batch."""
+
+    options: BenchOptions
+    machine: MachineFacts
+    onnxruntime: str
+    load: float  # of the machine before the start
+    groups: list[list[BenchRow]] = field(default_factory=list)
+    interrupted: bool = False
+
+
+def bench(options: BenchOptions) -> BenchReport:
+    """Measure all models; KeyboardInterrupt ends it with what was measured.
+
+    Raises:
+        ProviderError: if ONNX Runtime is not installed.
+    """
+    version, load = import_onnxruntime().__version__, os.getloadavg()[0]
+    report = BenchReport(options, machine_facts(), version, load)
+    try:
+        for case in product(options.sizes, options.threads, options.batches):
+            group = [BenchRow(model, *case) for model in options.models]
+            report.groups.append(group)
+            _measure(group, options)
+    except KeyboardInterrupt:
+        report.interrupted = True
+    return report
+
+
+def _measure(group: Sequence[BenchRow], options: BenchOptions) -> None:
+    """Open the models of a group, then run them in turn."""
+    rounds, period_s, most = options.rounds, None, 1
+    if options.rate_hz is not None:
+        period_s, most = 1 / options.rate_hz, max(2, math.ceil(options.rate_hz))
+    with contextlib.ExitStack() as stack:
+        workers = []
+        for row in group:
+            executor = ProcessPoolExecutor(
+                1, multiprocessing.get_context("spawn"), initializer=leave_signals_to_parent
+            )
+            workers.append((row, stack.enter_context(executor)))
+            case = row.model, row.size, row.batch, row.threads, options.provider
+            row.opened = _answer(row, executor, open_model, *case)
+        for row, executor in workers:
+            _answer(row, executor, time_model, _WARM_UP, period_s)
+        for at in range(0, rounds, most):
+            for row, executor in workers:
+                frames = min(most, rounds - at)
+                row.times_ms += _answer(row, executor, time_model, frames, period_s) or []
+
+
+def _answer(row: BenchRow, executor: Executor, call: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function in the process of a row. None after a failure, which is noted in the row."""
+    if row.error is not None:
+        return None
+    try:
+        return executor.submit(call, *arguments).result()
+    except BrokenProcessPool:
+        row.error = "its process ended, most likely because it ran out of memory"
+    except Exception as error:
+        row.error = str(error)
+    row.times_ms.clear()
+    return None
+
+
+def to_markdown(report: BenchReport) -> str:
+    """A line on the machine, and a table for each size, threads and batch."""
+    options, machine = report.options, report.machine
+    how = "runs in turn" if options.rate_hz is None else f"frames at {options.rate_hz:g} Hz"
+    parts = [
+        f"{machine.processor}, {machine.logical_cores} logical cores, load {report.load:.2f} "
+        f"at the start, onnxruntime {report.onnxruntime} on {options.provider}, Python "
+        f"{machine.python}; {options.rounds} {how}{', interrupted' * report.interrupted}"
+    ]
+    for group in report.groups:
+        first = next((row for row in group if row.times_ms), group[0])
+        titles = ["model", "input", "median ms", "p99 ms", f"ratio to {first.model}", "quartiles"]
+        titles += ["peak MB", "load ms", "first ms", "note"]
+        rows = [titles, ["---"] * len(titles), *(_cells(row, first) for row in group)]
+        lines = [f"| {' | '.join(map(_cell, row))} |" for row in rows]
+        case = f"{first.size[0]} x {first.size[1]}, threads {first.threads}, batch {first.batch}"
+        parts.append(f"**{case}**\n\n" + "\n".join(lines))
+    return "\n\n".join(parts)
+
+
+def _cells(row: BenchRow, first: BenchRow) -> list[str]:
+    opened, latency = row.opened, row.latency
+    if opened is None or latency is None:
+        return [row.model, *["-"] * 8, row.error or "not measured"]
+    # Ctrl-C can end within a round.
+    ratios = [mine / its for mine, its in zip(row.times_ms, first.times_ms, strict=False)]
+    low, ratio, high = map(_number, np.quantile(ratios, (0.25, 0.5, 0.75)))
+    return [
+        row.model,
+        "x".join(map(str, next(iter(opened.shapes.values()), ()))),
+        _number(latency.median_ms),
+        _number(latency.p99_ms),
+        ratio,
+        f"{low} to {high}",
+        _number(opened.peak_memory_mb),
+        _number(opened.load_ms),
+        _number(opened.first_inference_ms),
+        ", ".join(opened.notes),
+    ]
+
+
+def _number(value: float | None) -> str:
+    """Three significant digits or more; "-" for None."""
+    if value is None:
+        return "-"
+    return f"{value:.{max(0, 2 - math.floor(math.log10(value or 1)))}f}"
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")

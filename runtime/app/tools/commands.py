@@ -1,0 +1,22 @@
+"""Entry points of the commands; each imports only its own file."""
+
+from collections.abc import Callable
+from importlib import import_module
+
+from runtime.app.command import begin_command
+
+
+def _command(module: str) -> Callable[[], None]:
+    """The entry point of the command whose `app` a module holds."""
+
+    def start() -> None:
+        begin_command()
+        import_module(f"runtime.{module}").app()
+
+    return start
+
+
+run = _command("run.cli")
+info, doctor, verify, bench = map(
+    _command, ("tools.info", "tools.doctor", "tools.verify", "tools.bench")
+)

@@ -1,0 +1,31 @@
+"""A frame, its answers, and what draws them."""
+
+import pytest
+
+from runtime import Predictor
+from runtime.app.run.options import RunOptions
+from runtime.app.run.outputs.output import OpenRun
+from runtime.streams.frame import Frame, Message
+from runtime.streams.frame_result import FrameResult
+
+
+@pytest.fixture
+def answered(all_heads, make_frame):
+    """(frame, result)."""
+    rgb, depth = make_frame(60, 80)
+    rgb[..., 1] = rgb[..., 2] // 2  # boundary = green / blue stays within 0..1
+    prediction = Predictor(all_heads).predict(rgb, depth)
+    frame = Frame(Message(data=rgb), Message(data=depth), name="a")
+    return frame, FrameResult(sequence=0, name="a", rgb=rgb, prediction=prediction)
+
+
+@pytest.fixture
+def open_run(all_heads):
+    """Make a run with these options, which is open for its outputs."""
+
+    def make(*, kinds=(), names=(), **options):
+        predictor = Predictor(all_heads, focal_length_px=options.get("focal_length"))
+        given = RunOptions(**{"demo": True, "overwrite": True, **options})
+        return OpenRun(given, predictor, kinds, names)
+
+    return make

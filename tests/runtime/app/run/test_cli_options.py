@@ -1,0 +1,142 @@
+"""Options of ssdnet-run: the model and how it runs, help, and values that are refused."""
+
+import dataclasses
+import json
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cli_runs import arguments, files_in, rows_of
+from runtime import list_bundled_models
+from runtime.app.run.cli import app
+from runtime.contract.model_file import load_model_file
+from runtime.engine.bundled_models import find_model
+
+
+@pytest.mark.parametrize(
+    ("size", "runs_at"),
+    [("auto", (40, 53)), ("frame", (52, 69)), ("64", (64, 85)), ("33x70", (33, 70))],
+)
+def test_the_size_at_which_the_network_ran_is_reported(
+    tmp_path, make_frame, model_file, contract, size, runs_at
+):
+    for folder in ("cam", "lidar"):
+        (tmp_path / folder).mkdir()
+    rgb, depth = make_frame(52, 69)
+    cv2.imwrite(str(tmp_path / "cam/f.png"), rgb[..., ::-1])
+    cv2.imwrite(str(tmp_path / "lidar/f.png"), np.rint(depth * 256).astype(np.uint16))
+    model = model_file(contract=dataclasses.replace(contract, trained_height=40))
+    given = arguments((tmp_path / "cam", tmp_path / "lidar"), model, tmp_path)
+    result = CliRunner().invoke(app, [*given, "--size", size])
+    assert result.exit_code == 0, result.output
+    height, width = runs_at
+    assert f"frames 52 x 69, network at {height} x {width}\n" in result.stdout
+    (row,) = rows_of(tmp_path / "out")
+    assert (row["height"], row["width"]) == ("52", "69")
+    assert (row["network_height"], row["network_width"]) == (str(height), str(width))
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["frames"]["by_network_size"] == {f"{height} x {width}": 1}
+    assert report["model"]["trained_height"] == 40
+    assert cv2.imread(str(tmp_path / "out/semantic/f.png"), -1).shape == (52, 69)
+
+
+def test_the_model_is_the_one_that_was_asked_for(tmp_path, run):
+    assert run().exit_code == 0
+    digest = json.loads((tmp_path / "out/report.json").read_text())["model"]["sha256"]
+    before = files_in(tmp_path / "out")
+    (tmp_path / "bad.onnx").write_bytes(b"no model")
+    for wrong, text in (
+        (["--sha256", "0" * 64], digest),
+        (["--model", "ssdnet-huge"], "no bundled model is called 'ssdnet-huge'; there are: "),
+        (["--model", tmp_path / "bad.onnx"], "cannot be loaded"),
+    ):
+        result = run(*wrong, "--overwrite")
+        assert result.exit_code == 1
+        assert text in result.stderr
+    assert files_in(tmp_path / "out") == before, "an earlier run is left alone"
+    assert run("--sha256", digest, "--overwrite").exit_code == 0
+    assert run("--model", "ssdnet-nano", "--overwrite").exit_code == 0
+    report = json.loads((tmp_path / "out/report.json").read_text())
+    assert report["model"]["path"].endswith("assets/ssdnet-nano.onnx")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["--demo", "--depth", "somewhere"],
+        ["somewhere", "--rgb", "somewhere"],
+        ["--demo", "--save", "depth,all"],
+        ["--demo", "--overlay-width", "1"],
+        ["--demo", "--size", "large"],
+        ["--source", "folders:somewhere,depth_scale=0"],
+        ["--demo", "--provider", "gpu"],
+        ["--demo", "--video", "out.avi"],
+        ["--demo", "--shard", "0/4"],
+        ["--demo", "--shard", "5/4"],
+        ["--demo", "--shard", "1/\N{SUPERSCRIPT TWO}"],
+        ["--demo", "--record", "a/b", "--out", "a"],
+        ["--demo", "--record", "a", "--out", "a/b"],
+        ["--demo", "--record", "a", "--video", "a/b.mp4"],
+    ],
+)
+def test_wrong_usage_is_exit_code_2(arguments, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 2, result.output
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_bundled_models_are_listed():
+    """With size, work and accuracy, and what these were measured on."""
+    result = CliRunner().invoke(app, ["--list-models"])
+    assert result.exit_code == 0
+    heading, *lines = result.stdout.splitlines()
+    assert heading.split() == ["model", "MB", "GMACs", "mIoU", "%", "MAE", "mm"]
+    rows = {name: [float(cell) for cell in cells] for name, *cells in map(str.split, lines[:4])}
+    assert list(rows) == list_bundled_models()
+    for name, row in rows.items():
+        measured = load_model_file(find_model(name)).contract.accuracy["rows"]
+        miou = next(each["miou"] for each in measured if each["miou"])
+        mae_m = next(each["mae_m"] for each in measured if each["mae_m"])
+        size_mb = find_model(name).stat().st_size / 1e6
+        expected = [size_mb, 5.4 if "lite" in name else 2.0, 100 * miou, 1000 * mae_m]
+        assert row == [pytest.approx(value, abs=0.51 if value > 99 else 0.06) for value in expected]
+    assert lines[4:7] == [
+        "GMACs of a frame of 512 x 1024",
+        "mIoU % on camvid split=val, LiDAR none",
+        "MAE mm on kitti_streets first=70 last=98, LiDAR own",
+    ]
+    assert Path(lines[7].partition(": ")[2]).is_file()
+
+
+def test_the_focal_length_reaches_the_model(tmp_path, run, model_file, contract):
+    """The graph adds 1.5 canonical metres: 3 m behind a lens twice as long."""
+    path = model_file("c.onnx", contract=dataclasses.replace(contract, canonical_focal_px=100.0))
+    result = run("--model", path, "--focal-length", 200, "--limit", 1)
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    expected = {"focal_length_px": 200.0, "used_focal_length_px": 200.0, "depth_range_m": 160.0}
+    assert expected.items() <= report["inputs"].items()
+    assert report["model"]["canonical_focal_px"] == 100.0
+    assert "focal length 200 px; depth up to 160 m\n" in result.stdout
+    picture = cv2.imread(str(tmp_path / "out/depth/f0.png"), cv2.IMREAD_UNCHANGED)
+    assert picture.min() == 3 * 256
+    not_known = run("--model", path, "--limit", 1, "--overwrite").stdout
+    assert "\nfocal length not known: give --focal-length; depth up to 80 m\n" in not_known
+    unused = run("--focal-length", 200, "--limit", 1, "--overwrite").stdout
+    assert "\nfocal length 200 px, not used by this model; depth up to 80 m\n" in unused
+
+
+def test_help_groups_the_options():
+    result = CliRunner().invoke(app, ["--help"])
+    lines = result.stdout.splitlines()
+    titles = [line for line in lines if re.fullmatch(r"[A-Z][a-z ]+:", line)]
+    assert titles == ["Input:", "Outputs:", "Model:", "Timing:", "Other:"]
+    for option, title in (("--rgb", "Input:"), ("--video", "Outputs:"), ("--rate", "Timing:")):
+        (at,) = (number for number, line in enumerate(lines) if line.startswith(f"  {option} "))
+        assert [line for line in lines[:at] if line in titles][-1] == title
+    assert "Exit codes" in result.stdout

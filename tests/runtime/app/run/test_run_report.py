@@ -1,0 +1,83 @@
+"""Figures of a run that are not those of a frame."""
+
+import csv
+
+import pytest
+
+from outcomes import outcome
+from runtime.app.run.options import RunOptions
+from runtime.app.run.pipeline import StreamResult
+from runtime.app.run.run_report import RunReport, frames_csv
+from runtime.streams.frame_result import INVALID, OK, SKIPPED
+from runtime.streams.statistics import MissedDeadlines
+
+
+@pytest.fixture
+def report_of(model_file):
+    """Make the report of these records."""
+    from runtime import Predictor
+    from runtime.app.run.engine_facts import engine_facts
+
+    with Predictor(model_file(), warmup=0) as predictor:
+        engine = engine_facts(predictor)
+
+    def make(*records, wall_s=0.5, interrupted=False, deadline_ms=None):
+        stream = StreamResult(records, wall_s, interrupted)
+        options = RunOptions(demo=True, deadline_ms=deadline_ms)
+        return RunReport(engine, options, {}, (), stream)
+
+    return make
+
+
+def records_of(*statuses):
+    return [outcome(number, status) for number, status in enumerate(statuses)]
+
+
+@pytest.mark.parametrize(
+    ("statuses", "rate"),
+    [
+        ((OK, OK, OK), 6.0),
+        ((OK, INVALID), 4.0),  # was predicted, though not usable
+        ((SKIPPED,), None),
+    ],
+)
+def test_skipped_frames_are_no_frames_a_second(report_of, statuses, rate):
+    assert report_of(*records_of(*statuses)).frames_per_second == rate
+
+
+def test_the_skew_is_that_of_both_sensors_stamps_where_there_are_any(report_of):
+    stamps_ns = [(1_000, 8_001_000), (100_001_000, 97_001_000), (200_000_000, None)]
+    records = [
+        outcome(number, image_stamp=image, depth_stamp=depth)
+        for number, (image, depth) in enumerate(stamps_ns)
+    ]
+    report = report_of(*records)
+    skew = report.statistics.stages["skew"]
+    assert (skew.n, skew.mean_ms, skew.max_ms) == (2, 5.5, 8)
+    rows = csv.DictReader(frames_csv(report).splitlines())
+    assert [row["skew_ms"] for row in rows] == ["8.000", "3.000", ""]
+    assert "skew" not in report_of(records[2]).statistics.stages
+
+
+def test_the_exit_code_is_that_of_the_deadline_first(report_of):
+    late, in_time = outcome(0, deadline_met=False), outcome(1, deadline_met=True)
+    skipped = outcome(2, SKIPPED)
+    assert report_of(in_time, deadline_ms=25.0).exit_code == 0
+    assert report_of(in_time, skipped, deadline_ms=25.0).exit_code == 3
+    assert report_of(late, skipped, deadline_ms=25.0).exit_code == 4
+    assert report_of(outcome(0)).exit_code == 0
+    assert report_of(outcome(0, INVALID)).exit_code == 3
+    assert report_of(in_time, interrupted=True).exit_code == 3
+
+
+def test_a_frame_without_answer_ends_no_run_of_late_ones(report_of):
+    met = [False, True, False, None, False]
+    records = [
+        outcome(number, SKIPPED if each is None else OK, deadline_met=each)
+        for number, each in enumerate(met)
+    ]
+    report = report_of(*records, deadline_ms=10)
+    assert report.statistics.missed == MissedDeadlines(count=3, longest_run=2)
+    rows = csv.DictReader(frames_csv(report).splitlines())
+    assert [row["missed_deadline"] for row in rows] == ["1", "0", "1", "", "1"]
+    assert report_of(outcome(0)).statistics.missed is None

@@ -1,0 +1,98 @@
+"""ssdnet-doctor: what works is no fault, what is missing is named with the command to fix it."""
+
+import importlib
+import sys
+from importlib.metadata import version
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from runtime import Predictor, list_bundled_models
+from runtime.app.run.engine_facts import machine_facts
+from runtime.app.tools.doctor import app, examine, self_test
+from runtime.base.errors import ProviderError
+
+
+def checks_of(provider="cpu"):
+    return {check.name: check for check in examine(provider)}
+
+
+@pytest.fixture(autouse=True)
+def one_frame(monkeypatch):
+    """Let each self-test predict one frame."""
+    monkeypatch.setattr("runtime.app.tools.doctor._FRAMES", 1)
+
+
+def test_what_is_installed_here_works():
+    result = CliRunner().invoke(app, [])
+    assert result.exit_code == 0, result.output
+    *lines, verdict = result.output.splitlines()
+    assert verdict == "the engine works on cpu"
+    found = {line[8:32].strip(): line[33:] for line in lines}
+    assert {f"{model} on cpu" for model in list_bundled_models()} <= found.keys()
+    assert found["numpy"] == np.__version__
+    assert found["ssdnet"] == version("ssdnet")
+    assert found["processor"] == machine_facts().processor
+    assert "CPUExecutionProvider" in found["onnxruntime"]
+
+
+def test_no_gpu_is_a_fault_only_where_cuda_is_asked_for(monkeypatch):
+    def refuse(self, model, provider, **options):
+        raise ProviderError(f"no {provider}: pip install the extra gpu")
+
+    monkeypatch.setattr(Predictor, "__init__", refuse)
+    result = CliRunner().invoke(app, ["--provider", "cuda"])
+    assert result.exit_code == 1
+    assert "no cuda: pip install the extra gpu" in result.output
+
+
+def test_both_wheels_at_once_are_reported(monkeypatch):
+    monkeypatch.setattr("runtime.app.tools.doctor.version", lambda name: "1.31.1")
+    check = checks_of()["onnxruntime wheels"]
+    assert check.status == "warning"
+    assert check.remedy.startswith(f"{sys.executable} -m pip uninstall -y onnxruntime onnx")
+    assert check.remedy.endswith("-m pip install -c constraints.txt '.[cpu]'")
+
+
+@pytest.mark.parametrize(
+    ("package", "remedy"),
+    [("numpy", "numpy"), ("cv2", "opencv-python-headless"), ("onnxruntime", "'.[cpu]'")],
+)
+def test_a_broken_package_is_a_fault_beside_the_others(monkeypatch, package, remedy):
+    """Its import may fail otherwise than with ImportError."""
+
+    def import_module(name, real=importlib.import_module):
+        if name == package:
+            raise RuntimeError("compiled for another processor")
+        return real(name)
+
+    monkeypatch.setattr("runtime.app.tools.doctor.importlib.import_module", import_module)
+    monkeypatch.setattr("runtime.app.tools.doctor.self_test", lambda *_: SimpleNamespace(name=""))
+    checks = checks_of()
+    assert (checks[package].status, checks["python"].status) == ("fault", "ok")
+    assert "RuntimeError: compiled for another processor" in checks[package].found
+    assert checks[package].remedy.endswith(remedy)
+
+
+def test_an_engine_that_answers_nonsense_is_a_fault(change_run):
+    def spoiled(run, feed):
+        heads = run()
+        heads[1] = heads[1] * np.float32(1.3)
+        return heads
+
+    change_run(spoiled)
+    check = self_test("ssdnet-nano", "cpu")
+    assert check.status == "fault"
+    assert "at the median" in check.found
+    assert "--force-reinstall" in check.remedy
+
+
+def test_a_self_test_that_cannot_run_is_a_fault(change_run):
+    def fail(run, feed):
+        raise RuntimeError("out of memory")
+
+    change_run(fail)
+    assert self_test("ssdnet-nano", "cpu").status == "fault"
+    assert "no bundled model" in self_test("unknown", "cpu").found

@@ -1,0 +1,228 @@
+"""ssdnet-run --record, then ssdnet-verify: the same answers pass, others are reported by frame."""
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import onnxruntime
+import pytest
+from typer.testing import CliRunner
+
+from runtime import Predictor
+from runtime.app.run.cli import app as run_app
+from runtime.app.tools.verify import app
+from runtime.engine.bundled_models import find_model
+from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
+from runtime.recordings.recording import RecordedFrame, Settings, read_recording, record
+
+HEADS = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
+NAMES = ["00000", "00001", "00002"]
+
+
+def run(*arguments):
+    return CliRunner().invoke(run_app, [str(argument) for argument in arguments])
+
+
+def verify(*arguments):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture
+def stream(tmp_path, make_frame) -> list[object]:
+    """Three frames of 48 x 64 as files, and the options that name them."""
+    for folder in ("rgb", "depth"):
+        (tmp_path / folder).mkdir()
+    for seed, name in enumerate(NAMES):
+        rgb, depth = make_frame(seed=seed)
+        cv2.imwrite(str(tmp_path / "rgb" / f"{name}.png"), rgb[..., ::-1])
+        cv2.imwrite(str(tmp_path / "depth" / f"{name}.png"), (depth * 256).astype(np.uint16))
+    return ["--rgb", tmp_path / "rgb", "--depth", tmp_path / "depth", "--save", "none"]
+
+
+@pytest.fixture
+def recording(tmp_path, stream, model_file) -> Path:
+    """The stream and the answers of a model made by hand."""
+    folder, model = tmp_path / "recording", model_file(heads=HEADS)
+    options = ["--model", model, "--out", tmp_path / "out", "--record", folder, "--size", "40x56"]
+    result = run(*stream, *options)
+    assert result.exit_code == 0, result.output
+    assert f"recording: {folder}" in result.output.splitlines()
+    model.unlink()  # the recording holds its own
+    return folder
+
+
+def spoil(recording, index, head, change):
+    """Change an answer as if it had been recorded so."""
+    path = recording / "frames" / f"{index:06}.npz"
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    arrays[head] = change(arrays[head])
+    np.savez(path, **arrays)
+
+
+def test_the_same_answers_pass(recording):
+    result = verify(recording)
+    assert result.exit_code == 0, result.output
+    lines = result.output.splitlines()
+    assert (lines[1][-18:], lines[-1]) == (", the recorded one", "the same answers")
+    assert any(line.split()[:3] == ["depth", "max_abs_m", "0"] for line in lines)
+
+
+@pytest.mark.parametrize(("head", "change", "reported"), [
+    ("depth", lambda values: values + np.float32(0.25), "depth: max_abs_m 0.25"),
+    ("depth_uncertainty", lambda values: values + np.float32(0.25), "max_abs_m 0.25"),
+    ("boundary", lambda values: np.maximum(values - 0.5, 0), "boundary: mean_abs 0."),
+    ("semantic", lambda values: 1 - values, "semantic: agreement 0 "),
+    ("semantic_logits", lambda values: values * np.float32(0.5), "max_relative 1"),
+    ("depth", lambda values: values * np.nan, "depth: max_abs_m nan"),
+    ("depth", lambda values: values[:-1], "expected (47, 64)"),
+])  # fmt: skip
+def test_what_differs_is_reported_by_its_frame(recording, head, change, reported):
+    spoil(recording, 1, head, change)
+    result = verify(recording)
+    assert result.exit_code == 4
+    lines = result.output.splitlines()
+    assert lines[-1] == "1 of 3 frames differ from the recording"
+    (line,) = [line for line in lines if line.startswith("  0000")]
+    assert line.startswith("  00001: ")
+    assert reported in line
+
+
+def test_a_tolerance_may_be_given_a_head(recording):
+    spoil(recording, 1, "depth", lambda values: values + np.float32(0.25))
+    assert verify(recording, "--tolerance", "boundary=1", "--tolerance", "depth=0.3").exit_code == 0
+    assert verify(recording, "--tolerance", "depth=0.2").exit_code == 4
+    assert verify(recording, "--tolerance", "speed=1").exit_code == 1
+    assert verify(recording, "--tolerance", "depth").exit_code == 2
+    assert verify(recording, "--tolerance", "depth=-1").exit_code == 2
+
+
+def edit_frames(recording, **changes):
+    path = recording / "recording.json"
+    document = json.loads(path.read_text())
+    for frame in document["frames"]:
+        frame.update(changes)
+    path.write_text(json.dumps(document))
+
+
+def test_times_are_compared_only_when_asked(recording):
+    edit_frames(recording, predict_ms=1e-6)
+    assert verify(recording).exit_code == 0
+    result = verify(recording, "--max-slowdown", 2)
+    assert result.exit_code == 4
+    assert result.output.splitlines()[-1].endswith("at most 2")
+    edit_frames(recording, predict_ms=1e6)
+    assert verify(recording, "--max-slowdown", 1).exit_code == 0
+    assert verify(recording, "--max-slowdown", 0).exit_code == 2
+    edit_frames(recording, predict_ms=None)
+    result = verify(recording, "--max-slowdown", 1)
+    assert (result.exit_code, "has none" in result.output) == (1, True)
+
+
+def test_other_flags_than_recorded_are_reported(recording):
+    edit_frames(recording, degraded=["no_depth"])
+    result = verify(recording)
+    assert result.exit_code == 4
+    assert "  00000: degraded: none, expected no_depth" in result.output.splitlines()
+    edit_frames(recording, degraded=None)  # not known
+    assert verify(recording).exit_code == 0
+    edit_frames(recording, name="\x1b[2J", degraded=["no_depth"])
+    assert r"  \x1b[2J: degraded: none" in verify(recording).output, "no terminal escapes"
+
+
+def test_another_model_is_held_against_the_recorded_answers(recording, model_file, change_run):
+    def farther(graph):
+        (offset,) = [weight for weight in graph.initializer if weight.name == "offset"]
+        offset.raw_data = np.float32(2.0).tobytes()
+
+    other = model_file("other.onnx", heads=HEADS, edit=farther)
+    result = verify(recording, "--model", other)
+    assert result.exit_code == 4
+    assert "NOT the recorded one" in result.output
+    assert "  00002: depth: max_abs_m 0.5" in result.output
+    fewer = model_file("fewer.onnx", heads=("depth",))
+    assert "heads: depth, expected boundary" in verify(recording, "--model", fewer).output
+
+    def fail(run, feed):
+        if np.ptp(feed["rgb"]):  # not the gray frame of the start
+            raise RuntimeError("broken")
+        return run()
+
+    change_run(fail)
+    failed = verify(recording)
+    assert failed.exit_code == 4
+    assert "  00000: the session failed on a frame of 40 x 56" in failed.output
+
+
+def test_a_changed_or_damaged_recording_is_an_error(recording, model_file):
+    (recording / "frames" / "000001.npz").write_bytes(b"")
+    result = verify(recording)
+    assert (result.exit_code, "damaged" in result.output) == (1, True)
+    shutil.copy(model_file("other.onnx"), recording / "model.onnx")
+    result = verify(recording)
+    assert (result.exit_code, "expected" in result.output) == (1, True)
+
+
+def test_only_frames_with_an_answer_are_recorded_and_none_do_not_pass(tmp_path, stream, model_file):
+    options = [*stream, "--model", model_file(), "--out", tmp_path / "out", "--overwrite"]
+    options += ["--record", tmp_path / "recording"]
+    (tmp_path / "rgb" / "00000.png").write_bytes(b"no picture")
+    assert run(*options).exit_code == 3
+    assert [frame.name for frame in read_recording(tmp_path / "recording").frames] == NAMES[1:]
+    for path in (tmp_path / "rgb").iterdir():
+        path.write_bytes(b"no picture")
+    assert run(*options).exit_code == 3
+    result = verify(tmp_path / "recording")
+    assert result.exit_code == 4
+    assert "holds no frames" in result.output.splitlines()[-1]
+
+
+@pytest.fixture(scope="module")
+def int8_recording(tmp_path_factory) -> Path:
+    """Two frames of the bundled stream and the answers of a bundled 8-bit model."""
+    folder = tmp_path_factory.mktemp("int8") / "recording"
+    settings = Settings("the-test", focal_length_px=BUNDLED_FOCAL_LENGTH_PX)
+    with (
+        Predictor(
+            "ssdnet-nano-int8", focal_length_px=BUNDLED_FOCAL_LENGTH_PX, threads=2
+        ) as predictor,
+        record(folder, settings) as recorder,
+    ):
+        for frame in bundled_frames()[::10][:2]:
+            prediction = predictor.predict(frame.rgb, frame.sparse_depth)
+            heads = prediction.heads
+            recorder.add(RecordedFrame(frame.name), frame.rgb, frame.sparse_depth, heads)
+        recorder.finish(find_model("ssdnet-nano-int8"))
+    return folder
+
+
+@pytest.mark.parametrize("level", ["ORT_DISABLE_ALL", "ORT_ENABLE_ALL"])
+def test_an_8_bit_file_verifies_where_it_rounds_elsewhere(int8_recording, monkeypatch, level):
+    class Session(onnxruntime.InferenceSession):
+        def __init__(self, model, sess_options, **options):
+            optimization = getattr(onnxruntime.GraphOptimizationLevel, level)
+            sess_options.graph_optimization_level = optimization
+            super().__init__(model, sess_options, **options)
+
+    monkeypatch.setattr(onnxruntime, "InferenceSession", Session)
+    result = verify(int8_recording, "--threads", 1)
+    assert result.exit_code == 0, result.output
+    (line,) = [line for line in result.output.splitlines() if line.startswith("semantic ")]
+    agreement = float(line.split()[2])
+    assert agreement == 1 if level == "ORT_ENABLE_ALL" else agreement < 0.9999
+
+
+def test_an_8_bit_file_does_not_verify_with_other_returns_or_another_model(
+    int8_recording, tmp_path
+):
+    copy = tmp_path / "copy"
+    shutil.copytree(int8_recording, copy)
+    spoil(copy, 1, "sparse_depth", lambda depth: depth * np.float32(0.7))
+    result = verify(copy)
+    assert result.exit_code == 4
+    assert "1 of 2 frames differ" in result.output
+    assert ": depth: max_abs_m" in result.output
+    other = verify(int8_recording, "--model", "ssdnet-lite-int8")
+    assert "2 of 2 frames differ" in other.output
