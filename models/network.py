@@ -43,8 +43,8 @@ class NetworkOutput(NamedTuple):
     #: (N, 1, H, W), normalised as the depth: the scale b of a Laplace distribution of its error,
     #: 63 % of the errors are below b, 86 % below 2 b.
     depth_uncertainty: Tensor | None = None
-    #: Other heads of `runtime.contract.heads` by name, (N, 1, H, W): logits of a probability, metres as a
-    #: share of the range.
+    #: Other heads of `runtime.contract.heads` by name, (N, 1, H, W): logits of a probability, or
+    #: metres as a share of the range.
     others: Mapping[str, Tensor] = MappingProxyType({})
 
 

@@ -1,16 +1,14 @@
-"""Time stamps of sensors, of any clock: as numbers, and as the text of files."""
+"""Time stamps of sensors, of any clock: as numbers and as text."""
 
 import operator
 import warnings
 from decimal import Decimal
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
-from runtime.files.read_input import read_text
 
 #: Seconds as a float or nanoseconds as an int.
 Stamp = float | int
@@ -56,25 +54,6 @@ def stamp_ns(stamp: Any) -> int:
             f"value is {step_s:g} s away: give float64 seconds, or nanoseconds"
         )
     return nanoseconds
-
-
-def read_timestamps(path: Path) -> list[int]:
-    """Read a file with a time a line, seconds or a date as of KITTI's raw data, rising.
-
-    Returns:
-        Nanoseconds.
-
-    Raises:
-        InputError: if the file cannot be read, a line is no time, or a time is not later than the
-            one before.
-    """
-    stamps_ns: list[int] = []
-    for number, line in enumerate(read_text(path).rstrip().splitlines(), 1):
-        where = f"line {number} of {path}"
-        stamps_ns.append((parse_date if ":" in line else parse_seconds)(line, where))
-        if number > 1 and stamps_ns[-1] <= stamps_ns[-2]:
-            raise InputError(f"{where} is {line!r:.60}, expected a later time than the line before")
-    return stamps_ns
 
 
 def parse_date(text: str, where: str) -> int:

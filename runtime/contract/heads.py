@@ -55,9 +55,9 @@ class Head:
         most: largest plausible value. Class ids are limited by the class table.
         per_class: True if an answer is (C, H, W), a plane a class, instead of (H, W).
         unlabelled: value of a pixel without a label in the targets of a training.
-        resize: rule where the network runs at another size than the frame, see `runtime.contract.resize`:
-            "nearest" never mixes two values, "bilinear" takes the mean of the area where a side
-            shrinks, "surface" mixes depths of one surface.
+        resize: rule where the network runs at another size than the frame, see
+            `runtime.contract.resize`: "nearest" never mixes two values, "bilinear" takes the mean
+            of the area where a side shrinks, "surface" mixes depths of one surface.
         difference: how two runtimes are compared, at an export and for a recording.
         tolerance: least share of equal pixels, else the largest (mean) difference between two
             runtimes.

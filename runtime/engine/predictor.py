@@ -50,7 +50,8 @@ class Predictor:
             keeping the aspect; or (height, width).
         focal_length_px: fx of the camera in pixels of the frames as they are given to `predict`. A
             model with `contract.canonical_focal_px` then scales distances for this camera, see
-            `runtime.contract.canonical_focal`; None = as if the network's image were the canonical camera's.
+            `runtime.contract.canonical_focal`; None = as if the network's image were the canonical
+            camera's.
         threads: threads within an operator; None = the physical cores this process may use.
         warmup: predictions made at once at the model's own size, so that the first frame is fast.
 

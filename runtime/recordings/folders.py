@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
-from runtime.base.stamp import NS_PER_MS, read_timestamps
+from runtime.base.stamp import NS_PER_MS
 from runtime.geometry.assumptions import assume, collect_assumptions
 from runtime.geometry.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration
 from runtime.geometry.motion import Scan, ScanStamp, lidar_mount, point_times
@@ -29,6 +29,7 @@ from runtime.recordings.images import (
 from runtime.recordings.poses import read_poses
 from runtime.recordings.scan import SCAN_SUFFIXES, read_scan
 from runtime.recordings.source import ListedFrame, Source, up_to
+from runtime.recordings.timestamps import read_timestamps
 from runtime.streams.frame import Frame, Outcome, Sensor
 
 _APART_NS = 100 * NS_PER_MS  # assumed between images without times

@@ -69,3 +69,23 @@ def test_the_public_names_are_there():
     everything: dict[str, object] = {}
     exec("from runtime import *", everything)
     assert set(runtime.__all__) <= set(everything)
+
+
+def test_the_engine_and_the_streams_work_without_what_only_the_commands_need():
+    program = """
+import sys
+for name in ("typer", "jinja2", "lzf", "rosbags"):
+    sys.modules[name] = None  # an import raises ImportError
+import numpy as np
+from runtime import Predictor, PushStream
+
+rgb = np.zeros((64, 96, 3), np.uint8)
+depth = np.full((64, 96), 10, np.float32)
+with Predictor("ssdnet-nano", threads=1) as predictor:
+    prediction = predictor.predict(rgb, depth)
+    print(prediction.draw(rgb).ndim, end=" ")
+    with PushStream(predictor, on_result=lambda result: print(type(result).__name__)) as stream:
+        stream.push_image(rgb, 1.0)
+        stream.push_depth(depth, 1.0)
+"""
+    assert words_printed_by(program) == ["3", "FrameResult"]

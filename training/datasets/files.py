@@ -14,7 +14,7 @@ from PIL import Image
 
 from runtime.base.errors import DatasetError, InputError
 from runtime.files.read_input import read_input
-from runtime.io import images, scan
+from runtime.recordings import images, scan
 
 
 @contextmanager

@@ -32,7 +32,7 @@ AUXILIARY: Mapping[str, TargetKind] = {
 
 
 def target_kind(name: str) -> TargetKind:
-    """Return how a target is stored: a head's by its row in `runtime.contract.heads`, or an auxiliary one.
+    """Return how a target is stored: a head's by its row in `HEADS`, or an auxiliary one.
 
     Raises:
         ValueError: for another name.

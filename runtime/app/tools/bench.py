@@ -1,8 +1,8 @@
 """`ssdnet-bench`: models side by side on this machine.
 
 Each runs in a process of its own, which gives it its own memory and load time. All take turns, so
-that a disturbance affects all alike. Threads that wait do not spin (`runtime.engine.session`): they would
-take the cores of the model whose turn it is.
+that a disturbance affects all alike. Threads that wait do not spin (`runtime.engine.session`): they
+would take the cores of the model whose turn it is.
 """
 
 import contextlib

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from runtime.base.errors import InputError
-from runtime.base.stamp import read_timestamps, stamp_ns
+from runtime.base.stamp import stamp_ns
+from runtime.recordings.timestamps import read_timestamps
 
 
 @pytest.mark.parametrize(("stamp", "nanoseconds"), [
