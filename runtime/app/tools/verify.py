@@ -18,6 +18,7 @@ from runtime.base.errors import InferenceError, InputError
 from runtime.contract.agreement import compare, first_figure, within, worst
 from runtime.engine.predictor import Predictor
 from runtime.recordings.recording import RecordedFrame, Recording, read_recording
+from runtime.recordings.unpack import MANIFEST_FILE, unpack
 
 DIFFERS = 4  # exit code
 Figures = Mapping[str, Mapping[str, float]]  # head -> figure of `agreement.compare` -> value
@@ -67,10 +68,24 @@ def main(
             help="Largest ratio of the median prediction time to the recorded one.",
         ),
     ] = math.inf,
+    unpack_dir: Annotated[
+        Path | None,
+        typer.Option(
+            "--unpack",
+            metavar="DIR",
+            help="Write frames and answers as .npy files with a manifest for other languages, and "
+            "compare nothing.",
+        ),
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace an earlier folder of --unpack.")
+    ] = False,
     _version: Version = False,
 ) -> None:
     """Predict the frames of a recording again, and compare the answers with the recorded ones."""
     tolerances = _tolerances(tolerance or [])
+    if unpack_dir is not None and model is not None:
+        raise typer.BadParameter("--unpack writes the recorded answers: leave out --model")
     with reported_errors("cpu"):
         recording = read_recording(recording_dir)
         with Predictor(
@@ -82,6 +97,10 @@ def main(
             threads=threads,
             warmup=0,
         ) as predictor:
+            if unpack_dir is not None:
+                unpack(recording, predictor, unpack_dir, overwrite=overwrite)
+                print_result(f"{len(recording.frames)} frames: {unpack_dir / MANIFEST_FILE}")
+                return
             report = verify(predictor, recording, tolerances=tolerances, max_slowdown=max_slowdown)
         print_result(_table(report, predictor))
         raise typer.Exit(0 if report.passed else DIFFERS)

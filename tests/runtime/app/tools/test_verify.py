@@ -99,6 +99,28 @@ def test_a_tolerance_may_be_given_a_head(recording):
     assert verify(recording, "--tolerance", "depth=-1").exit_code == 2
 
 
+def test_a_recording_is_unpacked_into_plain_files(recording, tmp_path):
+    plain = tmp_path / "plain"
+    edit_frames(recording, focal_length_px=None)
+    result = verify(recording, "--unpack", plain)
+    assert (result.exit_code, result.output) == (0, f"3 frames: {plain / 'manifest.json'}\n")
+    manifest, read = json.loads((plain / "manifest.json").read_text()), read_recording(recording)
+    assert (plain / "model.onnx").read_bytes() == read.model.read_bytes()
+    assert manifest["model"]["sha256"] == read.model_sha256
+    assert manifest["limits"] == read.limits
+    frame = manifest["frames"][1]
+    assert frame["name"] == "00001"
+    assert frame["network_size"] == [40, 56]
+    assert sorted(frame["arrays"]) == sorted(["rgb", "sparse_depth", *HEADS])
+    for name, expected in read.arrays(1).items():
+        path = plain / frame["folder"] / f"{name}.npy"
+        assert path.read_bytes()[:8] == b"\x93NUMPY\x01\x00"
+        np.testing.assert_array_equal(np.load(path), expected)
+    assert verify(recording, "--unpack", plain).exit_code == 1, "it is not replaced"
+    assert verify(recording, "--unpack", plain, "--overwrite").exit_code == 0
+    assert verify(recording, "--unpack", plain, "--model", "ssdnet-nano").exit_code == 2
+
+
 def edit_frames(recording, **changes):
     path = recording / "recording.json"
     document = json.loads(path.read_text())

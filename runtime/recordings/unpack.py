@@ -1,0 +1,71 @@
+"""A recording as plain files, for programs in other languages."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from runtime.contract.model_file import load_model_file
+from runtime.engine.predictor import Predictor
+from runtime.files.own_folder import atomic_folder
+from runtime.recordings.recording import MODEL_FILE, Recording
+
+UNPACKED_FORMAT, UNPACKED_VERSION = "ssdnet-unpacked", "1.0"
+MANIFEST_FILE = "manifest.json"
+
+
+def unpack(
+    recording: Recording, predictor: Predictor, path: Path, *, overwrite: bool = False
+) -> None:
+    """Write the frames and answers of a recording as `.npy` files, whole or not at all.
+
+    The folder holds `manifest.json`, `model.onnx`, and a folder for each frame with one file for
+    each array, in C order and little-endian. The manifest resolves what a `Predictor` would: the
+    focal length of each frame, and the size at which the network runs for it.
+
+    Args:
+        recording: what is unpacked.
+        predictor: of the recorded model with the recorded settings.
+        path: the folder, which gets its name when it is complete.
+        overwrite: replace an earlier folder of this function; any other folder never is.
+
+    Raises:
+        ContractError: if the recorded model cannot be read or has another digest.
+        InputError: if the recording is damaged.
+        OutputError: if the folder cannot be written or replaced.
+    """
+    model = load_model_file(recording.model, sha256=recording.model_sha256)
+    with atomic_folder(path, overwrite=overwrite) as folder:
+        (folder / MODEL_FILE).write_bytes(model.content)
+        frames: list[dict[str, Any]] = []
+        for index, frame in enumerate(recording.frames):
+            arrays = recording.arrays(index)
+            height, width, _ = arrays["rgb"].shape
+            name = f"{index:06}"
+            (folder / name).mkdir()
+            for array_name, values in arrays.items():
+                plain = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
+                np.save(folder / name / f"{array_name}.npy", plain, allow_pickle=False)
+            frames.append(
+                {
+                    "folder": name,
+                    **asdict(frame),
+                    "focal_length_px": frame.focal_length_px or predictor.focal_length_px,
+                    "network_size": predictor.network_size((height, width)),
+                    "arrays": [*arrays],
+                }
+            )
+        document = {
+            "format": UNPACKED_FORMAT,
+            "version": UNPACKED_VERSION,
+            "model": {
+                "file": MODEL_FILE,
+                "name": recording.model_name,
+                "sha256": recording.model_sha256,
+            },
+            "limits": recording.limits,
+            "frames": frames,
+        }
+        (folder / MANIFEST_FILE).write_text(json.dumps(document, indent=1, allow_nan=False))
