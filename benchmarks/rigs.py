@@ -38,7 +38,7 @@ from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.classical import METHODS
 from training.evaluation.evaluate import short_names
 from training.evaluation.metrics import FARTHEST_M, frame_errors
-from training.evaluation.scored_model import open_method, open_model
+from training.evaluation.scored_model import open_method, open_scored_model
 from training.evaluation.scoring import Predict
 from training.lidar.split import (
     LidarInput,
@@ -252,7 +252,7 @@ def main() -> None:
     names = [name for name in others if name not in METHODS]
     paths = [Path(name) if name.endswith(".pt") else find_model(name) for name in names]
     for title, path in zip(short_names(paths), paths, strict=True):
-        with open_model(path, threads=arguments.threads, size="frame") as model:
+        with open_scored_model(path, threads=arguments.threads, size="frame") as model:
             print_row(title, scores_of(model.predict))
 
 

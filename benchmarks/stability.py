@@ -22,7 +22,7 @@ from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.sample import Sample
 from training.evaluation.depth_regions import distance_px
 from training.evaluation.evaluate import short_names
-from training.evaluation.scored_model import open_model
+from training.evaluation.scored_model import open_scored_model
 from training.evaluation.scoring import Predict
 from training.loading.open_dataset import open_dataset
 
@@ -44,7 +44,7 @@ def main() -> None:
     paths = [Path(name) if name.endswith(".pt") else find_model(name) for name in arguments.models]
     print("| model | changed depth % |\n|---|---|")
     for title, path in zip(short_names(paths), paths, strict=True):
-        with open_model(path, threads=arguments.threads, size="frame") as model:
+        with open_scored_model(path, threads=arguments.threads, size="frame") as model:
             frames = (source[index] for index in range(len(source)))
             changed = changed_share(model.predict, frames, sky=find_sky(list_classes(model.table)))
             print(f"| {title} | {100 * changed:.1f} |", flush=True)

@@ -11,7 +11,7 @@ from runtime.base.errors import InputError
 from training.evaluation.evaluate import evaluate
 from training.evaluation.score_report import Row
 from training.lidar.split import LidarInput
-from training.recipe import parse_source
+from training.recipe import parse_data
 
 #: LiDAR inputs that a file is measured with: all returns of a frame, 16 scan lines, none. If no set
 #: has returns besides its ground truth, random samples of the ground truth are added for int8.
@@ -56,7 +56,7 @@ def measure_accuracy(
     """
     rows = evaluate(
         [str(path)],
-        [parse_source(text) for text in data],
+        [parse_data(text) for text in data],
         lidars=[LidarInput.parse(text) for text in lidars],
         faults=["none"],
         leave_out_fed=True,

@@ -35,7 +35,7 @@ from training.evaluation.evaluate import scored_classes
 from training.evaluation.scored_model import trained_classes
 from training.lidar.split import LidarInput, frame_generator, split_lidar
 from training.loading.open_dataset import frame_files, open_dataset
-from training.recipe import parse_source
+from training.recipe import parse_data
 
 #: LiDAR inputs of the calibration frames, in turn. Activations beyond the calibrated ranges are
 #: clipped.
@@ -211,7 +211,7 @@ def _feeds(path: Path, options: Int8Options) -> Iterator[Feed]:
 
 
 def _open_set(text: str, table: ClassTable) -> SampleSource:
-    recipe = parse_source(text)
+    recipe = parse_data(text)
     classes = scored_classes(recipe, recipe.title, {"model": table})
     return open_dataset(recipe, [Path()], classes=classes.table)
 

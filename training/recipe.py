@@ -387,7 +387,7 @@ def build(kind: type[T], table: object) -> T:
         raise InputError(_describe((unknown or errors)[0], kind)) from error
 
 
-def parse_source(text: str) -> SourceRecipe:
+def parse_data(text: str) -> SourceRecipe:
     """Read the --data of a command, KIND:FOLDER[,KEY=VALUE...].
 
     A text needs no quotes, also where it looks like a number or a date. Raises InputError for

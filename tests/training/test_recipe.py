@@ -5,7 +5,7 @@ import pytest
 from runtime.base.errors import InputError
 from training.chosen_recipe import read_stages
 from training.datasets.cityscapes import CityscapesRecipe
-from training.recipe import AnySource, build, parse_source
+from training.recipe import AnySource, build, parse_data
 
 MINIMAL = """
 [model]
@@ -163,4 +163,4 @@ def test_output_follows_the_number_of_steps_unless_stated(read, steps, every):
     ],
 )
 def test_a_value_of_data_is_text_where_its_key_takes_text(text, key, value):
-    assert getattr(parse_source(text), key) == value
+    assert getattr(parse_data(text), key) == value

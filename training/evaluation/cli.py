@@ -82,7 +82,7 @@ def evaluate(
         from training.evaluation.evaluate import evaluate as run
         from training.evaluation.score_report import format_table, write_json
         from training.lidar.split import LidarInput
-        from training.recipe import parse_source
+        from training.recipe import parse_data
 
         if json is not None:
             require_writable(json)
@@ -92,7 +92,7 @@ def evaluate(
         with stop_requested(interrupts=True):
             rows: list[Row] = run(
                 models,
-                [parse_source(text) for text in data],
+                [parse_data(text) for text in data],
                 lidars=[
                     *dict.fromkeys(LidarInput.parse(text.strip()) for text in lidar.split(","))
                 ],

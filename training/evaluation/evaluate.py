@@ -22,7 +22,7 @@ from training.datasets.source_recipe import SourceRecipe
 from training.distributed import parse_device
 from training.evaluation.classical import METHODS
 from training.evaluation.score_report import Row
-from training.evaluation.scored_model import ScoredModel, open_method, open_model
+from training.evaluation.scored_model import ScoredModel, open_method, open_scored_model
 from training.evaluation.scoring import HeadMaps, Scores, figures_over_places
 from training.lidar.faults import Fault, add_fault
 from training.lidar.split import LidarInput, frame_generator, split_lidar
@@ -146,7 +146,7 @@ def evaluate(
             if name in METHODS:
                 scored[name] = open_method(name)
             else:
-                opened = open_model(paths[name], device=device, threads=threads, size=size)
+                opened = open_scored_model(paths[name], device=device, threads=threads, size=size)
                 scored[titles[name]] = stack.enter_context(opened)
         folders = short_names([Path(recipe.path) for recipe in data])
         for recipe, folder in zip(data, folders, strict=True):

@@ -65,7 +65,7 @@ def _class_table(
 
 
 @contextmanager
-def open_model(
+def open_scored_model(
     path: Path, *, device: str = "cpu", threads: int = 2, size: NetworkSize = None
 ) -> Iterator[ScoredModel]:
     """Open ``*.pt`` through PyTorch, ``*.onnx`` through the engine that ships.

@@ -31,7 +31,7 @@ from runtime.app.command import (
 )
 from runtime.app.command_options import Version
 from runtime.app.run.engine_facts import MachineFacts, machine_facts
-from runtime.app.tools.bench_worker import Opened, open_model, time_model
+from runtime.app.tools.bench_worker import Opened, open_for_timing, time_model
 from runtime.base.checks import shown
 from runtime.engine.cores import available_cores
 from runtime.engine.session import import_onnxruntime
@@ -178,7 +178,7 @@ def _measure(group: Sequence[BenchRow], options: BenchOptions) -> None:
             )
             workers.append((row, stack.enter_context(executor)))
             case = row.model, row.size, row.batch, row.threads, options.provider
-            row.opened = _answer(row, executor, open_model, *case)
+            row.opened = _answer(row, executor, open_for_timing, *case)
         for row, executor in workers:
             _answer(row, executor, time_model, _WARM_UP, period_s)
         for at in range(0, rounds, most):

@@ -43,7 +43,7 @@ _NAMES = {"C": "c|.*channels?", "H": "h|rows|.*height", "W": "w|columns|.*width"
 _process = threading.local()  # holds `run`, a call of the open model
 
 
-def open_model(
+def open_for_timing(
     model: str, size: tuple[int, int], batch: int, threads: int, provider: str
 ) -> Opened:
     """Open a model in this process, for `time_model`. Raises RuntimeError."""

@@ -14,7 +14,7 @@ from runtime.base.errors import DatasetError, InputError
 from runtime.contract.contract import ClassInfo
 from training.datasets.folders import FoldersRecipe
 from training.datasets.source_recipe import SourceRecipe
-from training.recipe import parse_source
+from training.recipe import parse_data
 
 CLASSES = (ClassInfo("lane", (10, 20, 30)), ClassInfo("rest", (200, 0, 0)))
 
@@ -104,7 +104,7 @@ def test_ids_have_the_meaning_that_the_keys_give_them(mine, keys, ids):
         with pytest.raises(DatasetError, match=rf"a\.png: class id {id_}, ") as refused:
             source[0]
         (advice,) = re.findall(r"label_ids = ({.*})", str(refused.value))
-        advised = parse_source(f"folders:{mine},labels=labels,label_ids={advice}")
+        advised = parse_data(f"folders:{mine},labels=labels,label_ids={advice}")
         assert (advised.open(mine, CLASSES)[0].semantic == (1 if id_ == 1 else 255)).all()
 
 

@@ -73,8 +73,8 @@ from distances import DistancesRecipe
 from training.datasets.registry import DATASETS
 DATASETS["distances"] = DistancesRecipe  # as a line there does
 from training.cli import app
-from training.recipe import parse_source
-assert parse_source("distances:x,unit_m=2").unit_m == 2
+from training.recipe import parse_data
+assert parse_data("distances:x,unit_m=2").unit_m == 2
 app()
 """
 
