@@ -11,7 +11,7 @@ def _command(module: str) -> Callable[[], None]:
 
     def start() -> None:
         begin_command()
-        import_module(f"runtime.{module}").app()
+        import_module(f"runtime.app.{module}").app()
 
     return start
 
