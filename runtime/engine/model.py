@@ -1,4 +1,4 @@
-"""An open model: the contract of its file, its session, and what its graph takes and gives."""
+"""A model: the contract of its file, what its graph takes and gives, and its session."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,20 +15,20 @@ _INPUTS = {"rgb": ("tensor(uint8)", 4), "sparse_depth": ("tensor(float)", 3)}
 
 @dataclass(frozen=True)
 class Model:
-    """A model that is ready to run.
+    """A model whose file was opened.
 
     Attributes:
-        contract: of its file.
-        sha256: of its file, hexadecimal.
-        session: of ONNX Runtime.
+        path: of its file.
+        contract: what the file states about itself.
+        sha256: digest of the file, hexadecimal.
         heads: names of its heads, in the order of `HEADS`.
         size: (height, width) of its inputs; None = any.
         free_batch: whether one run takes any number of frames, or one only.
     """
 
+    path: Path
     contract: Contract
     sha256: str
-    session: Any
     heads: tuple[str, ...]
     size: tuple[int, int] | None
     free_batch: bool
@@ -36,7 +36,7 @@ class Model:
 
 def open_model(
     path: Path, *, sha256: str | None, provider: str, device_id: int, threads: int
-) -> Model:
+) -> tuple[Model, Any]:
     """Open a model; outputs of its graph that are no heads are ignored.
 
     The first prediction shows whether the graph gives what the contract says, see `run_batch`.
@@ -47,6 +47,9 @@ def open_model(
         provider: as of `open_session`.
         device_id: as of `open_session`.
         threads: as of `open_session`.
+
+    Returns:
+        The model, and the session of ONNX Runtime that runs it.
 
     Raises:
         ContractError: as `load_model_file` and `open_session`, and for a graph of other tensors.
@@ -65,11 +68,12 @@ def open_model(
             "export one with ssdnet-export"
         )
     batch, height, width = shapes["sparse_depth"]
-    return Model(
+    model = Model(
+        path=path,
         contract=file.contract,
         sha256=file.sha256,
-        session=session,
         heads=heads,
         size=(height, width) if isinstance(height, int) else None,
         free_batch=not isinstance(batch, int),
     )
+    return model, session

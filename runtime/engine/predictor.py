@@ -58,7 +58,7 @@ class Predictor:
     Attributes:
         contract: what the model file states about itself.
         digest: SHA-256 of the model file, hexadecimal.
-        model: path of the model file.
+        model: the open `Model`, with the `path` of its file.
         provider: as requested.
         providers: ONNX Runtime's execution providers of the session.
         node_counts: execution provider -> nodes of the graph.
@@ -104,14 +104,14 @@ class Predictor:
         self._open_model = partial(
             open_model, path, provider=provider, device_id=device_id, threads=self.threads
         )
-        opened = self._open_model(sha256=sha256)
-        self.model, self.provider = str(path), provider
+        opened, session = self._open_model(sha256=sha256)
+        self.model, self.provider = opened, provider
         self.contract, self.digest, self.heads = opened.contract, opened.sha256, opened.heads
         self.free_size, self.free_batch = opened.size is None, opened.free_batch
         self.size = check_network_size(size, fixed=not self.free_size) or opened.size
-        self.providers = tuple(opened.session.get_providers())
-        self.node_counts = node_counts(opened.session)
-        self._session: Any = opened.session
+        self.providers = tuple(session.get_providers())
+        self.node_counts = node_counts(session)
+        self._session: Any = session
         self.load_ms = _ms_since(started)
         if provider == "cpu" and self.contract.precision == "fp16":
             warnings.warn(
@@ -299,7 +299,7 @@ class Predictor:
             InferenceError: after `close`.
         """
         self._require_open()
-        self._session = self._open_model(sha256=self.digest).session
+        _, self._session = self._open_model(sha256=self.digest)
 
     def close(self) -> None:
         """Free the session; calls in progress end normally, later ones raise InferenceError."""

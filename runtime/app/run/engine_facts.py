@@ -54,7 +54,7 @@ def engine_facts(predictor: "Predictor") -> dict[str, Any]:
         "ssdnet": runtime.__version__,
         "model": {
             "name": contract.model_name,
-            "path": predictor.model,
+            "path": str(predictor.model.path),
             "sha256": predictor.digest,
             "precision": contract.precision,
             "fixed_size": None if is_free else predictor.network_size(contract.native_size),

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import asdict
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -43,8 +42,8 @@ def describe_model(predictor: Predictor) -> str:
     classes = metadata.pop("classes")
     metadata["training"].pop("recipe", None)  # a page of text
     facts = {
-        "file": predictor.model,
-        "megabytes": Path(predictor.model).stat().st_size / 1e6,
+        "file": str(predictor.model.path),
+        "megabytes": predictor.model.path.stat().st_size / 1e6,
         "sha256": predictor.digest,
         "heads": predictor.heads,
         "fixed size": "none" if predictor.free_size else predictor.size,

@@ -37,7 +37,7 @@ def test_a_file_in_the_folder_is_a_model(assets):
     assert list_bundled_models() == ["other", "ssdnet-lite"]
     assert find_model("other") == assets / "other.onnx"
     with Predictor("other", warmup=0) as predictor:
-        assert predictor.model == str(assets / "other.onnx")
+        assert predictor.model.path == assets / "other.onnx"
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_a_file_of_a_models_name_in_the_current_folder_is_not_taken(
         shutil.copy(model_file(), name)
     assert find_model("other") == assets / "other.onnx"
     with Predictor("./other", warmup=0) as predictor:
-        assert predictor.model == "other"
+        assert predictor.model.path == Path("other")
     with pytest.raises(ContractError, match="mine"):
         find_model("mine")
 

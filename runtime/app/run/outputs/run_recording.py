@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Iterator
-from pathlib import Path
 
 from runtime.app.run.outputs.output import OpenRun
 from runtime.contract.degraded import OF_THE_STREAM
@@ -41,4 +40,4 @@ def open_recording(run: OpenRun) -> Iterator[RunRecording]:
     settings = Settings("ssdnet-run", options.network_size, focal_length_px, provider)
     with record(options.record, settings, overwrite=options.overwrite) as recorder:
         yield RunRecording(recorder, predictor)
-        recorder.finish(Path(predictor.model), sha256=predictor.digest)
+        recorder.finish(predictor.model.path, sha256=predictor.digest)
