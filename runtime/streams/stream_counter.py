@@ -155,6 +155,7 @@ class StreamCounter:
         self._camera_only = self._reused = self._jumps_back = 0
         self._histograms = {name: DurationHistogram() for name in FIGURES if name not in _OF_A_RUN}
         self._faults = {name: MissCounter() for name in _FAULTS}
+        self._is_started = False  # a message was accepted, or a frame answered
         self._last_ns: int | None = None  # the last answer, or else the first message
 
     def push(self, sensor: Sensor, outcome: Outcome | None = None) -> None:
@@ -165,6 +166,7 @@ class StreamCounter:
 
     def start(self, now_ns: int) -> None:
         """A message was accepted; the first one ends the state "n/a"."""
+        self._is_started = True
         if self._last_ns is None:
             self._last_ns = now_ns
 
@@ -183,13 +185,15 @@ class StreamCounter:
             self._reused += times * frame.reused
             self._camera_only += times * (not frame.reused)
 
-    def record_answer(self, frame: Frame, result: FrameResult, now_ns: int = 0) -> None:
-        """A frame was answered."""
+    def record_answer(self, frame: Frame, result: FrameResult, now_ns: int | None = None) -> None:
+        """A frame was answered. A replay has no clock: it gives no time, and is never silent."""
+        self._is_started = True
         self.record_frame(frame, Outcome.ANSWERED)
         for name, histogram in self._histograms.items():
             if (value_ms := FIGURES[name](result)) is not None:
                 histogram.record(value_ms)
-        self._last_ns = now_ns
+        if now_ns is not None:
+            self._last_ns = now_ns
         doubts = {*result.prediction.degraded, *result.health} - {DEPTH_REUSED}
         self._faults["late"].record(result.deadline_met is False)
         self._faults["degraded"].record(bool(doubts))
@@ -198,6 +202,7 @@ class StreamCounter:
 
     def record_failed(self, frame: Frame, error: BaseException) -> None:
         """A frame was an error instead of an answer."""
+        self._is_started = True
         self._faults["failed"].record(True)
         is_input = isinstance(error, SSDNetError) and not isinstance(error, InferenceError)
         self.record_frame(frame, Outcome.INPUT_ERROR if is_input else Outcome.INFERENCE_ERROR)
@@ -230,11 +235,13 @@ class StreamCounter:
         )
 
     def state(self, now_ns: int) -> WatchdogState:
-        """The state of a live stream at this moment."""
-        if self._last_ns is None:
+        """The state at this moment; silence counts in a live stream only."""
+        if not self._is_started:
             return WatchdogState(Level.NOT_YET)
-        runs = {name: fault.run for name, fault in self._faults.items()}
-        return self._limits.state({**runs, "silence_ms": (now_ns - self._last_ns) / NS_PER_MS})
+        figures: dict[str, float] = {name: fault.run for name, fault in self._faults.items()}
+        if self._last_ns is not None:
+            figures["silence_ms"] = (now_ns - self._last_ns) / NS_PER_MS
+        return self._limits.state(figures)
 
     def due_ns(self, now_ns: int) -> int | None:
         """When silence changes the state next; None = never."""

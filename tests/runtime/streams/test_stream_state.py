@@ -68,6 +68,17 @@ def test_silence_is_reported_by_the_clock_and_ends_with_a_result():
     assert levels(counter, 2100) == ("OK", ())
 
 
+def test_a_replay_is_never_silent():
+    """It has no clock: the time since its answers, by that of a live stream, would be hours."""
+    counter = StreamCounter()
+    assert levels(counter, 10**9) == ("n/a", ())
+    counter.record_answer(FRAME, result(0))
+    assert levels(counter, 10**9) == ("OK", ())
+    assert counter.due_ns(0) is None
+    counter.record_answer(FRAME, result(1, degraded=("no_depth",)))
+    assert levels(counter, 10**9) == ("WARN", ("degraded",))
+
+
 def test_the_worst_counts_and_none_is_never():
     counter = StreamCounter(limits=WatchdogLimits(late=(1, 1), degraded=(1, None)))
     for _ in range(100):
