@@ -110,6 +110,7 @@ class FolderSource(Source):
             raise InputError(f"the scans in {points} cannot be projected: give --calibration")
         self._rgb, self._depth, self._has_scans = rgb, given.depth or points, points is not None
         self._is_one, self._what = _is_image(rgb), "scan" if self._has_scans else "depth map"
+        self.depth_scale = None if self._has_scans else given.depth_scale
         paths = (rgb,) if self._depth is None else (rgb, self._depth)
         self.folders = tuple(path.parent if os.path.isfile(path) else path for path in paths)
         timed = given.timestamps, poses, given.reuse_depth_ms
@@ -276,9 +277,8 @@ class FolderSource(Source):
         """See `Source.inputs`."""
         given = {"rgb": self._rgb, **self._given._asdict()}
         del given["camera"], given["depth" if self._has_scans else "points"]
+        given["depth_scale"] = self.depth_scale
         given["reuse_depth_ms"] = self._reuse_depth_ms if self._is_timed else None
-        if self._has_scans:
-            given["depth_scale"] = None
         inputs = {
             name: value if value is None or isinstance(value, int | float) else str(value)
             for name, value in given.items()

@@ -62,6 +62,7 @@ class Source(ABC):
         accepted: the paths that are of this kind, in words.
         options: names of its options, the keywords of its constructor.
         calibration: of the camera and, where there is one, the LiDAR; None if unknown.
+        depth_scale: units per metre of the 16-bit depth maps; None if no such maps are read.
         folders: folders that frames are read from; predictions must not be written there.
         recordings: files or whole folders that outputs must not replace or write into.
     """
@@ -69,6 +70,7 @@ class Source(ABC):
     accepted: ClassVar[str]
     options: ClassVar[tuple[str, ...]] = ()
     calibration: Calibration | None = None
+    depth_scale: float | None = None
     folders: tuple[Path, ...] = ()
     recordings: tuple[Path, ...] = ()
     # Of sources with stamps and poses:
@@ -193,13 +195,17 @@ class Source(ABC):
         """Lines for the terminal: guesses and, after listing, the skipped messages."""
         return (*self._notes, *left_out_note(self._left_out))
 
+    @property
+    def left_out(self) -> Mapping[str, int]:
+        """What is in no frame, as "image: duplicate" -> how often; known after listing."""
+        return self._left_out
+
     @cached_property
     def _notes(self) -> list[str]:
         return []
 
     @cached_property
     def _left_out(self) -> Counter[str]:
-        """What is in no frame, as "image: duplicate" -> how often."""
         return Counter()
 
     def _match(

@@ -64,14 +64,13 @@ def find_depth_fault(
 
     Done before the stream, since it takes predictions from the camera alone.
     """
-    left_out = source.inputs.get("left_out") or {}
-    has_depth = any(reason.startswith(f"{Sensor.DEPTH}:") for reason in left_out)
+    has_depth = any(reason.startswith(f"{Sensor.DEPTH}:") for reason in source.left_out)
     if has_depth and all(each.depth is None for each in frames):
         return NoDepth.NO_MATCH
     if "depth" not in predictor.heads:
         return None
     check, size_check = DepthPlausibility(), CalibrationSize()
-    depth_scale = source.inputs.get("depth_scale")
+    depth_scale = source.depth_scale
     returns: list[int] = []  # of each scan or depth map
     for listed in frames[:FIRST_FRAMES]:
         with contextlib.suppress(SSDNetError):  # the run itself reports it
