@@ -44,6 +44,7 @@ def with_run_options(command: Callable[..., None]) -> Callable[..., None]:
             annotation=Annotated[field.type, field.metadata[OPTION]],
         )
         for field in dataclasses.fields(RunOptions)
+        if field.init
     ]
     shown += list(inspect.signature(command).parameters.values())[:-1]
     command.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]

@@ -9,7 +9,6 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +82,13 @@ class UsageError(InputError):
 @dataclass(frozen=True)
 class RunOptions:
     """The options of `ssdnet-run`, see `ssdnet-run --help`.
+
+    Attributes:
+        kinds: the files of a frame that --save names.
+        network_size: --size, as `Predictor` takes it.
+        part: the frames that --shard names.
+        source_path: the source, its kind and its keys.
+        open_cameras: opens a source for each camera, see `Source.open_cameras`.
 
     Raises:
         UsageError: if an option is out of range, or options contradict each other.
@@ -212,9 +218,15 @@ class RunOptions:
         min=0,
         max=1e6,
     )
+    # What follows from the options:
+    kinds: tuple[str, ...] = dataclasses.field(init=False)
+    network_size: NetworkSize = dataclasses.field(init=False)
+    part: slice = dataclasses.field(init=False)
+    source_path: SourcePath = dataclasses.field(init=False)
+    open_cameras: Callable[[], dict[str, Source]] = dataclasses.field(init=False)
 
     def __post_init__(self) -> None:
-        """Check every option."""
+        """Check every option, and read those that are text."""
         given = [source for source in (self.path, self.rgb, self.source) if source is not None]
         if self.demo + len(given) != 1 or (self.demo and (self.depth or self.points)):
             raise UsageError(
@@ -229,11 +241,19 @@ class RunOptions:
             inside = [folder for folder in (out, *files) if record in (folder, *folder.parents)]
             if inside or out in record.parents:
                 raise UsageError(f"--record {record} needs a folder apart from other results")
-        _ = self.kinds, self.network_size, self.part, self.open_cameras
+        with _usage_errors():
+            network_size = parse_network_size(self.size)
+        source_path = self._find_source()
+        for name, value in (
+            ("kinds", self._read_kinds()),
+            ("network_size", network_size),
+            ("part", self._read_shard()),
+            ("source_path", source_path),
+            ("open_cameras", self._choose_cameras(source_path)),
+        ):
+            object.__setattr__(self, name, value)
 
-    @cached_property
-    def kinds(self) -> tuple[str, ...]:
-        """The files of a frame that --save names."""
+    def _read_kinds(self) -> tuple[str, ...]:
         texts = ",".join(self.save or ["all"])
         requested = {kind.strip() for kind in texts.split(",")}
         if requested in ({"all"}, {"none"}):
@@ -264,15 +284,7 @@ class RunOptions:
                 pass
         return dataclasses.replace(self, out=folder)
 
-    @cached_property
-    def network_size(self) -> NetworkSize:
-        """--size, as `Predictor` takes it."""
-        with _usage_errors():
-            return parse_network_size(self.size)
-
-    @cached_property
-    def source_path(self) -> SourcePath:
-        """The source, its kind and its keys."""
+    def _find_source(self) -> SourcePath:
         if self.path is not None:
             return detect_source(self.path)
         if self.source is not None:
@@ -280,14 +292,12 @@ class RunOptions:
                 return parse_source(self.source)
         return SourcePath("folders", bundled_stream()[0] if self.demo else Path(self.rgb or ""), {})
 
-    @cached_property
-    def open_cameras(self) -> Callable[[], dict[str, Source]]:
-        """Opens a source for each camera, see `Source.open_cameras`."""
+    def _choose_cameras(self, source: SourcePath) -> Callable[[], dict[str, Source]]:
         names = {name for source in SOURCES.values() for name in source.options}
         given = {name: getattr(self, name) for name in names - SOURCE_KEYS.keys()}
         if self.demo:
             given["depth"] = bundled_stream()[1]
-        kind, path, keys = self.source_path
+        kind, path, keys = source
         with _usage_errors():
             return choose_cameras(kind, path, **given, **keys)
 
@@ -314,9 +324,7 @@ class RunOptions:
         is_known = self.demo and self.focal_length is None
         return BUNDLED_FOCAL_LENGTH_PX if is_known else self.focal_length
 
-    @cached_property
-    def part(self) -> slice:
-        """The frames that --shard names."""
+    def _read_shard(self) -> slice:
         numbers = re.fullmatch("([0-9]{1,7})/([0-9]{1,7})", self.shard or "1/1")
         part, parts = map(int, numbers.groups()) if numbers else (0, 0)
         if not 1 <= part <= parts:
