@@ -57,6 +57,13 @@ class OwnFolders:
     depth: Path | None = None
     classes: Path | None = None
 
+    def __post_init__(self) -> None:
+        """Check that there is something to learn."""
+        if self.labels is None and self.depth is None:
+            raise InputError("images alone teach nothing: give --labels with --classes, or --depth")
+        if (self.labels is None) != (self.classes is None):
+            raise InputError("labels are ids of classes: give --labels and --classes, or neither")
+
     @property
     def root(self) -> Path:
         """The recipe's ``--data``: the folder that holds the images' folder."""

@@ -23,7 +23,7 @@ from models.blocks import ConvBNReLU, pad_to_multiple
 from models.classes import numbered_classes
 from models.registry import NETWORKS, Entry
 from runtime.base.errors import CheckpointError
-from training import cli
+from training.commands.train import app
 from training.evaluation import cli as evaluation_cli
 from training.initial_weights import read_weights
 from training.network import build_network
@@ -107,7 +107,7 @@ def test_a_network_of_one_head_goes_through_every_tool(name, head, tmp_path):
     recipe = tmp_path / "tiny.toml"
     recipe.write_text(RECIPE.format(name=name))
     run = [str(recipe), "--data", str(tmp_path), "--out", str(tmp_path / "run")]
-    result = CliRunner().invoke(cli.app, run)
+    result = CliRunner().invoke(app, run)
     assert result.exit_code == 0, result.output
     path = tmp_path / "run/model.pt"
     network = load_checkpoint(path).model
@@ -134,7 +134,7 @@ def test_a_loss_of_which_no_term_has_a_head_is_refused(tmp_path):
     (tmp_path / "tiny.toml").write_text(RECIPE.format(name="tiny-depth"))
     arguments = ["--data", str(tmp_path), "--out", str(tmp_path / "run")]
     arguments += ["--set", "loss.depth_weight = 0.0"]
-    result = CliRunner().invoke(cli.app, [str(tmp_path / "tiny.toml"), *arguments])
+    result = CliRunner().invoke(app, [str(tmp_path / "tiny.toml"), *arguments])
     assert result.exit_code == 1
     assert "no loss term with a weight above 0 applies to the heads of 'tiny-" in result.output
     assert not (tmp_path / "run").exists()

@@ -18,8 +18,8 @@ from runtime import Predictor
 from runtime.base.errors import InputError
 from runtime.engine.bundled_models import list_bundled_models
 from runtime.recordings.bundled_stream import bundled_stream
-from training import cli
 from training.chosen_recipe import read_stages
+from training.commands.train import app
 from training.datasets.camvid import CamVidRecipe
 from training.initial_weights import (
     IMAGENET_TERMS,
@@ -129,7 +129,7 @@ def test_four_steps_from_the_name_keep_what_was_learned(tmp_path):
     (tmp_path / "recipe.toml").write_text(RECIPE)
     run = ["--data", str(tmp_path / "data"), "--out", str(tmp_path / "run")]
     arguments = [str(tmp_path / "recipe.toml"), *run, "--init"]
-    result = CliRunner().invoke(cli.app, [*arguments, "ssdnet-lite"])
+    result = CliRunner().invoke(app, [*arguments, "ssdnet-lite"])
     assert result.exit_code == 0, result.output
     tuned = load_checkpoint(tmp_path / "run/model.pt").model
     start = load_checkpoint(find_weights("ssdnet-lite")).model

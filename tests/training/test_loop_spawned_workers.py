@@ -23,8 +23,8 @@ if __name__ == "__main__":
         os.write(1, b"batch\\n")
         return forward(*arguments)
     SSDNetLoss.forward = compute_loss
-    from training.__main__ import main
-    main()
+    from training.__main__ import train
+    train()
 """
 
 RECIPE = """

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from models import load_checkpoint
 from runtime.base.errors import InputError
-from training import cli
+from training.commands.train import app
 from training.datasets.camvid import CamVidRecipe
 from training.loading.augment import AugmentConfig
 from training.prune import prune_trunk
@@ -145,7 +145,7 @@ def test_the_command_stops_at_a_step_over_all_stages_and_changes_all(data, tmp_p
     arguments = ["two", "--data", str(data), "--out", str(out), "--set", "data.batch_size = 3"]
 
     def run(*options):
-        result = CliRunner().invoke(cli.app, [*arguments, *options])
+        result = CliRunner().invoke(app, [*arguments, *options])
         assert result.exit_code == 0, result.output
         return result.stdout.splitlines()[-1].removeprefix(f"{out}/")
 

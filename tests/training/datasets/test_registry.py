@@ -72,7 +72,7 @@ TRAIN = """
 from distances import DistancesRecipe
 from training.datasets.registry import DATASETS
 DATASETS["distances"] = DistancesRecipe  # as a line there does
-from training.cli import app
+from training.commands.train import app
 from training.recipe import parse_data
 assert parse_data("distances:x,unit_m=2").unit_m == 2
 app()

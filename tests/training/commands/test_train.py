@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from layouts.virtual_kitti import write_second_edition
 from models import load_checkpoint
-from training.cli import app
+from training.commands.train import app
 
 RECIPE = """
 [model]

@@ -24,6 +24,7 @@ from runtime.contract.resize import move_returns, resize_image
 from runtime.files.own_folder import atomic_folder
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 from runtime.recordings.images import read_rgb
+from runtime.recordings.registry import SOURCES, detect_source, open_source, parse_source
 from runtime.recordings.source import ListedFrame, Source
 from training.chosen_recipe import config_changes
 from training.datasets.folders import FoldersRecipe
@@ -146,6 +147,20 @@ def adapt(
     return Adapted(out / FINAL, lines, paid)
 
 
+def is_named(recording: str) -> bool:
+    """Return whether a text names the kind of a recording, KIND:PATH[,KEY=VALUE...]."""
+    return recording.partition(":")[0] in SOURCES
+
+
+def open_recording(recording: str, **files: Path | None) -> Source:
+    """Open a recording, a path or KIND:PATH[,KEY=VALUE...], with files that go with it.
+
+    Raises InputError as `runtime.recordings.registry.open_source`.
+    """
+    found = parse_source(recording) if is_named(recording) else detect_source(Path(recording))
+    return open_source(found.kind, found.path, **files, **found.keys)
+
+
 def choose_frames(listed: Sequence[ListedFrame]) -> tuple[list[ListedFrame], list[ListedFrame]]:
     """Choose frames at equal distances of time: those to train on, and those kept apart.
 
@@ -265,7 +280,7 @@ def make_recipe(
             "schedule": {"steps": _STEPS, "warmup_steps": _WARMUP},
             "loop": {"ema_decay": 0.97, "clip_norm": 20.0},
         },
-        "--adapt",
+        "the adaptation",
         changes,
     )
 

@@ -1,0 +1,223 @@
+"""The functions that train, for Python; the commands call them, too.
+
+Weights are given by the name of a checkpoint of the package ("ssdnet-lite"), or by the path of a
+.pt file. Changes of a recipe are texts like "schedule.steps = 500", as with `ssdnet-train --set`.
+"""
+
+import sys
+import tomllib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from tqdm import tqdm
+
+from training import adaptation
+from training.adaptation import Adapted, open_recording
+from training.chosen_recipe import fine_tune, read_stages
+from training.dry_run import dry_run as dry_run_of
+from training.initial_weights import Weights, find_weights, read_weights
+from training.own_folders import RECIPE_TEXT, OwnFolders, keep_recipe
+from training.recipe import build_recipe
+from training.stages import Stage, next_stage, train_stages
+
+
+def _never() -> bool:
+    return False
+
+
+def train(
+    recipe: str | Path,
+    *,
+    data: str | Path | Sequence[str | Path],
+    out: str | Path,
+    init: str | Path | None = None,
+    teacher: str | Path | None = None,
+    changes: Sequence[str] = (),
+    device: str = "cpu",
+    stop_after: int | None = None,
+    stop: Callable[[], bool] = _never,
+    dry_run: bool = False,
+    report: Callable[[str], None] = print,
+) -> Path:
+    """Train a network by a recipe; an ``out`` of the same recipe is resumed.
+
+    `training.loop.train` and `training.stages.train_stages` describe what is written to ``out``.
+
+    Args:
+        recipe: the name of a recipe of the package, or the path of a TOML file.
+        data: folder with the recipe's data sets, or several.
+        out: folder of the run.
+        init: weights to start from. What a TOML file leaves out comes from their training.
+        teacher: weights whose answers are learned beside the labels.
+        changes: of the recipe, in all of its stages.
+        device: "cpu", "cuda" or "cuda:N".
+        stop_after: stop at this step, counted over all stages.
+        stop: called between two steps; True stops the run, which can be resumed.
+        dry_run: do not train, but check that the next stage can start, describe its data, and draw
+            its first batch.
+        report: called with each line of the description of a dry run.
+
+    Returns:
+        The checkpoint ``out``/model.pt; the last.pt of a run that was stopped; the picture
+        batch.png of a dry run.
+
+    Raises:
+        InputError: for an unknown recipe, wrong keys or values, or an ``out`` of another recipe.
+        DatasetError: if a data set is missing or damaged.
+        CheckpointError: if weights cannot be read or do not fit.
+        NonFiniteLossError: if the loss or its gradient is NaN or infinite.
+    """
+    begin = None if init is None else _read_weights(init)
+    taught_by = None if teacher is None else _read_weights(teacher)
+    stages = read_stages(str(recipe), changes, begin)
+    folders = [Path(data)] if isinstance(data, str | Path) else [Path(folder) for folder in data]
+    if dry_run:
+        return _draw_first_batch(stages, folders, Path(out), begin, taught_by, device, report)
+    return train_stages(
+        stages,
+        data=folders,
+        out=Path(out),
+        init=begin,
+        teacher=taught_by,
+        device=device,
+        stop_after=stop_after,
+        stop=stop,
+    )
+
+
+def finetune(
+    images: str | Path,
+    *,
+    out: str | Path,
+    labels: str | Path | None = None,
+    classes: str | Path | None = None,
+    depth: str | Path | None = None,
+    init: str | Path = "ssdnet-lite",
+    changes: Sequence[str] = (),
+    device: str = "cpu",
+    stop_after: int | None = None,
+    stop: Callable[[], bool] = _never,
+    dry_run: bool = False,
+    report: Callable[[str], None] = print,
+) -> Path:
+    """Train the classes or the depth of a network on folders of one's own.
+
+    A recipe is made for the folders and written to ``out``/recipe.toml. With labels the last layers
+    of the classes are trained, otherwise those that only the depth reads. Files of a frame have the
+    same name in each folder.
+
+    Args:
+        images: PNG or JPEG images, at least 10. The last tenth, by name, is for validation.
+        out: folder of the run.
+        labels: 8-bit PNGs of class ids (0, 1, ...; 255 = none).
+        classes: text file with the name of one class a line, in order of the ids.
+        depth: 16-bit PNGs of a LiDAR's depth, metres x 256, 0 = none.
+        init: weights to start from.
+        changes: see `train`, like what follows.
+        device: "cpu", "cuda" or "cuda:N".
+        stop_after: stop at this step.
+        stop: called between two steps; True stops the run, which can be resumed.
+        dry_run: do not train.
+        report: called with the recipe, and with each line of the description of a dry run.
+
+    Returns:
+        As `train`.
+
+    Raises:
+        InputError: for folders without labels and depth, too few images, classes without labels or
+            the other way round, and as in `train`, like the other errors.
+    """
+    begin, target = _read_weights(init), Path(out)
+    own = OwnFolders(Path(images), *map(_path, (labels, depth, classes)))
+    text = own.make_recipe(begin)
+    report(text)
+    table = fine_tune(tomllib.loads(text), changes, begin)
+    stages = (Stage("", build_recipe(table, target / RECIPE_TEXT)),)
+    if dry_run:
+        return _draw_first_batch(stages, [own.root], target, begin, None, device, report)
+    keep_recipe(text, target)
+    return train_stages(
+        stages,
+        data=[own.root],
+        out=target,
+        init=begin,
+        device=device,
+        stop_after=stop_after,
+        stop=stop,
+    )
+
+
+def adapt(
+    recording: str | Path,
+    *,
+    out: str | Path,
+    depth: str | Path | None = None,
+    points: str | Path | None = None,
+    calibration: str | Path | None = None,
+    poses: str | Path | None = None,
+    init: str | Path = "ssdnet-lite",
+    changes: Sequence[str] = (),
+    device: str = "cpu",
+    stop: Callable[[], bool] = _never,
+) -> Adapted:
+    """Adapt the depth of a network to a camera and a LiDAR, by a recording without labels.
+
+    Only layers that the depth alone reads are trained, on returns that are not fed. Of the model
+    before, the one after and the mean of both, the best on frames kept apart becomes
+    ``out``/model.pt. The same call resumes what was stopped.
+
+    Args:
+        recording: a path, or KIND:PATH[,KEY=VALUE...] like ``--source`` of `ssdnet-run`.
+        out: folder of the run.
+        depth: depth maps of a folder of images.
+        points: scans of a folder of images.
+        calibration: calibration of camera and LiDAR.
+        poses: poses of the vehicle.
+        init: weights to adapt.
+        changes: see `train`, like what follows.
+        device: "cpu", "cuda" or "cuda:N".
+        stop: called between two steps; True stops the run.
+
+    Returns:
+        The checkpoint, the scores as lines of text, and whether the adaptation pays.
+
+    Raises:
+        InputError: for a recording that cannot be read or has too few frames with returns, frames
+            of different sizes or focal lengths, or weights without layers that the depth alone
+            reads; and as in `train`, like the other errors.
+    """
+    begin = _read_weights(init)
+    files = {"depth": depth, "points": points, "calibration": calibration, "poses": poses}
+    with open_recording(
+        str(recording), **{name: _path(file) for name, file in files.items()}
+    ) as source:
+        for note in source.notes:
+            tqdm.write(note, file=sys.stderr)
+        return adaptation.adapt(source, begin, Path(out), changes=changes, device=device, stop=stop)
+
+
+def _path(path: str | Path | None) -> Path | None:
+    return None if path is None else Path(path)
+
+
+def _read_weights(name: str | Path) -> Weights:
+    return read_weights(find_weights(str(name)))
+
+
+def _draw_first_batch(
+    stages: Sequence[Stage],
+    data: Sequence[Path],
+    out: Path,
+    init: Weights | None,
+    teacher: Weights | None,
+    device: str,
+    report: Callable[[str], None],
+) -> Path:
+    """Draw the first batch of the next stage and report what its data hold."""
+    stage, folder, init = next_stage(stages, out, init, data)
+    path, lines = dry_run_of(
+        stage.recipe, data=data, out=folder, init=init, teacher=teacher, device=device
+    )
+    for line in lines:
+        report(line)
+    return path

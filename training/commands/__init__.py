@@ -1,0 +1,1 @@
+"""The commands that train: `ssdnet-train`, `ssdnet-finetune` and `ssdnet-adapt`."""

@@ -1,0 +1,87 @@
+"""`ssdnet-adapt`: the depth of a network adapted to a camera and a LiDAR, without labels."""
+
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from runtime.app.command import reported_errors
+from runtime.app.command_options import Version
+from training.commands.options import (
+    EXIT_CODES,
+    Begin,
+    Changes,
+    Device,
+    Out,
+    Threads,
+    end_stopped,
+    set_threads,
+)
+from training.stop_signal import stop_signal
+
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+@app.command(epilog=EXIT_CODES)
+def adapt(
+    recording: Annotated[
+        str,
+        typer.Argument(
+            help="A recording of your camera and LiDAR: a path, or KIND:PATH[,KEY=VALUE...] like "
+            "--source of ssdnet-run. Folders of images need --depth, or --points and --calibration."
+        ),
+    ],
+    *,
+    depth: Annotated[Path | None, typer.Option(help="Depth maps, as for ssdnet-run.")] = None,
+    points: Annotated[Path | None, typer.Option(help="Scans, as for ssdnet-run.")] = None,
+    calibration: Annotated[
+        Path | None, typer.Option(help="Calibration, as for ssdnet-run.")
+    ] = None,
+    poses: Annotated[Path | None, typer.Option(help="Poses, as for ssdnet-run.")] = None,
+    out: Out,
+    init: Begin = "ssdnet-lite",
+    change: Changes = None,
+    device: Device = "cpu",
+    threads: Threads = None,
+    _version: Version = False,
+) -> None:
+    """Adapt the depth of a network to your camera and LiDAR, by a recording without labels.
+
+    The returns of the recording train the depth; classes and boundaries stay as they are. Prints
+    the scores before and after, and what to run next.
+    """
+    files = {"depth": depth, "points": points, "calibration": calibration, "poses": poses}
+    with reported_errors("train"), stop_signal() as stop:
+        import training  # heavy, so that --help is quick
+
+        set_threads(threads)
+        found = training.adapt(
+            recording,
+            **files,
+            out=out,
+            init=init,
+            changes=change or (),
+            device=device,
+            stop=stop,
+        )
+        for line in found.lines:
+            typer.echo(line)
+        if not found.lines:
+            end_stopped(found.path)
+        if found.paid:
+            for command in _next_commands(recording, files, found.path):
+                typer.echo(shlex.join(command))
+
+
+def _next_commands(
+    recording: str, files: dict[str, Path | None], checkpoint: Path
+) -> tuple[list[str], list[str]]:
+    """Return the commands that export the adapted model and run it on the recording."""
+    from training.adaptation import is_named
+
+    model = str(checkpoint.with_suffix(".onnx"))
+    source = ["--source", recording] if is_named(recording) else [recording]
+    for name, file in files.items():
+        source += [] if file is None else [f"--{name}", str(file)]
+    return ["ssdnet-export", str(checkpoint), model], ["ssdnet-run", *source, "--model", model]

@@ -1,0 +1,81 @@
+"""`ssdnet-finetune`: the installed weights, or others, trained on folders of one's own."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from runtime.app.command import reported_errors
+from runtime.app.command_options import Version
+from training.commands.options import (
+    EXIT_CODES,
+    Begin,
+    Changes,
+    Device,
+    DryRun,
+    Out,
+    StopAfter,
+    Threads,
+    end_stopped,
+    set_threads,
+)
+from training.stop_signal import stop_signal
+
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+@app.command(epilog=EXIT_CODES)
+def finetune(
+    images: Annotated[Path, typer.Argument(help="Folder of PNG or JPEG images.")],
+    *,
+    labels: Annotated[
+        Path | None,
+        typer.Option(help="Class ids (0, 1, ...; 255 = none): PNGs named like the images."),
+    ] = None,
+    classes: Annotated[
+        Path | None,
+        typer.Option(
+            help="Text file for --labels with the name of one class a line, in order of the ids."
+        ),
+    ] = None,
+    depth: Annotated[
+        Path | None,
+        typer.Option(
+            help="LiDAR depth: 16-bit PNGs named like the images, metres x 256, 0 = none."
+        ),
+    ] = None,
+    out: Out,
+    init: Begin = "ssdnet-lite",
+    change: Changes = None,
+    device: Device = "cpu",
+    threads: Threads = None,
+    stop_after: StopAfter = None,
+    dry_run: DryRun = False,
+    _version: Version = False,
+) -> None:
+    """Train the classes or the depth of a network on your own images.
+
+    A recipe is made for the folders, printed, and written to recipe.toml below --out: edit it, and
+    train by it with ssdnet-train, to change more.
+    """
+    with reported_errors("train"), stop_signal() as stop:
+        import training  # heavy, so that --help is quick
+
+        set_threads(threads)
+        path = training.finetune(
+            images,
+            labels=labels,
+            classes=classes,
+            depth=depth,
+            out=out,
+            init=init,
+            changes=change or (),
+            device=device,
+            stop_after=stop_after,
+            stop=stop,
+            dry_run=dry_run,
+            report=typer.echo,
+        )
+        typer.echo(str(path))
+        if stop() and path.name == "last.pt":
+            end_stopped(path)

@@ -1,0 +1,60 @@
+"""Options that the commands which train have in common, and how they end."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from runtime.app.command import INTERRUPTED
+
+#: How each of these commands ends, for its help.
+EXIT_CODES = (
+    "Exit codes: 0 done; 1 error; 2 usage; 130 stopped by Ctrl-C or SIGTERM, after which the same "
+    "command resumes."
+)
+Out = Annotated[
+    Path,
+    typer.Option(help="Folder of the run. A run that was stopped is resumed by the same command."),
+]
+#: The weights that a network of the user's begins with; they are never random.
+Begin = Annotated[
+    str,
+    typer.Option(
+        help="Initial weights: the name of installed weights (ssdnet-lite, ssdnet-nano), or a path "
+        "that ends in .pt or holds a slash."
+    ),
+]
+Changes = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="Change a key of the recipe, for example 'schedule.steps = 500'."),
+]
+Device = Annotated[str, typer.Option(help="'cpu', 'cuda' or 'cuda:N'.")]
+Threads = Annotated[
+    int | None, typer.Option(min=1, help="Threads of PyTorch; all cores by default.")
+]
+StopAfter = Annotated[
+    int | None,
+    typer.Option(min=1, help="Stop at this step, over all stages. The run can be resumed."),
+]
+DryRun = Annotated[
+    bool,
+    typer.Option(
+        "--dry-run",
+        help="Check that the training, or its next stage, can start, describe its data, and draw "
+        "its first batch in batch.png below --out, instead of training.",
+    ),
+]
+
+
+def set_threads(threads: int | None) -> None:
+    """Set the threads of PyTorch; None leaves them as they are."""
+    import torch
+
+    if threads is not None:
+        torch.set_num_threads(threads)
+
+
+def end_stopped(last: Path) -> None:
+    """End the command after a signal; the checkpoint ``last`` is where the run goes on."""
+    typer.echo(f"stopped; the same command resumes from {last}", err=True)
+    raise typer.Exit(INTERRUPTED)

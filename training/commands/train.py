@@ -1,0 +1,123 @@
+"""`ssdnet-train`: from a recipe to a checkpoint."""
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperCommand
+
+from runtime.app.command import reported_errors
+from runtime.app.command_options import Version
+from training.commands.options import (
+    EXIT_CODES,
+    Changes,
+    Device,
+    DryRun,
+    Out,
+    StopAfter,
+    Threads,
+    end_stopped,
+    set_threads,
+)
+from training.stop_signal import stop_signal
+
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
+
+#: Options of earlier releases -> the command that took their place. Its argument is their value.
+_MOVED = {"--adapt": "ssdnet-adapt", "--images": "ssdnet-finetune"}
+_USAGE = 2
+
+
+class _TrainCommand(TyperCommand):
+    """Refuses what earlier releases took, and prints what to type instead."""
+
+    # typer's own copy of click, or click: the type of a context depends on the release of typer.
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments; options that moved end the command, whatever else is given."""
+        for option, command in _MOVED.items():
+            for index, argument in enumerate(args):
+                if argument == option or argument.startswith(f"{option}="):
+                    value = argument.removeprefix(option).removeprefix("=")
+                    rest = [*args[:index], *([value] if value else []), *args[index + 1 :]]
+                    typer.echo(
+                        f"error: {option} is a command of its own: {command} {shlex.join(rest)}",
+                        err=True,
+                    )
+                    sys.exit(_USAGE)
+        return super().parse_args(ctx, args)
+
+
+def _print_recipes(wanted: bool) -> None:
+    if wanted:
+        with reported_errors("train"):
+            from training.recipes.registry import RECIPES
+
+        for name, recipe in RECIPES.items():
+            typer.echo(f"{name:28} {recipe.description}")
+        raise typer.Exit
+
+
+@app.command(cls=_TrainCommand, epilog=EXIT_CODES)
+def train(
+    recipe: Annotated[
+        str,
+        typer.Argument(
+            help="Name of a recipe, see --list, or a path that ends in .toml or holds a slash."
+        ),
+    ],
+    *,
+    data: Annotated[
+        list[Path], typer.Option(help="Folder with the recipe's data sets. May be repeated.")
+    ],
+    out: Out,
+    init: Annotated[
+        str | None,
+        typer.Option(
+            help="Initial weights: the name of installed weights (ssdnet-lite), or a path that "
+            "ends in .pt or holds a slash. What a TOML file leaves out comes from their training."
+        ),
+    ] = None,
+    teacher: Annotated[
+        str | None,
+        typer.Option(
+            help="Weights whose answers are learned beside the labels: a name or path as in --init."
+        ),
+    ] = None,
+    change: Changes = None,
+    device: Device = "cpu",
+    threads: Threads = None,
+    stop_after: StopAfter = None,
+    dry_run: DryRun = False,
+    _list: Annotated[
+        bool,
+        typer.Option("--list", callback=_print_recipes, is_eager=True, help="List the recipes."),
+    ] = False,
+    _version: Version = False,
+) -> None:
+    """Train a network by a recipe.
+
+    Writes checkpoints, TensorBoard curves, scores and the resolved recipe. See ssdnet-finetune for
+    folders of your own images and labels, and ssdnet-adapt for a recording without labels.
+    """
+    with reported_errors("train"), stop_signal() as stop:
+        import training  # heavy, so that --help is quick
+
+        set_threads(threads)
+        path = training.train(
+            recipe,
+            data=data,
+            out=out,
+            init=init,
+            teacher=teacher,
+            changes=change or (),
+            device=device,
+            stop_after=stop_after,
+            stop=stop,
+            dry_run=dry_run,
+            report=typer.echo,
+        )
+        typer.echo(str(path))
+        if stop() and path.name == "last.pt":
+            end_stopped(path)
