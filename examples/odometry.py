@@ -17,7 +17,7 @@ import numpy as np
 from kiss_icp.config import load_config
 from kiss_icp.kiss_icp import KissICP
 
-from runtime import Calibration, Predictor, ReplayMessage, StreamCounter, replay
+from runtime import Predictor, ReplayMessage, Rig, StreamCounter, replay
 from runtime.recordings.images import read_rgb
 from runtime.recordings.scan import read_scan
 
@@ -39,8 +39,7 @@ def main() -> None:
         for answer in replay(
             predictor,
             drive(images, scans),
-            calibration=Calibration.from_file(arguments.calibration),
-            pose_frame="lidar",
+            Rig(calibration=arguments.calibration, pose_frame="lidar"),
             counter=counter,
         ):
             age = "none" if answer.depth_age_ms is None else f"{answer.depth_age_ms:.0f} ms old"

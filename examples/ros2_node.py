@@ -28,7 +28,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import Image, PointCloud2
 from sensor_msgs_py import point_cloud2
 
-from runtime import Calibration, FrameResult, Predictor, PushStream, SSDNetError
+from runtime import Calibration, FrameResult, Predictor, PushStream, Rig, SSDNetError
 from runtime.recordings.ros_poses import odometry_pose, point_times_s
 
 # Your calibration: fx 0 cx / 0 fy cy / 0 0 1, and LiDAR to camera. Of raw images also
@@ -60,9 +60,11 @@ class SSDNetNode(Node):
         self.predictor = Predictor()  # the focal length is the calibration's
         self.stream = PushStream(
             self.predictor,
+            Rig(
+                calibration=Calibration(INTRINSICS, EXTRINSICS, body_from_lidar=BODY_FROM_LIDAR),
+                pose_frame="body",  # leave it out without an odometry
+            ),
             deadline_ms=80,
-            calibration=Calibration(INTRINSICS, EXTRINSICS, body_from_lidar=BODY_FROM_LIDAR),
-            pose_frame="body",  # leave it out without an odometry
             on_result=self.publish,
             on_error=lambda error: self.get_logger().error(str(error)),
             on_state=lambda state: self.get_logger().info(str(state)),

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from runtime.engine.predictor import Predictor as Predictor
     from runtime.geometry.calibration import Calibration as Calibration
     from runtime.geometry.projection import project_points as project_points
+    from runtime.geometry.rig import Rig as Rig
     from runtime.recordings.registry import open_source as open_source
     from runtime.streams.frame_result import FrameResult as FrameResult
     from runtime.streams.push_stream import PushStream as PushStream
@@ -47,6 +48,7 @@ _MODULES = {
     "base.errors": "ContractError InferenceError InputError OutputError ProviderError SSDNetError",
     "geometry.calibration": "Calibration",
     "geometry.projection": "project_points",
+    "geometry.rig": "Rig",
     "engine.prediction": "Cleaned Latency Prediction",
     "engine.predictor": "Predictor",
     "recordings.registry": "open_source",

@@ -18,23 +18,16 @@ import contextlib
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.checks import check_number, shown
 from runtime.base.errors import InferenceError, InputError, SSDNetError
-from runtime.base.stamp import (
-    DEFAULT_MAX_SKEW_MS,
-    DEFAULT_REUSE_DEPTH_MS,
-    NS_PER_MS,
-    Stamp,
-    stamp_ns,
-)
+from runtime.base.stamp import NS_PER_MS, Stamp, stamp_ns
 from runtime.engine.process_guard import ProcessGuard
-from runtime.geometry.calibration import Calibration
-from runtime.geometry.motion import ScanStamp
+from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.streams.answerer import Answerer, FramePredictor
 from runtime.streams.frame import Frame, Outcome
 from runtime.streams.frame_result import FrameResult
@@ -58,10 +51,11 @@ class PushStream:
     A push never waits, and the newest complete frame wins. Recordings go through `replay`.
 
     ```python
-    with PushStream(predictor, deadline_ms=50) as stream:
+    rig = Rig(calibration=calibration, pose_frame="lidar")
+    with PushStream(predictor, rig, deadline_ms=50) as stream:
         stream.push_image(rgb, stamp)  # in the camera's callback; seconds, or int nanoseconds
-        stream.push_depth(sparse_depth, stamp)  # in the LiDAR's; or push_points(points, stamp)
-        stream.push_pose(pose, stamp)  # in the odometry's, with pose_frame=
+        stream.push_points(points, stamp)  # in the LiDAR's; or push_depth(sparse_depth, stamp)
+        stream.push_pose(pose, stamp)  # in the odometry's
         for result in stream:  # ends after stream.close()
             result.prediction, result.skew_ms, result.age_ms, result.deadline_met
     stream.counts, stream.statistics  # the outcome of every message; latency, age, jitter
@@ -72,19 +66,12 @@ class PushStream:
 
     Args:
         predictor: a `Predictor`, or a drop-in replacement; it must outlive the stream.
+        rig: the car's sensors: their calibration, what their stamps and poses mean, and which
+            messages belong together. `push_points` needs its calibration, `push_pose` its
+            `pose_frame`.
         deadline_ms: limit for `FrameResult.latency_ms`; None = no limit.
-        max_skew_ms: largest difference between the stamps of an image and its depth map.
         max_wait_ms: how long an image waits for its depth map, before it is answered without, and
             a depth map for its image.
-        calibration: of camera and LiDAR, required by `push_points`; its focal length is used where
-            the predictor has none.
-        reuse_depth_ms: an image without depth of its own takes the newest depth before it, if that
-            is at most so old; 0 = never.
-        pose_frame: the frame whose poses `push_pose` takes, "lidar", "camera" or "body" (the
-            calibration's `body_from_lidar`): scans are moved to the time of their image. None = no
-            poses.
-        scan_stamp: whether the stamp of a scan marks its "start", "middle" or "end"; a scan whose
-            points have no times is moved as if all were measured in its middle.
         consistency: share of the returns that is held out of each frame to check whether camera
             and LiDAR are still calibrated and in sync (0.05, for example); every 10th frame is then
             predicted a second time. None = no check.
@@ -108,14 +95,10 @@ class PushStream:
     def __init__(
         self,
         predictor: FramePredictor,
+        rig: Rig = DEFAULT_RIG,
         *,
         deadline_ms: float | None = None,
-        max_skew_ms: float = DEFAULT_MAX_SKEW_MS,
         max_wait_ms: float = 50.0,
-        calibration: Calibration | None = None,
-        reuse_depth_ms: float = DEFAULT_REUSE_DEPTH_MS,
-        pose_frame: Literal["lidar", "camera", "body"] | None = None,
-        scan_stamp: ScanStamp = "middle",
         consistency: float | None = None,
         check_depth: bool = True,
         on_result: Callable[[FrameResult], object] | None = None,
@@ -139,13 +122,11 @@ class PushStream:
 
         self._changed = threading.Condition(threading.RLock())
         self._counter, self._jitter = StreamCounter(deadline_ms, watchdog), Jitter()
-        self._sensors = SensorInput(
-            pose_frame, scan_stamp, calibration, counter=self._counter, lock=self._changed
-        )
+        self._sensors = SensorInput(rig, counter=self._counter, lock=self._changed)
         self._synchronizer = Synchronizer(
-            max_skew_ms=max_skew_ms,
+            max_skew_ms=rig.max_skew_ms,
             max_wait_ms=max_wait_ms,
-            reuse_depth_ms=reuse_depth_ms,
+            reuse_depth_ms=rig.oldest_depth_ms,
             capacity=_WAITING,
         )
         self._reported_state = self._counter.state(0)
@@ -201,25 +182,25 @@ class PushStream:
             points: float32 (N, 3) or wider: x, y, z in metres in the LiDAR's frame.
             stamp: see `push_image`.
             times: (N,), when each point was measured: floats are seconds after the stamp, integers
-                nanoseconds of its clock. None = unknown, see `scan_stamp`.
+                nanoseconds of its clock. None = unknown, see `Rig.scan_stamp`.
 
         Raises:
-            InputError: as `push_image`, if the stream has no `calibration`, for a scan whose points
+            InputError: as `push_image`, if the rig has no `calibration`, for a scan whose points
                 are none, and if half of the times are more than a second from the stamp.
             InferenceError: as `push_image`.
         """
         self._push("points", points, stamp, times)
 
     def push_pose(self, pose: NDArray[np.floating[Any]], stamp: Stamp) -> None:
-        """Push where the car is, in rising order of the stamps; needs `pose_frame`.
+        """Push where the car is, in rising order of the stamps; needs `Rig.pose_frame`.
 
         Args:
-            pose: float (4, 4), rigid, from the stream's `pose_frame` to a frame that is fixed over
+            pose: float (4, 4), rigid, from the rig's `pose_frame` to a frame that is fixed over
                 seconds, as that of an odometry [m].
             stamp: see `push_image`.
 
         Raises:
-            InputError: as `push_image`, if the pose is not rigid or the stream has no `pose_frame`.
+            InputError: as `push_image`, if the pose is not rigid or the rig has no `pose_frame`.
             InferenceError: as `push_image`.
         """
         self._push("pose", pose, stamp)

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from runtime.base.checks import shown
 from runtime.base.errors import InputError, SSDNetError
-from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS, Stamp
-from runtime.geometry.calibration import Calibration
-from runtime.geometry.motion import ScanStamp
+from runtime.base.stamp import Stamp
+from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.streams.answerer import Answerer, FramePredictor
 from runtime.streams.frame import Frame, Message, Sensor
 from runtime.streams.frame_result import FrameResult
@@ -35,12 +34,8 @@ ReplayMessage = (
 def replay(
     predictor: FramePredictor,
     messages: Iterable[ReplayMessage],
+    rig: Rig = DEFAULT_RIG,
     *,
-    max_skew_ms: float = DEFAULT_MAX_SKEW_MS,
-    calibration: Calibration | None = None,
-    reuse_depth_ms: float = DEFAULT_REUSE_DEPTH_MS,
-    pose_frame: Literal["lidar", "camera", "body"] | None = None,
-    scan_stamp: ScanStamp = "middle",
     consistency: float | None = None,
     check_depth: bool = True,
     on_error: Callable[[SSDNetError], object] | None = None,
@@ -52,9 +47,10 @@ def replay(
     def messages():  # in the order of time, read as they are needed
         yield "image", rgb, stamp  # seconds, or int nanoseconds
         yield "depth", sparse_depth, stamp  # or "points", points, stamp[, times]
-        yield "pose", pose, stamp  # with pose_frame=
+        yield "pose", pose, stamp
 
-    for answer in replay(predictor, messages()):
+    rig = Rig(calibration=calibration, pose_frame="lidar")
+    for answer in replay(predictor, messages(), rig):
         answer.prediction, answer.skew_ms, answer.depth_age_ms
     ```
 
@@ -66,11 +62,7 @@ def replay(
         predictor: a `Predictor`, or a drop-in replacement.
         messages: (kind, array, stamp) of kind "image", "depth", "points" or "pose"; see the method
             `PushStream.push_image` and so on of that kind.
-        max_skew_ms: as of `PushStream`, like the next six.
-        calibration: of camera and LiDAR.
-        reuse_depth_ms: largest age of the depth that an image without its own takes.
-        pose_frame: the frame of which poses are given.
-        scan_stamp: what instant of a scan its stamp is.
+        rig: the car's sensors, as of `PushStream`.
         consistency: share of the returns that is held out.
         check_depth: whether returns are compared with a prediction from the image alone.
         on_error: called with the error of each message and frame that has one, which is left out;
@@ -88,9 +80,7 @@ def replay(
     """
     counter = StreamCounter() if counter is None else counter
     answerer = Answerer(predictor, consistency=consistency, check_depth=check_depth)
-    sensors = SensorInput(
-        pose_frame, scan_stamp, calibration, counter=counter, lock=contextlib.nullcontext()
-    )
+    sensors = SensorInput(rig, counter=counter, lock=contextlib.nullcontext())
 
     def report(error: SSDNetError) -> None:
         if on_error is None:
@@ -110,7 +100,7 @@ def replay(
                 yield sensor, taken
 
     matching = StampMatching(
-        max_skew_ms=max_skew_ms, reuse_depth_ms=reuse_depth_ms, capacity=_WAITING
+        max_skew_ms=rig.max_skew_ms, reuse_depth_ms=rig.oldest_depth_ms, capacity=_WAITING
     )
 
     def answered(frame: Frame) -> Iterator[FrameResult]:

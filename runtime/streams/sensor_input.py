@@ -12,17 +12,16 @@ from runtime.base.errors import InputError
 from runtime.base.stamp import Stamp, stamp_ns
 from runtime.engine.preprocess import check_rgb, check_sparse_depth
 from runtime.geometry.assumptions import assume
-from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import (
     FIRST_SCAN_NS,
     MIDDLE_AFTER,
     Scan,
-    check_scan_stamp,
     lidar_mount,
     point_times,
 )
 from runtime.geometry.poses import PoseBuffer, PoseFrame
 from runtime.geometry.returns import check_points
+from runtime.geometry.rig import Rig
 from runtime.geometry.rigid import read_rigid
 from runtime.streams.frame import Frame, Message, Outcome, Sensor
 from runtime.streams.matching import Intervals
@@ -42,42 +41,32 @@ class SensorInput:
     """Accepts the messages of a car's sensors and counts them. Only `check` is thread-safe.
 
     Args:
-        pose_frame: "lidar", "camera" or "body"; None = a car without poses.
-        scan_stamp: "start", "middle" or "end".
-        calibration: of camera and LiDAR.
+        rig: the car.
         counter: counts each message.
         lock: held wherever the counter is used; `check` takes it, other callers hold it.
 
     Raises:
-        InputError: if an option is unknown, or the calibration is none or missing.
+        InputError: if the calibration cannot be read, or poses need one and there is none.
     """
 
     def __init__(
         self,
-        pose_frame: Any,
-        scan_stamp: Any,
-        calibration: Calibration | None,
+        rig: Rig,
         *,
         counter: StreamCounter,
         lock: AbstractContextManager[Any],
     ) -> None:
-        if not isinstance(calibration, Calibration | None):
-            raise InputError(f"calibration must be a Calibration or None, got {shown(calibration)}")
-        self._calibration, self._counter, self._lock = calibration, counter, lock
-        self._middle_after = MIDDLE_AFTER[check_scan_stamp(scan_stamp)]
+        if not isinstance(rig, Rig):
+            raise InputError(f"rig must be a Rig, such as Rig(calibration=...), got {shown(rig)}")
+        self._calibration, self._counter, self._lock = rig.read_calibration(), counter, lock
+        self._middle_after = MIDDLE_AFTER[rig.scan_stamp]
         self._scans = Intervals()
         self._poses = PoseBuffer()
         self._mount: NDArray[np.float64] | None = None
-        if pose_frame is not None:
-            frames = [str(each) for each in PoseFrame]
-            if pose_frame not in frames:
-                raise InputError(
-                    f"pose_frame must be one of {', '.join(frames)} or None, got "
-                    f"{shown(pose_frame)}"
-                )
-            if calibration is None:
-                raise InputError("pose_frame needs a calibration: give calibration=")
-            self._mount = lidar_mount(PoseFrame(pose_frame), calibration)
+        if rig.pose_frame is not None:
+            if self._calibration is None:
+                raise InputError("pose_frame needs a calibration: give Rig(calibration=)")
+            self._mount = lidar_mount(PoseFrame(rig.pose_frame), self._calibration)
 
     def check(
         self, kind: Kind, data: Any, stamp: Stamp, times: Any = None
@@ -101,11 +90,13 @@ class SensorInput:
         calibration = self._calibration
         if kind == "pose":
             if self._mount is None:
-                raise InputError('poses need pose_frame="lidar", "camera" or "body"')
+                raise InputError('poses need Rig(pose_frame="lidar"), "camera" or "body"')
             return read_rigid("pose", data)
         if kind == "points":
             if calibration is None:
-                raise InputError("points need a calibration to be projected: give calibration=")
+                raise InputError(
+                    "points need a calibration to be projected: give Rig(calibration=)"
+                )
             check_points(data)
             after_s = None if times is None else point_times(times, len(data), stamp_ns)
             return Scan.of(data.copy(), after_s, stamp_ns)

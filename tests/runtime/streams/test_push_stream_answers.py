@@ -6,6 +6,7 @@ import numpy as np
 
 from runtime.engine.predictor import Predictor
 from runtime.geometry.calibration import Calibration
+from runtime.geometry.rig import Rig
 from runtime.streams.push_stream import PushStream
 from stream_messages import depth, image, push_pair
 
@@ -16,7 +17,7 @@ def test_answers_of_the_engine_come_back_with_both_stamps(model_file, make_frame
     rgb, sparse_depth = make_frame()
     with Predictor(model_file(), threads=1) as predictor:
         expected = predictor.predict(rgb, sparse_depth)
-        with PushStream(predictor, deadline_ms=1e6, max_skew_ms=20) as stream:
+        with PushStream(predictor, Rig(max_skew_ms=20), deadline_ms=1e6) as stream:
             stream.push_image(rgb, 1.0)
             stream.push_depth(sparse_depth, 1_000_000_000)
             result = next(iter(stream))
@@ -133,7 +134,7 @@ def test_a_frozen_camera_and_a_lost_sector_are_flagged(setup):
 
 def test_points_are_projected_and_the_focal_length_is_the_cameras(setup):
     intrinsics = np.array([[30.0, 0, 20], [0, 30, 16], [0, 0, 1]])
-    made = setup(calibration=Calibration(intrinsics, np.eye(4), (32, 40)))
+    made = setup(rig=Rig(calibration=Calibration(intrinsics, np.eye(4), (32, 40))))
     points = np.array([[0, 0, 10, 0.5], [2, 0, 10, 0.5], [0, 0, -3, 0.5]], np.float32)
     made.stream.push_image(image(), 0)
     made.stream.push_points(points, 0)

@@ -7,6 +7,7 @@ import pytest
 
 from runtime.base.errors import InputError
 from runtime.geometry.calibration import Calibration
+from runtime.geometry.rig import Rig
 from runtime.streams.push_stream import PushStream
 from runtime.streams.replay import replay
 from runtime.streams.stream_counter import StreamCounter
@@ -15,7 +16,7 @@ from stream_messages import add_up, depth, image
 
 def test_images_and_depth_maps_of_another_size_than_the_calibrations_are_refused(setup):
     """Their answers would have a wrong focal length; points are projected into the image's size."""
-    stream = setup(calibration=Calibration(np.eye(3), np.eye(4), (48, 64))).stream
+    stream = setup(rig=Rig(calibration=Calibration(np.eye(3), np.eye(4), (48, 64)))).stream
     with pytest.raises(InputError, match=r"for images of \(48, 64\)"):
         stream.push_image(image(), 0)
     with pytest.raises(InputError, match=r"for images of \(48, 64\)"):
@@ -24,9 +25,7 @@ def test_images_and_depth_maps_of_another_size_than_the_calibrations_are_refused
 
 
 OF_BOTH = [
-    {"max_skew_ms": -1}, {"max_skew_ms": float("nan")}, {"reuse_depth_ms": "x"}, {"calibration": 5},
-    {"consistency": "x"}, {"scan_stamp": "first"}, {"pose_frame": "lidar"},
-    {"pose_frame": "wheel"}, {"pose_frame": 3},
+    {"consistency": "x"}, {"rig": 5}, {"rig": Calibration(np.eye(3), np.eye(4))},
 ]  # fmt: skip
 OF_A_STREAM = [
     {"deadline_ms": 0}, {"deadline_ms": "1"}, {"deadline_ms": True}, {"max_wait_ms": float("inf")},
@@ -42,6 +41,14 @@ def test_options_out_of_range(setup, checked_predictor, options):
     if options in OF_BOTH:
         with pytest.raises(InputError, match=next(iter(options))):
             replay(checked_predictor(), [], **options)
+
+
+def test_poses_need_a_calibration(setup, checked_predictor):
+    rig = Rig(pose_frame="lidar")
+    with pytest.raises(InputError, match=r"Rig\(calibration="):
+        setup(rig=rig)
+    with pytest.raises(InputError, match=r"Rig\(calibration="):
+        replay(checked_predictor(), [], rig)
 
 
 # --- any sequence, with threads ----------------------------------------------------------------
@@ -74,15 +81,15 @@ def any_messages(random, count):
 @pytest.mark.parametrize("seed", range(3))
 def test_bad_messages_are_refused_or_flagged_and_accounted_for(checked_predictor, way, seed):
     messages = list(any_messages(np.random.default_rng(seed), 300))
-    calibration, refused, answers = Calibration(np.eye(3), np.eye(4)), [], []
+    rig, refused, answers = Rig(calibration=Calibration(np.eye(3), np.eye(4))), [], []
     if way == "replay":
         counter = StreamCounter()
         recording = [message[:3] for message in messages]
-        options = {"calibration": calibration, "on_error": refused.append, "counter": counter}
+        options = {"rig": rig, "on_error": refused.append, "counter": counter}
         answers += replay(checked_predictor(), recording, **options)
         counts = add_up(counter.counts())
     else:
-        options = {"calibration": calibration, "on_result": answers.append}
+        options = {"rig": rig, "on_result": answers.append}
         stream = PushStream(checked_predictor(), max_wait_ms=0, **options)
 
         def push(part):

@@ -1,5 +1,6 @@
 """Which image of a live stream is answered with which depth, and who waits for it."""
 
+from runtime.geometry.rig import Rig
 from stream_messages import add_up, image, push_pair
 
 
@@ -21,7 +22,7 @@ def test_a_live_push_never_waits_and_the_newest_complete_frame_wins(setup):
 
 
 def test_a_complete_frame_is_not_overtaken_by_one_without_depth(setup):
-    made = setup(max_wait_ms=50, reuse_depth_ms=0)
+    made = setup(max_wait_ms=50, rig=Rig(reuse_depth_ms=0))
     made.predictor.gate.clear()
     push_pair(made.stream, 0)
     made.predictor.entered.acquire()

@@ -5,6 +5,7 @@ import pytest
 
 from moving_car import CALIBRATION, MS, POINTS, car, expected, measured, messages, wall_scan
 from runtime.base.errors import InputError
+from runtime.geometry.rig import Rig
 from stream_messages import image
 
 
@@ -21,7 +22,7 @@ def push(stream, sensor, time_ms, **options):
 
 
 def test_a_camera_of_20_hz_and_a_lidar_of_10_hz_have_depth_in_every_answer(setup):
-    made = setup(calibration=CALIBRATION, pose_frame="lidar")
+    made = setup(rig=Rig(calibration=CALIBRATION, pose_frame="lidar"))
     for time_ms, _, sensor in messages(until=1500):
         made.clock.advance_ms(time_ms - made.clock.now_ns() / MS)
         push(made.stream, sensor, time_ms)
@@ -43,7 +44,7 @@ def test_a_camera_of_20_hz_and_a_lidar_of_10_hz_have_depth_in_every_answer(setup
 
 
 def test_poses_that_arrive_late_are_extrapolated_live_for_100_ms(setup):
-    made = setup(calibration=CALIBRATION, pose_frame="lidar")
+    made = setup(rig=Rig(calibration=CALIBRATION, pose_frame="lidar"))
     for late_ms, fine in ((100, True), (101, False)):
         base = 1000 if fine else 1500
         for stamp in range(base, base + 200, 10):
@@ -61,7 +62,7 @@ def test_poses_that_arrive_late_are_extrapolated_live_for_100_ms(setup):
 
 
 def test_poses_are_accounted_for(setup):
-    made = setup(calibration=CALIBRATION, pose_frame="lidar")
+    made = setup(rig=Rig(calibration=CALIBRATION, pose_frame="lidar"))
     stream = made.stream
     for stamp in (0, 10, 10, 5, 2000, 30):
         push(stream, "pose", stamp)

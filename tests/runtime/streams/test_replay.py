@@ -24,11 +24,12 @@ from moving_car import (
 from runtime import InputError, Predictor, PushStream
 from runtime import replay as answer_recording
 from runtime.geometry.calibration import Calibration
+from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.streams.stream_counter import StreamCounter
 from stream_messages import add_up, depth, image
 
 TIMES = ("latency_ms", "age_ms", "jitter_ms")  # differ in a live stream
-POSES = {"calibration": CALIBRATION, "pose_frame": "lidar"}
+POSED = Rig(calibration=CALIBRATION, pose_frame="lidar")
 
 
 def message(sensor, time_ms):
@@ -56,11 +57,12 @@ def drive(**options):
 def replay(checked_predictor):
     """Replay messages: (answers, counts). Every message is accounted for."""
 
-    def run(recording, *, predictor=None, check_depth=False, **options):
+    def run(recording, rig=DEFAULT_RIG, *, predictor=None, check_depth=False, **options):
         counter = StreamCounter()
         answers = answer_recording(
             predictor or checked_predictor(),
             recording,
+            rig,
             check_depth=check_depth,
             counter=counter,
             **options,
@@ -85,7 +87,7 @@ def test_integer_stamps_of_another_unit_are_said(replay, unit, said):
     recording = [(*rest, stamp // unit) for *rest, stamp in drive(until=1000)]
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        replay(recording, **POSES)
+        replay(recording, POSED)
     assert any("apart are nanoseconds" in str(each.message) for each in caught) == said
 
 
@@ -129,7 +131,7 @@ def test_the_image_of_an_answer_is_read_only(replay):
 
 
 def test_a_camera_of_20_hz_and_a_lidar_of_10_hz_have_depth_in_every_answer(replay):
-    answers, counts = replay(drive(until=1000), **POSES)
+    answers, counts = replay(drive(until=1000), POSED)
     assert image_ms(answers) == list(range(0, 1000, 50))
     for answer in answers:
         time_ms = answer.image_stamp // MS
@@ -144,9 +146,9 @@ def test_a_camera_of_20_hz_and_a_lidar_of_10_hz_have_depth_in_every_answer(repla
     assert (counts.poses.pushed, counts.poses.answered, counts.poses.pending) == (100, 100, 0)
 
 
-@pytest.mark.parametrize("options", [{}, {"pose_frame": "lidar"}])
+@pytest.mark.parametrize("pose_frame", [None, "lidar"])
 @pytest.mark.parametrize("times", [False, True])
-def test_points_without_a_return_or_a_time_are_left_out_and_counted(replay, options, times):
+def test_points_without_a_return_or_a_time_are_left_out_and_counted(replay, pose_frame, times):
     """The LiDAR is 1 m ahead of the camera, which would see (0, 0, 0) there, moved or not."""
     ahead = TO_CAMERA.copy()
     ahead[2, 3] = 1.0
@@ -155,8 +157,9 @@ def test_points_without_a_return_or_a_time_are_left_out_and_counted(replay, opti
     after[:40:2] = 3.6, np.nan, *[3.6] * 18  # half of the marks, and ten of the wall
     scan = ("points", points, 0, after) if times else ("points", points, 0)
     poses = [("pose", car(time_ms), time_ms * MS) for time_ms in range(0, 200, 10)]
-    recording = [("image", image(1), 0), scan, *(poses if options else ())]
-    (answer,), _ = replay(recording, calibration=Calibration(INTRINSICS, ahead), **options)
+    recording = [("image", image(1), 0), scan, *(poses if pose_frame else ())]
+    rig = Rig(calibration=Calibration(INTRINSICS, ahead), pose_frame=pose_frame)
+    (answer,), _ = replay(recording, rig)
     assert measured(answer) == pytest.approx(WALL_M + 1, abs=2e-3)
     assert answer.prediction.depth[16, 20] != 2, "1 m more than the mark"
     assert answer.prediction.cleaned.lost_points == (30 if times else 20)
@@ -168,7 +171,7 @@ def test_a_depth_map_cannot_be_moved(replay, pose_frame):
     recording = [("image", image(stamp), stamp * MS) for stamp in (0, 50, 110)]
     recording += [("depth", depth(stamp), stamp * MS) for stamp in (0, 100)]
     calibration = CALIBRATION if pose_frame else None
-    answers, _ = replay(recording, pose_frame=pose_frame, calibration=calibration)
+    answers, _ = replay(recording, Rig(calibration=calibration, pose_frame=pose_frame))
     moved = ("depth_uncompensated",) if pose_frame else ()
     degraded = [answer.prediction.degraded for answer in answers]
     assert degraded == [(), ("depth_reused", "depth_uncompensated"), moved]
@@ -179,7 +182,7 @@ def test_a_depth_map_cannot_be_moved(replay, pose_frame):
 )
 def test_reuse_can_be_turned_off_and_ends_with_the_age(replay, options, last_ms):
     lost = {("depth", stamp) for stamp in range(100, 700, 100)}
-    answers, _ = replay(drive(until=750, lost=lost), **POSES, **options)
+    answers, _ = replay(drive(until=750, lost=lost), replace(POSED, **options))
     reused = [answer for answer in answers if answer.depth_reused]
     assert image_ms(reused) == list(range(50, last_ms + 1, 50))
     alone = [answer for answer in answers if "no_depth" in answer.prediction.degraded]
@@ -193,7 +196,7 @@ def test_poses_of_another_frame_of_the_car(replay, frame):
     mount = {"camera": TO_CAMERA, "body": body_from_lidar}[frame]
     recording = [("points", wall_scan(0), 0), ("image", image(), 40 * MS)]
     recording += [("pose", car(t) @ np.linalg.inv(mount), t * MS) for t in (0, 50)]
-    (answer,), _ = replay(recording, calibration=calibration, pose_frame=frame)
+    (answer,), _ = replay(recording, Rig(calibration=calibration, pose_frame=frame))
     assert measured(answer) == expected(40)
 
 
@@ -205,7 +208,7 @@ def test_a_scan_with_times_is_deskewed(replay, as_floats):
     times = after_ms / 1e3 if as_floats else (after_ms * MS).astype(np.uint64)
     recording = [("points", scan, 0, times), ("image", image(), 30 * MS)]
     recording += [message("pose", stamp) for stamp in range(0, 120, 10)]
-    (answer,), _ = replay(recording, **POSES)
+    (answer,), _ = replay(recording, POSED)
     found = answer.prediction.depth[answer.prediction.depth > 1] - 1
     assert found == pytest.approx(WALL_M - 0.45, abs=2e-3)
     assert (answer.depth_motion, answer.prediction.degraded) == ("each", ())
@@ -219,7 +222,7 @@ def test_a_scan_is_moved_from_its_middle(replay, scan_stamp, stamp_ms):
     ]
     recording += [message("pose", stamp) for stamp in range(0, 800, 20)]
     recording.append(("image", image(), 600 * MS))
-    (answer,), _ = replay(recording, scan_stamp=scan_stamp, **POSES)
+    (answer,), _ = replay(recording, replace(POSED, scan_stamp=scan_stamp))
     assert measured(answer) == expected(600)
 
 
@@ -238,7 +241,7 @@ def test_a_pose_that_is_missing_is_a_flag_that_says_why(replay, fault):
             fault == "pose_gap" and not 800 < stamp < 1200
         ):
             recording.append(message("pose", stamp))
-    (answer,), _ = replay(recording, **POSES)
+    (answer,), _ = replay(recording, POSED)
     assert answer.prediction.degraded == ("depth_uncompensated", fault)
     assert measured(answer) == expected(940), "as it is, not moved wrongly"
     assert answer.depth_motion == "none"
@@ -253,7 +256,7 @@ def test_answers_do_not_depend_on_how_late_a_sensor_was_recorded(replay, late_ms
     recorded = messages(until=1500, lost={("depth", 400), ("pose", 640)})
     recorded.sort(key=lambda each: each[0] + late_ms.get(each[2], 0))
     recording = [message(sensor, time_ms) for time_ms, _, sensor in recorded]
-    answers, counts = replay(recording, **POSES)
+    answers, counts = replay(recording, POSED)
     assert image_ms(answers) == list(range(0, 1500, 50))
     for answer in answers:
         time_ms = answer.image_stamp // MS
@@ -275,7 +278,7 @@ def test_where_poses_end_answers_go_on_without_them(checked_predictor):
                 yield message(sensor, time_ms)
 
     times_ms, flagged = [], []
-    for answer in answer_recording(checked_predictor(), recording(), check_depth=False, **POSES):
+    for answer in answer_recording(checked_predictor(), recording(), POSED, check_depth=False):
         times_ms.append(answer.image_stamp // MS)
         flagged.append("no_pose" in answer.prediction.degraded)
         assert read <= times_ms[-1] + 18 * 50

@@ -1,0 +1,81 @@
+"""The sensors of a car: where they are, what their stamps mean, and which of them belong together.
+
+One `Rig` describes a car to a live stream, to a replay and to the sources of recordings.
+"""
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from runtime.base.checks import check_number, shown
+from runtime.base.errors import InputError
+from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.motion import ScanStamp, check_scan_stamp
+from runtime.geometry.poses import PoseFrame
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rig:
+    """A camera and a LiDAR or depth camera on one car.
+
+    Attributes:
+        calibration: of camera and LiDAR, or the path of its file, see `Calibration.from_file`.
+            Scans need it to be projected; its focal length is used where the predictor has none.
+            None: unknown; a source of recordings then looks for the recording's own.
+        pose_frame: the frame whose poses are given, "lidar", "camera" or "body" (the calibration's
+            `body_from_lidar`): scans are moved to the time of their image. None: no poses are
+            given.
+        scan_stamp: whether the stamp of a scan marks its "start", "middle" or "end". A scan whose
+            points have no times is moved as if all of them were measured in its middle.
+        max_skew_ms: largest difference between the stamps of an image and its depth.
+        reuse_depth_ms: an image without depth of its own takes the newest depth before it, if that
+            is at most so old; 0: never. None: 150, except in folders of files without times, where
+            nothing is reused.
+
+    Raises:
+        InputError: if a value is out of range or of another type.
+    """
+
+    calibration: Calibration | Path | str | None = None
+    pose_frame: PoseFrame | Literal["lidar", "camera", "body"] | None = None
+    scan_stamp: ScanStamp = "middle"
+    max_skew_ms: float = DEFAULT_MAX_SKEW_MS
+    reuse_depth_ms: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if not isinstance(self.calibration, Calibration | Path | str | None):
+            raise InputError(
+                "calibration must be a Calibration or the path of its file, got "
+                f"{shown(self.calibration)}"
+            )
+        if self.pose_frame is not None and self.pose_frame not in (*PoseFrame,):
+            raise InputError(
+                f"pose_frame must be one of {', '.join(PoseFrame)} or None, got "
+                f"{shown(self.pose_frame)}"
+            )
+        check_scan_stamp(self.scan_stamp)
+        for name in ("max_skew_ms", "reuse_depth_ms"):
+            if (value := getattr(self, name)) is not None or name == "max_skew_ms":
+                check_number(name, value, 0, 1e6, "milliseconds", error=InputError)
+
+    @property
+    def oldest_depth_ms(self) -> float:
+        """`reuse_depth_ms`, or its default of streams."""
+        return DEFAULT_REUSE_DEPTH_MS if self.reuse_depth_ms is None else self.reuse_depth_ms
+
+    def read_calibration(self, **of_file: Any) -> Calibration | None:
+        """The calibration; a file is read by `Calibration.from_file`, which takes `of_file`."""
+        if isinstance(self.calibration, Path | str):
+            return Calibration.from_file(self.calibration, **of_file)
+        return self.calibration
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """The names of the attributes that are not as by default."""
+        return tuple(each.name for each in fields(self) if getattr(self, each.name) != each.default)
+
+
+#: Of a car about which nothing is known.
+DEFAULT_RIG: Final = Rig()
