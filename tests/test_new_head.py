@@ -19,7 +19,7 @@ from models.blocks import pad_to_multiple
 from models.registry import NETWORKS, Entry
 from runtime import Predictor
 from runtime.app.encode import ENCODERS
-from runtime.app.tools.verify import verify
+from runtime.app.tools.verification import verify
 from runtime.contract.heads import HEADS, Difference, Head, Panel, Unit
 from runtime.recordings.recording import read_recording
 from training import task

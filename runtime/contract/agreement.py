@@ -4,7 +4,8 @@ Used by the export (model file against PyTorch) and by recordings (present run a
 run). The tolerances are in `runtime.contract.heads`.
 """
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,15 +27,21 @@ _MEANS = {
     Difference.RELATIVE: "mean_relative",
 }
 _LEAST_MEAN = 1e-9
+_PERCENTILE = re.compile(r"p(100|[0-9]{1,2}(?:\.[0-9]{1,3})?)")
+#: A file's precision -> its rank, the least exact last.
+_EXACTNESS = ("fp32", "fp16", "int8")
 
 
-def compare(head: str, answer: NDArray[Any], expected: NDArray[Any]) -> dict[str, float]:
+def compare(
+    head: str, answer: NDArray[Any], expected: NDArray[Any], wanted: Collection[str] = ()
+) -> dict[str, float]:
     """Return how far an answer of one head is from the expected one.
 
     Args:
         head: name in `HEADS`.
         answer: the array to judge.
         expected: the array it should be, of the same shape.
+        wanted: figures to return, too, as of `figure_name`: percentiles are computed on demand.
 
     Returns:
         By the head's `difference`: {"agreement"}, the share of equal pixels; {"max_relative",
@@ -47,14 +54,19 @@ def compare(head: str, answer: NDArray[Any], expected: NDArray[Any]) -> dict[str
         return {row.difference.value: float((answer == expected).mean())}
     difference, size = np.abs(answer.astype(np.float64) - expected), np.abs(expected)
     largest, mean = float(difference.max()), float(difference.mean())
-    if row.difference is Difference.MEAN:
-        return {"mean_abs": mean, "max_abs": largest}
     mean_relative = mean / max(float(size.mean(dtype=np.float64)), _LEAST_MEAN)
+    suffix = _suffix(row)
     if row.difference is Difference.RELATIVE:
-        max_relative = float((difference / size.max()).max())
-        return {row.difference.value: max_relative, "mean_relative": mean_relative}
-    unit = "_m" if row.unit is Unit.METRES else ""
-    return {f"max_abs{unit}": largest, f"mean_abs{unit}": mean, "mean_relative": mean_relative}
+        difference /= size.max()
+        figures = {"max_relative": float(difference.max()), "mean_relative": mean_relative}
+    elif row.difference is Difference.MEAN:
+        figures = {"mean_abs": mean, "max_abs": largest}
+    else:
+        figures = {f"max{suffix}": largest, f"mean{suffix}": mean, "mean_relative": mean_relative}
+    for name in wanted:
+        if name not in figures and (found := _PERCENTILE.match(name)):
+            figures[name] = float(np.percentile(difference, float(found[1])))
+    return figures
 
 
 def first_figure(head: str) -> str:
@@ -62,6 +74,38 @@ def first_figure(head: str) -> str:
     row = HEADS[head]
     in_metres = row.unit is Unit.METRES and row.difference is Difference.ABSOLUTE
     return f"{row.difference}_m" if in_metres else row.difference.value
+
+
+def figure_name(head: str, short: str) -> str:
+    """Return the figure that a person calls "equal", "mean", "max", or "p50" to "p99.9".
+
+    Args:
+        head: name in `HEADS`.
+        short: "equal", the share of equal pixels, of a head of class ids; of every other head
+            "mean", "max" or a percentile of the absolute difference, in the unit of the head; of
+            scores they are shares of the largest one ("mean": of the mean).
+
+    Raises:
+        ValueError: if the head has no such figure; the text names those that it has.
+    """
+    row = HEADS[head]
+    if row.difference is Difference.EQUAL_SHARE:
+        if short == "equal":
+            return _SHARE
+        raise ValueError(f"{head} has no figure {short!r}: give {head}.equal")
+    if short in ("mean", "max") or _PERCENTILE.fullmatch(short):
+        return f"{short}{_suffix(row)}"
+    raise ValueError(
+        f"{head} has no figure {short!r}: give {head}.mean, {head}.max or a percentile such as "
+        f"{head}.p99"
+    )
+
+
+def _suffix(row: Head) -> str:
+    """What ends the names of a head's figures, those that are no share of equal pixels."""
+    if row.difference is Difference.RELATIVE:
+        return "_relative"
+    return "_abs_m" if row.unit is Unit.METRES else "_abs"
 
 
 def worst(figures: Sequence[Mapping[str, float]]) -> dict[str, float]:
@@ -106,6 +150,11 @@ def recording_limits(head: str, contract: Contract, *, from_torch: bool) -> dict
         tolerance = row.tolerance_int8 if is_int8 else row.tolerance
     measured = contract.parity.get(head, {}).get(name) if from_torch else None
     return _limit(row, name, tolerance, contract, measured)
+
+
+def less_exact(first: Contract, second: Contract) -> Contract:
+    """Return the contract of the file in the coarser arithmetic, of equals the first."""
+    return max(first, second, key=lambda each: _EXACTNESS.index(each.precision))
 
 
 def within(figures: Mapping[str, float], limits: Mapping[str, float]) -> bool:

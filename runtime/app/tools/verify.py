@@ -1,27 +1,25 @@
 """`ssdnet-verify`: predict the frames of a recording again, and compare the answers."""
 
+import json
 import math
-import statistics
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from numpy.typing import NDArray
 
 from runtime.app.command import Provider, print_result, reported_errors
 from runtime.app.command_options import Version
+from runtime.app.tools.verification import VerifyReport, verify
 from runtime.base.checks import shown
-from runtime.base.errors import InferenceError, InputError
-from runtime.contract.agreement import compare, first_figure, within, worst
+from runtime.contract.agreement import figure_name
+from runtime.contract.heads import HEADS
 from runtime.engine.predictor import Predictor
-from runtime.recordings.recording import RecordedFrame, Recording, read_recording
+from runtime.recordings.recording import read_recording
 from runtime.recordings.unpack import MANIFEST_FILE, unpack
 
 DIFFERS = 4  # exit code
-Figures = Mapping[str, Mapping[str, float]]  # head -> figure of `agreement.compare` -> value
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -54,10 +52,11 @@ def main(
     tolerance: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="HEAD=LIMIT",
-            help="Limit of a head, instead of the recorded one; may be repeated. semantic: "
-            "minimum share of equal pixels; boundary: mean difference; others: largest difference "
-            "(metres; for semantic_logits relative to the largest score).",
+            metavar="HEAD[.FIGURE]=LIMIT",
+            help="Limit of a head, instead of its recorded ones; may be repeated. "
+            "semantic.equal: least share of equal pixels; of the other heads .mean, .max and "
+            "percentiles (.p99) of the difference, in metres for depths (of semantic_logits "
+            "relative to the scores). Without a figure: semantic.equal, boundary.mean, else .max.",
         ),
     ] = None,
     max_slowdown: Annotated[
@@ -68,6 +67,9 @@ def main(
             help="Largest ratio of the median prediction time to the recorded one.",
         ),
     ] = math.inf,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the comparison as one JSON document.")
+    ] = False,
     unpack_dir: Annotated[
         Path | None,
         typer.Option(
@@ -102,199 +104,111 @@ def main(
                 print_result(f"{len(recording.frames)} frames: {unpack_dir / MANIFEST_FILE}")
                 return
             report = verify(predictor, recording, tolerances=tolerances, max_slowdown=max_slowdown)
-        print_result(_table(report, predictor))
+        document = json.dumps(_to_json(report, predictor), indent=1, allow_nan=False)
+        print_result(document if as_json else _table(report, predictor))
         raise typer.Exit(0 if report.passed else DIFFERS)
 
 
-def _tolerances(texts: Sequence[str]) -> dict[str, float]:
-    limits = {}
+def _tolerances(texts: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Head -> figure, "" for the first one -> limit."""
+    limits: dict[str, dict[str, float]] = {}
     for text in texts:
-        head, _, number = text.partition("=")
+        name, _, number = text.partition("=")
+        head, _, short = name.partition(".")
         try:
-            limits[head] = float(number)
+            limit = float(number)
         except ValueError:
-            limits[head] = -1
-        if not limits[head] >= 0:
-            raise typer.BadParameter(f"--tolerance is HEAD=LIMIT, as depth=0.01, got {shown(text)}")
+            limit = -1
+        if not 0 <= limit < math.inf:
+            raise typer.BadParameter(
+                "--tolerance is HEAD=LIMIT or HEAD.FIGURE=LIMIT, as depth=0.01 or depth.mean=0.2, "
+                f"got {shown(text)}"
+            )
+        try:
+            figure = figure_name(head, short) if short and head in HEADS else ""
+        except ValueError as error:
+            raise typer.BadParameter(f"--tolerance {text}: {error}") from error
+        limits.setdefault(head, {})[figure] = limit
     return limits
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """The answers to one frame, compared with the recorded ones.
-
-    Attributes:
-        name: of the frame.
-        figures: head -> how far its answer is from the recorded one.
-        faults: what differs by more than its limit, in words.
-        predict_ms: time of the prediction now; None = there was none.
-    """
-
-    name: str
-    figures: Figures
-    faults: tuple[str, ...] = ()
-    predict_ms: float | None = None
-
-
-@dataclass(frozen=True)
-class VerifyReport:
-    """The comparison of a whole recording.
-
-    Attributes:
-        recording: that was compared.
-        limits: head -> limits of its figures.
-        checks: of the frames, in order.
-        max_slowdown: limit of `slowdown`; infinity = times are not compared.
-    """
-
-    recording: Recording
-    limits: Figures
-    checks: tuple[Comparison, ...]
-    max_slowdown: float
-
-    @property
-    def failed(self) -> list[Comparison]:
-        """Frames whose answers differ."""
-        return [check for check in self.checks if check.faults]
-
-    @cached_property
-    def slowdown(self) -> float | None:
-        """The median time now over the recorded one; None where no times were recorded."""
-        now_ms = [each.predict_ms for each in self.checks if each.predict_ms is not None]
-        recorded = [each.predict_ms for each in self.recording.frames]
-        recorded_ms = [each for each in recorded if each is not None]
-        if not now_ms or not recorded_ms:
-            return None
-        return statistics.median(now_ms) / max(statistics.median(recorded_ms), 1e-9)
-
-    @property
-    def slow(self) -> bool:
-        """Whether predictions take more than `max_slowdown` times what was recorded."""
-        return (self.slowdown or 0) > self.max_slowdown
-
-    @property
-    def passed(self) -> bool:
-        """Whether there are answers, and all are the recorded ones within `max_slowdown`."""
-        return bool(self.checks) and not self.slow and not self.failed
-
-
-def verify(
-    predictor: Predictor,
-    recording: Recording,
-    *,
-    tolerances: Mapping[str, float],
-    max_slowdown: float = math.inf,
-) -> VerifyReport:
-    """Predict each recorded frame, and compare the answers with the recorded ones.
-
-    Each new size of frame is predicted once before it is timed.
-
-    Args:
-        predictor: answers the frames.
-        recording: frames and answers.
-        tolerances: head -> limit of its first figure (share of equal pixels, largest or mean
-            difference), in place of the recording's limits.
-        max_slowdown: limit of the median time over the recorded one.
-
-    Raises:
-        InputError: if the arrays of the recording are damaged, if it lacks a head of `tolerances`,
-            or times for `max_slowdown`.
-    """
-    if unknown := sorted(tolerances.keys() - recording.limits.keys()):
-        raise InputError(
-            f"--tolerance names {', '.join(unknown)}, the recording holds "
-            f"{', '.join(recording.limits)}"
-        )
-    given = {head: {first_figure(head): value} for head, value in tolerances.items()}
-    limits = {**recording.limits, **given}
-    warm: set[tuple[int, ...]] = set()
-    checks = tuple(
-        _check_frame(predictor, frame, recording.arrays(index), limits, warm)
-        for index, frame in enumerate(recording.frames)
-    )
-    report = VerifyReport(recording, limits, checks, max_slowdown)
-    if max_slowdown < math.inf and report.slowdown is None:
-        raise InputError(
-            "--max-slowdown needs times, and this recording has none: record with ssdnet-run"
-        )
-    return report
-
-
-def _check_frame(
-    predictor: Predictor,
-    frame: RecordedFrame,
-    arrays: dict[str, NDArray[Any]],
-    limits: Figures,
-    warm: set[tuple[int, ...]],
-) -> Comparison:
-    """Predict a frame again. warm: shapes of pictures that were predicted before."""
-    rgb, sparse_depth = arrays.pop("rgb"), arrays.pop("sparse_depth")
-    try:
-        if rgb.shape not in warm:
-            predictor.predict(rgb, sparse_depth, focal_length_px=frame.focal_length_px)
-            warm.add(rgb.shape)
-        prediction = predictor.predict(rgb, sparse_depth, focal_length_px=frame.focal_length_px)
-    except InferenceError as error:
-        return Comparison(frame.name, {}, (str(error),))
-    degraded = prediction.degraded if frame.degraded is None else frame.degraded
-    pairs = {
-        "valid": (str(prediction.valid), str(frame.valid)),
-        "degraded": (", ".join(prediction.degraded), ", ".join(degraded)),
-        "heads": (", ".join(sorted(prediction.heads)), ", ".join(sorted(limits))),
-    }
-    faults = [
-        f"{name}: {now or 'none'}, expected {then or 'none'}"
-        for name, (now, then) in pairs.items()
-        if now != then
-    ]
-    figures: dict[str, dict[str, float]] = {}
-    for head, expected in arrays.items():
-        answer = prediction.heads.get(head)
-        if answer is None:
-            continue
-        if answer.shape != expected.shape:
-            faults.append(f"{head}: shape {answer.shape}, expected {expected.shape}")
-            continue
-        figures[head] = compare(head, answer, expected)
-        if not within(figures[head], limits[head]):
-            faults.append(f"{head}: {_text(figures[head])} (limit {_text(limits[head])})")
-    return Comparison(frame.name, figures, tuple(faults), prediction.latency.total_ms)
-
-
-def _text(figures: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} {value:.6g}" for name, value in figures.items())
+def _origin(report: VerifyReport) -> str:
+    """What made the recording."""
+    recording = report.recording
+    software = recording.software
+    by = f"{recording.settings.made_by} {software.get('ssdnet', '')}".strip()
+    with_ = f", ONNX Runtime {software['onnxruntime']}" if "onnxruntime" in software else ""
+    return f"{by} on {recording.settings.provider}{with_}"
 
 
 def _table(report: VerifyReport, predictor: Predictor) -> str:
-    """One line per head with its worst value over all frames, then one line per difference."""
+    """One line per limit with the worst value over all frames, then one line per other fault."""
     recording, checks, failed = report.recording, report.checks, report.failed
-    same = "" if predictor.digest == recording.model_sha256 else "NOT "
+    contract, is_same = predictor.contract, predictor.digest == recording.model_sha256
+    now = f"now {contract.model_name} {contract.precision} sha256:{predictor.digest[:12]}"
     lines = [
-        f"{len(checks)} frames of {recording.settings.made_by} on {recording.settings.provider}, "
-        f"now on {predictor.provider}",
-        f"{predictor.contract.model_name} sha256:{predictor.digest[:12]}, {same}the recorded one",
+        f"{len(checks)} frames: {recording.model_name} sha256:{recording.model_sha256[:12]} by "
+        f"{_origin(report)}",
+        f"{now} on {predictor.provider}, {'' if is_same else 'NOT '}the recorded one",
         "",
-        f"{'head':18}{'figure':14}{'worst':>12}{'limit':>12}",
+        f"{'head':18}{'figure':14}{'worst':>12}{'limit':>12}{'frames beyond':>15}  worst frame",
     ]
-    for head, limits in report.limits.items():
-        figures = [check.figures[head] for check in checks if head in check.figures]
-        for name, limit in limits.items():
-            most = f"{worst(figures)[name]:.6g}" if figures else "n/a"
-            lines.append(f"{head:18}{name:14}{most:>12}{limit:>12.6g}")
+    for row in report.figures:
+        line = f"{row.head:18}{row.figure:14}"
+        line += f"{'n/a':>12}" if row.worst is None else f"{row.worst:>12.6g}"
+        line += f"{row.limit:>12.6g}{row.frames_beyond:>15}  {row.frame or ''}"
+        lines.append(line.rstrip())
     if report.slowdown is not None:
         lines.append(
             f"{'time':18}{'x recorded':14}{report.slowdown:>12.3f}{report.max_slowdown:>12g}"
         )
-    lines += ["", *(f"  {check.name}: {fault}" for check in failed for fault in check.faults)]
+    for fault in report.faults:
+        lines.append(f"  {fault.text} ({fault.frames} frames, the first is {fault.first_frame})")
+    lines.append("")
     if not checks:
         lines.append("the recording holds no frames: nothing was compared")
     elif failed:
         lines.append(f"{len(failed)} of {len(checks)} frames differ from the recording")
-    else:
+    elif is_same:
         lines.append("the same answers")
+    else:
+        lines.append("the recorded answers, within the limits")
     if report.slow:
         lines.append(
             f"predictions take {report.slowdown:.3f} times the recorded time, expected at most "
             f"{report.max_slowdown:g}"
         )
     return "\n".join(lines)
+
+
+def _to_json(report: VerifyReport, predictor: Predictor) -> dict[str, Any]:
+    """What the table says, for a program; null where a value is not finite or there is none."""
+    recording, contract = report.recording, predictor.contract
+    return {
+        "passed": report.passed,
+        "frames": len(report.checks),
+        "frames_beyond": len(report.failed),
+        "recorded": {
+            "model": recording.model_name,
+            "sha256": recording.model_sha256,
+            "made_by": recording.settings.made_by,
+            "provider": recording.settings.provider,
+            "software": dict(recording.software),
+        },
+        "now": {
+            "model": contract.model_name,
+            "precision": contract.precision,
+            "sha256": predictor.digest,
+            "provider": predictor.provider,
+        },
+        "figures": [
+            {key: _finite(value) for key, value in asdict(row).items()} for row in report.figures
+        ],
+        "faults": [asdict(fault) for fault in report.faults],
+        "slowdown": _finite(report.slowdown),
+        "max_slowdown": _finite(report.max_slowdown),
+    }
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value

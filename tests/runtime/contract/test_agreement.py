@@ -5,7 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from runtime.contract.agreement import compare, file_limits, recording_limits, within, worst
+from runtime.contract.agreement import (
+    compare,
+    figure_name,
+    file_limits,
+    recording_limits,
+    within,
+    worst,
+)
 from runtime.contract.heads import HEADS
 
 
@@ -19,6 +26,33 @@ from runtime.contract.heads import HEADS
 def test_the_figures_of_a_head(head, answer, expected, figures):
     dtype = np.uint8 if head == "semantic" else np.float32
     assert compare(head, np.array(answer, dtype), np.array(expected, dtype)) == figures
+
+
+@pytest.mark.parametrize(("head", "short", "name"), [
+    ("semantic", "equal", "agreement"), ("depth", "mean", "mean_abs_m"),
+    ("depth", "p99", "p99_abs_m"), ("boundary", "max", "max_abs"),
+    ("boundary", "p99.9", "p99.9_abs"),
+    ("semantic_logits", "p50", "p50_relative"), ("semantic_logits", "mean", "mean_relative"),
+])  # fmt: skip
+def test_each_figure_that_a_person_names_is_one_that_is_compared(head, short, name):
+    assert figure_name(head, short) == name
+    answer = np.ones((2, 2), np.uint8 if head == "semantic" else np.float32)
+    assert name in compare(head, answer, answer, [name])
+
+
+def test_a_percentile_is_that_of_the_difference():
+    answer = np.arange(101, dtype=np.float32)[None]
+    assert compare("depth", answer, np.zeros_like(answer), ["p25_abs_m"])["p25_abs_m"] == 25
+    assert compare("semantic_logits", 2 * answer, answer, ["p25_relative"])["p25_relative"] == 0.25
+
+
+@pytest.mark.parametrize(("head", "short"), [
+    ("semantic", "mean"), ("semantic", ""), ("depth", "equal"), ("depth", "p101"), ("depth", "p"),
+    ("depth", "mean_abs_m"),
+])  # fmt: skip
+def test_a_figure_that_the_head_lacks_is_refused_with_those_it_has(head, short):
+    with pytest.raises(ValueError, match=f"give {head}."):
+        figure_name(head, short)
 
 
 def test_of_boundaries_the_mean_counts(contract):

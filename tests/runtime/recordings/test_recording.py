@@ -32,12 +32,26 @@ def test_what_was_recorded_comes_back(recording, model_file, make_frame, contrac
     assert read.model_name == contract.model_name
     assert read.limits == {"depth": {"max_abs_m": pytest.approx(5e-5 * contract.max_depth_m)}}
     assert read.frames[0] == RecordedFrame("frame 0", True, ("no_depth",), 12.5)
+    assert read.software.keys() == {"ssdnet", "onnxruntime", "system"}
     rgb, depth = make_frame(seed=0)
     arrays = read.arrays(0)
     np.testing.assert_array_equal(arrays["rgb"], rgb)
     np.testing.assert_array_equal(arrays["sparse_depth"], depth)
     np.testing.assert_array_equal(arrays["depth"], depth + 1)
     assert read.arrays(1).keys() == {"rgb", "sparse_depth"}, "an invalid answer is not kept"
+
+
+def test_one_without_its_software_is_read_like_a_new_one(recording):
+    document = json.loads((recording / "recording.json").read_text())
+    del document["software"]
+    (recording / "recording.json").write_text(json.dumps({**document, "version": "2.0"}))
+    assert read_recording(recording).software == {}
+
+
+def test_arrays_are_compressed(recording):
+    arrays = read_recording(recording).arrays(0)
+    size = (recording / "frames" / "000000.npz").stat().st_size
+    assert size < 0.8 * sum(array.nbytes for array in arrays.values())
 
 
 def test_a_model_that_was_replaced_meanwhile_is_refused(tmp_path, model_file):

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,6 +11,7 @@ import onnxruntime
 import pytest
 from typer.testing import CliRunner
 
+import runtime
 from runtime import Predictor
 from runtime.app.run.cli import app as run_app
 from runtime.app.tools.verify import app
@@ -67,27 +69,42 @@ def test_the_same_answers_pass(recording):
     assert result.exit_code == 0, result.output
     lines = result.output.splitlines()
     assert (lines[1][-18:], lines[-1]) == (", the recorded one", "the same answers")
+    assert f"by ssdnet-run {runtime.__version__} on cpu, ONNX Runtime" in lines[0]
     assert any(line.split()[:3] == ["depth", "max_abs_m", "0"] for line in lines)
 
 
 @pytest.mark.parametrize(("head", "change", "reported"), [
-    ("depth", lambda values: values + np.float32(0.25), "depth: max_abs_m 0.25"),
-    ("depth_uncertainty", lambda values: values + np.float32(0.25), "max_abs_m 0.25"),
-    ("boundary", lambda values: np.maximum(values - 0.5, 0), "boundary: mean_abs 0."),
-    ("semantic", lambda values: 1 - values, "semantic: agreement 0 "),
-    ("semantic_logits", lambda values: values * np.float32(0.5), "max_relative 1"),
-    ("depth", lambda values: values * np.nan, "depth: max_abs_m nan"),
-    ("depth", lambda values: values[:-1], "expected (47, 64)"),
+    ("depth", lambda values: values + np.float32(0.25), ["max_abs_m", "0.25"]),
+    ("depth_uncertainty", lambda values: values + np.float32(0.25), ["max_abs_m", "0.25"]),
+    ("boundary", lambda values: np.maximum(values - 0.5, 0), ["mean_abs"]),
+    ("semantic", lambda values: 1 - values, ["agreement", "0"]),
+    ("semantic_logits", lambda values: values * np.float32(0.5), ["max_relative", "1"]),
+    ("depth", lambda values: values * np.nan, ["max_abs_m", "nan"]),
 ])  # fmt: skip
-def test_what_differs_is_reported_by_its_frame(recording, head, change, reported):
+def test_what_differs_is_one_line_with_its_worst_frame(recording, head, change, reported):
     spoil(recording, 1, head, change)
     result = verify(recording)
     assert result.exit_code == 4
     lines = result.output.splitlines()
     assert lines[-1] == "1 of 3 frames differ from the recording"
-    (line,) = [line for line in lines if line.startswith("  0000")]
-    assert line.startswith("  00001: ")
-    assert reported in line
+    assert "\n  " not in result.output, "no line a frame"
+    words = [line.split() for line in lines]
+    (line,) = [each for each in words if each[-2:] == ["1", "00001"]]
+    assert line[: 1 + len(reported)] == [head, *reported]
+    rows = json.loads(verify(recording, "--json").output)["figures"]
+    beyond = [row for row in rows if row["frames_beyond"]]
+    (row,) = beyond
+    assert (row["head"], row["figure"], row["frame"]) == (head, reported[0], "00001")
+    assert row["worst"] is None or row["worst"] != row["limit"]
+
+
+def test_answers_of_another_shape_are_reported_once(recording):
+    for index in (1, 2):
+        spoil(recording, index, "depth", lambda values: values[:-1])
+    result = verify(recording)
+    assert result.exit_code == 4
+    expected = "  depth: shape (48, 64), expected (47, 64) (2 frames, the first is 00001)"
+    assert expected in result.output.splitlines()
 
 
 def test_a_tolerance_may_be_given_a_head(recording):
@@ -97,6 +114,58 @@ def test_a_tolerance_may_be_given_a_head(recording):
     assert verify(recording, "--tolerance", "speed=1").exit_code == 1
     assert verify(recording, "--tolerance", "depth").exit_code == 2
     assert verify(recording, "--tolerance", "depth=-1").exit_code == 2
+    assert verify(recording, "--tolerance", "depth=inf").exit_code == 2
+
+
+@pytest.mark.parametrize(("limits", "code"), [
+    (["depth.mean=0.03"], 0), (["depth.mean=0.02"], 4), (["depth.p99=0.001"], 0),
+    (["depth.p99=0.001", "depth.max=1"], 4), (["depth.p99.9=9", "depth.max=9"], 0),
+    (["semantic.equal=1", "depth=9"], 0), (["depth.equal=1"], 2), (["semantic.mean=1"], 2),
+    (["depth.p101=1"], 2), (["depth.median=1"], 2),
+])  # fmt: skip
+def test_a_mean_and_percentiles_are_limited_alone(recording, limits, code):
+    def change(values):
+        values[:1, :10] += np.float32(8)  # of 3072 pixels: 0.026 m in the mean
+        return values
+
+    spoil(recording, 0, "depth", change)
+    options = [word for limit in limits for word in ("--tolerance", limit)]
+    result = verify(recording, *options)
+    assert result.exit_code == code, result.output
+
+
+def test_classes_are_compared_by_name_and_others_are_refused(
+    tmp_path, model_file, make_frame, contract
+):
+    """A recorded file with the same classes in another order gives the same names."""
+    rgb, depth = make_frame()
+    model, folder = model_file("a.onnx", heads=HEADS), tmp_path / "recording"
+    turned = replace(contract, classes=contract.classes[::-1])
+    with Predictor(model, threads=1) as predictor, record(folder, Settings("test")) as recorder:
+        heads = dict(predictor.predict(rgb, depth).heads)
+        heads["semantic"] = len(contract.classes) - 1 - heads["semantic"]
+        heads["semantic_logits"] = heads["semantic_logits"][::-1]
+        recorder.add(RecordedFrame("0"), rgb, depth, heads)
+        recorder.finish(model_file("b.onnx", heads=HEADS, contract=turned))
+    result = verify(folder, "--model", model)
+    assert result.exit_code == 0, result.output
+    assert result.output.splitlines()[-1] == "the recorded answers, within the limits"
+    classes = (replace(contract.classes[0], name="moose"), *contract.classes[1:])
+    other = model_file("c.onnx", heads=HEADS, contract=replace(contract, classes=classes))
+    result = verify(folder, "--model", other)
+    assert result.exit_code == 1
+    assert f"it adds moose; it lacks {contract.classes[0].name}" in result.output
+
+
+def test_a_file_of_the_same_checkpoint_has_the_limits_of_the_less_exact_one(int8_recording):
+    """The bundled 8-bit file against the one in single precision; another model fails."""
+    result = verify(int8_recording, "--model", "ssdnet-nano", "--threads", 1)
+    assert result.exit_code == 0, result.output
+    assert any(line.split()[:2] == ["depth", "mean_relative"] for line in lines_of(result))
+
+
+def lines_of(result):
+    return result.output.splitlines()
 
 
 def test_a_recording_is_unpacked_into_plain_files(recording, tmp_path):
@@ -147,11 +216,12 @@ def test_other_flags_than_recorded_are_reported(recording):
     edit_frames(recording, degraded=["no_depth"])
     result = verify(recording)
     assert result.exit_code == 4
-    assert "  00000: degraded: none, expected no_depth" in result.output.splitlines()
+    expected = "  degraded: none, expected no_depth (3 frames, the first is 00000)"
+    assert expected in result.output.splitlines()
     edit_frames(recording, degraded=None)  # not known
     assert verify(recording).exit_code == 0
     edit_frames(recording, name="\x1b[2J", degraded=["no_depth"])
-    assert r"  \x1b[2J: degraded: none" in verify(recording).output, "no terminal escapes"
+    assert r"the first is \x1b[2J)" in verify(recording).output, "no terminal escapes"
 
 
 def test_another_model_is_held_against_the_recorded_answers(recording, model_file, change_run):
@@ -163,7 +233,7 @@ def test_another_model_is_held_against_the_recorded_answers(recording, model_fil
     result = verify(recording, "--model", other)
     assert result.exit_code == 4
     assert "NOT the recorded one" in result.output
-    assert "  00002: depth: max_abs_m 0.5" in result.output
+    assert ["depth", "max_abs_m", "0.5"] in [line.split()[:3] for line in lines_of(result)]
     fewer = model_file("fewer.onnx", heads=("depth",))
     assert "heads: depth, expected boundary" in verify(recording, "--model", fewer).output
 
@@ -175,7 +245,8 @@ def test_another_model_is_held_against_the_recorded_answers(recording, model_fil
     change_run(fail)
     failed = verify(recording)
     assert failed.exit_code == 4
-    assert "  00000: the session failed on a frame of 40 x 56" in failed.output
+    assert "  the session failed on a frame of 40 x 56" in failed.output
+    assert "(3 frames, the first is 00000)" in failed.output
 
 
 def test_a_changed_or_damaged_recording_is_an_error(recording, model_file):
@@ -245,6 +316,6 @@ def test_an_8_bit_file_does_not_verify_with_other_returns_or_another_model(
     result = verify(copy)
     assert result.exit_code == 4
     assert "1 of 2 frames differ" in result.output
-    assert ": depth: max_abs_m" in result.output
+    assert ["depth", "mean_relative"] in [line.split()[:2] for line in lines_of(result)]
     other = verify(int8_recording, "--model", "ssdnet-lite-int8")
     assert "2 of 2 frames differ" in other.output

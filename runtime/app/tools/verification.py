@@ -1,0 +1,299 @@
+"""The answers to the frames of a recording, compared with the recorded ones."""
+
+import math
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.base.errors import InferenceError, InputError
+from runtime.contract.agreement import (
+    compare,
+    first_figure,
+    less_exact,
+    recording_limits,
+    within,
+    worst,
+)
+from runtime.contract.contract import NO_CLASS, ClassInfo, Contract
+from runtime.contract.heads import HEADS, Unit
+from runtime.contract.model_file import load_model_file
+from runtime.engine.predictor import Predictor
+from runtime.recordings.recording import RecordedFrame, Recording
+
+#: Head -> figure of `agreement.compare` -> value or limit.
+Figures = Mapping[str, Mapping[str, float]]
+_ANSWERED_BY_TORCH = "torch"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The answers to one frame, compared with the recorded ones.
+
+    Attributes:
+        name: of the frame.
+        figures: head -> how far its answer is from the recorded one.
+        beyond: heads of which a figure is beyond its limit.
+        faults: what else differs, in words.
+        predict_ms: time of the prediction now; None = there was none.
+    """
+
+    name: str
+    figures: Figures
+    beyond: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
+    predict_ms: float | None = None
+
+
+@dataclass(frozen=True)
+class WorstFigure:
+    """The worst value of a limited figure over all frames.
+
+    Attributes:
+        head: name of the head.
+        figure: name of the figure, see `agreement.compare`.
+        worst: its worst value, NaN included; None where no frame has the head.
+        limit: of it.
+        frame: name of the worst frame; None as `worst`.
+        frames_beyond: number of frames beyond the limit.
+    """
+
+    head: str
+    figure: str
+    worst: float | None
+    limit: float
+    frame: str | None
+    frames_beyond: int
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What differs beside the values of heads: a text, and the frames of which it is true."""
+
+    text: str
+    frames: int
+    first_frame: str
+
+
+@dataclass(frozen=True)
+class VerifyReport:
+    """The comparison of a whole recording.
+
+    Attributes:
+        recording: that was compared.
+        limits: head -> limits of its figures.
+        checks: of the frames, in order.
+        max_slowdown: limit of `slowdown`; infinity = times are not compared.
+    """
+
+    recording: Recording
+    limits: Figures
+    checks: tuple[Comparison, ...]
+    max_slowdown: float
+
+    @property
+    def failed(self) -> list[Comparison]:
+        """Frames whose answers differ."""
+        return [check for check in self.checks if check.beyond or check.faults]
+
+    @cached_property
+    def slowdown(self) -> float | None:
+        """The median time now over the recorded one; None where no times were recorded."""
+        now_ms = [each.predict_ms for each in self.checks if each.predict_ms is not None]
+        recorded = [each.predict_ms for each in self.recording.frames]
+        recorded_ms = [each for each in recorded if each is not None]
+        if not now_ms or not recorded_ms:
+            return None
+        return statistics.median(now_ms) / max(statistics.median(recorded_ms), 1e-9)
+
+    @property
+    def slow(self) -> bool:
+        """Whether predictions take more than `max_slowdown` times what was recorded."""
+        return (self.slowdown or 0) > self.max_slowdown
+
+    @property
+    def passed(self) -> bool:
+        """Whether there are answers, and all are the recorded ones within `max_slowdown`."""
+        return bool(self.checks) and not self.slow and not self.failed
+
+    @property
+    def figures(self) -> list[WorstFigure]:
+        """The worst value of each limited figure, in the order of the limits."""
+        found = []
+        for head, limits in self.limits.items():
+            of_head = [(each.name, each.figures[head]) for each in self.checks]
+            of_head = [each for each in of_head if each[1]]
+            for name, limit in limits.items():
+                worst_value = frame = None
+                if of_head:
+                    worst_value = worst([figures for _, figures in of_head])[name]
+                    frame = next(
+                        each
+                        for each, figures in of_head
+                        # A NaN is not equal to itself.
+                        if figures[name] == worst_value or math.isnan(figures[name])
+                    )
+                beyond = sum(not within(figures, {name: limit}) for _, figures in of_head)
+                found.append(WorstFigure(head, name, worst_value, limit, frame, beyond))
+        return found
+
+    @property
+    def faults(self) -> list[Fault]:
+        """What differs beside the values of heads, each text once."""
+        frames: dict[str, list[str]] = {}
+        for check in self.checks:
+            for text in check.faults:
+                frames.setdefault(text, []).append(check.name)
+        return [Fault(text, len(names), names[0]) for text, names in frames.items()]
+
+
+def verify(
+    predictor: Predictor,
+    recording: Recording,
+    *,
+    tolerances: Figures,
+    max_slowdown: float = math.inf,
+) -> VerifyReport:
+    """Predict each recorded frame, and compare the answers with the recorded ones.
+
+    Classes are compared by their names, whatever their ids. A file of the recorded checkpoint in
+    another precision has the limits of the less exact of the two files. Each new size of frame is
+    predicted once before it is timed.
+
+    Args:
+        predictor: answers the frames.
+        recording: frames and answers.
+        tolerances: head -> figure of `agreement.figure_name`, or "" for the figure that
+            `Head.tolerance` limits -> limit. Those of a head replace the recorded ones.
+        max_slowdown: limit of the median time over the recorded one.
+
+    Raises:
+        ContractError: if the recorded model cannot be read.
+        InputError: if the arrays of the recording are damaged, if it lacks a head of `tolerances`,
+            or times for `max_slowdown`, and for a model of other classes.
+    """
+    if unknown := sorted(tolerances.keys() - recording.limits.keys()):
+        raise InputError(
+            f"--tolerance names {', '.join(unknown)}, the recording holds "
+            f"{', '.join(recording.limits)}"
+        )
+    limits, lookup = dict(recording.limits), None
+    if predictor.digest != recording.model_sha256:
+        recorded = load_model_file(recording.model, sha256=recording.model_sha256).contract
+        lookup = _class_lookup(predictor.contract.classes, recorded.classes)
+        limits = _limits_for(predictor.contract, recorded, recording)
+    for head, given in tolerances.items():
+        limits[head] = {name or first_figure(head): value for name, value in given.items()}
+    warm: set[tuple[int, ...]] = set()
+    checks = tuple(
+        _check_frame(predictor, frame, recording.arrays(index), limits, lookup, warm)
+        for index, frame in enumerate(recording.frames)
+    )
+    report = VerifyReport(recording, limits, checks, max_slowdown)
+    if max_slowdown < math.inf and report.slowdown is None:
+        raise InputError(
+            "--max-slowdown needs times, and this recording has none: record with ssdnet-run"
+        )
+    return report
+
+
+def _limits_for(now: Contract, recorded: Contract, recording: Recording) -> dict[str, Any]:
+    """The limits of another file: of the recorded checkpoint, those of the less exact file."""
+    if now.checkpoint_sha256 != recorded.checkpoint_sha256:
+        return dict(recording.limits)
+    from_torch = recording.settings.provider == _ANSWERED_BY_TORCH
+    coarse = less_exact(recorded, now)
+    return {
+        head: recording_limits(head, coarse, from_torch=from_torch) for head in recording.limits
+    }
+
+
+def _class_lookup(
+    now: Sequence[ClassInfo], recorded: Sequence[ClassInfo]
+) -> NDArray[np.uint8] | None:
+    """Table (256,) from the ids of a model to the recorded ones; None where there is no class.
+
+    Raises InputError for a model whose classes are others.
+    """
+    names, known = [info.name for info in now], [info.name for info in recorded]
+    if not names or not known:
+        return None
+    if set(names) != set(known):
+        parts = [
+            f"{verb} {', '.join(sorted(one))}"
+            for verb, one in (
+                ("it adds", set(names) - set(known)),
+                ("it lacks", set(known) - set(names)),
+            )
+            if one
+        ]
+        raise InputError(
+            f"--model has other classes than the recording ({'; '.join(parts)}): compare models "
+            "of the same classes, or score each against labels with ssdnet-eval"
+        )
+    lookup = np.full(256, NO_CLASS, np.uint8)
+    lookup[: len(names)] = [known.index(name) for name in names]
+    return lookup
+
+
+def _by_recorded_id(
+    head: str, answer: NDArray[Any], lookup: NDArray[np.uint8] | None
+) -> NDArray[Any]:
+    """Return an answer in the ids of the recorded classes."""
+    row = HEADS[head]
+    if lookup is None:
+        return answer
+    if row.unit is Unit.CLASS_ID:
+        ids: NDArray[np.uint8] = lookup[answer]
+        return ids
+    return answer[np.argsort(lookup[: len(answer)])] if row.per_class else answer
+
+
+def _check_frame(
+    predictor: Predictor,
+    frame: RecordedFrame,
+    arrays: dict[str, NDArray[Any]],
+    limits: Figures,
+    lookup: NDArray[np.uint8] | None,
+    warm: set[tuple[int, ...]],
+) -> Comparison:
+    """Predict a frame again. warm: shapes of pictures that were predicted before."""
+    rgb, sparse_depth = arrays.pop("rgb"), arrays.pop("sparse_depth")
+    figures: dict[str, dict[str, float]] = {head: {} for head in limits}
+    try:
+        if rgb.shape not in warm:
+            predictor.predict(rgb, sparse_depth, focal_length_px=frame.focal_length_px)
+            warm.add(rgb.shape)
+        prediction = predictor.predict(rgb, sparse_depth, focal_length_px=frame.focal_length_px)
+    except InferenceError as error:
+        return Comparison(frame.name, figures, faults=(str(error),))
+    degraded = prediction.degraded if frame.degraded is None else frame.degraded
+    pairs = {
+        "valid": (str(prediction.valid), str(frame.valid)),
+        "degraded": (", ".join(prediction.degraded), ", ".join(degraded)),
+        "heads": (", ".join(sorted(prediction.heads)), ", ".join(sorted(limits))),
+    }
+    faults = [
+        f"{name}: {now or 'none'}, expected {then or 'none'}"
+        for name, (now, then) in pairs.items()
+        if now != then
+    ]
+    beyond = []
+    for head, expected in arrays.items():
+        answer = prediction.heads.get(head)
+        if answer is None:
+            continue
+        if answer.shape != expected.shape:
+            faults.append(f"{head}: shape {answer.shape}, expected {expected.shape}")
+            continue
+        answer = _by_recorded_id(head, answer, lookup)
+        figures[head] = compare(head, answer, expected, limits[head])
+        if not within(figures[head], limits[head]):
+            beyond.append(head)
+    return Comparison(
+        frame.name, figures, tuple(beyond), tuple(faults), prediction.latency.total_ms
+    )
