@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM as a flag that a loop polls between two steps."""
+"""Ctrl-C, SIGTERM and SIGHUP as a flag that a loop polls between two steps."""
 
 import contextlib
 import os
@@ -9,7 +9,7 @@ from runtime.app.command import stop_requested
 
 @contextlib.contextmanager
 def stop_signal() -> Iterator[Callable[[], bool]]:
-    """Yield what is True once Ctrl-C or SIGTERM arrived; a second one ends the process.
+    """Yield what is True once Ctrl-C, SIGTERM or SIGHUP arrived; a second one ends the process.
 
     In processes of torchrun a second signal is ignored: they get the first one twice, from the
     terminal and from torchrun, which kills those that do not stop in time.

@@ -1,6 +1,7 @@
 """What all commands share: reporting of errors, and Ctrl-C. Light, since it is loaded first."""
 
 import contextlib
+import errno
 import os
 import signal
 import sys
@@ -14,7 +15,9 @@ from typing import Any
 from runtime.base.errors import OutputError, SSDNetError, import_remedy
 
 ERROR, INTERRUPTED = 1, 130  # exit codes
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+#: Ctrl-C, a request to end, and a terminal or SSH session that closed.
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_CLOSED = (errno.EPIPE, errno.EIO)  # what a pipe without a reader, and a closed terminal report
 _SAME_S = 0.2  # parents such as timeout(1) send a signal twice
 
 
@@ -43,7 +46,7 @@ def leave_signals_to_parent() -> None:
 def stop_requested(
     *, notice: str = "", second_ends: bool = True, interrupts: bool = False
 ) -> Iterator[Callable[[], bool]]:
-    """Yield a function that returns whether Ctrl-C or SIGTERM was received in the block.
+    """Yield a function that returns whether Ctrl-C, SIGTERM or SIGHUP was received in the block.
 
     The first has no other effect there: an exception could be raised between the writing of a frame
     and its row in the table. A second one ends the process. A thread waits for it, since Python
@@ -101,24 +104,65 @@ def _handle(handler: Callable[[int, FrameType | None], None]) -> dict[signal.Sig
 def reported_errors(extras: str) -> Iterator[None]:
     """Turn an exception of the block into a line on stderr and an exit code.
 
-    SSDNetError and, with `import_remedy` of `extras`, ImportError are exit code 1.
-    KeyboardInterrupt is exit code 130 without a line.
+    SSDNetError, ImportError, with `import_remedy` of `extras`, and any OSError in a working folder
+    that was deleted are exit code 1. KeyboardInterrupt is exit code 130 without a line.
     """
     try:
         yield
-    except (SSDNetError, ImportError) as error:
-        remedy = f": {import_remedy(error, extras)}" if isinstance(error, ImportError) else ""
+    except (SSDNetError, ImportError, OSError) as error:
+        text = str(error)
+        if isinstance(error, ImportError):
+            text += f": {import_remedy(error, extras)}"
+        elif isinstance(error, OSError):
+            if _has_folder():
+                raise
+            text = "the working folder was deleted or remounted: change to another one, or again "
+            text += "to this one, by cd"
         with contextlib.suppress(OSError):  # stderr may be closed
-            sys.stderr.write(_plain(f"error: {error}{remedy}\n"))
+            sys.stderr.write(_plain(f"error: {text}\n"))
         raise SystemExit(ERROR) from error
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
 
 
+def _has_folder() -> bool:
+    """Whether the working folder exists; without one no relative path can be used."""
+    try:
+        return bool(os.getcwd())
+    except OSError:
+        return False
+
+
+@contextlib.contextmanager
+def progress_bar(length: int, label: str) -> Iterator[Callable[[], None]]:
+    """Yield a function that advances a bar on stderr by one; without a terminal there is no bar.
+
+    A terminal that was closed meanwhile ends the bar, not the command.
+    """
+    if not sys.stderr.isatty():
+        yield lambda: None
+        return
+    import typer
+
+    bar = typer.progressbar(length=length, file=sys.stderr, label=label)
+
+    def advance() -> None:
+        with contextlib.suppress(OSError):
+            bar.update(1)
+
+    with contextlib.suppress(OSError):
+        bar.__enter__()
+    try:
+        yield advance
+    finally:
+        with contextlib.suppress(OSError):
+            bar.__exit__(None, None, None)
+
+
 def print_result(text: str) -> None:
     """Print the result of a command on stdout; it need not be valid Unicode.
 
-    A closed pipe is no error. Raises OutputError for other failures.
+    A closed pipe or terminal is no error. Raises OutputError for other failures.
     """
     try:
         print(_plain(text), flush=True)  # noqa: T201 - sys.stdout may be None
@@ -126,7 +170,7 @@ def print_result(text: str) -> None:
         # Otherwise Python flushes stdout at exit and fails.
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if not isinstance(error, BrokenPipeError):
+        if error.errno not in _CLOSED:
             raise OutputError(f"cannot print ({error.strerror}): redirect the output") from error
 
 

@@ -11,7 +11,7 @@ from runtime.base.errors import InputError
 from runtime.base.stamp import NS_PER_MS
 from runtime.contract.degraded import DEPTH_REUSED, DEPTH_UNCOMPENSATED, POINTS_UNTIMED
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.poses import NoPoseError, PoseFrame, PoseTrack
+from runtime.geometry.poses import NoPoseError, PoseFrame, PoseTrack, check_pose_frame
 from runtime.geometry.returns import axes_of, check_points, is_return
 
 DepthMotion = Literal["each", "scan", "none"]
@@ -289,15 +289,16 @@ def _in_front(
     return np.flatnonzero(depth >= np.float32(nearest))  # not of NaN
 
 
-def lidar_mount(pose_frame: PoseFrame, calibration: Calibration) -> NDArray[np.float64]:
+def lidar_mount(pose_frame: PoseFrame | str, calibration: Calibration) -> NDArray[np.float64]:
     """Return the matrix float64 (4, 4) from the LiDAR to the frame of which poses are given.
 
     Raises:
-        InputError: if the calibration does not have it.
+        InputError: for an unknown frame, and if the calibration does not have it.
     """
-    if pose_frame is PoseFrame.LIDAR:
+    frame = check_pose_frame(pose_frame)
+    if frame is PoseFrame.LIDAR:
         return np.eye(4)
-    if pose_frame is PoseFrame.CAMERA:
+    if frame is PoseFrame.CAMERA:
         return calibration.extrinsics
     if calibration.body_from_lidar is None:
         raise InputError(

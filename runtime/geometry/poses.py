@@ -45,6 +45,15 @@ class PoseFrame(StrEnum):
     BODY = "body"
 
 
+def check_pose_frame(value: Any) -> PoseFrame:
+    """Return the frame of poses, also of its name as text; InputError for another word."""
+    try:
+        return PoseFrame(value)
+    except ValueError as error:
+        names = ", ".join(PoseFrame)
+        raise InputError(f"pose_frame must be one of {names}, got {shown(value)}") from error
+
+
 class NoPoseError(InputError):
     """There is no pose for a time.
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from runtime.base.checks import check_number, shown
 from runtime.base.errors import InputError
 from runtime.geometry.motion import MIDDLE_AFTER, check_scan_stamp
-from runtime.geometry.poses import PoseFrame
+from runtime.geometry.poses import PoseFrame, check_pose_frame
 from runtime.recordings.bag import BagSource
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.kitti_raw import KittiRawSource
@@ -62,7 +62,7 @@ SOURCE_KEYS = {
     "depth_scale": _number("units per metre", 1e-3, 1e6),
     "point_columns": _number("the number of float32 per point", 3, 10**6, int),
     "timestamps": SourceKey("a file", _path),
-    "pose_frame": SourceKey(" or ".join(PoseFrame), PoseFrame),
+    "pose_frame": SourceKey(" or ".join(PoseFrame), check_pose_frame),
     "scan_stamp": SourceKey(" or ".join(MIDDLE_AFTER), check_scan_stamp),
     "point_time_column": _number("the number of a column after x, y, z", 3, 10**6, int),
     "rectified": _TRUTH,
@@ -120,13 +120,18 @@ def parse_source(text: str) -> SourcePath:
     for name, value in zip(pairs[::2], pairs[1::2], strict=True):
         if name in keys:
             raise InputError(f"{name} is given twice, the second time as {shown(value)}")
-        try:
-            keys[name] = SOURCE_KEYS[name].read(value)
-        except (ValueError, InputError) as error:
-            raise InputError(
-                f"{name} must be {SOURCE_KEYS[name].expected}, got {shown(value)}: {takes}"
-            ) from error
+        keys[name] = _read_key(name, value, takes)
     return SourcePath(kind, _path(path), keys)
+
+
+def _read_key(name: str, value: str, takes: str) -> Any:
+    """The value of a key that is given as text, in --source or in Python. Raises InputError."""
+    try:
+        return SOURCE_KEYS[name].read(value)
+    except (ValueError, InputError) as error:
+        raise InputError(
+            f"{name} must be {SOURCE_KEYS[name].expected}, got {shown(value)}: {takes}"
+        ) from error
 
 
 def keys_of(kind: str) -> tuple[str, ...]:
@@ -140,7 +145,8 @@ def choose_source(kind: str, path: str | Path, **options: Any) -> Callable[[], S
     Args:
         kind: of SOURCES.
         path: of the recording.
-        **options: those of the kind, see its class, paths as text, too; None: not given.
+        **options: those of the kind, see its class, also as the text of paths and of keys of
+            --source; None: not given.
 
     Returns:
         The function; it raises InputError for a path that is no recording of this kind.
@@ -169,16 +175,15 @@ def _checked(kind: str, options: Mapping[str, Any]) -> dict[str, Any]:
         raise InputError(
             f"unknown kind of source {shown(kind)}: give one of the kinds {', '.join(SOURCES)}"
         )
-    takes = SOURCES[kind].options
-    given = {
-        name: Path(value) if name in _PATHS and isinstance(value, str) else value
-        for name, value in options.items()
-        if value is not None
-    }
-    if foreign := [name for name in given if name not in takes]:
-        raise InputError(
-            f"a source of the kind {kind} takes {_as_options(takes)}, not {_as_options(foreign)}"
-        )
+    given = {name: value for name, value in options.items() if value is not None}
+    takes = f"a source of the kind {kind} takes {_as_options(SOURCES[kind].options)}"
+    if foreign := [name for name in given if name not in SOURCES[kind].options]:
+        raise InputError(f"{takes}, not {_as_options(foreign)}")
+    for name, value in given.items():
+        if isinstance(value, str) and name in SOURCE_KEYS:
+            given[name] = _read_key(name, value, takes)
+        elif isinstance(value, str) and name in _PATHS:
+            given[name] = Path(value)
     return given
 
 

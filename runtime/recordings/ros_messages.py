@@ -194,11 +194,15 @@ def _pixels(message: Any, dtype: np.dtype[Any], channels: int) -> NDArray[Any]:
 def _rows(
     message: Any, what: str, height: int, row_bytes: int, step: str
 ) -> tuple[NDArray[np.uint8], int]:
-    """The data of a message, not copied, and the bytes from one row to the next."""
-    stride = getattr(message, step) if height > 1 else row_bytes
+    """The data of a message, not copied, and the bytes from one row to the next.
+
+    Data that are as long as all rows have no padding, whatever a driver states as their step.
+    """
+    content = np.frombuffer(message.data, np.uint8)
+    is_packed = height <= 1 or len(content) == height * row_bytes
+    stride = row_bytes if is_packed else getattr(message, step)
     if stride < row_bytes:
         raise InputError(f"{what} has {step} {stride}, expected at least {row_bytes}")
-    content = np.frombuffer(message.data, np.uint8)
     needed = stride * (height - 1) + row_bytes
     if len(content) < needed:
         raise InputError(f"{what} has {len(content)} bytes, expected {needed}: it is truncated")

@@ -28,6 +28,8 @@ _WORDS = ("char", "uchar", "short", "ushort", "int", "uint", "float", "double")
 #: Type of a field in a PLY or PCD file -> NumPy's.
 _TYPES = {np.dtype(code).name: code for code in _CODES} | dict(zip(_WORDS, _CODES, strict=True))
 _TYPES |= {code: code for code in (*_CODES, "i8", "u8")}
+#: What Windows' C library prints for NaN and infinity, neither of which is a return.
+_WORD_OF_WINDOWS = re.compile(rb"-?(?:nan\([a-z]*\)|1\.#[a-z]+[0-9]*)", re.IGNORECASE)
 _ASCII, _COMPRESSED = "ascii", "binary_compressed"
 #: Encoding of the points -> order of the bytes.
 _OF_PCD = {_ASCII: "", "binary": "<", _COMPRESSED: "<"}
@@ -164,6 +166,8 @@ def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:
         return np.zeros((0, 3), np.float32)
     if encoding == _ASCII:
         columns = [column for column, _, _ in places]
+        if b"#" in body or b"(" in body:
+            lines = [_WORD_OF_WINDOWS.sub(b"nan", line) for line in lines]
         return np.loadtxt(lines[:points], np.float32, comments=None, usecols=columns, ndmin=2)
     axes = []
     for _, start, code in places:
@@ -206,10 +210,10 @@ def _place(fields: list[tuple[str, str, int]]) -> tuple[list[tuple[int, int, str
     width = size = 0
     for name, kind, count in fields:
         code = _TYPES.get(kind)
-        if code is None or count < 1:
+        if code is None or count < 0:  # PCL writes padding of none
             raise ValueError(f"its field {cut(name)} is {count} of {cut(kind)}, expected numbers")
         if name in ("x", "y", "z"):
-            if name in places or count > 1 or code[0] != "f":
+            if name in places or count != 1 or code[0] != "f":
                 raise ValueError(f"expected one float as the field {name}, got {count} of {kind}")
             places[name] = width, size, code
         width, size = width + count, size + count * int(code[1])

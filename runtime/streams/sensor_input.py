@@ -19,7 +19,7 @@ from runtime.geometry.motion import (
     lidar_mount,
     point_times,
 )
-from runtime.geometry.poses import PoseBuffer, PoseFrame
+from runtime.geometry.poses import PoseBuffer
 from runtime.geometry.returns import check_points
 from runtime.geometry.rig import Rig
 from runtime.geometry.rigid import read_rigid
@@ -66,7 +66,7 @@ class SensorInput:
         if rig.pose_frame is not None:
             if self._calibration is None:
                 raise InputError("pose_frame needs a calibration: give Rig(calibration=)")
-            self._mount = lidar_mount(PoseFrame(rig.pose_frame), self._calibration)
+            self._mount = lidar_mount(rig.pose_frame, self._calibration)
 
     def check(
         self, kind: Kind, data: Any, stamp: Stamp, times: Any = None

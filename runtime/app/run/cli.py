@@ -3,14 +3,13 @@
 import contextlib
 import dataclasses
 import inspect
-import sys
 from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand
 
-from runtime.app.command import print_result, reported_errors
+from runtime.app.command import print_result, progress_bar, reported_errors
 from runtime.app.command_options import Version
 from runtime.app.run.model_table import describe_bundled_models
 from runtime.app.run.options import OPTION, RunOptions, UsageError
@@ -62,9 +61,9 @@ def _print_models(wanted: bool) -> None:
 @app.command(
     cls=GroupedCommand,
     epilog="Exit codes: 0 done; 1 error; 2 usage; 3 finished, but frames were skipped, answers "
-    "were invalid, the LiDAR returns are implausible, or the run was stopped by Ctrl-C or SIGTERM; "
-    "4 a frame missed --deadline-ms, also if others were skipped; 130 stopped by "
-    "Ctrl-C or SIGTERM before the first frame.",
+    "were invalid, the LiDAR returns are implausible, or the run was stopped by Ctrl-C, SIGTERM "
+    "or SIGHUP; 4 a frame missed --deadline-ms, also if others were skipped; 130 stopped by "
+    "Ctrl-C, SIGTERM or SIGHUP before the first frame.",
 )
 @with_run_options
 def main(
@@ -91,11 +90,8 @@ def main(
         def start(about: str, frames: int) -> OnRecord:
             progress.close()  # the bar of the camera before
             print_result(about)
-            if not sys.stderr.isatty():
-                return lambda record: None
-            bar = typer.progressbar(length=frames, file=sys.stderr, label="frames")
-            shown = progress.enter_context(bar)
-            return lambda record: shown.update(1)
+            advance = progress.enter_context(progress_bar(frames, "frames"))
+            return lambda record: advance()
 
         done = run(options, on_start=start)
         progress.close()

@@ -41,7 +41,7 @@ def run(
     """Predict every frame of a stream, and write the answers and a report.
 
     The cameras of a rig are streams one after the other, each with a folder of its own.
-    Ctrl-C and SIGTERM end the stream early: what was predicted is written and reported.
+    Ctrl-C, SIGTERM and SIGHUP end the stream early: what was predicted is written and reported.
 
     Args:
         options: what to run, and what to write.

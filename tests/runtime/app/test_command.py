@@ -2,6 +2,7 @@
 
 import importlib
 import importlib.util
+import os
 import signal
 import subprocess
 import sys
@@ -33,7 +34,7 @@ def test_an_error_is_a_line_and_an_exit_code(capfd, error, code, text):
     assert capfd.readouterr().err == text
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_block_that_can_be_interrupted_cleans_up(number):
     before = signal.getsignal(number)
     cleaned = []
@@ -54,6 +55,7 @@ def test_a_block_that_can_be_interrupted_cleans_up(number):
 @pytest.mark.parametrize(("block", "code"), [
     ("signal.raise_signal(signal.SIGINT)", 130),
     ("signal.raise_signal(signal.SIGTERM)", 130),
+    ("signal.raise_signal(signal.SIGHUP)", 130),
     # A second one does not wait for what the first one cleans up.
     ("import time\n"
      "with stop_requested(interrupts=True):\n"
@@ -61,11 +63,48 @@ def test_a_block_that_can_be_interrupted_cleans_up(number):
      "  finally: time.sleep(0.3); signal.raise_signal(signal.SIGINT); time.sleep(60)", 130),
     ("signal.signal(signal.SIGINT, signal.SIG_IGN); begin_command(); "
      "signal.raise_signal(signal.SIGINT); sys.exit(7)", 7),
-], ids=["Ctrl-C", "SIGTERM", "twice", "deaf from the start"])  # fmt: skip
+    ("signal.signal(signal.SIGHUP, signal.SIG_IGN); begin_command(); "
+     "signal.raise_signal(signal.SIGHUP); sys.exit(7)", 7),
+], ids=["Ctrl-C", "SIGTERM", "SIGHUP", "twice", "deaf from the start", "nohup"])  # fmt: skip
 def test_a_process_ends_without_a_traceback(block, code):
     program = f"import signal, sys\nfrom runtime.app.command import *\nbegin_command()\n{block}"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (code, "", "")
+
+
+def test_a_deleted_working_folder_is_an_error_of_one_line(tmp_path):
+    program = "import os, sys\nfrom runtime.app.command import *\nbegin_command()\n"
+    program += "os.rmdir(os.getcwd())\nwith reported_errors('cpu'): BLOCK"
+    for number, block in enumerate(["os.path.realpath('x')", "raise FileNotFoundError('x')"]):
+        (folder := tmp_path / str(number)).mkdir()
+        arguments = [sys.executable, "-c", program.replace("BLOCK", block)]
+        done = subprocess.run(arguments, cwd=folder, capture_output=True, text=True)
+        assert done.returncode == 1
+        assert done.stderr == (
+            "error: the working folder was deleted or remounted: change to another one, or again to"
+            " this one, by cd\n"
+        )
+    with pytest.raises(FileNotFoundError), reported_errors("cpu"):
+        raise FileNotFoundError("a fault of the program stays one")
+
+
+def test_a_closed_terminal_ends_no_command(tmp_path):
+    shown, terminal = os.openpty()
+    program = "import sys\nfrom runtime.app.command import *\nbegin_command()\n"
+    program += "with stop_requested() as stop, progress_bar(3, 'frames') as advance:\n"
+    program += "  advance(); sys.stdin.readline(); advance(); advance()\n"
+    program += "print_result('done'); sys.exit(7 if stop() else 8)"
+    process = subprocess.Popen(
+        [sys.executable, "-c", program],
+        stdin=subprocess.PIPE, stdout=terminal, stderr=terminal, start_new_session=True,
+    )  # fmt: skip
+    os.close(terminal)
+    while b"frames" not in os.read(shown, 4096):
+        pass
+    os.close(shown)
+    process.send_signal(signal.SIGHUP)
+    process.communicate(b"\n", timeout=60)
+    assert process.returncode == 7
 
 
 #: Computes for minutes in a library, where Python handles no signal.

@@ -56,6 +56,17 @@ def test_a_wrong_key_is_a_usage_error_that_names_it(keys):
         RunOptions(source=f"folders:no,{keys}")
 
 
+def test_python_may_give_keys_as_the_text_of_the_command(tmp_path, write_rgb, make_frame):
+    write_rgb(tmp_path / "rgb/0.png", make_frame()[0])
+    given = {"depth": str(tmp_path / "rgb"), "depth_scale": "1e3", "reuse_depth_ms": 50}
+    with open_source("folders", str(tmp_path / "rgb"), **given) as source:
+        assert source.inputs["depth_scale"] == 1000
+    with pytest.raises(InputError, match="rectified must be true or false, got 'no'"):
+        open_source("bag", tmp_path / "x.mcap", rectified="no")
+    with pytest.raises(InputError, match="pose_frame must be lidar or camera or body, got 'wheel'"):
+        open_source("folders", tmp_path, pose_frame="wheel")
+
+
 def test_options_of_another_kind_are_wrong_usage_of_the_command(tmp_path):
     with pytest.raises(UsageError, match="not --depth"):
         RunOptions(source=f"kitti-raw:{tmp_path}", depth=tmp_path)

@@ -113,6 +113,17 @@ def test_what_is_wrong_with_an_image_is_in_the_error(decode, message, named):
         decode(message)
 
 
+@pytest.mark.parametrize("step", [0, 4, 12, 48, 2**31])
+def test_data_without_padding_need_no_right_step(step):
+    values = np.arange(12, dtype="<f4")
+    points = decode_points(cloud(height=2, width=2, row_step=step, data=values.view(np.uint8)))
+    assert np.array_equal(points, values.reshape(4, 3))
+    pixels = np.arange(18, dtype=np.uint8)
+    assert np.array_equal(decode_image(image(step=step, data=pixels)).ravel(), pixels)
+    depth = image("32FC1", step=step, data=values[:6].view(np.uint8))
+    assert np.array_equal(decode_depth_image(depth).ravel(), values[:6])
+
+
 @pytest.mark.parametrize(("encoding", "dtype", "big"), [
     ("16UC1", "<u2", 0), ("16UC1", ">u2", 1), ("32FC1", "<f4", 0), ("32FC1", ">f4", 1),
 ])  # fmt: skip

@@ -186,6 +186,28 @@ def test_a_damaged_scan_is_an_input_error_and_takes_no_memory(tmp_path, name):
         tracemalloc.stop()
 
 
+def test_padding_of_no_byte_is_padding(tmp_path):
+    path = tmp_path / "scan.pcd"
+    fields = {"FIELDS": "_ _ y x z", "SIZE": "1 4 4 4 4", "TYPE": "U U F F F"}
+    path.write_bytes(pcd(OF_PCD, "binary", **fields, COUNT="3 0 1 1 1"))
+    assert np.array_equal(read_scan(path), POINTS, equal_nan=True)
+    path.write_bytes(pcd(lines("777yxz"), "ascii", **fields, COUNT="3 0 1 1 1"))
+    assert np.array_equal(read_scan(path), POINTS, equal_nan=True)
+    path.write_bytes(pcd(OF_PCD, "binary", **fields, COUNT="3 -1 1 1 1"))
+    with pytest.raises(InputError, match="-1 of u4"):
+        read_scan(path)
+
+
+@pytest.mark.parametrize("word", [b"-nan(ind)", b"1.#QNAN", b"-1.#IND00", b"1.#INF", b"nan(snan)"])
+def test_words_of_windows_are_no_return(tmp_path, word):
+    text = lines("777yxz").replace(b"nan", word)
+    (tmp_path / "scan.pcd").write_bytes(pcd(text, "ascii"))
+    assert np.array_equal(read_scan(tmp_path / "scan.pcd"), POINTS, equal_nan=True)
+    text = lines("7yxz").replace(b"nan", word) + b"3 0 1 2\n"
+    (tmp_path / "scan.ply").write_bytes(ply(text, "ascii"))
+    assert np.array_equal(read_scan(tmp_path / "scan.ply"), POINTS, equal_nan=True)
+
+
 @pytest.mark.filterwarnings("error")
 def test_blank_lines_between_points_do_not_count(tmp_path):
     (tmp_path / "a.pcd").write_bytes(FILES["ascii.pcd"].replace(b"ascii\n", b"ascii\n\n \n"))

@@ -55,7 +55,7 @@ def run(tmp_path, stream, all_heads):
     return invoke
 
 
-@pytest.fixture(params=[signal.SIGINT, signal.SIGTERM])
+@pytest.fixture(params=[signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def signal_in_frame_6(request, monkeypatch):
     """The process gets this signal while it predicts the seventh frame of the stream."""
     predict = Predictor.predict
