@@ -12,7 +12,7 @@ from runtime.base.errors import InputError
 from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import ScanStamp, check_scan_stamp
-from runtime.geometry.poses import PoseFrame
+from runtime.geometry.poses import PoseFrame, check_pose_frame
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,11 +50,8 @@ class Rig:
                 "calibration must be a Calibration or the path of its file, got "
                 f"{shown(self.calibration)}"
             )
-        if self.pose_frame is not None and self.pose_frame not in (*PoseFrame,):
-            raise InputError(
-                f"pose_frame must be one of {', '.join(PoseFrame)} or None, got "
-                f"{shown(self.pose_frame)}"
-            )
+        if self.pose_frame is not None:
+            check_pose_frame(self.pose_frame)
         check_scan_stamp(self.scan_stamp)
         for name in ("max_skew_ms", "reuse_depth_ms"):
             if (value := getattr(self, name)) is not None or name == "max_skew_ms":
