@@ -6,6 +6,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from runtime.alignment.quick_check import QuickCheck
 from runtime.app.run.pipeline import ReadFrame
 from runtime.base.errors import SSDNetError
 from runtime.engine.predictor import Predictor
@@ -59,10 +60,11 @@ def find_depth_fault(
     frames: Sequence[ListedFrame],
     source: Source,
     read: ReadFrame,
+    fit: QuickCheck,
 ) -> str | None:
     """Return why the depth of a stream cannot be right, and what to try; None = nothing found.
 
-    Done before the stream, since it takes predictions from the camera alone.
+    Done before the stream, since it takes predictions from the camera alone, which `fit` gets, too.
     """
     has_depth = any(reason.startswith(f"{Sensor.DEPTH}:") for reason in source.left_out)
     if has_depth and all(each.depth is None for each in frames):
@@ -85,6 +87,7 @@ def find_depth_fault(
             if is_measured(frame.sparse_depth).any():
                 camera_only = predictor.predict(frame.rgb, None, focal_length_px=focal_px)
                 check.add(camera_only, frame.sparse_depth)
+                fit.add(frame, camera_only)
                 if depth_scale is not None and holds_metres(listed.depth):
                     depth_scale = None
             size_check.add(camera_only, frame.sparse_depth, frame.calibration)

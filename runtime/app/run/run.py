@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from runtime.alignment.quick_check import QuickCheck, QuickFinding
 from runtime.app.command import stop_requested
 from runtime.app.run.depth_check import NoDepth, find_depth_fault, find_lens_fault
 from runtime.app.run.engine_facts import engine_facts
@@ -117,6 +118,7 @@ class _Stream:
         focal_px: of the camera; None = not known.
         scale: of the depth; None where no frame can be predicted.
         fault: why the returns cannot be right; None = nothing was found.
+        fit: how the returns of the first frames fit the image; None = not known.
     """
 
     source: Source
@@ -128,6 +130,7 @@ class _Stream:
     focal_px: float | None
     scale: CameraScale | None
     fault: str | None
+    fit: QuickFinding | None
 
     @property
     def about(self) -> str:
@@ -135,6 +138,7 @@ class _Stream:
         lines = [*self.source.notes]
         lines.append(describe_predictor(self.predictor, self.frame_size, self.focal_px, self.scale))
         faults = (find_lens_fault(self.source.calibration, self.frame_size), self.fault)
+        lines += [] if self.fit is None else [self.fit.text]
         return "\n".join([*lines, *(f"warning: {each}" for each in faults if each)])
 
 
@@ -149,8 +153,10 @@ def _prepare(options: RunOptions, source: Source, predictor: Predictor) -> _Stre
     size = _warm_up(predictor, frames, read, runs=options.warmup)
     scale = predictor.camera_scale(size, focal_length_px=focal_px) if size else None
     # Of the first frames of all shards, which so have the same finding.
-    fault = find_depth_fault(predictor, listed, source, read)
-    return _Stream(source, frames, read, predictor, kinds, size, focal_px, scale, fault)
+    fit = QuickCheck()
+    fault = find_depth_fault(predictor, listed, source, read, fit)
+    found = None if fault else fit.finding()
+    return _Stream(source, frames, read, predictor, kinds, size, focal_px, scale, fault, found)
 
 
 def _answer(
@@ -251,4 +257,4 @@ def _report(
         "warmup": options.warmup,
     }
     facts = engine_facts(stream.predictor)
-    return RunReport(facts, options, inputs, stream.kinds, result, implausible_depth)
+    return RunReport(facts, options, inputs, stream.kinds, result, implausible_depth, stream.fit)

@@ -11,6 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from runtime.alignment.quick_check import QuickFinding
 from runtime.app.encode import METRES_PNG_MAX_M, METRES_PNG_SCALE
 from runtime.app.run.options import OVERLAY, RunOptions
 from runtime.app.run.pipeline import StreamResult
@@ -40,6 +41,7 @@ class RunReport:
         saved: kinds of files that were written of each frame.
         stream: results of the frames.
         implausible_depth: why the returns cannot be right; None = nothing was found.
+        calibration_fit: how the returns of the first frames fit the image; None = not known.
     """
 
     engine: Mapping[str, Any]
@@ -48,6 +50,7 @@ class RunReport:
     saved: tuple[str, ...]
     stream: StreamResult
     implausible_depth: str | None = None
+    calibration_fit: QuickFinding | None = None
 
     @classmethod
     def of_rig(
@@ -186,6 +189,7 @@ class RunReport:
                 "health": self.health,
                 "depth": self.depth_sources,
                 "implausible_depth": self.implausible_depth,
+                "calibration_fit": self.calibration_fit and self.calibration_fit._asdict(),
                 "by_network_size": self.by_network_size,
                 "not_ok": [
                     {"name": record.name, "status": record.status, "reason": record.reason}

@@ -130,10 +130,10 @@ def correlations(
     first, second = (
         values - (np.bincount(band, values, BANDS) / count)[band] for values in (measured, seen)
     )
-    return _correlation(measured, seen), _correlation(first, second)
+    return correlation(measured, seen), correlation(first, second)
 
 
-def _correlation(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+def correlation(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
     """Pearson's correlation; 0 if an array is constant."""
     first, second = first - first.mean(), second - second.mean()
     spread = float(np.sqrt((first @ first) * (second @ second)))

@@ -202,6 +202,7 @@ def _facts(report: RunReport, started: datetime) -> dict[str, Any]:
         "network ran at": ", ".join(f"{size} ({count})" for size, count in sizes),
         "depth": ", ".join(f"{kind} ({count})" for kind, count in report.depth_sources.items()),
         "implausible depth": report.implausible_depth,
+        "fit of the returns": report.calibration_fit and report.calibration_fit.text,
         "output": report.out,
         "saved": ", ".join(report.saved) or "nothing",
     }

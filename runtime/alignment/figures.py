@@ -1,0 +1,87 @@
+"""How well returns fit the image under a trial rotation: two figures, from the image alone.
+
+The edge figure is the mean boundary probability at the jumps of the scan minus that at all returns.
+The depth figure is the correlation of the logarithms of the returns' depth and of the depth that
+the network predicts from the image alone. Both are largest where the rotation is right.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.alignment.view import View
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.lens import as_key, ray_bounds
+from runtime.streams.health.depth_plausibility import correlation
+
+AXES = ("yaw", "pitch", "roll")
+BLUR = 2 / 375  # of the boundary, in heights of the image, where figures are compared
+_LEAST = 30  # returns, or jumps, inside the image
+
+Angles = Sequence[float] | NDArray[np.float64]
+
+
+class Figures(NamedTuple):
+    """The edge and the depth figure of a view; 0 where too few returns are inside the image."""
+
+    edge: float
+    alike: float
+
+
+def rotation(angles: Angles) -> NDArray[np.float64]:
+    """Return the matrix (3, 3) of yaw, pitch and roll [degrees] in the axes of the camera.
+
+    Positive yaw moves returns to the right, positive pitch up, positive roll clockwise.
+    """
+    (sy, sp, sr), (cy, cp, cr) = np.sin(np.radians(angles)), np.cos(np.radians(angles))
+    yaw = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    pitch = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
+    roll = np.array([[cr, -sr, 0], [sr, cr, 0], [0, 0, 1]])
+    return np.asarray(yaw @ pitch @ roll)
+
+
+def figures_of(view: View, angles: Angles = (0, 0, 0), *, blur: float = BLUR) -> Figures:
+    """Return the figures of a view with its returns turned about the LiDAR's origin."""
+    boundary, turn = view.blurred_boundary(blur), rotation(angles)
+    place = view.calibration.extrinsics[:3, 3]
+    row, column, depth = _pixels(view.returns, turn, place, view.calibration, boundary.shape)
+    at_row, at_column, _ = _pixels(view.jumps, turn, place, view.calibration, boundary.shape)
+    edge = alike = 0.0
+    if len(row) >= _LEAST:
+        seen, measured = view.log_depth[row, column], np.log(depth)
+        alike = correlation(seen.astype(np.float64), measured.astype(np.float64))
+        if len(at_row) >= _LEAST:
+            edge = float(boundary[at_row, at_column].mean() - boundary[row, column].mean())
+    return Figures(edge, alike)
+
+
+def totals(views: Iterable[View], angles: Angles, *, blur: float = BLUR) -> NDArray[np.float64]:
+    """Return the sum of both figures of each view, float64 (frames,)."""
+    return np.array([sum(figures_of(view, angles, blur=blur)) for view in views])
+
+
+def _pixels(
+    points: NDArray[np.float32],
+    turn: NDArray[np.float64],
+    place: NDArray[np.float64],
+    calibration: Calibration,
+    size: tuple[int, ...],
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
+    """Row, column and depth [m] of the points that fall into the image."""
+    height, width = size
+    turned = points @ turn.T.astype(np.float32) + place.astype(np.float32)
+    turned = turned[turned[:, 2] > 0.1]
+    z = turned[:, 2]
+    x, y = turned[:, 0] / z, turned[:, 1] / z
+    if (lens := calibration.lens_model) is not None:
+        bounds = ray_bounds(lens, as_key(calibration.intrinsics), (height, width))
+        seen = x * x + y * y <= bounds.radius_2
+        z = z[seen]
+        x, y = lens.distort(x[seen], y[seen])
+    across, down = calibration.intrinsics[:2].astype(np.float32)
+    column = np.rint(across[0] * x + across[1] * y + across[2]).astype(np.intp)
+    row = np.rint(down[0] * x + down[1] * y + down[2]).astype(np.intp)
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    return row[inside], column[inside], z[inside]

@@ -1,0 +1,149 @@
+"""A frame as the check of a calibration sees it: returns, jumps of the scan, camera-only answers.
+
+A jump is a return beside which, on the same scan line, another return lies clearly farther: there
+an object ends, and the network sees a boundary in the image. Ranges are those of the LiDAR.
+"""
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.contract.degraded import IMAGE_CONSTANT
+from runtime.engine.prediction import Prediction
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.lens import as_key, ray_bounds, to_plane
+from runtime.geometry.motion import Scan, move_points
+from runtime.geometry.poses import NoPoseError
+from runtime.geometry.returns import is_return
+from runtime.streams.frame import Frame
+
+LEAST_JUMPS, LEAST_RETURNS = 60, 500  # of a view; with fewer nothing is computed
+_MOST_JUMPS, _MOST_RETURNS = 3000, 6000  # more are subsampled
+_NEAREST_M, _LEAST_DEPTH_M = 1.0, 0.1
+_MARGIN = 0.12  # of the rays beyond the image, about 7 degrees: a trial rotation moves them into it
+_LINE_RAD, _ACROSS = 0.02, 8  # neighbours lie so near along a scan line, and an eighth across it
+_JUMP_M, _JUMP_SHARE = 0.5, 0.05  # a neighbour is farther by this, or by this share of the range
+_STEPS = (1, 2, 3)  # neighbours on a line that are compared
+
+_Points = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """The returns of a frame near its image, and what the network sees in the image alone.
+
+    Attributes:
+        name: of the frame.
+        returns: float32 (N, 3), metres, axes of the camera, origin of the LiDAR; a sample.
+        jumps: the same of the returns that are jumps.
+        calibration: as given.
+        boundary: float32 (H, W), probability.
+        log_depth: float32 (H, W), logarithm of metres.
+    """
+
+    name: str
+    returns: _Points
+    jumps: _Points
+    calibration: Calibration
+    boundary: NDArray[np.float32]
+    log_depth: NDArray[np.float32]
+    _blurred: dict[float, NDArray[np.float32]] = field(default_factory=dict)
+
+    @property
+    def has_structure(self) -> bool:
+        """Whether there are enough returns and jumps to compute with."""
+        return len(self.jumps) >= LEAST_JUMPS and len(self.returns) >= LEAST_RETURNS
+
+    def blurred_boundary(self, blur: float) -> NDArray[np.float32]:
+        """The boundary, blurred by a share of the image's height."""
+        if blur not in self._blurred:
+            sigma = blur * len(self.boundary)
+            self._blurred[blur] = cv2.GaussianBlur(self.boundary, (0, 0), sigma)  # type: ignore[assignment]
+        return self._blurred[blur]
+
+
+def view_of(frame: Frame, camera_only: Prediction, scan: Scan | None = None) -> View | None:
+    """Return the view of a frame.
+
+    Args:
+        frame: with a scan and a calibration.
+        camera_only: prediction from its image without any return.
+        scan: of another frame, in place of its own.
+
+    Returns:
+        The view; None without a scan, and if the prediction lacks depth or boundary or is invalid.
+    """
+    calibration, boundary, depth = frame.calibration, camera_only.boundary, camera_only.depth
+    if calibration is None or boundary is None or depth is None:
+        return None
+    if not camera_only.valid or IMAGE_CONSTANT in camera_only.degraded:
+        return None
+    points = _points_in_time(frame) if scan is None else scan.points
+    if points is None:
+        return None
+    returns, jumps = find_structure(points, calibration, frame.size)
+    logarithms = np.log(np.maximum(depth, np.float32(_LEAST_DEPTH_M)))
+    return View(frame.name, returns, jumps, calibration, boundary, logarithms)
+
+
+def find_structure(
+    points: _Points, calibration: Calibration, size: tuple[int, int]
+) -> tuple[_Points, _Points]:
+    """Return samples of the returns near an image and of the jumps, as `View` has them."""
+    turned = points[is_return(points), :3] @ calibration.extrinsics[:3, :3].T.astype(np.float32)
+    x, y, z = (turned + calibration.extrinsics[:3, 3].astype(np.float32)).T
+    left, right, top, bottom = _image_bounds(calibration, size)
+    near = (z > _NEAREST_M) & (x > (left - _MARGIN) * z) & (x < (right + _MARGIN) * z)
+    near &= (y > (top - _MARGIN) * z) & (y < (bottom + _MARGIN) * z)
+    turned = turned[near]
+    jumps = turned[find_jumps(turned)]
+    return _sample(turned, _MOST_RETURNS), _sample(jumps, _MOST_JUMPS)
+
+
+def find_jumps(points: _Points) -> NDArray[np.bool_]:
+    """Return where a neighbour on the same scan line is clearly farther, bool (N,).
+
+    points: float32 (N, 3), x to the right, y down, as seen from the LiDAR; in any order.
+    """
+    x, y, z = points.astype(np.float64).T
+    across, up = np.arctan2(x, z), np.arctan2(y, np.hypot(x, z)) * _ACROSS
+    ranges = np.linalg.norm(points, axis=1)
+    farther = np.zeros_like(ranges)
+    # Two sets of bands, the second moved by half a band: near points share a band of one of them.
+    for shift in (0.0, 0.5):
+        band = np.floor(up / (2 * _LINE_RAD) + shift)
+        order = np.lexsort((across, band))
+        for step in _STEPS:
+            first, second = order[:-step], order[step:]
+            apart = np.hypot(across[second] - across[first], up[second] - up[first])
+            ahead = np.where(apart < _LINE_RAD, ranges[second] - ranges[first], 0)
+            farther[first] = np.maximum(farther[first], ahead)
+            farther[second] = np.maximum(farther[second], -ahead)
+    return np.asarray(farther > np.maximum(_JUMP_M, _JUMP_SHARE * ranges))
+
+
+def _points_in_time(frame: Frame) -> _Points | None:
+    """The points of the frame's scan, moved to the time of its image where there are poses."""
+    if frame.depth is None or not isinstance(scan := frame.depth.data, Scan):
+        return None
+    if frame.poses is None or scan.times is None:
+        return scan.points
+    try:
+        return move_points(scan.points, scan.times, frame.poses, frame.image.stamp_ns)
+    except NoPoseError:
+        return scan.points
+
+
+def _image_bounds(calibration: Calibration, size: tuple[int, int]) -> tuple[float, ...]:
+    """The left, right, top and bottom ray of an image."""
+    if (lens := calibration.lens_model) is not None:
+        return tuple(map(float, ray_bounds(lens, as_key(calibration.intrinsics), size)[:4]))
+    height, width = size
+    x, y = to_plane(calibration.intrinsics, np.array([0, width]), np.array([0, height]))
+    return float(x[0]), float(x[1]), float(y[0]), float(y[1])
+
+
+def _sample(points: _Points, most: int) -> _Points:
+    return points[:: len(points) // most + 1]

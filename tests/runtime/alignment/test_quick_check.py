@@ -1,0 +1,48 @@
+"""The first frames of a run show a calibration that is wrong by a degree."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from runtime.alignment.quick_check import Fit, QuickCheck
+from runtime.app.run.cli import app
+
+
+@pytest.mark.parametrize(
+    ("wrong", "fit", "text"),
+    [
+        ((0, 0, 0), Fit.BEST_AS_GIVEN, "better as given"),
+        ((1.5, 0, 0), Fit.BETTER_TURNED, "turned by -1 degree of yaw"),
+        ((0, -1.5, 0), Fit.BETTER_TURNED, "turned by +1 degree of pitch"),
+    ],
+)
+def test_the_turn_that_fits_better_is_named(frames, answers, turned, wrong, fit, text):
+    check = QuickCheck()
+    for frame, answer in zip(frames[:5], answers, strict=False):
+        check.add(turned(frame, wrong), answer)
+    finding = check.finding()
+    assert finding.fit is fit, finding
+    assert text in finding.text
+
+
+def test_nothing_is_said_without_returns(frames, answers, turned):
+    check = QuickCheck()
+    check.add(turned(frames[0], (90, 0, 0)), answers[0])
+    assert check.finding() is None
+
+
+def test_a_run_reports_it(tmp_path, recording, frames, turned):
+    given, page = (
+        recording([turned(frame, (0, 2, 0)) for frame in frames[:3]]),
+        tmp_path / "run.html",
+    )
+    given += ["--out", str(tmp_path / "out"), "--save", "none", "--report", str(page)]
+    result = CliRunner().invoke(app, given)
+    line = "calibration: the returns fit the images better turned by -1 degree of pitch"
+    assert line in result.stdout, result.output
+    report = json.loads((tmp_path / "out/report.json").read_text())
+    found = report["frames"]["calibration_fit"]
+    assert found["fit"] == "better_turned"
+    assert found["turned"]["pitch"][0] > found["figure"] > found["turned"]["pitch"][1]
+    assert line in page.read_text()
