@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from models.network import Network
-from models.registry import NETWORKS
+from models.registry import NETWORKS, Entry, find_network, registered_name
 from models.training_facts import TrainingFacts
 from runtime.base.checks import shown
 from runtime.base.errors import CheckpointError, OutputError
@@ -55,8 +55,8 @@ def save_checkpoint(
 ) -> None:
     """Write a checkpoint whole or not at all; an existing file is replaced.
 
-    It holds the name of the network's class, its configuration (with classes, depth range and
-    normalisation) and its weights.
+    It holds the name under which the network is registered, its configuration (with classes, depth
+    range and normalisation) and its weights.
 
     Args:
         path: file to write; its folder is made.
@@ -65,13 +65,18 @@ def save_checkpoint(
         trainer: state of the training loop; plain values and tensors.
 
     Raises:
-        CheckpointError: if it cannot be written; an existing file is then untouched.
+        CheckpointError: if it cannot be written, or the network is not registered, so that the
+            file could not be read; an existing file is then untouched.
     """
     path = Path(path)
+    try:
+        name = registered_name(model)
+    except ValueError as error:
+        raise CheckpointError(f"{path}: the checkpoint was not written: {error}") from error
     document = {
         "format": FORMAT,
         "version": VERSION,
-        "network": type(model).__name__,
+        "network": name,
         "config": model.config.to_dict(),
         "weights": dict(model.state_dict()),
         "training": dict(training or {}),
@@ -110,14 +115,13 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
             f"{path}: checkpoint version {shown(version)}, but this installation reads version "
             f"{VERSION}. Install a release that matches the file."
         )
-    kind = str(document.get("network"))
-    kinds = {entry.network.__name__: entry for entry in NETWORKS.values()}
-    if kind not in kinds:
+    try:
+        network, default = _find_class(str(document.get("network")))
+    except ValueError as error:
         raise CheckpointError(
-            f"{path}: holds the network {shown(kind)}, but this installation knows "
-            f"{', '.join(kinds)}. Install a release that matches the file."
-        )
-    network, default = kinds[kind]
+            f"{path}: holds a network that is not installed: {error}. Install a release, or the "
+            "package of the network, that matches the file."
+        ) from error
     try:
         config = type(default).from_dict(document["config"])
         with torch.device("meta"):  # shapes only: a wrong configuration may need any memory
@@ -137,6 +141,15 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
     model = network(config)
     model.load_state_dict(document["weights"])
     return Checkpoint(model.eval(), document["training"], document["trainer"])
+
+
+#: What files of earlier releases hold: a name of the Python class -> a registered name of it.
+_CLASS_NAMES = {entry.network.__name__: name for name, entry in NETWORKS.items()}
+
+
+def _find_class(name: str) -> Entry:
+    """Return the network of a file, by its registered name; ValueError if it is not known."""
+    return find_network(name if name in NETWORKS else _CLASS_NAMES.get(name, name))
 
 
 def check_weights(weights: Mapping[str, object], expected: Mapping[str, Tensor]) -> None:

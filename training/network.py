@@ -5,15 +5,12 @@ from typing import Any
 
 from torch import Tensor
 
-from models import Network, SSDNetLite, create_model
+from models import Network, create_model
 from runtime.base.errors import InputError
 from training.imagenet_weights import COLORS, pretrain
 from training.initial_weights import Weights, start_from
+from training.prune import trunk_of
 from training.recipe import ModelRecipe
-
-#: Parts of an `SSDNetLite` whose features the depth alone reads, but for those of the second tuple,
-#: which the encoder reads.
-DEPTH_ALONE = ("depth_decoder", "surface_depth"), ("surface_depth.embed",)
 
 
 def build_network(
@@ -49,7 +46,7 @@ def build_network(
         text = f"the recipe's model cannot be built with its classes and config: {error}"
         raise InputError(f"{text}. Change them, or choose another model.name.") from error
     if recipe.pretrained == "imagenet":
-        replaced = resumed or (init is not None and isinstance(init.network, SSDNetLite))
+        replaced = resumed or (init is not None and trunk_of(init.network) is not None)
         network = pretrain(network, pictures, load=not replaced)
     if init is not None:
         start_from(network, init, resumed=resumed)

@@ -11,7 +11,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from models import SSDNetLite
+from models import Network
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.contract.contract import ClassInfo
@@ -21,7 +21,6 @@ from runtime.files.read_input import MAX_FILE_BYTES, open_input, read_text
 from runtime.recordings.images import image_size, read_rgb
 from training.datasets.folders import Folders, FoldersRecipe
 from training.initial_weights import Weights
-from training.network import DEPTH_ALONE
 from training.run_folder import folder_errors
 
 #: The file of the recipe in a run's folder.
@@ -112,8 +111,8 @@ class OwnFolders:
             keys["size"] = resized
         first = count - count // _VALIDATION
         lines = [*_describe(classes, resized, keys, first, count)]
-        if isinstance(init.network, SSDNetLite) and "depth" in init.network.heads:
-            lines += ["", *(_CLASSES_ALONE if classes else _depth_alone())]
+        if init.network.depth_layers:
+            lines += ["", *(_CLASSES_ALONE if classes else _depth_alone(init.network))]
         return "\n".join((f"# --data is {_quoted(str(self.root))}.", *lines, ""))
 
 
@@ -147,10 +146,10 @@ def _describe(
     yield f"\n[schedule]\nsteps = {steps}  # of {_BATCH} frames"
 
 
-def _depth_alone() -> Iterator[str]:
+def _depth_alone(network: Network) -> Iterator[str]:
     yield "[optimizer]  # only what the depth alone reads: classes and boundaries stay as they are"
-    for key, parts in zip(("only", "frozen"), DEPTH_ALONE, strict=True):
-        yield f"{key} = {json.dumps(parts)}"
+    yield f"only = {json.dumps(network.depth_layers)}"
+    yield f"frozen = {json.dumps(network.shared_depth_layers)}"
 
 
 def _read_height(path: Path) -> int:

@@ -4,14 +4,15 @@ import copy
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from models import SSDNetLite
+from models import Network
 from models.blocks import pad_to_multiple
-from models.efficientnet_lite import WIDTHS, InvertedResidual, SameConv
+from models.efficientnet_lite import WIDTHS, EfficientNetLite, InvertedResidual, SameConv
 from runtime.base.errors import CheckpointError
 
 #: Sampled pixels of each picture.
@@ -43,9 +44,21 @@ class _Moments:
         return mean, torch.as_tensor(self.squares) / self.count - torch.outer(mean, mean)
 
 
-def prune_trunk(
-    network: SSDNetLite, widths: Sequence[int], pictures: Iterable[Tensor]
-) -> SSDNetLite:
+def trunk_of(network: Network) -> EfficientNetLite | None:
+    """Return the trunk of EfficientNet-Lite0 of a network, its ``encoder``; None without one.
+
+    The configuration of such a network has the widths of the trunk as ``encoder_widths``.
+    """
+    encoder = getattr(network, "encoder", None)
+    return encoder if isinstance(encoder, EfficientNetLite) else None
+
+
+def trunk_widths(network: Network) -> tuple[int, ...]:
+    """Return the channels of the stem and of each block of a network's trunk."""
+    return tuple(network.config.to_dict()["encoder_widths"]) or WIDTHS
+
+
+def prune_trunk(network: Network, widths: Sequence[int], pictures: Iterable[Tensor]) -> Network:
     """Return a copy of a network with fewer channels within the trunk's blocks.
 
     Channels are removed one by one: the one whose removal changes the output of its block least, in
@@ -54,14 +67,14 @@ def prune_trunk(
     Alistarh 2022). Where nothing is to be removed, the network itself is returned.
 
     Args:
-        network: not changed.
+        network: with a trunk, see `trunk_of`; not changed.
         widths: of the stem and of each block, see `EfficientNetLite`; () = all.
         pictures: float (N, 3, H, W), RGB in 0..255, at least one; not read if nothing is removed.
 
     Raises:
         CheckpointError: if a width is larger than the network's.
     """
-    before = network.config.encoder_widths or WIDTHS
+    before = trunk_widths(network)
     widths = tuple(widths) or WIDTHS
     if len(widths) != len(before) or any(a > b for a, b in zip(widths, before, strict=True)):
         raise CheckpointError(
@@ -70,7 +83,8 @@ def prune_trunk(
         )
     if widths == before:
         return network
-    pruned = SSDNetLite(replace(network.config, encoder_widths=widths))
+    changed: dict[str, Any] = {"encoder_widths": widths}
+    pruned = type(network)(replace(network.config, **changed))
     pruned.load_state_dict(_without_channels(network, widths, pictures))
     tqdm.write(
         f"the trunk was pruned from {sum(before)} to {sum(widths)} channels", file=sys.stderr
@@ -79,11 +93,11 @@ def prune_trunk(
 
 
 def _without_channels(
-    network: SSDNetLite, widths: Sequence[int], pictures: Iterable[Tensor]
+    network: Network, widths: Sequence[int], pictures: Iterable[Tensor]
 ) -> dict[str, Tensor]:
     """Return the weights of a network without the pruned channels."""
     state, blocks = dict(network.state_dict()), _blocks(network)
-    before = network.config.encoder_widths or WIDTHS
+    before = trunk_widths(network)
     narrowed = [name for name, old, new in zip(blocks, before, widths, strict=True) if new < old]
     moments = _observe(network, narrowed, pictures)
     # The first block has no expansion: its channels are the stem's.
@@ -102,14 +116,16 @@ def _without_channels(
     return state
 
 
-def _blocks(network: SSDNetLite) -> dict[str, InvertedResidual]:
-    modules = network.encoder.named_modules()
+def _blocks(network: Network) -> dict[str, InvertedResidual]:
+    trunk = trunk_of(network)
+    assert trunk is not None
+    modules = trunk.named_modules()
     return {name: part for name, part in modules if isinstance(part, InvertedResidual)}
 
 
 @torch.no_grad()
 def _observe(
-    network: SSDNetLite, names: Sequence[str], pictures: Iterable[Tensor]
+    network: Network, names: Sequence[str], pictures: Iterable[Tensor]
 ) -> dict[str, _Moments]:
     """Return the moments of the inputs of each block's projection, for images without LiDAR."""
     moments = {name: _Moments() for name in names}

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, TypeAdapter, Val
 from pydantic.dataclasses import dataclass
 
 from models import NetworkConfig
-from models.registry import NETWORKS
+from models.registry import find_network
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_CLASSES, MAX_NAME_LENGTH, MIN_SIDE, ClassInfo
@@ -95,8 +95,10 @@ class ModelRecipe:
         names = self.class_names
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise ValueError(f"classes has {twice[0]!r} twice")
-        if self.name not in NETWORKS:
-            raise ValueError(f"name: unknown model {self.name!r}; known: {', '.join(NETWORKS)}")
+        try:
+            find_network(self.name)
+        except ValueError as error:
+            raise ValueError(f"name: {error}") from error
         try:
             self.network_config()
         except ValueError as error:
@@ -107,7 +109,7 @@ class ModelRecipe:
 
         The normalisation of colours may still change to that of the weights it begins with.
         """
-        default = NETWORKS[self.name].config
+        default = find_network(self.name).config
         values = {**default.to_dict(), **self.config}
         if self.config.get("semantic_head") is False:
             values["classes"] = ()

@@ -118,7 +118,7 @@ def train_stages(
                 stop_after -= stage.recipe.schedule.steps
                 if stop_after < 1:
                     return path
-        if result.parent != out and processes.is_first:
+        if result != out / FINAL and processes.is_first:
             with folder_errors(out):
                 atomic_write(out / FINAL, result.read_bytes())
         processes.wait()  # until the file is written

@@ -132,15 +132,32 @@ def test_the_trained_height_is_a_valid_image_height():
         _ = Checkpoint(network, {"trained_height": -5}).facts
 
 
+def test_a_network_is_found_by_its_registered_name_and_in_old_files_by_its_class(path):
+    before = load_checkpoint(path).model.state_dict()
+    for written, now in (("ssdnet-lite", "SSDNetLite"), ("SSDNetLite", "ssdnet-lite")):
+        assert torch.load(path, weights_only=True)["network"] == written
+        change(path, network=now)
+        after = load_checkpoint(path).model.state_dict()
+        assert all(torch.equal(value, after[name]) for name, value in before.items())
+
+
+def test_a_network_that_could_not_be_read_is_not_written(tmp_path):
+    class Unregistered(SSDNetLite):
+        pass
+
+    with pytest.raises(CheckpointError, match=r"Unregistered of the network .* is not registered"):
+        save_checkpoint(tmp_path / "a.pt", Unregistered(SMALL))
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"version": 3}, "version 3"),
-        ({"network": "Unheard"}, "network 'Unheard', but this installation knows SSDN"),
+        ({"network": "Unheard"}, "not installed: unknown model 'Unheard'; known: ssdnet"),
     ],
 )
 def test_what_another_release_wrote_is_named(path, changes, message):
-    assert torch.load(path, weights_only=True)["network"] == "SSDNetLite"
     change(path, **changes)
     with pytest.raises(CheckpointError, match=message):
         load_checkpoint(path)

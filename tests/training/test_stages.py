@@ -139,6 +139,18 @@ def test_a_call_makes_what_the_next_stage_begins_with_and_what_is_released(
     assert facts[0] == facts[1]
 
 
+def test_a_run_of_one_stage_releases_what_its_call_makes(data, tmp_path):
+    stage = Stage("", ALL, then=lambda run: add_offsets(run.after, {"road": 2.0}))
+    for _ in range(2):  # the finished run is not changed again
+        path = train_stages((stage,), data=[data], out=tmp_path / "run")
+        assert path == tmp_path / "run" / "model.pt"
+    plain = train_stages((Stage("", ALL),), data=[data], out=tmp_path / "plain")
+    before, after = weights(plain)["semantic_head.bias"], weights(path)["semantic_head.bias"]
+    road = [info.name for info in load_checkpoint(path).model.config.classes].index("road")
+    assert (after - before)[road] == pytest.approx(2.0)
+    assert (after - before).abs().sum() == pytest.approx(2.0)
+
+
 def test_the_command_stops_at_a_step_over_all_stages_and_changes_all(data, tmp_path, monkeypatch):
     monkeypatch.setitem(RECIPES, "two", PackageRecipe("Two stages.", STAGES))
     out = tmp_path / "run"

@@ -7,7 +7,7 @@ narrower trunk; with a larger weight of depth; the depth alone, which is the rec
 
 from dataclasses import replace
 
-from models import Network, SSDNetLite, SSDNetLiteConfig
+from models import Network, SSDNetLiteConfig
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.folders import FoldersRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
@@ -213,7 +213,6 @@ DEPTH = derive(
 
 def _narrow(pairs: Trained) -> Network:
     """The blocks of the trunk lose a third of their channels, which makes it faster."""
-    assert isinstance(pairs.after, SSDNetLite)
     return prune_trunk(pairs.after, SSDNetLiteConfig().encoder_widths, pairs.pictures)
 
 

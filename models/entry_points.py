@@ -1,0 +1,52 @@
+"""What installed packages add to the tables of this one, by entry points.
+
+A package of one's own names what it adds in its pyproject.toml:
+
+```toml
+[project.entry-points."ssdnet.networks"]
+my-network = "my_package.network:MY_NETWORK"
+```
+
+The groups are ``ssdnet.networks`` (a `models.registry.Entry`), ``ssdnet.losses`` (a
+`training.losses.terms.Term`) and ``ssdnet.datasets`` (a subclass of
+`training.datasets.source_recipe.SourceRecipe`). They are looked up only for names that the tables
+do not have.
+"""
+
+from importlib.metadata import entry_points
+from typing import TypeVar
+
+T = TypeVar("T")
+
+
+def find_entry(group: str, name: str, kind: type[T]) -> T | None:
+    """Load what an installed package registers under a name.
+
+    Args:
+        group: of the entry points, for example "ssdnet.networks".
+        name: of the entry point.
+        kind: the type of what is registered.
+
+    Returns:
+        The object, or None if no package registers the name.
+
+    Raises:
+        ValueError: if it cannot be imported or has another type.
+    """
+    for point in entry_points(group=group, name=name):
+        try:
+            found = point.load()
+        except Exception as error:  # code of another package, which may raise anything
+            raise ValueError(f"the entry point {group}: {name} = {point.value}: {error}") from error
+        if not isinstance(found, kind):
+            raise ValueError(
+                f"the entry point {group}: {name} = {point.value} is a {type(found).__name__}; "
+                f"expected a {kind.__name__}"
+            )
+        return found
+    return None
+
+
+def list_entries(group: str) -> list[str]:
+    """Return the names that installed packages register, for messages."""
+    return sorted({point.name for point in entry_points(group=group)})
