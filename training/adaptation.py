@@ -7,7 +7,7 @@ before is scored beside the one after, and the better one is kept.
 
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -151,13 +151,14 @@ def is_named(recording: str) -> bool:
     return recording.partition(":")[0] in SOURCES
 
 
-def open_recording(recording: str, **files: Path | None) -> Source:
+def open_recording(recording: str, calibration: Path | None = None, **files: Path | None) -> Source:
     """Open a recording, a path or KIND:PATH[,KEY=VALUE...], with files that go with it.
 
     Raises InputError as `runtime.recordings.registry.open_source`.
     """
     found = parse_source(recording) if is_named(recording) else detect_source(Path(recording))
-    return open_source(found.kind, found.path, **files, **found.keys)
+    rig = found.rig if calibration is None else replace(found.rig, calibration=calibration)
+    return open_source(found.kind, found.path, rig, **files, **found.keys)
 
 
 def choose_frames(listed: Sequence[ListedFrame]) -> tuple[list[ListedFrame], list[ListedFrame]]:

@@ -52,6 +52,8 @@ class Rig:
             )
         if self.pose_frame is not None:
             check_pose_frame(self.pose_frame)
+        if isinstance(self.calibration, str):
+            object.__setattr__(self, "calibration", Path(self.calibration))
         check_scan_stamp(self.scan_stamp)
         for name in ("max_skew_ms", "reuse_depth_ms"):
             if (value := getattr(self, name)) is not None or name == "max_skew_ms":

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
-from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 from runtime.geometry.assumptions import assume, collect_assumptions
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.motion import Scan, ScanStamp
+from runtime.geometry.motion import Scan
 from runtime.geometry.point_cloud import to_points
+from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.ros_bag import RecordedMessage, RosBag
 from runtime.recordings.ros_camera import CAMERA_INFO, GIVE, SAME_PX, calibrate, projection_of
 from runtime.recordings.ros_messages import (
@@ -59,14 +59,10 @@ class BagOptions(NamedTuple):
         depth_topic: of PointCloud2, or of Image in 16UC1 [mm] or 32FC1 [m] of the image's size;
             "none": the camera alone; None: the only one.
         info_topic: of CameraInfo; None: the one beside the images.
-        calibration: as `Calibration.from_file`, in place of CameraInfo and /tf_static.
         rectified: whether the images are; None: by their CameraInfo and the name of their topic.
         registered: whether depth images lie on the pixels of the images; None: if both are of one
             frame, with a warning if their CameraInfo differ. Others are moved by their CameraInfo
-            and /tf_static or `calibration`.
-        max_skew_ms: largest difference of the time stamps of an image and its depth.
-        reuse_depth_ms: largest age of the depth that an image without depth of its own takes.
-        scan_stamp: what instant of a scan its time stamp is.
+            and /tf_static or the rig's calibration.
         pose_topic: of Odometry, or of TFMessage such as /tf, by which clouds are moved to the time
             of the image; "none": they are not; None: the only Odometry, else /tf, if there are any
             and /tf_static connects them to the LiDAR.
@@ -75,12 +71,8 @@ class BagOptions(NamedTuple):
     image_topic: str | None = None
     depth_topic: str | None = None
     info_topic: str | None = None
-    calibration: Path | None = None
     rectified: bool | None = None
     registered: bool | None = None
-    max_skew_ms: float = DEFAULT_MAX_SKEW_MS
-    reuse_depth_ms: float = DEFAULT_REUSE_DEPTH_MS
-    scan_stamp: ScanStamp = "middle"
     pose_topic: str | None = None
 
 
@@ -93,6 +85,7 @@ class BagSource(Source):
 
     Args:
         path: as `RosBag`, or an open one, which sources of other cameras read, too.
+        rig: its calibration, if there is one, takes the place of CameraInfo and /tf_static.
         **options: see `BagOptions`.
 
     Raises:
@@ -102,10 +95,10 @@ class BagSource(Source):
 
     accepted = f"a bag ({', '.join(_SUFFIXES)}, or a folder that holds metadata.yaml)"
     options = BagOptions._fields
+    rig_options = ("calibration", "max_skew_ms", "reuse_depth_ms", "scan_stamp")
 
-    def __init__(self, path: Path | RosBag, **options: Any) -> None:
-        given = self._given = BagOptions(**options)
-        self._reuse_depth_ms, self._scan_stamp = given.reuse_depth_ms, given.scan_stamp
+    def __init__(self, path: Path | RosBag, rig: Rig = DEFAULT_RIG, **options: Any) -> None:
+        self._given, self._rig = BagOptions(**options), rig
         self._bag = path if isinstance(path, RosBag) else RosBag(path)
         path = self._bag.path
         self.folders = (path if os.path.isdir(path) else Path(os.path.realpath(path)).parent,)
@@ -125,13 +118,18 @@ class BagSource(Source):
 
     @classmethod
     def open_cameras(
-        cls, path: Path, *, image_topic: str | None = None, **options: Any
+        cls,
+        path: Path,
+        rig: Rig = DEFAULT_RIG,
+        *,
+        image_topic: str | None = None,
+        **options: Any,
     ) -> dict[str, Source]:
         """Open a source for each of the topics that are joined by +, over one open bag."""
         topics = (image_topic or "").split("+")
         if len(topics) == 1:
-            return super().open_cameras(path, image_topic=image_topic, **options)
-        if "info_topic" in options or "calibration" in options:
+            return super().open_cameras(path, rig, image_topic=image_topic, **options)
+        if "info_topic" in options or rig.calibration is not None:
             raise InputError(
                 "info_topic= and --calibration are of one camera, image_topic= names "
                 f"{len(topics)}: leave them out, or run each camera by itself"
@@ -143,7 +141,7 @@ class BagSource(Source):
                 "one name: run each camera by itself"
             )
         bag = RosBag(path)
-        return {name: cls(bag, image_topic=topic, **options) for name, topic in names.items()}
+        return {name: cls(bag, rig, image_topic=topic, **options) for name, topic in names.items()}
 
     def _of_kind(self, *kinds: str) -> list[str]:
         return sorted(topic for topic, kind in self._bag.types.items() if kind in kinds)
@@ -197,10 +195,10 @@ class BagSource(Source):
 
     def _calibrate(self) -> Calibration | None:
         """The given calibration, or that of CameraInfo and /tf_static."""
-        image, depth, path = self._image_topic, self._depth_topic, self._given.calibration
+        image, depth = self._image_topic, self._depth_topic
         if depth is None or not (self._has_clouds or self._is_apart(depth)):
-            if path is not None:
-                return Calibration.from_file(path)
+            if (given := self._rig.read_calibration()) is not None:
+                return given
             with (
                 contextlib.suppress(InputError),
                 collect_assumptions([]),
@@ -210,9 +208,8 @@ class BagSource(Source):
         try:
             if not self._has_clouds:
                 self._depth_camera = self._camera(depth)
-            if path is not None:
-                return Calibration.from_file(path, for_scans=True)
-            return self._camera(image, self._frame(depth))
+            given = self._rig.read_calibration(for_scans=True)
+            return self._camera(image, self._frame(depth)) if given is None else given
         except InputError as error:
             if self._has_clouds:
                 raise
@@ -328,13 +325,13 @@ class BagSource(Source):
 
         frames = self._match(
             stamped(),
-            max_skew_ms=self._given.max_skew_ms,
+            max_skew_ms=self._rig.max_skew_ms,
             limit=limit,
             camera_only=self._depth_topic is None,
             name=name,
         )
         self._left_out.update(self._bag.left_out)
-        if cameras and self._given.calibration is None and np.ptp(cameras, axis=0).max() > SAME_PX:
+        if cameras and self._rig.calibration is None and np.ptp(cameras, axis=0).max() > SAME_PX:
             with collect_assumptions(self._notes):
                 assume(f"the first CameraInfo of {self._info_topic}, others differ", GIVE)
         if not frames:
@@ -410,7 +407,7 @@ class BagSource(Source):
     def inputs(self) -> dict[str, Any]:
         """See `Source.inputs`."""
         given = {"bag": str(self._bag.path), **self._given._asdict(), **self._topics}
-        given["calibration"] = self._given.calibration and str(self._given.calibration)
+        given |= {**self._rig_facts, "reuse_depth_ms": self._rig.oldest_depth_ms}
         return given | {"left_out": dict(self._left_out)}
 
     @property

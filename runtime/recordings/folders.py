@@ -15,8 +15,9 @@ from runtime.base.errors import InputError
 from runtime.base.stamp import NS_PER_MS
 from runtime.geometry.assumptions import assume, collect_assumptions
 from runtime.geometry.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration
-from runtime.geometry.motion import Scan, ScanStamp, lidar_mount, point_times
+from runtime.geometry.motion import Scan, lidar_mount, point_times
 from runtime.geometry.poses import PoseFrame, PoseTrack
+from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.images import (
     DEPTH_SUFFIXES,
     KITTI_DEPTH_SCALE,
@@ -45,17 +46,10 @@ class FolderOptions(NamedTuple):
         points: the same of scans, see `read_scan`, in place of depth; None: the camera alone.
         depth_scale: units of 16-bit depth maps per metre.
         point_columns: numbers per point of .bin scans; None: as `read_scan`.
-        calibration: TOML or KITTI file, see `Calibration.from_file`, or a folder with such a file
-            of the name of each frame. Scans need one.
         camera: number of KITTI's camera, 0 to 3; None: that of the folder's name, links followed
             (image_2), else 2, with a warning if the scans of another would lie elsewhere.
         timestamps: file with the time of each image, see `read_timestamps`; None: unknown.
-        reuse_depth_ms: an image without depth of its own takes the newest before it that is at most
-            so old. None: 150 with `poses` or `timestamps`; without any of the three an image
-            without depth is a frame that cannot be read. Images without times are 100 ms apart.
         poses: file of poses, see `read_poses`, by which scans are moved to the time of an image.
-        pose_frame: the frame whose poses the file holds.
-        scan_stamp: which instant of a scan the time of its image marks.
         point_time_column: number, from 0, of the column of .bin and .npy scans with the time of
             each point, in seconds after the time of its image.
     """
@@ -64,13 +58,9 @@ class FolderOptions(NamedTuple):
     points: Path | None = None
     depth_scale: float = KITTI_DEPTH_SCALE
     point_columns: int | None = None
-    calibration: Path | None = None
     camera: int | None = None
     timestamps: Path | None = None
-    reuse_depth_ms: float | None = None
     poses: Path | None = None
-    pose_frame: PoseFrame | None = None
-    scan_stamp: ScanStamp = "middle"
     point_time_column: int | None = None
 
 
@@ -82,6 +72,11 @@ class FolderSource(Source):
 
     Args:
         rgb: folder of PNG and JPEG files, or one such file.
+        rig: the path of its calibration may also be a folder with a file of the name of each frame;
+            scans need one. Its `pose_frame` is that of `poses`. With `reuse_depth_ms`, `poses` or
+            `timestamps` an image without depth takes an older one or is a frame of the camera
+            alone; without any of the three it is a frame that cannot be read. Images without
+            times are 100 ms apart.
         **options: see `FolderOptions`.
 
     Raises:
@@ -91,16 +86,19 @@ class FolderSource(Source):
 
     accepted = "a folder of images, or one image"
     options: ClassVar[tuple[str, ...]] = FolderOptions._fields
+    rig_options: ClassVar[tuple[str, ...]] = (
+        *("calibration", "pose_frame", "scan_stamp", "reuse_depth_ms"),
+    )
     #: True: an image without depth is a camera-only frame, and depth without an image is ignored.
     #: False: both are frames that cannot be read.
     camera_alone = False
     #: Whether images of KITTI's raw data are rectified.
     _kitti_rectified = True
 
-    def __init__(self, rgb: Path, **options: Any) -> None:
+    def __init__(self, rgb: Path, rig: Rig = DEFAULT_RIG, **options: Any) -> None:
         given = self._given = FolderOptions(**options)
-        poses, points, calibration = given.poses, given.points, given.calibration
-        if (poses is None) != (given.pose_frame is None):
+        self._rig, poses, points, calibration = rig, given.poses, given.points, rig.calibration
+        if (poses is None) != (rig.pose_frame is None):
             raise InputError("give --poses and pose_frame= in --source together")
         if poses is not None and points is None:
             raise InputError(f"the poses in {poses} move scans: give --points")
@@ -113,19 +111,18 @@ class FolderSource(Source):
         self.depth_scale = None if self._has_scans else given.depth_scale
         paths = (rgb,) if self._depth is None else (rgb, self._depth)
         self.folders = tuple(path.parent if os.path.isfile(path) else path for path in paths)
-        timed = given.timestamps, poses, given.reuse_depth_ms
+        timed = given.timestamps, poses, rig.reuse_depth_ms
         self._is_timed = any(each is not None for each in timed)
         self.camera_alone = self.camera_alone or self._is_timed
-        self._scan_stamp = given.scan_stamp
-        if given.reuse_depth_ms is not None:
-            self._reuse_depth_ms = given.reuse_depth_ms
         self._calibration_files: dict[str, Path] = {}
-        if calibration is not None:
+        if isinstance(calibration, Calibration):
+            self.calibration = calibration
+        elif calibration is not None:
             with collect_assumptions(self._notes):
-                self._open_calibration(calibration, given.camera)
-        if given.pose_frame is not None and self.calibration is not None:
-            self._pose_frame = given.pose_frame
-            lidar_mount(given.pose_frame, self.calibration)  # raises InputError without its place
+                self._open_calibration(Path(calibration), given.camera)
+        if rig.pose_frame is not None and self.calibration is not None:
+            self._pose_frame = PoseFrame(rig.pose_frame)
+            lidar_mount(self._pose_frame, self.calibration)  # raises InputError without its place
 
     def _open_calibration(self, path: Path, camera: int | None) -> None:
         """Read the calibration; of a folder with a file a frame, the first that can be read."""
@@ -250,7 +247,7 @@ class FolderSource(Source):
         rgb, calibration = self._read_image(frame.image), self.calibration
         if self._calibration_files:
             if frame.name not in self._calibration_files:
-                raise InputError(f"{frame.name} has no calibration in {self._given.calibration}")
+                raise InputError(f"{frame.name} has no calibration in {self._rig.calibration}")
             with collect_assumptions(self._notes):
                 calibration = self._read_calibration(self._calibration_files[frame.name])
         depth: NDArray[np.float32] | Scan | None = None
@@ -275,10 +272,10 @@ class FolderSource(Source):
     @property
     def inputs(self) -> dict[str, Any]:
         """See `Source.inputs`."""
-        given = {"rgb": self._rgb, **self._given._asdict()}
+        given = {"rgb": self._rgb, **self._given._asdict(), **self._rig_facts}
         del given["camera"], given["depth" if self._has_scans else "points"]
         given["depth_scale"] = self.depth_scale
-        given["reuse_depth_ms"] = self._reuse_depth_ms if self._is_timed else None
+        given["reuse_depth_ms"] = self._rig.oldest_depth_ms if self._is_timed else None
         inputs = {
             name: value if value is None or isinstance(value, int | float) else str(value)
             for name, value in given.items()

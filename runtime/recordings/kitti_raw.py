@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from runtime.base.errors import InputError
-from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS, parse_date
+from runtime.base.stamp import parse_date
 from runtime.files.read_input import read_text
 from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration, find_raw_calibration
 from runtime.geometry.kitti_calibration import NumbersFile
-from runtime.geometry.motion import ScanStamp
+from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.geometry.rigid import read_rigid
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.images import RGB_SUFFIXES, list_files
@@ -37,32 +37,29 @@ class KittiRawSource(FolderSource):
 
     Args:
         drive: folder like 2011_09_26_drive_0001_sync.
+        rig: without a calibration, KITTI's files in the drive's folder or the one above are read.
+            The stamps of KITTI mark the middle of a scan.
         camera: 2 = left, 3 = right; 0 and 1 are grey.
-        calibration: as `Calibration.from_file`; None: KITTI's files in the drive's folder or the
-            one above.
-        max_skew_ms: largest difference of the time stamps of an image and its scan; None: match by
-            number, without poses.
-        reuse_depth_ms: largest age of a scan that an image without one of its own takes.
-        scan_stamp: which instant of a scan its time stamp marks; "middle" for KITTI.
+        by_number: match images and scans by their numbers even where they have time stamps,
+            without poses.
 
     Raises:
         InputError: if a folder, the calibration or a time stamp is missing or damaged.
     """
 
     accepted = "a drive of KITTI raw data (holds velodyne_points/data/)"
-    options = ("camera", "calibration", "max_skew_ms", "reuse_depth_ms", "scan_stamp")
+    options = ("camera",)
+    rig_options = ("calibration", "max_skew_ms", "reuse_depth_ms", "scan_stamp")
     camera_alone = True
     calibration: Calibration
 
     def __init__(
         self,
         drive: Path,
+        rig: Rig = DEFAULT_RIG,
         *,
         camera: int = 2,
-        calibration: Path | None = None,
-        max_skew_ms: float | None = DEFAULT_MAX_SKEW_MS,
-        reuse_depth_ms: float = DEFAULT_REUSE_DEPTH_MS,
-        scan_stamp: ScanStamp = "middle",
+        by_number: bool = False,
     ) -> None:
         images, scans = drive / f"image_{camera:02d}", drive / "velodyne_points"
         for folder in (images / "data", scans / "data"):
@@ -71,7 +68,7 @@ class KittiRawSource(FolderSource):
                     f"{drive} is not a drive of KITTI raw data: {folder} is missing; give a folder "
                     "like 2011_09_26/2011_09_26_drive_0001_sync, or another camera= in --source"
                 )
-        calibration = calibration or find_raw_calibration(drive)
+        calibration = rig.calibration or find_raw_calibration(drive)
         if calibration is None:
             raise InputError(
                 f"neither {drive} nor {Path(os.path.realpath(drive)).parent} has KITTI's "
@@ -80,23 +77,21 @@ class KittiRawSource(FolderSource):
         self._kitti_rectified = not os.path.realpath(drive).endswith("_extract")
         super().__init__(
             images / "data",
+            replace(rig, calibration=calibration, reuse_depth_ms=None),
             points=scans / "data",
-            calibration=calibration,
             camera=camera,
-            scan_stamp=scan_stamp,
         )
-        self._drive, self._reuse_depth_ms = drive, reuse_depth_ms
+        self._drive, self._rig = drive, replace(rig, calibration=calibration)
         self._oxts: Path | None = None  # the folder, if its poses are used
         self._stamped: list[tuple[Sensor, int, Path]] = []
-        if max_skew_ms is not None:
+        if not by_number:
             pictures = _read_stamps(Sensor.IMAGE, images, RGB_SUFFIXES)
             returns = _read_stamps(Sensor.DEPTH, scans, _SCANS)
             if pictures and returns:
                 self._stamped = sorted(pictures + returns, key=lambda message: message[1])
-        self._max_skew_ms = max_skew_ms if self._stamped else None
-        if self._stamped:
+        if self._stamped and not isinstance(calibration, Calibration):
             with collect_assumptions(self._notes):
-                self._read_oxts(drive / "oxts", calibration / RAW_IMU)
+                self._read_oxts(drive / "oxts", Path(calibration) / RAW_IMU)
 
     @staticmethod
     def accepts(path: Path) -> bool:
@@ -105,11 +100,11 @@ class KittiRawSource(FolderSource):
 
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`."""
-        if self._max_skew_ms is None:
+        if not self._stamped:
             return super().list_frames(limit=limit)
         self._left_out.clear()
         return self._match(
-            self._stamped, max_skew_ms=self._max_skew_ms, limit=limit, camera_only=False
+            self._stamped, max_skew_ms=self._rig.max_skew_ms, limit=limit, camera_only=False
         )
 
     def _read_oxts(self, folder: Path, mount: Path) -> None:
@@ -136,8 +131,8 @@ class KittiRawSource(FolderSource):
         return super().inputs | {
             "drive": str(self._drive),
             "camera": self._given.camera,
-            "max_skew_ms": self._max_skew_ms,
-            "reuse_depth_ms": self._reuse_depth_ms,
+            "max_skew_ms": self._rig.max_skew_ms if self._stamped else None,
+            "reuse_depth_ms": self._rig.oldest_depth_ms,
             "poses": self._oxts and str(self._oxts),
         }
 

@@ -2,11 +2,13 @@
 
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from runtime.base.errors import InputError
 from runtime.geometry.calibration import find_raw_calibration
+from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.folders import FolderSource, list_entries
 from runtime.recordings.images import DEPTH_SUFFIXES, RGB_SUFFIXES, list_files
 from runtime.recordings.scan import SCAN_SUFFIXES
@@ -31,27 +33,28 @@ class KittiObjectSource(FolderSource):
 
     Args:
         path: folder like training.
+        rig: without a calibration, calib is read; see `FolderSource`.
         camera: 2 = left, 3 = right.
         points: folder of the scans; None: velodyne.
         point_columns: numbers per point of .bin scans; None: as `read_scan`.
-        calibration: see `FolderSource`; None: calib.
 
     Raises:
         InputError: if the images are missing, and if a calibration cannot be read.
     """
 
     accepted = "KITTI's object layout (holds image_2/, velodyne/ and calib/)"
-    options = ("camera", "points", "point_columns", "calibration")
+    options = ("camera", "points", "point_columns")
+    rig_options = ("calibration",)
     camera_alone = True
 
     def __init__(
         self,
         path: Path,
+        rig: Rig = DEFAULT_RIG,
         *,
         camera: int = 2,
         points: Path | None = None,
         point_columns: int | None = None,
-        calibration: Path | None = None,
     ) -> None:
         images = path / f"image_{camera}"
         if not os.path.isdir(images):
@@ -62,9 +65,9 @@ class KittiObjectSource(FolderSource):
         scans = path / "velodyne"
         super().__init__(
             images,
+            replace(rig, calibration=rig.calibration or path / "calib"),
             points=points or (scans if os.path.isdir(scans) else None),
             point_columns=point_columns,
-            calibration=calibration or path / "calib",
             camera=camera,
         )
         if self._depth is None:
@@ -87,6 +90,7 @@ class OneFolderSource(FolderSource):
 
     Args:
         path: the folder.
+        rig: without a calibration, the folder's own is used.
         **options: see `FolderSource`; with `depth` or `points`, `path` is the folder of images.
 
     Raises:
@@ -98,7 +102,7 @@ class OneFolderSource(FolderSource):
         "images and depth maps or scans of the same names"
     )
 
-    def __init__(self, path: Path, **options: Any) -> None:
+    def __init__(self, path: Path, rig: Rig = DEFAULT_RIG, **options: Any) -> None:
         rgb, found, unread = path, None, []
         if options.get("depth") is None and options.get("points") is None:
             rgb, found, *unread = _find_folders(path) or (path, path)
@@ -107,9 +111,9 @@ class OneFolderSource(FolderSource):
             is_map = found.name.lower().startswith(_MAPS) or _holds(found, _IMAGES_OF_DEPTH)
             scans = _holds(found, _FILES_OF_SCANS) if self._is_beside else not is_map
             options["points" if scans else "depth"] = found
-            if options.get("calibration") is None:
-                options["calibration"] = _find_calibration(path, of_scans=scans)
-        super().__init__(rgb, **options)
+            if rig.calibration is None:
+                rig = replace(rig, calibration=_find_calibration(path, of_scans=scans))
+        super().__init__(rgb, rig, **options)
         for folder in unread:
             self._note(f"guessed: {folder.name}/ is not the depth, nor read; --points names it")
 

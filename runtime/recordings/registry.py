@@ -3,6 +3,7 @@
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,6 +12,7 @@ from runtime.base.checks import check_number, shown
 from runtime.base.errors import InputError
 from runtime.geometry.motion import MIDDLE_AFTER, check_scan_stamp
 from runtime.geometry.poses import PoseFrame, check_pose_frame
+from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.bag import BagSource
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.kitti_raw import KittiRawSource
@@ -72,15 +74,24 @@ SOURCE_KEYS = {
     "info_topic": SourceKey("a topic", _text),
     "pose_topic": SourceKey("a topic or none", _text),
 }
-_PATHS = ("depth", "points", "calibration", "timestamps", "poses")  # options that are paths
+_PATHS = ("depth", "points", "timestamps", "poses")  # options that are paths
+_RIG_NAMES = {each.name for each in fields(Rig)}
 
 
 class SourcePath(NamedTuple):
-    """A recording whose kind is known, and the options that --source has as keys."""
+    """A recording whose kind is known, and what the keys of --source state.
+
+    Attributes:
+        kind: of SOURCES.
+        path: of the recording.
+        keys: options of the source.
+        rig: what is known of the car.
+    """
 
     kind: str
     path: Path
     keys: Mapping[str, Any]
+    rig: Rig = DEFAULT_RIG
 
 
 def detect_source(path: Path) -> SourcePath:
@@ -121,7 +132,8 @@ def parse_source(text: str) -> SourcePath:
         if name in keys:
             raise InputError(f"{name} is given twice, the second time as {shown(value)}")
         keys[name] = _read_key(name, value, takes)
-    return SourcePath(kind, _path(path), keys)
+    rig = Rig(**{name: keys.pop(name) for name in _RIG_NAMES & keys.keys()})
+    return SourcePath(kind, _path(path), keys, rig)
 
 
 def _read_key(name: str, value: str, takes: str) -> Any:
@@ -136,15 +148,23 @@ def _read_key(name: str, value: str, takes: str) -> Any:
 
 def keys_of(kind: str) -> tuple[str, ...]:
     """Return the options of a kind of source that --source takes as keys."""
-    return tuple(name for name in SOURCES[kind].options if name in SOURCE_KEYS)
+    return tuple(name for name in _taken(kind) if name in SOURCE_KEYS)
 
 
-def choose_source(kind: str, path: str | Path, **options: Any) -> Callable[[], Source]:
+def _taken(kind: str) -> tuple[str, ...]:
+    """The options of a kind of source and the attributes of a `Rig` that it uses."""
+    return (*SOURCES[kind].options, *SOURCES[kind].rig_options)
+
+
+def choose_source(
+    kind: str, path: str | Path, rig: Rig = DEFAULT_RIG, **options: Any
+) -> Callable[[], Source]:
     """Return a function that opens a source, and that can be pickled.
 
     Args:
         kind: of SOURCES.
         path: of the recording.
+        rig: the sensors of the car, where the recording does not describe them itself.
         **options: those of the kind, see its class, also as the text of paths and of keys of
             --source; None: not given.
 
@@ -152,32 +172,37 @@ def choose_source(kind: str, path: str | Path, **options: Any) -> Callable[[], S
         The function; it raises InputError for a path that is no recording of this kind.
 
     Raises:
-        InputError: for an unknown kind, or for options that the kind does not take.
+        InputError: for an unknown kind, and for options or attributes of the rig that the kind does
+            not use.
     """
-    given = _checked(kind, options)
-    return partial(SOURCES[kind], Path(path), **given)
+    given = _checked(kind, rig, options)
+    return partial(SOURCES[kind], Path(path), rig, **given)
 
 
-def choose_cameras(kind: str, path: str | Path, **options: Any) -> Callable[[], dict[str, Source]]:
+def choose_cameras(
+    kind: str, path: str | Path, rig: Rig = DEFAULT_RIG, **options: Any
+) -> Callable[[], dict[str, Source]]:
     """Return what opens a source for each camera; see `choose_source`, `Source.open_cameras`."""
-    given = _checked(kind, options)
-    return partial(SOURCES[kind].open_cameras, Path(path), **given)
+    given = _checked(kind, rig, options)
+    return partial(SOURCES[kind].open_cameras, Path(path), rig, **given)
 
 
-def open_source(kind: str, path: str | Path, **options: Any) -> Source:
+def open_source(kind: str, path: str | Path, rig: Rig = DEFAULT_RIG, **options: Any) -> Source:
     """Open a source; arguments and errors as in `choose_source`."""
-    return choose_source(kind, path, **options)()
+    return choose_source(kind, path, rig, **options)()
 
 
-def _checked(kind: str, options: Mapping[str, Any]) -> dict[str, Any]:
+def _checked(kind: str, rig: Rig, options: Mapping[str, Any]) -> dict[str, Any]:
     """The options that are given. Raises InputError as `choose_source`."""
     if kind not in SOURCES:
         raise InputError(
             f"unknown kind of source {shown(kind)}: give one of the kinds {', '.join(SOURCES)}"
         )
+    if moved := sorted(_RIG_NAMES & options.keys()):
+        raise InputError(f"{moved[0]} describes the car: give Rig({moved[0]}=...) after the path")
     given = {name: value for name, value in options.items() if value is not None}
-    takes = f"a source of the kind {kind} takes {_as_options(SOURCES[kind].options)}"
-    if foreign := [name for name in given if name not in SOURCES[kind].options]:
+    takes = f"a source of the kind {kind} takes {_as_options(_taken(kind))}"
+    if foreign := [name for name in (*given, *rig.given) if name not in _taken(kind)]:
         raise InputError(f"{takes}, not {_as_options(foreign)}")
     for name, value in given.items():
         if isinstance(value, str) and name in SOURCE_KEYS:

@@ -13,17 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
-from runtime.base.stamp import DEFAULT_REUSE_DEPTH_MS
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import (
     FIRST_SCAN_NS,
     MIDDLE_AFTER,
     Scan,
-    ScanStamp,
-    check_scan_stamp,
     lidar_mount,
 )
 from runtime.geometry.poses import PoseFrame, PoseTrack
+from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.streams.frame import Frame, Message, Sensor
 from runtime.streams.matching import Decided, StampMatching
 
@@ -61,6 +59,7 @@ class Source(ABC):
     Attributes:
         accepted: the paths that are of this kind, in words.
         options: names of its options, the keywords of its constructor.
+        rig_options: names of the attributes of a `Rig` that it uses.
         calibration: of the camera and, where there is one, the LiDAR; None if unknown.
         depth_scale: units per metre of the 16-bit depth maps; None if no such maps are read.
         folders: folders that frames are read from; predictions must not be written there.
@@ -69,24 +68,25 @@ class Source(ABC):
 
     accepted: ClassVar[str]
     options: ClassVar[tuple[str, ...]] = ()
+    rig_options: ClassVar[tuple[str, ...]] = ()
     calibration: Calibration | None = None
     depth_scale: float | None = None
     folders: tuple[Path, ...] = ()
     recordings: tuple[Path, ...] = ()
     # Of sources with stamps and poses:
-    _reuse_depth_ms: float = DEFAULT_REUSE_DEPTH_MS
-    _scan_stamp: ScanStamp = "middle"
+    _rig = DEFAULT_RIG
     _to_middle_ns = 0  # from the stamp of a scan to its middle
     _poses: PoseTrack | None = None
     _pose_frame = PoseFrame.BODY
     _rectify = False
 
     @abstractmethod
-    def __init__(self, path: Path, **options: Any) -> None:
+    def __init__(self, path: Path, rig: Rig = DEFAULT_RIG, **options: Any) -> None:
         """Open the recording.
 
         Args:
             path: file or folder.
+            rig: the sensors of the car, as far as `rig_options` names.
             **options: those that `options` names.
 
         Raises:
@@ -94,11 +94,14 @@ class Source(ABC):
         """
 
     @classmethod
-    def open_cameras(cls, path: Path, **options: Any) -> "dict[str, Source]":
+    def open_cameras(
+        cls, path: Path, rig: Rig = DEFAULT_RIG, **options: Any
+    ) -> "dict[str, Source]":
         """Open a source for each camera that the options name.
 
         Args:
             path: file or folder.
+            rig: as of the constructor.
             **options: as of the constructor; one of them may name several cameras.
 
         Returns:
@@ -107,7 +110,7 @@ class Source(ABC):
         Raises:
             InputError: as the constructor.
         """
-        return {"": cls(path, **options)}
+        return {"": cls(path, rig, **options)}
 
     @staticmethod
     @abstractmethod
@@ -196,6 +199,15 @@ class Source(ABC):
         return (*self._notes, *left_out_note(self._left_out))
 
     @property
+    def _rig_facts(self) -> dict[str, Any]:
+        """The attributes of the rig that are used, ready for JSON."""
+        facts = {name: getattr(self._rig, name) for name in self.rig_options}
+        given = self._rig.calibration
+        is_array = isinstance(given, Calibration)
+        facts["calibration"] = "a Calibration" if is_array else given and str(given)
+        return facts
+
+    @property
     def left_out(self) -> Mapping[str, int]:
         """What is in no frame, as "image: duplicate" -> how often; known after listing."""
         return self._left_out
@@ -228,10 +240,10 @@ class Source(ABC):
             name: of the frame of an image; the default is for data that are paths.
 
         Raises:
-            InputError: as `StampMatching`, and for an unknown `scan_stamp`.
+            InputError: as `StampMatching`.
         """
         matching = StampMatching(
-            max_skew_ms=max_skew_ms, reuse_depth_ms=self._reuse_depth_ms, capacity=_WAITING
+            max_skew_ms=max_skew_ms, reuse_depth_ms=self._rig.oldest_depth_ms, capacity=_WAITING
         )
         stamped = ((sensor, Message(stamp, stamp, data)) for sensor, stamp, data in messages)
 
@@ -249,7 +261,7 @@ class Source(ABC):
                     stamps_ns, own = (image.stamp_ns, depth.stamp_ns), not frame.reused
                     yield ListedFrame(*found, depth.data, *stamps_ns, own, frame.reused)
 
-        middle_after = MIDDLE_AFTER[check_scan_stamp(self._scan_stamp)]
+        middle_after = MIDDLE_AFTER[self._rig.scan_stamp]
         frames = up_to(listed(), limit)
         scans_ns = np.unique([f.depth_stamp_ns for f in frames if f.depth_stamp_ns is not None])
         period_ns = np.median(np.diff(scans_ns)) if len(scans_ns) > 1 else FIRST_SCAN_NS

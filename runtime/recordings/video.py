@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
 from runtime.files.read_input import require_regular
+from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.images import DEPTH_SUFFIXES, KITTI_DEPTH_SCALE, list_files, require_pixels
 from runtime.recordings.source import ListedFrame, by_number
@@ -29,28 +30,29 @@ class VideoSource(FolderSource):
 
     Args:
         path: a file that OpenCV's FFmpeg decodes.
+        rig: its calibration is used.
         depth: folder of depth maps, see `read_sparse_depth`, whose names end in the frame's number
             (7.png, depth_0007.png); None: the camera alone.
         depth_scale: units of 16-bit depth maps per metre.
-        calibration: TOML or KITTI file, see `Calibration.from_file`.
 
     Raises:
         InputError: if the video or the calibration cannot be read.
     """
 
     accepted = f"a video ({', '.join(_SUFFIXES)})"
-    options = ("depth", "depth_scale", "calibration")
+    options = ("depth", "depth_scale")
+    rig_options = ("calibration",)
 
     def __init__(
         self,
         path: Path,
+        rig: Rig = DEFAULT_RIG,
         *,
         depth: Path | None = None,
         depth_scale: float = KITTI_DEPTH_SCALE,
-        calibration: Path | None = None,
     ) -> None:
         require_regular(path)
-        super().__init__(path, depth=depth, depth_scale=depth_scale, calibration=calibration)
+        super().__init__(path, rig, depth=depth, depth_scale=depth_scale)
         self.recordings = (path,)
         self._video = _open(path)
         self._next = 0  # index of the next frame that the video decodes

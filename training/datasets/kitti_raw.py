@@ -8,6 +8,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import DatasetError
+from runtime.geometry.rig import Rig
 from runtime.recordings.kitti_raw import KittiRawSource
 from runtime.recordings.source import ListedFrame
 from training.datasets.class_mapping import ClassTable
@@ -73,7 +74,7 @@ class KittiRaw(FrameList):
 
     @dataset_errors()
     def _add(self, drive: Path, camera: int) -> None:
-        source = KittiRawSource(drive, camera=camera, calibration=drive.parent, max_skew_ms=None)
+        source = KittiRawSource(drive, Rig(calibration=drive.parent), camera=camera, by_number=True)
         without = _WITHOUT_SCAN.get(drive.name, frozenset())
         frames = [frame for frame in source.list_frames() if frame.name not in without]
         scans = [f"{frame.name}.bin" for frame in frames]

@@ -48,6 +48,7 @@ MAX_OVERLAY_WIDTH = 8192  # five panels side by side fit into a JPEG
 FILE_SUFFIXES = {"video": ".mp4", "report": ".html", "mcap": ".mcap"}
 DEFAULT_RATE_HZ = 10.0  # of frames without stamps: a LiDAR's
 OPTION = "option"  # of the metadata of a field: the option of the command
+_RIG_OPTIONS = ("calibration", "max_skew_ms", "reuse_depth_ms")  # attributes of the `Rig`
 _OUT = Path("ssdnet-run")
 
 
@@ -297,9 +298,11 @@ class RunOptions:
         given = {name: getattr(self, name) for name in names - SOURCE_KEYS.keys()}
         if self.demo:
             given["depth"] = bundled_stream()[1]
-        kind, path, keys = source
+        of_car = {name: getattr(self, name) for name in _RIG_OPTIONS}
+        known = {name: value for name, value in of_car.items() if value is not None}
         with _usage_errors():
-            return choose_cameras(kind, path, **given, **keys)
+            rig = dataclasses.replace(source.rig, **known)
+            return choose_cameras(source.kind, source.path, rig, **given, **source.keys)
 
     @property
     def named_files(self) -> dict[str, Path]:

@@ -9,6 +9,8 @@ import pytest
 from small_rig import INTRINSICS, MS, OPTICAL, SIZE, START_NS, projected
 
 from runtime import InputError
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.rig import Rig
 from runtime.recordings.bag import BagSource
 
 pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
@@ -132,12 +134,13 @@ def test_clouds_need_a_calibration_and_take_a_file(record, make_scan, tmp_path):
     (tmp_path / "camera.txt").write_text("60 0 32 0 60 24 0 0 1")
     extrinsics = [[0, -1.0, 0, 0], [0, 0, -1, -0.3], [1, 0, 0, -0.5], [0, 0, 0, 1]]
     own.write_text(f"intrinsics = {INTRINSICS}\nextrinsics = {extrinsics}\n")
-    for options in ({}, {"calibration": tmp_path / "camera.txt"}):
+    for rig in (Rig(), Rig(calibration=tmp_path / "camera.txt")):
         with pytest.raises(InputError, match=r"lidar|intrinsics alone"):
-            BagSource(path, **options)
-    with BagSource(path, calibration=own) as source:
-        depth = source.read(source.list_frames()[0]).sparse_depth
-    assert abs(depth - projected(make_scan(0), ahead_m=0.5)).max() < 0.01
+            BagSource(path, rig)
+    for calibration in (own, Calibration.from_file(own)):
+        with BagSource(path, Rig(calibration=calibration)) as source:
+            depth = source.read(source.list_frames()[0]).sparse_depth
+        assert abs(depth - projected(make_scan(0), ahead_m=0.5)).max() < 0.01
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -7,6 +7,7 @@ import pytest
 
 from runtime import InputError, project_points
 from runtime.geometry.calibration import Calibration
+from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.registry import open_source
 
@@ -93,7 +94,7 @@ def scans(folders, make_scan, tmp_path):
 
 
 def test_scans_of_several_formats_are_projected_beside_their_images(folders, scans, make_scan):
-    source = FolderSource(folders[0], points=scans[0], calibration=scans[1])
+    source = FolderSource(folders[0], Rig(calibration=scans[1]), points=scans[0])
     frames = source.list_frames()
     assert [each.name for each in frames] == ["0", "1", "2", "3", "4", "5"]
     with pytest.raises(InputError, match="1 has an image, but no scan"):
@@ -115,7 +116,7 @@ def test_scans_are_projected_through_the_lens_or_into_rectified_images(folders, 
     folder, path = scans
     path.write_text(path.read_text() + LENS)
     calibration, size = Calibration.from_file(path), (48, 64)
-    source = FolderSource(folders[0], points=folder, calibration=path)
+    source = FolderSource(folders[0], Rig(calibration=path), points=folder)
     listed = source.list_frames()[0]
     raw = source.read(listed)
     expected = calibration.project(make_scan(0), size)
@@ -147,31 +148,32 @@ def test_a_run_rectifies_and_warns_of_a_lens_that_ends_inside_the_images(folders
 def test_what_cannot_be_rectified(folders, scans):
     images, path = folders[0], scans[1]
     with pytest.raises(InputError, match="no lens"):
-        FolderSource(images, calibration=path).rectify_images()
+        FolderSource(images, Rig(calibration=path)).rectify_images()
     path.write_text(path.read_text() + LENS)
-    source = FolderSource(images, depth=folders[1], calibration=path)
+    source = FolderSource(images, Rig(calibration=path), depth=folders[1])
     source.rectify_images()
     with pytest.raises(InputError, match="depth map"):
         source.read(source.list_frames()[0])
 
 
 def test_scans_need_extrinsics_and_paths_may_be_text(folders, scans, tmp_path):
-    options = {"points": str(scans[0]), "calibration": str(scans[1])}
-    assert open_source("folders", str(folders[0]), **options).calibration.focal_length_px == 60
+    rig = Rig(calibration=str(scans[1]))
+    source = open_source("folders", str(folders[0]), rig, points=str(scans[0]))
+    assert source.calibration.focal_length_px == 60
     numbers = tmp_path / "intrinsics.txt"
     numbers.write_text("60 0 32 0 60 24 0 0 1")
     with pytest.raises(InputError, match="intrinsics alone"):
-        open_source("folders", folders[0], points=scans[0], calibration=numbers)
+        open_source("folders", folders[0], Rig(calibration=numbers), points=scans[0])
     with pytest.raises(InputError, match="--calibration"):
         open_source("folders", folders[0], points=scans[0])
-    assert open_source("folders", folders[0], calibration=numbers).calibration is not None
+    assert open_source("folders", folders[0], Rig(calibration=numbers)).calibration is not None
 
 
 def test_an_image_and_its_scan_are_one_frame(folders, scans, make_scan):
     rows = np.pad(make_scan(), ((0, 0), (0, 2)))
-    options = {"points": scans[0] / "0.bin", "calibration": scans[1], "point_columns": 6}
+    options = {"points": scans[0] / "0.bin", "point_columns": 6}
     rows.tofile(options["points"])
-    source = open_source("folders", folders[0] / "0.png", **options)
+    source = open_source("folders", folders[0] / "0.png", Rig(calibration=scans[1]), **options)
     (listed,) = source.list_frames()
     expected = project_points(make_scan(), INTRINSICS, EXTRINSICS, (48, 64))
     np.testing.assert_array_equal(source.read(listed).sparse_depth, expected)
@@ -181,7 +183,7 @@ def test_scans_take_the_place_of_depth_maps(folders, scans):
     images, maps, _ = folders
     for options in ({"depth": maps, "points": scans[0]}, {"points": maps}):
         with pytest.raises(InputError, match=r"not both|\.png files"):
-            open_source("folders", images, calibration=scans[1], **options).list_frames()
+            open_source("folders", images, Rig(calibration=scans[1]), **options).list_frames()
 
 
 @pytest.fixture
@@ -232,14 +234,14 @@ def test_the_camera_of_kitti_is_that_of_the_real_folder(
 ):
     monkeypatch.chdir(tmp_path / "image_3")
     path = tmp_path / images if images == "image_3" else images
-    options = {"points": tmp_path / "scans", "calibration": tmp_path / calibration}
-    with open_source("folders", path, camera=key, **options) as source:
+    rig, options = Rig(calibration=tmp_path / calibration), {"points": tmp_path / "scans"}
+    with open_source("folders", path, rig, camera=key, **options) as source:
         shift = kitti[camera] if camera is not None else EXTRINSICS[0, 3]
         assert source.calibration.extrinsics[0, 3] == pytest.approx(shift)
         warning = f"warning: assumed camera 2 of KITTI for {path}: camera= in --source"
         assert [note.startswith(warning) for note in source.notes] == [True] * warns
     # Depth maps lie on the pixels of their image, whichever camera it is of.
-    with open_source("folders", path, calibration=tmp_path / calibration) as source:
+    with open_source("folders", path, rig) as source:
         assert source.notes == ()
 
 

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from runtime import InputError
 from runtime.app.tools.verify import app as verify_app
+from runtime.geometry.rig import Rig
 from runtime.recordings.layouts import KittiObjectSource
 from runtime.recordings.recording import read_recording
 from runtime.recordings.registry import detect_source, open_source
@@ -142,7 +143,7 @@ def test_scans_beside_images_need_a_calibration(write):
     folder = write({"{}.jpg": IMAGE, "{}.pcd.bin": SCAN, "../given.toml": TOML})
     with pytest.raises(InputError, match="--calibration"):
         open_path(folder)
-    with open_source("one-folder", folder, calibration=folder / "../given.toml") as source:
+    with open_source("one-folder", folder, Rig(calibration=folder / "../given.toml")) as source:
         assert np.count_nonzero(source.read(source.list_frames()[0]).sparse_depth) > 100
 
 
@@ -192,11 +193,11 @@ def test_each_frame_is_predicted_with_its_focal_length(
 
 @pytest.mark.parametrize("kind", ["kitti-object", "folders", "one-folder"])
 def test_the_right_camera_has_its_own_projection(training, kind, make_scan):
-    path, options = training, {"camera": 3}
+    path, rig, options = training, Rig(), {"camera": 3}
     if kind != "kitti-object":
-        options = {"points": training / "velodyne", "calibration": training / "calib"}
+        rig, options = Rig(calibration=training / "calib"), {"points": training / "velodyne"}
         path = training / "image_3"
-    with open_source(kind, path, **options) as source:
+    with open_source(kind, path, rig, **options) as source:
         expected = projected(make_scan(1), focal_px=61, left_m=-0.5)
         depth = source.read(source.list_frames()[1]).sparse_depth
         assert abs(depth - expected).max() < 0.01

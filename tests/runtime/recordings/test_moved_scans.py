@@ -1,6 +1,7 @@
 """Scans of recordings, moved by the recording's poses to the time of the image."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from small_rig import INTRINSICS, MS, SIZE, START_NS, agree, projected
 
 from runtime import InputError
 from runtime.geometry.poses import PoseFrame
+from runtime.geometry.rig import Rig
 from runtime.recordings.bag import BagSource
 from runtime.recordings.folders import FolderSource
 
@@ -60,11 +62,13 @@ def read(folders, **changes):
     options = {"points": "points", "calibration": "calibration.toml", "timestamps": "times.txt"}
     options |= {"poses": "poses.txt", "pose_frame": PoseFrame.LIDAR} | changes
     paths = ("points", "calibration", "timestamps", "poses")
-    source = FolderSource(folders / "image", **{
+    given = {
         name: folders / value if name in paths else value
         for name, value in options.items()
         if value is not None
-    })  # fmt: skip
+    }
+    of_car = {name: given.pop(name) for name in FolderSource.rig_options if name in given}
+    source = FolderSource(folders / "image", Rig(**of_car), **given)
     return [source.read(listed) for listed in source.list_frames()]
 
 
@@ -163,7 +167,7 @@ def test_what_does_not_fit_is_an_error_that_says_which(folders, change, message)
 def test_a_depth_map_is_reused_as_it_is_and_flagged(folders, write_depth, make_frame):
     for number in range(0, 2 * N, 2):
         write_depth(folders / f"depth/{number}.png", make_frame(*SIZE, seed=number)[1])
-    source = FolderSource(folders / "image", depth=folders / "depth", reuse_depth_ms=150)
+    source = FolderSource(folders / "image", Rig(reuse_depth_ms=150), depth=folders / "depth")
     frames = source.list_frames()
     assert "guessed: the images are 100 ms apart; timestamps= in --source says when" in source.notes
     own, reused = (source.read(frame) for frame in frames[:2])
@@ -186,14 +190,13 @@ def test_moved_returns_lie_where_the_withheld_scan_has_them(tmp_path):
     for name in ("poses.txt", "image_02_timestamps.txt"):
         lines = (recorded / name).read_text().splitlines(keepends=True)[:20]
         (tmp_path / name).write_text("".join(lines))
-    given = {"calibration": recorded, "timestamps": tmp_path / "image_02_timestamps.txt"}
-    poses = {"poses": tmp_path / "poses.txt", "pose_frame": PoseFrame.LIDAR}
-    own = FolderSource(
-        recorded / "image_02", points=recorded / "velodyne_fov", calibration=recorded
-    )
+    still = Rig(calibration=recorded)
+    given = {"points": tmp_path / "points", "timestamps": tmp_path / "image_02_timestamps.txt"}
+    poses = {"poses": tmp_path / "poses.txt"}
+    own = FolderSource(recorded / "image_02", still, points=recorded / "velodyne_fov")
     errors = []
-    for moved in (poses, {}):
-        source = FolderSource(tmp_path / "image", points=tmp_path / "points", **given, **moved)
+    for rig, moved in ((replace(still, pose_frame="lidar"), poses), (still, {})):
+        source = FolderSource(tmp_path / "image", rig, **given, **moved)
         off = []
         for listed, truth in zip(source.list_frames(), own.list_frames(), strict=False):
             if listed.reused:
@@ -230,7 +233,7 @@ def moving(record):
     ("ros1", "tf", "/tf"), ("mcap", "tf", "/tf"), ("ros2", "odometry", "/odom"),
 ])  # fmt: skip
 def test_a_bag_is_moved_by_its_own_poses(moving, make_scan, of, kind, topic):
-    with BagSource(moving(of, kind=kind).write(), max_skew_ms=20) as source:
+    with BagSource(moving(of, kind=kind).write(), Rig(max_skew_ms=20)) as source:
         frames = [source.read(listed) for listed in source.list_frames()]
         assert source.inputs["pose_topic"] == topic
         assert f"pose_topic={topic}" in source.notes[0]
@@ -245,7 +248,7 @@ def test_clouds_with_a_time_for_each_point_are_deskewed(moving, make_scan):
     bag.messages = [each for each in bag.messages if each[0] != "/lidar/points"]
     scan[:, 3] = np.linspace(0, 0.1, 300)
     bag.cloud("/lidar/points", scan, START_NS + 100 * MS, fourth="time")
-    with BagSource(bag.write(), max_skew_ms=20) as source:
+    with BagSource(bag.write(), Rig(max_skew_ms=20)) as source:
         frame = source.read(source.list_frames()[3])
     assert (frame.depth_motion, frame.reused) == ("each", True)
     scan[:, 0] += SPEED * scan[:, 3]
@@ -261,7 +264,7 @@ def test_a_bag_says_why_its_poses_are_not_used(moving, poses, note):
     bag = moving(**poses)
     bag.transform("odom", "footprint", (0.0, 0.0, 0.0, 1.0), (1.0, 0.0, 0.0), START_NS)
     path = bag.write()
-    with BagSource(path, max_skew_ms=20) as source:
+    with BagSource(path, Rig(max_skew_ms=20)) as source:
         frame = source.read(source.list_frames()[1])
         assert frame.degraded == ("depth_reused", "depth_uncompensated")
         assert any(note in line for line in source.notes), source.notes

@@ -8,6 +8,7 @@ import pytest
 from runtime import InputError
 from runtime.app.run.options import RunOptions, UsageError
 from runtime.geometry.poses import PoseFrame
+from runtime.geometry.rig import Rig
 from runtime.recordings.registry import SOURCES, detect_source, open_source, parse_source
 from runtime.recordings.source import ListedFrame, Source, up_to
 
@@ -24,10 +25,10 @@ def test_keys_are_read_by_their_types(monkeypatch):
     monkeypatch.setenv("HOME", "/home/driver")
     text = "folders:~/a,point_columns=5,depth_scale=1e3,timestamps=~/t.txt,pose_frame=body"
     home, numbers = Path("/home/driver"), {"point_columns": 5, "depth_scale": 1000.0}
-    others = {"timestamps": home / "t.txt", "pose_frame": PoseFrame.BODY, "scan_stamp": "end"}
+    others = {"timestamps": home / "t.txt"}
     found = parse_source(f"{text},scan_stamp=end")
-    assert found == ("folders", home / "a", numbers | others)
-    assert isinstance(found.keys["pose_frame"], PoseFrame)
+    assert found[:3] == ("folders", home / "a", numbers | others)
+    assert found.rig == Rig(pose_frame=PoseFrame.BODY, scan_stamp="end")
     topics = {"depth_topic": "none", "image_topic": "/a", "rectified": True, "registered": False}
     text = "bag:x.mcap,depth_topic=none,image_topic=/a,rectified=true,registered=false"
     assert parse_source(text).keys == topics
@@ -58,13 +59,13 @@ def test_a_wrong_key_is_a_usage_error_that_names_it(keys):
 
 def test_python_may_give_keys_as_the_text_of_the_command(tmp_path, write_rgb, make_frame):
     write_rgb(tmp_path / "rgb/0.png", make_frame()[0])
-    given = {"depth": str(tmp_path / "rgb"), "depth_scale": "1e3", "reuse_depth_ms": 50}
+    given = {"depth": str(tmp_path / "rgb"), "depth_scale": "1e3"}
     with open_source("folders", str(tmp_path / "rgb"), **given) as source:
         assert source.inputs["depth_scale"] == 1000
     with pytest.raises(InputError, match="rectified must be true or false, got 'no'"):
         open_source("bag", tmp_path / "x.mcap", rectified="no")
-    with pytest.raises(InputError, match="pose_frame must be lidar or camera or body, got 'wheel'"):
-        open_source("folders", tmp_path, pose_frame="wheel")
+    with pytest.raises(InputError, match=r"depth_scale must be units per metre, .* got 'mm'"):
+        open_source("folders", tmp_path, depth_scale="mm")
 
 
 def test_options_of_another_kind_are_wrong_usage_of_the_command(tmp_path):
@@ -89,6 +90,13 @@ def test_an_unknown_kind_is_an_input_error_with_the_kinds(tmp_path):
         open_source("folder", tmp_path)
 
 
+def test_what_describes_the_car_belongs_to_its_rig_and_must_be_of_use(tmp_path):
+    with pytest.raises(InputError, match=r"give Rig\(calibration="):
+        open_source("folders", tmp_path, calibration="car.toml")
+    with pytest.raises(InputError, match=r"kitti-object takes .* not --max-skew-ms"):
+        open_source("kitti-object", tmp_path, Rig(max_skew_ms=20))
+
+
 @pytest.mark.parametrize("kind", SOURCES)
 def test_a_path_that_is_not_there_is_an_input_error(kind, tmp_path):
     with pytest.raises(InputError, match="nothing"):
@@ -101,7 +109,7 @@ class ArchiveSource(Source):
     accepted = "arrays rgb and depth in one .npz file"
     options = ("depth_scale",)
 
-    def __init__(self, path, *, depth_scale=1.0):
+    def __init__(self, path, rig, *, depth_scale=1.0):
         self.recordings, self._scale = (path,), depth_scale
         with np.load(path) as arrays:
             self._rgb, self._depth = arrays["rgb"], arrays["depth"]
