@@ -55,12 +55,17 @@ def resize_surface(depth: NDArray[np.float32], size: Size) -> NDArray[np.float32
     resized = resize_nearest(depth, size)
     if size[0] < depth.shape[0] or size[1] < depth.shape[1]:
         return resized
-    farthest, nearest = cv2.dilate(depth, _AROUND), cv2.erode(depth, _AROUND)
-    is_surface = (nearest > 0) & (farthest <= SAME_SURFACE * nearest)
+    is_surface = is_one_surface(depth)
     # Depths of 0 belong to no surface, so there is no division by 0.
     inverse = cv2.resize(cv2.divide(1.0, depth), size[::-1], interpolation=cv2.INTER_LINEAR)
     cv2.copyTo(cv2.divide(1.0, inverse), resize_nearest(is_surface.astype(np.uint8), size), resized)
     return resized
+
+
+def is_one_surface(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Whether the 3 x 3 pixels around each are one surface, see SAME_SURFACE."""
+    farthest, nearest = cv2.dilate(depth, _AROUND), cv2.erode(depth, _AROUND)
+    return (nearest > 0) & (farthest <= SAME_SURFACE * nearest)
 
 
 #: Rule of `HEADS` -> its function, of (H, W) and the new size.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InferenceError
+from runtime.contract.anchoring import move_to_returns
 from runtime.contract.contract import NO_CLASS, Contract
 from runtime.contract.heads import HEADS, Head, Unit
 from runtime.contract.resize import RESIZE
@@ -95,15 +96,20 @@ def to_prediction(
 
 def to_frame(outputs: Mapping[str, NDArray[Any]], frame: NetworkInput) -> dict[str, NDArray[Any]]:
     """Convert a frame's outputs, head -> array, to metres and to the frame's size, in place."""
-    answers = dict(outputs)
+    if frame.scale.factor != 1:
+        for name, values in outputs.items():
+            if HEADS[name].unit is Unit.METRES:
+                values *= np.float32(1 / frame.scale.factor)
+    if frame.network_size == frame.frame_size:
+        return dict(outputs)
+    if frame.full_size_returns is not None and "depth" in outputs:
+        move_to_returns(outputs["depth"], outputs.get("depth_uncertainty"), frame.full_size_returns)
+    answers = {}
     for name, values in outputs.items():
         head = HEADS[name]
-        if frame.scale.factor != 1 and head.unit is Unit.METRES:
-            values *= np.float32(1 / frame.scale.factor)
-        if frame.network_size != frame.frame_size:
-            resize, size = RESIZE[head.resize], frame.frame_size
-            planes = [resize(plane, size) for plane in (values if head.per_class else [values])]
-            answers[name] = np.stack(planes) if head.per_class else planes[0]
+        resize, size = RESIZE[head.resize], frame.frame_size
+        planes = [resize(plane, size) for plane in (values if head.per_class else [values])]
+        answers[name] = np.stack(planes) if head.per_class else planes[0]
     return answers
 
 

@@ -34,6 +34,8 @@ class NetworkInput:
         sparse_depth: float32 (h, w) at the network's size, metres times `scale.factor`, 0 =
             no measurement.
         frame_size: (height, width) of the frame.
+        full_size_returns: float32 (H, W) at the frame's size, metres, 0 = no measurement; None if
+            the network does not run at a smaller size, or there are none.
         cleaned: depth pixels of the frame that were changed.
         depth_returns: number of depth pixels of the frame that are left.
         degraded: reasons why the answer is less reliable than usual.
@@ -43,6 +45,7 @@ class NetworkInput:
     rgb: NDArray[np.uint8]
     sparse_depth: NDArray[np.float32]
     frame_size: Size
+    full_size_returns: NDArray[np.float32] | None
     cleaned: Cleaned
     depth_returns: int
     degraded: tuple[str, ...]
@@ -80,8 +83,10 @@ def preprocess(
     size, scale = size_for(frame_size), scale_for(frame_size)
     sparse_depth, cleaned, returns = clean_sparse_depth(sparse_depth, max_depth_m=scale.range_m)
     degraded = [IMAGE_CONSTANT] if is_constant(rgb) else []
-    network_rgb, fed = rgb, returns
+    network_rgb, fed, full_size_returns = rgb, returns, None
     if size != frame_size:
+        if returns and size[0] <= frame_size[0] and size[1] <= frame_size[1]:
+            full_size_returns = sparse_depth
         network_rgb = resize_image(rgb, size)
         sparse_depth = move_returns(sparse_depth, size)
         fed = cv2.countNonZero(sparse_depth)
@@ -95,7 +100,14 @@ def preprocess(
     elif covers_little(sparse_depth, returns=fed):
         degraded.insert(0, SPARSE_DEPTH_LOW)
     return NetworkInput(
-        network_rgb, sparse_depth, frame_size, cleaned, returns, tuple(degraded), scale
+        network_rgb,
+        sparse_depth,
+        frame_size,
+        full_size_returns,
+        cleaned,
+        returns,
+        tuple(degraded),
+        scale,
     )
 
 

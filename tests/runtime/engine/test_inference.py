@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from runtime.engine.inference import faults
+from runtime.contract.canonical_focal import CameraScale
+from runtime.engine.inference import faults, to_frame
+from runtime.engine.preprocess import preprocess
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
@@ -48,3 +50,20 @@ def test_only_ids_with_a_name_are_valid(contract):
     ):
         semantic[4, 4] = highest
         assert faults({"semantic": semantic}, contract) == expected
+
+
+@pytest.mark.parametrize(("feed", "expected"), [(True, 10.2), (False, 10.0)])
+def test_the_depth_of_a_large_frame_moves_to_its_own_returns(feed, expected):
+    rgb, returns = np.zeros((80, 120, 3), np.uint8), np.zeros((80, 120), np.float32)
+    returns[::4, ::4] = 10.2
+    frame = preprocess(
+        rgb,
+        returns if feed else None,
+        size_for=lambda size: (40, 60),
+        scale_for=lambda size: CameraScale(2.0, 80.0, 500.0),
+    )
+    outputs = {name: np.full((40, 60), 20, np.float32) for name in ("depth", "depth_uncertainty")}
+    answers = to_frame(outputs, frame)
+    assert answers["depth"].shape == (80, 120)
+    np.testing.assert_allclose(answers["depth"][8:-8, 8:-8], expected, rtol=1e-4)
+    assert (answers["depth_uncertainty"][8:-8, 8:-8] < 10).all() == feed
