@@ -1,4 +1,4 @@
-"""How many points of a cloud fly between objects, and how many of them the boundary head removes.
+"""How many points of a cloud fly between objects, and what removes them: boundary, uncertainty.
 
     python benchmarks/flying_pixels.py --data DIR [--limit 8] [--threads 2]
 
@@ -10,6 +10,7 @@ truth is dense.
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,14 @@ from training.loading.open_dataset import open_dataset
 
 FARTHEST_M = 80.0
 AROUND_PX = 3
-EDGES = (None, 0.5, 0.45, 0.35, 0.25, 0.15)
+#: Options of `Prediction.points`, the first those of all points.
+CLOUDS: tuple[dict[str, Any], ...] = (
+    {"edge_boundary": None},
+    *({"edge_boundary": edge} for edge in (0.5, 0.45, 0.35, 0.25, 0.15)),
+    *({"max_uncertainty": share} for share in (0.1, 0.05, 0.03, 0.02)),
+    {"voxel_m": 0.1},
+    {"voxel_m": 0.1, "max_uncertainty": 0.05},
+)
 
 
 def main() -> None:
@@ -35,24 +43,25 @@ def main() -> None:
     arguments = parser.parse_args()
     source = open_dataset(RenderedRecipe(path="rendered/val"), [arguments.data], classes="camvid")
     indices = np.linspace(0, len(source) - 1, arguments.limit).astype(int).tolist()
-    counts = {edge: np.zeros(2, dtype=np.int64) for edge in EDGES}  # points, flying
+    counts = np.zeros((len(CLOUDS), 2), dtype=np.int64)  # points, flying
     with Predictor(arguments.model, threads=arguments.threads) as predictor:
         for sample, fed, _ in split_frames(source, indices, LidarInput("own")):
             prediction = predictor.predict(sample.rgb, fed, focal_length_px=sample.focal_length_px)
             near = (sample.depth > 0) & (sample.depth < FARTHEST_M)
             flying = flies(prediction.depth, sample.depth)
-            for edge in EDGES:
-                cloud = prediction.points(sample.intrinsics, edge_boundary=edge, keep_sky=True)
+            for place, options in enumerate(CLOUDS):
+                cloud = prediction.points(sample.intrinsics, keep_sky=True, **options)
                 counted = near[cloud.rows, cloud.columns]
                 bad = flying[cloud.rows, cloud.columns]
-                counts[edge] += np.count_nonzero(counted), np.count_nonzero(counted & bad)
+                counts[place] += np.count_nonzero(counted), np.count_nonzero(counted & bad)
     print(f"{len(indices)} frames\n")
-    print("| edge_boundary | points | of all | flying | share of points | removed of the flying |")
+    print("| options | points | of all | flying | share of points | removed of the flying |")
     print("|" + "---|" * 6)
-    all_points, all_flying = counts[None]
-    for edge, (points, bad) in counts.items():
+    all_points, all_flying = counts[0]
+    for options, (points, bad) in zip(CLOUDS, counts, strict=True):
+        named = ", ".join(f"{name} {value}" for name, value in options.items())
         print(
-            f"| {edge} | {points:,} | {points / all_points:.1%} | {bad:,} | {bad / points:.2%} | "
+            f"| {named} | {points:,} | {points / all_points:.1%} | {bad:,} | {bad / points:.2%} | "
             f"{1 - bad / all_flying:.1%} |"
         )
 

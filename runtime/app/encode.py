@@ -61,7 +61,7 @@ def encode_ply(cloud: PointCloud, classes: Sequence[ClassInfo] = ()) -> bytes:
 
     Args:
         cloud: its points have x, y, z in metres in the camera's frame, and, where it has them, red,
-            green, blue, and the class id as `label`.
+            green, blue, the class id as `label`, and `uncertainty` in metres.
         classes: in the order of the ids; names and colours are written as comments of the header.
     """
     columns: list[tuple[str, str, NDArray[Any]]] = [
@@ -74,6 +74,8 @@ def encode_ply(cloud: PointCloud, classes: Sequence[ClassInfo] = ()) -> bytes:
         ]
     if cloud.semantic is not None:
         columns.append(("label", "|u1", cloud.semantic))
+    if cloud.uncertainty is not None:
+        columns.append(("uncertainty", "<f4", cloud.uncertainty))
     vertices = np.empty(len(cloud.points), dtype=[(name, kind) for name, kind, _ in columns])
     for name, _, values in columns:
         vertices[name] = values

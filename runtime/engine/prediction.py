@@ -171,6 +171,8 @@ class Prediction:
         *,
         edge_boundary: float | Literal["auto"] | None = "auto",
         keep_sky: bool = False,
+        max_uncertainty: float | None = None,
+        voxel_m: float | None = None,
     ) -> "PointCloud":
         """Return the depth as a point cloud in the camera's frame, labelled with `semantic`.
 
@@ -182,28 +184,36 @@ class Prediction:
                 surface to the next there; "auto" = 0.25 with classes, 0.5 without; None = all
                 have one.
             keep_sky: keep the points of the class "sky", whose depth is meaningless.
+            max_uncertainty: pixels whose `depth_uncertainty` is a larger share of their depth have
+                no point; None = all have one.
+            voxel_m: keep one point of each cube of this side in metres, the one of the smallest
+                uncertainty; None = all are kept.
 
         Raises:
-            InputError: for arrays that do not fit, for a model without depth, and where `valid` is
-                False.
+            InputError: for arrays that do not fit, for a model without depth, for
+                `max_uncertainty` and a model without `depth_uncertainty`, for values out of range,
+                and where `valid` is False.
         """
         if self.depth is None or not self.valid:
             reason = ", ".join(self.degraded) if self.depth is not None else "it has no such head"
             raise InputError(f"the prediction has no usable depth: {reason}")
-        from runtime.geometry.point_cloud import to_points  # on demand
+        from runtime.geometry.point_cloud import thin_to_voxels, to_points  # on demand
 
         matrix: Any = intrinsics
         lens = None
         if hasattr(matrix, "lens_model"):  # a Calibration, which is not imported here
             matrix.require_size(self.depth.shape)
             matrix, lens = matrix.intrinsics, matrix.lens_model
-        return to_points(
+        cloud = to_points(
             self.depth,
             matrix,
             lens=lens,
             rgb=rgb,
             semantic=self.semantic,
             boundary=self.boundary,
+            uncertainty=self.depth_uncertainty,
             edge_boundary=edge_boundary,
+            max_uncertainty=max_uncertainty,
             sky=None if keep_sky or self.contract is None else self.contract.sky,
         )
+        return cloud if voxel_m is None else thin_to_voxels(cloud, voxel_m)

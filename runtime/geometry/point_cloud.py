@@ -1,15 +1,18 @@
 """From a predicted depth map to a point cloud, without the points between objects."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.base.checks import check_number
 from runtime.base.errors import InputError
 from runtime.contract.heads import EDGE_BOUNDARY
 from runtime.geometry.lens import Lens, as_key, rays, to_plane
 from runtime.geometry.projection import check_intrinsics
+
+_LEAST_VOXEL_M = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,6 +23,8 @@ class PointCloud:
         points: float32 (N, 3), metres.
         rgb: uint8 (N, 3), colours of the image; None without an image.
         semantic: uint8 (N,), class ids; None without that head.
+        uncertainty: float32 (N,), metres, as `Prediction.depth_uncertainty`; None without that
+            head.
         rows: int32 (N,), the pixel's row of each point.
         columns: int32 (N,), the pixel's column of each point.
     """
@@ -27,8 +32,21 @@ class PointCloud:
     points: NDArray[np.float32]
     rgb: NDArray[np.uint8] | None
     semantic: NDArray[np.uint8] | None
+    uncertainty: NDArray[np.float32] | None
     rows: NDArray[np.int32]
     columns: NDArray[np.int32]
+
+    def take(self, chosen: NDArray[Any]) -> "PointCloud":
+        """Return a cloud of some of the points.
+
+        Args:
+            chosen: their indices, or bool (N,).
+        """
+        arrays: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self)}
+        taken: dict[str, Any] = {
+            name: None if array is None else array[chosen] for name, array in arrays.items()
+        }
+        return PointCloud(**taken)
 
 
 def to_points(
@@ -39,7 +57,9 @@ def to_points(
     rgb: NDArray[np.uint8] | None = None,
     semantic: NDArray[np.uint8] | None = None,
     boundary: NDArray[np.float32] | None = None,
+    uncertainty: NDArray[np.float32] | None = None,
     edge_boundary: float | Literal["auto"] | None = "auto",
+    max_uncertainty: float | None = None,
     sky: int | None = None,
 ) -> PointCloud:
     """Return a point for each pixel that has depth, row after row.
@@ -52,8 +72,11 @@ def to_points(
         rgb: uint8 (H, W, 3), colours of the points.
         semantic: uint8 (H, W), class ids.
         boundary: float32 (H, W), probability; pixels above `edge_boundary` have no point.
+        uncertainty: float32 (H, W), metres.
         edge_boundary: "auto" = 0.25 with `semantic`, 0.5 without, because the boundary of a model
             without classes is never halved; None = all are kept.
+        max_uncertainty: pixels whose uncertainty is a larger share of their depth have no point;
+            None = all are kept.
         sky: class id whose pixels have no point; None = there is none.
 
     Raises:
@@ -62,15 +85,26 @@ def to_points(
     check_intrinsics(intrinsics)
     if rgb is not None and rgb.dtype != np.uint8:
         raise InputError(f"rgb must be uint8, got {rgb.dtype}")
-    arrays = {"rgb": (rgb, (3,)), "semantic": (semantic, ()), "boundary": (boundary, ())}
+    arrays: dict[str, tuple[NDArray[Any] | None, tuple[int, ...]]] = {
+        "rgb": (rgb, (3,)),
+        "semantic": (semantic, ()),
+        "boundary": (boundary, ()),
+        "uncertainty": (uncertainty, ()),
+    }
     for name, (array, channels) in arrays.items():
         if array is not None and array.shape != (expected := (*depth.shape, *channels)):
             raise InputError(f"{name} must have the shape {expected}, got {array.shape}")
+    if max_uncertainty is not None:
+        max_uncertainty = check_number("max_uncertainty", max_uncertainty, 0, 1e6, error=InputError)
+        if uncertainty is None:
+            raise InputError("max_uncertainty needs an uncertainty, which this model does not have")
     if edge_boundary == "auto":
         edge_boundary = EDGE_BOUNDARY if semantic is None else EDGE_BOUNDARY / 2
     kept = (depth > 0) & (depth < np.inf)
     if boundary is not None and edge_boundary is not None:
         kept &= boundary <= edge_boundary
+    if uncertainty is not None and max_uncertainty is not None:
+        kept &= uncertainty <= max_uncertainty * depth
     if semantic is not None and sky is not None:
         kept &= semantic != sky
     if lens is not None:
@@ -86,6 +120,31 @@ def to_points(
         points=np.stack([x * z, y * z, z], axis=1),
         rgb=None if rgb is None else rgb[row, column],
         semantic=None if semantic is None else semantic[row, column],
+        uncertainty=None if uncertainty is None else uncertainty[row, column],
         rows=row.astype(np.int32),
         columns=column.astype(np.int32),
     )
+
+
+def thin_to_voxels(cloud: PointCloud, side_m: float) -> PointCloud:
+    """Keep one point of each cube of space, in the order of the pixels.
+
+    It is the point of the smallest uncertainty, or the first where there is none.
+
+    Args:
+        cloud: its points.
+        side_m: side of the cubes, metres, which are aligned with the axes of the camera.
+
+    Raises:
+        InputError: if the side is out of range.
+    """
+    side_m = check_number("voxel_m", side_m, _LEAST_VOXEL_M, 1e6, "metres", error=InputError)
+    # 21 bits an axis: cubes of a centimetre up to 10 km.
+    cubes = np.clip(np.floor(cloud.points / side_m).astype(np.int64), -(2**20), 2**20 - 1)
+    x, y, z = (cubes + 2**20).T
+    keys = (x << 42) | (y << 21) | z
+    doubt = np.zeros(len(keys), np.float32) if cloud.uncertainty is None else cloud.uncertainty
+    order = np.lexsort((doubt, keys))  # stable: ties keep the first
+    is_first = np.ones(len(keys), dtype=np.bool_)
+    is_first[1:] = keys[order[1:]] != keys[order[:-1]]
+    return cloud.take(np.sort(order[is_first]))

@@ -46,6 +46,9 @@ KINDS = tuple(kind for kind in SUFFIXES if kind != CLOUD)
 MAX_OVERLAY_WIDTH = 8192  # five panels side by side fit into a JPEG
 #: Option that names a file -> its suffix.
 FILE_SUFFIXES = {"video": ".mp4", "report": ".html", "mcap": ".mcap"}
+MCAP_VOXEL_M = (
+    0.1  # side of the cubes of which --mcap keeps one point, unless --cloud-voxel is given
+)
 DEFAULT_RATE_HZ = 10.0  # of frames without stamps: a LiDAR's
 OPTION = "option"  # of the metadata of a field: the option of the command
 _RIG_OPTIONS = ("calibration", "max_skew_ms", "reuse_depth_ms")  # attributes of the `Rig`
@@ -180,6 +183,19 @@ class RunOptions:
         "Write the results as standard ROS 2 messages (extra bag), with the stamps of the camera, "
         "or at --rate where there are none.",
         metavar=f"FILE{FILE_SUFFIXES['mcap']}",
+    )
+    cloud_voxel: float | None = _outputs(
+        "Keep one point of the clouds of --save and --mcap in each cube of this side, the one of "
+        f"the least uncertainty. [default: all points in --save, {MCAP_VOXEL_M:g} in --mcap]",
+        metavar="METRES",
+        min=0.01,
+        max=1e3,
+    )
+    max_uncertainty: float | None = _outputs(
+        "Leave points out of these clouds whose uncertainty is a larger share of their depth.",
+        metavar="SHARE",
+        min=0,
+        max=1e3,
     )
     record: Path | None = _outputs(
         "Record frames, results and model for ssdnet-verify; about 17 bytes per pixel and frame.",

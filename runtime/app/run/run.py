@@ -210,6 +210,12 @@ def _answered_kinds(
         raise InputError(
             "--save cloud needs the camera's intrinsics: give --calibration or --focal-length"
         )
+    if options.max_uncertainty is not None and "depth_uncertainty" not in predictor.heads:
+        raise InputError(
+            f"--max-uncertainty needs the uncertainty of the depth, which the model "
+            f"{predictor.contract.model_name} does not answer: leave it out, or choose another "
+            "--model"
+        )
     return tuple(kind for kind in options.kinds if kind not in missing)
 
 

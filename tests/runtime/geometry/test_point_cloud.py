@@ -7,7 +7,7 @@ import pytest
 
 from runtime import Predictor, project_points
 from runtime.base.errors import InputError
-from runtime.geometry.point_cloud import to_points
+from runtime.geometry.point_cloud import thin_to_voxels, to_points
 
 K = np.array([[60.0, 0.5, 31.5], [0, 62, 20.25], [0, 0, 1]])
 SIZE = (48, 64)
@@ -86,3 +86,37 @@ def test_the_sky_has_no_points_unless_asked_for(model_file, make_frame, contract
     assert 0 < (prediction.semantic[edges] == 1).sum() < edges.sum()
     assert len(prediction.points(K).points) == (edges & (prediction.semantic == 0)).sum()
     assert len(prediction.points(K, keep_sky=True).points) == edges.sum()
+
+
+def test_points_of_a_large_share_of_uncertainty_are_left_out():
+    depth = np.abs(np.nan_to_num(depth_map(), posinf=1, neginf=1)) + 1
+    uncertainty = np.random.default_rng(2).uniform(0, 20, SIZE).astype(np.float32)
+    cloud = to_points(depth, K, uncertainty=uncertainty, max_uncertainty=0.2)
+    kept = uncertainty <= 0.2 * depth
+    np.testing.assert_array_equal(cloud.uncertainty, uncertainty[kept])
+    assert 0 < len(cloud.points) < kept.size
+    for options in ({"max_uncertainty": 0.2}, {"uncertainty": uncertainty, "max_uncertainty": -1}):
+        with pytest.raises(InputError, match="max_uncertainty"):
+            to_points(depth, K, **options)
+
+
+def test_of_each_cube_the_surest_point_is_kept():
+    rng = np.random.default_rng(3)
+    depth = np.full(SIZE, 10, np.float32) + rng.uniform(-0.4, 0.4, SIZE).astype(np.float32)
+    uncertainty = rng.uniform(0, 1, SIZE).astype(np.float32)
+    whole = to_points(depth, K, uncertainty=uncertainty)
+    thin = thin_to_voxels(whole, 1.0)
+    best = {}
+    for index, point in enumerate(whole.points):
+        cube = tuple(np.floor(point))
+        if cube not in best or uncertainty.flat[index] < uncertainty.flat[best[cube]]:
+            best[cube] = index
+    chosen = sorted(best.values())
+    assert 10 < len(chosen) < 400
+    np.testing.assert_array_equal(thin.points, whole.points[chosen])
+    np.testing.assert_array_equal(thin.rows * SIZE[1] + thin.columns, chosen)
+    first = thin_to_voxels(to_points(depth, K), 1.0)
+    assert len(first.points) == len(thin.points)
+    assert first.rows[0] == first.columns[0] == 0, "without uncertainty the first"
+    with pytest.raises(InputError, match="voxel_m"):
+        thin_to_voxels(whole, 0)

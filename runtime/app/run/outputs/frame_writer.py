@@ -4,16 +4,12 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from runtime.app.encode import ENCODERS, encode_jpeg, encode_ply
 from runtime.app.run.options import CLOUD, OVERLAY, SAVED_HEADS, SUFFIXES, RunOptions
 from runtime.app.run.outputs.output import OpenRun
 from runtime.app.run.run_report import FRAMES_FILE, REPORT_FILE, write_report
 from runtime.files.atomic_write import atomic_write
 from runtime.files.own_folder import make_own_folder
-from runtime.geometry.calibration import Calibration
 from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
 
@@ -43,23 +39,14 @@ class FrameWriter:
     def _encode(self, kind: str, frame: Frame, result: FrameResult) -> bytes | memoryview | None:
         run, prediction = self._run, result.prediction
         if kind == CLOUD:
-            cloud = prediction.points(_intrinsics(frame, run.predictor.focal_length_px), frame.rgb)
+            cloud = run.cloud(frame, prediction)
+            assert cloud is not None, "the camera is checked before the run"
             return encode_ply(cloud, run.predictor.contract.classes)
         if kind == OVERLAY:
             return encode_jpeg(run.draw(frame, result))
         head, unit = SAVED_HEADS[kind]
         values = prediction.heads.get(head)
         return None if values is None else ENCODERS[unit](values)
-
-
-def _intrinsics(frame: Frame, focal_length_px: float | None) -> Calibration | NDArray[np.float64]:
-    """The calibration of a frame, else a camera matrix with its principal point in the middle."""
-    if frame.calibration is not None:
-        return frame.calibration
-    assert focal_length_px is not None, "checked before the run"
-    height, width = frame.rgb.shape[:2]
-    x, y = (width - 1) / 2, (height - 1) / 2
-    return np.array([[focal_length_px, 0, x], [0, focal_length_px, y], [0, 0, 1.0]])
 
 
 @contextlib.contextmanager

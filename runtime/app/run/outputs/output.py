@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 from runtime.app.drawing.overlay import Overlay
 from runtime.app.run.options import RunOptions
 from runtime.app.run.run_report import RunReport
+from runtime.engine.prediction import Prediction
 from runtime.engine.predictor import Predictor
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.point_cloud import PointCloud
 from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
 
@@ -40,7 +43,37 @@ class OpenRun:
         widest = self.options.overlay_width or widest
         return self._overlay.draw(frame.rgb, result.prediction, frame.sparse_depth, widest=widest)
 
+    def cloud(
+        self, frame: Frame, prediction: Prediction, *, voxel_m: float | None = None
+    ) -> PointCloud | None:
+        """The cloud of a frame as the options say; None where the camera is not known.
+
+        voxel_m: side of the cubes of which one point is kept, unless --cloud-voxel is given.
+        """
+        camera = camera_of(frame, self.predictor.focal_length_px)
+        if camera is None or prediction.depth is None:
+            return None
+        return prediction.points(
+            camera,
+            frame.rgb,
+            max_uncertainty=self.options.max_uncertainty,
+            voxel_m=self.options.cloud_voxel or voxel_m,
+        )
+
     @cached_property
     def _overlay(self) -> Overlay:
         contract = self.predictor.contract
         return Overlay(contract.classes, contract.max_depth_m)
+
+
+def camera_of(frame: Frame, focal_length_px: float | None) -> Calibration | None:
+    """The calibration of a frame, else of a camera with its principal point in the middle.
+
+    None where the focal length is not known, either.
+    """
+    if frame.calibration is not None or focal_length_px is None:
+        return frame.calibration
+    height, width = frame.size
+    x, y = (width - 1) / 2, (height - 1) / 2
+    matrix = np.array([[focal_length_px, 0, x], [0, focal_length_px, y], [0, 0, 1.0]])
+    return Calibration(matrix, np.eye(4))

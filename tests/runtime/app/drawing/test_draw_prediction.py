@@ -90,11 +90,12 @@ def test_a_cloud_is_saved_with_colours_and_labels(tmp_path, answered, read_ply, 
     for channel, name in enumerate(("red", "green", "blue")):
         np.testing.assert_array_equal(points[name], cloud.rgb[:, channel])
     np.testing.assert_array_equal(points["label"], cloud.semantic)
+    np.testing.assert_array_equal(points["uncertainty"], cloud.uncertainty)
     assert "comment label 1 red 200 30 30" in lines
 
 
 def test_a_cloud_without_picture_and_classes_is_points_alone(tmp_path, answered, read_ply):
-    prediction = change(answered[1], without=["semantic"], contract=None)
+    prediction = change(answered[1], without=["semantic", "depth_uncertainty"], contract=None)
     prediction.save(tmp_path / "a.ply", intrinsics=K)
     assert read_ply(tmp_path / "a.ply")[1].dtype.names == ("x", "y", "z")
 

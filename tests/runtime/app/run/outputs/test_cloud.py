@@ -34,3 +34,25 @@ def test_without_a_camera_the_command_fails_before_anything_is_written(tmp_path,
     assert result.exit_code == 1
     assert "--save cloud needs the camera's intrinsics: give --calibration" in result.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_clouds_are_thinned_as_the_options_say(tmp_path, run, stream, all_heads, read_ply):
+    thin = "--cloud-voxel", 5, "--max-uncertainty", 0.2
+    done = run("--focal-length", 62, "--save", "cloud", "--limit", 1, *thin)
+    assert done.exit_code == 0, done.output
+    source = FolderSource(stream[0], depth=stream[1])
+    frame = source.read(source.list_frames()[0])
+    with Predictor(all_heads, threads=1) as predictor:
+        prediction = predictor.predict(frame.rgb, frame.sparse_depth)
+    camera = np.array([[62, 0, 31.5], [0, 62, 23.5], [0, 0, 1.0]])
+    expected = prediction.points(camera, frame.rgb, max_uncertainty=0.2, voxel_m=5)
+    assert 0 < len(expected.points) < len(prediction.points(camera).points)
+    _, points = read_ply(next((tmp_path / "out/cloud").iterdir()))
+    np.testing.assert_array_equal(points["uncertainty"], expected.uncertainty)
+    np.testing.assert_array_equal(points["x"], expected.points[:, 0])
+
+
+def test_a_share_of_uncertainty_needs_a_model_that_answers_it(tmp_path, run, model_file):
+    done = run("--max-uncertainty", 0.2, "--model", model_file())
+    assert done.exit_code == 1
+    assert "--max-uncertainty needs the uncertainty" in done.stderr
