@@ -16,6 +16,7 @@ from runtime.files.read_input import read_toml
 from runtime.geometry.kitti_calibration import NumbersFile, chain, is_kitti
 from runtime.geometry.lens import PLUMB_BOB, Lens, as_key, rectifying_maps
 from runtime.geometry.projection import check_intrinsics, project_points
+from runtime.geometry.region import region_of_images
 from runtime.geometry.rigid import read_rigid
 
 RAW_CAMERAS, RAW_SCANNER = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
@@ -222,7 +223,12 @@ class Calibration:
 
     @classmethod
     def from_camera_info(
-        cls, info: Mapping[str, Any], extrinsics: Any, *, rectified: bool
+        cls,
+        info: Mapping[str, Any],
+        extrinsics: Any,
+        *,
+        rectified: bool,
+        size: tuple[int, int] | None = None,
     ) -> "Calibration":
         """Take the fields of a ROS CameraInfo.
 
@@ -233,6 +239,7 @@ class Calibration:
                 P holds a baseline, to the frame of the stereo pair's first camera.
             rectified: True for the images of image_rect, which P describes; False for those of
                 image_raw, which K and D describe. Of K and P, one that is not zero is used.
+            size: (height, width) of the images; None: by the CameraInfo, see `region_of_images`.
 
         Raises:
             InputError: if fields are missing, and for a distortion that is no `lens`.
@@ -241,7 +248,7 @@ class Calibration:
         distortion = fields.get("d", ())
         lens = None if rectified else Lens.of_ros(fields.get("distortion_model"), distortion)
         projection = _matrix("P of the CameraInfo", fields.get("p", [0] * 12), 3, 4)
-        shift, (crop, size) = np.eye(4), _crop(fields)
+        shift = np.eye(4)
         if projection.any() and (rectified or not np.any(fields.get("k", 0))):
             intrinsics = projection[:, :3]
             check_intrinsics(intrinsics, "P of the CameraInfo, without its last column,")
@@ -256,8 +263,9 @@ class Calibration:
                 )
         else:
             raise InputError("the CameraInfo has neither p nor k: give its fields as a mapping")
+        intrinsics, size = region_of_images(fields, intrinsics, size)
         return cls(
-            crop @ intrinsics,
+            intrinsics,
             shift @ _matrix("extrinsics", extrinsics, 4, 4),
             size,
             lens=None if lens is None else lens.model,
@@ -302,19 +310,6 @@ def find_raw_calibration(drive: Path) -> Path | None:
     """The folder with KITTI raw data's calibration: `drive` or its parent; None without one."""
     folders = (drive, Path(os.path.realpath(drive)).parent)
     return next((each for each in folders if os.path.exists(each / RAW_CAMERAS)), None)
-
-
-def _crop(fields: Mapping[str, Any]) -> tuple[NDArray[np.float64], tuple[int, int] | None]:
-    """From pixels of the whole sensor to those of the images of a CameraInfo, and their size."""
-    roi = fields.get("roi") or {}
-    step = np.array([int(fields.get(f"binning_{axis}") or 1) for axis in "xy"])
-    # Of `step` pixels the centre is in their middle.
-    first = np.array([int(roi.get(f"{axis}_offset") or 0) for axis in "xy"]) + (step - 1) / 2
-    sides = np.array([int(roi.get(each) or fields.get(each) or 0) for each in ("height", "width")])
-    crop = np.diag([*(1 / step), 1.0])
-    crop[:2, 2] = -first / step
-    height, width = (sides // step[::-1]).tolist()
-    return crop, (height, width) if height and width else None
 
 
 def _matrix(name: str, numbers: Any, rows: int, columns: int) -> NDArray[np.float64]:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume, collect_assumptions
 from runtime.geometry.calibration import Calibration
@@ -22,7 +23,6 @@ from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.ros_bag import RecordedMessage, RosBag
 from runtime.recordings.ros_camera import CAMERA_INFO, GIVE, SAME_PX, calibrate, projection_of
 from runtime.recordings.ros_messages import (
-    DEPTHS,
     decode_compressed_image,
     decode_depth_image,
     decode_image,
@@ -31,23 +31,18 @@ from runtime.recordings.ros_messages import (
 from runtime.recordings.ros_poses import (
     TransformTree,
     frame_name,
+    is_fixed,
     odometry_pose,
     odometry_poses,
     point_times_s,
     transform_poses,
 )
-from runtime.recordings.source import ListedFrame, Source, left_out_note, track_of
+from runtime.recordings.ros_topics import COMPRESSED_IMAGE, NO_TOPIC, POINT_CLOUD, RosTopics
+from runtime.recordings.source import ListedFrame, Source, track_of
 from runtime.streams.frame import Frame, Message, Outcome, Sensor
 
-IMAGE = "sensor_msgs/msg/Image"
-COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
-POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-#: Value of depth_topic for the camera alone, and of pose_topic for scans that are not moved.
-NO_TOPIC = "none"
-
-
 _SUFFIXES = (".bag", ".db3", ".mcap")
 
 
@@ -56,8 +51,8 @@ class BagOptions(NamedTuple):
 
     Attributes:
         image_topic: of Image or CompressedImage; None: the only one.
-        depth_topic: of PointCloud2, or of Image in 16UC1 [mm] or 32FC1 [m] of the image's size;
-            "none": the camera alone; None: the only one.
+        depth_topic: of PointCloud2, or of Image in 16UC1 or mono16 [mm] or 32FC1 [m];
+            "none": the camera alone; None: the only one, without those that `role_of` doubts.
         info_topic: of CameraInfo; None: the one beside the images.
         rectified: whether the images are; None: by their CameraInfo and the name of their topic.
         registered: whether depth images lie on the pixels of the images; None: if both are of one
@@ -98,18 +93,23 @@ class BagSource(Source):
     rig_options = ("calibration", "max_skew_ms", "reuse_depth_ms", "scan_stamp")
 
     def __init__(self, path: Path | RosBag, rig: Rig = DEFAULT_RIG, **options: Any) -> None:
-        self._given, self._rig = BagOptions(**options), rig
+        given = self._given = BagOptions(**options)
+        self._rig = rig
+        self._of_frames: dict[str, Calibration] = {}  # of scans, by their frames
         self._bag = path if isinstance(path, RosBag) else RosBag(path)
         path = self._bag.path
         self.folders = (path if os.path.isdir(path) else Path(os.path.realpath(path)).parent,)
         self.recordings = (path,)
         try:
-            self._image_topic, self._depth_topic = self._find_topics()
-            self._has_clouds = self._depth_topic in self._of_kind(POINT_CLOUD)
-            infos, beside = self._of_kind(CAMERA_INFO), self._infos_beside(self._image_topic)
-            self._info_topic = self._choose("info_topic", infos, beside[:1])
+            topics = self._bag_topics = RosTopics(self._bag)
             self._depth_camera: Calibration | None = None  # if depth images are projected
             with collect_assumptions(self._notes):
+                self._image_topic, self._depth_topic = topics.find(
+                    given.image_topic, given.depth_topic
+                )
+                self._has_clouds = self._depth_topic in topics.of_kind(POINT_CLOUD)
+                infos, beside = topics.of_kind(CAMERA_INFO), topics.infos_beside(self._image_topic)
+                self._info_topic = topics.choose("info_topic", given.info_topic, infos, beside[:1])
                 self.calibration = self._calibrate()
                 self._pose_topic = self._find_poses()
         except BaseException:
@@ -143,56 +143,6 @@ class BagSource(Source):
         bag = RosBag(path)
         return {name: cls(bag, rig, image_topic=topic, **options) for name, topic in names.items()}
 
-    def _of_kind(self, *kinds: str) -> list[str]:
-        return sorted(topic for topic, kind in self._bag.types.items() if kind in kinds)
-
-    def _find_topics(self) -> tuple[str, str | None]:
-        """The topics of images and of depth, as requested or guessed."""
-        images, depths = self._of_kind(COMPRESSED_IMAGE), self._of_kind(POINT_CLOUD)
-        images = [topic for topic in images if not topic.endswith("/compressedDepth")]
-        for topic in self._of_kind(IMAGE):
-            with contextlib.suppress(InputError):  # if no message can be decoded
-                encoding = self._bag.first(topic).encoding
-                (depths if encoding in DEPTHS else images).append(topic)
-        twice = {f"{topic}/compressed" for topic in images}  # compressed copies of the same images
-        single = [topic for topic in images if topic not in twice]
-        image = self._choose("image_topic", images, single)
-        if image is None:
-            raise self._undecided("images", single, "image_topic=TOPIC, or TOPIC+TOPIC for several")
-        if self._given.depth_topic == NO_TOPIC:
-            return image, None
-        depth = self._choose("depth_topic", depths, depths)
-        if depth is None:
-            ways = f"depth_topic=TOPIC, or depth_topic={NO_TOPIC} for the camera alone"
-            raise self._undecided("point clouds or depth images", depths, ways)
-        return image, depth
-
-    def _choose(self, option: str, fitting: list[str], guesses: list[str]) -> str | None:
-        """The requested topic, or the only guess; None without one. Raises InputError."""
-        requested: str | None = getattr(self._given, option)
-        if requested is None:
-            return guesses[0] if len(guesses) == 1 else None
-        if requested not in fitting:
-            raise InputError(
-                f"{option}={requested} is not a topic of its kind in {self._bag.path}, which has "
-                f"{', '.join(fitting) or 'none'}"
-            )
-        return requested
-
-    def _undecided(self, what: str, found: list[str], ways: str) -> InputError:
-        bag, path = self._bag, self._bag.path
-        topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(bag.types.items()))
-        return InputError(
-            f"{path} has {len(found) or 'no'} topics of {what}, give --source bag:{path},{ways}. "
-            f"It has the topics {'; '.join([topics or '(none)', *left_out_note(bag.left_out)])}"
-        )
-
-    def _infos_beside(self, topic: str) -> list[str]:
-        """The topics of CameraInfo in the namespaces of a topic of images, the innermost first."""
-        parts, infos = topic.split("/"), self._of_kind(CAMERA_INFO)
-        names = ("/".join([*parts[:end], "camera_info"]) for end in reversed(range(len(parts))))
-        return [name for name in names if name in infos]
-
     def _calibrate(self) -> Calibration | None:
         """The given calibration, or that of CameraInfo and /tf_static."""
         image, depth = self._image_topic, self._depth_topic
@@ -206,10 +156,16 @@ class BagSource(Source):
                 return self._camera(image)
             return None
         try:
+            frame = self._frame(depth)
             if not self._has_clouds:
                 self._depth_camera = self._camera(depth)
+            elif frame in self._fixed_frames or is_fixed(frame):
+                what = f"{depth} lies in the frame of the LiDAR, although {frame} is fixed and "
+                assume(f"{what}the LiDAR moves in it", "choose the raw scans by depth_topic=")
             given = self._rig.read_calibration(for_scans=True)
-            return self._camera(image, self._frame(depth)) if given is None else given
+            if given is None and not frame:
+                raise InputError(f"the messages of {depth} name no frame: {GIVE}")
+            return self._camera(image, frame) if given is None else given
         except InputError as error:
             if self._has_clouds:
                 raise
@@ -243,7 +199,9 @@ class BagSource(Source):
         source: frame of the points to be projected; "" = that of the images. Raises InputError.
         """
         is_image = topic == self._image_topic
-        info = self._info_topic if is_image else next(iter(self._infos_beside(topic)), None)
+        info = (
+            self._info_topic if is_image else next(iter(self._bag_topics.infos_beside(topic)), None)
+        )
         if info is None:
             remedy = "give info_topic= in --source, or --calibration"
             raise InputError(f"{self._bag.path} has no CameraInfo beside {topic}: {remedy}")
@@ -252,11 +210,64 @@ class BagSource(Source):
 
     def _frame(self, topic: str) -> str:
         """The frame of the first message of a topic."""
-        return frame_name(self._bag.first(topic).header.frame_id)
+        if topic not in self._first_frames:
+            self._first_frames[topic] = frame_name(self._bag.first(topic).header.frame_id)
+        return self._first_frames[topic]
+
+    @cached_property
+    def _first_frames(self) -> dict[str, str]:
+        return {}
+
+    @cached_property
+    def _fixed_frames(self) -> set[str]:
+        """The frames in which an Odometry moves the car."""
+        found = set()
+        for topic in self._bag_topics.of_kind(ODOMETRY):
+            with contextlib.suppress(InputError):
+                found.add(self._frame(topic))
+        return found
+
+    def _calibration_of(self, depth: Any) -> Calibration | None:
+        """The calibration for a message of depth, by its own frame: not all are of the first's.
+
+        Raises InputError if /tf_static does not connect both, and for depth images.
+        """
+        topic, frame = self._depth_topic or "", frame_name(depth.header.frame_id)
+        first, calibration = self._frame(topic), self.calibration
+        if frame == first or calibration is None or self._given.registered:
+            return calibration
+        if frame not in self._of_frames:
+            try:
+                if not self._has_clouds:
+                    raise InputError("each topic of depth images must be of one camera")
+                move = self._tree.between(frame, first)
+            except InputError as error:
+                raise InputError(
+                    f"a message of {topic} is of the frame {shown(frame)}, the first of "
+                    f"{shown(first)}: {error}"
+                ) from error
+            body = calibration.body_from_lidar
+            self._of_frames[frame] = replace(
+                calibration,
+                extrinsics=calibration.extrinsics @ move,
+                body_from_lidar=None if body is None else body @ move,
+            )
+        return self._of_frames[frame]
+
+    def _require_camera(self, image: Any) -> None:
+        """Raise InputError for an image of another frame than the calibration's."""
+        topic, frame = self._image_topic, frame_name(image.header.frame_id)
+        if self.calibration is not None and frame not in ("", self._frame(topic)):
+            raise InputError(
+                f"an image of {topic} is of the frame {shown(frame)}, the first of "
+                f"{shown(self._frame(topic))}: each topic of images must be of one camera"
+            )
 
     @cached_property
     def _tree(self) -> TransformTree:
-        topics = (topic for topic in self._of_kind(*TRANSFORMS) if topic.endswith("tf_static"))
+        topics = (
+            topic for topic in self._bag_topics.of_kind(*TRANSFORMS) if topic.endswith("tf_static")
+        )
         return TransformTree(chain.from_iterable(map(self._bag.decoded, topics)))
 
     def _find_poses(self) -> str | None:
@@ -264,11 +275,13 @@ class BagSource(Source):
 
         Raises InputError if the requested topic cannot be used.
         """
-        odometry = self._of_kind(ODOMETRY)
-        moving = [t for t in self._of_kind(*TRANSFORMS) if not t.endswith("tf_static")]
+        odometry = self._bag_topics.of_kind(ODOMETRY)
+        moving = [t for t in self._bag_topics.of_kind(*TRANSFORMS) if not t.endswith("tf_static")]
         if self._given.pose_topic == NO_TOPIC or not self._has_clouds:
             return None
-        topic = self._choose("pose_topic", odometry + moving, odometry or moving[:1])
+        topic = self._bag_topics.choose(
+            "pose_topic", self._given.pose_topic, odometry + moving, odometry or moving[:1]
+        )
         if topic is None:
             if odometry:
                 names = ", ".join(odometry)
@@ -355,11 +368,15 @@ class BagSource(Source):
         messages = self._take(frame)
         image = self._bag.decode(messages[frame.image])
         is_compressed = self._bag.types[self._image_topic] == COMPRESSED_IMAGE
+        self._require_camera(image)
         rgb = decode_compressed_image(image) if is_compressed else decode_image(image)
         depth: NDArray[np.float32] | Scan | None = None
+        calibration = self.calibration
         if frame.depth is not None:
-            depth = self._decode_depth(frame, self._bag.decode(messages[frame.depth]))
-        return self.measured(frame, rgb, depth, self.calibration)
+            message = self._bag.decode(messages[frame.depth])
+            calibration = self._calibration_of(message)
+            depth = self._decode_depth(frame, message)
+        return self.measured(frame, rgb, depth, calibration)
 
     def _decode_depth(self, frame: ListedFrame, message: Any) -> NDArray[np.float32] | Scan:
         """The depth map of a frame; as a scan if it is a cloud, or of another camera."""

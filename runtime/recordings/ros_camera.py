@@ -62,8 +62,6 @@ def calibrate(
     size = getattr(image, "height", 0), getattr(image, "width", 0)
     if not all(size):
         size = image_size(bytes(memoryview(image.data))) or size
-    if size == (fields["height"], fields["width"]):  # K and P are of the images, not of the sensor
-        fields |= {"binning_x": 0, "binning_y": 0, "roi": {}}
     try:
         if rectified is None:
             rectified = is_rectified(fields, topic)
@@ -72,7 +70,9 @@ def calibrate(
             if np.abs(turn - np.eye(3)).max() > _TURN:
                 kind = "rectified" if rectified else "raw"
                 assume(f"{frame} is the frame of the {kind} images, so R is not used", GIVE)
-        found = Calibration.from_camera_info(fields, extrinsics, rectified=rectified)
+        found = Calibration.from_camera_info(
+            fields, extrinsics, rectified=rectified, size=size if all(size) else None
+        )
     except InputError as error:
         raise InputError(f"the CameraInfo of {beside}: {error}; or {GIVE}") from error
     shift = found.extrinsics[:3, 3] - extrinsics[:3, 3]  # by P, of the second camera of a pair

@@ -29,8 +29,13 @@ _PICTURES: dict[str, tuple[int, int | None]] = {
     "bayer_gbrg8": (1, cv2.COLOR_BayerGBRG2RGB),
     "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2RGB),
 }
-#: Encoding of a depth map -> type and units per metre (REP 118).
-DEPTHS: dict[str, tuple[str, float]] = {"16UC1": ("u2", 1000.0), "32FC1": ("f4", 1.0)}
+MONO16 = "mono16"
+#: Encoding of a depth map -> type and units per metre (REP 118); some drivers write mono16.
+DEPTHS: dict[str, tuple[str, float]] = {
+    "16UC1": ("u2", 1000.0),
+    "32FC1": ("f4", 1.0),
+    MONO16: ("u2", 1000.0),
+}
 #: Datatypes of a PointField that a coordinate may have.
 _FLOATS = {7: "f4", 8: "f8"}
 
@@ -51,7 +56,7 @@ def decode_image(message: Any) -> NDArray[np.uint8]:
     if encoding not in _PICTURES:
         hint = "expected one of " + ", ".join(_PICTURES)
         if encoding in DEPTHS:
-            hint = "that is a depth map: name it by depth_topic= in --source"
+            hint = "if that is a depth map, name it by depth_topic= in --source"
         raise InputError(f"an Image has the encoding {shown(encoding)}: {hint}")
     channels, conversion = _PICTURES[encoding]
     pixels = np.ascontiguousarray(_pixels(message, np.dtype("u1"), channels))
@@ -73,7 +78,8 @@ def decode_compressed_image(message: Any) -> NDArray[np.uint8]:
     """
     # "ENCODING; jpeg compressed TARGET" of image_transport, or "jpeg".
     encoding, name = str(message.format).split(";")[0].strip(), shown(message.format)
-    if encoding in DEPTHS or "compressedDepth" in str(message.format):
+    is_depth = encoding in DEPTHS and encoding != MONO16
+    if is_depth or "compressedDepth" in str(message.format):
         raise InputError(
             f"a CompressedImage has the format {name}, a depth map: republish it as raw, for "
             "depth_topic= in --source"
@@ -91,7 +97,7 @@ def decode_depth_image(message: Any) -> NDArray[np.float32]:
     """Decode a depth Image.
 
     Args:
-        message: sensor_msgs/Image in 16UC1 [mm] or 32FC1 [m].
+        message: sensor_msgs/Image in 16UC1 or mono16 [mm], or 32FC1 [m].
 
     Returns:
         float32 (H, W), metres; 0 and what is not finite, as of 65535, = no measurement.
@@ -102,7 +108,8 @@ def decode_depth_image(message: Any) -> NDArray[np.float32]:
     encoding = message.encoding
     if encoding not in DEPTHS:
         raise InputError(
-            f"a depth Image has the encoding {shown(encoding)}: expected 16UC1 [mm] or 32FC1 [m]"
+            f"a depth Image has the encoding {shown(encoding)}: expected 16UC1 or mono16 [mm], "
+            "or 32FC1 [m]"
         )
     kind, units_a_metre = DEPTHS[encoding]
     order = ">" if message.is_bigendian else "<"

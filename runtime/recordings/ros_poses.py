@@ -21,7 +21,8 @@ _TIMES = {6: "u4", 5: "i4", 7: "f4", 8: "f8"}
 _LONGEST_SCAN_S = 1.0
 #: Least value of nanoseconds since 1970 (here 1973), and least span of a scan in microseconds.
 _LEAST_EPOCH_NS, _LEAST_SPAN_US, _LEAST_SPAN_NS = 1e17, 1e3, 1e6
-_FIXED = ("odom", "map", "earth")  # REP 105
+#: REP 105, and what programs of SLAM call it.
+_FIXED = ("odom", "map", "earth", "world", "camera_init")
 
 
 def odometry_pose(message: Any) -> NDArray[np.float64]:
@@ -103,17 +104,21 @@ def odometry_poses(messages: Iterable[Any]) -> tuple[str, list[tuple[int, NDArra
     """Return the frame that moves, and the poses of nav_msgs/Odometry with their stamps [ns].
 
     Raises:
-        InputError: as `odometry_pose`, for several frames, and without messages.
+        InputError: as `odometry_pose`, for several frames of either kind, and without messages.
     """
     frames: set[str] = set()
+    fixed: set[str] = set()
     poses = []
     for message in messages:
         frames.add(frame_name(message.child_frame_id))
+        fixed.add(frame_name(message.header.frame_id))
         poses.append((_stamp_ns(message.header), odometry_pose(message)))
     if len(frames) != 1:
         raise InputError(
             f"an Odometry must be of one child_frame_id, got {', '.join(sorted(frames)) or 'none'}"
         )
+    if len(fixed) > 1:
+        raise InputError(f"an Odometry must be in one frame, got {', '.join(sorted(fixed))}")
     return frames.pop(), poses
 
 
@@ -134,8 +139,13 @@ def transform_poses(
     parents: dict[str, str] = {}
     for message in messages:
         for stamped in message.transforms:
-            child = frame_name(stamped.child_frame_id)
-            parents[child] = frame_name(stamped.header.frame_id)
+            child, parent = frame_name(stamped.child_frame_id), frame_name(stamped.header.frame_id)
+            if child in carriers and parents.get(child, parent) != parent:
+                raise InputError(
+                    f"/tf moves {shown(child)} in {shown(parents[child])} and in {shown(parent)}: "
+                    "expected one of them"
+                )
+            parents[child] = parent
             if child in carriers:
                 pose = _transform_pose(stamped)
                 moving.setdefault(child, []).append((_stamp_ns(stamped.header), pose))
@@ -143,7 +153,7 @@ def transform_poses(
     if carrier is None:
         raise InputError(f"/tf moves none of the frames {', '.join(carriers):.300}")
     fixed = parents[carrier]
-    if fixed in parents and fixed.rpartition("/")[2] not in _FIXED:
+    if fixed in parents and not is_fixed(fixed):
         raise InputError(
             f"/tf moves {carrier!r:.80} in {fixed!r:.80}, which moves itself in "
             f"{parents[fixed]!r:.80}: expected one of {', '.join(_FIXED)}"
@@ -207,6 +217,11 @@ class TransformTree:
             matrices[parent] = pose @ matrices[frame]
             frame = parent
         return matrices
+
+
+def is_fixed(frame: str) -> bool:
+    """Whether a frame does not move with the car, by its name."""
+    return frame.rpartition("/")[2] in _FIXED
 
 
 def frame_name(frame: Any) -> str:

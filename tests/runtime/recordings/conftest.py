@@ -137,11 +137,13 @@ class BagMaker:
         fields["data"] = np.frombuffer(content, np.uint8)
         self.send("sensor_msgs/msg/CompressedImage", topic, stamp_ns, fields)
 
-    def cloud(self, topic, points, stamp_ns, *, fourth="intensity", recorded_ns=None):
+    def cloud(
+        self, topic, points, stamp_ns, *, fourth="intensity", recorded_ns=None, frame_id="lidar"
+    ):
         """points: (N, 4) of x, y, z and the fourth; written as float32 with a gap of 4 bytes."""
         records = np.zeros((len(points), 5), np.float32)
         records[:, [0, 1, 2, 4]] = points
-        fields = {"header": header(stamp_ns, "lidar"), "height": 1, "width": len(points)}
+        fields = {"header": header(stamp_ns, frame_id), "height": 1, "width": len(points)}
         places = {"x": 0, "y": 4, "z": 8, fourth: 16}.items()
         kind = {"datatype": 7, "count": 1}
         fields["fields"] = [{"name": name, "offset": place, **kind} for name, place in places]

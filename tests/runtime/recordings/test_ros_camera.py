@@ -86,6 +86,10 @@ RIGHT = {
         camera(RAW, {"intrinsics": scaled(2, 2, 0.5, 0.5), "size": (96, 128), **BINNED}), {},
     ),
     "binned, with the size of the images": (camera(RAW, {**BINNED}), {}),
+    "binned, with the size of the images alone": (
+        camera(RAW, {"intrinsics": scaled(2, 2, 0.5, 0.5), **BINNED}), {},
+    ),
+    "binned, with the K of the images alone": (camera(RAW, {"size": (96, 128), **BINNED}), {}),
     "its own frame of a pair": (camera(RECT, BASELINE, rig=pair), {}),
     "a slash before the frame": (camera(RAW, {"frame_id": "/camera"}), {}),
     "the frame of the CameraInfo alone": (camera(RAW, {}, frame_id=""), {}),
@@ -107,6 +111,15 @@ ASSUMED = {
     "zoom": (camera(RAW, {}, {"intrinsics": scaled(2, 2)}), "first CameraInfo"),
     "two frames": (camera(RAW, {"frame_id": "lidar"}), "lidar"),
     "two transforms": (camera(RAW, {}, rig=twice), "lidar"),
+    "a region with its own size": (
+        camera(RAW, {"intrinsics": scaled(1, 1, 9, 4), "roi": roi(9, 4, *SIZE)}), "whole sensor",
+    ),
+    "a region with its own size and K": (
+        camera(RAW, {"roi": roi(9, 4, *SIZE)}), "region of interest",
+    ),
+    "a region with its own K": (
+        camera(RAW, {"size": (60, 90), "roi": roi(19, 4, *SIZE)}), "region of interest",
+    ),
 }  # fmt: skip
 REFUSED = {
     "never set": (camera(RAW, {"intrinsics": ZERO}), "K or P"),

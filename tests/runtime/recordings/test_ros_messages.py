@@ -105,7 +105,7 @@ def image(encoding="rgb8", **changes):
     (decode_image, image(height=3), "24 bytes"),
     (decode_image, image(height=0), "empty"),
     (decode_image, image(width=2**20, height=2**20), "64,000,000"),
-    (decode_depth_image, image("mono16"), "32FC1"),
+    (decode_depth_image, image("rgb8"), "32FC1"),
     (decode_depth_image, image("32FC1", width=4), "step 12"),
 ])  # fmt: skip
 def test_what_is_wrong_with_an_image_is_in_the_error(decode, message, named):

@@ -1,0 +1,56 @@
+"""The part of a camera's sensor that its images show: binning and region of interest (REP 104)."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.geometry.assumptions import assume
+
+# Offset of a principal point from the middle, in shares of the sides, up to which it is in it.
+_CENTRED = 0.05
+
+
+def region_of_images(
+    fields: Mapping[str, Any], intrinsics: NDArray[np.float64], size: tuple[int, int] | None = None
+) -> tuple[NDArray[np.float64], tuple[int, int] | None]:
+    """Return the intrinsics of the images of a CameraInfo, and their (height, width).
+
+    By REP 104 its matrices, height and width are of the whole sensor. Drivers also state the size
+    of the images, the matrices of the images, or both. Where the sizes contradict each other or the
+    principal point leaves the middle, the reading with the principal point nearer to the middle
+    counts. It is said, unless binning alone tells both apart.
+
+    Args:
+        fields: of the CameraInfo: "height", "width", "binning_x", "binning_y", and "roi".
+        intrinsics: its K or P, (3, 3).
+        size: (height, width) of the images; None = not known.
+    """
+    roi = fields.get("roi") or {}
+    step = np.array([int(fields.get(f"binning_{axis}") or 1) for axis in "xy"])
+    offset = np.array([int(roi.get(f"{axis}_offset") or 0) for axis in "xy"])
+    whole, part = (
+        np.array([int(of.get(side) or 0) for side in ("width", "height")]) for of in (fields, roi)
+    )
+    crop = np.diag([*(1 / step), 1.0])
+    crop[:2, 2] = -(offset + (step - 1) / 2) / step  # of `step` pixels the centre is in the middle
+    sides = np.where(part > 0, part, whole) // step
+    contradict = bool((offset + part > whole).any())
+    if size is not None and all(size):
+        contradict |= size == (whole[1], whole[0])
+        sides = np.array(size[::-1]) if contradict else sides
+    elif contradict:
+        sides = whole
+    stated = (int(sides[1]), int(sides[0])) if sides.all() else None
+    if stated is None or np.array_equal(crop, np.eye(3)):
+        return crop @ intrinsics, stated
+    off, off_uncropped = (
+        float(np.abs(matrix[:2, 2] / sides - 0.5).max())
+        for matrix in (crop @ intrinsics, intrinsics)
+    )
+    is_of_images = off_uncropped < (off if contradict else min(_CENTRED, off / 2))
+    if offset.any() and (contradict or is_of_images):
+        of = "of the region of interest" if is_of_images else "of the whole sensor"
+        assume(f"K and P of the CameraInfo are {of}", "give --calibration")
+    return intrinsics if is_of_images else crop @ intrinsics, stated

@@ -1,0 +1,140 @@
+"""The topics of a bag and what they are of: images, depth, or neither unless they are named."""
+
+import contextlib
+import re
+from enum import StrEnum
+
+from runtime.base.errors import InputError
+from runtime.geometry.assumptions import assume
+from runtime.recordings.ros_bag import RosBag
+from runtime.recordings.ros_camera import CAMERA_INFO
+from runtime.recordings.ros_messages import DEPTHS, MONO16
+from runtime.recordings.source import left_out_note
+
+IMAGE = "sensor_msgs/msg/Image"
+COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+#: Value of depth_topic for the camera alone, and of pose_topic for scans that are not moved.
+NO_TOPIC = "none"
+# Words, between / and _, digits at their ends left out, of topics whose 16 bits or floats are no
+# depth, and whose pictures are not in colour; those of the second line begin words.
+_OTHER = frozenset(
+    [
+        "ir",
+        "nir",
+        "swir",
+        "mwir",
+        "lwir",
+        "amplitude",
+        "intensity",
+        "confidence",
+        "signal",
+        "reflec",
+    ]
+)
+_OTHERS = ("infra", "therm", "nearir", "flir", "lepton", "boson", "reflectiv", "disparity")
+
+
+class Role(StrEnum):
+    """What the images of a topic are."""
+
+    PICTURE = "picture"
+    OTHER_PICTURE = "other picture"  # infrared: the camera only where no other picture is there
+    DEPTH = "depth"
+    MAYBE_DEPTH = "maybe depth"  # only where depth_topic= names it
+
+
+def role_of(topic: str, encoding: str) -> Role:
+    """Return what the images of a topic are, by its name and their encoding.
+
+    The encoding alone does not tell: counts of a thermal camera are 16UC1 as depth is, and mono16
+    is an infrared picture or depth.
+    """
+    words = [word.rstrip("0123456789") for word in re.split("[/_]", topic.lower())]
+    is_other = any(word in _OTHER or word.startswith(_OTHERS) for word in words)
+    is_other &= "depth" not in words
+    if encoding not in DEPTHS:
+        return Role.OTHER_PICTURE if is_other else Role.PICTURE
+    return Role.MAYBE_DEPTH if is_other or encoding == MONO16 else Role.DEPTH
+
+
+class RosTopics:
+    """The topics of a bag.
+
+    Args:
+        bag: open.
+    """
+
+    def __init__(self, bag: RosBag) -> None:
+        self._bag = bag
+
+    def of_kind(self, *kinds: str) -> list[str]:
+        """The topics of these message types, sorted."""
+        return sorted(topic for topic, kind in self._bag.types.items() if kind in kinds)
+
+    def find(self, image_topic: str | None, depth_topic: str | None) -> tuple[str, str | None]:
+        """Return the topics of images and of depth, as requested or guessed.
+
+        Raises:
+            InputError: if a requested topic is not of its kind, or one must be chosen.
+        """
+        found = self._by_role()
+        pictures = self.of_kind(COMPRESSED_IMAGE)
+        pictures = [topic for topic in pictures if not topic.endswith("/compressedDepth")]
+        others = [t for t in pictures if role_of(t, "") is Role.OTHER_PICTURE]
+        others += found[Role.OTHER_PICTURE]
+        images = [*pictures, *found[Role.PICTURE], *found[Role.OTHER_PICTURE]]
+        twice = {f"{topic}/compressed" for topic in images}  # compressed copies of the same images
+        single = [topic for topic in images if topic not in twice]
+        single = [topic for topic in single if topic not in others] or single
+        image = self.choose("image_topic", image_topic, images, single)
+        if image is None:
+            raise self._undecided("images", single, "image_topic=TOPIC, or TOPIC+TOPIC for several")
+        if depth_topic == NO_TOPIC:
+            return image, None
+        depths, named = self.of_kind(POINT_CLOUD) + found[Role.DEPTH], found[Role.MAYBE_DEPTH]
+        depth = self.choose("depth_topic", depth_topic, depths + named, depths)
+        if depth is None and (depths or not named):
+            ways = f"depth_topic=TOPIC, or depth_topic={NO_TOPIC} for the camera alone"
+            raise self._undecided("point clouds or depth images", depths, ways)
+        if depth is None:
+            assume(
+                f"the camera alone, since {', '.join(named)} may be no depth, by name or encoding",
+                f"name it by depth_topic= in --source, or state depth_topic={NO_TOPIC}",
+            )
+        return image, depth
+
+    def choose(
+        self, option: str, requested: str | None, fitting: list[str], guesses: list[str]
+    ) -> str | None:
+        """The requested topic, or the only guess; None without one. Raises InputError."""
+        if requested is None:
+            return guesses[0] if len(guesses) == 1 else None
+        if requested not in fitting:
+            raise InputError(
+                f"{option}={requested} is not a topic of its kind in {self._bag.path}, which has "
+                f"{', '.join(fitting) or 'none'}"
+            )
+        return requested
+
+    def infos_beside(self, topic: str) -> list[str]:
+        """The topics of CameraInfo in the namespaces of a topic of images, the innermost first."""
+        parts, infos = topic.split("/"), self.of_kind(CAMERA_INFO)
+        names = ("/".join([*parts[:end], "camera_info"]) for end in reversed(range(len(parts))))
+        return [name for name in names if name in infos]
+
+    def _by_role(self) -> dict[Role, list[str]]:
+        """Role -> topics of Image, by their first message."""
+        found: dict[Role, list[str]] = {role: [] for role in Role}
+        for topic in self.of_kind(IMAGE):
+            with contextlib.suppress(InputError):  # if no message can be decoded
+                found[role_of(topic, self._bag.first(topic).encoding)].append(topic)
+        return found
+
+    def _undecided(self, what: str, found: list[str], ways: str) -> InputError:
+        bag, path = self._bag, self._bag.path
+        topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(bag.types.items()))
+        return InputError(
+            f"{path} has {len(found) or 'no'} topics of {what}, give --source bag:{path},{ways}. "
+            f"It has the topics {'; '.join([topics or '(none)', *left_out_note(bag.left_out)])}"
+        )
