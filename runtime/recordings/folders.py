@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
+from runtime.base.natural_order import in_natural_order, numbers_in
 from runtime.base.stamp import NS_PER_MS
 from runtime.geometry.assumptions import assume, collect_assumptions
 from runtime.geometry.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration
@@ -23,7 +24,6 @@ from runtime.recordings.images import (
     KITTI_DEPTH_SCALE,
     RGB_SUFFIXES,
     list_files,
-    natural_order,
     read_rgb,
     read_sparse_depth,
 )
@@ -65,7 +65,7 @@ class FolderOptions(NamedTuple):
 
 
 class FolderSource(Source):
-    """Pairs of files with the same stem, in natural order ("9" before "10").
+    """Pairs of files with the same stem, in natural order, see `in_natural_order`.
 
     Where no stem occurs in both folders, files are paired whose stems have the same numbers, as
     image_7 and depth_7.
@@ -129,7 +129,7 @@ class FolderSource(Source):
         is_raw = any(os.path.lexists(path / name) for name in (RAW_CAMERAS, RAW_SCANNER))
         if os.path.isdir(path) and not is_raw:
             self._calibration_files = list_files(path, (".txt", ".toml"))
-        names = sorted(self._calibration_files, key=natural_order)
+        names = in_natural_order(self._calibration_files)
         paths = [self._calibration_files[name] for name in names] or [path]
         named = _KITTI_CAMERA.search(f"{os.path.realpath(self._rgb)}\n{self._rgb.as_posix()}")
         known = int(named[1]) if camera is None and named else camera
@@ -172,7 +172,7 @@ class FolderSource(Source):
         if self.camera_alone and without_image:
             self._left_out[f"{Sensor.DEPTH}: {Outcome.NO_IMAGE}"] = len(without_image)
             without_image = set()
-        names = sorted(images.keys() | without_image, key=natural_order)
+        names = in_natural_order(images.keys() | without_image)
         if self._is_timed:
             return self._list_timed({name: images[name] for name in names}, depths, limit)
         whole = images.keys() if self._depth is None else images.keys() & depths.keys()
@@ -219,8 +219,8 @@ class FolderSource(Source):
         """The depth maps or scans by the stems of their images. Raises InputError."""
         if images.keys() & depths.keys():
             return depths
-        stems = {_numbers(stem): stem for stem in images}
-        numbered = {_numbers(stem): path for stem, path in depths.items()}
+        stems = {numbers: stem for stem, numbers in numbers_in(images).items()}
+        numbered = {numbers: depths[stem] for stem, numbers in numbers_in(depths).items()}
         both = stems.keys() & numbered.keys() - {()}
         if not both or len(stems) < len(images) or len(numbered) < len(depths):
             raise InputError(
@@ -307,10 +307,6 @@ def _is_image(path: Path) -> bool:
     return path.suffix.lower() in RGB_SUFFIXES and os.path.isfile(path)
 
 
-def _numbers(stem: str) -> tuple[int, ...]:
-    return tuple(map(int, re.findall("[0-9]+", stem)))
-
-
 def _few(names: Iterable[str]) -> str:
-    first = sorted(names, key=natural_order)[:4]
+    first = in_natural_order(names)[:4]
     return ", ".join(first[:3]) + (" …" if len(first) > 3 else "")

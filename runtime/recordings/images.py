@@ -191,9 +191,3 @@ def list_files(folder: Path, suffixes: tuple[str, ...] = RGB_SUFFIXES) -> dict[s
             f"{', '.join(sorted(found)[:5]) or 'other'} files: give another folder or option"
         )
     return files
-
-
-def natural_order(name: str) -> tuple[list[str | int], str]:
-    """Sort key: runs of digits count as numbers."""
-    parts = re.split(r"([0-9]+)", name)  # text at even places, digits at odd ones
-    return [int(part) if index % 2 else part for index, part in enumerate(parts)], name

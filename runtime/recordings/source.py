@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
+from runtime.base.natural_order import hold_decimals
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import (
     FIRST_SCAN_NS,
@@ -293,9 +294,10 @@ def up_to(frames: Iterable[ListedFrame], limit: int | None) -> tuple[ListedFrame
 def by_number(files: Mapping[str, Path]) -> dict[int, Path]:
     """Number at the end of the stem -> file. Raises InputError."""
     numbers: dict[int, Path] = {}
+    are_times = hold_decimals(files)
     for stem, path in files.items():
         digits = re.search("[0-9]+$", stem)
-        if digits is None:
+        if digits is None or are_times:
             raise InputError(f"the name of {path} must end in the number of its frame, from 0 on")
         number = int(digits[0])
         if number in numbers:

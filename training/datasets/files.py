@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from runtime.base.errors import DatasetError, InputError
+from runtime.base.natural_order import in_natural_order
 from runtime.files.read_input import read_input
 from runtime.recordings import images, scan
 
@@ -114,12 +115,12 @@ def require_folder(path: Path, purpose: str, *, files: Sequence[str] = ()) -> Pa
 
 def list_images(folder: Path, purpose: str) -> list[Path]:
     """Return the .png and .jpg images of a folder in order; DatasetError without any."""
-    images = sorted(
-        path for path in require_folder(folder, purpose).iterdir() if path.suffix in _SUFFIXES
-    )
+    there = require_folder(folder, purpose).iterdir()
+    images = [path for path in there if path.suffix in _SUFFIXES]
     if not images:
         raise DatasetError(f"{folder}: no .png or .jpg images in it; expected {purpose}.")
-    return images
+    order = {stem: place for place, stem in enumerate(in_natural_order(p.stem for p in images))}
+    return sorted(images, key=lambda path: (order[path.stem], path.suffix))
 
 
 def list_names(names: Sequence[str]) -> str:

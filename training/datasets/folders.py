@@ -115,7 +115,6 @@ class Folders(FrameList):
             self._root / recipe.rgb, depth=depth, depth_scale=recipe.depth_scale
         )
         images = [frame for frame in self._source.list_frames() if frame.image is not None]
-        images.sort(key=lambda frame: str(frame.image))
         self._frames = recipe.take(images, self._root / recipe.rgb)
         self._source.camera_alone = recipe.missing == "skip-target"
         self.images = [frame.image for frame in self._frames]

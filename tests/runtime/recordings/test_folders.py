@@ -1,6 +1,7 @@
 """Two folders as a source, and one alone."""
 
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from runtime.geometry.calibration import Calibration
 from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.registry import open_source
+from runtime.recordings.source import by_number
 
 
 @pytest.fixture
@@ -276,9 +278,27 @@ def test_pairs_come_in_natural_order(empty_folders):
     assert frames[3].depth.name == "f9.png"
 
 
+def test_names_that_are_times_are_in_their_order(empty_folders, tmp_path):
+    names = [str(1700000000 + 0.05 * number) for number in range(9)]
+    rgb, _ = empty_folders([f"{name}.png" for name in names], ["0.png"])
+    (tmp_path / "times.txt").write_text("\n".join(names))
+    frames = FolderSource(rgb, timestamps=tmp_path / "times.txt").list_frames()
+    assert [frame.name for frame in frames] == names
+    assert all(abs(f.image_stamp_ns - float(f.name) * 1e9) < 1e3 for f in frames)
+
+
+@pytest.mark.parametrize("names", [["0.05", "0.1"], ["1700000000.1"]])
+def test_times_are_no_numbers_of_frames(names):
+    files = {name: Path(f"{name}.png") for name in names}
+    with pytest.raises(InputError, match="must end in the number of its frame"):
+        by_number(files)
+    assert list(by_number({"left.07": Path("left.07.png")})) == [7]
+
+
 @pytest.mark.parametrize(("rgb", "depth"), [
     (["1.png", "2.png", "10.png"], ["0001.png", "0002.png", "0010.png"]),
     (["f_01_2.png", "f_1_10.png"], ["lidar1-02.png", "lidar1-10.png"]),
+    (["0.05.png", "0.1.png", "0.15.png"], ["depth_0.05.png", "depth_0.10.png", "depth_0.15.png"]),
 ])  # fmt: skip
 def test_numbers_are_the_same_with_zeros_in_front(empty_folders, rgb, depth):
     images, maps = empty_folders(rgb, depth)

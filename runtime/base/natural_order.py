@@ -1,0 +1,55 @@
+"""The numbers in names, and the order of names by them: one reading for all that list files."""
+
+import re
+from collections.abc import Iterable
+from decimal import Decimal
+
+# A point between two digits, with no other point beside them, as in 1700000000.05. A number that is
+# the whole name may be negative, or small as in 5e-05.
+_DECIMAL = r"(?<![0-9.])[0-9]+\.[0-9]+(?![0-9.])"
+_NUMBERS = re.compile(
+    rf"(^-?[0-9]+(?:\.[0-9]+)?e-[0-9]+$|^-[0-9]+(?:\.[0-9]+)?$|{_DECIMAL}|[0-9]+)"
+)
+_WHOLE = re.compile("([0-9]+)")
+_CLOCK_DIGITS = 9  # of seconds since 1970
+
+
+def in_natural_order(names: Iterable[str]) -> list[str]:
+    """Sort names by the numbers in them: "9" before "10", "12.25" before "12.5"."""
+    names = list(names)
+    numbers = _pattern(names)
+
+    def key(name: str) -> tuple[list[str | Decimal], str]:
+        parts = numbers.split(name)  # text at even places, numbers at odd ones
+        return [Decimal(part) if index % 2 else part for index, part in enumerate(parts)], name
+
+    return sorted(names, key=key)
+
+
+def numbers_in(names: Iterable[str]) -> dict[str, tuple[Decimal, ...]]:
+    """Return the numbers of each name: of "image_0.50" (0.5,), of "3_07" (3, 7)."""
+    names = list(names)
+    numbers = _pattern(names)
+    return {name: tuple(map(Decimal, numbers.findall(name))) for name in names}
+
+
+def hold_decimals(names: Iterable[str]) -> bool | None:
+    """Whether numbers with a point in these names are decimals; None = nothing tells.
+
+    They are if seconds since 1970 are before the point, or if of digits of several lengths after it
+    some begin with 0, as in 0.05 and 0.1. They are two counters if some end in 0, as in 1.9 and
+    1.10: no program writes decimals so.
+    """
+    found = {part for name in names for part in re.findall(_DECIMAL, name)}
+    wholes, parts = zip(*(part.split(".") for part in found), strict=True) if found else ((), ())
+    if any(len(whole) >= _CLOCK_DIGITS for whole in wholes):
+        return True
+    if len(set(map(len, parts))) < 2:
+        return None
+    if any(part.startswith("0") and len(part) > 1 for part in parts):
+        return True
+    return False if any(part.endswith("0") and len(part) > 1 for part in parts) else None
+
+
+def _pattern(names: list[str]) -> re.Pattern[str]:
+    return _WHOLE if hold_decimals(names) is False else _NUMBERS
