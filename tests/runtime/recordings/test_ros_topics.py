@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from small_rig import INTRINSICS, MS, SIZE, START_NS, add_tree, projected
 
-from runtime import InputError
+from runtime import InputError, Rig
 from runtime.recordings.bag import BagSource
 from runtime.recordings.ros_topics import Role, role_of
 
@@ -107,7 +107,7 @@ def test_each_scan_is_projected_by_its_own_frame(record, make_scan, tmp_path):
     with BagSource(path) as source:
         require_right(source, make_scan)
     (tmp_path / "car.toml").write_text(CAR)  # of the first frame
-    with BagSource(path, calibration=tmp_path / "car.toml") as source:
+    with BagSource(path, Rig(calibration=tmp_path / "car.toml")) as source:
         require_right(source, make_scan)
 
 
@@ -143,7 +143,7 @@ def test_scans_without_a_frame_need_a_calibration(record, make_scan, tmp_path):
     with pytest.raises(InputError, match="name no frame: give --calibration"):
         BagSource(path)
     (tmp_path / "car.toml").write_text(CAR)
-    with BagSource(path, calibration=tmp_path / "car.toml") as source:
+    with BagSource(path, Rig(calibration=tmp_path / "car.toml")) as source:
         assert not any("warning" in note for note in source.notes)
 
 
@@ -156,7 +156,7 @@ def test_scans_of_a_fixed_frame_are_said(record, make_scan, tmp_path, frame, has
     for index in range(4 * has_odometry):
         bag.odometry("/odom", (index, 0, 0), START_NS + 100 * MS * index)
     (tmp_path / "car.toml").write_text(CAR)
-    with BagSource(bag.write(), calibration=tmp_path / "car.toml") as source:
+    with BagSource(bag.write(), Rig(calibration=tmp_path / "car.toml")) as source:
         notes = [note for note in source.notes if "warning: assumed" in note]
     assert len(notes) == said
     assert all(f"although {frame} is fixed" in note for note in notes)
