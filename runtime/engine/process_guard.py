@@ -1,15 +1,27 @@
-"""Objects whose threads do not survive a fork: usable only in the process that created them."""
+"""Objects that do not survive a fork: usable only in the process that created them."""
 
 import os
 
-from runtime.base.errors import InferenceError
+from runtime.base.errors import InferenceError, SSDNetError
+
+_THREADS = "threads do not survive a fork"
+#: Of an object that holds files open.
+SHARED_FILES = "after a fork both processes would read from one position in its files"
 
 
 class ProcessGuard:
-    """Remembers the process that made an object; `what` names the object."""
+    """Remembers the process that made an object.
 
-    def __init__(self, what: str) -> None:
-        self._what, self._process = what, os.getpid()
+    Args:
+        what: names the object.
+        why: it cannot be used after a fork.
+        error: that `check` raises.
+    """
+
+    def __init__(
+        self, what: str, why: str = _THREADS, error: type[SSDNetError] = InferenceError
+    ) -> None:
+        self._what, self._why, self._error, self._process = what, why, error, os.getpid()
 
     @property
     def is_forked(self) -> bool:
@@ -17,9 +29,9 @@ class ProcessGuard:
         return os.getpid() != self._process
 
     def check(self) -> None:
-        """Raise InferenceError in a child."""
+        """Raise the error in a child."""
         if self.is_forked:
-            raise InferenceError(
-                f"the {self._what} was created before this process was forked, and threads do "
-                f"not survive a fork: create a {self._what} in each process"
+            raise self._error(
+                f"the {self._what} was created before this process was forked, and {self._why}: "
+                f"create a {self._what} in each process"
             )

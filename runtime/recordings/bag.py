@@ -365,6 +365,7 @@ class BagSource(Source):
 
     def read(self, frame: ListedFrame) -> Frame:
         """See `Source.read`."""
+        self._bag.guard.check()
         messages = self._take(frame)
         image = self._bag.decode(messages[frame.image])
         is_compressed = self._bag.types[self._image_topic] == COMPRESSED_IMAGE

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from runtime.base.checks import cut
 from runtime.base.errors import InputError, SSDNetError, import_remedy
+from runtime.engine.process_guard import SHARED_FILES, ProcessGuard
 from runtime.files.read_input import MAX_TEXT_BYTES, open_input, require_regular
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ class RosBag:
     Attributes:
         types: topic -> message type, by the names of ROS 2.
         left_out: what is not read -> how often; of messages those that were met so far.
+        guard: of the process that may read it.
 
     Raises:
         InputError: if `rosbags` cannot be imported, or the bag is damaged; so does every method.
@@ -50,6 +52,7 @@ class RosBag:
     def __init__(self, path: Path) -> None:
         self.path, self.types, self.left_out = path, dict[str, str](), Counter[str]()
         self._is_cdr = path.suffix != ".bag"
+        self.guard = ProcessGuard("BagSource", SHARED_FILES, InputError)
         self._reader, self._definitions = _open(path)
         self._topics: dict[str, list[Connection]] = {}
         with _reading(self.path):
@@ -67,6 +70,7 @@ class RosBag:
 
     def messages(self, topics: Collection[str]) -> Iterator[RecordedMessage]:
         """Yield the messages of the topics in the order in which they were recorded."""
+        self.guard.check()
         connections = [each for topic in topics for each in self._topics[topic]]
         left = Counter({t: sum(each.msgcount for each in self._topics[t]) for t in topics})
         with _reading(self.path):

@@ -134,7 +134,8 @@ class Source(ABC):
         """Read a frame of the list; reading in the list's order is fastest.
 
         Raises:
-            InputError: if the frame is damaged or incomplete; others can still be read.
+            InputError: if the frame is damaged or incomplete; others can still be read. Always, if
+                the source holds files open (a bag, a video) and the process was forked since.
         """
 
     def rectify_images(self) -> None:

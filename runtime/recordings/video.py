@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
+from runtime.engine.process_guard import SHARED_FILES, ProcessGuard
 from runtime.files.read_input import require_regular
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.folders import FolderSource
@@ -54,6 +55,7 @@ class VideoSource(FolderSource):
         require_regular(path)
         super().__init__(path, rig, depth=depth, depth_scale=depth_scale)
         self.recordings = (path,)
+        self._guard = ProcessGuard("VideoSource", SHARED_FILES, InputError)
         self._video = _open(path)
         self._next = 0  # index of the next frame that the video decodes
         sides = (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH)
@@ -95,7 +97,8 @@ class VideoSource(FolderSource):
         return {_name(number): path for number, path in maps.items()}
 
     def read(self, frame: ListedFrame) -> Frame:
-        """See `Source.read`. Raises InputError also where the image or depth map is missing."""
+        """See `Source.read`. Raises InputError also where the image or depth map is missing, and after a fork."""
+        self._guard.check()
         read = super().read(frame)
         milliseconds = self._video.get(cv2.CAP_PROP_POS_MSEC)
         stamp_ns = round(milliseconds * 1e6) if math.isfinite(milliseconds) else None
