@@ -1,4 +1,5 @@
-"""Whether the returns can be metres of what the camera sees: unit, inverse depth, mirrored maps.
+"""Whether the returns can be metres of what the camera sees: unit, inverse depth, mirrored maps,
+and returns that fit the image nowhere.
 
 The returns of some frames are compared with the depth that the model predicts from the image alone.
 The logarithms of both correlate if the returns show the same scene, also in a wrong unit; the ratio
@@ -23,6 +24,11 @@ _LEAST_RETURNS, _MOST_RETURNS = 200, 50_000  # denser maps are subsampled
 BANDS = 48  # over the height of the image
 _LEAST_DEPTH_M = 0.1
 _ALIKE = 0.5  # correlation from which two depth maps show the same scene
+# Correlations below which they show different ones: as they are, and without the mean of each band
+# of rows, in at least _KNOWN frames. Right returns have medians of 0.5 and of 0.28 also with dark,
+# blurred or noisy images; swapped bytes and shuffled returns 0.1 and less. In a band both must
+# spread by _LEAST_SPREAD: by night the model guesses a road that does not (0.02 to 0.1).
+_UNALIKE, _UNALIKE_IN_BANDS, _KNOWN, _LEAST_SPREAD = 0.3, 0.2, 3, 0.15
 _MIRRORED_MARGIN = 0.2  # by which the mirrored map must correlate better
 _NEAREST, _FARTHEST = 0.25, 2.5  # return / camera-only depth; correct frames: 0.66 to 1.14
 _FOCAL_RATIO = 10  # a wrong focal length explains at most this ratio
@@ -56,6 +62,16 @@ class Implausible(NamedTuple):
         return f"{self.cause}: {what}"
 
 
+class _Figures(NamedTuple):
+    """Of a frame: log of return / camera-only depth, correlations, smaller spread in a band."""
+
+    log_ratio: float
+    overall: float
+    alike: float
+    mirrored: float
+    spread: float
+
+
 class DepthPlausibility:
     """Compares the returns of frames of a stream with the camera-only prediction.
 
@@ -63,7 +79,7 @@ class DepthPlausibility:
     """
 
     def __init__(self) -> None:
-        self._figures: deque[tuple[float, float, float, float]] = deque(maxlen=FIRST_FRAMES)
+        self._figures: deque[_Figures] = deque(maxlen=FIRST_FRAMES)
 
     def add(self, camera_only: Prediction, sparse_depth: NDArray[np.float32]) -> None:
         """Add a frame; ignored with few returns, or without camera-only depth.
@@ -84,13 +100,15 @@ class DepthPlausibility:
         band = row * BANDS // len(depth)
         overall, alike = correlations(band, measured, seen)
         _, alike_mirrored = correlations(band, measured, mirrored)
-        self._figures.append((float(np.median(measured - seen)), overall, alike, alike_mirrored))
+        spread = float(min(_in_bands(band, each).std() for each in (measured, seen)))
+        log_ratio = float(np.median(measured - seen))
+        self._figures.append(_Figures(log_ratio, overall, alike, alike_mirrored, spread))
 
     def finding(self) -> Implausible | None:
         """What is wrong with the last frames; None = nothing, or nothing certain."""
         if not self._figures:
             return None
-        log_ratio, overall, alike, mirrored = np.median(self._figures, axis=0)
+        log_ratio, overall, alike, mirrored, spread = np.median(self._figures, axis=0)
         if max(overall, alike) <= -_ALIKE:
             return Implausible(
                 "the returns are far where the depth predicted from the image is near: they may be "
@@ -100,6 +118,16 @@ class DepthPlausibility:
             return Implausible(
                 "the returns fit the mirrored image: the image or the depth is flipped left to "
                 "right"
+            )
+        is_unalike = overall < _UNALIKE and alike < _ALIKE
+        is_unalike |= alike < _UNALIKE_IN_BANDS and len(self._figures) >= _KNOWN
+        if is_unalike and spread >= _LEAST_SPREAD:
+            return Implausible(
+                "the returns fit the image nowhere: their log depth and the one predicted from the "
+                f"image correlate by {overall:.2f}, and by {alike:.2f} without the mean of each "
+                f"row; right returns by more than {_UNALIKE:g} and {_UNALIKE_IN_BANDS:g}. Check "
+                "that the extrinsics lead from the LiDAR to the camera, that image and depth are "
+                "of the same moment, and the byte order of 16-bit depth maps"
             )
         ratio = float(np.exp(log_ratio))
         if min(overall, alike) >= _ALIKE and not _NEAREST <= ratio <= _FARTHEST:
@@ -126,11 +154,14 @@ def correlations(
     band: NDArray[np.intp], measured: NDArray[np.float64], seen: NDArray[np.float64]
 ) -> tuple[float, float]:
     """Correlation of two log depths: as they are, and without the mean of each band of rows."""
-    count = np.maximum(np.bincount(band, minlength=BANDS), 1)
-    first, second = (
-        values - (np.bincount(band, values, BANDS) / count)[band] for values in (measured, seen)
-    )
+    first, second = _in_bands(band, measured), _in_bands(band, seen)
     return correlation(measured, seen), correlation(first, second)
+
+
+def _in_bands(band: NDArray[np.intp], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values without the mean of their band of rows."""
+    count = np.maximum(np.bincount(band, minlength=BANDS), 1)
+    return np.asarray(values - (np.bincount(band, values, BANDS) / count)[band])
 
 
 def correlation(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:

@@ -131,3 +131,41 @@ def test_a_bundled_model_on_a_frame_of_the_bundled_stream():
         assert 0.5 < found(depth * np.float32(factor)).ratio / factor < 1.5
     assert MIRRORED in found(depth[:, ::-1]).cause
     assert FAR in found(np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)).cause
+
+
+NOWHERE = "fit the image nowhere"
+
+
+def street(turn=0.0):
+    """A street that ends 60 m ahead, its houses nearer at the sides; `turn` of its width aside."""
+    row, column = np.mgrid[: SIZE[0], : SIZE[1]] / 1.0
+    houses = 6 / np.maximum(np.abs((column / SIZE[1] - 0.5 + turn) * 2), 0.1)
+    return np.minimum(houses, 600 / (row + 1)).astype(np.float32)
+
+
+def shuffled(sparse, seed=0):
+    where = sparse > 0
+    mixed = np.zeros_like(sparse)
+    mixed[where] = np.random.default_rng(seed).permutation(sparse[where])
+    return mixed
+
+
+@pytest.mark.parametrize("wrong", [
+    shuffled, lambda sparse: np.rint(sparse * 256).astype(np.uint16).byteswap() / np.float32(256),
+])  # fmt: skip
+def test_returns_that_fit_the_image_nowhere_are_found(wrong):
+    found = find(wrong(returns(street())), seen=street())
+    assert NOWHERE in found.cause
+    assert found.ratio is None
+    row = 600 / (np.mgrid[: SIZE[0], : SIZE[1]][0] + 1)
+    night = np.minimum(row, 60).astype(np.float32)  # what a model guesses that sees nothing
+    assert find(wrong(returns(street())), seen=night) is None
+
+
+def test_returns_of_another_view_are_like_the_image_only_by_near_below():
+    """They correlate as a whole: said after three frames, not of one."""
+    check, other = DepthPlausibility(), street(turn=0.25)
+    for frame in range(3):
+        assert check.finding() is None, frame
+        check.add(camera_only(street()), returns(other))
+    assert NOWHERE in check.finding().cause
