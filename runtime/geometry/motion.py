@@ -10,6 +10,7 @@ from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import NS_PER_MS
 from runtime.contract.degraded import DEPTH_REUSED, DEPTH_UNCOMPENSATED, POINTS_UNTIMED
+from runtime.geometry.assumptions import assume
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.poses import NoPoseError, PoseFrame, PoseTrack, check_pose_frame
 from runtime.geometry.returns import axes_of, check_points, is_return
@@ -70,9 +71,27 @@ class Scan(NamedTuple):
                     f"times must be within {_LONGEST_SCAN_S:g} s of the stamp, got "
                     f"{np.median(np.abs(after_s)):g} s: are they of another unit or clock?"
                 )
+            _check_clock(after_s[kept])
             times = stamp_ns + np.rint(after_s[kept] * 1e9).astype(np.int64)
         lost, untimed = int(np.count_nonzero(~kept)), bool((kept != returns).any())
         return cls(points[kept] if lost else points, times, lost, untimed)
+
+
+def _check_clock(after_s: NDArray[np.float64]) -> None:
+    """Say where the times of points, seconds after the stamp of their scan, do not surround it.
+
+    A stamp is from the start to the end of its scan, or within a scan of it.
+    """
+    if not after_s.size:
+        return
+    first, last = np.percentile(after_s[:: after_s.size // 1000 + 1], (5, 95))
+    apart_s = max(first, -last)
+    if apart_s > max(last - first, FIRST_SCAN_NS / 1e9):
+        assume(
+            "the times of points are right, and the stamp of their scan is of another clock",
+            f"they are {apart_s:.2g} s apart, where a scan has its points at its stamp: let the "
+            "driver stamp both by one clock, or read the scans without times or poses",
+        )
 
 
 class DepthInTime(NamedTuple):
@@ -126,6 +145,11 @@ def project_in_time(
     elif reused:
         reasons += (DEPTH_UNCOMPENSATED,)
     return DepthInTime(calibration.project(points, size), "none", reasons, lost)
+
+
+def assume_middle(remedy: str) -> None:
+    """Say that the stamp of a scan without times of points is taken as that of its middle."""
+    assume("the stamps of scans mark their middle", f"scan_stamp= {remedy}".rstrip())
 
 
 def check_scan_stamp(value: Any) -> ScanStamp:

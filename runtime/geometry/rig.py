@@ -11,7 +11,7 @@ from runtime.base.checks import check_number, shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.motion import ScanStamp, check_scan_stamp
+from runtime.geometry.motion import MIDDLE_AFTER, ScanStamp, check_scan_stamp
 from runtime.geometry.poses import PoseFrame, check_pose_frame
 
 
@@ -27,7 +27,8 @@ class Rig:
             `body_from_lidar`): scans are moved to the time of their image. None: no poses are
             given.
         scan_stamp: whether the stamp of a scan marks its "start", "middle" or "end". A scan whose
-            points have no times is moved as if all of them were measured in its middle.
+            points have no times is moved as if all of them were measured in its middle. None:
+            "middle", with an `AssumptionWarning` where scans are moved by it.
         max_skew_ms: largest difference between the stamps of an image and its depth.
         reuse_depth_ms: an image without depth of its own takes the newest depth before it, if that
             is at most so old; 0: never. None: 150, except in folders of files without times, where
@@ -39,7 +40,7 @@ class Rig:
 
     calibration: Calibration | Path | str | None = None
     pose_frame: PoseFrame | Literal["lidar", "camera", "body"] | None = None
-    scan_stamp: ScanStamp = "middle"
+    scan_stamp: ScanStamp | None = None
     max_skew_ms: float = DEFAULT_MAX_SKEW_MS
     reuse_depth_ms: float | None = None
 
@@ -54,7 +55,8 @@ class Rig:
             check_pose_frame(self.pose_frame)
         if isinstance(self.calibration, str):
             object.__setattr__(self, "calibration", Path(self.calibration))
-        check_scan_stamp(self.scan_stamp)
+        if self.scan_stamp is not None:
+            check_scan_stamp(self.scan_stamp)
         for name in ("max_skew_ms", "reuse_depth_ms"):
             if (value := getattr(self, name)) is not None or name == "max_skew_ms":
                 check_number(name, value, 0, 1e6, "milliseconds", error=InputError)
@@ -63,6 +65,11 @@ class Rig:
     def oldest_depth_ms(self) -> float:
         """`reuse_depth_ms`, or its default of streams."""
         return DEFAULT_REUSE_DEPTH_MS if self.reuse_depth_ms is None else self.reuse_depth_ms
+
+    @property
+    def after_stamp(self) -> float:
+        """Time from the stamp of a scan to its middle, in scan durations."""
+        return MIDDLE_AFTER[self.scan_stamp or "middle"]
 
     def read_calibration(self, **of_file: Any) -> Calibration | None:
         """The calibration; a file is read by `Calibration.from_file`, which takes `of_file`."""

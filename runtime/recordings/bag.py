@@ -39,7 +39,8 @@ from runtime.recordings.ros_poses import (
 )
 from runtime.recordings.ros_topics import COMPRESSED_IMAGE, NO_TOPIC, POINT_CLOUD, RosTopics
 from runtime.recordings.source import ListedFrame, Source, track_of
-from runtime.streams.frame import Frame, Message, Outcome, Sensor
+from runtime.streams.frame import MATCHED, Frame, Message, Outcome, Sensor
+from runtime.streams.health.sensor_times import clocks_apart_s
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
@@ -316,6 +317,7 @@ class BagSource(Source):
         self._left_out.clear()
         names: Counter[str] = Counter()
         cameras: list[list[float]] = []
+        offsets: dict[Sensor, list[int]] = {sensor: [] for sensor in MATCHED}
 
         def stamped() -> Iterator[tuple[Sensor, int, int]]:
             """Yield (sensor, stamp, position in `_recorded`) of images and depth."""
@@ -328,8 +330,10 @@ class BagSource(Source):
                 stamp_ns = self._bag.stamp_ns(message)
                 if stamp_ns is None:
                     self._left_out[f"{sensor}: {Outcome.BAD_STAMP}"] += 1
-                else:
-                    yield sensor, stamp_ns or message.recorded_ns, place
+                    continue
+                if stamp_ns:
+                    offsets[sensor].append(stamp_ns - message.recorded_ns)
+                yield sensor, stamp_ns or message.recorded_ns, place
 
         def name(image: Message) -> str:
             stamp = str(image.stamp_ns)
@@ -344,6 +348,15 @@ class BagSource(Source):
             name=name,
         )
         self._left_out.update(self._bag.left_out)
+        given = offsets[Sensor.IMAGE], offsets[Sensor.DEPTH], self._period_ns
+        if (ahead_s := clocks_apart_s(*given, is_scan=self._has_clouds)) is not None:
+            with collect_assumptions(self._notes):
+                assume(
+                    "the stamps of both sensors are of one clock",
+                    f"by the time of recording that of {self._depth_topic} is {abs(ahead_s):.3g} s "
+                    f"{'ahead of' if ahead_s > 0 else 'behind'} that of {self._image_topic}; "
+                    "synchronise the clocks, or correct the stamps",
+                )
         if cameras and self._rig.calibration is None and np.ptp(cameras, axis=0).max() > SAME_PX:
             with collect_assumptions(self._notes):
                 assume(f"the first CameraInfo of {self._info_topic}, others differ", GIVE)
@@ -383,10 +396,10 @@ class BagSource(Source):
         """The depth map of a frame; as a scan if it is a cloud, or of another camera."""
         if self._has_clouds:
             points, after_s = decode_points(message), None
-            if self._poses is not None and frame.depth_stamp_ns is not None:
-                with collect_assumptions(self._notes):
+            with collect_assumptions(self._notes):
+                if self._poses is not None and frame.depth_stamp_ns is not None:
                     after_s = point_times_s(message, frame.depth_stamp_ns, points)
-            return Scan.of(points, after_s, frame.depth_stamp_ns or 0)
+                return Scan.of(points, after_s, frame.depth_stamp_ns or 0)
         depth = decode_depth_image(message)
         if (camera := self._depth_camera) is None:
             return depth

@@ -267,7 +267,8 @@ class FolderSource(Source):
             )
         if column is not None and frame.depth_stamp_ns is not None:
             after_s = point_times(points[:, column], len(points), stamp_ns)
-        return Scan.of(points, after_s, stamp_ns)
+        with collect_assumptions(self._notes):
+            return Scan.of(points, after_s, stamp_ns)
 
     @property
     def inputs(self) -> dict[str, Any]:

@@ -61,6 +61,7 @@ class KittiRawSource(FolderSource):
         camera: int = 2,
         by_number: bool = False,
     ) -> None:
+        rig = replace(rig, scan_stamp=rig.scan_stamp or "middle")  # as KITTI documents
         images, scans = drive / f"image_{camera:02d}", drive / "velodyne_points"
         for folder in (images / "data", scans / "data"):
             if not os.path.isdir(folder):

@@ -3,10 +3,11 @@
 import re
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -14,16 +15,18 @@ from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
 from runtime.base.natural_order import hold_decimals
+from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import (
     FIRST_SCAN_NS,
-    MIDDLE_AFTER,
     Scan,
+    assume_middle,
     lidar_mount,
 )
 from runtime.geometry.poses import PoseFrame, PoseTrack
 from runtime.geometry.rig import DEFAULT_RIG, Rig
-from runtime.streams.frame import Frame, Message, Sensor
+from runtime.streams.frame import MATCHED, Frame, Message, Sensor
+from runtime.streams.health.sensor_times import period_ns_of
 from runtime.streams.matching import Decided, StampMatching
 
 _WAITING = 64  # messages of a sensor that wait for the other one, which may be recorded later
@@ -63,6 +66,8 @@ class Source(ABC):
         rig_options: names of the attributes of a `Rig` that it uses.
         calibration: of the camera and, where there is one, the LiDAR; None if unknown.
         depth_scale: units per metre of the 16-bit depth maps; None if no such maps are read.
+        stamps_ns: stamps of the images and of the depth of a recording that has them [ns], in its
+            order, also of messages in no frame; known after listing.
         folders: folders that frames are read from; predictions must not be written there.
         recordings: files or whole folders that outputs must not replace or write into.
     """
@@ -72,10 +77,12 @@ class Source(ABC):
     rig_options: ClassVar[tuple[str, ...]] = ()
     calibration: Calibration | None = None
     depth_scale: float | None = None
+    stamps_ns: Mapping[Sensor, Sequence[int]] = MappingProxyType({})
     folders: tuple[Path, ...] = ()
     recordings: tuple[Path, ...] = ()
     # Of sources with stamps and poses:
     _rig = DEFAULT_RIG
+    _period_ns = float(FIRST_SCAN_NS)  # of scans
     _to_middle_ns = 0  # from the stamp of a scan to its middle
     _poses: PoseTrack | None = None
     _pose_frame = PoseFrame.BODY
@@ -182,6 +189,10 @@ class Source(ABC):
                 poses = self._poses.mounted(lidar_mount(self._pose_frame, calibration))
         if isinstance(depth, Scan) and depth.times is None and frame.depth_stamp_ns is not None:
             depth = depth._replace(times=frame.depth_stamp_ns + self._to_middle_ns)
+            is_moved = poses is not None and frame.depth_stamp_ns != frame.image_stamp_ns
+            if is_moved and self._rig.scan_stamp is None:
+                with collect_assumptions(self._notes):
+                    assume_middle("in --source")
         measured = None
         if depth is not None:
             measured = Message(frame.depth_stamp_ns, frame.depth_stamp_ns or 0, depth)
@@ -204,6 +215,8 @@ class Source(ABC):
     def _rig_facts(self) -> dict[str, Any]:
         """The attributes of the rig that are used, ready for JSON."""
         facts = {name: getattr(self._rig, name) for name in self.rig_options}
+        if "scan_stamp" in facts:
+            facts["scan_stamp"] = self._rig.scan_stamp or "middle"
         given = self._rig.calibration
         is_array = isinstance(given, Calibration)
         facts["calibration"] = "a Calibration" if is_array else given and str(given)
@@ -247,14 +260,20 @@ class Source(ABC):
         matching = StampMatching(
             max_skew_ms=max_skew_ms, reuse_depth_ms=self._rig.oldest_depth_ms, capacity=_WAITING
         )
-        stamped = ((sensor, Message(stamp, stamp, data)) for sensor, stamp, data in messages)
+        stamps_ns: dict[Sensor, list[int]] = {sensor: [] for sensor in MATCHED}
+        self.stamps_ns = stamps_ns
+
+        def stamped() -> Iterator[tuple[Sensor, Message]]:
+            for sensor, stamp, data in messages:
+                stamps_ns[sensor].append(stamp)
+                yield sensor, Message(stamp, stamp, data)
 
         def count(decided: Decided) -> None:
             discarded = decided.discarded
             self._left_out.update(f"{gone.sensor}: {gone.outcome}" for gone in discarded)
 
         def listed() -> Iterator[ListedFrame]:
-            for sequence, frame in enumerate(matching.match(stamped, count)):
+            for sequence, frame in enumerate(matching.match(stamped(), count)):
                 image, depth = frame.image, frame.depth
                 found = sequence, name(image), image.data
                 if depth is None:
@@ -263,11 +282,10 @@ class Source(ABC):
                     stamps_ns, own = (image.stamp_ns, depth.stamp_ns), not frame.reused
                     yield ListedFrame(*found, depth.data, *stamps_ns, own, frame.reused)
 
-        middle_after = MIDDLE_AFTER[self._rig.scan_stamp]
         frames = up_to(listed(), limit)
-        scans_ns = np.unique([f.depth_stamp_ns for f in frames if f.depth_stamp_ns is not None])
-        period_ns = np.median(np.diff(scans_ns)) if len(scans_ns) > 1 else FIRST_SCAN_NS
-        self._to_middle_ns = round(middle_after * float(period_ns))
+        scans_ns = [f.depth_stamp_ns for f in frames if f.depth_stamp_ns is not None]
+        self._period_ns = period_ns_of(scans_ns, FIRST_SCAN_NS)
+        self._to_middle_ns = round(self._rig.after_stamp * self._period_ns)
         return frames
 
     def close(self) -> None:  # noqa: B027 - most hold nothing open

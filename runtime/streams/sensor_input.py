@@ -14,8 +14,8 @@ from runtime.engine.preprocess import check_rgb, check_sparse_depth
 from runtime.geometry.assumptions import assume
 from runtime.geometry.motion import (
     FIRST_SCAN_NS,
-    MIDDLE_AFTER,
     Scan,
+    assume_middle,
     lidar_mount,
     point_times,
 )
@@ -59,7 +59,8 @@ class SensorInput:
         if not isinstance(rig, Rig):
             raise InputError(f"rig must be a Rig, such as Rig(calibration=...), got {shown(rig)}")
         self._calibration, self._counter, self._lock = rig.read_calibration(), counter, lock
-        self._middle_after = MIDDLE_AFTER[rig.scan_stamp]
+        self._middle_after = rig.after_stamp
+        self._is_middle_assumed = rig.scan_stamp is None
         self._scans = Intervals()
         self._poses = PoseBuffer()
         self._mount: NDArray[np.float64] | None = None
@@ -132,6 +133,9 @@ class SensorInput:
         scan = message.data
         if not isinstance(scan, Scan) or scan.times is not None:
             return message
+        if self._is_middle_assumed and self._mount is not None:
+            self._is_middle_assumed = False
+            assume_middle("of the stream states it")
         middle_ns = message.stamp_ns + round(self._middle_after * period_ns)
         return replace(message, data=scan._replace(times=middle_ns))
 

@@ -1,0 +1,66 @@
+"""What the stamps of two sensors show by themselves: a sensor that was silent, two clocks."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.base.stamp import NS_PER_MS
+
+#: A sensor is silent from so long without a message on, and not before _PERIODS of its periods.
+SILENT_NS = 500 * NS_PER_MS
+_PERIODS = 3.0
+_LEAST_OFFSETS = 3  # of a sensor
+
+
+def find_silences(
+    stamps_ns: NDArray[np.int64] | Sequence[int], first_ns: int, last_ns: int
+) -> list[tuple[int, int]]:
+    """Return when a sensor sent nothing, as (from, to) [ns].
+
+    Args:
+        stamps_ns: of its messages, in any order.
+        first_ns: start of the recording, also of its other sensors.
+        last_ns: its end.
+    """
+    stamps = np.unique(np.asarray(stamps_ns, np.int64))
+    if not stamps.size:
+        return []
+    intervals = np.diff(stamps)
+    # Of a quarter that may be gaps themselves.
+    period_ns = float(np.percentile(intervals, 75, method="lower")) if len(intervals) > 1 else 0.0
+    longest_ns = max(SILENT_NS, _PERIODS * period_ns)
+    edges = np.concatenate([[min(first_ns, stamps[0])], stamps, [max(last_ns, stamps[-1])]])
+    return [
+        (int(edges[at]), int(edges[at + 1])) for at in np.flatnonzero(np.diff(edges) > longest_ns)
+    ]
+
+
+def clocks_apart_s(
+    image_ns: Sequence[int], depth_ns: Sequence[int], period_ns: float, *, is_scan: bool
+) -> float | None:
+    """Return by how many seconds the clock of the depth is ahead of that of the images.
+
+    Args:
+        image_ns: stamp - time of recording of each image [ns].
+        depth_ns: the same of the depth.
+        period_ns: of the depth.
+        is_scan: whether it comes from scans: they are recorded when they end, so up to a period
+            after a stamp that marks their start.
+
+    Returns:
+        None where the difference is at most half a period: the time that drivers take.
+    """
+    if min(len(image_ns), len(depth_ns)) < _LEAST_OFFSETS:
+        return None
+    ahead_ns = float(np.median(depth_ns) - np.median(image_ns))
+    most_ns = period_ns / 2
+    least_ns = -most_ns - (period_ns if is_scan else 0.0)
+    return None if least_ns <= ahead_ns <= most_ns else ahead_ns / 1e9
+
+
+def period_ns_of(stamps_ns: Any, default_ns: float) -> float:
+    """The median interval of stamps in any order."""
+    intervals = np.diff(np.unique(np.asarray(stamps_ns, np.int64)))
+    return float(np.median(intervals)) if intervals.size else default_ns
