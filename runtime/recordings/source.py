@@ -288,6 +288,11 @@ class Source(ABC):
         self._to_middle_ns = round(self._rig.after_stamp * self._period_ns)
         return frames
 
+    def has_lidar(self, frames: Iterable[ListedFrame]) -> bool:
+        """Whether the recording has depth, of these frames of its list or of none."""
+        has_messages = bool(self.stamps_ns.get(Sensor.DEPTH))
+        return has_messages or any(each.depth is not None for each in frames)
+
     def close(self) -> None:  # noqa: B027 - most hold nothing open
         """Close open files. May be called again."""
 

@@ -97,7 +97,7 @@ class VideoSource(FolderSource):
         return {_name(number): path for number, path in maps.items()}
 
     def read(self, frame: ListedFrame) -> Frame:
-        """See `Source.read`. Raises InputError also where the image or depth map is missing, and after a fork."""
+        """See `Source.read`. Raises InputError also without image or depth map."""
         self._guard.check()
         read = super().read(frame)
         milliseconds = self._video.get(cv2.CAP_PROP_POS_MSEC)

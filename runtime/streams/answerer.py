@@ -10,6 +10,7 @@ from runtime.base.errors import SSDNetError
 from runtime.contract.degraded import IMPLAUSIBLE_DEPTH
 from runtime.engine.prediction import Prediction
 from runtime.geometry.calibration import Calibration
+from runtime.geometry.motion import Scan
 from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
 from runtime.streams.health.consistency import ConsistencyCheck
@@ -41,6 +42,8 @@ class Answerer:
         predictor: a `Predictor`, or a drop-in replacement.
         consistency: share of the returns that is held out, see `ConsistencyCheck`; None = no check.
         check_depth: whether `check_last` compares returns with a prediction from the image alone.
+        has_lidar: whether there is one, so that an image without depth lacks it; False: from the
+            first frame with depth on.
         is_implausible: whether returns are known to be implausible until `check_last` clears them.
 
     Raises:
@@ -53,10 +56,11 @@ class Answerer:
         *,
         consistency: float | None = None,
         check_depth: bool = True,
+        has_lidar: bool = False,
         is_implausible: bool = False,
     ) -> None:
         self._predictor = predictor
-        self._health, self._plausibility = FrameHealth(), DepthPlausibility()
+        self._health, self._plausibility = FrameHealth(has_lidar=has_lidar), DepthPlausibility()
         self._is_implausible = is_implausible
         self._check_depth = check_depth
         self._last: Frame | None = None  # of the next check
@@ -89,7 +93,14 @@ class Answerer:
                 reasons = (IMPLAUSIBLE_DEPTH, *reasons)
         prediction = prediction.after_reading(reasons, frame.in_time.lost_points)
         # `predict` has checked that they fit.
-        health = self._health.check(rgb, sparse_depth, range_m=prediction.range_m)
+        scan = None if (own := frame.own_depth) is None else own.data
+        health = self._health.check(
+            rgb,
+            sparse_depth,
+            scan=scan.points if isinstance(scan, Scan) else scan,
+            reused=frame.reused,
+            range_m=prediction.range_m,
+        )
         self._answers += 1
         return FrameResult(
             sequence=self._answers - 1,

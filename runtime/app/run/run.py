@@ -173,6 +173,7 @@ def _answer(
         answerer = Answerer(
             predictor,
             check_depth=False,
+            has_lidar=stream.source.has_lidar(stream.frames),
             is_implausible=fault is not None and not isinstance(fault, NoDepth),
         )
         about = f"{camera}: {stream.about}" if camera else stream.about

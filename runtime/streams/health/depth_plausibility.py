@@ -1,5 +1,6 @@
-"""Whether the returns can be metres of what the camera sees: unit, inverse depth, mirrored maps,
-and returns that fit the image nowhere.
+"""Whether the returns can be metres of what the camera sees.
+
+Found are a wrong unit, inverse depth, mirrored maps, and returns that fit the image nowhere.
 
 The returns of some frames are compared with the depth that the model predicts from the image alone.
 The logarithms of both correlate if the returns show the same scene, also in a wrong unit; the ratio

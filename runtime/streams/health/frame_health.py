@@ -1,10 +1,12 @@
 """Checks of the sensors' data of a frame, against the frames before it.
 
-Image: frozen, black, overexposed. LiDAR: a lost sector (dirt), lost scan lines (failed lasers). The
-usual returns depend on the LiDAR and its mounting, so a stream is compared with itself: the returns
-in 16 columns and in 8 rows of the image, against their running means over the frames without a
-fault. Scenes change them less than a failure: none of 60 frames of KITTI's drive 2011_09_26 is
-flagged. A part that is missing from the first frame on is not detected.
+Image: frozen, black, overexposed. LiDAR: missing, empty, frozen, a lost sector (dirt), lost scan
+lines (failed lasers). The usual returns depend on the LiDAR and its mounting, so a stream is
+compared with itself: the returns in 16 columns and in 8 rows of the image, against their running
+means over the frames without a fault, and against how far they usually are from these means, which
+is far for a LiDAR with another pattern in every scan. Scenes change them less than a failure: none
+of 60 frames of KITTI's drive 2011_09_26 is flagged. A part that is missing from the first frame on
+is not detected.
 """
 
 from typing import Any
@@ -18,9 +20,13 @@ from runtime.contract.contract import MAX_RETURN_M, farthest_return
 IMAGE_FROZEN = "image_frozen"  # the same bytes as the image before
 IMAGE_BLACK = "image_black"  # nearly every pixel is dark
 IMAGE_OVEREXPOSED = "image_overexposed"  # half of the pixels are saturated
+LIDAR_MISSING = "lidar_missing"  # no scan or depth map for the image, although there is a LiDAR
+LIDAR_EMPTY = "lidar_empty"  # its scan or depth map has no return in the image
+LIDAR_FROZEN = "lidar_frozen"  # the same scan at least three times, while the images change
 LIDAR_SECTOR_LOST = "lidar_sector_lost"
 LIDAR_LINES_LOST = "lidar_lines_lost"
 
+_MOST_FIELDS = 32  # a wider array is a depth map
 _GLANCE = 16  # every 16th row and column are compared first
 _STEP = 4  # every 4th row and column are checked for brightness
 _DARK, _DARK_SHARE = 12, 0.99  # brightest channel, of 255
@@ -33,38 +39,93 @@ _MEMORY = 0.1  # weight of a new frame in the running mean
 _LEAST_RETURNS, _LEAST_SHARE = 30, 0.03
 _CELL_LOST = 0.25  # share of its mean below which a cell is lost
 _TOTAL_LOST = 0.7  # the same of all returns: scan lines that are lost all over the image
+_DEVIATIONS = 3.0  # by so many usual deviations a loss is below the mean
+
+_FROZEN_SCANS = 3  # of the same points: a driver may send each scan twice on purpose
+_THUMB = (64, 24)  # width and height of the images that are compared while a scan repeats
+# Mean change of their channels, of 255. A simulator that stands still repeats scans, too; the
+# images of its camera then change by noise alone.
+_CHANGED = 2.0
 
 
 class FrameHealth:
-    """Check one frame of a stream after another. Not thread-safe."""
+    """Check one frame of a stream after another. Not thread-safe.
 
-    def __init__(self) -> None:
+    Args:
+        has_lidar: whether there is one; False: from the first frame with depth on.
+    """
+
+    def __init__(self, *, has_lidar: bool = False) -> None:
+        self._has_lidar = has_lidar
         self._before: NDArray[np.uint8] | None = None
-        #: Running means of the returns in each column and in each row of cells.
-        self._means = np.zeros(_COLUMNS), np.zeros(_ROWS)
+        #: Returns in each column and in each row of cells, and in all.
+        self._columns, self._rows, self._total = _Usual(), _Usual(), _Usual()
         self._learned = 0  # frames in the means
+        self._scan: NDArray[np.float32] | None = None  # the last one
+        self._scans = 0  # so many were like it, and the image of the first of them:
+        self._first_image: NDArray[np.uint8] | None = None
 
     def check(
         self,
         rgb: NDArray[np.uint8],
         sparse_depth: NDArray[np.float32],
         *,
+        scan: NDArray[np.float32] | None = None,
+        reused: bool = False,
         range_m: float = MAX_RETURN_M,
     ) -> tuple[str, ...]:
         """Return what is wrong with the sensors.
 
         Args:
             rgb: uint8 (H, W, 3); it is kept until the next frame and must not be written to.
-            sparse_depth: float32 (H, W), metres, 0 = no return. A map without any return is not
-                checked: `Prediction.degraded` reports it.
+            sparse_depth: float32 (H, W), metres, 0 = no return.
+            scan: what the LiDAR sent for this image, kept as the image is: the points, float32
+                (N, 3) or wider, or the depth map. None: nothing.
+            reused: whether the depth is that of an older image.
             range_m: depth range of the frame; farther depths than `farthest_return` are no returns.
 
         Returns:
-            Of "image_frozen", "image_black", "image_overexposed", "lidar_sector_lost" and
-            "lidar_lines_lost"; () if nothing is wrong.
+            Of "image_frozen", "image_black", "image_overexposed", "lidar_missing", "lidar_empty",
+            "lidar_frozen", "lidar_sector_lost" and "lidar_lines_lost"; () if nothing is wrong.
         """
         is_return = (sparse_depth > 0) & (sparse_depth <= farthest_return(range_m))
-        return (*self._image_faults(rgb), *self._lidar_faults(is_return))
+        before = self._before
+        found = self._image_faults(rgb)
+        self._has_lidar |= scan is not None
+        if scan is not None:
+            if self._repeats(scan, rgb, before):
+                found.append(LIDAR_FROZEN)
+            if not is_return.any():
+                found.append(LIDAR_EMPTY)
+        elif self._has_lidar and not reused:
+            found.append(LIDAR_MISSING)
+        return (*found, *self._lidar_faults(is_return))
+
+    def _repeats(
+        self,
+        scan: NDArray[np.float32],
+        rgb: NDArray[np.uint8],
+        before: NDArray[np.uint8] | None,
+    ) -> bool:
+        """Whether the LiDAR sends one scan again and again, while the image changes."""
+        last, self._scan = self._scan, scan
+        is_same = last is not None and last.shape == scan.shape and scan.size > 0
+        # Times and so on in further columns of points may be new.
+        width = 3 if scan.ndim == 2 and scan.shape[1] < _MOST_FIELDS else None
+        if not (
+            is_same
+            and last is not None
+            and np.array_equal(last[::_GLANCE, :width], scan[::_GLANCE, :width])
+            and np.array_equal(last[:, :width], scan[:, :width])
+        ):
+            self._scans, self._first_image = 1, None
+            return False
+        self._scans += 1
+        if self._first_image is None and before is not None:
+            self._first_image = _thumb(before)
+        if self._scans < _FROZEN_SCANS or self._first_image is None:
+            return False
+        return float(cv2.absdiff(_thumb(rgb), self._first_image).mean()) >= _CHANGED
 
     def _image_faults(self, rgb: NDArray[np.uint8]) -> list[str]:
         before, self._before = self._before, rgb
@@ -86,28 +147,51 @@ class FrameHealth:
         mask = is_return.view(np.uint8)
         columns = _cells(cv2.reduce(mask, 0, cv2.REDUCE_SUM, dtype=cv2.CV_32S), _COLUMNS)
         rows = _cells(cv2.reduce(mask, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S), _ROWS)
-        total, mean_columns, mean_rows = columns.sum(), *self._means
-        if total == 0:
+        total = columns.sum(keepdims=True)
+        if not total.any():
             return []
         if self._learned >= _LEARNED_FROM:
-            row_lost = _any_lost(rows, mean_rows)
-            if _any_lost(columns, mean_columns) and not row_lost:
+            row_lost = self._rows.lost(rows, _CELL_LOST)
+            if self._columns.lost(columns, _CELL_LOST) and not row_lost:
                 return [LIDAR_SECTOR_LOST]
-            if row_lost or total < _TOTAL_LOST * mean_columns.sum():
+            if row_lost or self._total.lost(total, _TOTAL_LOST):
                 return [LIDAR_LINES_LOST]
         self._learned += 1
         weight = max(_MEMORY, 1 / self._learned)
-        mean_columns += weight * (columns - mean_columns)
-        mean_rows += weight * (rows - mean_rows)
+        for usual, counts in (
+            (self._columns, columns), (self._rows, rows), (self._total, total)
+        ):  # fmt: skip
+            usual.learn(counts, weight)
         return []
+
+
+class _Usual:
+    """Running means of counts, and their mean squared distance from them."""
+
+    def __init__(self) -> None:
+        self._mean: NDArray[np.float64] | float = 0.0
+        self._square: NDArray[np.float64] | float = 0.0
+
+    def learn(self, counts: NDArray[np.float64], weight: float) -> None:
+        """Take the counts of one more frame without a fault."""
+        apart = counts - self._mean
+        self._mean = self._mean + weight * apart
+        if weight < 1:
+            self._square = (1 - weight) * (self._square + weight * apart**2)
+
+    def lost(self, now: NDArray[np.float64], share: float) -> bool:
+        """Whether a count that is usually high is below this share, and farther off than usual."""
+        mean = np.asarray(self._mean)
+        checked = (mean >= _LEAST_RETURNS) & (mean >= _LEAST_SHARE * mean.sum())
+        below = mean - now > _DEVIATIONS * np.sqrt(self._square)
+        return bool((checked & below & (now < share * mean)).any())
+
+
+def _thumb(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.asarray(cv2.resize(rgb, _THUMB, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _cells(counts: NDArray[Any], cells: int) -> NDArray[np.float64]:
     """Sum the counts of rows or columns over `cells` parts of about the same width."""
     edges = np.arange(cells) * counts.size // cells
     return np.add.reduceat(counts.ravel(), edges).astype(np.float64)
-
-
-def _any_lost(now: NDArray[np.float64], mean: NDArray[np.float64]) -> bool:
-    checked = (mean >= _LEAST_RETURNS) & (mean >= _LEAST_SHARE * mean.sum())
-    return bool((checked & (now < _CELL_LOST * mean)).any())

@@ -117,3 +117,63 @@ def test_a_recorded_drive_is_healthy_until_a_part_is_lost(check_depth):
     blind = depths[-1].copy()
     blind[:, 300:450] = 0
     assert check_depth(blind) == ("lidar_sector_lost",)
+
+
+def street(frame):
+    """An image that changes as in a drive."""
+    return np.roll(
+        noise(0, size=SIZE) // 2 + np.linspace(0, 127, SIZE[1]).astype(np.uint8)[:, None],
+        30 * frame,
+        1,
+    )
+
+
+def points(seed=0):
+    return np.random.default_rng(seed).uniform(2, 80, (500, 4)).astype(np.float32)
+
+
+def test_a_lidar_that_repeats_itself_is_frozen_from_the_third_scan_on():
+    health, depth = FrameHealth(), scan()
+    found = [health.check(street(i), depth, scan=points()) for i in range(5)]
+    assert found == [(), (), *[("lidar_frozen",)] * 3]
+    assert health.check(street(5), depth, scan=points(1)) == ()
+    times = np.full((500, 1), 7, np.float32)  # a further column is not compared
+    found = [
+        health.check(street(i), depth, scan=np.hstack([points(2)[:, :3], times * i]))
+        for i in range(3)
+    ]
+    assert found[2] == ("lidar_frozen",)
+
+
+def test_no_lidar_is_frozen_that_stands_still_or_whose_scans_serve_twice():
+    health, depth = FrameHealth(), scan()
+    rng = np.random.default_rng(1)
+    for _ in range(5):  # a simulator: the image has noise
+        image = street(0) // 2 + rng.integers(0, 8, (*SIZE, 3), np.uint8)
+        assert health.check(image, depth, scan=points()) == ()
+    for frame in range(8):  # each scan twice, and reused ones between
+        assert health.check(street(frame), depth, scan=points(20 + frame // 2)) == ()
+        assert health.check(street(frame), depth, reused=True) == ("image_frozen",)
+    for frame in range(4):  # equal maps of scans that differ
+        assert health.check(street(frame), depth, scan=points(10 + frame)) == ()
+
+
+def test_a_lidar_is_missing_or_empty():
+    health, empty = FrameHealth(), np.zeros(SIZE, np.float32)
+    assert health.check(street(0), empty) == (), "a camera alone"
+    assert health.check(street(1), empty, scan=points()) == ("lidar_empty",)
+    assert health.check(street(2), empty) == ("lidar_missing",)
+    assert health.check(street(3), scan(), scan=points()) == ()
+    assert FrameHealth(has_lidar=True).check(street(0), empty) == ("lidar_missing",)
+
+
+def test_a_lidar_with_another_pattern_in_every_scan_loses_no_lines():
+    health, rng = FrameHealth(), np.random.default_rng(0)
+    for frame in range(40):
+        depth = np.zeros(SIZE, np.float32)
+        first = 30 if frame % 2 else 45  # its upper edge is reached in every second scan alone
+        depth[rng.integers(first, 110, 4000), rng.integers(0, SIZE[1], 4000)] = 10
+        assert health.check(noise(frame, size=SIZE), depth) == (), frame
+    assert health.check(
+        noise(99, size=SIZE), np.where(np.arange(SIZE[1]) < 60, 0, depth).astype(np.float32)
+    ) == ("lidar_sector_lost",)
