@@ -135,7 +135,7 @@ class SensorInput:
             return message
         if self._is_middle_assumed and self._mount is not None:
             self._is_middle_assumed = False
-            assume_middle("of the stream states it")
+            assume_middle("of the Rig states it")
         middle_ns = message.stamp_ns + round(self._middle_after * period_ns)
         return replace(message, data=scan._replace(times=middle_ns))
 
