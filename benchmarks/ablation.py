@@ -15,7 +15,7 @@ The run of docs/results.md:
     python benchmarks/ablation.py --data DIR --runs RUNS --threads 1 --seeds 0 1 2 --rows ssdnet \
         ssdnet-ind ssdnet-sem ssdnet-dep ssdnet-dep-d ssdnet-dep-rgb paper-class-weights \
         --set 'schedule.steps = 3750' --set 'data.augment.crop = [64, 224]' \
-        --set 'model.config.sparse_depth_gain = 20.0' --set 'loss.depth_weight = 10.0' \
+        --set 'model.config.sparse_depth_gain = 20.0' --set 'loss.weights.depth = 10.0' \
         --set 'loop.ema_decay = 0.998' --set 'data.cache_gib = 2.0' --plot ablation.png
 """
 

@@ -28,8 +28,8 @@ from training.datasets.sample import Sample
 from training.loading.augment import AugmentConfig
 from training.loop import train
 from training.losses import LossConfig
-from training.losses.heads import HEAD_LOSSES
 from training.losses.semantic import labelled_mean
+from training.losses.terms import TERMS, head_term
 from training.recipe import (
     DataRecipe,
     LoopRecipe,
@@ -181,7 +181,7 @@ def test_a_row_and_a_loss_train_it(tmp_path, monkeypatch):
     config = NetworkConfig("tiny-drivable", classes=())
     monkeypatch.setitem(HEADS, "drivable", ROW)
     monkeypatch.setitem(NETWORKS, config.name, Entry(Drivable, config))
-    monkeypatch.setitem(HEAD_LOSSES, "drivable", drivable_loss)
+    monkeypatch.setitem(TERMS, "drivable", head_term("drivable", drivable_loss))
     monkeypatch.setattr(task, "open_dataset", lambda *_, **__: Streets())
     recipe = Recipe(
         model=ModelRecipe(config.name),
@@ -191,7 +191,7 @@ def test_a_row_and_a_loss_train_it(tmp_path, monkeypatch):
             batch_size=4,
             workers=0,
         ),
-        loss=LossConfig(head_weights={"drivable": 2.0}),
+        loss=LossConfig(weights={"drivable": 2.0}),
         schedule=ScheduleRecipe(steps=5),
         optimizer=OptimizerRecipe(learning_rate=0.03),
         loop=LoopRecipe(ema_decay=0.0, log_every=1),

@@ -37,7 +37,7 @@ from training.initial_weights import Weights
 from training.lidar.split import SENSOR_LINES, OcclusionFilter, is_kept, masked, random_share
 from training.loading.open_dataset import open_dataset
 from training.loop import train
-from training.losses import total as losses
+from training.losses.terms import DEPTH_ALONE
 from training.recipe import Recipe, build_recipe
 from training.release import mix_weights
 from training.run_folder import FINAL, folder_errors
@@ -268,12 +268,11 @@ def make_recipe(
                 },
             },
             "loss": {
-                **losses.DEPTH_ALONE,
+                "weights": {**DEPTH_ALONE, "depth_uncertainty": 0.2},
                 "depth_form": "metric",
                 "depth_scales": "finest",
                 "metric_l2": 0.02,
                 "metric_log": 20.0,
-                "depth_uncertainty_weight": 0.2,
             },
             "optimizer": {
                 "learning_rate": 5e-4,

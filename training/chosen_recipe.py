@@ -18,7 +18,8 @@ from runtime.base.errors import InputError
 from runtime.files.read_input import read_toml
 from training.initial_weights import Weights, weights_folder
 from training.losses import LossConfig
-from training.losses.total import PAIR_TERMS, TERMS
+from training.losses.terms import PAIR_TERMS, TERMS
+from training.losses.total import gather_weights
 from training.recipe import LoopRecipe, OptimizerRecipe, build_recipe, change, merge
 from training.recipes.registry import RECIPES
 from training.stages import Stage
@@ -111,6 +112,7 @@ def _settings(
     model = _below(table, "model")
     if model.get("name", config.name) != config.name:
         return {}
+    earlier = {**earlier, "loss": gather_weights(_below(earlier, "loss"))}
     settings: dict[str, Any] = {
         name: {key: value for key, value in _below(earlier, name).items() if key in keys}
         for name, keys in _TAKEN.items()
@@ -151,8 +153,8 @@ def _fit_loss(loss: dict[str, Any], table: Mapping[str, Any], classes: object) -
     left_out = set() if augment.get("pair_shift") else set(PAIR_TERMS)
     left_out |= {name for name in TERMS if name.startswith("distilled_")}
     left_out |= set() if has_road else {"road"}
-    for term in left_out:
-        loss.pop(f"{term}_weight", None)
+    weights = _below(loss, "weights")
+    loss["weights"] = {name: value for name, value in weights.items() if name not in left_out}
 
 
 def _fit_rates(optimizer: dict[str, Any], wanted: Mapping[str, Any]) -> None:

@@ -158,13 +158,13 @@ def prepare_teacher(weights: Weights | None, loss: LossConfig, network: Network)
         if not heads:
             return None
         raise InputError(
-            f"loss.distilled_{heads[0]}_weight compares answers with a teacher's. Give --teacher, "
+            f"loss.weights.distilled_{heads[0]} compares answers with a teacher's. Give --teacher, "
             "for example --teacher ssdnet-lite, or set it to 0."
         )
     given = f"--teacher {weights.path.name}"
     if not heads:
         raise InputError(
-            f"{given}: no weight loss.distilled_..._weight above 0 applies to the "
+            f"{given}: no weight loss.weights.distilled_... above 0 applies to the "
             f"heads of {network.config.name!r} ({', '.join(network.heads)}), so that nothing would "
             "be learned from it. Set one, or leave --teacher out."
         )
@@ -172,7 +172,7 @@ def prepare_teacher(weights: Weights | None, loss: LossConfig, network: Network)
     if missing := [head for head in heads if head not in teacher.heads]:
         raise InputError(
             f"{given}: has no head {missing[0]!r}. Set "
-            f"loss.distilled_{missing[0]}_weight = 0, or give a teacher with it."
+            f"loss.weights.distilled_{missing[0]} = 0, or give a teacher with it."
         )
     for key in ("classes", "max_depth_m", "canonical_focal_px"):
         wanted, found = (_meaning(item, key) for item in (network, teacher))

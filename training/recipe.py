@@ -9,8 +9,17 @@ from dataclasses import field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union
 
-from pydantic import AfterValidator, Discriminator, Field, Tag, TypeAdapter, ValidationError
+from pydantic import (
+    AfterValidator,
+    Discriminator,
+    Field,
+    PlainValidator,
+    Tag,
+    TypeAdapter,
+    ValidationError,
+)
 from pydantic.dataclasses import dataclass
+from pydantic_core import PydanticCustomError
 
 from models import NetworkConfig
 from models.registry import find_network
@@ -18,7 +27,7 @@ from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_CLASSES, MAX_NAME_LENGTH, MIN_SIDE, ClassInfo
 from training.datasets.class_mapping import ClassTable, list_classes
-from training.datasets.registry import DATASETS
+from training.datasets.registry import DATASETS, find_dataset
 from training.datasets.source_recipe import SourceRecipe
 from training.lidar.split import LidarInput
 from training.limits import (
@@ -33,17 +42,50 @@ from training.limits import (
 )
 from training.loading.augment import AugmentConfig
 from training.losses import LossConfig
-from training.losses.total import PAIR_TERMS
+from training.losses.terms import PAIR_TERMS
 
 T = TypeVar("T")
+
+
+#: The tag of data sets of other packages.
+_REGISTERED = "(registered)"
+
+
+def _kind_of(value: Any) -> str | None:
+    """Return the kind of a data set, or the tag of those that another package registers."""
+    kind = value.get("kind") if isinstance(value, Mapping) else getattr(value, "kind", None)
+    if isinstance(kind, str) and kind not in DATASETS and find_dataset(kind) is not None:
+        return _REGISTERED
+    return kind
+
+
+def _read_registered(value: Any) -> SourceRecipe:
+    """Read a data set of another package by its own keys."""
+    if isinstance(value, SourceRecipe):
+        return value
+    kind = find_dataset(value["kind"])
+    assert kind is not None  # by its tag
+    try:
+        return build(kind, value)
+    except InputError as error:
+        raise PydanticCustomError("registered", "{text}", {"text": str(error)}) from error
+
 
 if TYPE_CHECKING:
     AnySource = SourceRecipe
 else:
     #: A data set of any kind, by its key ``kind``.
     AnySource = Annotated[
-        Union[tuple(DATASETS.values())],  # noqa: UP007
-        Field(discriminator="kind"),
+        Union[
+            *(Annotated[kind, Tag(name)] for name, kind in DATASETS.items()),
+            Annotated[SourceRecipe, PlainValidator(_read_registered), Tag(_REGISTERED)],
+        ],
+        Discriminator(
+            _kind_of,
+            custom_error_type="kind",
+            custom_error_message="unknown kind of data set; known: {known}",
+            custom_error_context={"known": ", ".join(DATASETS)},
+        ),
     ]
 
 
@@ -61,7 +103,7 @@ class ClassRecipe:
 
 
 #: Tags that pydantic adds to the location of an error: the member of a union that it tried.
-_TAGS: Mapping[str, type] = {**DATASETS, _NAMED: str, _OWN: ClassRecipe}
+_TAGS: Mapping[str, type] = {**DATASETS, _REGISTERED: SourceRecipe, _NAMED: str, _OWN: ClassRecipe}
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -286,14 +328,14 @@ class Recipe:
                 raise ValueError(f"data.rare_classes: {name!r} is not a class of model.classes")
         for key, value, name in (
             ("data.sky_depth_m", self.data.sky_depth_m, "sky"),
-            ("loss.road_weight", self.loss.road_weight, "road"),
+            ("loss.weights.road", self.loss.weight("road"), "road"),
         ):
             if value and self.model.class_id(name) is None:
                 raise ValueError(f"{key} needs a class called {name!r} in model.classes")
-        pair_terms = [name for name in PAIR_TERMS if getattr(self.loss, f"{name}_weight")]
+        pair_terms = [name for name in PAIR_TERMS if self.loss.weight(name)]
         if pair_terms and not self.data.augment.pair_shift:
             raise ValueError(
-                f"loss.{min(pair_terms)}_weight compares two views of a frame: set "
+                f"loss.weights.{min(pair_terms)} compares two views of a frame: set "
                 "data.augment.pair_shift"
             )
 
@@ -323,10 +365,12 @@ class Recipe:
 
 
 def derive(recipe: T, **changes: Any) -> T:
-    """Return a recipe with other keys; a mapping changes keys of a table."""
+    """Return a recipe with other keys; a mapping changes keys of a table, or of the weights."""
     for key, change in changes.items():
         if is_dataclass(table := getattr(recipe, key)) and isinstance(change, Mapping):
             changes[key] = derive(table, **change)
+        elif key == "weights":
+            changes[key] = {**table, **change}
     return replace(recipe, **changes)  # type: ignore[type-var]
 
 
@@ -401,7 +445,7 @@ def parse_data(text: str) -> SourceRecipe:
     if not colon:
         raise InputError(f"--data {text!r}; expected KIND:FOLDER[,KEY=VALUE...].")
     table: dict[str, Any] = {"kind": kind, "path": folder}
-    types = {item.name: item.type for item in fields(DATASETS.get(kind, SourceRecipe))}
+    types = {item.name: item.type for item in fields(find_dataset(kind) or SourceRecipe)}
     for pair in pairs:
         key, _, value = pair.partition("=")
         if key in table:
@@ -430,6 +474,8 @@ def _describe(error: Mapping[str, Any], kind: Any) -> str:
         case "unexpected_keyword_argument":
             known = ", ".join(item.name for item in fields(_table_at(kind, place[:-1])))
             return f"unknown key {key}; known here: {known}. Correct its name."
+        case "registered":  # the keys of another package's data set, checked by `build`
+            return f"{key}: {error['ctx']['text']}"
         case "missing":
             return f"missing key {key}."
         case "value_error" if isinstance(error["input"], dict):  # its text starts with the key

@@ -35,7 +35,7 @@ from training.loading.open_dataset import (
     survey,
 )
 from training.losses import SSDNetLoss, class_weights
-from training.losses.total import Term
+from training.losses.terms import Term
 from training.network import build_network
 from training.optimizer import build_optimizer
 from training.recipe import DataRecipe, OptimizerRecipe, Recipe

@@ -133,7 +133,7 @@ def test_a_loss_of_which_no_term_has_a_head_is_refused(tmp_path):
     virtual_kitti.write_second_edition(tmp_path / "rendered", magnify=5)
     (tmp_path / "tiny.toml").write_text(RECIPE.format(name="tiny-depth"))
     arguments = ["--data", str(tmp_path), "--out", str(tmp_path / "run")]
-    arguments += ["--set", "loss.depth_weight = 0.0"]
+    arguments += ["--set", "loss.weights.depth = 0.0"]
     result = CliRunner().invoke(app, [str(tmp_path / "tiny.toml"), *arguments])
     assert result.exit_code == 1
     assert "no loss term with a weight above 0 applies to the heads of 'tiny-" in result.output

@@ -43,7 +43,7 @@ recipe = Recipe(
     model=ModelRecipe("ssdnet-small"),
     data=DataRecipe((source,), AugmentConfig(crop=(40, 56)), workers=0),
     schedule=ScheduleRecipe(steps=2),
-    loss=LossConfig(semantic_iou_weight=0.5, weighting="uncertainty"),
+    loss=LossConfig(weights={"semantic_iou": 0.5}, weighting="uncertainty"),
     optimizer=OptimizerRecipe(name="sgd", learning_rate=0.05),
     loop=LoopRecipe(checkpoint_every=3, log_every=1, clip_norm=1.0),
     validation=ValidationRecipe(every=2, source=(source,), pictures=1),

@@ -99,7 +99,7 @@ def test_a_recipe_of_data_and_steps_gets_the_loss_of_the_shipped_recipe(name, tm
     assert recipe.model.name == name
     assert recipe.model.config == {"canonical_focal_px": 721.5}
     assert recipe.loss.depth_form == "metric"
-    assert min(recipe.loss.depth_weight, recipe.loss.semantic_weight) > 0
+    assert min(recipe.loss.weight(name) for name in ("depth", "semantic")) > 0
     assert recipe.optimizer.learning_rate == 5e-4  # a quarter
     assert recipe.schedule.warmup_steps == 10  # a tenth of the steps
 
@@ -142,7 +142,7 @@ def test_four_steps_from_the_name_keep_what_was_learned(tmp_path):
 
 
 STUDENT = "ssdnet-nano"
-TAUGHT = LossConfig(distilled_semantic_weight=1.0, distilled_depth_weight=1.0)
+TAUGHT = LossConfig(weights={"distilled_semantic": 1.0, "distilled_depth": 1.0})
 
 
 @pytest.fixture
@@ -162,7 +162,7 @@ def test_a_teacher_answers_as_it_was_released_and_does_not_learn(write):
     teacher = prepare_teacher(write(), TAUGHT, create_model(STUDENT))
     assert not teacher.training
     assert not any(parameter.requires_grad for parameter in teacher.parameters())
-    with pytest.raises(InputError, match=r"distilled_semantic_weight .* --teacher ssdnet-lite"):
+    with pytest.raises(InputError, match=r"distilled_semantic compares .* --teacher ssdnet-lite"):
         prepare_teacher(None, TAUGHT, create_model(STUDENT))
     with pytest.raises(InputError, match="nothing would be learned"):
         prepare_teacher(write(), LossConfig(), create_model(STUDENT))

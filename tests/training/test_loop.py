@@ -38,7 +38,7 @@ from training.state import NonFiniteLossError
 pytestmark = pytest.mark.usefixtures("tiny_lite")
 
 # The joint terms favour one class everywhere until the semantics stand on their own feet.
-INDEPENDENT = LossConfig(semantic_boundary_weight=0.0, semantic_depth_weight=0.0)
+INDEPENDENT = LossConfig(weights={"semantic_boundary": 0.0, "semantic_depth": 0.0})
 
 
 def recipe(steps=6, **tables):
@@ -82,7 +82,7 @@ def read_events(run):
 def test_interrupted_run_ends_at_the_same_weights(data, tmp_path):
     """Those of the network and those that the loss learned, with two views of each frame."""
     augment = {"crop": (96, 96), "scale": (1.6, 2.0), "pair_shift": 16}
-    loss = LossConfig(weighting="uncertainty", semantic_consistency_weight=0.5)
+    loss = LossConfig(weighting="uncertainty", weights={"semantic_consistency": 0.5})
     run = recipe(3, data={"batch_size": 2, "augment": augment}, loss=loss)
     expected = weights(train(run, data=[data], out=tmp_path / "whole"))
     for stop in (1, 2):
@@ -258,7 +258,7 @@ def test_a_network_learns_sky_from_road_and_another_its_answers(data, tmp_path):
     # Nothing but the teacher's answers: without labels no other term has a target.
     for path in data.glob("camvid/trainannot/*.png"):
         cv2.imwrite(str(path), np.full((64, 80), 11, np.uint8))
-    taught = LossConfig(class_weighting="none", distilled_semantic_weight=1.0)
+    taught = LossConfig(class_weighting="none", weights={"distilled_semantic": 1.0})
     run = derive(labelled, loss=taught, data={"seed": 5})
     student = train(run, data=[data], out=tmp_path / "student", teacher=read_weights(teacher))
     assert load_checkpoint(student).training["teacher"].startswith("model.pt (sha256 ")

@@ -23,7 +23,7 @@ from models.registry import NETWORKS, Entry
 from training.chosen_recipe import read_stages
 from training.initial_weights import read_weights
 from training.loop import train
-from training.losses.total import TERMS
+from training.losses.terms import TERMS
 from training.network import build_network
 from training.recipes.registry import RECIPES
 from training.stages import Trained
@@ -133,7 +133,7 @@ def shrink_recipe(recipe):
 
 def expected_terms(loss, config):
     """Terms that a recipe gives a weight and that its network has the heads for."""
-    terms = {name for name in TERMS if getattr(loss, f"{name}_weight")}
+    terms = {name for name in TERMS if loss.weight(name)}
     if not config.semantic_head:
         terms -= {"semantic", "semantic_iou", "lovasz", "semantic_boundary", "semantic_depth"}
     if not config.depth_head:

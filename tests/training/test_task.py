@@ -9,7 +9,7 @@ import torch
 from layouts.pictures import write
 from runtime.base.errors import InputError
 from training.distributed import Processes
-from training.losses.total import TERMS
+from training.losses.terms import TERMS
 from training.recipe import Recipe, build, merge
 from training.task import open_task
 
@@ -63,14 +63,14 @@ def test_classes_that_no_pixel_shows_are_named(start):
     )
 
 
-OF_LABELS = [f"{name}_weight" for name, term in TERMS.items() if term.target == "semantic"]
+OF_LABELS = [name for name, term in TERMS.items() if term.target == "semantic"]
 
 
 def test_sets_without_a_target_of_what_learns_are_refused(start):
     with pytest.raises(InputError, match="no frame of mine has a target of the loss"):
         start({"data": {"source": source(semantic_weight=0.0)}})
     with pytest.raises(InputError, match=r"has a target .* its terms depth.* need depth"):
-        start({"loss": dict.fromkeys(OF_LABELS, 0.0)})
+        start({"loss": {"weights": dict.fromkeys(OF_LABELS, 0.0)}})
     # One set that has one is enough.
     both = [*source(semantic_weight=0.0), *source(name="other")]
     start({"data": {"source": both}})

@@ -1,5 +1,9 @@
-"""The kinds of data sets that recipes know. A new one: its file, and a line here."""
+"""The kinds of data sets that recipes know.
 
+A new one is its file and a line here, or an entry point of another package.
+"""
+
+from models.entry_points import find_entry
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.cityscapes import CityscapesRecipe
 from training.datasets.folders import FoldersRecipe
@@ -22,3 +26,18 @@ DATASETS: dict[str, type[SourceRecipe]] = {
     "virtual-kitti": VirtualKittiRecipe,
     "virtual-kitti-1": VirtualKitti1Recipe,
 }
+#: The entry points of data sets in other packages.
+GROUP = "ssdnet.datasets"
+
+
+def find_dataset(kind: str) -> type[SourceRecipe] | None:
+    """Return the options of a kind of data set; None for an unknown one.
+
+    Raises ValueError if what a package registers is no subclass of `SourceRecipe`.
+    """
+    if kind in DATASETS:
+        return DATASETS[kind]
+    found = find_entry(GROUP, kind, type)
+    if found is None or issubclass(found, SourceRecipe):
+        return found
+    raise ValueError(f"the entry point {GROUP}: {kind} is no subclass of SourceRecipe")

@@ -1,301 +1,58 @@
 """The whole loss, Eq. 12."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import field
-from functools import cached_property, partial
-from typing import Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import torch
-import torch.nn.functional as F
+from pydantic import AfterValidator, model_validator
 from pydantic.dataclasses import dataclass
+from pydantic_core import ArgsKwargs
 from torch import Tensor, nn
 
 from models import NetworkOutput
-from models.answers import head_maps
 from training.limits import STRICT, NotNegative
-from training.loading.mixture import Batch, Pair
-from training.losses.boundary import (
-    NeighbourMaps,
-    balanced_cross_entropy,
-    boundary_at_scale,
-    boundary_target,
-    hard_disagreement,
-    semantic_boundary_loss,
-    semantic_depth_loss,
-    soft_disagreement,
-)
-from training.losses.consistency import (
-    depth_consistency_loss,
-    depth_seam_loss,
-    semantic_consistency_loss,
-)
-from training.losses.depth import (
-    DepthCriterion,
-    laplace_loss,
-    metric_depth_loss,
-    multi_scale_depth_loss,
-    normalise_depth,
-    paper_depth_loss,
-)
-from training.losses.distillation import (
-    distilled_boundary_loss,
-    distilled_depth_loss,
-    distilled_semantic_loss,
-)
-from training.losses.heads import HEAD_LOSSES
-from training.losses.masked import cell_side, grid_of, on_grid
-from training.losses.semantic import (
-    IGNORE,
-    ClassWeighting,
-    class_shares,
-    lovasz_softmax_loss,
-    picture_mean,
-    road_loss,
-    soft_iou_loss,
-    weighted_cross_entropy,
-)
+from training.loading.mixture import Batch
+from training.losses.semantic import ClassWeighting
+from training.losses.terms import TERMS, Compared, Term, find_term, list_terms
 
 
-class Compared:
-    """A network's output beside the batch that it answers, and what several terms share.
+def gather_weights(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a table of `LossConfig` whose weights are all in ``weights``.
 
-    Attributes:
-        heads: head -> float32 (N, C, h, w), see `models.answers.head_maps`.
-        depths: of all scales, the finest first.
+    Recipes and checkpoints of earlier releases have them as ``NAME_weight``, those of other heads
+    in ``head_weights``.
     """
-
-    def __init__(self, loss: "SSDNetLoss", output: NetworkOutput, batch: Batch) -> None:
-        self.loss, self.config, self.batch = loss, loss.config, batch
-        self.heads = _float_maps(output)
-        self.depths = tuple(depth.float() for depth in output.depths or ())
-
-    @cached_property
-    def labels(self) -> Tensor:
-        """Class ids, int64 (N, H, W)."""
-        return self.batch.targets["semantic"].long()
-
-    @property
-    def label_weights(self) -> Tensor:
-        """The weight of each frame's labels, (N,)."""
-        return self.batch.weights["semantic"]
-
-    @cached_property
-    def log_probabilities(self) -> Tensor:
-        """Of the classes, (N, C, h, w)."""
-        return F.log_softmax(self.heads["semantic"], dim=1)
-
-    @cached_property
-    def probabilities(self) -> Tensor:
-        """Of the classes, (N, C, h, w)."""
-        return self.log_probabilities.exp()
-
-    @cached_property
-    def shares(self) -> Tensor:
-        """See `class_shares`, on the grid of the classes."""
-        logits = self.heads["semantic"]
-        return class_shares(self.labels, logits.shape[1], grid_of(logits))
-
-    @cached_property
-    def disagreement(self) -> NeighbourMaps:
-        """Eq. 7, on the grid of the classes."""
-        if self.config.disagreement == "soft":
-            return soft_disagreement(self.probabilities)
-        return hard_disagreement(self.log_probabilities.argmax(dim=1))
-
-    @cached_property
-    def depth_target(self) -> tuple[Tensor, Tensor]:
-        """See `normalise_depth`."""
-        depth = self.batch.targets["depth"].unsqueeze(1)
-        return normalise_depth(depth, self.loss.max_depth_m, self.loss.target_depth_m)
-
-    @cached_property
-    def taught(self) -> dict[str, Tensor]:
-        """The teacher's heads."""
-        assert self.batch.teacher is not None
-        return _float_maps(self.batch.teacher)
-
-    @property
-    def side(self) -> int:
-        """Side of a cell of the classes [px]."""
-        return cell_side(grid_of(self.batch.rgb), grid_of(self.heads["semantic"]))
-
-    def on_classes(self, values: Tensor) -> Tensor:
-        """Return (N, 1, H, W) on the grid of the classes."""
-        return on_grid(values, grid_of(self.heads["semantic"]))
-
-    def views(self, head: str) -> tuple[Tensor, Tensor, Pair]:
-        """Return a head's answers for the first and for the second views, and how these differ."""
-        assert self.batch.pair is not None
-        first, second = self.heads[head].chunk(2)
-        return first, second, self.batch.pair
+    earlier = {f"{name}_weight": name for name in TERMS}
+    gathered = {k: v for k, v in table.items() if k not in earlier and k != "head_weights"}
+    heads = table.get("head_weights") or {}
+    weights = {earlier[key]: value for key, value in table.items() if key in earlier}
+    if weights or heads:
+        gathered["weights"] = {**table.get("weights", {}), **heads, **weights}
+    return gathered
 
 
-def _float_maps(output: NetworkOutput) -> dict[str, Tensor]:
-    return {head: values.float() for head, values in head_maps(output).items()}
-
-
-def _depth(c: Compared) -> Tensor:
-    criterion: DepthCriterion = paper_depth_loss
-    if c.config.depth_form == "metric":
-        criterion = partial(
-            metric_depth_loss,
-            max_depth_m=c.loss.max_depth_m,
-            l2=c.config.metric_l2,
-            log=c.config.metric_log,
-            farthest=c.loss.farthest,
-        )
-    scales = c.depths if c.config.depth_scales == "mean" else c.depths[:1]
-    return multi_scale_depth_loss(scales, *c.depth_target, criterion)
-
-
-def _depth_uncertainty(c: Compared) -> Tensor:
-    target, valid = c.depth_target
-    # Sky targets at the far end of the range are not measured.
-    measured = valid & (target < c.loss.farthest)
-    scale, max_depth_m = c.heads["depth_uncertainty"], c.loss.max_depth_m
-    return laplace_loss(scale, c.heads["depth"], target, measured, max_depth_m=max_depth_m)
-
-
-def _semantic(c: Compared) -> Tensor:
-    weights = c.loss.class_weights
-    return weighted_cross_entropy(c.log_probabilities, c.shares, weights, c.label_weights)
-
-
-def _semantic_iou(c: Compared) -> Tensor:
-    return soft_iou_loss(c.probabilities, c.shares, c.label_weights)
-
-
-def _lovasz(c: Compared) -> Tensor:
-    side, (height, width) = c.side, grid_of(c.labels)
-    cells = c.probabilities
-    if side > 1:  # every pixel of a cell has its probabilities
-        cells = cells.repeat_interleave(side, dim=2).repeat_interleave(side, dim=3)
-    pictures = zip(cells[..., :height, :width], c.labels, strict=True)
-    losses = torch.stack([lovasz_softmax_loss(*picture) for picture in pictures])
-    return picture_mean(losses, c.labels != IGNORE, c.label_weights)
-
-
-def _road(c: Compared) -> Tensor:
-    assert c.loss.road is not None
-    return road_loss(c.heads["semantic"], c.batch.targets["road_mask"], c.loss.road)
-
-
-def _boundary(c: Compared) -> Tensor:
-    logits = c.heads["boundary"]
-    target, valid = boundary_at_scale(*boundary_target(c.labels), grid_of(logits))
-    return balanced_cross_entropy(logits, target, valid, c.label_weights)
-
-
-def _semantic_boundary(c: Compared) -> Tensor:
-    boundary = c.on_classes(torch.sigmoid(c.heads["boundary"]))
-    return semantic_boundary_loss(c.disagreement, boundary, side=c.side)
-
-
-def _semantic_depth(c: Compared) -> Tensor:
-    return semantic_depth_loss(c.disagreement, c.on_classes(c.heads["depth"]), side=c.side)
-
-
-def _semantic_consistency(c: Compared) -> Tensor:
-    return semantic_consistency_loss(*c.views("semantic"), side=c.side)
-
-
-def _distilled_semantic(c: Compared) -> Tensor:
-    return distilled_semantic_loss(c.heads["semantic"], c.taught["semantic"])
-
-
-def _distilled_boundary(c: Compared) -> Tensor:
-    return distilled_boundary_loss(c.heads["boundary"], c.taught["boundary"])
-
-
-def _distilled_depth(c: Compared) -> Tensor:
-    scale = c.taught.get("depth_uncertainty")
-    return distilled_depth_loss(c.heads["depth"], c.taught["depth"], scale)
-
-
-class Term(NamedTuple):
-    """A term: its loss, and what it requires: heads of the network and, optionally, a target."""
-
-    heads: frozenset[str]
-    target: str
-    loss: Callable[[Compared], Tensor]
-
-
-#: The terms, each with a weight "<name>_weight" in `LossConfig`: heads, target, loss.
-TERMS: Mapping[str, Term] = {
-    name: Term(frozenset(heads.split()), target, loss)
-    for name, heads, target, loss in (
-        ("depth", "depth", "depth", _depth),
-        ("depth_uncertainty", "depth depth_uncertainty", "depth", _depth_uncertainty),
-        ("semantic", "semantic", "semantic", _semantic),
-        ("semantic_iou", "semantic", "semantic", _semantic_iou),
-        ("lovasz", "semantic", "semantic", _lovasz),
-        ("road", "semantic", "road_mask", _road),
-        ("boundary", "boundary", "semantic", _boundary),
-        ("semantic_boundary", "semantic boundary", "semantic", _semantic_boundary),
-        ("semantic_depth", "semantic depth", "semantic", _semantic_depth),
-        ("depth_consistency", "depth", "", lambda c: depth_consistency_loss(*c.views("depth"))),
-        ("depth_seam", "depth", "", lambda c: depth_seam_loss(*c.views("depth"))),
-        ("semantic_consistency", "semantic", "", _semantic_consistency),
-        ("distilled_semantic", "semantic", "", _distilled_semantic),
-        ("distilled_depth", "depth", "", _distilled_depth),
-        ("distilled_boundary", "boundary", "", _distilled_boundary),
-    )
-}
-
-
-def _term_of_head(head: str) -> Term:
-    """Return the term of a head with a loss in `training.losses.heads`."""
-
-    def loss(c: Compared) -> Tensor:
-        return HEAD_LOSSES[head](c.heads[head], c.batch.targets[head], c.batch.weights[head])
-
-    return Term(frozenset({head}), head, loss)
-
-
-#: Keys of `LossConfig` that leave the terms of depth alone.
-DEPTH_ALONE = {f"{name}_weight": 0.0 for name in TERMS if not name.startswith("depth")}
-#: Terms that compare two views of each frame.
-PAIR_TERMS = frozenset({"depth_consistency", "depth_seam", "semantic_consistency"})
+def _complete(weights: Mapping[str, float]) -> dict[str, float]:
+    """Return the weight of every term; ValueError for a name that is no term."""
+    if unknown := [name for name in weights if find_term(name) is None]:
+        raise ValueError(f"{unknown[0]}: unknown term; known: {', '.join(list_terms())}")
+    return {**{name: term.weight for name, term in TERMS.items()}, **weights}
 
 
 @dataclass(frozen=True, config=STRICT)
 class LossConfig:
     """The options of the loss. The defaults are our reading of the paper.
 
-    A term of weight 0 is not computed: SSDNet_ind is `semantic_boundary_weight` and
-    `semantic_depth_weight` 0.
-
     Raises:
-        ValueError: for a negative number, or for a weight of an unknown head.
+        ValueError: for a negative number, or for the weight of an unknown term.
     """
 
-    #: One weight a term of Eq. 12: Eq. 4, 5, 6, 8, 11.
-    #: 1 is Eq. 12 as printed; with the soft form of Eq. 8 and 11 training then often collapses to
-    #: one class, and 0.03 is used instead (docs/results.md).
-    depth_weight: NotNegative = 1.0
-    semantic_weight: NotNegative = 1.0
-    boundary_weight: NotNegative = 1.0
-    semantic_boundary_weight: NotNegative = 1.0
-    semantic_depth_weight: NotNegative = 1.0
-    #: Soft IoU of the classes beside Eq. 5; not the paper's.
-    semantic_iou_weight: NotNegative = 0.0
-    #: Lovász-Softmax of each picture (Berman et al. 2018); ENet with it is the paper's ENet_LSloss.
-    lovasz_weight: NotNegative = 0.0
-    #: The class "road" against road masks, of sets without other labels; not the paper's.
-    road_weight: NotNegative = 0.0
-    #: Likelihood of the depth's errors under the predicted uncertainty.
-    depth_uncertainty_weight: NotNegative = 0.1
-    #: Agreement of two shifted views of each frame, see `training.losses.consistency`.
-    depth_consistency_weight: NotNegative = 0.0
-    depth_seam_weight: NotNegative = 0.0
-    semantic_consistency_weight: NotNegative = 0.0
-    #: Agreement with the answers of a teacher, see `training.losses.distillation`.
-    distilled_semantic_weight: NotNegative = 0.0
-    distilled_depth_weight: NotNegative = 0.0
-    distilled_boundary_weight: NotNegative = 0.0
-
-    #: Weight of the loss of each head in `training.losses.heads`; 1 where none is here.
-    head_weights: Mapping[str, NotNegative] = field(default_factory=dict)
+    #: Term -> its weight, see `training.losses.terms`; that of a term which is not here is in the
+    #: table there. A term of weight 0 is not computed: SSDNet_ind is semantic_boundary and
+    #: semantic_depth 0.
+    weights: Annotated[Mapping[str, NotNegative], AfterValidator(_complete)] = field(
+        default_factory=lambda: _complete({})
+    )
 
     #: "fixed": the weights above, as in the paper. "uncertainty": each but that of
     #: "depth_uncertainty" is multiplied by a learned factor (Kendall et al. 2018, the paper's
@@ -321,15 +78,26 @@ class LossConfig:
     #: Eq. 7 on probabilities, or as printed on arg-max labels (no gradient to the semantic head).
     disagreement: Literal["soft", "hard"] = "soft"
 
+    @model_validator(mode="before")
+    @classmethod
+    def _read_earlier_keys(cls, given: Any) -> Any:
+        if isinstance(given, ArgsKwargs):
+            return ArgsKwargs(given.args, gather_weights(given.kwargs or {}))
+        return gather_weights(given) if isinstance(given, Mapping) else given
+
     def terms_for(self, heads: Collection[str]) -> dict[str, Term]:
         """Return the terms with a weight whose heads the network has, by name.
 
         Terms of missing heads are skipped whatever their weight: one recipe trains the whole
-        family.
+        family. A head whose name is a term has this term, also if the recipe does not name it.
         """
-        terms = {name: term for name, term in TERMS.items() if term.heads <= set(heads)}
-        terms |= {head: _term_of_head(head) for head in heads if head in HEAD_LOSSES}
-        return {name: term for name, term in terms.items() if self.weight(name)}
+        names = dict.fromkeys((*self.weights, *heads))
+        terms = {name: term for name in names if (term := find_term(name)) is not None}
+        return {
+            name: term
+            for name, term in terms.items()
+            if term.heads <= set(heads) and self.weight(name)
+        }
 
     def taught_heads(self, heads: Collection[str]) -> list[str]:
         """Return the heads that learn from a teacher."""
@@ -337,20 +105,9 @@ class LossConfig:
         return [head for head in heads if f"distilled_{head}" in terms]
 
     def weight(self, name: str) -> float:
-        """Return the weight of a term or of another head's loss."""
-        if name not in TERMS:
-            return self.head_weights.get(name, 1.0)
-        weight: float = getattr(self, f"{name}_weight")
-        return weight
-
-    def __post_init__(self) -> None:
-        """Check the heads that are named."""
-        if unknown := sorted(self.head_weights.keys() - HEAD_LOSSES.keys()):
-            known = ", ".join(sorted(HEAD_LOSSES)) or "none"
-            raise ValueError(
-                f"head_weights.{unknown[0]}: no head with a loss in training.losses.heads; heads "
-                f"there: {known}"
-            )
+        """Return the weight of a term."""
+        term = find_term(name)
+        return self.weights.get(name, 0.0 if term is None else term.weight)
 
 
 class SSDNetLoss(nn.Module):
@@ -387,10 +144,10 @@ class SSDNetLoss(nn.Module):
         weights = torch.ones(()) if class_weights is None else class_weights
         self.register_buffer("class_weights", weights, persistent=False)
         # A negative log likelihood may be negative: its learned weight would diverge.
-        names = [name for name in (*TERMS, *HEAD_LOSSES) if name != "depth_uncertainty"]
+        names = [name for name, value in config.weights.items() if value]
         learned = names if config.weighting == "uncertainty" else []
         self.log_variances = nn.ParameterDict(
-            {name: nn.Parameter(torch.zeros(())) for name in learned if config.weight(name)}
+            {name: nn.Parameter(torch.zeros(())) for name in learned if name != "depth_uncertainty"}
         )
 
     def forward(self, output: NetworkOutput, batch: Batch) -> dict[str, Tensor]:
@@ -407,8 +164,7 @@ class SSDNetLoss(nn.Module):
                 ``target_depth_m`` is unknown; the weights of "semantic" are those in Eq. 5 and 6.
 
         Returns:
-            Terms by their names in `TERMS` or `HEAD_LOSSES`, without those of weight 0 and of
-            missing heads.
+            Terms by their names, without those of weight 0 and of missing heads.
         """
         compared = Compared(self, output, batch)
         wanted = self.config.terms_for(compared.heads)

@@ -29,7 +29,7 @@ SSDNET = Recipe(
     ),
     # With 1, the weight of the other terms, Eq. 8 and 11 favour one class everywhere and the
     # semantics never recover (row joint-weights-1).
-    loss=LossConfig(semantic_boundary_weight=0.03, semantic_depth_weight=0.03),
+    loss=LossConfig(weights={"semantic_boundary": 0.03, "semantic_depth": 0.03}),
     optimizer=OptimizerRecipe(),
     schedule=ScheduleRecipe(steps=800, warmup_steps=40),
     loop=LoopRecipe(autocast="bf16", ema_decay=0.99, checkpoint_every=200),
@@ -45,9 +45,7 @@ def _network(name: str) -> Recipe:
 
 def _joint_weights(weight: float) -> Recipe:
     """Return the recipe with other weights of Eq. 8 and 11."""
-    return derive(
-        SSDNET, loss={"semantic_boundary_weight": weight, "semantic_depth_weight": weight}
-    )
+    return derive(SSDNET, loss={"weights": {"semantic_boundary": weight, "semantic_depth": weight}})
 
 
 #: Row -> its description and recipe.

@@ -47,9 +47,7 @@ DEPTH = Recipe(
     ),
     loss=LossConfig(
         class_weighting="none",
-        semantic_weight=0.0,
-        semantic_boundary_weight=0.0,
-        semantic_depth_weight=0.0,
+        weights={"semantic": 0.0, "semantic_boundary": 0.0, "semantic_depth": 0.0},
         depth_form="metric",
         depth_scales="finest",
         metric_l2=0.0,
@@ -69,7 +67,7 @@ SEMANTICS = Recipe(
         cache_gib=1.0,
     ),
     # The boundary's term is about heads that most of these networks do not have.
-    loss=LossConfig(class_weighting="sqrt_median", semantic_boundary_weight=0.03),
+    loss=LossConfig(class_weighting="sqrt_median", weights={"semantic_boundary": 0.03}),
     schedule=ScheduleRecipe(steps=400, warmup_steps=20),
     loop=_LOOP,
     release=ReleaseRecipe(logit_adjustment=0.75),

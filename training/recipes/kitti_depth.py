@@ -35,13 +35,14 @@ RECIPE = Recipe(
     ),
     loss=LossConfig(
         class_weighting="sqrt_median",
-        # As in lite.py: with a larger weight the depth loss dominates.
-        depth_weight=0.05,
+        weights={
+            "depth": 0.05,  # as in lite.py: with a larger weight the depth loss dominates
+            "semantic_iou": 0.3,
+            "semantic_boundary": 0.05,
+            "semantic_depth": 0.02,
+        },
         depth_form="metric",
         depth_scales="finest",
-        semantic_iou_weight=0.3,
-        semantic_boundary_weight=0.05,
-        semantic_depth_weight=0.02,
     ),
     optimizer=OptimizerRecipe(learning_rate=1.5e-3),
     schedule=ScheduleRecipe(steps=60000, warmup_steps=500),

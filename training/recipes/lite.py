@@ -15,7 +15,7 @@ from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.loading.augment import AugmentConfig
 from training.losses import LossConfig
-from training.losses.total import DEPTH_ALONE
+from training.losses.terms import DEPTH_ALONE
 from training.prune import prune_trunk
 from training.recipe import (
     DataRecipe,
@@ -98,15 +98,17 @@ CROPS = Recipe(
     loss=LossConfig(
         class_weighting="sqrt_median",
         semantic_grid="head",
-        semantic_iou_weight=1.0,
-        semantic_boundary_weight=0.05,
-        semantic_depth_weight=0.02,
-        depth_weight=0.2,
+        weights={
+            "semantic_iou": 1.0,
+            "semantic_boundary": 0.05,
+            "semantic_depth": 0.02,
+            "depth": 0.2,
+            "road": 0.3,
+        },
         depth_form="metric",
         depth_scales="finest",
         metric_l2=0.0,
         metric_log=20.0,  # near depth, which is most of the image, to a per cent
-        road_weight=0.3,
     ),
     optimizer=OptimizerRecipe(
         encoder_rate=4e-4, frozen=("encoder.stem", "encoder.stride2", "encoder.stride4")
@@ -129,10 +131,12 @@ PAIRS = derive(
         "augment": {"pair_shift": 32, "pair_lidar_missing": 0.3, "pair_lidar_false": 0.15},
     },
     loss={
-        "depth_weight": 0.3,
-        "depth_consistency_weight": 2.0,
-        "depth_seam_weight": 4.0,
-        "semantic_consistency_weight": 0.25,
+        "weights": {
+            "depth": 0.3,
+            "depth_consistency": 2.0,
+            "depth_seam": 4.0,
+            "semantic_consistency": 0.25,
+        }
     },
     optimizer={"learning_rate": 1.5e-3, "encoder_rate": 3e-4},
     schedule={"steps": 5500},
@@ -156,7 +160,7 @@ JOINT = derive(
         "seed": 71,
         "augment": {"lidar_missing": 0.12, "lidar_random": 0.15, "pair_lidar_missing": 0.25},
     },
-    loss={"depth_weight": 1.0, "depth_consistency_weight": 2.5, "road_weight": 0.6},
+    loss={"weights": {"depth": 1.0, "depth_consistency": 2.5, "road": 0.6}},
     schedule={"steps": 8000},
 )
 
@@ -193,12 +197,14 @@ DEPTH = derive(
     },
     # A little squared error hedges at edges. Of 0.1 and more, few-line scans dominate the gradient.
     loss={
-        **DEPTH_ALONE,
+        "weights": {
+            **DEPTH_ALONE,
+            "depth_uncertainty": 0.2,
+            "depth_consistency": 1.0,
+            "depth_seam": 2.0,
+        },
         "class_weighting": "none",
-        "depth_uncertainty_weight": 0.2,
         "metric_l2": 0.02,
-        "depth_consistency_weight": 1.0,
-        "depth_seam_weight": 2.0,
     },
     optimizer={
         "learning_rate": 1e-3,

@@ -17,10 +17,12 @@ CROPS = derive(
         "augment": {"lidar_missing": 0.12, "lidar_random": 0.15},
     },
     loss={
-        "depth_weight": 0.6,
-        "distilled_semantic_weight": 1.0,
-        "distilled_depth_weight": 2.0,
-        "distilled_boundary_weight": 0.5,
+        "weights": {
+            "depth": 0.6,
+            "distilled_semantic": 1.0,
+            "distilled_depth": 2.0,
+            "distilled_boundary": 0.5,
+        }
     },
     # Pruning took more than half of the channels: the others learn, too, and fast.
     optimizer={"encoder_rate": 1e-3, "frozen": ()},
@@ -34,11 +36,7 @@ PAIRS = derive(
         "seed": 62,
         "augment": {"pair_shift": 32, "pair_lidar_missing": 0.25, "pair_lidar_false": 0.15},
     },
-    loss={
-        "depth_consistency_weight": 2.5,
-        "depth_seam_weight": 4.0,
-        "semantic_consistency_weight": 0.25,
-    },
+    loss={"weights": {"depth_consistency": 2.5, "depth_seam": 4.0, "semantic_consistency": 0.25}},
     optimizer={"learning_rate": 1.5e-3, "encoder_rate": 7e-4},
     validation={"every": 3500},
     release={"logit_adjustment": 0.75},

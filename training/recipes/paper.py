@@ -82,8 +82,7 @@ VKITTI = derive(
         class_weighting="median",
         # At the weight of the other terms the soft form favours one class everywhere
         # (docs/results.md).
-        semantic_boundary_weight=0.03,
-        semantic_depth_weight=0.03,
+        weights={"semantic_boundary": 0.03, "semantic_depth": 0.03},
     ),
     optimizer=OptimizerRecipe(learning_rate=1e-3, momentum=0.0),
     schedule=ScheduleRecipe(steps=41670, warmup_steps=500),

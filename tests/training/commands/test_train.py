@@ -107,8 +107,7 @@ EARLIER = (
 canonical_focal_px = 700.0
 [loss]
 depth_form = "metric"
-depth_weight = 0.25
-semantic_consistency_weight = 0.5
+weights = {depth = 0.25, semantic_consistency = 0.5}
 [optimizer]
 learning_rate = 4e-3
 frozen = ["encoder.stem"]
@@ -128,7 +127,7 @@ def test_what_a_recipe_leaves_out_comes_from_the_training_of_its_first_weights(r
         "model.name = 'ssdnet-lite'",
         "model.config.canonical_focal_px = 700.0",
         "loss.depth_form = 'metric'",
-        "loss.depth_weight = 0.25",
+        "loss.weights.depth = 0.25",
         "optimizer.learning_rate = 0.001",
         "optimizer.frozen = ",
     ):
@@ -136,12 +135,12 @@ def test_what_a_recipe_leaves_out_comes_from_the_training_of_its_first_weights(r
     assert "consistency" not in result.stderr  # one view
     recipe = load_checkpoint(tmp_path / "second/last.pt").facts.recipe
     assert recipe["loss"]["depth_form"] == "metric"
-    assert recipe["loss"]["semantic_consistency_weight"] == 0.0
+    assert recipe["loss"]["weights"]["semantic_consistency"] == 0.0
     # The keys of the recipe come first, and another optimiser has a rate of its own.
     own = SHORT + "[loss]\ndepth_weight = 0.5\n[optimizer]\nname = 'sgd'\n"
     run(*init, "--stop-after=1", recipe=own, out="third")
     recipe = load_checkpoint(tmp_path / "third/last.pt").facts.recipe
-    assert recipe["loss"]["depth_weight"] == 0.5
+    assert recipe["loss"]["weights"]["depth"] == 0.5
     assert (recipe["optimizer"]["name"], recipe["optimizer"]["learning_rate"]) == ("sgd", 2e-3)
     other = SHORT + "[model]\nname = 'ssdnet-small'\n"
     assert line not in run(*init, "--dry-run", recipe=other, out="fourth", code=1).stderr

@@ -18,7 +18,6 @@ from training.losses.boundary import (
     soft_disagreement,
 )
 from training.losses.depth import depth_at_scale, laplace_loss, normalise_depth, paper_depth_loss
-from training.losses.heads import HEAD_LOSSES
 from training.losses.semantic import (
     class_shares,
     lovasz_softmax_loss,
@@ -26,7 +25,7 @@ from training.losses.semantic import (
     soft_iou_loss,
     weighted_cross_entropy,
 )
-from training.losses.total import TERMS
+from training.losses.terms import TERMS, head_term
 
 
 class Loss(SSDNetLoss):
@@ -36,14 +35,7 @@ class Loss(SSDNetLoss):
         return super().forward(output, batch_of(semantic, depth, **others))
 
 
-ALL_OFF = {
-    "depth_weight": 0.0,
-    "depth_uncertainty_weight": 0.0,
-    "semantic_weight": 0.0,
-    "boundary_weight": 0.0,
-    "semantic_boundary_weight": 0.0,
-    "semantic_depth_weight": 0.0,
-}
+ALL_OFF = dict.fromkeys(TERMS, 0.0)
 
 
 def leaves(count=2, size=(16, 24), classes=5, seed=0, dtype=torch.float32):
@@ -86,14 +78,16 @@ def test_total_is_the_weighted_sum_of_the_families():
     weights = class_weights(torch.tensor([50, 40, 30, 20, 10]))
     sample_weight = torch.tensor([1.0, 0.2])
     config = LossConfig(
-        depth_weight=0.5,
-        semantic_weight=2.0,
-        boundary_weight=3.0,
-        semantic_boundary_weight=0.7,
-        semantic_depth_weight=0.3,
-        semantic_iou_weight=1.5,
-        lovasz_weight=1.7,
-        road_weight=1.9,
+        weights={
+            "depth": 0.5,
+            "semantic": 2.0,
+            "boundary": 3.0,
+            "semantic_boundary": 0.7,
+            "semantic_depth": 0.3,
+            "semantic_iou": 1.5,
+            "lovasz": 1.7,
+            "road": 1.9,
+        },
     )
     road_mask = torch.ones(semantic.shape, dtype=torch.uint8)
     given = {"semantic_weight": sample_weight, "road_mask": road_mask}
@@ -126,14 +120,14 @@ def test_total_is_the_weighted_sum_of_the_families():
     for name, value in expected.items():
         assert terms[name].item() == pytest.approx(value.item(), rel=1e-5), name
         assert value.item() > 1e-3
-    total = sum(getattr(config, f"{name}_weight") * value for name, value in expected.items())
+    total = sum(config.weight(name) * value for name, value in expected.items())
     assert terms["total"].item() == pytest.approx(total.item(), rel=1e-5)
 
 
 def test_depth_ends_where_the_regression_does():
     """Of a range of 200 m half: farther is no target, and at its end the sky no measurement."""
     parts = leaves()
-    config = LossConfig(**{**ALL_OFF, "depth_weight": 1.0, "depth_uncertainty_weight": 1.0})
+    config = LossConfig(weights={**ALL_OFF, "depth": 1.0, "depth_uncertainty": 1.0})
     criterion = Loss(config, max_depth_m=200.0, target_depth_m=100.0)
     scale = torch.full_like(parts["depth"], 0.01)
 
@@ -158,9 +152,9 @@ def test_samples_without_targets_get_no_gradient(depth_form):
     semantic, depth = targets()
     semantic[0], depth[1] = 255, 0  # sample 0 lacks labels, sample 1 lacks depth
     parts = leaves()
-    given = dict.fromkeys(("semantic_iou_weight", "lovasz_weight", "road_weight"), 1.0)
-    off = {"semantic_boundary_weight": 0.0, "semantic_depth_weight": 0.0}
-    config = LossConfig(depth_form=depth_form, **off, **given)
+    given = dict.fromkeys(("semantic_iou", "lovasz", "road"), 1.0)
+    off = {"semantic_boundary": 0.0, "semantic_depth": 0.0}
+    config = LossConfig(depth_form=depth_form, weights={**off, **given})
     criterion = Loss(config, max_depth_m=100.0, road=1)
     mask = torch.full(semantic.shape, 255, dtype=torch.uint8)
     criterion(answer(parts), semantic, depth, road_mask=mask)["total"].backward()
@@ -206,9 +200,11 @@ def test_bf16_answers_are_scored_in_float32_under_autocast():
     assert all(part.grad.isfinite().all() for part in parts.values())
 
 
-def test_each_weight_has_a_term_and_each_term_a_weight():
-    weights = {key.removesuffix("_weight") for key in vars(LossConfig()) if key.endswith("_weight")}
-    assert weights == set(TERMS)
+def test_keys_of_earlier_releases_are_read_as_weights(monkeypatch):
+    monkeypatch.setitem(TERMS, "other", head_term("other", lambda *_: torch.ones(())))
+    old = LossConfig(depth_weight=0.5, head_weights={"other": 3.0}, weights={"lovasz": 2.0})
+    assert old == LossConfig(weights={"depth": 0.5, "other": 3.0, "lovasz": 2.0})
+    assert replace(old, road_weight=1.0).weights == {**old.weights, "road": 1.0}
 
 
 @pytest.mark.parametrize("name", TERMS)
@@ -225,22 +221,22 @@ def test_each_term_is_computed_by_its_weight_alone(name):
     )
     output = answer(leaves(size=(80, 88)))
     output = output._replace(depth_uncertainty=torch.ones_like(output.depths[0]))
-    config = LossConfig(**{f"{term}_weight": 2.0 * (term == name) for term in TERMS})
+    config = LossConfig(weights={term: 2.0 * (term == name) for term in TERMS})
     terms = SSDNetLoss(config, max_depth_m=100.0, road=1)(output, batch)
     assert set(terms) == {name, "total"}
     torch.testing.assert_close(terms["total"], 2 * terms[name])
 
 
-def test_weights_of_heads_without_a_loss_are_refused(monkeypatch):
-    monkeypatch.setitem(HEAD_LOSSES, "other", lambda *_: torch.ones(()))
-    with pytest.raises(ValueError, match=r"head_weights\.nonsense: .*heads there: other"):
-        LossConfig(head_weights={"nonsense": 3.0, "other": 1.0})
+def test_weights_of_unknown_terms_are_refused(monkeypatch):
+    monkeypatch.setitem(TERMS, "other", head_term("other", lambda *_: torch.ones(())))
+    with pytest.raises(ValueError, match=r"nonsense: unknown term; known: depth, .*, other"):
+        LossConfig(weights={"nonsense": 3.0, "other": 1.0})
 
 
 def test_learned_weighting_by_hand():
     parts = leaves()
     semantic, depth = targets()
-    fixed = LossConfig(semantic_weight=2.0, depth_weight=0.5)
+    fixed = LossConfig(weights={"semantic": 2.0, "depth": 0.5})
     plain = Loss(fixed, max_depth_m=100.0)(answer(parts), semantic, depth)
     criterion = Loss(replace(fixed, weighting="uncertainty"), max_depth_m=100.0)
     names = [name for name in plain if name != "total"]
@@ -252,7 +248,7 @@ def test_learned_weighting_by_hand():
     expected = 0.0
     for name, value in values.items():
         share = 0.5 if name == "depth" else 1.0
-        weighted = getattr(fixed, f"{name}_weight") * plain[name].item()
+        weighted = fixed.weight(name) * plain[name].item()
         expected += share * weighted / math.exp(value) + value / 2
     assert terms["total"].item() == pytest.approx(expected, rel=1e-5)
 
@@ -260,8 +256,8 @@ def test_learned_weighting_by_hand():
 def test_learned_weighting_counts_other_heads(monkeypatch):
     heads = {"other": 2.0, "unweighted": 0.0}
     for head in heads:
-        monkeypatch.setitem(HEAD_LOSSES, head, lambda *_: torch.tensor(5.0))
-    config = LossConfig(**ALL_OFF, head_weights=heads, weighting="uncertainty")
+        monkeypatch.setitem(TERMS, head, head_term(head, lambda *_: torch.tensor(5.0)))
+    config = LossConfig(weights={**ALL_OFF, **heads}, weighting="uncertainty")
     criterion = SSDNetLoss(config, max_depth_m=100.0)
     assert set(criterion.log_variances) == {"other"}
     criterion.log_variances["other"].data.fill_(0.5)
@@ -278,7 +274,7 @@ def test_semantic_logits_may_stay_on_their_own_grid():
     coarse = leaves(size=(8, 12))["semantic"]
     semantic, depth = targets()
     semantic[0, :3, 5:] = 255
-    config = LossConfig(semantic_iou_weight=1.0, lovasz_weight=1.0)
+    config = LossConfig(weights={"semantic_iou": 1.0, "lovasz": 1.0})
     criterion = Loss(config, max_depth_m=100.0)
     repeated = coarse.detach().repeat_interleave(2, dim=2).repeat_interleave(2, dim=3)
     output = answer(parts)

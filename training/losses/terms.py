@@ -1,0 +1,307 @@
+"""The terms of the loss: one table says what each requires, how it is computed and its weight."""
+
+from collections.abc import Callable
+from functools import cache, cached_property, partial
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from models import NetworkOutput
+from models.answers import head_maps
+from models.entry_points import find_entry, list_entries
+from training.loading.mixture import Batch, Pair
+from training.losses.boundary import (
+    NeighbourMaps,
+    balanced_cross_entropy,
+    boundary_at_scale,
+    boundary_target,
+    hard_disagreement,
+    semantic_boundary_loss,
+    semantic_depth_loss,
+    soft_disagreement,
+)
+from training.losses.consistency import (
+    depth_consistency_loss,
+    depth_seam_loss,
+    semantic_consistency_loss,
+)
+from training.losses.depth import (
+    DepthCriterion,
+    laplace_loss,
+    metric_depth_loss,
+    multi_scale_depth_loss,
+    normalise_depth,
+    paper_depth_loss,
+)
+from training.losses.distillation import (
+    distilled_boundary_loss,
+    distilled_depth_loss,
+    distilled_semantic_loss,
+)
+from training.losses.masked import cell_side, grid_of, on_grid
+from training.losses.semantic import (
+    IGNORE,
+    class_shares,
+    lovasz_softmax_loss,
+    picture_mean,
+    road_loss,
+    soft_iou_loss,
+    weighted_cross_entropy,
+)
+
+if TYPE_CHECKING:
+    from training.losses.total import SSDNetLoss
+
+
+class Compared:
+    """A network's output beside the batch that it answers, and what several terms share.
+
+    Attributes:
+        heads: head -> float32 (N, C, h, w), see `models.answers.head_maps`.
+        depths: of all scales, the finest first.
+    """
+
+    def __init__(self, loss: "SSDNetLoss", output: NetworkOutput, batch: Batch) -> None:
+        self.loss, self.config, self.batch = loss, loss.config, batch
+        self.heads = _float_maps(output)
+        self.depths = tuple(depth.float() for depth in output.depths or ())
+
+    @cached_property
+    def labels(self) -> Tensor:
+        """Class ids, int64 (N, H, W)."""
+        return self.batch.targets["semantic"].long()
+
+    @property
+    def label_weights(self) -> Tensor:
+        """The weight of each frame's labels, (N,)."""
+        return self.batch.weights["semantic"]
+
+    @cached_property
+    def log_probabilities(self) -> Tensor:
+        """Of the classes, (N, C, h, w)."""
+        return F.log_softmax(self.heads["semantic"], dim=1)
+
+    @cached_property
+    def probabilities(self) -> Tensor:
+        """Of the classes, (N, C, h, w)."""
+        return self.log_probabilities.exp()
+
+    @cached_property
+    def shares(self) -> Tensor:
+        """See `class_shares`, on the grid of the classes."""
+        logits = self.heads["semantic"]
+        return class_shares(self.labels, logits.shape[1], grid_of(logits))
+
+    @cached_property
+    def disagreement(self) -> NeighbourMaps:
+        """Eq. 7, on the grid of the classes."""
+        if self.config.disagreement == "soft":
+            return soft_disagreement(self.probabilities)
+        return hard_disagreement(self.log_probabilities.argmax(dim=1))
+
+    @cached_property
+    def depth_target(self) -> tuple[Tensor, Tensor]:
+        """See `normalise_depth`."""
+        depth = self.batch.targets["depth"].unsqueeze(1)
+        return normalise_depth(depth, self.loss.max_depth_m, self.loss.target_depth_m)
+
+    @cached_property
+    def taught(self) -> dict[str, Tensor]:
+        """The teacher's heads."""
+        assert self.batch.teacher is not None
+        return _float_maps(self.batch.teacher)
+
+    @property
+    def side(self) -> int:
+        """Side of a cell of the classes [px]."""
+        return cell_side(grid_of(self.batch.rgb), grid_of(self.heads["semantic"]))
+
+    def on_classes(self, values: Tensor) -> Tensor:
+        """Return (N, 1, H, W) on the grid of the classes."""
+        return on_grid(values, grid_of(self.heads["semantic"]))
+
+    def views(self, head: str) -> tuple[Tensor, Tensor, Pair]:
+        """Return a head's answers for the first and for the second views, and how these differ."""
+        assert self.batch.pair is not None
+        first, second = self.heads[head].chunk(2)
+        return first, second, self.batch.pair
+
+
+def _float_maps(output: NetworkOutput) -> dict[str, Tensor]:
+    return {head: values.float() for head, values in head_maps(output).items()}
+
+
+def _depth(c: Compared) -> Tensor:
+    criterion: DepthCriterion = paper_depth_loss
+    if c.config.depth_form == "metric":
+        criterion = partial(
+            metric_depth_loss,
+            max_depth_m=c.loss.max_depth_m,
+            l2=c.config.metric_l2,
+            log=c.config.metric_log,
+            farthest=c.loss.farthest,
+        )
+    scales = c.depths if c.config.depth_scales == "mean" else c.depths[:1]
+    return multi_scale_depth_loss(scales, *c.depth_target, criterion)
+
+
+def _depth_uncertainty(c: Compared) -> Tensor:
+    target, valid = c.depth_target
+    # Sky targets at the far end of the range are not measured.
+    measured = valid & (target < c.loss.farthest)
+    scale, max_depth_m = c.heads["depth_uncertainty"], c.loss.max_depth_m
+    return laplace_loss(scale, c.heads["depth"], target, measured, max_depth_m=max_depth_m)
+
+
+def _semantic(c: Compared) -> Tensor:
+    weights = c.loss.class_weights
+    return weighted_cross_entropy(c.log_probabilities, c.shares, weights, c.label_weights)
+
+
+def _semantic_iou(c: Compared) -> Tensor:
+    return soft_iou_loss(c.probabilities, c.shares, c.label_weights)
+
+
+def _lovasz(c: Compared) -> Tensor:
+    side, (height, width) = c.side, grid_of(c.labels)
+    cells = c.probabilities
+    if side > 1:  # every pixel of a cell has its probabilities
+        cells = cells.repeat_interleave(side, dim=2).repeat_interleave(side, dim=3)
+    pictures = zip(cells[..., :height, :width], c.labels, strict=True)
+    losses = torch.stack([lovasz_softmax_loss(*picture) for picture in pictures])
+    return picture_mean(losses, c.labels != IGNORE, c.label_weights)
+
+
+def _road(c: Compared) -> Tensor:
+    assert c.loss.road is not None
+    return road_loss(c.heads["semantic"], c.batch.targets["road_mask"], c.loss.road)
+
+
+def _boundary(c: Compared) -> Tensor:
+    logits = c.heads["boundary"]
+    target, valid = boundary_at_scale(*boundary_target(c.labels), grid_of(logits))
+    return balanced_cross_entropy(logits, target, valid, c.label_weights)
+
+
+def _semantic_boundary(c: Compared) -> Tensor:
+    boundary = c.on_classes(torch.sigmoid(c.heads["boundary"]))
+    return semantic_boundary_loss(c.disagreement, boundary, side=c.side)
+
+
+def _semantic_depth(c: Compared) -> Tensor:
+    return semantic_depth_loss(c.disagreement, c.on_classes(c.heads["depth"]), side=c.side)
+
+
+def _semantic_consistency(c: Compared) -> Tensor:
+    return semantic_consistency_loss(*c.views("semantic"), side=c.side)
+
+
+def _distilled_semantic(c: Compared) -> Tensor:
+    return distilled_semantic_loss(c.heads["semantic"], c.taught["semantic"])
+
+
+def _distilled_boundary(c: Compared) -> Tensor:
+    return distilled_boundary_loss(c.heads["boundary"], c.taught["boundary"])
+
+
+def _distilled_depth(c: Compared) -> Tensor:
+    scale = c.taught.get("depth_uncertainty")
+    return distilled_depth_loss(c.heads["depth"], c.taught["depth"], scale)
+
+
+def _depth_consistency(c: Compared) -> Tensor:
+    return depth_consistency_loss(*c.views("depth"))
+
+
+def _depth_seam(c: Compared) -> Tensor:
+    return depth_seam_loss(*c.views("depth"))
+
+
+class Term(NamedTuple):
+    """A term of the loss.
+
+    Attributes:
+        heads: heads that the network must have.
+        target: the target in `Sample.targets` that it compares with; "" = none.
+        loss: computes it, a mean (), not yet weighted.
+        weight: where the recipe has none in ``loss.weights``; a term of weight 0 is not computed.
+    """
+
+    heads: frozenset[str]
+    target: str
+    loss: Callable[[Compared], Tensor]
+    weight: float = 1.0
+
+
+#: (answer of the network (N, 1, H, W), labels (N, H, W), weight of each frame's labels (N,)) ->
+#: loss (), a mean over the labelled pixels of all processes, see `training.losses.semantic`.
+HeadLoss = Callable[[Tensor, Tensor, Tensor], Tensor]
+
+
+def head_term(head: str, loss: HeadLoss, weight: float = 1.0) -> Term:
+    """Return the term of a head of one's own, a name in `NetworkOutput.others` and of the target.
+
+    It belongs into `TERMS` under the name of the head, or into the entry points of `GROUP`.
+    """
+
+    def compare(c: Compared) -> Tensor:
+        return loss(c.heads[head], c.batch.targets[head], c.batch.weights[head])
+
+    return Term(frozenset({head}), head, compare, weight)
+
+
+#: Name -> heads, target, loss, weight. The first five and their weights are Eq. 12, Eq. 4, 5, 6, 8
+#: and 11; with the soft form of Eq. 8 and 11 training at weight 1 often collapses to one class, and
+#: 0.03 is used instead (docs/results.md).
+TERMS: dict[str, Term] = {
+    name: Term(frozenset(heads.split()), target, loss, weight)
+    for name, heads, target, loss, weight in (
+        ("depth", "depth", "depth", _depth, 1.0),
+        # Likelihood of the depth's errors under the predicted uncertainty.
+        ("depth_uncertainty", "depth depth_uncertainty", "depth", _depth_uncertainty, 0.1),
+        ("semantic", "semantic", "semantic", _semantic, 1.0),
+        # Soft IoU of the classes beside Eq. 5; not the paper's.
+        ("semantic_iou", "semantic", "semantic", _semantic_iou, 0.0),
+        # Of each picture (Berman et al. 2018); ENet with it is the paper's ENet_LSloss.
+        ("lovasz", "semantic", "semantic", _lovasz, 0.0),
+        # The class "road" against road masks, of sets without other labels; not the paper's.
+        ("road", "semantic", "road_mask", _road, 0.0),
+        ("boundary", "boundary", "semantic", _boundary, 1.0),
+        ("semantic_boundary", "semantic boundary", "semantic", _semantic_boundary, 1.0),
+        ("semantic_depth", "semantic depth", "semantic", _semantic_depth, 1.0),
+        # Agreement of two shifted views of each frame, see `training.losses.consistency`.
+        ("depth_consistency", "depth", "", _depth_consistency, 0.0),
+        ("depth_seam", "depth", "", _depth_seam, 0.0),
+        ("semantic_consistency", "semantic", "", _semantic_consistency, 0.0),
+        # Agreement with the answers of a teacher, see `training.losses.distillation`.
+        ("distilled_semantic", "semantic", "", _distilled_semantic, 0.0),
+        ("distilled_depth", "depth", "", _distilled_depth, 0.0),
+        ("distilled_boundary", "boundary", "", _distilled_boundary, 0.0),
+    )
+}
+#: Terms that compare two views of each frame.
+PAIR_TERMS = frozenset({"depth_consistency", "depth_seam", "semantic_consistency"})
+#: Weights that leave the terms of depth alone.
+DEPTH_ALONE = {name: 0.0 for name in TERMS if not name.startswith("depth")}
+#: The entry points of terms in other packages.
+GROUP = "ssdnet.losses"
+
+
+def find_term(name: str) -> Term | None:
+    """Return a term of `TERMS` or of an installed package; None if there is none of the name.
+
+    Raises ValueError if what a package registers is no term.
+    """
+    return TERMS[name] if name in TERMS else _registered_term(name)
+
+
+@cache
+def _registered_term(name: str) -> Term | None:
+    return find_entry(GROUP, name, Term)
+
+
+def list_terms() -> list[str]:
+    """Return the names of all terms, for messages."""
+    return [*TERMS, *(name for name in list_entries(GROUP) if name not in TERMS)]
