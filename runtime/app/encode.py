@@ -23,6 +23,11 @@ _PNG_RUNS = _PNG_STORED | {
     cv2.IMWRITE_PNG_COMPRESSION: 1,
     cv2.IMWRITE_PNG_STRATEGY: cv2.IMWRITE_PNG_STRATEGY_RLE,
 }
+#: For files that hold many frames: a third of the size, for five times the time.
+_PNG_SMALL = {
+    cv2.IMWRITE_PNG_COMPRESSION: 1,
+    cv2.IMWRITE_PNG_FILTER: cv2.IMWRITE_PNG_FILTER_UP,
+}
 _PLY_TYPES = {"<f4": "float", "|u1": "uchar"}
 
 
@@ -31,10 +36,11 @@ def encode_ids(ids: NDArray[np.uint8]) -> memoryview:
     return _encode(".png", ids, _PNG_RUNS)
 
 
-def encode_metres(metres: NDArray[np.float32]) -> memoryview:
+def encode_metres(metres: NDArray[np.float32], *, small: bool = False) -> memoryview:
     """Encode metres as a 16-bit PNG, metres x 256 rounded; beyond 255.99 m it holds 65535."""
     near = np.clip(metres, 0, METRES_PNG_MAX_M)
-    return _encode(".png", np.rint(near * METRES_PNG_SCALE).astype(np.uint16), _PNG_STORED)
+    parameters = _PNG_SMALL if small else _PNG_STORED
+    return _encode(".png", np.rint(near * METRES_PNG_SCALE).astype(np.uint16), parameters)
 
 
 def encode_probability(probability: NDArray[np.float32]) -> memoryview:
@@ -100,6 +106,19 @@ ENCODERS: dict[Unit, Callable[[NDArray[Any]], memoryview]] = {
     Unit.METRES: encode_metres,
     Unit.PROBABILITY: encode_probability,
 }
+
+
+def encode_ros_image(unit: Unit, values: NDArray[Any]) -> tuple[str, memoryview]:
+    """Return `format` and `data` of a sensor_msgs/CompressedImage of a head.
+
+    Ids are a PNG and metres a 16-bit PNG, as `ENCODERS` has them; probabilities x 255 are a JPEG.
+    """
+    if unit is Unit.METRES:
+        return "16UC1; png compressed", encode_metres(values, small=True)
+    if unit is Unit.CLASS_ID:
+        return "mono8; png compressed", encode_ids(values)
+    gray = cv2.convertScaleAbs(values, alpha=255)
+    return "mono8; jpeg compressed", _encode(".jpg", gray, {cv2.IMWRITE_JPEG_QUALITY: 90})
 
 
 def _ascii(name: str) -> str:

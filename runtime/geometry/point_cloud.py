@@ -143,8 +143,11 @@ def thin_to_voxels(cloud: PointCloud, side_m: float) -> PointCloud:
     cubes = np.clip(np.floor(cloud.points / side_m).astype(np.int64), -(2**20), 2**20 - 1)
     x, y, z = (cubes + 2**20).T
     keys = (x << 42) | (y << 21) | z
-    doubt = np.zeros(len(keys), np.float32) if cloud.uncertainty is None else cloud.uncertainty
-    order = np.lexsort((doubt, keys))  # stable: ties keep the first
-    is_first = np.ones(len(keys), dtype=np.bool_)
-    is_first[1:] = keys[order[1:]] != keys[order[:-1]]
-    return cloud.take(np.sort(order[is_first]))
+    order = np.argsort(keys, kind="stable")  # in a cube the points stay in the order of the pixels
+    cube = np.cumsum(np.diff(keys[order], prepend=keys[order[:1]]) > 0)
+    if cloud.uncertainty is not None and len(order):
+        doubt = cloud.uncertainty[order]
+        least = np.minimum.reduceat(doubt, np.flatnonzero(np.diff(cube, prepend=-1)))
+        surest = doubt == least[cube]
+        order, cube = order[surest], cube[surest]
+    return cloud.take(np.sort(order[np.diff(cube, prepend=-1) > 0]))

@@ -191,7 +191,7 @@ class PoseBuffer:
             if stamp_ns >= newest_ns - JUMP_BACK_NS:
                 return False
             self._poses.clear()
-        taken = _Pose(stamp_ns, _quaternion(pose[:3, :3]), pose[:3, 3].copy())
+        taken = _Pose(stamp_ns, quaternion_of(pose[:3, :3]), pose[:3, 3].copy())
         jumped = bool(self._poses) and self._is_jump(taken)
         self._poses.append(taken._replace(jumped=jumped))
         if len(self._poses) >= 2 * self._capacity:  # rarely, because it copies the list
@@ -279,7 +279,7 @@ class PoseBuffer:
         )
 
 
-def _quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+def quaternion_of(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     """w, x, y, z of a rotation matrix, by its largest component (Shepperd 1978)."""
     (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
     choices = (a + e + i, a - e - i, e - a - i, i - a - e)

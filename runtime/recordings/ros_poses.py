@@ -1,7 +1,7 @@
 """Poses, transforms between frames and times of points from deserialised ROS messages."""
 
 import contextlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume
 from runtime.geometry.returns import is_return
 from runtime.recordings.poses import pose_of
+from runtime.recordings.ros_answers import FixedTransform
 from runtime.recordings.ros_messages import view_fields
 
 #: Field of a PointCloud2 with the time of each point, as drivers name it; the first that is there.
@@ -200,6 +201,14 @@ class TransformTree:
         """The names of all frames."""
         parents = (parent for stated in self._parents.values() for parent, _ in stated)
         return sorted({*self._parents, *parents})
+
+    def valid(self) -> Iterator[FixedTransform]:
+        """Yield the last transform of each child that has a valid one."""
+        for child, stated in self._parents.items():
+            for parent, stamped in reversed(stated):
+                with contextlib.suppress(InputError):
+                    yield FixedTransform.of(parent, child, _transform_pose(stamped))
+                    break
 
     def ancestors(self, frame: str) -> dict[str, NDArray[np.float64]]:
         """A frame, its parent and so on, each with the matrix from the frame to it."""

@@ -25,6 +25,7 @@ from runtime.geometry.motion import (
 )
 from runtime.geometry.poses import PoseFrame, PoseTrack
 from runtime.geometry.rig import DEFAULT_RIG, Rig
+from runtime.recordings.ros_answers import FixedTransform, SensorFrames
 from runtime.streams.frame import MATCHED, Frame, Message, Sensor
 from runtime.streams.health.sensor_times import period_ns_of
 from runtime.streams.matching import Decided, StampMatching
@@ -210,6 +211,14 @@ class Source(ABC):
     def notes(self) -> tuple[str, ...]:
         """Lines for the terminal: guesses and, after listing, the skipped messages."""
         return (*self._notes, *left_out_note(self._left_out))
+
+    @property
+    def sensor_frames(self) -> SensorFrames:
+        """The frames of the sensors as ROS names them; without a recording of ROS invented ones."""
+        if self.calibration is None:
+            return SensorFrames()
+        place = FixedTransform.of("camera", "lidar", self.calibration.extrinsics)
+        return SensorFrames("camera", (place,), "the calibration")
 
     @property
     def _rig_facts(self) -> dict[str, Any]:

@@ -168,7 +168,8 @@ def _answer(
 ) -> RunReport:
     """Answer the frames of a camera, and write what was requested."""
     predictor, fault = stream.predictor, stream.fault
-    opened = OpenRun(options, predictor, stream.kinds, [each.name for each in stream.frames])
+    names = [each.name for each in stream.frames]
+    opened = OpenRun(options, predictor, stream.kinds, names, stream.source.sensor_frames)
     with open_outputs(opened) as (outputs, recorders):
         answerer = Answerer(
             predictor,
@@ -258,6 +259,8 @@ def _report(
         "depth_range_m": scale and round(scale.range_m, 2),
         "lens": source.calibration and source.calibration.lens,
         "distortion": source.calibration and source.calibration.distortion,
+        "camera_frame": source.sensor_frames.camera,
+        "frames_from": source.sensor_frames.origin or None,
         "assumptions": [note for note in source.notes if note.startswith("warning: ")],
         "rectified_by_this_run": options.rectify,
         "shard": options.shard,

@@ -318,9 +318,13 @@ def list_results(report: RunReport) -> Iterator[str]:
     yield f"results: {os.path.realpath(report.out)}"
     if options.record is not None:
         yield f"recording: {os.path.realpath(options.record)}"
-    for each in map(options.of_camera, report.inputs.get("cameras", [""])):
+    for camera, inputs in report.inputs.get("cameras", {"": report.inputs}).items():
+        each = options.of_camera(camera)
         for option, path in each.named_files.items():
             if path.exists():
                 yield f"{option}: {os.path.realpath(path)}"
+                if option == "mcap":
+                    origin = inputs["frames_from"] or "no place of the LiDAR"
+                    yield f"  in the frame {inputs['camera_frame']}, with {origin}"
         if OVERLAY in report.saved and report.by_status["ok"]:
             yield f"pictures: {os.path.realpath(each.folder / OVERLAY)}"

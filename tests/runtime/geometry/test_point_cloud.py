@@ -118,5 +118,7 @@ def test_of_each_cube_the_surest_point_is_kept():
     first = thin_to_voxels(to_points(depth, K), 1.0)
     assert len(first.points) == len(thin.points)
     assert first.rows[0] == first.columns[0] == 0, "without uncertainty the first"
+    nothing = to_points(0 * depth, K, uncertainty=uncertainty)
+    assert len(thin_to_voxels(nothing, 1.0).points) == 0
     with pytest.raises(InputError, match="voxel_m"):
         thin_to_voxels(whole, 0)

@@ -4,29 +4,29 @@ import contextlib
 import json
 import os
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from runtime.app.encode import encode_jpeg
-from runtime.app.run.options import DEFAULT_RATE_HZ, FILE_SUFFIXES
-from runtime.app.run.outputs.output import OpenRun
+from runtime.app.encode import METRES_PNG_SCALE, encode_jpeg, encode_ros_image
+from runtime.app.run.options import DEFAULT_RATE_HZ, FILE_SUFFIXES, MCAP_VOXEL_M
+from runtime.app.run.outputs.output import OpenRun, camera_of
 from runtime.base.errors import OutputError
-from runtime.contract.heads import HEADS
-from runtime.engine.prediction import Prediction
+from runtime.contract.heads import HEADS, Unit
 from runtime.files.atomic_write import atomic_path
+from runtime.recordings.ros_answers import camera_fields, cloud_fields, status_fields
 from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
 
-_ENCODINGS = {"uint8": "mono8", "float32": "32FC1"}  # dtype -> encoding of sensor_msgs/msg/Image
-#: Head that is a picture -> topic and encoding of its `sensor_msgs/msg/Image`.
+#: Head that is a picture -> topic of its `sensor_msgs/msg/CompressedImage`.
 IMAGES = {
-    head.name: (f"/ssdnet/{head.name}", _ENCODINGS[head.dtype])
-    for head in HEADS.values()
-    if not head.per_class
+    head.name: f"/ssdnet/{head.name}/compressed" for head in HEADS.values() if not head.per_class
 }
-OVERLAY, CLASSES, DIAGNOSTICS = "/ssdnet/overlay/compressed", "/ssdnet/classes", "/diagnostics"
+OVERLAY, CLASSES, SCALES = "/ssdnet/overlay/compressed", "/ssdnet/classes", "/ssdnet/scales"
+POINTS, CAMERA, DIAGNOSTICS = "/ssdnet/points", "/ssdnet/camera_info", "/diagnostics"
+STATIC = "/tf_static"
+_SCALES = {Unit.METRES: METRES_PNG_SCALE, Unit.PROBABILITY: 255}
 _S = 1_000_000_000  # nanoseconds
 _LAST_NS = 2**31 * _S  # builtin_interfaces/msg/Time has 32 bits for the seconds
 
@@ -39,7 +39,6 @@ class McapWriter:
 
         self._bag, self._run, self._contract = bag, run, run.predictor.contract
         self._typestore = get_typestore(Stores.ROS2_JAZZY)
-        self._types = self._typestore.types
         self._connections: dict[str, Any] = {}
         self._frames = 0
 
@@ -53,69 +52,106 @@ class McapWriter:
                 f"{frame.name} has the stamp {stamp_ns} ns, ROS takes 0 to {_LAST_NS - 1}: "
                 "leave out --mcap, or correct the stamps of the source"
             )
+        header = self._header(stamp_ns, self._run.sensors.camera)
         if not self._frames:
-            names = {index: info.name for index, info in enumerate(self._contract.classes)}
-            self._add(CLASSES, "std_msgs/msg/String", stamp_ns, data=json.dumps(names))
+            self._write_once(stamp_ns)
         self._frames += 1
-        time = self._types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, _S))
-        header = self._types["std_msgs/msg/Header"](time, "camera")
-        for head, (topic, encoding) in IMAGES.items():
-            image = prediction.heads.get(head)
-            if image is not None:
-                self._add(
-                    topic,
-                    "sensor_msgs/msg/Image",
-                    stamp_ns,
-                    header=header,
-                    height=image.shape[0],
-                    width=image.shape[1],
-                    encoding=encoding,
-                    is_bigendian=0,
-                    step=image.shape[1] * image.itemsize,
-                    data=np.ascontiguousarray(image).reshape(-1).view(np.uint8),
-                )
-        overlay = encode_jpeg(self._run.draw(frame, result))
-        self._add(
-            OVERLAY,
-            "sensor_msgs/msg/CompressedImage",
-            stamp_ns,
-            header=header,
-            format="jpeg",
-            data=np.frombuffer(overlay, np.uint8),
-        )
-        self._add(
-            DIAGNOSTICS,
-            "diagnostic_msgs/msg/DiagnosticArray",
-            stamp_ns,
-            header=header,
-            status=[self._status(frame.name, prediction)],
-        )
+        for head, topic in IMAGES.items():
+            if (values := prediction.heads.get(head)) is not None:
+                self._add_image(topic, header, *encode_ros_image(HEADS[head].unit, values))
+        self._add_image(OVERLAY, header, "jpeg", encode_jpeg(self._run.draw(frame, result)))
+        camera = camera_of(frame, self._run.predictor.focal_length_px)
+        if camera is not None:
+            roi = self._make("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, False)
+            fields = camera_fields(camera, frame.size)
+            self._add(CAMERA, "sensor_msgs/msg/CameraInfo", stamp_ns, header, **fields, roi=roi)
+        cloud = self._run.cloud(frame, prediction, voxel_m=MCAP_VOXEL_M)
+        if cloud is not None:
+            fields = cloud_fields(cloud)
+            points = [self._make("sensor_msgs/msg/PointField", **each) for each in fields["fields"]]
+            of_type = "sensor_msgs/msg/PointCloud2"
+            self._add(POINTS, of_type, stamp_ns, header, **fields | {"fields": points})
+        status = status_fields(replace(result, name=frame.name))
+        pairs = [
+            self._make("diagnostic_msgs/msg/KeyValue", key, value)
+            for key, value in status.pop("values").items()
+        ]
+        of_type, model = "diagnostic_msgs/msg/DiagnosticStatus", self._contract.model_name
+        found = self._make(of_type, **status, name="ssdnet", hardware_id=model, values=pairs)
+        of_type = "diagnostic_msgs/msg/DiagnosticArray"
+        self._add(DIAGNOSTICS, of_type, stamp_ns, header, status=[found])
 
-    def _status(self, name: str, prediction: Prediction) -> Any:
-        of_type: Any = self._types["diagnostic_msgs/msg/DiagnosticStatus"]
-        values = {
-            "frame": name,
-            **{stage: f"{ms:.3f}" for stage, ms in asdict(prediction.latency).items()},
-            "depth_returns": str(prediction.depth_returns),
-            "depth_cleaned": str(prediction.cleaned.total),
-        }
-        key_value = self._types["diagnostic_msgs/msg/KeyValue"]
-        return of_type(
-            level=of_type.WARN if prediction.degraded else of_type.OK,
-            name="ssdnet",
-            message=", ".join(prediction.degraded) or "ok",
-            hardware_id=self._contract.model_name,
-            values=[key_value(key, value) for key, value in values.items()],
-        )
+    def _write_once(self, stamp_ns: int) -> None:
+        """Append what holds for all frames: classes, scales, and where the sensors are."""
+        names = {index: info.name for index, info in enumerate(self._contract.classes)}
+        scales = {head: _SCALES[HEADS[head].unit] for head in IMAGES if HEADS[head].unit in _SCALES}
+        for topic, facts in ((CLASSES, names), (SCALES, scales)):
+            self._add(topic, "std_msgs/msg/String", stamp_ns, data=json.dumps(facts))
+        transforms = [
+            self._make(
+                "geometry_msgs/msg/TransformStamped",
+                self._header(stamp_ns, each.parent),
+                each.child,
+                self._make(
+                    "geometry_msgs/msg/Transform",
+                    self._make("geometry_msgs/msg/Vector3", *each.translation),
+                    self._make("geometry_msgs/msg/Quaternion", *each.rotation),
+                ),
+            )
+            for each in self._run.sensors.transforms
+        ]
+        if transforms:
+            self._add(STATIC, "tf2_msgs/msg/TFMessage", stamp_ns, transforms=transforms)
 
-    def _add(self, topic: str, of_type: str, stamp_ns: int, **fields: Any) -> None:
+    def _make(self, of_type: str, *values: Any, **fields: Any) -> Any:
+        return self._typestore.types[of_type](*values, **fields)
+
+    def _header(self, stamp_ns: int, frame_id: str) -> Any:
+        time = self._make("builtin_interfaces/msg/Time", *divmod(stamp_ns, _S))
+        return self._make("std_msgs/msg/Header", time, frame_id)
+
+    def _add_image(self, topic: str, header: Any, form: str, content: memoryview) -> None:
+        stamp_ns = header.stamp.sec * _S + header.stamp.nanosec
+        data = np.frombuffer(content, np.uint8)
+        of_type = "sensor_msgs/msg/CompressedImage"
+        self._add(topic, of_type, stamp_ns, header, format=form, data=data)
+
+    def _add(self, topic: str, of_type: str, stamp_ns: int, *header: Any, **fields: Any) -> None:
         if topic not in self._connections:
             self._connections[topic] = self._bag.add_connection(
-                topic, of_type, typestore=self._typestore
+                topic,
+                of_type,
+                typestore=self._typestore,
+                offered_qos_profiles=[_latched()] if topic == STATIC else (),
             )
-        message = self._types[of_type](**fields)
+        message = self._make(of_type, *header, **fields)
         content = self._typestore.serialize_cdr(message, of_type)
         self._bag.write(self._connections[topic], stamp_ns, content)
+
+
+def _latched() -> Any:
+    """The quality of service of /tf_static: who subscribes later gets the last message."""
+    from rosbags.interfaces import (
+        Qos,
+        QosDurability,
+        QosHistory,
+        QosLiveliness,
+        QosReliability,
+        QosTime,
+    )
+
+    ever = QosTime(2**31 - 1, 2**32 - 1)
+    return Qos(
+        history=QosHistory.KEEP_LAST,
+        depth=1,
+        reliability=QosReliability.RELIABLE,
+        durability=QosDurability.TRANSIENT_LOCAL,
+        deadline=ever,
+        lifespan=ever,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=ever,
+        avoid_ros_namespace_conventions=False,
+    )
 
 
 @contextlib.contextmanager

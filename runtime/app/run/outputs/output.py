@@ -14,6 +14,7 @@ from runtime.engine.prediction import Prediction
 from runtime.engine.predictor import Predictor
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.point_cloud import PointCloud
+from runtime.recordings.ros_answers import SensorFrames
 from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
 
@@ -27,6 +28,7 @@ class OpenRun:
         predictor: of the run.
         kinds: of SUFFIXES, the files of a frame to write.
         names: of the frames.
+        sensors: frames of the camera and the LiDAR, as ROS names them.
         report: set after the last frame, before the outputs are closed.
     """
 
@@ -34,6 +36,7 @@ class OpenRun:
     predictor: Predictor
     kinds: Sequence[str] = ()
     names: Sequence[str] = ()
+    sensors: SensorFrames = field(default_factory=SensorFrames)
     report: RunReport = field(init=False)
 
     def draw(

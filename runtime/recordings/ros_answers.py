@@ -1,0 +1,138 @@
+"""Answers as the fields of ROS's standard messages, for files and for nodes.
+
+Each function returns the fields of a message without its header, by their names in ROS 2.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.point_cloud import PointCloud
+from runtime.geometry.poses import quaternion_of
+from runtime.streams.frame_result import FrameResult
+from runtime.streams.stream_counter import Level, WatchdogState
+
+#: NumPy's type -> datatype of a sensor_msgs/PointField.
+_DATATYPES = {"|u1": 2, "<u4": 6, "<f4": 7}
+#: State of a stream -> level of a diagnostic_msgs/DiagnosticStatus.
+_LEVELS = {Level.OK: 0, Level.WARN: 1, Level.ERROR: 2, Level.NOT_YET: 3}
+
+
+class FixedTransform(NamedTuple):
+    """A transform of /tf_static.
+
+    Attributes:
+        parent: its frame.
+        child: the frame that it places in the parent.
+        translation: x, y, z of the child's origin in the parent [m].
+        rotation: unit quaternion x, y, z, w.
+    """
+
+    parent: str
+    child: str
+    translation: tuple[float, float, float]
+    rotation: tuple[float, float, float, float]
+
+    @classmethod
+    def of(cls, parent: str, child: str, pose: NDArray[np.float64]) -> "FixedTransform":
+        """The transform of a pose, float64 (4, 4) from the child to the parent [m]."""
+        x, y, z = pose[:3, 3].tolist()
+        w, *turn = quaternion_of(pose[:3, :3]).tolist()
+        return cls(parent, child, (x, y, z), (turn[0], turn[1], turn[2], w))
+
+
+class SensorFrames(NamedTuple):
+    """Where a recording's sensors are, in the words of ROS.
+
+    Attributes:
+        camera: frame id of the answers.
+        transforms: the fixed transforms between frames.
+        origin: what states them, in words; "" where there are none.
+    """
+
+    camera: str = "camera"
+    transforms: tuple[FixedTransform, ...] = ()
+    origin: str = ""
+
+
+def cloud_fields(cloud: PointCloud) -> dict[str, Any]:
+    """The fields of a sensor_msgs/PointCloud2: x, y, z, rgb, class, uncertainty, without padding.
+
+    Colours are packed as PCL has them, 0x00RRGGBB in the bits of a float32.
+    """
+    columns: dict[str, tuple[str, NDArray[Any]]] = {
+        axis: ("<f4", cloud.points[:, place]) for place, axis in enumerate("xyz")
+    }
+    if cloud.rgb is not None:
+        red, green, blue = cloud.rgb.astype(np.uint32).T
+        columns["rgb"] = "<f4", ((red << 16) | (green << 8) | blue).view(np.float32)
+    if cloud.semantic is not None:
+        columns["class"] = "|u1", cloud.semantic
+    if cloud.uncertainty is not None:
+        columns["uncertainty"] = "<f4", cloud.uncertainty
+    points = np.empty(len(cloud.points), [(name, kind) for name, (kind, _) in columns.items()])
+    for name, (_, values) in columns.items():
+        points[name] = values
+    layout: Any = points.dtype.fields
+    fields = [
+        {"name": name, "offset": layout[name][1], "datatype": _DATATYPES[kind], "count": 1}
+        for name, (kind, _) in columns.items()
+    ]
+    return {
+        "height": 1,
+        "width": len(points),
+        "fields": fields,
+        "is_bigendian": False,
+        "point_step": points.itemsize,
+        "row_step": points.nbytes,
+        "data": points.view(np.uint8),
+        "is_dense": True,
+    }
+
+
+def camera_fields(camera: Calibration, size: tuple[int, int]) -> dict[str, Any]:
+    """The fields of a sensor_msgs/CameraInfo for images of this (height, width), without `roi`."""
+    matrix, lens = np.asarray(camera.intrinsics, np.float64), camera.lens_model
+    return {
+        "height": size[0],
+        "width": size[1],
+        "distortion_model": "plumb_bob" if lens is None else lens.model,
+        "d": np.zeros(5) if lens is None else np.array(lens.coefficients, np.float64),
+        "k": matrix.ravel(),
+        "r": np.eye(3).ravel(),
+        "p": np.hstack([matrix, np.zeros((3, 1))]).ravel(),
+        "binning_x": 0,
+        "binning_y": 0,
+    }
+
+
+def status_fields(
+    result: FrameResult | None = None, state: WatchdogState | None = None
+) -> dict[str, Any]:
+    """The fields of a diagnostic_msgs/DiagnosticStatus but its names.
+
+    Args:
+        result: an answer; what is degraded or unhealthy is a warning.
+        state: of a stream; its level counts where it is worse.
+
+    Returns:
+        `level`, 0 to 3; `message`; and `values`, a mapping of texts.
+    """
+    level, reasons, values = Level.OK, list[str](), {}
+    if result is not None:
+        prediction = result.prediction
+        reasons += [*prediction.degraded, *result.health]
+        level = Level.WARN if reasons else Level.OK
+        values = {
+            "frame": result.name,
+            **{stage: f"{ms:.3f}" for stage, ms in vars(prediction.latency).items()},
+            "depth_returns": str(prediction.depth_returns),
+            "depth_cleaned": str(prediction.cleaned.total),
+        }
+    if state is not None:
+        level = max(level, state.level, key=lambda each: _LEVELS[each])
+        reasons += [reason for reason in state.reasons if reason not in reasons]
+        values["state"] = str(state.level)
+    return {"level": _LEVELS[level], "message": ", ".join(reasons) or "ok", "values": values}
