@@ -20,9 +20,16 @@ from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import Scan
 from runtime.geometry.point_cloud import to_points
 from runtime.geometry.rig import DEFAULT_RIG, Rig
-from runtime.recordings.ros_answers import FixedTransform, SensorFrames
+from runtime.recordings.ros_answers import SensorFrames
 from runtime.recordings.ros_bag import RecordedMessage, RosBag
-from runtime.recordings.ros_camera import CAMERA_INFO, GIVE, SAME_PX, calibrate, projection_of
+from runtime.recordings.ros_camera import (
+    CAMERA_INFO,
+    GIVE,
+    SAME_PX,
+    calibrate,
+    place_sensors,
+    projection_of,
+)
 from runtime.recordings.ros_messages import (
     decode_compressed_image,
     decode_depth_image,
@@ -268,26 +275,10 @@ class BagSource(Source):
     @cached_property
     def sensor_frames(self) -> SensorFrames:
         """See `Source.sensor_frames`: those of the bag, with its /tf_static."""
-        camera, lidar, own = self._frame(self._image_topic), "", list(self._tree.valid())
-        if self._has_clouds:
-            lidar = self._frame(self._depth_topic or "")
-        if not camera:
-            return super().sensor_frames
-        calibration = self.calibration
-        if not own:
-            if not lidar or calibration is None:
-                return SensorFrames(camera)
-            given = FixedTransform.of(camera, lidar, calibration.extrinsics)
-            return SensorFrames(camera, (given,), "the calibration")
-        if lidar and calibration is not None and self._rig.calibration is None:
-            # P of the second camera of a stereo pair holds the baseline to the frame of the first.
-            with collect_assumptions([]):  # reported with the calibration
-                place = self._tree.between(lidar, camera)
-            offset = place @ np.linalg.inv(calibration.extrinsics)
-            if not np.allclose(offset, np.eye(4), atol=1e-6):
-                own.append(FixedTransform.of(camera, f"{camera}_ssdnet", offset))
-                camera = f"{camera}_ssdnet"
-        return SensorFrames(camera, tuple(own), "/tf_static")
+        lidar = self._frame(self._depth_topic or "") if self._has_clouds else ""
+        given = self.calibration if lidar else None
+        is_own = self._rig.calibration is None
+        return place_sensors(self._tree, self._frame(self._image_topic), lidar, given, is_own)
 
     @cached_property
     def _tree(self) -> TransformTree:

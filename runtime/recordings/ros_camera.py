@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 
 from runtime.base.errors import InputError
-from runtime.geometry.assumptions import assume
+from runtime.geometry.assumptions import assume, collect_assumptions
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import Lens
 from runtime.geometry.rigid import read_rotation
 from runtime.recordings.images import image_size
+from runtime.recordings.ros_answers import FixedTransform, SensorFrames
 from runtime.recordings.ros_bag import RosBag
 from runtime.recordings.ros_poses import TransformTree, frame_name
 
@@ -79,6 +80,35 @@ def calibrate(
     if np.abs(shift).max() > _SHIFT_M and _has_own_frame(bag, tree, frame, shift):
         return replace(found, extrinsics=extrinsics)
     return found
+
+
+def place_sensors(
+    tree: TransformTree, camera: str, lidar: str, calibration: Calibration | None, is_own: bool
+) -> SensorFrames:
+    """Return the frames of a bag's sensors.
+
+    Args:
+        tree: of /tf_static.
+        camera: frame of the images; "" = not stated.
+        lidar: frame of the clouds; "" = there are none.
+        calibration: of clouds and images; None = there is none.
+        is_own: whether it is that of the bag.
+    """
+    camera, transforms = camera or "camera", tuple(tree.valid())
+    if calibration is None or not lidar:
+        return SensorFrames(camera, transforms, "/tf_static" if transforms else "")
+    if not transforms:
+        place = FixedTransform.of(camera, lidar, calibration.extrinsics)
+        return SensorFrames(camera, (place,), "the calibration")
+    if is_own:
+        # P of the second camera of a stereo pair holds the baseline to the frame of the first.
+        with collect_assumptions([]):  # reported with the calibration
+            offset = tree.between(lidar, camera) @ np.linalg.inv(calibration.extrinsics)
+        if not np.allclose(offset, np.eye(4), atol=1e-6):
+            beside = f"{camera}_ssdnet"
+            transforms += (FixedTransform.of(camera, beside, offset),)
+            camera = beside
+    return SensorFrames(camera, transforms, "/tf_static")
 
 
 def projection_of(info: Any) -> list[list[float]]:
