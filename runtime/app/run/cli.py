@@ -62,7 +62,8 @@ def _print_models(wanted: bool) -> None:
     cls=GroupedCommand,
     epilog="Exit codes: 0 done; 1 error; 2 usage; 3 finished, but frames were skipped, answers "
     "were invalid, the LiDAR returns are implausible, or the run was stopped by Ctrl-C, SIGTERM "
-    "or SIGHUP; 4 a frame missed --deadline-ms, also if others were skipped; 130 stopped by "
+    "or SIGHUP; 4 a frame missed --deadline-ms, also if others were skipped; 5 a reason of "
+    "--fail-on was found; 130 stopped by "
     "Ctrl-C, SIGTERM or SIGHUP before the first frame.",
 )
 @with_run_options

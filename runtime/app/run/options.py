@@ -16,6 +16,7 @@ import typer
 
 from runtime.app.command import Provider
 from runtime.app.encode import METRES_PNG_SCALE
+from runtime.app.run.reasons import REASONS
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
@@ -235,7 +236,13 @@ class RunOptions:
         min=0,
         max=1e6,
     )
+    fail_on: list[str] | None = _outputs(
+        "End with exit code 5 if one of these is found: "
+        f"{', '.join(REASONS)}. May be repeated. [default: none]",
+        metavar="REASON,...",
+    )
     # What follows from the options:
+    failing: tuple[str, ...] = dataclasses.field(init=False)
     kinds: tuple[str, ...] = dataclasses.field(init=False)
     network_size: NetworkSize = dataclasses.field(init=False)
     part: slice = dataclasses.field(init=False)
@@ -263,6 +270,7 @@ class RunOptions:
         source_path = self._find_source()
         for name, value in (
             ("kinds", self._read_kinds()),
+            ("failing", self._read_reasons()),
             ("network_size", network_size),
             ("part", self._read_shard()),
             ("source_path", source_path),
@@ -280,6 +288,15 @@ class RunOptions:
                 f"--save is all, none, or some of {', '.join(SUFFIXES)}, got {shown(texts)}"
             )
         return tuple(kind for kind in SUFFIXES if kind in requested)
+
+    def _read_reasons(self) -> tuple[str, ...]:
+        given = [each.strip() for each in ",".join(self.fail_on or []).split(",") if each.strip()]
+        unknown = [each for each in given if each not in REASONS]
+        if unknown:
+            raise UsageError(
+                f"--fail-on takes some of {', '.join(REASONS)}, got {shown(unknown[0])}"
+            )
+        return tuple(dict.fromkeys(given))
 
     @property
     def folder(self) -> Path:

@@ -129,7 +129,7 @@ def run_stream(
     Raises:
         Exception: what an output raises ends the stream.
     """
-    reads: deque[tuple[int, str, Future[tuple[Frame, float]]]] = deque()
+    reads: deque[tuple[int, ListedFrame, Future[tuple[Frame, float]]]] = deque()
     writes: deque[tuple[FrameResult, Future[float] | None]] = deque()
     records: list[FrameResult] = []
     waiting, rate_hz, deadline_ms = iter(enumerate(frames)), options.rate, options.deadline_ms
@@ -137,18 +137,20 @@ def run_stream(
 
     def read_next() -> None:
         for index, listed in waiting:
-            reads.append((index, listed.name, reading_thread.submit(read, listed)))
+            reads.append((index, listed, reading_thread.submit(read, listed)))
             return
 
     def answer(
-        index: int, name: str, reading: Future[tuple[Frame, float]], due: float | None
+        index: int, listed: ListedFrame, reading: Future[tuple[Frame, float]], due: float | None
     ) -> tuple[FrameResult, Future[float] | None]:
         """Answer a frame and start writing the answer; return the result and the write."""
         try:
             frame, read_ms = reading.result()
             result = answerer.answer(frame)
         except SSDNetError as error:
-            return FrameResult(sequence=index, name=name, reason=str(error)), None
+            reason, stamp_ns = str(error), listed.image_stamp_ns
+            skipped = FrameResult(sequence=index, name=listed.name, reason=reason)
+            return skipped if stamp_ns is None else replace(skipped, image_stamp=stamp_ns), None
         record = replace(result.in_report(index), read_ms=read_ms)
         if due is not None:
             age_ms = (time.perf_counter() - due) * 1e3
@@ -176,12 +178,12 @@ def run_stream(
         for _ in range(_READ_AHEAD):
             read_next()
         while reads and not stop():
-            index, name, reading = reads[0]
+            index, listed, reading = reads[0]
             due = None if rate_hz is None else started + index / rate_hz
             if due is not None and not _wait_until(due, stop):
                 break
             reads.popleft()
-            writes.append(answer(index, name, reading, due))
+            writes.append(answer(index, listed, reading, due))
             read_next()
             while len(writes) > _WRITE_BEHIND:
                 finish_oldest()

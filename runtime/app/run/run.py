@@ -9,6 +9,7 @@ from runtime.app.command import stop_requested
 from runtime.app.run.depth_check import NoDepth, find_depth_fault, find_lens_fault
 from runtime.app.run.engine_facts import engine_facts
 from runtime.app.run.options import CLOUD, KINDS, SAVED_HEADS, RunOptions
+from runtime.app.run.outages import Timeline, find_outages
 from runtime.app.run.outputs.frame_writer import make_run_folder
 from runtime.app.run.outputs.output import OpenRun
 from runtime.app.run.outputs.registry import open_outputs, require_outputs
@@ -266,5 +267,17 @@ def _report(
         "shard": options.shard,
         "warmup": options.warmup,
     }
-    facts = engine_facts(stream.predictor)
-    return RunReport(facts, options, inputs, stream.kinds, result, implausible_depth, stream.fit)
+    timeline = Timeline.of(result.records, source.stamps_ns)
+    whole = options.limit is None and not result.interrupted
+    outages = find_outages(result.records, source.stamps_ns, timeline, whole=whole)
+    return RunReport(
+        engine_facts(stream.predictor),
+        options,
+        inputs,
+        stream.kinds,
+        result,
+        implausible_depth,
+        stream.fit,
+        outages,
+        timeline,
+    )

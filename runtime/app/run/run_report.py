@@ -14,8 +14,11 @@ from typing import Any
 from runtime.alignment.quick_check import QuickFinding
 from runtime.app.encode import METRES_PNG_MAX_M, METRES_PNG_SCALE
 from runtime.app.run.options import OVERLAY, RunOptions
+from runtime.app.run.outages import Outage, Timeline
 from runtime.app.run.pipeline import StreamResult
+from runtime.app.run.reasons import LATE
 from runtime.contract.canonical_focal import CameraScale
+from runtime.contract.degraded import IMPLAUSIBLE_DEPTH
 from runtime.engine.prediction import Cleaned, Prediction
 from runtime.engine.predictor import Predictor
 from runtime.files.atomic_write import atomic_write
@@ -24,7 +27,7 @@ from runtime.streams.statistics import MissCounter, StreamStatistics, latency_st
 
 REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "2.0"
 FRAMES_FILE, REPORT_FILE = "frames.csv", "report.json"
-FRAMES_SKIPPED, DEADLINE_MISSED = 3, 4  # exit codes
+FRAMES_SKIPPED, DEADLINE_MISSED, REASON_FOUND = 3, 4, 5  # exit codes
 
 #: Stage -> its time for a frame. "latency" is left out: it equals "age" or "predict".
 STAGES = {stage: time_of for stage, time_of in FIGURES.items() if stage != "latency"}
@@ -42,6 +45,8 @@ class RunReport:
         stream: results of the frames.
         implausible_depth: why the returns cannot be right; None = nothing was found.
         calibration_fit: how the returns of the first frames fit the image; None = not known.
+        outages: when a sensor was out.
+        timeline: times of the frames; None = not known, or of several cameras.
     """
 
     engine: Mapping[str, Any]
@@ -51,6 +56,8 @@ class RunReport:
     stream: StreamResult
     implausible_depth: str | None = None
     calibration_fit: QuickFinding | None = None
+    outages: tuple[Outage, ...] = ()
+    timeline: Timeline | None = None
 
     @classmethod
     def of_rig(
@@ -86,6 +93,12 @@ class RunReport:
             inputs={"cameras": {camera: report.inputs for camera, report in reports.items()}},
             stream=stream,
             implausible_depth="; ".join(found) or None,
+            outages=tuple(
+                replace(outage, camera=camera)
+                for camera, report in reports.items()
+                for outage in report.outages
+            ),
+            timeline=None,
         )
 
     @property
@@ -138,6 +151,23 @@ class RunReport:
         return Counter(_size_text(each.network_size) for each in self.predictions)
 
     @property
+    def reasons(self) -> Counter[str]:
+        """Reason of `REASONS` -> frames, or outages."""
+        counts = self.degraded + self.health + self.by_status
+        counts[LATE] = sum(record.deadline_met is False for record in self.records)
+        if self.implausible_depth is not None:
+            counts[IMPLAUSIBLE_DEPTH] = max(counts[IMPLAUSIBLE_DEPTH], 1)
+        silent = Counter(each.reason for each in self.outages if each.scans is None)
+        del counts[OK]
+        return +(counts + silent)
+
+    @property
+    def failed_on(self) -> dict[str, int]:
+        """The reasons of --fail-on that were found, with their counts."""
+        found = self.reasons
+        return {each: found[each] for each in self.options.failing if each in found}
+
+    @property
     def not_ok(self) -> list[FrameResult]:
         """Frames without an answer that can be used."""
         return [record for record in self.records if record.status != OK]
@@ -165,10 +195,15 @@ class RunReport:
 
     @property
     def exit_code(self) -> int:
-        """0, FRAMES_SKIPPED (also if the depth is implausible), or DEADLINE_MISSED before all."""
+        """0, FRAMES_SKIPPED (also if the depth is implausible), or before these another one.
+
+        DEADLINE_MISSED is before REASON_FOUND.
+        """
         missed = self.statistics.missed
         if missed is not None and missed.count:
             return DEADLINE_MISSED
+        if self.failed_on:
+            return REASON_FOUND
         doubtful = self.implausible_depth is not None and self.records
         return FRAMES_SKIPPED if self.stream.interrupted or self.not_ok or doubtful else 0
 
@@ -192,10 +227,20 @@ class RunReport:
                 "calibration_fit": self.calibration_fit and self.calibration_fit._asdict(),
                 "by_network_size": self.by_network_size,
                 "not_ok": [
-                    {"name": record.name, "status": record.status, "reason": record.reason}
-                    for record in self.not_ok
+                    {
+                        "name": record.name,
+                        "status": record.status,
+                        "reason": record.reason,
+                        "time_s": self.timeline and round(self.timeline.times_s[at], 3),
+                    }
+                    for at, record in enumerate(self.records)
+                    if record.status != OK
                 ],
             },
+            "start_stamp_ns": self.timeline and self.timeline.start_ns,
+            "duration_s": self.timeline and round(self.timeline.times_s[-1], 3),
+            "outages": [each.to_dict() for each in self.outages],
+            "failed_on": self.failed_on,
             "interrupted": self.stream.interrupted,
             "scenario": {"name": self.scenario, "rate_hz": self.options.rate},
             **self.statistics.to_dict(),
@@ -290,6 +335,8 @@ def describe_run(report: RunReport) -> str:
     lines += [f"  {line}" for line in group_reasons(not_ok)]
     lines += [f"  degraded: {reason}: {count}" for reason, count in report.degraded.items()]
     lines += [f"  health: {reason}: {count}" for reason, count in report.health.items()]
+    lines += [f"warning: {each.text}" for each in report.outages]
+    lines += [f"failed on {reason}: {count}" for reason, count in report.failed_on.items()]
     if report.options.rate is not None:
         lines.append(f"constant stream of {report.options.rate:g} Hz")
     lines += ["", report.statistics.table(), ""]

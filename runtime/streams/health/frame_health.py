@@ -93,10 +93,11 @@ class FrameHealth:
         found = self._image_faults(rgb)
         self._has_lidar |= scan is not None
         if scan is not None:
-            if self._repeats(scan, rgb, before):
-                found.append(LIDAR_FROZEN)
             if not is_return.any():
                 found.append(LIDAR_EMPTY)
+                self._scan = None
+            elif self._repeats(scan, rgb, before):
+                found.append(LIDAR_FROZEN)
         elif self._has_lidar and not reused:
             found.append(LIDAR_MISSING)
         return (*found, *self._lidar_faults(is_return))

@@ -29,7 +29,7 @@ def find_silences(
         return []
     intervals = np.diff(stamps)
     # Of a quarter that may be gaps themselves.
-    period_ns = float(np.percentile(intervals, 75, method="lower")) if len(intervals) > 1 else 0.0
+    period_ns = float(np.percentile(intervals, 75, method="lower")) if intervals.size else 0.0
     longest_ns = max(SILENT_NS, _PERIODS * period_ns)
     edges = np.concatenate([[min(first_ns, stamps[0])], stamps, [max(last_ns, stamps[-1])]])
     return [

@@ -5,15 +5,16 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import groupby
+from itertools import pairwise
 from typing import Any
 
+from runtime.app.run.reasons import LATE
 from runtime.streams.frame_result import INVALID, OK, SKIPPED, FrameResult
 
 UNANSWERED = (SKIPPED, INVALID)  # frames without a usable answer
-LATE = "late"
 _MOST_SPANS = 490  # of a chart
-_MOST_FRAME_TICKS = 6
+_MOST_TICKS = 6
+_GAP = 2.5  # periods without a frame
 _MOST_POINTS = 140  # a chart with more spans draws points for late ones only
 _LEAST_BAR = 0.25  # width of a bar in percent of its strip
 
@@ -32,11 +33,70 @@ def marks_of(record: FrameResult) -> set[str]:
 
 
 @dataclass(frozen=True)
+class Axis:
+    """What the charts have along: seconds from the start of the recording, or frames.
+
+    Attributes:
+        places: of each frame, rising.
+        period: from a frame to the next one, without gaps.
+        start, end: of the charts; the last frame takes a period, too.
+        unit: "s", or "frame" where the times are not known.
+    """
+
+    places: Sequence[float]
+    period: float
+    start: float
+    end: float
+    unit: str
+
+    @classmethod
+    def of(cls, frames: int, times_s: Sequence[float] | None, end_s: float = 0.0) -> "Axis":
+        """Return the axis of so many frames at these times; None = not known.
+
+        end_s: until which an outage lasts.
+        """
+        if times_s is None or len(times_s) < 2:
+            return cls(range(frames), 1.0, 0.0, max(float(frames), 1.0), "frame")
+        steps = sorted(after - before for before, after in pairwise(times_s))
+        period = steps[len(steps) // 2]
+        return cls(times_s, period, 0.0, max(times_s[-1] + period, end_s), "s")
+
+    def share(self, place: float) -> float:
+        """Where a place is, 0 = the start, 1 = the end."""
+        return (place - self.start) / (self.end - self.start)
+
+    def reach(self, at: int) -> float:
+        """Until where a frame lasts: the next one, or a period where there is a gap."""
+        after = self.places[at + 1] if at + 1 < len(self.places) else self.end
+        return after if not self.is_gap(at) else self.places[at] + self.period
+
+    def is_gap(self, at: int) -> bool:
+        """Whether frames are missing after this one."""
+        after = self.places[at + 1] if at + 1 < len(self.places) else self.end
+        return after - self.places[at] > _GAP * self.period
+
+    def ticks(self) -> list[tuple[float, float]]:
+        """(Percent, place) of each tick."""
+        least = (self.end - self.start) / _MOST_TICKS
+        step = _distance(least if self.unit == "s" else max(least, 1))
+        first, last = math.ceil(self.start / step), math.floor(self.end / step + 1e-9)
+        return [(100 * self.share(n * step), n * step) for n in range(first, last + 1)]
+
+    def title(self, first: int, last: int, name: str) -> str:
+        """Frames in words, for a tooltip; `name` is that of the first."""
+        if self.unit == "s":
+            till = "" if first == last else f" to {self.places[last]:.2f}"
+            return f"{self.places[first]:.2f}{till} s"
+        return name if first == last else f"frames {first} to {last}"
+
+
+@dataclass(frozen=True)
 class Span:
     """Successive frames that share a place in the charts; `first` is the number of the first."""
 
     first: int
     records: Sequence[FrameResult]
+    axis: Axis
 
     @property
     def last(self) -> int:
@@ -44,15 +104,24 @@ class Span:
         return self.first + len(self.records) - 1
 
     @property
+    def start(self) -> float:
+        """Where it starts on the axis."""
+        return self.axis.places[self.first]
+
+    @property
+    def end(self) -> float:
+        """Where it ends on the axis."""
+        return self.axis.reach(self.last)
+
+    @property
     def middle(self) -> float:
-        """Number of the middle frame, or half between two."""
-        return (self.first + self.last) / 2
+        """The middle of its frames on the axis."""
+        return (self.start + self.axis.places[self.last]) / 2
 
     @property
     def title(self) -> str:
         """The frames in words, for a tooltip."""
-        one = len(self.records) == 1
-        return self.records[0].name if one else f"frames {self.first} to {self.last}"
+        return self.axis.title(self.first, self.last, self.records[0].name)
 
     @cached_property
     def times_ms(self) -> list[float]:
@@ -76,12 +145,19 @@ class Span:
         return sum(returns) / len(returns) if returns else None
 
 
-def join_frames(records: Sequence[FrameResult]) -> list[Span]:
-    """The spans of a run: of one frame each, or of several where there are too many frames."""
+def join_frames(records: Sequence[FrameResult], axis: Axis | None = None) -> list[Span]:
+    """The spans of a run: of one frame each, or of several where there are too many frames.
+
+    No span has a gap inside. axis: None = of frames.
+    """
+    axis = axis or Axis.of(len(records), None)
     frames = -(-len(records) // _MOST_SPANS) or 1  # of a span
-    return [
-        Span(first, records[first : first + frames]) for first in range(0, len(records), frames)
-    ]
+    spans, first = [], 0
+    for at in range(len(records)):
+        if at + 1 - first == frames or at + 1 == len(records) or axis.is_gap(at):
+            spans.append(Span(first, records[first : at + 1], axis))
+            first = at + 1
+    return spans
 
 
 def latency_chart(spans: Sequence[Span], *, deadline_ms: float | None) -> dict[str, Any]:
@@ -94,11 +170,11 @@ def latency_chart(spans: Sequence[Span], *, deadline_ms: float | None) -> dict[s
         return {}
     limits = [] if deadline_ms is None else [deadline_ms]
     highest = max([*limits, *(span.slowest_ms for span in answered)])
-    step, last = _distance(highest / 5), max(spans[-1].last, 1)
+    step, axis = _distance(highest / 5), spans[0].axis
     top = step * max(math.ceil(highest / step), 1)
 
-    def x(frame: float) -> float:
-        return 100 * frame / last if len(spans) > 1 else 50.0
+    def x(place: float) -> float:
+        return 100 * axis.share(place) if len(spans) > 1 else 50.0
 
     def y(value_ms: float) -> float:
         return 100 * (1 - value_ms / top)
@@ -113,15 +189,12 @@ def latency_chart(spans: Sequence[Span], *, deadline_ms: float | None) -> dict[s
             points.append((LATE if late else "point", x(span.middle), y(span.slowest_ms), text))
     return {
         "ticks": [(y(step * tick), step * tick) for tick in range(round(top / step) + 1)],
-        "frames": [
-            (x(frame), frame)
-            for frame in range(0, last + 1, round(_distance(max(last / _MOST_FRAME_TICKS, 1))))
-        ],
+        "along": axis.ticks(),
+        "unit": axis.unit,
         "joined": any(len(span.records) > 1 for span in spans),
         "lines": [
             " ".join(f"{x(span.middle):.2f},{y(span.slowest_ms):.2f}" for span in run)
-            for is_answered, run in groupby(spans, lambda span: bool(span.times_ms))
-            if is_answered
+            for run in _lines(spans)
         ],
         "deadline": [y(limit) for limit in limits],
         "unanswered": [
@@ -133,6 +206,22 @@ def latency_chart(spans: Sequence[Span], *, deadline_ms: float | None) -> dict[s
     }
 
 
+def _lines(spans: Sequence[Span]) -> list[list[Span]]:
+    """Answered spans that follow each other without a gap."""
+    lines: list[list[Span]] = [[]]
+    for span in spans:
+        if span.times_ms:
+            lines[-1].append(span)
+        if not span.times_ms or span.axis.is_gap(span.last):
+            lines.append([])
+    return [line for line in lines if line]
+
+
+def outage_strip(axis: Axis, places: Sequence[tuple[float, float]]) -> list[Bar]:
+    """A bar for each stretch of the axis."""
+    return [_bar(axis.share(first), axis.share(last)) for first, last in places]
+
+
 def _distance(least: float) -> float:
     """The distance of ticks: 1, 2 or 5 of a power of ten, and not below `least`."""
     steps = (step * 10.0**power for power in range(-6, 10) for step in (1, 2, 5))
@@ -141,9 +230,8 @@ def _distance(least: float) -> float:
 
 def mark_strip(spans: Sequence[Span], mark: str) -> list[Bar]:
     """The bars of the spans in which a mark occurs, darker where more frames have it."""
-    frames = spans[-1].last + 1
     return [
-        _bar(span.first / frames, (span.last + 1) / frames, opacity=0.6 + 0.4 * share)
+        _bar(span.axis.share(span.start), span.axis.share(span.end), opacity=0.6 + 0.4 * share)
         for span in spans
         if (share := span.marks[mark] / len(span.records))
     ]
@@ -151,12 +239,11 @@ def mark_strip(spans: Sequence[Span], mark: str) -> list[Bar]:
 
 def returns_strip(spans: Sequence[Span]) -> list[Bar]:
     """A bar for each span, as high as its mean number of LiDAR returns."""
-    frames = spans[-1].last + 1
     most = max(span.mean_returns or 0 for span in spans) or 1
     return [
-        _bar(span.first / frames, (span.last + 1.03) / frames, height=span.mean_returns / most)
+        _bar(span.axis.share(span.start), span.axis.share(span.end), height=returns / most)
         for span in spans
-        if span.mean_returns is not None
+        if (returns := span.mean_returns) is not None
     ]
 
 

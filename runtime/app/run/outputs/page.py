@@ -14,44 +14,25 @@ from typing import Any
 from runtime.app.drawing.overlay import Overlay
 from runtime.app.encode import encode_jpeg, encode_png
 from runtime.app.run.engine_facts import machine_facts
+from runtime.app.run.outages import Outage
 from runtime.app.run.outputs import charts
 from runtime.app.run.outputs.output import OpenRun
+from runtime.app.run.reasons import LATE, REASONS
 from runtime.app.run.run_report import RunReport, running_providers
 from runtime.contract.contract import Contract
 from runtime.files.atomic_write import atomic_write
 from runtime.streams.frame import Frame
-from runtime.streams.frame_result import INVALID, SKIPPED, FrameResult
+from runtime.streams.frame_result import FrameResult
 from runtime.streams.statistics import LatencyStatistics
 
-_WORST_MARKS = (*charts.UNANSWERED, charts.LATE)
+_WORST_MARKS = (*charts.UNANSWERED, LATE)
+_MOST_OUTAGES = 4  # that are listed of a reason
 _MOST_PROBLEMS = 200  # frames that are listed
 _EVEN_SAMPLES = 6  # at most, at equal distances
 _MARKED_SAMPLES = 4  # at most, of frames with marks that no earlier sample has
 _SAMPLE_PANELS, _PANEL_WIDTH = 3, 480  # the image and the first two heads
 _JPEG_QUALITY = 82
 _DEPTH_BAR_WIDTH = 640
-#: Mark -> its meaning.
-_MEANINGS = {
-    SKIPPED: "could not be read or predicted",
-    INVALID: "the answer cannot be used",
-    charts.LATE: "later than the deadline",
-    "no_depth": "no LiDAR return: camera only",
-    "sparse_depth_low": "LiDAR returns in too few places",
-    "depth_reused": "returns of an older scan",
-    "depth_uncompensated": "returns not at the time of the image",
-    "points_untimed": "returns with times that are not of their scan were left out",
-    "no_pose": "no pose at the time of scan or image",
-    "pose_gap": "too long without a pose",
-    "pose_jump": "the odometry jumped",
-    "pose_clock": "poses of another clock",
-    "implausible_depth": "the returns contradict the image",
-    "image_constant": "all pixels are equal",
-    "image_frozen": "same bytes as the image before",
-    "image_black": "nearly all pixels are dark",
-    "image_overexposed": "half of the pixels are saturated",
-    "lidar_sector_lost": "a sector of the LiDAR is missing",
-    "lidar_lines_lost": "scan lines of the LiDAR are missing",
-}
 
 
 @dataclass(frozen=True)
@@ -110,7 +91,11 @@ class RunPage:
     def render(self, report: RunReport) -> bytes:
         """Return the page, HTML in UTF-8 without external resources."""
         records, statistics = report.records, report.statistics
-        spans = charts.join_frames(records)
+        names = [each.name for each in records]
+        times_s = None if report.timeline is None else report.timeline.times_s
+        ends_s = [each.end_s for each in report.outages if each.end_s is not None]
+        axis = charts.Axis.of(len(records), times_s, max(ends_s, default=0.0))
+        spans = charts.join_frames(records, axis)
         marks = Counter(mark for record in records for mark in charts.marks_of(record))
         is_stream, provider = report.options.rate is not None, report.engine["provider"]
         responses = statistics.stages.get("age" if is_stream else "predict")
@@ -124,7 +109,9 @@ class RunPage:
             "responses": responses,
             "highest": responses and _highest_percentile(responses),
             "chart": charts.latency_chart(spans, deadline_ms=statistics.deadline_ms),
-            "lanes": _lanes(marks, spans),
+            "lanes": [*_outage_lanes(report.outages, axis), *_lanes(marks, spans)],
+            "axis": axis,
+            "times_s": {} if times_s is None else dict(zip(names, times_s, strict=True)),
             "most_problems": _MOST_PROBLEMS,
             "samples": self.samples(),
             "depth_scale": _data(
@@ -174,6 +161,24 @@ def _highest_percentile(times: LatencyStatistics) -> tuple[str, float]:
     return next((name, value) for name, value in values.items() if value is not None)
 
 
+def _outage_lanes(outages: Sequence[Outage], axis: charts.Axis) -> list[tuple[Any, ...]]:
+    """A lane, as of `_lanes`, for each reason why a sensor was out."""
+    lanes = []
+    for reason in dict.fromkeys(each.reason for each in outages):
+        those = [each for each in outages if each.reason == reason]
+        listed = "; ".join(each.text for each in those[:_MOST_OUTAGES])
+        if len(those) > _MOST_OUTAGES:
+            listed += f" and {len(those) - _MOST_OUTAGES} more"
+        places = [
+            (each.start_s, max(each.end_s, each.start_s + axis.period))
+            for each in those
+            if each.start_s is not None and each.end_s is not None
+        ]
+        strip = charts.outage_strip(axis, places)
+        lanes.append(("bad", listed, "", REASONS[reason], strip))
+    return lanes
+
+
 def _lanes(marks: Counter[str], spans: Sequence[charts.Span]) -> list[tuple[Any, ...]]:
     """Class, name, count, meaning and bars of each lane of "Health over time".
 
@@ -183,7 +188,7 @@ def _lanes(marks: Counter[str], spans: Sequence[charts.Span]) -> list[tuple[Any,
     frames = sum(len(span.records) for span in spans)
     for mark in sorted(marks, key=lambda mark: (mark not in _WORST_MARKS, -marks[mark], mark)):
         kind, count = "bad" if mark in _WORST_MARKS else "warn", f"{marks[mark]:,} of {frames:,}"
-        lanes.append((kind, mark, count, _MEANINGS.get(mark, ""), charts.mark_strip(spans, mark)))
+        lanes.append((kind, mark, count, REASONS.get(mark, ""), charts.mark_strip(spans, mark)))
     means = [span.mean_returns for span in spans if span.mean_returns is not None]
     if means:
         count = f"{min(means):,.0f} to {max(means):,.0f}"

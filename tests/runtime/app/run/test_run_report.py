@@ -1,11 +1,13 @@
 """Figures of a run that are not those of a frame."""
 
 import csv
+import dataclasses
 
 import pytest
 
 from outcomes import outcome
-from runtime.app.run.options import RunOptions
+from runtime.app.run.options import RunOptions, UsageError
+from runtime.app.run.outages import Outage
 from runtime.app.run.pipeline import StreamResult
 from runtime.app.run.run_report import RunReport, frames_csv
 from runtime.streams.frame_result import INVALID, OK, SKIPPED
@@ -21,9 +23,9 @@ def report_of(model_file):
     with Predictor(model_file(), warmup=0) as predictor:
         engine = engine_facts(predictor)
 
-    def make(*records, wall_s=0.5, interrupted=False, deadline_ms=None):
+    def make(*records, wall_s=0.5, interrupted=False, deadline_ms=None, fail_on=None):
         stream = StreamResult(records, wall_s, interrupted)
-        options = RunOptions(demo=True, deadline_ms=deadline_ms)
+        options = RunOptions(demo=True, deadline_ms=deadline_ms, fail_on=fail_on)
         return RunReport(engine, options, {}, (), stream)
 
     return make
@@ -68,6 +70,26 @@ def test_the_exit_code_is_that_of_the_deadline_first(report_of):
     assert report_of(outcome(0)).exit_code == 0
     assert report_of(outcome(0, INVALID)).exit_code == 3
     assert report_of(in_time, interrupted=True).exit_code == 3
+
+
+def test_fail_on_names_what_ends_a_run_with_an_error(report_of):
+    frozen = outcome(0, health=("image_frozen",), degraded=("no_depth",))
+
+    def code(*reasons, records=(frozen,), outages=(), deadline_ms=None):
+        report = report_of(*records, deadline_ms=deadline_ms, fail_on=list(reasons))
+        report = dataclasses.replace(report, outages=outages)
+        return report.exit_code, report.document()["failed_on"]
+
+    assert code() == (0, {})
+    assert code("image_black", "skipped,late") == (0, {})
+    assert code("image_black, no_depth", "image_frozen") == (5, {"no_depth": 1, "image_frozen": 1})
+    assert code("invalid", records=[outcome(0, INVALID)]) == (5, {"invalid": 1})
+    assert code("camera_silent", outages=(Outage("camera_silent", 1.0, 2.0),))[0] == 5
+    assert code("lidar_silent", outages=(Outage("camera_silent", 1.0, 2.0),))[0] == 0
+    late = outcome(0, deadline_met=False)
+    assert code("late", records=[late], deadline_ms=5) == (4, {"late": 1})
+    with pytest.raises(UsageError, match=r"--fail-on takes some of skipped, .*got 'dark'"):
+        code("no_depth,dark")
 
 
 def test_a_frame_without_answer_ends_no_run_of_late_ones(report_of):

@@ -58,7 +58,7 @@ def test_the_page_shows_the_run_and_loads_nothing(tmp_path, page_of, stream):
     }
     assert {label: page.after(label) for label in expected} == expected
     frames = json.loads((tmp_path / "out" / "report.json").read_text())["frames"]
-    assert frames["health"] == {"image_frozen": 1}, "as on the page"
+    assert frames["health"] == {"image_frozen": 1, "lidar_empty": 3}, "as on the page"
     assert {"10 ok, 2 skipped", "f6 has an image, but no depth map", "red"} <= set(page.texts)
     assert "deadline 60000 ms" in page.texts
     for library in ("onnxruntime", "cv2", "numpy", "Python"):

@@ -1,0 +1,157 @@
+"""When a sensor was out, by the time of the recording."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from runtime.app.run.reasons import CAMERA_SILENT, LIDAR_SILENT
+from runtime.streams.frame import MATCHED, Sensor
+from runtime.streams.frame_result import FrameResult
+from runtime.streams.health.frame_health import LIDAR_EMPTY, LIDAR_FROZEN
+from runtime.streams.health.sensor_times import find_silences
+
+_LONGEST_NS = 3600 * 10**9  # a longer gap is of a clock that was set
+_SILENT = {Sensor.IMAGE: CAMERA_SILENT, Sensor.DEPTH: LIDAR_SILENT}
+_WORDS = {
+    CAMERA_SILENT: "camera silent",
+    LIDAR_SILENT: "LiDAR silent",
+    LIDAR_EMPTY: "LiDAR empty",
+    LIDAR_FROZEN: "LiDAR repeats itself",
+}
+#: Scans before the first one that is found to be like the others.
+_BEFORE = {LIDAR_EMPTY: 0, LIDAR_FROZEN: 2}
+
+
+@dataclass(frozen=True)
+class Outage:
+    """A stretch of a run without what a sensor should send.
+
+    Attributes:
+        reason: of `REASONS`.
+        start_s, end_s: seconds from the start of the recording; None where its times are not known.
+        scans: that were empty or repeated; None of silence.
+        first: name of the first frame of these scans.
+        camera: of a rig of several; "" = the only one.
+    """
+
+    reason: str
+    start_s: float | None = None
+    end_s: float | None = None
+    scans: int | None = None
+    first: str = ""
+    camera: str = ""
+
+    @property
+    def text(self) -> str:
+        """The outage in words, such as "camera silent 8.1 to 10.0 s"."""
+        text = f"{self.camera}: {_WORDS[self.reason]}" if self.camera else _WORDS[self.reason]
+        if self.start_s is not None and self.end_s is not None:
+            text += f" {self.start_s:.1f} to {self.end_s:.1f} s"
+        if self.scans is None:
+            return text
+        text += f", {self.scans} scans" if self.start_s is not None else f" {self.scans} scans"
+        return text if self.start_s is not None else f"{text}, from {self.first} on"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The entry of report.json."""
+        return {**asdict(self), "text": self.text}
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """The times of a run.
+
+    Attributes:
+        start_ns: the first stamp of both sensors.
+        times_s: of each frame, seconds after the start, rising.
+    """
+
+    start_ns: int
+    times_s: tuple[float, ...]
+
+    @classmethod
+    def of(
+        cls, records: Sequence[FrameResult], stamps_ns: Mapping[Sensor, Sequence[int]]
+    ) -> "Timeline | None":
+        """Return the times of frames; None if not known, or not of one clock.
+
+        A frame without a stamp is between its neighbours.
+        """
+        known = [at for at, each in enumerate(records) if each.image_stamp is not None]
+        stamps = np.array([records[at].image_stamp for at in known], np.int64)
+        steps = np.diff(stamps)
+        if len(stamps) < 2 or steps.min() <= 0 or steps.max() > _LONGEST_NS:
+            return None
+        of_depth = [ns for ns in stamps_ns.get(Sensor.DEPTH, ()) if _near(ns, stamps)]
+        start_ns = min(int(stamps[0]), *of_depth) if of_depth else int(stamps[0])
+        if set(stamps.tolist()) <= set(stamps_ns.get(Sensor.IMAGE, ())):  # also of a shard
+            start_ns = min(start_ns, *stamps_ns[Sensor.IMAGE])
+        seconds = (stamps - start_ns) / 1e9
+        times = np.interp(np.arange(len(records)), known, seconds)
+        return cls(start_ns, tuple(times.tolist()))
+
+
+def _near(ns: int, stamps: Any) -> bool:
+    return bool(stamps[0] - _LONGEST_NS < ns < stamps[-1] + _LONGEST_NS)
+
+
+def find_outages(
+    records: Sequence[FrameResult],
+    stamps_ns: Mapping[Sensor, Sequence[int]],
+    timeline: Timeline | None,
+    *,
+    whole: bool,
+) -> tuple[Outage, ...]:
+    """Return when the sensors of a run were out, in the order of their start.
+
+    Args:
+        records: results of the frames.
+        stamps_ns: of all messages of its recording; empty = those of the frames.
+        timeline: of the frames; None = silence is not looked for.
+        whole: whether the frames reach to the end of the recording.
+    """
+    found: list[Outage] = [*_in_row(records, timeline, LIDAR_EMPTY)]
+    found += _in_row(records, timeline, LIDAR_FROZEN)
+    if timeline is not None:
+        of_frames: dict[Sensor, list[Any]] = {
+            Sensor.IMAGE: [each.image_stamp for each in records],
+            Sensor.DEPTH: [each.depth_stamp for each in records],
+        }
+        start, last = timeline.start_ns, timeline.start_ns + round(timeline.times_s[-1] * 1e9)
+        known = {
+            sensor: [
+                ns
+                for ns in stamps_ns.get(sensor) or of_frames[sensor]
+                if ns is not None and ns >= start
+            ]
+            for sensor in MATCHED
+        }
+        latest = max((ns for each in known.values() for ns in each), default=last)
+        end = latest if whole and latest - last < _LONGEST_NS else last
+        for sensor, stamps in known.items():
+            within = [ns for ns in stamps if ns <= end]
+            for first, until in find_silences(within, start, end):
+                seconds = (first - start) / 1e9, (until - start) / 1e9
+                found.append(Outage(_SILENT[sensor], *seconds))
+    return tuple(sorted(found, key=lambda each: each.start_s or 0.0))
+
+
+def _in_row(
+    records: Sequence[FrameResult], timeline: Timeline | None, reason: str
+) -> Iterator[Outage]:
+    """Stretches of successive frames with a reason of `FrameResult.health`."""
+    numbered = [(at, each) for at, each in enumerate(records) if not each.depth_reused]
+    place = 0
+    for is_found, group in groupby(numbered, lambda each: reason in each[1].health):
+        rows = list(group)
+        if is_found:
+            rows = numbered[max(place - _BEFORE[reason], 0) : place] + rows
+            times: tuple[float | None, float | None] = (None, None)
+            if timeline is not None:
+                times = timeline.times_s[rows[0][0]], timeline.times_s[rows[-1][0]]
+            yield Outage(reason, *times, len(rows), rows[0][1].name)
+            rows = rows[min(place, _BEFORE[reason]) :]
+        place += len(rows)
