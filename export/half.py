@@ -6,6 +6,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
+from export.trace import drop_unused_weights
 from export.trunk import trunk
 
 
@@ -56,10 +57,7 @@ def to_half(model: onnx.ModelProto) -> onnx.ModelProto:
     restore(output.name for output in graph.output)
     del graph.node[:]
     graph.node.extend(nodes)
-    read = {name for node in nodes for name in node.input}
-    kept = [weight for weight in graph.initializer if weight.name in read]
-    del graph.initializer[:]
-    graph.initializer.extend(kept)
+    drop_unused_weights(graph)
     return half
 
 

@@ -34,7 +34,7 @@ from training.datasets.sample import SampleSource
 from training.evaluation.evaluate import scored_classes
 from training.evaluation.scored_model import trained_classes
 from training.lidar.split import LidarInput, frame_generator, split_lidar
-from training.loading.open_dataset import frame_files, open_dataset
+from training.loading.open_dataset import count_shared, frame_files, open_dataset
 from training.recipe import parse_data
 
 #: LiDAR inputs of the calibration frames, in turn. Activations beyond the calibrated ranges are
@@ -97,13 +97,13 @@ def require_frames(options: Int8Options, validate: Sequence[str], checkpoint: Ch
     table = trained_classes(checkpoint.model.config.classes, checkpoint.training)
     found = {}
     for option, texts in (("--calibrate", options.calibrate), ("--validate", validate)):
-        found[option] = frame_files(_open_set(text, table) for text in texts)
-        if (count := len(found[option])) < LEAST_FRAMES:
+        found[option] = [_open_set(text, table) for text in texts]
+        if (count := len(frame_files(found[option]))) < LEAST_FRAMES:
             raise InputError(
                 f"{option}: {count} frames in all, expected {LEAST_FRAMES} or more, so nothing was "
                 "written: add frames or another set"
             )
-    if both := len(set.intersection(*found.values())):
+    if both := count_shared(*found.values()):
         raise InputError(
             f"int8 is calibrated and validated on {both} frames: its loss of accuracy must be "
             "measured on other frames; give another set, or other frames of it"

@@ -66,6 +66,7 @@ def trace(
     _strip_notes(model)
     _name_axes(model.graph)
     _drop_empty_padding(model.graph)
+    drop_unused_weights(model.graph)
     check_standard(model, opset=opset)
     return model
 
@@ -126,6 +127,14 @@ def _drop_empty_padding(graph: onnx.GraphProto) -> None:
                 if name == pad.output[0]:
                     node.input[index] = pad.input[0]
         graph.node.remove(pad)
+
+
+def drop_unused_weights(graph: onnx.GraphProto) -> None:
+    """Remove initialisers that no node reads: ONNX Runtime warns about each at every load."""
+    read = {name for node in _nodes(graph) for name in node.input}
+    read |= {output.name for output in graph.output}
+    for weight in [weight for weight in graph.initializer if weight.name not in read]:
+        graph.initializer.remove(weight)
 
 
 @contextlib.contextmanager

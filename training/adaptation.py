@@ -5,6 +5,7 @@ are trained, so that classes and boundaries stay what they are. On frames kept a
 before is scored beside the one after, and the better one is kept.
 """
 
+import contextlib
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -40,7 +41,8 @@ from training.loop import train
 from training.losses.terms import DEPTH_ALONE
 from training.recipe import Recipe, build_recipe
 from training.release import mix_weights
-from training.run_folder import FINAL, folder_errors
+from training.run_folder import FINAL, LAST, folder_errors
+from training.stop_signal import StopRequested
 
 Depth = NDArray[np.float32]
 
@@ -48,7 +50,10 @@ Depth = NDArray[np.float32]
 FRAMES, TRAINING = "recording", "training"
 #: Frames that are read at most, and the least number of them.
 MOST_FRAMES, LEAST_FRAMES = 600, 5
-#: Share of the recording's time, at its end, that is kept apart.
+#: Least number of returns within the range of scores of a frame that is used.
+LEAST_RETURNS = 20
+_KINDS = ("images", "lidar")
+#: Share of the time of the frames with returns, at its end, that is kept apart.
 KEPT_APART = 0.1
 _STEPS, _WARMUP = 200, 20
 #: Share of the trained weights in the model between both.
@@ -106,25 +111,47 @@ def adapt(
             "ssdnet-lite, ssdnet-nano, or weights that began with these."
         )
     frames = out / FRAMES
-    if frames.is_dir():
-        tqdm.write(f"{frames}: the frames of an earlier start are taken", file=sys.stderr)
-    else:
-        _write_frames(source, frames, init.facts.trained_height)
+    with contextlib.suppress(StopRequested):
+        if frames.is_dir():
+            tqdm.write(f"{frames}: the frames of an earlier start are taken", file=sys.stderr)
+        else:
+            _write_frames(source, frames, init.facts.trained_height, stop)
+        return _adapt(init, out, frames, changes, device, stop)
+    return Adapted(out / TRAINING / LAST)
+
+
+def _adapt(
+    init: Weights,
+    out: Path,
+    frames: Path,
+    changes: Sequence[str],
+    device: str,
+    stop: Callable[[], bool],
+) -> Adapted:
+    """Train on the frames and choose between the weights. Raises StopRequested."""
+    network = init.network
     focal_px = float((frames / "focal_length_px.txt").read_text()) or None
     recipe = make_recipe(init, frames, focal_px, changes)
+    kept_apart = open_dataset(_frames_of("kept_apart", frames, focal_px), [out], classes=())
+    samples = [kept_apart[index] for index in range(len(kept_apart))]
+    # Before the training, which takes long: whether these frames can tell the models apart.
+    linear = score(method_predict(create_method("linear")), samples, stop)
+    if linear.keys() != FEEDS.keys():
+        raise InputError(
+            f"{frames}: the {len(samples)} frames kept apart have too few returns to be scored. "
+            "Give a longer recording."
+        )
     path = train(recipe, data=[out], out=out / TRAINING, init=init, device=device, stop=stop)
     if path.name != FINAL:
         return Adapted(path)
-    kept_apart = open_dataset(_frames_of("kept_apart", frames, focal_px), [out], classes=())
-    samples = [kept_apart[index] for index in range(len(kept_apart))]
     trained = load_checkpoint(path)
     models = {
         "before": network,
         "between": mix_weights(network, trained.model, _BETWEEN),
         "after": trained.model,
     }
-    scores = {"linear": score(method_predict(create_method("linear")), samples)}
-    scores |= {name: score(torch_predict(model), samples) for name, model in models.items()}
+    scores = {"linear": linear}
+    scores |= {name: score(torch_predict(model), samples, stop) for name, model in models.items()}
     # The mean over the feeds of MAE and of RMSE.
     figures = {name: np.mean(list(found.values()), axis=0)[:2] for name, found in scores.items()}
     ratio = {name: float((figures[name] / figures["before"]).mean()) for name in models}
@@ -161,8 +188,8 @@ def open_recording(recording: str, calibration: Path | None = None, **files: Pat
     return open_source(found.kind, found.path, rig, **files, **found.keys)
 
 
-def choose_frames(listed: Sequence[ListedFrame]) -> tuple[list[ListedFrame], list[ListedFrame]]:
-    """Choose frames at equal distances of time: those to train on, and those kept apart.
+def choose_frames(listed: Sequence[ListedFrame]) -> list[tuple[ListedFrame, float]]:
+    """Choose frames at equal distances of time, each with its time, 0 to 1.
 
     Without stamps their order is the time. InputError for too few frames with depth.
     """
@@ -179,44 +206,67 @@ def choose_frames(listed: Sequence[ListedFrame]) -> tuple[list[ListedFrame], lis
     if len(found) > MOST_FRAMES:
         wanted = np.linspace(0, 1, MOST_FRAMES)
         chosen = np.unique(np.searchsorted(times, wanted).clip(0, len(found) - 1))
-    first = min(np.count_nonzero(times[chosen] <= 1 - KEPT_APART), len(chosen) - 1)
-    return [found[i] for i in chosen[:first]], [found[i] for i in chosen[first:]]
+    return [(found[i], float(times[i])) for i in chosen]
 
 
-def _write_frames(source: Source, folder: Path, trained_height: int | None) -> None:
-    """Write the chosen frames at the size at which the network runs, all or none."""
-    parts = dict(zip(("train", "kept_apart"), choose_frames(source.list_frames()), strict=True))
+def _write_frames(
+    source: Source, folder: Path, trained_height: int | None, stop: Callable[[], bool]
+) -> None:
+    """Write the chosen frames with returns at the size at which the network runs, all or none.
+
+    The last share of their time is kept apart.
+    """
     sizes: set[tuple[int, int]] = set()
     focals: set[float] = set()
-    returns_count = 0
+    written: list[tuple[str, float]] = []
+    empty = 0
     with folder_errors(folder), atomic_folder(folder) as made:
-        for part, frames in parts.items():
-            for kind in ("images", "lidar"):
+        for part in ("train", "kept_apart"):
+            for kind in _KINDS:
                 (made / part / kind).mkdir(parents=True)
-            for listed in tqdm(frames, desc=f"frames, {part}", disable=None):
-                try:
-                    frame = source.read(listed)
-                except InputError as error:
-                    tqdm.write(f"left out: {error}", file=sys.stderr)
-                    continue
-                whole = (frame.rgb.shape[0], frame.rgb.shape[1])
-                size = network_size(None, whole, trained_height=trained_height)
-                focal_px = frame.calibration.focal_length_px if frame.calibration else 0.0
-                focals.add(round(focal_px * size[1] / whole[1], 2))
-                sizes.add(size)
-                name = f"{listed.sequence:06d}.png"
-                picture = cv2.cvtColor(resize_image(frame.rgb, size), cv2.COLOR_RGB2BGR)
-                returns = frame.sparse_depth
-                if size != whole:
-                    returns = move_returns(returns, size)
-                (made / part / "images" / name).write_bytes(encode_png(np.asarray(picture)))
-                (made / part / "lidar" / name).write_bytes(encode_metres(returns))
-                returns_count += int(np.count_nonzero(returns))
-        if not returns_count:
+        for listed, time in tqdm(choose_frames(source.list_frames()), desc="frames", disable=None):
+            if stop():
+                raise StopRequested
+            try:
+                frame = source.read(listed)
+            except InputError as error:
+                tqdm.write(f"left out: {error}", file=sys.stderr)
+                continue
+            whole = (frame.rgb.shape[0], frame.rgb.shape[1])
+            size = network_size(None, whole, trained_height=trained_height)
+            focal_px = frame.calibration.focal_length_px if frame.calibration else 0.0
+            focals.add(round(focal_px * size[1] / whole[1], 2))
+            sizes.add(size)
+            name = f"{listed.sequence:06d}.png"
+            returns = frame.sparse_depth
+            if size != whole:
+                returns = move_returns(returns, size)
+            if np.count_nonzero((returns > 0) & (returns <= FARTHEST_M)) < LEAST_RETURNS:
+                empty += 1
+                continue
+            picture = cv2.cvtColor(resize_image(frame.rgb, size), cv2.COLOR_RGB2BGR)
+            (made / "train" / "images" / name).write_bytes(encode_png(np.asarray(picture)))
+            (made / "train" / "lidar" / name).write_bytes(encode_metres(returns))
+            written.append((name, time))
+        if empty:
+            text = f"left out: {empty} frames with fewer than {LEAST_RETURNS} returns"
+            tqdm.write(text, file=sys.stderr)
+        if empty and not written:
             raise InputError(
-                "no frame has a return in the image: check the extrinsics of the calibration, or "
+                "no frame has returns in the image: check the extrinsics of the calibration, or "
                 "/tf_static of a bag; the camera looks along z."
             )
+        if len(written) < LEAST_FRAMES:
+            raise InputError(
+                f"{len(written)} frames could be read and have returns; expected at least "
+                f"{LEAST_FRAMES}. Give a longer recording."
+            )
+        begin, end = written[0][1], written[-1][1]
+        from_time = end - KEPT_APART * (end - begin)
+        apart = [name for name, time in written if time > from_time] or [written[-1][0]]
+        for name in apart:
+            for kind in _KINDS:
+                (made / "train" / kind / name).rename(made / "kept_apart" / kind / name)
         if len(sizes) > 1 or (focals and max(focals) > 1.01 * min(focals)):
             raise InputError(
                 f"the frames have {len(sizes)} sizes and {len(focals)} focal lengths; expected one "
@@ -287,11 +337,18 @@ def make_recipe(
     )
 
 
-def score(predict: Predict, samples: Sequence[Sample]) -> dict[str, NDArray[np.float64]]:
-    """Feed -> MAE, RMSE and median error [m] of the withheld returns, means over frames, (3,)."""
+def score(
+    predict: Predict, samples: Sequence[Sample], stop: Callable[[], bool] = lambda: False
+) -> dict[str, NDArray[np.float64]]:
+    """Feed -> MAE, RMSE and median error [m] of the withheld returns, means over frames, (3,).
+
+    Raises StopRequested once ``stop`` is True.
+    """
     found: dict[str, list[tuple[float, float, float]]] = {name: [] for name in FEEDS}
     for number, sample in enumerate(samples):
         for name, feed in FEEDS.items():
+            if stop():
+                raise StopRequested
             fed = feed(sample, number)
             truth = OcclusionFilter().apply(masked(sample.depth, fed == 0), sample.depth)
             if ((truth > 0) & (truth <= FARTHEST_M)).any():

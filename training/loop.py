@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from training.run_folder import (
 )
 from training.score_table import ScoreTable
 from training.state import TrainingState
+from training.stop_signal import StopRequested
 from training.task import open_task
 from training.validation import Board, validate
 
@@ -59,10 +60,11 @@ def train(
         teacher: a checkpoint whose answers are learned, too, see `training.losses.distillation`.
         device: "cpu", "cuda" or "cuda:N".
         stop_after: stop at this step; the run can be resumed.
-        stop: called between two steps; True stops the run, which can be resumed.
+        stop: called between two steps, and between two frames of the survey and of a validation;
+            True stops the run, which can be resumed.
 
     Returns:
-        model.pt, or last.pt if the run was stopped early.
+        model.pt, or last.pt if the run was stopped early, which is not there before the first step.
 
     Raises:
         InputError: if the recipe, the device or ``out`` cannot be used, for example an ``out`` of
@@ -71,8 +73,9 @@ def train(
         CheckpointError: if nothing of ``init`` fits, or a checkpoint cannot be read or written.
         NonFiniteLossError: if the loss or its gradient is NaN or infinite.
     """
-    with join_processes(device) as processes, ExitStack() as held:
-        task = open_task(recipe, processes, data, init, teacher, resumed=(out / LAST).is_file())
+    with join_processes(device) as processes, ExitStack() as held, suppress(StopRequested):
+        resumed = (out / LAST).is_file()
+        task = open_task(recipe, processes, data, init, teacher, resumed=resumed, stop=stop)
         resolved: dict[str, Any] = {
             "recipe": asdict(recipe),
             "crop": task.data.augment.crop,
@@ -134,24 +137,33 @@ def train(
                     board,
                     state.step,
                     pictures=recipe.validation.pictures,
+                    stop=stop,
                 )
                 if scores and scores.add(state.step, figures, recipe.validation.best):
                     save_checkpoint(out / BEST, network, training=facts())
 
-            if task.validation and state.step == 0 and init is not None:
+            def is_due() -> bool:
+                last = state.step == steps
+                return bool(task.validation) and (last or state.step % recipe.validate_every == 0)
+
+            if state.step == 0 and task.validation and init is not None:
                 score(state.averaged)
+            elif state.step and is_due():
+                # A run that was stopped or killed in a validation begins with it.
+                known = scores is not None and state.step in scores
+                if not any(processes.gather(known)):
+                    score(released())
             while state.step < last_step and not processes.any_of(stop()):
                 done = state.advance(batches)
                 if bar.update():  # the loss is read from its device only when it is shown
                     bar.set_postfix(loss=f"{done.terms['total'].item():.3f}", refresh=False)
                 if state.step % recipe.log_every == 0:
                     board.add_step(done, dict(state.criterion.log_variances.items()), state.step)
-                # Before the checkpoint: a run killed in between validates again after it resumes.
-                due = state.step % recipe.validate_every == 0 or state.step == steps
-                if task.validation and due:
-                    score(released())
-                if state.step % recipe.checkpoint_every == 0:
+                # Before the validation, which takes long and may be ended by a kill.
+                if is_due() or state.step % recipe.checkpoint_every == 0:
                     state.save(out / LAST, facts())
+                if is_due():
+                    score(released())
         state.save(out / LAST, facts())
         if state.step == steps and processes.is_first:
             save_checkpoint(out / FINAL, released(), training=facts())
@@ -160,3 +172,4 @@ def train(
         processes.wait()  # until the file is written
         # A run that was stopped early releases no weights.
         return out / (FINAL if state.step == steps else LAST)
+    return out / LAST

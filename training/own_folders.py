@@ -3,6 +3,7 @@
 import json
 import os
 import sys
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -163,11 +164,15 @@ def _read_classes(path: Path) -> tuple[ClassInfo, ...]:
     names = [line.strip() for line in read_text(path).rstrip().splitlines()]
     if not names:
         raise InputError(f"{path}: is empty; expected the name of a class a line.")
+    folded = [name.casefold() for name in names]
     for line, name in enumerate(names, 1):
-        first = names.index(name) + 1
+        first = folded.index(name.casefold()) + 1
         if not name or first < line:
             fault = f"{shown(name)}, as line {first} does" if name else "nothing"
-            raise InputError(f"{path}: line {line} names {fault}; expected one class a line.")
+            raise InputError(
+                f"{path}: line {line} names {fault}; expected one class a line, whose name differs "
+                "beyond upper and lower case."
+            )
     return tuple(ClassInfo(name, _color(index + 1)) for index, name in enumerate(names))
 
 
@@ -175,7 +180,8 @@ def keep_recipe(text: str, out: Path) -> None:
     """Write a recipe into a run's folder; InputError if it has another one."""
     path = out / RECIPE_TEXT
     with folder_errors(out):
-        if path.is_file() and read_text(path) != text:
+        # Comments may name another place: data that were moved are the same data.
+        if path.is_file() and tomllib.loads(read_text(path)) != tomllib.loads(text):
             raise InputError(
                 f"{path}: is not the recipe that these folders give now. Remove it, or train by "
                 f"it: ssdnet-train {path} --data DIR --init NAME --out RUN."

@@ -134,9 +134,13 @@ class ModelRecipe:
         doubled = sorted({item.name for item in fields(self)} & set(self.config))
         if doubled:
             raise ValueError(f"config has {doubled[0]!r}, which is a separate key: {doubled[0]}")
-        names = self.class_names
-        if twice := sorted({name for name in names if names.count(name) > 1}):
-            raise ValueError(f"classes has {twice[0]!r} twice")
+        names = [name.casefold() for name in self.class_names]
+        for index, name in enumerate(names):
+            if (first := names.index(name)) < index:
+                raise ValueError(
+                    f"classes has {self.class_names[first]!r} and {self.class_names[index]!r}: "
+                    "names must differ beyond upper and lower case"
+                )
         try:
             find_network(self.name)
         except ValueError as error:

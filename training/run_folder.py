@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from tqdm import tqdm
@@ -56,30 +57,49 @@ def prepare_folder(
         first = files
         if path.is_file():
             before = json.loads(path.read_text(encoding="utf-8"))
-            require_same(before, resolved, path)
-            first = before.get(_DATA) or files
-            for name in (name for name in files if files[name] != first.get(name)):
-                was, now = first.get(name, {}).get("files", 0), files[name]["files"]
-                text = f"{was} files when the run began, now {now}"
-                if was == now:
-                    text = f"the {now} files have other names than when the run began"
-                text = f"warning: {name}: {text}; the run resumes with other data"
-                tqdm.write(text, file=sys.stderr)
+            known = before.get(_DATA) or files
+            require_same(before, resolved, path, known, files)
+            # A folder that was moved has another path, and the same files.
+            moved = {name: item for name, item in files.items() if item in known.values()}
+            first = {**{name: known.get(name, {}) for name in files}, **moved}
+            for name, item in files.items():
+                if text := _difference(first[name], item):
+                    text = f"warning: {name}: {text}; the run resumes with other data"
+                    tqdm.write(text, file=sys.stderr)
         out.mkdir(parents=True, exist_ok=True)
         atomic_write(path, json.dumps({**resolved, _DATA: first}, indent=2).encode())
 
 
+def _difference(was: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """Return in words how the files of a set differ from those of the first start; "" if not."""
+    if was.get("files", 0) != now["files"]:
+        return f"{was.get('files', 0)} files when the run began, now {now['files']}"
+    if was["sha256"] != now["sha256"]:
+        return f"the {now['files']} files have other names than when the run began"
+    if "bytes" in was and was["bytes"] != now["bytes"]:
+        return f"the files had {was['bytes']} bytes when the run began, now {now['bytes']}"
+    return ""
+
+
 def list_data(roots: Sequence[Path], paths: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Describe the files of each path, in the first root that has it: number, SHA-256 of names."""
+    """Describe the files of each path, in the first root that has it.
+
+    The answer is their number, their bytes and the SHA-256 of their names, wherever the folder is.
+    """
     described = {}
     for path in paths:
         folder = next((root / path for root in roots if (root / path).is_dir()), None)
         if folder is not None:
             places = os.walk(folder, followlinks=True)
             found = (os.path.join(place, name) for place, _, files in places for name in files)
-            names = [os.path.relpath(name, folder) for name in sorted(found)]
+            listed = sorted(found)
+            names = [os.path.relpath(name, folder) for name in listed]
             digest = hashlib.sha256("\n".join(names).encode(errors="surrogateescape"))
-            described[path] = {"files": len(names), "sha256": digest.hexdigest()}
+            described[path] = {
+                "files": len(names),
+                "bytes": sum(os.path.getsize(name) for name in listed if os.path.exists(name)),
+                "sha256": digest.hexdigest(),
+            }
     return described
 
 
@@ -120,11 +140,18 @@ def folder_errors(out: Path) -> Iterator[None]:
         ) from error
 
 
-def require_same(before: Mapping[str, Any], now: Mapping[str, Any], path: Path) -> None:
+def require_same(
+    before: Mapping[str, Any],
+    now: Mapping[str, Any],
+    path: Path,
+    known: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
+    files: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
+) -> None:
     """Raise InputError that names the first key in which two trainings differ.
 
-    Keys of `_WITHOUT_EFFECT` are ignored; a missing key of an older recipe has its
-    default.
+    Keys of `_WITHOUT_EFFECT` are ignored, and so is the path of a set that holds the same files:
+    ``known`` and ``files`` are the earlier and the present answer of `list_data`. A missing key of
+    an older recipe has its default.
     """
     try:
         recipe = asdict(build(Recipe, before.get("recipe")))
@@ -136,6 +163,9 @@ def require_same(before: Mapping[str, Any], now: Mapping[str, Any], path: Path) 
     old = _flatten({**{key: before.get(key) for key in now}, "recipe": recipe})
     new = _flatten(now)
     for key in [*old, *(key for key in new if key not in old)]:
+        was = known.get(str(old.get(key)))
+        if key.endswith("].path") and was is not None and was == files.get(str(new.get(key))):
+            continue
         if old.get(key) != new.get(key) and not key.startswith(_WITHOUT_EFFECT):
             raise InputError(
                 f"{path}: belongs to a training with another recipe: "

@@ -31,6 +31,10 @@ class ScoreTable:
             rows = list(csv.DictReader(stream))
         self._rows = [row for row in rows if int(row["step"]) <= step and step > 0]
 
+    def __contains__(self, step: int) -> bool:
+        """Return whether the scores of a step are in the table."""
+        return any(row["step"] == str(step) for row in self._rows)
+
     def add(self, step: int, scores: Mapping[str, Mapping[str, float]], best: str) -> bool:
         """Write the scores of a step; return whether the score ``best`` is the best so far.
 

@@ -5,6 +5,26 @@ import os
 from collections.abc import Callable, Iterator
 
 from runtime.app.command import stop_requested
+from training.datasets.sample import Sample, SampleSource
+
+
+class StopRequested(Exception):
+    """A signal arrived where nothing is lost by leaving at once."""
+
+
+class Watched:
+    """A data set that raises StopRequested instead of a frame once ``stop`` is True."""
+
+    def __init__(self, source: SampleSource, stop: Callable[[], bool]) -> None:
+        self._source, self._stop = source, stop
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def __getitem__(self, index: int) -> Sample:
+        if self._stop():
+            raise StopRequested
+        return self._source[index]
 
 
 @contextlib.contextmanager

@@ -5,7 +5,7 @@ import copy
 import math
 import random
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -29,7 +29,7 @@ from training.loading.augment import with_crop
 from training.loading.mixture import DepthTarget
 from training.loading.open_dataset import (
     FREQUENCY_SAMPLES,
-    frame_files,
+    count_shared,
     open_dataset,
     spread_pictures,
     survey,
@@ -39,6 +39,7 @@ from training.losses.terms import Term
 from training.network import build_network
 from training.optimizer import build_optimizer
 from training.recipe import DataRecipe, OptimizerRecipe, Recipe
+from training.stop_signal import Watched
 
 #: Frames of a validation set that are scored ahead of the training, to know its scores.
 _SCORED = 20
@@ -90,10 +91,12 @@ def open_task(
     teacher: Weights | None,
     *,
     resumed: bool = False,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Task:
     """Seed the random numbers, open the data sets and build network and loss, see `loop.train`.
 
-    A ``resumed`` training does not read pretrained weights again.
+    A ``resumed`` training does not read pretrained weights again. Raises StopRequested while
+    ``stop`` is True.
     """
     # OpenCV's thread pool does not survive the fork of the loader's workers: they would hang.
     cv2.setNumThreads(0)
@@ -109,8 +112,7 @@ def open_task(
         item.title: open_dataset(item, data, classes=model.class_table)
         for item in recipe.validation.source
     }
-    trained = frame_files(sources)
-    shared = {title: len(frame_files([source]) & trained) for title, source in validation.items()}
+    shared = {title: count_shared([source], sources) for title, source in validation.items()}
     network = build_network(model, init, resumed=resumed, pictures=spread_pictures(sources))
     taught_by = prepare_teacher(teacher, loss, network)
     known_data, data_terms = state_provenance(recipe, init, teacher)
@@ -123,7 +125,8 @@ def open_task(
         if part is not None:
             part.to(processes.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
 
-    found = survey(recipe.data.source, sources, model.class_names, config)
+    watched = [Watched(source, stop) for source in sources]
+    found = survey(recipe.data.source, watched, model.class_names, config)
     decided = replace(
         recipe.data,
         augment=with_crop(recipe.data.augment, found.smallest),
@@ -153,7 +156,8 @@ def open_task(
     _require_batches(network, decided, processes)
     _require_learning(recipe, network, terms, found.targets)
     for title, source in validation.items():
-        if not _gives_scores(recipe.validation.best, network, title, source, lidar):
+        seen = Watched(source, stop)
+        if not _gives_scores(recipe.validation.best, network, title, seen, lidar):
             warnings.append(f"{title} has no ground truth for a head: it gives no scores")
     for text in warnings if processes.is_first else ():
         tqdm.write(f"warning: {text}", file=sys.stderr)

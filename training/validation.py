@@ -1,7 +1,7 @@
 """Validations during a training, and its curves and pictures in TensorBoard."""
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from training.evaluation.scoring import score_sources, scored_classes, torch_pre
 from training.run_folder import folder_errors
 from training.score_table import SHOWN
 from training.state import Step
+from training.stop_signal import Watched
 from training.task import Task
 
 
@@ -64,10 +65,25 @@ class Board:
 
 
 def validate(
-    network: Network, task: Task, processes: Processes, board: Board, step: int, *, pictures: int
+    network: Network,
+    task: Task,
+    processes: Processes,
+    board: Board,
+    step: int,
+    *,
+    pictures: int,
+    stop: Callable[[], bool],
 ) -> dict[str, dict[str, float]]:
-    """Score the network, each process on its share of the frames; show scores and pictures."""
-    scores = score_sources(network, task.validation, processes, lidar=task.lidar)
+    """Score the network, each process on its share of the frames; show scores and pictures.
+
+    Raises StopRequested once ``stop`` is True; several processes wait for one another, so that none
+    of them leaves early.
+    """
+    alone = processes.count == 1
+    validation = {
+        name: Watched(source, stop) if alone else source for name, source in task.validation.items()
+    }
+    scores = score_sources(network, validation, processes, lidar=task.lidar)
     shown = {
         f"{name}/{key}": figures[key]
         for name, figures in scores.items()
@@ -81,7 +97,7 @@ def validate(
     text = ", ".join(f"{key} {score:.4f}{words.get(key, '')}" for key, score in shown.items())
     tqdm.write(f"step {step}: {text}", file=sys.stderr)
     predict = torch_predict(network)
-    for name, source in task.validation.items():
+    for name, source in validation.items():
         drawn = draw_pictures(predict, source, network, lidar=task.lidar, count=pictures)
         for frame, picture in drawn:
             board.add_picture(f"{name}/{frame}", picture, step)

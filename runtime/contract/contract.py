@@ -228,9 +228,11 @@ def check_classes(classes: Sequence[ClassInfo]) -> tuple[ClassInfo, ...]:
             )
         for place, part in enumerate(info.color):
             check_integer(f"classes[{index}].color[{place}]", part, 0, 255)
-    names = [info.name for info in classes]
-    if len(set(names)) < len(names):
-        raise ValueError(f"classes must have different names, got {shown(names)}")
+    names = [info.name.casefold() for info in classes]
+    for index, name in enumerate(names):
+        if name in names[:index]:  # "sky" and "road" are found in any case of their letters
+            twice = classes[names.index(name)].name, classes[index].name
+            raise ValueError(f"classes must have names that differ beyond case, got {twice}")
     return tuple(classes)
 
 

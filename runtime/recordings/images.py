@@ -51,8 +51,7 @@ def read_rgb(path: Path) -> NDArray[np.uint8]:
 
 def decode_rgb(content: bytes, *, name: str) -> NDArray[np.uint8]:
     """Decode the content of such a file as `read_rgb` does; `name` is for the errors."""
-    flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-    image = decode(content, flags, name=name)
+    image = decode(content, cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH, name=name)
     if image.dtype != np.uint8:
         raise InputError(
             f"{name} must hold 8 bits a channel, got {image.dtype.itemsize * 8} bits: is it a "
@@ -115,11 +114,16 @@ def read_npy(path: Path) -> NDArray[Any]:
 
 
 def decode(content: bytes, flags: int, *, name: str) -> NDArray[Any]:
-    """Decode a PNG, JPEG or TIFF with OpenCV's IMREAD_* `flags`. Raises InputError."""
+    """Decode a PNG, JPEG or TIFF with OpenCV's IMREAD_* `flags`. Raises InputError.
+
+    Pixels stay as they are stored: an EXIF orientation is never applied, whatever the file holds.
+    """
     if (size := image_size(content)) is not None:
         require_pixels(size, name=name)  # before its pixels take memory
     try:
-        image: NDArray[Any] | None = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+        image: NDArray[Any] | None = cv2.imdecode(
+            np.frombuffer(content, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION
+        )
     except cv2.error:
         image = None
     if image is None:

@@ -136,20 +136,52 @@ def listed(count, step_ns=10**8, **keys):
     return [ListedFrame(i, str(i), i, i, image_stamp_ns=i * step_ns, **keys) for i in range(count)]
 
 
-def test_the_last_tenth_of_the_time_is_kept_apart():
+def test_frames_have_the_time_of_their_stamps():
     frames = listed(50) + [
         ListedFrame(50 + i, "", 0, 0, image_stamp_ns=5 * 10**9 + i * 10**7) for i in range(100)
     ]
-    train, apart = choose_frames(frames)
-    assert len(train) + len(apart) == 150
-    assert max(frame.image_stamp_ns for frame in train) <= 0.9 * frames[-1].image_stamp_ns
-    assert min(frame.image_stamp_ns for frame in apart) > 0.9 * frames[-1].image_stamp_ns
+    chosen = choose_frames(frames)
+    assert [frame for frame, _ in chosen] == frames
+    stamps = [frame.image_stamp_ns / frames[-1].image_stamp_ns for frame in frames]
+    np.testing.assert_allclose([time for _, time in chosen], stamps)
+
+
+@pytest.mark.parametrize("empty", [[10, 11], [0, 1, 2, 3, 4, 5], [11], [1, 3, 5, 7, 9]], ids=str)
+def test_frames_kept_apart_are_the_last_with_returns(tmp_path, empty):
+    """A LiDAR that was switched off at the end, began late, or dropped out."""
+    for index in range(12):
+        depth = np.full(SIZE, 0 if index in empty else 2560, np.uint16)
+        for folder, values in (("images", np.zeros(SIZE, np.uint8)), ("lidar", depth)):
+            (tmp_path / folder).mkdir(exist_ok=True)
+            cv2.imwrite(str(tmp_path / folder / f"{index:03}.png"), values)
+    adapting._write_frames(open_rig(tmp_path), tmp_path / "recording", None, lambda: False)
+    kept = sorted(path.name for path in (tmp_path / "recording/kept_apart/lidar").iterdir())
+    usable = [f"{index:06}.png" for index in range(12) if index not in empty]
+    assert kept in (usable[-1:], usable[-2:])
+    assert len([*(tmp_path / "recording").glob("*/images/*")]) == 12 - len(empty)
+
+
+def test_returns_that_cannot_be_scored_are_refused_before_the_training(
+    rig, weights, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(adapting, "train", lambda *_, **__: pytest.fail("it trains"))
+    few = np.zeros(SIZE, np.uint16)
+    few[0, : adapting.LEAST_RETURNS - 1] = 2560
+    for path in sorted((rig / "lidar").iterdir())[2:]:
+        cv2.imwrite(str(path), few)
+    with pytest.raises(InputError, match="2 frames could be read and have returns"):
+        adapt(open_rig(rig), read_weights(weights), tmp_path / "out", changes=STEPS)
+
+
+def test_a_stop_while_frames_are_read_leaves_nothing(rig, weights, tmp_path):
+    found = adapt(open_rig(rig), read_weights(weights), tmp_path / "out", stop=lambda: True)
+    assert (found.lines, found.paid, list(tmp_path.glob("out/*"))) == ((), False, [])
 
 
 def test_of_a_long_recording_frames_at_equal_distances_are_taken():
-    train, apart = choose_frames(listed(5000))
-    assert adapting.MOST_FRAMES - 2 <= len(train) + len(apart) <= adapting.MOST_FRAMES
-    steps = np.diff([frame.sequence for frame in (*train, *apart)])
+    chosen = choose_frames(listed(5000))
+    assert adapting.MOST_FRAMES - 2 <= len(chosen) <= adapting.MOST_FRAMES
+    steps = np.diff([frame.sequence for frame, _ in chosen])
     assert steps.min() >= 8
     assert steps.max() <= 9
 
@@ -166,7 +198,7 @@ def test_scans_without_a_return_in_the_image_are_refused_and_nothing_is_kept(
 ):
     for path in (rig / "lidar").iterdir():
         cv2.imwrite(str(path), np.zeros(SIZE, np.uint16))
-    with pytest.raises(InputError, match="no frame has a return in the image"):
+    with pytest.raises(InputError, match="no frame has returns in the image"):
         adapt(open_rig(rig), read_weights(weights), tmp_path / "out", changes=STEPS)
     assert not list(tmp_path.glob("out/*"))
 

@@ -91,7 +91,7 @@ OWN_CLASSES, VALIDATION = f"model.classes = [{CLASS}]", f"validation.source = [{
         (["model.config.nonsense = 1"], "model.config: .*: nonsense"),
         (["model.config.canonical_focal_px = nan"], "model.config: canonical_focal_px "),
         (["model.config.classes = []"], "config has 'classes', which is a separate key"),
-        ([f"model.classes = [{CLASS}, {CLASS}]"], "has 'a' twice"),
+        ([f"model.classes = [{CLASS}, {CLASS}]"], "has 'a' and 'a'"),
         (["data.batch_size = 0"], r"r\.toml: data\.batch_size = 0"),
         (["data.augment.crop = [9, 64]"], r"augment.crop = \[9, 64\]"),
         (["data.augment.crop = [100000, 320]"], r"augment.crop\[0\] = 100000: "),

@@ -87,5 +87,38 @@ def test_other_data_than_at_the_start_are_named(tmp_path, capsys):
     assert start(moved) == ""
     (moved / "camvid" / "a").rename(moved / "camvid" / "c")
     assert "warning: camvid: the 2 files have other names than when the run began" in start(moved)
+    (moved / "camvid" / "c").write_bytes(b"12345")
+    assert "the 2 files have other names" in start(moved)
     (moved / "camvid" / "c").unlink()
     assert "warning: camvid: 2 files when the run began, now 1" in start(moved)
+
+
+@pytest.mark.parametrize("changed", ["", "name", "bytes"])
+def test_a_set_that_was_moved_is_the_same_data(tmp_path, capsys, changed):
+    """Its path in the recipe may differ; its files may not."""
+    before, now = tmp_path / "disk", tmp_path / "mount"
+    before.mkdir()
+    for name in "ab":
+        (before / name).write_bytes(b"123")
+
+    def start(path):
+        recipe = {"data": {"source": (CamVidRecipe(path=str(path)),)}}
+        prepare_folder(
+            tmp_path / "run", resolved(recipe=recipe), list_data([tmp_path], [str(path)])
+        )
+
+    start(before)
+    before.rename(now)
+    if changed == "name":
+        (now / "b").rename(now / "c")
+    elif changed == "bytes":
+        (now / "b").write_bytes(b"1234")
+    if changed:
+        with pytest.raises(InputError, match="path was"):
+            start(now)
+        return
+    start(now)
+    start(now)
+    assert capsys.readouterr().err == ""
+    document = json.loads((tmp_path / "run" / RECIPE).read_text())
+    assert document["data_files"].keys() == {str(now)}

@@ -55,6 +55,9 @@ def set_threads(threads: int | None) -> None:
 
 
 def end_stopped(last: Path) -> None:
-    """End the command after a signal; the checkpoint ``last`` is where the run goes on."""
-    typer.echo(f"stopped; the same command resumes from {last}", err=True)
+    """End the command after a signal; the checkpoint ``last`` is where the run goes on, if any."""
+    if last.is_file():
+        typer.echo(f"stopped; the same command resumes from {last}", err=True)
+    else:
+        typer.echo("stopped before the first step; the same command starts again", err=True)
     raise typer.Exit(INTERRUPTED)

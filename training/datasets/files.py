@@ -3,14 +3,14 @@
 import io
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import ExifTags, Image
 
 from runtime.base.errors import DatasetError, InputError
 from runtime.base.natural_order import in_natural_order
@@ -27,7 +27,6 @@ def dataset_errors() -> Iterator[None]:
         raise DatasetError(str(error)) from error
 
 
-_SUFFIXES = {".png", ".jpg"}
 #: The engine's readers, see there.
 read_rgb = dataset_errors()(images.read_rgb)
 read_points = dataset_errors()(scan.read_scan)
@@ -114,13 +113,24 @@ def require_folder(path: Path, purpose: str, *, files: Sequence[str] = ()) -> Pa
 
 
 def list_images(folder: Path, purpose: str) -> list[Path]:
-    """Return the .png and .jpg images of a folder in order; DatasetError without any."""
+    """Return the PNG and JPEG images of a folder in natural order; DatasetError without any."""
     there = require_folder(folder, purpose).iterdir()
-    images = [path for path in there if path.suffix in _SUFFIXES]
-    if not images:
+    listed = [path for path in there if path.suffix.lower() in images.RGB_SUFFIXES]
+    if not listed:
         raise DatasetError(f"{folder}: no .png or .jpg images in it; expected {purpose}.")
-    order = {stem: place for place, stem in enumerate(in_natural_order(p.stem for p in images))}
-    return sorted(images, key=lambda path: (order[path.stem], path.suffix))
+    order = {stem: place for place, stem in enumerate(in_natural_order(p.stem for p in listed))}
+    return sorted(listed, key=lambda path: (order[path.stem], path.suffix))
+
+
+def find_orientations(paths: Sequence[Path]) -> dict[Path, int]:
+    """Return the EXIF orientation, 2 to 8, of the photos that viewers turn or mirror."""
+    found = {}
+    for path in paths:
+        with suppress(OSError, SyntaxError, ValueError), Image.open(path) as picture:
+            orientation = picture.getexif().get(ExifTags.Base.Orientation, 1)
+            if orientation in range(2, 9):
+                found[path] = orientation
+    return found
 
 
 def list_names(names: Sequence[str]) -> str:

@@ -2,7 +2,8 @@
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -13,13 +14,15 @@ from pydantic.dataclasses import dataclass
 from tqdm import tqdm
 
 from runtime.base.errors import DatasetError
+from runtime.base.natural_order import in_natural_order
 from runtime.contract.contract import ClassInfo
-from runtime.recordings.folders import FolderSource
-from runtime.recordings.images import KITTI_DEPTH_SCALE
+from runtime.recordings.folders import FolderSource, list_entries
+from runtime.recordings.images import KITTI_DEPTH_SCALE, RGB_SUFFIXES, list_files
 from training.datasets.cityscapes import TRAIN_LABELS
 from training.datasets.class_mapping import ClassTable, id_lookup, list_classes
 from training.datasets.files import (
     dataset_errors,
+    find_orientations,
     read_depth,
     read_gray,
     require_folder,
@@ -29,6 +32,11 @@ from training.datasets.sample import IGNORE, FrameList, Sample, nothing_known
 from training.datasets.source_recipe import RangeRecipe
 from training.lidar.scan import elevation_bands
 from training.limits import STRICT, Positive, Share
+
+#: Photos whose EXIF orientation is looked at, about.
+_ORIENTED = 20
+#: Warnings of this process, which opens one folder several times.
+_reported: set[str] = set()
 
 _Folder = Annotated[str, Field(min_length=1)]
 
@@ -92,7 +100,7 @@ class FoldersRecipe(RangeRecipe):
 
 
 class Folders(FrameList):
-    """The images of ``root/<recipe.rgb>`` in the order of their names, with depth and labels.
+    """The images of ``root/<recipe.rgb>`` with depth and labels, in natural order: 9 before 10.
 
     An image a.jpg has its depth in a.png of the depth folder, and so on; every folder that the
     recipe names must have a file for every image, with ``missing = "skip-target"`` for one.
@@ -114,17 +122,70 @@ class Folders(FrameList):
         self._source = FolderSource(
             self._root / recipe.rgb, depth=depth, depth_scale=recipe.depth_scale
         )
-        images = [frame for frame in self._source.list_frames() if frame.image is not None]
-        self._frames = recipe.take(images, self._root / recipe.rgb)
+        listed = self._source.list_frames()
+        self._frames = recipe.take(
+            [frame for frame in listed if frame.image is not None], self._root / recipe.rgb
+        )
         self._source.camera_alone = recipe.missing == "skip-target"
         self.images = [frame.image for frame in self._frames]
         if depth is not None:
             self._require_files(depth, [frame.name for frame in self._frames if not frame.depth])
-        for below in filter(None, (recipe.sparse_depth, recipe.labels)):
+        every = {frame.name for frame in listed if frame.image is not None}
+        unpaired = {"depth": {frame.name for frame in listed} - every}
+        #: Key of the recipe -> stem -> file of that name, whatever the case of its suffix.
+        self._files: dict[str, dict[str, Path]] = {}
+        for key, below in (("sparse_depth", recipe.sparse_depth), ("labels", recipe.labels)):
+            if below is None:
+                continue
             folder = require_folder(self._root / below, "a PNG for every image")
-            there = {path.stem for path in folder.glob("*.png")}
+            has_any = any(path.suffix.lower() == ".png" for path in list_entries(folder))
+            self._files[key] = list_files(folder, (".png",)) if has_any else {}
+            unpaired[key] = self._files[key].keys() - every
             names = [frame.name for frame in self._frames]
-            self._require_files(folder, [name for name in names if name not in there])
+            self._require_files(folder, [name for name in names if name not in self._files[key]])
+        self._report_unread(unpaired)
+
+    def _report_unread(self, unpaired: Mapping[str, Collection[str]]) -> None:
+        """Warn about images of other types, files without an image, and turned photos.
+
+        Sets of one folder that differ in `first` and `last` say it once.
+        """
+        recipe = self._recipe
+        folder = self._root / recipe.rgb
+        others = Counter(
+            path.suffix.lower()
+            for path in list_entries(folder)
+            if path.suffix.lower() not in RGB_SUFFIXES and path.is_file()
+        )
+        texts = []
+        if others:
+            kinds = ", ".join(
+                f"{number} {kind or 'without a suffix'}" for kind, number in others.items()
+            )
+            texts.append(
+                f"{folder}: files that are no PNG or JPEG are not read ({kinds}); convert images"
+            )
+        for key, names in unpaired.items():
+            if names:
+                first = in_natural_order(names)[0]
+                texts.append(
+                    f"{self._root / str(getattr(recipe, key))}: {len(names)} files have no image "
+                    f"of their name and are not used, such as {first}"
+                )
+        step = max(1, len(self.images) // _ORIENTED)
+        if recipe.labels or recipe.depth:
+            turned = find_orientations(self.images[::step])
+            for path, orientation in list(turned.items())[:1]:
+                texts.append(
+                    f"{path}: has the EXIF orientation {orientation}, like {len(turned)} of "
+                    f"{len(self.images[::step])} images; pixels are used as they are stored, so "
+                    "labels and depth must be stored like them: turn the pixels of photos that "
+                    "were labelled upright, or remove the tag"
+                )
+        for text in texts:
+            if text not in _reported:
+                _reported.add(text)
+                tqdm.write(f"warning: {text}", file=sys.stderr)
 
     def _require_files(self, folder: Path, lacking: Sequence[str]) -> None:
         """Raise DatasetError for images without a file, or say how many there are if they may be.
@@ -155,18 +216,15 @@ class Folders(FrameList):
             fx, fy, cx, cy = recipe.intrinsics
             intrinsics = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
         if recipe.sparse_depth is not None:
-            path = self._root / recipe.sparse_depth / f"{listed.name}.png"
             sparse_depth = nothing_known(size)
-            if path.is_file():
+            if path := self._files["sparse_depth"].get(listed.name):
                 sparse_depth = read_depth(path, size, depth_scale=recipe.depth_scale)
         scan_line = elevation_bands(frame.sparse_depth, intrinsics) if recipe.scan else None
         targets: dict[str, NDArray[Any]] = {}
         if listed.depth is not None:
             targets["depth"] = frame.sparse_depth
-        if recipe.labels is not None:
-            path = self._root / recipe.labels / f"{listed.name}.png"
-            if path.is_file():
-                targets["semantic"] = self._read_labels(path, size)
+        if path := self._files.get("labels", {}).get(listed.name):
+            targets["semantic"] = self._read_labels(path, size)
         return Sample(
             rgb=frame.rgb,
             targets=targets,

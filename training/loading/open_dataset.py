@@ -1,7 +1,9 @@
 """Open the data sets of a recipe, and count what their frames hold."""
 
+import hashlib
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -81,10 +83,40 @@ def _find_folder(recipe: SourceRecipe, roots: Sequence[Path]) -> Path:
     )
 
 
-def frame_files(sources: Iterable[SampleSource]) -> set[tuple[int, int]]:
-    """Return device and number of the file of each frame's image, the same by any path or link."""
-    found = (path.stat() for source in sources for path in getattr(source, "images", ()))
-    return {(item.st_dev, item.st_ino) for item in found}
+def frame_files(sources: Iterable[SampleSource]) -> dict[tuple[int, int], Path]:
+    """Return the file of each frame's image by device and number, the same by any path or link."""
+    found: dict[tuple[int, int], Path] = {}
+    for source in sources:
+        for path in getattr(source, "images", ()):
+            item = path.stat()
+            found.setdefault((item.st_dev, item.st_ino), path)
+    return found
+
+
+def count_shared(sources: Iterable[SampleSource], others: Iterable[SampleSource]) -> int:
+    """Return how many images of some sets are also in others: the same file, or a copy of it.
+
+    Files of one size are compared by their SHA-256.
+    """
+    here, there = frame_files(sources), frame_files(others)
+    sizes: dict[int, list[Path]] = {}
+    for path in there.values():
+        sizes.setdefault(path.stat().st_size, []).append(path)
+
+    @cache
+    def digests(size: int) -> set[bytes]:
+        return {_digest(path) for path in sizes[size]}
+
+    count = 0
+    for key, path in here.items():
+        size = path.stat().st_size
+        count += key in there or (size in sizes and _digest(path) in digests(size))
+    return count
+
+
+def _digest(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").digest()
 
 
 def spread_indices(source: SampleSource, count: int) -> list[int]:

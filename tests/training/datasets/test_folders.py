@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import ExifTags, Image
 
 from layouts import open_set
 from layouts.pictures import write
@@ -72,6 +73,67 @@ def test_the_depth_may_be_a_scan(mine):
     assert sample.sparse_depth is None
     np.testing.assert_array_equal(sample.scan_line >= 0, sample.depth > 0)
     assert np.unique(sample.scan_line).size > 10
+
+
+@pytest.mark.parametrize("suffix", [".PNG", ".Png", ".png"])
+def test_the_case_of_a_suffix_does_not_matter(mine, suffix, capsys):
+    for folder in ("labels", "scans", "depth", "images"):
+        for path in (mine / folder).glob("*.png"):
+            path.rename(path.with_suffix(suffix))
+    sample = opened(mine, depth="depth", sparse_depth="scans", labels="labels")[0]
+    assert sample.targets.keys() == {"depth", "semantic"}
+    assert sample.sparse_depth.any()
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(("names", "said"), [
+    (["images/c.webp", "images/d.WEBP"], "no PNG or JPEG are not read (2 .webp)"),
+    (["images/a.tif"], "(1 .tif)"),
+    (["labels/x9.png", "labels/x10.png"], "labels: 2 files have no image of their name"),
+    (["labels/x9.png", "labels/x10.png"], "are not used, such as x9"),
+    (["scans/q.png"], "scans: 1 files have no image"),
+    (["depth/q.png"], "depth: 1 files have no image"),
+    (["images/.c.webp", "labels/.x.png"], ""),
+], ids=str)  # fmt: skip
+def test_files_that_are_not_used_are_counted(mine, names, said, capsys):
+    for name in names:
+        write(mine / "x.png", np.zeros((40, 64), np.uint16 if "depth" in name else np.uint8))
+        (mine / "x.png").rename(mine / name)
+    source = opened(mine, depth="depth", sparse_depth="scans", labels="labels")
+    assert len(source) == 2
+    err = capsys.readouterr().err
+    assert said in err if said else err == ""
+
+
+@pytest.mark.parametrize("names", [
+    ["1", "2", "9", "10", "11"], ["cam_8", "cam_9", "cam_10"], ["a2b1", "a2b10", "a10b1"],
+])  # fmt: skip
+def test_frames_are_in_natural_order(tmp_path, names):
+    for name in names:
+        write(tmp_path / "images" / f"{name}.png", np.zeros((40, 64, 3), np.uint8))
+    source = opened(tmp_path, first=1)
+    assert [path.stem for path in source.images] == names[1:]
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+def test_pixels_are_read_as_stored_and_the_orientation_of_a_photo_is_said(
+    tmp_path, orientation, capsys
+):
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = orientation
+    stored = {
+        "images": np.arange(40 * 40 * 3, dtype=np.uint8).reshape(40, 40, 3),
+        "labels": (np.arange(1600).reshape(40, 40) % 7 == 0).astype(np.uint8),
+        "depth": np.arange(1600, dtype=np.uint16).reshape(40, 40),
+    }
+    for folder, values in stored.items():
+        (tmp_path / folder).mkdir()
+        Image.fromarray(values).save(tmp_path / folder / "a.png", exif=exif)
+    sample = opened(tmp_path, labels="labels", depth="depth", depth_scale=1)[0]
+    np.testing.assert_array_equal(sample.rgb, stored["images"])
+    np.testing.assert_array_equal(sample.semantic, stored["labels"])
+    np.testing.assert_array_equal(sample.depth, stored["depth"])
+    assert (f"EXIF orientation {orientation}" in capsys.readouterr().err) == (orientation > 1)
 
 
 def test_a_part_of_the_images_may_be_taken(mine):
