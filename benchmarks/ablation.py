@@ -1,12 +1,15 @@
-"""Train and score the rows of the paper's ablation, several seeds each, as a table and a plot.
+"""Train and score recipes against one another, several seeds each, as a table and a plot.
 
     python benchmarks/ablation.py --data DIR --runs RUNS [--seeds 0 1 2] [--rows ssdnet ...] \
-        [--set 'model.name = "ssdnet"'] [--markdown OUT.md] [--plot OUT.png]
+        [--test KIND:FOLDER] [--set 'model.name = "ssdnet"'] [--markdown OUT.md] [--plot OUT.png]
+    python benchmarks/ablation.py --table docs/results.md --plot OUT.png
 
-`DIR` holds the rendered scenes `train` and `test`. Rows are those of training/recipes/ablation.py.
-Runs that are finished are not repeated, so more seeds or rows can be added; one that was stopped
-resumes. Runs of other settings are refused: give another `RUNS`. Every row is scored on all of
-`test` with 5 % of the depth, drawn once for all rows.
+A row is one of training/recipes/ablation.py, the name of another recipe of `ssdnet-train --list`,
+or a TOML file; `DIR` holds their data, for the rows of the ablation the rendered scenes `train` and
+`test`. Runs that are finished are not repeated, so more seeds or rows can be added; one that was
+stopped resumes. Runs of other settings are refused: give another `RUNS`. Every row is scored on all
+frames of `--test` with the same LiDAR input, by default 5 % of the depth. `--table` draws the first
+such table of a Markdown file, without any run.
 
 The run of docs/results.md:
 
@@ -25,46 +28,72 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from statistics import mean, stdev
+from typing import NamedTuple
 
 import matplotlib as mpl
+import numpy as np
 import torch
 
 from models import load_checkpoint
 from runtime.files.atomic_write import atomic_file, atomic_write
 from training.chosen_recipe import read_stages
-from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.scoring import score, split_frames, torch_predict
 from training.lidar.split import LidarInput
 from training.loading.open_dataset import open_dataset
-from training.loop import train
+from training.recipe import parse_data
 from training.recipes.ablation import ROWS
 from training.run_folder import RECIPE, require_same
+from training.stages import train_stages
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
-FIGURES = {
-    "miou": "mIoU [%]",
-    "boundary_f": "boundary F [%]",
-    "mae_m": "MAE 0-100 m [cm]",
-    "rmse_m": "RMSE 0-100 m [cm]",
+
+class Column(NamedTuple):
+    """A figure of the table: its title, the factor of its unit, and its digits."""
+
+    title: str
+    factor: float
+    digits: int
+
+
+COLUMNS = {
+    "miou": Column("mIoU [%]", 100, 2),
+    "boundary_f": Column("boundary F [%]", 100, 2),
+    "mae_m": Column("MAE 0-100 m [mm]", 1000, 0),
+    "rmse_m": Column("RMSE 0-100 m [mm]", 1000, 0),
 }
-_INPUT = LidarInput("random", share=0.05)
+#: Row -> figure -> mean and standard deviation, NaN of a single run, in the column's unit.
+Summary = Mapping[str, Mapping[str, tuple[float, float]]]
+#: A value is drawn at the edge where it is farther from the quartiles of the others than this many
+#: times the distance between the quartiles.
+_OUTLIER = 3.0
 
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Train what is missing, seed by seed, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, required=True)
-    parser.add_argument("--runs", type=Path, required=True, help="folder for the run folders")
-    parser.add_argument("--rows", nargs="+", default=list(ROWS), help="[default: all]")
+    parser.add_argument("--data", type=Path, nargs="+", default=[], help="folders of the data sets")
+    parser.add_argument("--runs", type=Path, help="folder for the run folders")
+    parser.add_argument("--rows", nargs="+", default=list(ROWS), help="[default: the ablation]")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
+    parser.add_argument("--test", default="rendered:test", help="frames to score, as of --data of "
+                        "ssdnet-eval, relative to --data")  # fmt: skip
+    parser.add_argument("--lidar", default="random:0.05", help="the input, as of ssdnet-eval")
     parser.add_argument("--set", action="append", default=[], help="'table.key = value' in TOML")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--threads", type=int, default=2, help="of the processor")
     parser.add_argument("--markdown", type=Path, help="write the table here, too")
     parser.add_argument("--plot", type=Path, help="draw the rows here")
+    parser.add_argument("--table", type=Path, help="draw the table of this file; trains nothing")
     arguments = parser.parse_args(argv)
+    if arguments.table is not None:
+        if arguments.plot is None:
+            parser.error("--table needs --plot")
+        draw(read_table(arguments.table.read_text()), arguments.plot)
+        return
+    if not arguments.data or arguments.runs is None:
+        parser.error("give --data and --runs, or --table and --plot")
     torch.set_num_threads(arguments.threads)
 
     results: dict[str, list[dict[str, float]]] = {row: [] for row in arguments.rows}
@@ -72,72 +101,137 @@ def main(argv: Sequence[str] | None = None) -> None:
         for row in arguments.rows:
             figures = run(row, seed, arguments)
             results[row].append(figures)
-            shown = {key: round(figures[key], 4) for key in FIGURES if key in figures}
+            shown = {key: round(figures[key], 4) for key in COLUMNS if key in figures}
             print(row, seed, shown, flush=True)
             # After each run, so that a stopped program leaves the table so far.
             if arguments.markdown:
                 atomic_write(arguments.markdown, markdown(results).encode())
             if arguments.plot:
-                draw(results, arguments.plot)
+                draw(summary(results), arguments.plot)
     print(f"\n{markdown(results)}")
 
 
 def run(row: str, seed: int, arguments: argparse.Namespace) -> dict[str, float]:
     """Train one row with one seed, unless that is done, and return its figures."""
-    out = arguments.runs / f"{row}-{seed}"
+    out = arguments.runs / f"{Path(row).stem}-{seed}"
     changes = [f"data.seed = {seed}", *arguments.set]
-    recipe = read_stages(f"ablation-{row}", changes)[0].recipe
+    stages = read_stages(f"ablation-{row}" if row in ROWS else row, changes)
+    recipe = stages[-1].recipe
     scores = out / "scores.json"
+    settings = {"recipe": asdict(recipe), "test": arguments.test, "lidar": arguments.lidar}
     if scores.is_file():
-        known = json.loads((out / RECIPE).read_text(encoding="utf-8"))
-        require_same(known, {"recipe": asdict(recipe)}, out / RECIPE)  # no mixed settings
-        return json.loads(scores.read_text())
-    checkpoint = train(recipe, data=[arguments.data], out=out, device=arguments.device)
+        known = json.loads(scores.read_text())
+        place = out / stages[-1].folder / RECIPE
+        trained = json.loads(place.read_text(encoding="utf-8"))
+        before = {**settings, **{key: known.get(key, settings[key]) for key in ("test", "lidar")}}
+        require_same({**before, "recipe": trained["recipe"]}, settings, place)  # no mixed settings
+        return {key: value for key, value in known.items() if key not in settings}
+    checkpoint = train_stages(stages, data=arguments.data, out=out, device=arguments.device)
     network = load_checkpoint(checkpoint).model.to(arguments.device)
-    source = open_dataset(RenderedRecipe(path="test"), [arguments.data], classes="camvid")
+    test = parse_data(arguments.test)
+    source = open_dataset(test, arguments.data, classes=recipe.model.class_table)
     counted = score(
         torch_predict(network),
-        split_frames(source, range(len(source)), _INPUT),
+        split_frames(source, range(len(source)), LidarInput.parse(arguments.lidar)),
         num_classes=network.config.num_classes,
     )
     figures = counted.figures([info.name for info in network.config.classes])
-    atomic_write(scores, json.dumps(figures, indent=2).encode())
+    kept = {**figures, "test": arguments.test, "lidar": arguments.lidar}
+    atomic_write(scores, json.dumps(kept, indent=2).encode())
     return figures
+
+
+def summary(results: Mapping[str, Sequence[Mapping[str, float]]]) -> Summary:
+    """Mean and standard deviation of every row."""
+    rows: dict[str, dict[str, tuple[float, float]]] = {}
+    for row, runs in results.items():
+        rows[row] = {}
+        for key, column in COLUMNS.items():
+            values = [column.factor * figures[key] for figures in runs if key in figures]
+            if values:
+                spread = stdev(values) if len(values) > 1 else float("nan")
+                rows[row][key] = mean(values), spread
+    return rows
 
 
 def markdown(results: Mapping[str, Sequence[Mapping[str, float]]]) -> str:
     """Mean and standard deviation of every row, as a table."""
-    lines = [
-        "| row | seeds | " + " | ".join(FIGURES.values()) + " |",
-        "|---" * (len(FIGURES) + 2) + "|",
-    ]
-    for row, runs in results.items():
+    titles = [column.title for column in COLUMNS.values()]
+    lines = ["| row | seeds | " + " | ".join(titles) + " |", "|---" * (len(COLUMNS) + 2) + "|"]
+    for row, figures in summary(results).items():
         cells = []
-        for key in FIGURES:
-            values = [figures[key] * 100 for figures in runs if key in figures]
-            spread = f" ± {stdev(values):.2f}" if len(values) > 1 else ""
-            cells.append(f"{mean(values):.2f}{spread}" if values else "")
-        lines.append(f"| {row} | {len(runs)} | " + " | ".join(cells) + " |")
+        for key, column in COLUMNS.items():
+            value, spread = figures.get(key, (float("nan"), float("nan")))
+            text = "" if np.isnan(value) else f"{value:.{column.digits}f}"
+            cells.append(text if np.isnan(spread) else f"{text} ± {spread:.{column.digits}f}")
+        lines.append(f"| {row} | {len(results[row])} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
 
-def draw(results: Mapping[str, Sequence[Mapping[str, float]]], path: Path) -> None:
-    """Every run as a point and the mean as a bar, a panel a figure."""
-    figure, panels = plt.subplots(1, len(FIGURES), figsize=(14, 0.42 * len(results) + 1.4))
-    rows = list(results)
-    for panel, key in zip(panels, FIGURES, strict=True):
+def read_table(text: str) -> Summary:
+    """Read the first table of `markdown` in a text."""
+    titles = {column.title: key for key, column in COLUMNS.items()}
+    keys: list[str | None] = []
+    rows: dict[str, dict[str, tuple[float, float]]] = {}
+    for line in text.splitlines():
+        cells = [cell.strip().strip("`") for cell in line.strip("| ").split("|")]
+        if not keys and set(titles) <= set(cells):
+            keys = [titles.get(cell) for cell in cells]
+        elif keys and not line.startswith("|"):
+            break
+        elif keys and not line.startswith("|--"):
+            rows[cells[0]] = {}
+            for key, cell in zip(keys, cells, strict=False):
+                if key and cell:
+                    value, _, spread = cell.partition("±")
+                    rows[cells[0]][key] = float(value), float(spread or "nan")
+    return rows
+
+
+def draw(rows: Summary, path: Path) -> None:
+    """The mean of every row and its standard deviation, a panel a figure.
+
+    The axis spans the rows that are near one another; one far from them is an arrow at the edge
+    with its value.
+    """
+    figure, panels = plt.subplots(1, len(COLUMNS), figsize=(14, 0.42 * len(rows) + 1.4))
+    for panel, (key, column) in zip(panels, COLUMNS.items(), strict=True):
+        values = {row: found[key] for row, found in rows.items() if key in found}
+        low, high = _limits([value for value, _ in values.values()])
+        near = [pair for pair in values.values() if low <= pair[0] <= high]
+        ends = [value + sign * np.nan_to_num(spread) for value, spread in near for sign in (-1, 1)]
+        room = 0.08 * (max(ends, default=1) - min(ends, default=0)) or 1.0
+        left, right = min(ends, default=0) - room, max(ends, default=1) + room
         for index, row in enumerate(rows):
-            values = [run[key] * 100 for run in results[row] if key in run]
-            if values:
-                panel.plot(values, [index] * len(values), "o", color="tab:blue", alpha=0.6)
-                panel.plot([mean(values)] * 2, [index - 0.3, index + 0.3], color="black")
-        panel.set_title(FIGURES[key])
-        panel.set_yticks(range(len(rows)), rows if panel is panels[0] else [""] * len(rows))
+            if row not in values:
+                continue
+            value, spread = values[row]
+            if low <= value <= high:
+                panel.errorbar(value, index, xerr=np.nan_to_num(spread), fmt="o", capsize=4,
+                               color="tab:blue", ecolor="black")  # fmt: skip
+                continue
+            edge, side = (right, "right") if value > high else (left, "left")
+            panel.annotate(f"   {value:.{column.digits}f}   ", (edge, index), color="tab:red",
+                           ha=side, va="center")  # fmt: skip
+            mark = ">" if side == "right" else "<"
+            panel.plot([edge], [index], mark, color="tab:red", clip_on=False)
+        panel.set_title(column.title)
+        panel.set_xlim(left, right)
+        panel.set_yticks(range(len(rows)), list(rows) if panel is panels[0] else [""] * len(rows))
         panel.set_ylim(len(rows) - 0.5, -0.5)
         panel.grid(axis="x", alpha=0.3)
     figure.tight_layout()
     with atomic_file(path) as file:
         figure.savefig(file, format="png", dpi=110)
+
+
+def _limits(values: Sequence[float]) -> tuple[float, float]:
+    """The range outside which a value is an outlier."""
+    if not values:
+        return 0.0, 1.0
+    first, third = np.percentile(values, (25, 75))
+    room = _OUTLIER * (third - first)
+    return first - room, third + room
 
 
 if __name__ == "__main__":
