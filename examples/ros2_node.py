@@ -2,10 +2,17 @@
 
     python examples/ros2_node.py [--ros-args --params-file qos.yaml]
 
-`PushStream` predicts in a thread of its own, so the callbacks never wait for inference. `image` and
-`points` are best effort, the last 5; `odometry` is best effort, the last 200 (a second at 200 Hz);
-`~/depth` and `~/semantic` are reliable, the last 5. Parameters override the quality of service, by
-the topic's full name:
+`PushStream` predicts in a thread of its own, so the callbacks never wait for inference. It
+publishes, with the stamp and the frame id of the image:
+
+- `~/depth` (metres), `~/semantic` (class ids): sensor_msgs/Image.
+- `~/points`: sensor_msgs/PointCloud2 with x, y, z, rgb, class and uncertainty, a point in each cube
+  of VOXEL_M; `~/camera_info`: sensor_msgs/CameraInfo. Both as `ssdnet-run --mcap` writes them.
+- `/diagnostics`: the health of each answer, and the state of the stream also while none comes.
+
+`image` and `points` are best effort, the last 5; `odometry` is best effort, the last 200 (a second
+at 200 Hz); what is published is reliable, the last 5. Parameters override the quality of service,
+by the topic's full name:
 
     /ssdnet:
       ros__parameters:
@@ -14,21 +21,25 @@ the topic's full name:
             subscription: {reliability: reliable, depth: 400}
 """
 
+from array import array
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import rclpy
 from cv_bridge import CvBridge
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from sensor_msgs.msg import Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 from sensor_msgs_py import point_cloud2
+from std_msgs.msg import Header
 
 from runtime import Calibration, FrameResult, Predictor, PushStream, Rig, SSDNetError
+from runtime.recordings.ros_answers import camera_fields, cloud_fields, status_fields
 from runtime.recordings.ros_poses import odometry_pose, point_times_s
 
 # Your calibration: fx 0 cx / 0 fy cy / 0 0 1, and LiDAR to camera. Of raw images also
@@ -37,6 +48,8 @@ INTRINSICS = np.array([[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1]])
 EXTRINSICS = np.array([[0, -1, 0, 0], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1.0]])
 # LiDAR to the frame whose odometry is subscribed to, its child_frame_id (base_link).
 BODY_FROM_LIDAR = np.array([[1.0, 0, 0, 0.8], [0, 1, 0, 0], [0, 0, 1, 1.4], [0, 0, 0, 1]])
+CALIBRATION = Calibration(INTRINSICS, EXTRINSICS, body_from_lidar=BODY_FROM_LIDAR)
+VOXEL_M = 0.1
 
 
 def nanoseconds(message: Any) -> int:
@@ -55,19 +68,24 @@ class SSDNetNode(Node):
         self.bridge = CvBridge()
         self.frame_id = ""  # of the images
         settable = {"qos_overriding_options": QoSOverridingOptions.with_default_policies()}
-        self.depth = self.create_publisher(Image, "~/depth", QoSProfile(depth=5), **settable)
-        self.semantic = self.create_publisher(Image, "~/semantic", QoSProfile(depth=5), **settable)
+        self.outputs = {
+            topic: self.create_publisher(kind, topic, QoSProfile(depth=5), **settable)
+            for topic, kind in (
+                ("~/depth", Image),
+                ("~/semantic", Image),
+                ("~/points", PointCloud2),
+                ("~/camera_info", CameraInfo),
+                ("/diagnostics", DiagnosticArray),
+            )
+        }
         self.predictor = Predictor()  # the focal length is the calibration's
         self.stream = PushStream(
             self.predictor,
-            Rig(
-                calibration=Calibration(INTRINSICS, EXTRINSICS, body_from_lidar=BODY_FROM_LIDAR),
-                pose_frame="body",  # leave it out without an odometry
-            ),
+            Rig(calibration=CALIBRATION, pose_frame="body"),  # no pose_frame without an odometry
             deadline_ms=80,
             on_result=self.publish,
             on_error=lambda error: self.get_logger().error(str(error)),
-            on_state=lambda state: self.get_logger().info(str(state)),
+            on_state=lambda state: self.report(self.header(self.get_clock().now().to_msg())),
         )
         for kind, topic, callback, queue in (
             (Image, "image", self.on_image, 5),
@@ -106,18 +124,40 @@ class SSDNetNode(Node):
     def publish(self, result: FrameResult) -> None:
         """Called in the stream's thread with each answer."""
         prediction = result.prediction
+        header = self.header(self.get_clock().now().to_msg())
+        header.stamp.sec, header.stamp.nanosec = divmod(result.image_stamp, 10**9)
+        self.report(header, result)
         if not prediction.valid:
-            self.get_logger().warn(", ".join(prediction.degraded))
             return
-        seconds, rest = divmod(result.image_stamp, 10**9)
-        for publisher, values, encoding in (
-            (self.depth, prediction.depth, "32FC1"),  # metres
-            (self.semantic, prediction.semantic, "mono8"),  # ids of predictor.contract.classes
+        for topic, values, encoding in (
+            ("~/depth", prediction.depth, "32FC1"),  # metres
+            ("~/semantic", prediction.semantic, "mono8"),  # ids of predictor.contract.classes
         ):
-            message = self.bridge.cv2_to_imgmsg(values, encoding)
-            message.header.frame_id = self.frame_id
-            message.header.stamp.sec, message.header.stamp.nanosec = seconds, rest
-            publisher.publish(message)
+            image = self.bridge.cv2_to_imgmsg(values, encoding)
+            image.header = header
+            self.outputs[topic].publish(image)
+        cloud = cloud_fields(prediction.points(CALIBRATION, result.rgb, voxel_m=VOXEL_M))
+        cloud["fields"] = [PointField(**field) for field in cloud["fields"]]
+        cloud["data"] = array("B", cloud["data"].tobytes())  # taken without a check of each byte
+        self.outputs["~/points"].publish(PointCloud2(header=header, **cloud))
+        camera = camera_fields(CALIBRATION, prediction.frame_size)
+        camera["d"] = camera["d"].tolist()
+        self.outputs["~/camera_info"].publish(CameraInfo(header=header, **camera))
+
+    def header(self, stamp: Any) -> Header:
+        return Header(stamp=stamp, frame_id=self.frame_id)
+
+    def report(self, header: Header, result: FrameResult | None = None) -> None:
+        """Publish the health of an answer and the state of the stream."""
+        fields = status_fields(result, self.stream.state)
+        status = DiagnosticStatus(
+            level=bytes([fields["level"]]),  # a byte of ROS is bytes in Python
+            message=fields["message"],
+            name="ssdnet",
+            hardware_id=self.predictor.contract.model_name,
+            values=[KeyValue(key=key, value=value) for key, value in fields["values"].items()],
+        )
+        self.outputs["/diagnostics"].publish(DiagnosticArray(header=header, status=[status]))
 
     def destroy_node(self) -> None:
         self.stream.close()  # answers what was accepted, then ends

@@ -19,19 +19,33 @@ def stamped(*, frame_id="", **fields):
     return SimpleNamespace(header=SimpleNamespace(stamp=stamp, frame_id=frame_id), **fields)
 
 
+class Made(SimpleNamespace):
+    """A message that is made of its fields."""
+
+
 class Node:
     """The part of rclpy's node that the example uses."""
 
     def __init__(self, name):
         self.name, self.sent, self.callbacks, self.logged = name, {}, {}, []
+        self.statuses = []
 
     def create_publisher(self, kind, topic, qos, *, qos_overriding_options):
         assert qos_overriding_options == "with default policies"
-        return SimpleNamespace(publish=lambda message: self.sent.update({topic: message}))
+
+        def publish(message):
+            self.sent[topic] = message
+            self.statuses += getattr(message, "status", [])
+
+        return SimpleNamespace(publish=publish)
 
     def create_subscription(self, kind, topic, callback, qos, *, qos_overriding_options):
         assert qos_overriding_options == "with default policies"
         self.callbacks[topic] = callback
+
+    def get_clock(self):
+        stamp = SimpleNamespace(sec=1, nanosec=2)
+        return SimpleNamespace(now=lambda: SimpleNamespace(to_msg=lambda: stamp))
 
     def get_logger(self):
         def log(text, throttle_duration_sec=None):
@@ -80,7 +94,15 @@ def spun(monkeypatch):
             "nav_msgs": {},
             "nav_msgs.msg": {"Odometry": object},
             "sensor_msgs": {},
-            "sensor_msgs.msg": {"Image": object, "PointCloud2": object},
+            "sensor_msgs.msg": dict.fromkeys(
+                ("Image", "CameraInfo", "PointCloud2", "PointField"), Made
+            ),
+            "std_msgs": {},
+            "std_msgs.msg": {"Header": Made},
+            "diagnostic_msgs": {},
+            "diagnostic_msgs.msg": dict.fromkeys(
+                ("DiagnosticArray", "DiagnosticStatus", "KeyValue"), Made
+            ),
             "sensor_msgs_py": {
                 "point_cloud2": SimpleNamespace(
                     read_points_numpy=lambda message, fields, skip_nans: message.points
@@ -117,6 +139,15 @@ def test_an_image_and_a_scan_are_answered(spun):
     assert depth.values.shape == semantic.values.shape == (256, 832)
     assert (depth.header.stamp.sec, depth.header.stamp.nanosec) == (SECONDS, NANOSECONDS)
     assert depth.header.frame_id == semantic.header.frame_id == "front_optical"
+    cloud, camera = node.sent["~/points"], node.sent["~/camera_info"]
+    assert cloud.header == camera.header == depth.header
+    assert [field.name for field in cloud.fields] == ["x", "y", "z", "rgb", "class", "uncertainty"]
+    assert len(cloud.data) == cloud.row_step == cloud.width * cloud.point_step
+    assert 1000 < cloud.width < depth.values.size / 2, "voxels"
+    assert (camera.height, camera.width, camera.k[0]) == (256, 832, 721.5)
+    keys = [{value.key for value in status.values} for status in node.statuses]
+    assert any({"frame", "total_ms", "state"} <= each for each in keys)
+    assert {status.level for status in node.statuses} <= {b"\0", b"\1", b"\2"}
     assert node.destroyed
     assert node.stream.counts.depths.answered == node.stream.counts.poses.answered == 1
     assert not [text for text in node.logged if "must" in text], node.logged
