@@ -218,7 +218,7 @@ class PushStream:
                     ) from self._failure
                 return
             now_ns = self._clock.now_ns()
-            self._counter.start(now_ns)
+            self._counter.hear(sensor, now_ns)
             taken = self._sensors.take(sensor, replace(message, arrived_ns=now_ns))
             if taken is not None:
                 self._queue(self._synchronizer.add(sensor, taken))

@@ -100,6 +100,9 @@ class WatchdogLimits:
         reused: results in a row with the depth of an older scan.
         failed: frames in a row that were an error or whose prediction is not valid.
         silence_ms: time since the last result, or else since the first message.
+        camera_silent: the same since the last image [ms].
+        lidar_silent: the same since the last scan or depth map [ms], once there was one. By default
+            it is no error, since the camera alone still answers.
 
     Raises:
         InputError: if a limit is not such a pair.
@@ -110,6 +113,8 @@ class WatchdogLimits:
     reused: Limits = (None, None)
     failed: Limits = (1, 3)
     silence_ms: Limits = (500, 2000)
+    camera_silent: Limits = (500, 2000)
+    lidar_silent: Limits = (500, None)
 
     def __post_init__(self) -> None:
         """Check the limits."""
@@ -156,7 +161,8 @@ class StreamCounter:
         self._histograms = {name: DurationHistogram() for name in FIGURES if name not in _OF_A_RUN}
         self._faults = {name: MissCounter() for name in _FAULTS}
         self._is_started = False  # a message was accepted, or a frame answered
-        self._last_ns: int | None = None  # the last answer, or else the first message
+        #: Limit on silence -> since when: the last answer or message, or else the first message.
+        self._since_ns: dict[str, int] = {}
 
     def push(self, sensor: Sensor, outcome: Outcome | None = None) -> None:
         """Count a new message, and its outcome if it is known at once."""
@@ -164,11 +170,13 @@ class StreamCounter:
         if outcome is not None:
             self._outcomes[sensor][outcome] += 1
 
-    def start(self, now_ns: int) -> None:
+    def hear(self, sensor: Sensor, now_ns: int) -> None:
         """A message was accepted; the first one ends the state "n/a"."""
         self._is_started = True
-        if self._last_ns is None:
-            self._last_ns = now_ns
+        self._since_ns.setdefault("silence_ms", now_ns)
+        self._since_ns.setdefault("camera_silent", now_ns)
+        if sensor is not Sensor.POSE:
+            self._since_ns["camera_silent" if sensor is Sensor.IMAGE else "lidar_silent"] = now_ns
 
     def record_decided(self, decided: Decided) -> None:
         """Count what a step of the matching discarded."""
@@ -193,7 +201,7 @@ class StreamCounter:
             if (value_ms := FIGURES[name](result)) is not None:
                 histogram.record(value_ms)
         if now_ns is not None:
-            self._last_ns = now_ns
+            self._since_ns["silence_ms"] = now_ns
         doubts = {*result.prediction.degraded, *result.health} - {DEPTH_REUSED}
         self._faults["late"].record(result.deadline_met is False)
         self._faults["degraded"].record(bool(doubts))
@@ -239,17 +247,16 @@ class StreamCounter:
         if not self._is_started:
             return WatchdogState(Level.NOT_YET)
         figures: dict[str, float] = {name: fault.run for name, fault in self._faults.items()}
-        if self._last_ns is not None:
-            figures["silence_ms"] = (now_ns - self._last_ns) / NS_PER_MS
+        for name, since_ns in self._since_ns.items():
+            figures[name] = (now_ns - since_ns) / NS_PER_MS
         return self._limits.state(figures)
 
     def due_ns(self, now_ns: int) -> int | None:
         """When silence changes the state next; None = never."""
-        if self._last_ns is None:
-            return None
         limits_ns = [
-            self._last_ns + round(limit * NS_PER_MS)
-            for limit in self._limits.silence_ms
+            since_ns + round(limit * NS_PER_MS)
+            for name, since_ns in self._since_ns.items()
+            for limit in getattr(self._limits, name)
             if limit is not None
         ]
         return min((limit_ns for limit_ns in limits_ns if limit_ns > now_ns), default=None)

@@ -1,7 +1,7 @@
 import pytest
 
 from runtime.base.errors import InferenceError, InputError
-from runtime.streams.frame import Frame, Message
+from runtime.streams.frame import Frame, Message, Sensor
 from runtime.streams.stream_counter import Level, StreamCounter, WatchdogLimits
 from stream_messages import result
 
@@ -21,7 +21,7 @@ def levels(counter, at_ms=0):
 def test_not_available_before_the_first_message():
     counter = StreamCounter()
     assert levels(counter, 10**6) == ("n/a", ())
-    counter.start(0)
+    counter.hear(Sensor.POSE, 0)
     assert levels(counter) == ("OK", ())
 
 
@@ -48,16 +48,18 @@ def test_runs_warn_then_are_an_error_and_end(wrong, limits):
 
 def test_frames_that_were_errors_count_as_failed():
     counter = StreamCounter(limits=WatchdogLimits(failed=(1, 2)))
-    counter.start(0)
+    counter.hear(Sensor.POSE, 0)
     for level in ("WARN", "ERROR"):
         counter.record_failed(FRAME, InferenceError())
         assert levels(counter) == (level, ("failed",))
 
 
 def test_silence_is_reported_by_the_clock_and_ends_with_a_result():
-    counter = StreamCounter(limits=WatchdogLimits(silence_ms=(500, 2000)))
-    counter.start(0)
-    counter.start(400 * MS)  # only the first message counts
+    never = (None, None)
+    limits = WatchdogLimits(silence_ms=(500, 2000), camera_silent=never, lidar_silent=never)
+    counter = StreamCounter(limits=limits)
+    counter.hear(Sensor.POSE, 0)
+    counter.hear(Sensor.IMAGE, 400 * MS)  # only the first message counts
     assert counter.due_ns(0) == 500 * MS
     assert levels(counter, 499) == ("OK", ())
     assert levels(counter, 500) == ("WARN", ("silence_ms",))
@@ -66,6 +68,23 @@ def test_silence_is_reported_by_the_clock_and_ends_with_a_result():
     assert counter.due_ns(2000 * MS) is None
     answered(counter, 2100)
     assert levels(counter, 2100) == ("OK", ())
+
+
+def test_the_sensor_that_is_silent_is_named():
+    counter = StreamCounter(limits=WatchdogLimits(silence_ms=(None, None)))
+    counter.hear(Sensor.IMAGE, 0)
+    assert levels(counter, 499) == ("OK", ())
+    assert levels(counter, 500) == ("WARN", ("camera_silent",)), "a LiDAR was never heard of"
+    counter.hear(Sensor.DEPTH, 600 * MS)
+    counter.hear(Sensor.IMAGE, 900 * MS)
+    assert counter.due_ns(900 * MS) == 1100 * MS
+    assert levels(counter, 1100) == ("WARN", ("lidar_silent",))
+    assert levels(counter, 1400) == ("WARN", ("camera_silent", "lidar_silent"))
+    assert levels(counter, 2900) == ("ERROR", ("camera_silent", "lidar_silent"))
+    counter.hear(Sensor.IMAGE, 2900 * MS)
+    assert levels(counter, 3000) == ("WARN", ("lidar_silent",)), "no error: the camera answers"
+    counter.hear(Sensor.DEPTH, 3000 * MS)
+    assert levels(counter, 3000) == ("OK", ())
 
 
 def test_a_replay_is_never_silent():
