@@ -25,6 +25,8 @@ def trace(
 ) -> onnx.ModelProto:
     """Trace a deploy graph into one ONNX model with its weights. Nothing is printed.
 
+    The model has the lowest IR version that its operator set needs: 8 for operator set 18.
+
     Args:
         graph: the graph; its batch axis is free in the model.
         size: (height, width).
@@ -63,6 +65,8 @@ def trace(
         ) from error
     assert program is not None
     model = program.model_proto
+    # The exporter writes a newer one, which the older engines that vehicles pin refuse.
+    model.ir_version = onnx.helper.find_min_ir_version_for(list(model.opset_import))
     _strip_notes(model)
     _name_axes(model.graph)
     _drop_empty_padding(model.graph)

@@ -68,6 +68,7 @@ def test_half_precision_keeps_inputs_outputs_and_answers(dynamic_model, feeds):
     onnx.checker.check_model(half, full_check=True)
     assert list(half.graph.input) == list(dynamic_model.graph.input)
     assert list(half.graph.output) == list(dynamic_model.graph.output)
+    assert half.ir_version == dynamic_model.ir_version
     assert half.ByteSize() < 0.7 * dynamic_model.ByteSize()
     kinds = {weight.name: weight.data_type for weight in half.graph.initializer}
     inside = set(trunk(dynamic_model))
@@ -122,6 +123,7 @@ def test_half_precision_that_answers_otherwise_is_refused(lite_checkpoint, tmp_p
 def test_quantised_answers_are_close_to_the_float_ones(dynamic_model, feeds):
     quantized = quantize(dynamic_model, measure_ranges(dynamic_model, feeds))
     onnx.checker.check_model(quantized, full_check=True)
+    assert quantized.ir_version == dynamic_model.ir_version
     # A Clip in float between two 8-bit convolutions would cost more than they gain.
     names = set(trunk(dynamic_model))
     clips = {n.name for n in dynamic_model.graph.node if n.op_type == "Clip"} & names

@@ -62,6 +62,10 @@ def test_tensors_are_those_of_the_contract(dynamic_session):
     }
 
 
+def test_the_ir_version_is_the_lowest_of_the_operator_set(fixed_model, dynamic_model):
+    assert fixed_model.ir_version == dynamic_model.ir_version == 8
+
+
 def test_nothing_of_the_exporting_machine_is_in_the_file(dynamic_model):
     content = dynamic_model.SerializeToString()
     assert b".py" not in content
