@@ -48,7 +48,6 @@ from training.datasets.source_recipe import SourceRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.classical import create_method
 from training.evaluation.evaluate import evaluate
-from training.lidar.split import LidarInput
 from training.limits import STRICT
 from training.loop import train
 from training.network import build_network
@@ -331,11 +330,10 @@ def find_or_score(
         rows = evaluate(
             [method or str(onnx)],
             [recipe],
-            lidars=[LidarInput.parse(lidar) for lidar in lidars],
-            faults=["none"],
+            lidars=lidars,
             threads=arguments.threads,
             limit=arguments.limit,
-        )
+        ).rows
         result |= {f"{name} {row.lidar}": row.figures for row in rows}
     out.mkdir(parents=True, exist_ok=True)
     document = {"settings": settings, "figures": result}

@@ -10,8 +10,6 @@ from pathlib import Path
 from runtime.base.errors import InputError
 from training.evaluation.evaluate import evaluate
 from training.evaluation.score_report import Row
-from training.lidar.split import LidarInput
-from training.recipe import parse_data
 
 #: LiDAR inputs that a file is measured with: all returns of a frame, 16 scan lines, none. If no set
 #: has returns besides its ground truth, random samples of the ground truth are added for int8.
@@ -54,13 +52,7 @@ def measure_accuracy(
         DatasetError, InputError: for data that cannot be read, or that hold neither labels nor
             depth.
     """
-    rows = evaluate(
-        [str(path)],
-        [parse_data(text) for text in data],
-        lidars=[LidarInput.parse(text) for text in lidars],
-        faults=["none"],
-        leave_out_fed=True,
-    )
+    rows = evaluate([path], data, lidars=lidars, leave_out_fed=True).rows
     found = [_accuracy(row) for row in rows]
     if all(item.miou is None and item.mae_m is None for item in found):
         raise InputError(

@@ -31,8 +31,8 @@ from runtime.engine.preprocess import preprocess
 from runtime.engine.session import open_session
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import SampleSource
-from training.evaluation.evaluate import scored_classes
 from training.evaluation.scored_model import trained_classes
+from training.evaluation.shared_classes import share_classes
 from training.lidar.split import LidarInput, frame_generator, split_lidar
 from training.loading.open_dataset import count_shared, frame_files, open_dataset
 from training.recipe import parse_data
@@ -212,7 +212,7 @@ def _feeds(path: Path, options: Int8Options) -> Iterator[Feed]:
 
 def _open_set(text: str, table: ClassTable) -> SampleSource:
     recipe = parse_data(text)
-    classes = scored_classes(recipe, recipe.title, {"model": table})
+    classes = share_classes(recipe, recipe.title, {"model": table})
     return open_dataset(recipe, [Path()], classes=classes.table)
 
 

@@ -88,7 +88,7 @@ def train(
             held.enter_context(lock_folder(out))
             sets = (*recipe.data.source, *recipe.validation.source)
             files = list_data(data, [item.path for item in sets])
-            prepare_folder(out, resolved, files)
+            prepare_folder(out, resolved, files, data)
         processes.wait()
         state = TrainingState(recipe, task, processes, out)
         state.resume(out / LAST)

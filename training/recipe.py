@@ -4,7 +4,7 @@ import contextlib
 import json
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union
@@ -443,22 +443,39 @@ def parse_data(text: str) -> SourceRecipe:
     A text needs no quotes, also where it looks like a number or a date. Raises InputError for
     another form, an unknown kind or key, a key that is given twice, or a value of the wrong type.
     """
-    # Commas inside brackets belong to a value.
-    head, *pairs = re.split(r",(?=[a-z]\w*=)", text)
+    head, table = parse_pairs(
+        "--data", text, lambda head: find_dataset(head.partition(":")[0]) or SourceRecipe
+    )
     kind, colon, folder = head.partition(":")
     if not colon:
         raise InputError(f"--data {text!r}; expected KIND:FOLDER[,KEY=VALUE...].")
-    table: dict[str, Any] = {"kind": kind, "path": folder}
-    types = {item.name: item.type for item in fields(find_dataset(kind) or SourceRecipe)}
-    for pair in pairs:
-        key, _, value = pair.partition("=")
-        if key in table:
-            raise InputError(f"--data {text!r}: {key} is given twice. Leave one out.")
-        table[key] = _read_value(value, types.get(key))
     try:
-        return build(AnySource, table)
+        return build(AnySource, {"kind": kind, "path": folder, **table})
     except InputError as error:
         raise InputError(f"--data {text!r}: {error}") from error
+
+
+def parse_pairs(option: str, text: str, kind: Callable[[str], type]) -> tuple[str, dict[str, Any]]:
+    """Read HEAD[,KEY=VALUE...]; return the head, and the values as `build` takes them.
+
+    Args:
+        option: the option of the command, for messages.
+        text: its value.
+        kind: head -> the dataclass whose fields are the keys.
+
+    Raises:
+        InputError: for a key that is given twice.
+    """
+    # Commas inside brackets belong to a value.
+    head, *pairs = re.split(r",(?=[a-z]\w*=)", text)
+    types = {item.name: item.type for item in fields(kind(head))}
+    table: dict[str, Any] = {}
+    for pair in pairs:
+        key, _, value = pair.partition("=")
+        if key in table or key in ("kind", "path"):
+            raise InputError(f"{option} {text!r}: {key} is given twice. Leave one out.")
+        table[key] = _read_value(value, types.get(key))
+    return head, table
 
 
 def _read_value(text: str, kind: Any) -> Any:

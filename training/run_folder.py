@@ -29,8 +29,9 @@ TENSORBOARD = "tensorboard"
 BATCH = "batch.png"
 #: What a run writes and replaces.
 _FILES = [Path(name) for name in (RECIPE, LAST, FINAL, BEST, SCORES, TENSORBOARD)]
-#: The key of the data's files in recipe.json.
-_DATA = "data_files"
+#: Keys of recipe.json: the data's files at the first start, and the folders that held them at the
+#: last, by which `ssdnet-eval RUN` finds the validation sets.
+_DATA, DATA_FOLDERS = "data_files", "data_folders"
 #: Keys that may change when a run is resumed: they affect neither the weights nor the choice of
 #: best.pt.
 _WITHOUT_EFFECT = (
@@ -45,12 +46,15 @@ _WITHOUT_EFFECT = (
 
 
 def prepare_folder(
-    out: Path, resolved: Mapping[str, Any], files: Mapping[str, Mapping[str, Any]]
+    out: Path,
+    resolved: Mapping[str, Any],
+    files: Mapping[str, Mapping[str, Any]],
+    roots: Sequence[Path] = (),
 ) -> None:
     """Make ``out`` the folder of this training; InputError if it belongs to another one.
 
-    ``files`` describes the data, see `list_data`. Those of the first start stay in recipe.json; a
-    difference to them is a warning on stderr.
+    ``files`` describes the data, see `list_data`, in the folders ``roots``. Those of the first
+    start stay in recipe.json; a difference to them is a warning on stderr.
     """
     path = out / RECIPE
     with folder_errors(out):
@@ -67,7 +71,9 @@ def prepare_folder(
                     text = f"warning: {name}: {text}; the run resumes with other data"
                     tqdm.write(text, file=sys.stderr)
         out.mkdir(parents=True, exist_ok=True)
-        atomic_write(path, json.dumps({**resolved, _DATA: first}, indent=2).encode())
+        folders = [str(root.resolve()) for root in roots]
+        document = {**resolved, _DATA: first, DATA_FOLDERS: folders}
+        atomic_write(path, json.dumps(document, indent=2).encode())
 
 
 def _difference(was: Mapping[str, Any], now: Mapping[str, Any]) -> str:

@@ -79,6 +79,13 @@ def read_onnx(path: Path) -> bytes:
     return content
 
 
+def has_metadata(path: Path) -> bool:
+    """Whether an ONNX file holds metadata of ours, whole or not. Raises ContractError."""
+    content = _read(path)
+    _require_onnx(content)
+    return _KEY + _VALUE in content
+
+
 def parse_model_file(content: bytes) -> ModelFile:
     """Read the metadata of a model, and check by it that its bytes are what was exported.
 
@@ -122,7 +129,8 @@ def _document(content: bytes) -> str:
     if key < 0:
         raise ContractError(
             f"the ONNX file has no metadata {METADATA_KEY!r}: it was not written by ssdnet-export, "
-            "or is truncated; export a checkpoint with ssdnet-export"
+            "or is truncated; export a checkpoint with ssdnet-export. Other networks are scored by "
+            "ssdnet-eval and timed by ssdnet-bench"
         )
     length = _LENGTH.match(content, key + len(_KEY + _VALUE))
     if length is None:

@@ -1,49 +1,78 @@
-"""`ssdnet-eval`: the metrics of Table 1 for checkpoints, files and methods, a row each."""
+"""`ssdnet-eval`: models, predictions and methods on the same frames: scores and differences."""
 
+import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import Annotated, Any, get_args
 
 import typer
 
-from runtime.app.command import reported_errors, stop_requested
+from runtime.app.command import print_result, reported_errors, stop_requested
 from runtime.app.command_options import Version
 from runtime.base.errors import InputError
 
-if TYPE_CHECKING:
-    from training.evaluation.score_report import Row
-
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
+#: Characters of a line where the output is no terminal.
+_WIDTH = 120
 
 
 @app.command()
 def evaluate(
     models: Annotated[
-        list[str],
+        list[str] | None,
         typer.Argument(
-            help="Checkpoints (*.pt), exported models (*.onnx), bundled models by name "
-            "(ssdnet-lite) and classical methods (nearest, linear, planes, ip-basic, "
-            "ip-basic-multiscale, mrf, tgv)."
+            metavar="[MODEL]...",
+            help="Folders of runs, checkpoints (*.pt), exported models (*.onnx), networks of "
+            "others (*.onnx, see --adapter), bundled models by name (ssdnet-lite) and classical "
+            "methods (nearest, linear, planes, ip-basic, ip-basic-multiscale, mrf, tgv). Others "
+            "are compared with the first.",
         ),
-    ],
+    ] = None,
     data: Annotated[
-        list[str],
+        list[str] | None,
         typer.Option(
             help="KIND:FOLDER[,KEY=VALUE...], a data set as in a recipe, for example "
-            "cityscapes:/data/cityscapes,split=val,size=[512,1024]; may be repeated."
+            "cityscapes:/data/cityscapes,split=val,size=[512,1024]; may be repeated. [default: the "
+            "validation sets of the first run]"
         ),
-    ],
+    ] = None,
     lidar: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="LiDAR inputs to score: own,64,32,16,8,4,2,1,random:SHARE,none; comma-separated."
+            help="LiDAR inputs to score: own,64,32,16,8,4,2,1,random:SHARE,none; comma-separated. "
+            "[default: that of the run's validation, or own]"
         ),
-    ] = "own",
+    ] = None,
     faults: Annotated[
         str,
         typer.Option(
             help="Also score with simulated LiDAR faults: nan,shift,dropout; comma-separated."
         ),
     ] = "",
+    predictions: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="DIR[,KEY=VALUE...]",
+            help="Score answers by the names of the frames: PNGs of class ids or palettes, 16-bit "
+            "PNGs of depth (depth_scale=256), or .npy; classes=cityscapes or a list names the "
+            "ids. May be repeated.",
+        ),
+    ] = None,
+    adapter: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE.toml",
+            help="What goes into a network of others and what it gives; filled in where the file "
+            "is missing. May be repeated, in the order of these networks. [default: of the "
+            "network's name, beside it]",
+        ),
+    ] = None,
+    join: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.toml",
+            help='Classes that count as one, of sets and models: vehicle = ["car", "truck"].',
+        ),
+    ] = None,
     device: Annotated[str, typer.Option(help="'cpu', 'cuda' or 'cuda:N'.")] = "cpu",
     threads: Annotated[int, typer.Option(min=1, help="CPU threads.")] = 2,
     size: Annotated[
@@ -58,9 +87,9 @@ def evaluate(
         int | None, typer.Option(min=1, help="Frames of each set, evenly spread.")
     ] = None,
     all_columns: Annotated[
-        bool, typer.Option("--all", help="Print all metrics instead of the main ones.")
+        bool, typer.Option("--all", help="Print all figures instead of the main ones.")
     ] = False,
-    json: Annotated[Path | None, typer.Option(help="Write all metrics to this file.")] = None,
+    json: Annotated[Path | None, typer.Option(help="Write all figures to this file.")] = None,
     save: Annotated[
         Path | None,
         typer.Option(
@@ -69,20 +98,23 @@ def evaluate(
         ),
     ] = None,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace depth of the same names below --save.")
+        bool,
+        typer.Option("--overwrite", help="Replace depth of the same names below --save."),
     ] = False,
     _version: Version = False,
 ) -> None:
-    """Score models on data sets; prints a table."""
+    """Score models on data sets; prints a table, and whether the others differ from the first."""
+    if not models and not predictions:
+        raise typer.BadParameter("name a model, the folder of a run, or --predictions DIR")
     with reported_errors("cpu,train"):
         # Heavy imports here, so that --help answers at once.
         from runtime.contract.network_size import parse_network_size
         from runtime.files.atomic_write import require_writable
-        from training.evaluation.evaluate import DepthFolder
+        from training.evaluation.adapter import MissingAdapterError
+        from training.evaluation.depth_folder import DepthFolder
         from training.evaluation.evaluate import evaluate as run
-        from training.evaluation.score_report import format_table, write_json
-        from training.lidar.split import LidarInput
-        from training.recipe import parse_data
+        from training.evaluation.evaluate import read_groups
+        from training.evaluation.score_report import format_differences, format_table, write_json
 
         if json is not None:
             require_writable(json)
@@ -90,22 +122,29 @@ def evaluate(
         if folder is not None:
             folder.require_free()
         with stop_requested(interrupts=True):
-            rows: list[Row] = run(
-                models,
-                [parse_data(text) for text in data],
-                lidars=[
-                    *dict.fromkeys(LidarInput.parse(text.strip()) for text in lidar.split(","))
-                ],
-                faults=["none", *_parse_faults(faults)],
-                device=device,
-                threads=threads,
-                size=parse_network_size(size),
-                limit=limit,
-                save=folder,
-            )
-            typer.echo(format_table(rows, all_columns=all_columns))
+            try:
+                found = run(
+                    models or [],
+                    data or [],
+                    lidars=None if lidar is None else [text.strip() for text in lidar.split(",")],
+                    faults=["none", *_parse_faults(faults)],
+                    predictions=predictions or [],
+                    adapters=adapter or [],
+                    join=None if join is None else read_groups(join),
+                    device=device,
+                    threads=threads,
+                    size=parse_network_size(size),
+                    limit=limit,
+                    save=folder,
+                )
+            except MissingAdapterError as error:
+                print_result(error.text)
+                raise
+            width = shutil.get_terminal_size((_WIDTH, 0)).columns
+            text = format_table(found.rows, all_columns=all_columns, width=width)
+            print_result(text + format_differences(found.differences, width=width))
             if json is not None:
-                write_json(rows, json)
+                write_json(found.rows, json, found.differences)
 
 
 def _parse_faults(text: str) -> list[Any]:

@@ -100,7 +100,7 @@ class SemanticScores(Accumulator):
         if not self.confusion.any():
             return {}
         labelled, hit = self.confusion.sum(axis=1), np.diag(self.confusion)
-        iou = _ratio(hit, labelled + self.confusion.sum(axis=0)[:-1] - hit)
+        iou = class_iou(self.confusion)
         figures = {
             "miou": float(np.nanmean(iou)),
             "accuracy": float(hit.sum() / labelled.sum()),
@@ -135,6 +135,12 @@ class SemanticScores(Accumulator):
             f"category_iou_{name}": value for name, value in zip(groups, iou.tolist(), strict=True)
         }
         return {"category_miou": float(np.nanmean(iou)), **figures}
+
+
+def class_iou(confusion: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the IoU (..., C) of confusions (..., C, C + 1); NaN for classes that do not occur."""
+    hit = np.diagonal(confusion, axis1=-2, axis2=-1)
+    return _ratio(hit, confusion.sum(axis=-1) + confusion.sum(axis=-2)[..., :-1] - hit)
 
 
 class RoadScores(Accumulator):
@@ -181,9 +187,9 @@ class ErrorSums(Accumulator):
         self._sums += error.size, np.abs(error).sum(), np.square(error).sum()
 
     @property
-    def pixels(self) -> int:
-        """Number of errors so far."""
-        return int(self._sums[0])
+    def sums(self) -> NDArray[np.float64]:
+        """Their number, the sum of their absolute values and of their squares: float64 (3,)."""
+        return self._sums.copy()
 
     def figures(self, name: str) -> dict[str, float]:
         """Return mae_NAME and rmse_NAME of all errors so far, in their unit."""
@@ -231,6 +237,11 @@ class DepthScores(Accumulator):
         for (above, limit), sums in self._ranges.items():
             sums.add(error[(truth > above) & (truth <= limit)])
         self._per_km.add(1000 * (1 / np.maximum(answer, _NEAREST_M) - 1 / truth))
+
+    @property
+    def sums(self) -> NDArray[np.float64]:
+        """Number of scored pixels, sum of their |error| [m] and of its square: float64 (3,)."""
+        return self._metres.sums
 
     def figures(self) -> dict[str, float]:
         """Return the metrics of all frames so far."""

@@ -2,65 +2,83 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from runtime.files.atomic_write import atomic_write
 from training.evaluation.depth_regions import REGIONS, RETURN_DISTANCES
 from training.evaluation.metrics import FARTHEST_M, RANGES_M
 from training.evaluation.scoring import scored_classes
 
+if TYPE_CHECKING:
+    from training.evaluation.differences import Difference
 
-class _Column(NamedTuple):
+
+class Column(NamedTuple):
     """A figure, shown times ``factor``; without --all only if it is a main one."""
 
     key: str
     title: str
     factor: float
+    digits: int
     main: bool = False
 
+    def show(self, figures: Mapping[str, float | None]) -> str:
+        """Return its value; "" where it was not measured."""
+        value = figures.get(self.key)
+        return "" if value is None else f"{value * self.factor:.{self.digits}f}"
 
-#: Columns in order; those without a value are left out.
-_COLUMNS = (
-    _Column("miou", "mIoU %", 100.0, main=True),
-    _Column("category_miou", "mIoU cat %", 100.0),
-    _Column("accuracy", "Acc %", 100.0, main=True),
-    _Column("mean_accuracy", "mAcc %", 100.0),
-    _Column("fwiou", "fwIoU %", 100.0),
-    _Column("road_iou", "road IoU %", 100.0, main=True),
-    _Column("mae_m", "MAE [m]", 1.0, main=True),
-    *(_Column(f"mae_m_{a:g}_{b:g}", f"MAE {a:g}-{b:g} m", 1.0) for a, b in RANGES_M),
+
+def _share(key: str, title: str, *, main: bool = False) -> Column:
+    return Column(key, f"{title} %", 100.0, 2, main)
+
+
+def _metres(key: str, title: str, *, main: bool = False) -> Column:
+    return Column(key, f"{title} mm", 1000.0, 1, main)
+
+
+#: Columns in order; those without a value are left out. Errors of depth are all in millimetres.
+COLUMNS = (
+    _share("miou", "mIoU", main=True),
+    _share("category_miou", "mIoU cat"),
+    _share("accuracy", "Acc", main=True),
+    _share("mean_accuracy", "mAcc"),
+    _share("fwiou", "fwIoU"),
+    _share("road_iou", "road IoU", main=True),
+    _metres("mae_m", "MAE", main=True),
+    *(_metres(f"mae_m_{a:g}_{b:g}", f"MAE at {a:g}-{b:g} m,") for a, b in RANGES_M),
     *(
-        _Column(f"mae_m_{region}", f"MAE {title} [mm]", 1000.0)
+        _metres(f"mae_m_{region}", f"MAE {title},")
         for region, title in zip(
             RETURN_DISTANCES,
             ("at a return", "1-2 px from it", "3-6 px from it", "> 6 px from it"),
             strict=True,
         )
     ),
-    _Column("rmse_m", "RMSE [m]", 1.0, main=True),
-    _Column("median_m", "median error [m]", 1.0, main=True),
-    *(_Column(f"rmse_m_{a:g}_{b:g}", f"RMSE {a:g}-{b:g} m", 1.0) for a, b in RANGES_M[:2]),
-    _Column("imae_per_km", "iMAE [1/km]", 1.0),
-    _Column("irmse_per_km", "iRMSE [1/km]", 1.0),
+    _metres("rmse_m", "RMSE", main=True),
+    _metres("median_m", "median error", main=True),
+    *(_metres(f"rmse_m_{a:g}_{b:g}", f"RMSE at {a:g}-{b:g} m,") for a, b in RANGES_M[:2]),
+    Column("imae_per_km", "iMAE 1/km", 1.0, 3),
+    Column("irmse_per_km", "iRMSE 1/km", 1.0, 3),
     *(
-        _Column(f"{error}_m_{region}", f"{region} {error.upper()} [mm]", 1000.0)
+        _metres(f"{error}_m_{region}", f"{region} {error.upper()}")
         for region in REGIONS
         for error in ("mae", "rmse")
     ),
     *(
-        _Column(f"mae_m_confident_{share}", f"MAE of the most confident {share} % [mm]", 1000.0)
+        _metres(f"mae_m_confident_{share}", f"MAE of the most confident {share} %,")
         for share in (50, 80, 100)
     ),
-    _Column("coverage_1", "errors within 1 scale %", 100.0, main=True),
-    _Column("coverage_2", "errors within 2 scales %", 100.0),
-    _Column("mae_px", "disparity MAE [px]", 1.0, main=True),
-    _Column("rmse_px", "disparity RMSE [px]", 1.0),
-    _Column("boundary_precision", "boundary P %", 100.0),
-    _Column("boundary_recall", "boundary R %", 100.0),
-    _Column("boundary_f", "boundary F %", 100.0, main=True),
+    _share("coverage_1", "errors within 1 scale", main=True),
+    _share("coverage_2", "errors within 2 scales"),
+    Column("mae_px", "disparity MAE px", 1.0, 3, main=True),
+    Column("rmse_px", "disparity RMSE px", 1.0, 3),
+    _share("boundary_precision", "boundary P"),
+    _share("boundary_recall", "boundary R"),
+    _share("boundary_f", "boundary F", main=True),
+    Column("latency_ms", "an answer ms", 1.0, 1),
 )
 #: Head -> a figure of every set with its ground truth, and the key of that truth in `folders`.
 _TRUTH = {"semantic": ("miou", "labels"), "depth": ("mae_m", "depth")}
@@ -83,6 +101,8 @@ class Row:
         labelled: class -> its labelled pixels, and the frames that show it.
         left_out: classes that are not scored, in words; empty without any.
         unscored: "labels" or "depth" -> the share of its pixels that is not scored.
+        latency_ms: median time of an answer on this machine, without reading; None = not run.
+        without_focal: frames without a focal length, where the model's distances depend on it.
     """
 
     model: str
@@ -98,26 +118,66 @@ class Row:
     labelled: dict[str, tuple[int, int]] = field(default_factory=dict)
     left_out: str = ""
     unscored: dict[str, float] = field(default_factory=dict)
+    latency_ms: float | None = None
+    without_focal: int = 0
+
+    @property
+    def key(self) -> tuple[str, str, str, str]:
+        """Model, set, LiDAR and fault."""
+        return self.model, self.data, self.lidar, self.fault
+
+    @property
+    def shown(self) -> dict[str, float | None]:
+        """The figures and the time of an answer, by the keys of `COLUMNS`."""
+        time = {} if self.latency_ms is None else {"latency_ms": self.latency_ms}
+        return {**self.figures, **time}
 
 
-def format_table(rows: Sequence[Row], *, all_columns: bool = False) -> str:
-    """Lay rows out as a Markdown table, with what could not be scored below it.
+def format_table(
+    rows: Sequence[Row], *, all_columns: bool = False, width: int | None = None
+) -> str:
+    """Lay rows out as Markdown tables, with what could not be scored below them.
 
-    Columns that no row has are left out. A row with places has a second line, the mean over them.
+    Figures that no row has are left out. A row with places has a second one, the mean over them.
 
     Args:
         rows: what was scored.
-        all_columns: show every figure, not the main ones alone.
+        all_columns: show every figure, a line a figure and a column a model, not the main ones
+            alone with a line a model.
+        width: characters of the longest line, unless one figure alone takes more; None = any.
     """
-    known = [column for column in _COLUMNS if any(column.key in row.figures for row in rows)]
+    scored = [row for row in rows if row.figures]
+    known = [column for column in COLUMNS if any(column.key in row.shown for row in scored)]
     columns = [column for column in known if all_columns or column.main]
-    notes = []
+    notes = table_notes(rows)
     if len(columns) < len(known):
-        notes.append(f"{len(known) - len(columns)} more metrics with --all or --json")
-    titles = ["model", "data", "frames", "LiDAR"]
-    titles += ["engine"] if all_columns else []
-    titles += ["fault"] if all_columns or any(row.fault != "none" for row in rows) else []
-    cells = [[*titles, *(column.title for column in columns)]]
+        notes.insert(0, f"{len(known) - len(columns)} more figures with --all or --json")
+    if not scored:
+        return "\n".join(notes)
+    lay_out = _by_figure if all_columns else _by_model
+    return "\n".join([*lay_out(scored, columns, width), *notes])
+
+
+def format_differences(differences: "Sequence[Difference]", *, width: int | None = None) -> str:
+    """Lay the differences between models out as a Markdown table, with a verdict in words each."""
+    lines = []
+    for against in dict.fromkeys(item.against for item in differences):
+        cells = [["model", "data", "LiDAR", "figure", "change", "95 % interval", f"than {against}"]]
+        for item in (item for item in differences if item.against == against):
+            lidar = item.lidar if item.fault == "none" else f"{item.lidar}, {item.fault}"
+            for column in (column for column in COLUMNS if column.key in item.figures):
+                value, low, high = (column.factor * each for each in item.figures[column.key])
+                change, *interval = (f"{each:+.{column.digits}f}" for each in (value, low, high))
+                verdict = item.verdict(column.key)
+                row = [item.model, item.data, lidar, column.title, change, " to ".join(interval)]
+                cells.append([*row, verdict])
+        lines += ["", *_markdown(cells, keys=4, width=width)]
+    return "\n".join(lines)
+
+
+def table_notes(rows: Sequence[Row]) -> list[str]:
+    """Return what could not be scored, or not as it should be, each once."""
+    notes = []
     for row in rows:
         notes += [row.left_out] if row.left_out else []
         if over := scored_classes(row.figures):
@@ -131,41 +191,99 @@ def format_table(rows: Sequence[Row], *, all_columns: bool = False) -> str:
                     f"{row.data}: none of the {row.frames} frames has {truth} as ground truth; "
                     f"use a set with it, for example folders:DIR,{truth}=FOLDER"
                 )
+        if row.without_focal:
+            notes.append(
+                f"{row.model} on {row.data}: focal length of {row.without_focal} frames not known, "
+                "on which its distances depend: give intrinsics=[fx,fy,cx,cy] in --data"
+            )
         if not row.figures:
             notes.append(f"{row.model} on {row.data}, LiDAR {row.lidar}: nothing to score")
-            continue
-        lines = [(str(row.frames), row.figures)]
-        if row.places:
-            lines.append((f"mean over {len(row.places)} places", row.figures_over_places))
-        for frames, figures in lines:
-            values = [
-                f"{figures[column.key] * column.factor:.3f}" if column.key in figures else ""
-                for column in columns
-            ]
+    return list(dict.fromkeys(notes))
+
+
+def _by_model(rows: Sequence[Row], columns: Sequence[Column], width: int | None) -> list[str]:
+    """Return the lines of a table with a line a row."""
+    titles = ["model", "data", "frames", "LiDAR"]
+    titles += ["fault"] if any(row.fault != "none" for row in rows) else []
+    cells = [[*titles, *(column.title for column in columns)]]
+    for row in rows:
+        for frames, figures in _lines(row):
             words = {"model": row.model, "data": row.data, "frames": frames, "LiDAR": row.lidar}
-            words |= {"engine": row.engine, "fault": row.fault}
-            cells.append([*(words[title] for title in titles), *values])
-    notes = list(dict.fromkeys(notes))
-    if len(cells) == 1:
-        return "\n".join(notes)
+            words["fault"] = row.fault
+            shown = (column.show(figures) for column in columns)
+            cells.append([*(words[title] for title in titles), *shown])
+    return _markdown(cells, keys=len(titles), width=width)
+
+
+def _by_figure(rows: Sequence[Row], columns: Sequence[Column], width: int | None) -> list[str]:
+    """Return the lines of a table a set and input, with a line a figure."""
+    lines: list[str] = []
+    for key in dict.fromkeys((row.data, row.lidar, row.fault) for row in rows):
+        found = [row for row in rows if (row.data, row.lidar, row.fault) == key]
+        data, lidar, fault = key
+        title = f"{data}, LiDAR {lidar}" + f", {fault}" * (fault != "none")
+        parts = [(row, frames, figures) for row in found for frames, figures in _lines(row)]
+        cells = [["figure", *(row.model for row, _, _ in parts)]]
+        cells.append(["frames", *(frames for _, frames, _ in parts)])
+        cells.append(["runs in", *(row.engine for row, _, _ in parts)])
+        for column in columns:
+            shown = [column.show(figures) for _, _, figures in parts]
+            cells += [[column.title, *shown]] if any(shown) else []
+        lines += [*([""] if lines else []), f"**{title}**", "", *_markdown(cells, 1, width)]
+    return lines
+
+
+def _lines(row: Row) -> list[tuple[str, Mapping[str, float | None]]]:
+    """Return the frames in words and the figures of each line of a row."""
+    lines: list[tuple[str, Mapping[str, float | None]]] = [(str(row.frames), row.shown)]
+    if row.places:
+        lines.append((f"mean over {len(row.places)} places", row.figures_over_places))
+    return lines
+
+
+def _markdown(cells: Sequence[Sequence[str]], keys: int, width: int | None) -> list[str]:
+    """Return a table as lines; one that is too wide is several, each with the first columns."""
     widths = [max(len(line[index]) for line in cells) for index in range(len(cells[0]))]
-    table = [
-        "| "
-        + " | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True))
-        + " |"
-        for line in cells
-    ]
-    table.insert(1, "|" + "|".join("-" * (width + 2) for width in widths) + "|")
-    return "\n".join([*table, *notes])
+    blocks: list[list[int]] = [[]]
+    free = least = (width or 10**9) - 1 - sum(3 + widths[index] for index in range(keys))
+    for index in range(keys, len(widths)):
+        if blocks[-1] and free < 3 + widths[index]:
+            blocks.append([])
+            free = least
+        blocks[-1].append(index)
+        free -= 3 + widths[index]
+    lines: list[str] = []
+    for block in blocks:
+        chosen = [*range(keys), *block]
+        table = [
+            f"| {' | '.join(line[index].ljust(widths[index]) for index in chosen)} |"
+            for line in cells
+        ]
+        table.insert(1, f"|{'|'.join('-' * (widths[index] + 2) for index in chosen)}|")
+        lines += [*([""] if lines else []), *table]
+    return lines
 
 
-def write_json(rows: Sequence[Row], path: Path) -> None:
+def write_json(rows: Sequence[Row], path: Path, differences: "Sequence[Difference]" = ()) -> None:
     """Write every figure of every row; one that nothing was measured for is null.
+
+    A row of a model that was compared has "differences": figure -> value, low, high and verdict,
+    and "against", the model that it was compared with.
 
     Raises:
         OutputError: if the file cannot be written.
     """
-    documents = [_without_nan(asdict(row)) for row in rows]
+    documents = []
+    for row in rows:
+        document = asdict(row)
+        for item in differences:
+            if (item.model, item.data, item.lidar, item.fault) == row.key:
+                document["against"] = item.against
+                document["differences"] = {
+                    figure: {**each._asdict(), "verdict": item.verdict(figure)}
+                    for figure, each in item.figures.items()
+                }
+        documents.append(_without_nan(document))
     atomic_write(path, json.dumps(documents, indent=2, allow_nan=False).encode())
 
 

@@ -14,13 +14,17 @@ from models import CLASS_TABLES, load_checkpoint
 from models.training_facts import TrainingFacts
 from runtime.base.errors import InputError, SSDNetError
 from runtime.contract.contract import ClassInfo
+from runtime.contract.model_file import has_metadata
 from runtime.contract.network_size import NetworkSize, check_network_size, network_size
 from runtime.engine.predictor import Predictor
 from runtime.engine.preprocess import clean_sparse_depth
 from training.datasets.class_mapping import ClassTable
+from training.datasets.sample import Sample
 from training.distributed import open_device, parse_device
 from training.evaluation.classical import CompletionMethod, create_method
+from training.evaluation.foreign import open_foreign
 from training.evaluation.metrics import FARTHEST_M
+from training.evaluation.predictions import Predictions
 from training.evaluation.scoring import HeadMaps, Predict, torch_predict
 
 
@@ -32,11 +36,29 @@ class ScoredModel:
         predict: answers one frame.
         engine: how it runs: "torch on cpu", "onnxruntime on cpu", "no network".
         table: the classes whose ids or boundaries it answers, see `trained_classes`; () of neither.
+        is_canonical: whether its distances depend on the focal length of the frame.
+        recorded: the answers themselves, where there is no network to run.
     """
 
     predict: Predict
     engine: str
     table: ClassTable = ()
+    is_canonical: bool = False
+    recorded: Predictions | None = None
+
+    def predict_frame(
+        self, sample: Sample, fed: NDArray[np.float32], image_name: str | None
+    ) -> HeadMaps:
+        """Return the answer to a frame.
+
+        Args:
+            sample: the frame.
+            fed: float32 (H, W) [m], its LiDAR input.
+            image_name: stem of its image, by which recorded answers are found; None = not known.
+        """
+        if self.recorded is not None:
+            return self.recorded.read(sample, image_name)
+        return self.predict(sample.rgb, fed, sample.focal_length_px)
 
 
 def trained_classes(classes: tuple[ClassInfo, ...], training: Mapping[str, Any]) -> ClassTable:
@@ -66,15 +88,23 @@ def _class_table(
 
 @contextmanager
 def open_scored_model(
-    path: Path, *, device: str = "cpu", threads: int = 2, size: NetworkSize = None
+    path: Path,
+    *,
+    device: str = "cpu",
+    threads: int = 2,
+    size: NetworkSize = None,
+    adapters: list[Path] | None = None,
 ) -> Iterator[ScoredModel]:
     """Open ``*.pt`` through PyTorch, ``*.onnx`` through the engine that ships.
+
+    An ``*.onnx`` of others runs in ONNX Runtime as its adapter says, see `open_foreign`.
 
     Args:
         path: a checkpoint or an exported model.
         device: "cpu", "cuda" or "cuda:N".
         threads: of the processor.
         size: at which it runs, as `Predictor` takes it.
+        adapters: those of networks of others; the first is taken out if this is one.
 
     Yields:
         The model; an exported one is closed at the end.
@@ -98,7 +128,20 @@ def open_scored_model(
             ),
             f"torch on {device}",
             _class_table(network.heads, network.config.classes, checkpoint.training),
+            network.config.canonical_focal_px is not None and "depth" in network.heads,
         )
+    elif path.suffix == ".onnx" and not has_metadata(path):
+        place, adapter = parse_device(device), adapters.pop(0) if adapters else None
+        with open_foreign(
+            *(path, adapter),
+            provider=place.type,
+            device_id=place.index or 0,
+            threads=threads,
+            size=size,
+        ) as foreign:
+            is_canonical = foreign.adapter.canonical_focal_px is not None
+            engine = f"onnxruntime on {place.type}"
+            yield ScoredModel(foreign, engine, foreign.table, is_canonical)
     elif path.suffix == ".onnx":
         place = parse_device(device)
         with Predictor(
@@ -109,6 +152,7 @@ def open_scored_model(
                 engine_predict(predictor),
                 f"onnxruntime on {place.type}",
                 _class_table(predictor.heads, contract.classes, contract.training),
+                contract.canonical_focal_px is not None and "depth" in predictor.heads,
             )
     else:
         raise InputError(f"{path}: expected a checkpoint (*.pt) or an exported model (*.onnx).")
@@ -121,6 +165,20 @@ def open_method(name: str) -> ScoredModel:
         InputError: for an unknown name.
     """
     return ScoredModel(method_predict(create_method(name)), "no network")
+
+
+def open_predictions(text: str) -> ScoredModel:
+    """Open a folder of answers, DIR[,KEY=VALUE...], see `Predictions`.
+
+    Raises:
+        InputError, DatasetError: for other keys, and what is no folder.
+    """
+    recorded = Predictions.parse(text)
+
+    def refuse(*_: object) -> HeadMaps:
+        raise InputError(f"{recorded.folder}: answers that are read by the names of their frames")
+
+    return ScoredModel(refuse, "predictions", recorded.table, recorded=recorded)
 
 
 def method_predict(method: CompletionMethod) -> Predict:

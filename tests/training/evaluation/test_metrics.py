@@ -147,7 +147,7 @@ def test_disparity_errors_equal_the_hand_computed_ones():
     other.update(answer[:, 2:], depth[:, 2:], 400.0)
     scores.merge(other)
     # 400 / 10 - 400 / 20 = 20 px; 0; unknown; 0 m is taken as 0.1 m: 4000 - 10 px; too far.
-    assert scores.pixels == 3
+    assert scores.sums[0] == 3
     assert scores.figures("px") == {
         "mae_px": pytest.approx((20 + 0 + 3990) / 3),
         "rmse_px": pytest.approx(math.sqrt((20**2 + 3990**2) / 3)),

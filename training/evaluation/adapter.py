@@ -1,0 +1,242 @@
+"""What `ssdnet-eval` must know of a network of others: a TOML file beside its ONNX file.
+
+The keys are the fields of `Adapter`; those that are left out are read from the ONNX file.
+"""
+
+import ast
+import json
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from models import CLASS_TABLES
+from runtime.app.tools.bench_worker import make_feeds
+from runtime.base.errors import InputError
+from runtime.contract.contract import MAX_CLASSES, MAX_FOCAL_PX, MAX_NAME_LENGTH, MIN_FOCAL_PX
+from runtime.files.read_input import read_text
+from training.evaluation.metrics import FARTHEST_M
+from training.limits import STRICT, Positive, Side
+from training.recipe import build
+
+Channels = tuple[float, float, float]
+#: Name -> mean and standard deviation of RGB in 0..255.
+NORMALIZATIONS: Mapping[str, tuple[Channels, Channels]] = {
+    "none": ((0, 0, 0), (1, 1, 1)),
+    "0..1": ((0, 0, 0), (255, 255, 255)),
+    "-1..1": ((127.5, 127.5, 127.5), (127.5, 127.5, 127.5)),
+    "imagenet": ((123.675, 116.28, 103.53), (58.395, 57.12, 57.375)),
+}
+_Name = Annotated[str, Field(min_length=1, max_length=MAX_NAME_LENGTH)]
+#: Size at which free axes are filled to see what a network gives [px].
+_PROBED = (256, 512)
+_PLANES = 4  # axes of an image or of scores: batch, channels, rows, columns
+
+
+class MissingAdapterError(InputError):
+    """A network of others has no adapter; ``text`` is one that is filled in from its file."""
+
+    def __init__(self, message: str, text: str) -> None:
+        super().__init__(message)
+        self.text = text
+
+
+@dataclass(frozen=True, config=STRICT)
+class Normalize:
+    """Mean and standard deviation of the channels in 0..255, red first."""
+
+    mean: Channels
+    std: tuple[Positive, Positive, Positive]
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class Adapter:
+    """What goes into a network of others, and what its outputs mean."""
+
+    #: Name of the image's input; the only one, or the one with three channels, by default.
+    rgb: _Name | None = None
+    #: Axes of the image; by default where the file has three channels.
+    layout: Literal["NCHW", "NHWC"] | None = None
+    #: Order of the channels.
+    channels: Literal["RGB", "BGR"] = "RGB"
+    #: What the pixels are: "none" is 0..255.
+    normalize: Literal["none", "0..1", "-1..1", "imagenet"] | Normalize = "none"
+    #: (height, width) or rows that frames are resized to; by default that of the file's input, or
+    #: that of --size.
+    size: tuple[Side, Side] | Side | None = None
+    #: How a frame fits a fixed size: resized on both sides, or in its own aspect with grey around.
+    fit: Literal["stretch", "pad"] = "stretch"
+    #: Multiple to which frames of a free size are padded at the bottom and right.
+    stride: Annotated[int, Field(ge=1, le=1024)] = 1
+    #: Name of the input of LiDAR depth, 0 = none; None = there is no such input.
+    sparse_depth: _Name | None = None
+    #: Its units per metre.
+    sparse_depth_scale: Positive = 1.0
+    #: Name of the output of the classes; None = there is none.
+    semantic: _Name | None = None
+    #: "scores", a plane a class, or "ids"; by default what its shape says.
+    semantic_is: Literal["scores", "ids"] | None = None
+    #: Names of the classes in the order of ids, or of a table in `models.CLASS_TABLES`.
+    classes: (
+        Literal["camvid", "cityscapes", "virtual_kitti"]
+        | Annotated[tuple[_Name, ...], Field(max_length=MAX_CLASSES)]
+    ) = ()
+    #: Stride of the grid on which classes are decided, then repeated. None = the frame's pixels, to
+    #: which scores are interpolated.
+    class_stride: Annotated[int, Field(ge=1, le=64)] | None = None
+    #: Name of the output of the depth; None = there is none.
+    depth: _Name | None = None
+    #: Along the optical axis, or its inverse.
+    depth_is: Literal["depth", "inverse"] = "depth"
+    #: Its units per metre; of an inverse depth, its units per 1/m.
+    depth_scale: Positive = 1.0
+    #: The range to which returns are clipped [m].
+    max_depth_m: Positive = FARTHEST_M
+    #: Focal length [px] of the camera in whose metres the network works, see
+    #: `runtime.contract.canonical_focal`; None = plain metres.
+    canonical_focal_px: Annotated[float, Field(ge=MIN_FOCAL_PX, le=MAX_FOCAL_PX)] | None = None
+
+    def __post_init__(self) -> None:
+        """Check that there is an output, and that its classes are named."""
+        if self.semantic is None and self.depth is None:
+            raise ValueError("semantic and depth: name the output of one of them, or of both")
+        if self.semantic is not None and not self.classes:
+            raise ValueError('classes: name them in the order of ids, or a table ("cityscapes")')
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the classes."""
+        if isinstance(self.classes, str):
+            return tuple(info.name for info in CLASS_TABLES[self.classes])
+        return self.classes
+
+    @property
+    def color_scale(self) -> tuple[Channels, Channels]:
+        """Mean and standard deviation of RGB in 0..255."""
+        if isinstance(self.normalize, str):
+            return NORMALIZATIONS[self.normalize]
+        return self.normalize.mean, self.normalize.std
+
+
+def read_adapter(path: Path) -> Adapter:
+    """Read an adapter. Raises InputError for another file, key or value."""
+    try:
+        return build(Adapter, tomllib.loads(read_text(path)))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: is not TOML ({error})") from error
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def channel_axis(shape: Sequence[Any]) -> int | None:
+    """Return the axis of an image's three channels, 1 or 3; None = not certain."""
+    axes = [at for at in (1, 3) if len(shape) == _PLANES and shape[at] == 3]
+    return axes[0] if len(axes) == 1 else None
+
+
+def find_rgb(session: Any) -> Any:
+    """Return the input of the image: the only one, or the first with three channels."""
+    inputs = session.get_inputs()
+    found = [item for item in inputs if channel_axis(item.shape) is not None]
+    return found[0] if found and len(inputs) > 1 else inputs[0]
+
+
+def describe_network(path: Path, session: Any) -> str:
+    """Return an adapter as TOML, filled in as far as the ONNX file tells; its guesses say so.
+
+    Args:
+        path: of the file.
+        session: of ONNX Runtime.
+    """
+    return "\n".join((*_describe(path, session), ""))
+
+
+def _describe(path: Path, session: Any) -> Iterator[str]:
+    facts = session.get_modelmeta().custom_metadata_map
+    rgb = find_rgb(session)
+    axis = channel_axis(rgb.shape)
+    is_bytes = rgb.type == "tensor(uint8)"
+    yield f"# How ssdnet-eval feeds and reads {path.name}. Check the lines that say so."
+    yield f"rgb = {_toml(rgb.name)}  # {_shape(rgb)}"
+    note = "" if axis else "  # guessed: check"
+    yield f"layout = {_toml('NHWC' if axis == 3 else 'NCHW')}{note}"
+    yield 'channels = "RGB"  # guessed: check; or "BGR"'
+    if is_bytes:
+        yield 'normalize = "none"  # the file takes bytes'
+    else:
+        guess = "0..1" if "imgsz" in facts or "names" in facts else "imagenet"
+        known = ", ".join(_toml(name) for name in NORMALIZATIONS)
+        yield f"normalize = {_toml(guess)}  # guessed: check; one of {known},"
+        yield "#   or { mean = [123.7, 116.3, 103.5], std = [58.4, 57.1, 57.4] } in 0..255"
+    rows, columns = (rgb.shape[at] for at in ((1, 2) if axis == 3 else (2, 3)))
+    if isinstance(rows, int) and isinstance(columns, int):
+        fit = "pad" if "imgsz" in facts else "stretch"
+        yield f'fit = {_toml(fit)}  # to {rows} x {columns}; guessed: check; "stretch" or "pad"'
+    else:
+        yield "# size = 512  # rows, or [rows, columns]; --size by default"
+        yield f"stride = {facts.get('stride', '32')}  # sides are padded to a multiple; check"
+    for item in session.get_inputs():
+        if item.name != rgb.name:
+            yield f"sparse_depth = {_toml(item.name)}  # {_shape(item)}; guessed: check; in metres"
+    yield from _describe_outputs(session, facts)
+
+
+def _describe_outputs(session: Any, facts: Mapping[str, str]) -> Iterator[str]:
+    known = _class_names(facts)
+    heads: dict[str, str] = {}
+    for item, values in zip(session.get_outputs(), _probe(session), strict=True):
+        shape = item.shape if values is None else values.shape
+        axes = [side for side in shape[1:] if side != 1]
+        is_float = item.type in ("tensor(float)", "tensor(float16)", "tensor(double)")
+        kind = "semantic" if len(axes) == _PLANES - 1 or not is_float else "depth"
+        text = f"{kind} = {_toml(item.name)}  # {_shape(item)}; guessed: check"
+        if len(axes) not in (_PLANES - 2, _PLANES - 1) or kind in heads:
+            yield f"# an output that is not read: {item.name}  # {_shape(item)}"
+            continue
+        heads[kind] = item.name
+        yield text
+        if kind == "depth":
+            yield 'depth_is = "depth"  # guessed: check; or "inverse"'
+            yield "depth_scale = 1.0  # units per metre, or per 1/m; guessed: check"
+            continue
+        planes = [side for side in (shape[1], shape[-1]) if isinstance(side, int)]
+        tables = [name for name, table in CLASS_TABLES.items() if len(table) in planes]
+        if known:
+            yield f"classes = {json.dumps(known, ensure_ascii=False)}"
+        elif len(axes) == _PLANES - 1 and tables:
+            yield f"classes = {_toml(tables[0])}  # guessed by their number: check"
+        else:
+            tables = list(CLASS_TABLES)
+            yield f"classes = []  # FILL IN: names in the order of ids, or one of {tables}"
+
+
+def _class_names(facts: Mapping[str, str]) -> list[str]:
+    """Return the names that exporters of YOLO keep, "{0: 'road', ...}"; [] without any."""
+    try:
+        names = ast.literal_eval(facts.get("names", ""))
+    except (ValueError, SyntaxError):
+        return []
+    if isinstance(names, dict):
+        names = [names[key] for key in sorted(names)]
+    return [str(name) for name in names] if isinstance(names, list) else []
+
+
+def _probe(session: Any) -> list[np.ndarray | None]:
+    """Return what the network gives for noise; None for each output if it refuses this."""
+    try:
+        feeds, _ = make_feeds(session.get_inputs(), size=_PROBED, batch=1)
+        return list(session.run(None, feeds))
+    except Exception:  # of any type: an input that cannot be made, or a size that it does not take
+        return [None] * len(session.get_outputs())
+
+
+def _shape(item: Any) -> str:
+    return f"{item.type.removeprefix('tensor(').rstrip(')')} {list(item.shape)}"
+
+
+def _toml(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)

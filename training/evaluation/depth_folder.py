@@ -1,0 +1,56 @@
+"""The folder of `ssdnet-eval --save`: the depth of every answer."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.app.encode import encode_metres
+from runtime.base.errors import InputError, OutputError
+from runtime.files.atomic_write import atomic_write, require_writable
+from runtime.files.own_folder import require_folder_free
+
+
+@dataclass(frozen=True)
+class DepthFolder:
+    """Where depth is written: ``folder/MODEL/SET/LIDAR/FRAME.png``, 16-bit, metres x 256.
+
+    Attributes:
+        folder: is made with the first depth.
+        overwrite: whether depth of the same names is replaced.
+    """
+
+    folder: Path
+    overwrite: bool = False
+
+    def require_free(self) -> None:
+        """Raise an OutputError for a folder with other files or that cannot be written."""
+        if not self.folder.is_dir():
+            require_folder_free(self.folder, overwrite=self.overwrite)
+        elif any(self.folder.iterdir()) and not self.overwrite:
+            raise OutputError(
+                f"{self.folder} is not empty: choose another --save, or replace depth of the same "
+                "names with --overwrite"
+            )
+        else:
+            require_writable(self.folder / "depth.png")
+
+    def write(self, parts: Sequence[str], depth: NDArray[np.float32] | None) -> None:
+        """Write a depth, float32 (H, W) [m], to the file of these folders and this name.
+
+        Raises InputError if there is no depth, OutputError if the file cannot be written.
+        """
+        if depth is None:
+            raise InputError(
+                f"{parts[0]} predicts no depth to write with --save; leave that model out."
+            )
+        names = [re.sub(r"[^\w.-]+", "_", part).lstrip(".") or "_" for part in parts]
+        path = self.folder.joinpath(*names[:-1], f"{names[-1]}.png")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"{path.parent}: cannot be made: {error.strerror}") from error
+        atomic_write(path, encode_metres(depth), overwrite=self.overwrite)

@@ -1,0 +1,158 @@
+"""Whether two models differ on the same frames: paired differences with a 95 % interval.
+
+The bootstrap (Efron and Tibshirani 1993) draws the frames again and again with replacement, the
+same ones for both models, and takes the 2.5th and the 97.5th percentile of the difference. Where
+places or drives are known, it draws whole ones: neighbouring frames are alike, and as single frames
+they would make the interval too narrow.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.evaluation.metrics import class_iou
+from training.evaluation.score_set import FrameScore, Result
+
+#: Draws, and their seed.
+_DRAWS, _SEED = 2000, 0
+#: Places or drives from which they are drawn instead of frames.
+LEAST_GROUPS = 5
+#: Draws that are computed at once.
+_CHUNK = 100
+
+
+class Interval(NamedTuple):
+    """A difference with its 95 % interval, a share or metres."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A model against another on the frames of one set with one input.
+
+    Attributes:
+        model: that is judged.
+        against: what it is compared with.
+        data: the set.
+        lidar: the input.
+        fault: of the input.
+        frames: number of frames.
+        groups: number of places or drives that were drawn; 0 = single frames were.
+        figures: "miou", "mae_m" and "rmse_m" -> value of the model minus that of the other, for
+            those that both have.
+    """
+
+    model: str
+    against: str
+    data: str
+    lidar: str
+    fault: str
+    frames: int
+    groups: int
+    figures: Mapping[str, Interval] = field(default_factory=dict)
+
+    def verdict(self, figure: str) -> str:
+        """Return "better", "worse" or "not distinguishable on N frames"."""
+        _, low, high = self.figures[figure]
+        if low <= 0 <= high or self.frames < 2:
+            return f"not distinguishable on {self.sample}"
+        return "better" if (low > 0) == (figure == "miou") else "worse"
+
+    @property
+    def sample(self) -> str:
+        """What the verdict rests on, in words."""
+        frames = f"{self.frames} frame{'s' * (self.frames != 1)}"
+        return f"{frames} of {self.groups} places" if self.groups else frames
+
+
+def compare(results: Sequence[Result]) -> list[Difference]:
+    """Compare every other model with the first one, on each set with each input.
+
+    Args:
+        results: of `evaluate`, models in their order.
+    """
+    firsts: dict[tuple[str, str, str], Result] = {}
+    found = []
+    for result in results:
+        row = result.row
+        first = firsts.setdefault((row.data, row.lidar, row.fault), result)
+        if first is not result and (figures := dict(_differences(first, result))):
+            groups = len({frame.group for frame in result.frames})
+            found.append(
+                Difference(
+                    *(row.model, first.row.model, row.data, row.lidar, row.fault),
+                    frames=len(result.frames),
+                    groups=groups if groups >= LEAST_GROUPS else 0,
+                    figures=figures,
+                )
+            )
+    return found
+
+
+def _differences(first: Result, second: Result) -> Iterator[tuple[str, Interval]]:
+    pair = [{frame.index: frame for frame in result.frames} for result in (first, second)]
+    indices = sorted(set.intersection(*map(set, pair)))
+    frames = [[found[index] for index in indices] for found in pair]
+    names = [frame.group for frame in frames[0]]
+    if len(set(names)) < LEAST_GROUPS:
+        names = [str(index) for index in indices]
+    group = np.unique(names, return_inverse=True)[1]
+    weights = np.random.default_rng(_SEED).multinomial(
+        len(set(names)), np.full(len(set(names)), 1 / len(set(names))), size=_DRAWS
+    )
+    for sums, figures in ((_confusions, _mean_iou), (_depths, _errors)):
+        totals = [_by_group(sums(found), group) for found in frames]
+        if not all(total.any() for total in totals):
+            continue
+        whole = [figures(total.sum(axis=0)[None]) for total in totals]
+        drawn = [
+            np.concatenate(
+                [
+                    figures(np.tensordot(weights[at : at + _CHUNK], total, 1))
+                    for at in range(0, _DRAWS, _CHUNK)
+                ]
+            )
+            for total in totals
+        ]
+        bounds = np.nanpercentile(drawn[1] - drawn[0], (2.5, 97.5), axis=0)
+        keys = ("miou",) if sums is _confusions else ("mae_m", "rmse_m")
+        for at, key in enumerate(keys):
+            value = (whole[1] - whole[0])[0, at]
+            yield key, Interval(float(value), *bounds[:, at].tolist())
+
+
+def _by_group(values: NDArray[np.float64], group: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Add up values (frames, ...) of each group: (groups, ...)."""
+    sums = np.zeros((group.max() + 1, *values.shape[1:]))
+    np.add.at(sums, group, values)
+    return sums
+
+
+def _confusions(frames: Sequence[FrameScore]) -> NDArray[np.float64]:
+    return np.stack([frame.confusion for frame in frames]).astype(np.float64)
+
+
+def _depths(frames: Sequence[FrameScore]) -> NDArray[np.float64]:
+    return np.stack([frame.depth for frame in frames])
+
+
+def _mean_iou(confusion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean over the classes that occur, (draws, 1); NaN where none does."""
+    iou = class_iou(confusion)
+    known = ~np.isnan(iou)
+    with np.errstate(invalid="ignore"):
+        mean = np.where(known, iou, 0).sum(axis=-1, keepdims=True) / known.sum(-1, keepdims=True)
+    return np.asarray(mean)
+
+
+def _errors(depth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return MAE and RMSE [m], (draws, 2); NaN where no pixel was drawn."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        means = depth[:, 1:] / depth[:, :1]
+    return np.stack([means[:, 0], np.sqrt(means[:, 1])], axis=-1)

@@ -1,0 +1,161 @@
+"""Answers that were written by others: scored by the names of the frames, without their network."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from pydantic.dataclasses import dataclass as checked
+
+from runtime.base.errors import DatasetError, InputError
+from runtime.contract.contract import ClassInfo
+from runtime.recordings.images import KITTI_DEPTH_SCALE
+from training.datasets.class_mapping import ClassTable
+from training.datasets.files import read_depth, read_gray, require_folder, require_size
+from training.datasets.sample import Sample
+from training.evaluation.scoring import HeadMaps
+from training.limits import STRICT, Positive
+from training.recipe import build, parse_pairs
+
+_SUFFIXES = (".png", ".npy")
+#: Folders of a kind, as `ssdnet-run` writes them; without them the files tell what they are.
+_HEADS = ("semantic", "depth")
+
+
+@checked(frozen=True, kw_only=True, config=STRICT)
+class PredictionOptions:
+    """Keys of ``--predictions DIR,KEY=VALUE``."""
+
+    #: What the ids are: a name in `models.CLASS_TABLES`, or the names in their order; those of the
+    #: set by default.
+    classes: (
+        Literal["camvid", "cityscapes", "virtual_kitti"]
+        | Annotated[tuple[str, ...], Field(min_length=1, max_length=255)]
+        | None
+    ) = None
+    #: Units of 16-bit PNGs and integers per metre.
+    depth_scale: Positive = KITTI_DEPTH_SCALE
+
+
+@dataclass(frozen=True)
+class Predictions:
+    """A folder of answers, a file a frame: PNGs of 8 bits are ids, of 16 bits depth, or ``.npy``.
+
+    Attributes:
+        folder: with the files, or with the folders "semantic" and "depth" of them.
+        options: what ids and depth mean.
+    """
+
+    folder: Path
+    options: PredictionOptions
+
+    @classmethod
+    def parse(cls, text: str) -> "Predictions":
+        """Read DIR[,KEY=VALUE...]. Raises InputError, DatasetError for what is no folder."""
+        folder, table = parse_pairs("--predictions", text, lambda _: PredictionOptions)
+        try:
+            options = build(PredictionOptions, table)
+        except InputError as error:
+            raise InputError(f"--predictions {text!r}: {error}") from error
+        return cls(require_folder(Path(folder), "a PNG or .npy file for every frame"), options)
+
+    @property
+    def table(self) -> ClassTable:
+        """The classes of the ids; () = those of the set."""
+        classes = self.options.classes or ()
+        if isinstance(classes, str):
+            return classes
+        return tuple(ClassInfo(name, (0, 0, 0)) for name in classes)
+
+    def read(self, sample: Sample, image_name: str | None) -> HeadMaps:
+        """Return the answers of a frame.
+
+        Args:
+            sample: the frame.
+            image_name: stem of its image; None = not known.
+
+        Raises:
+            DatasetError: if there is no file of its name, or one of another kind or size.
+        """
+        found = {
+            head: self._read(path, sample)
+            for head, files in self._files.items()
+            if (path := _find(files, sample.name, image_name)) is not None
+        }
+        if len(found) < len(self._files):
+            name = image_name or sample.name
+            missing = next(head for head in self._files if head not in found)
+            raise DatasetError(
+                f"{self.folder}: has no {missing or 'file'} of the frame {name} "
+                f"({' or '.join(f'{name}{suffix}' for suffix in _SUFFIXES)}). Every frame that is "
+                "scored needs one: add it, or take the frame out of --data with first, last or "
+                "split."
+            )
+        maps: dict[str, NDArray[np.generic]] = {}
+        for head, values in found.items():
+            maps[head or ("semantic" if values.dtype == np.uint8 else "depth")] = values
+        return HeadMaps(**maps)  # type: ignore[arg-type]
+
+    @cached_property
+    def _files(self) -> Mapping[str, Mapping[str, Path]]:
+        """Head, or "" for files that tell themselves, -> name without suffix -> file."""
+        below = [head for head in _HEADS if (self.folder / head).is_dir()]
+        found = {head: _list_files(self.folder / head) for head in below or [""]}
+        if empty := [self.folder / head for head, files in found.items() if not files]:
+            raise DatasetError(f"{empty[0]}: has no .png and no .npy files; expected one a frame.")
+        return found
+
+    def _read(self, path: Path, sample: Sample) -> NDArray[np.uint8] | NDArray[np.float32]:
+        scale = self.options.depth_scale
+        if path.suffix == ".npy":
+            return _read_array(path, sample.size, scale)
+        header = path.open("rb").read(26)
+        if len(header) == 26 and header[24:26] == b"\x10\x00":  # 16 bits, gray
+            return read_depth(path, sample.size, depth_scale=scale)
+        return read_gray(path, np.uint8, sample.size)
+
+
+def _list_files(folder: Path) -> dict[str, Path]:
+    paths = sorted(path for path in folder.rglob("*") if path.suffix in _SUFFIXES)
+    return {path.relative_to(folder).with_suffix("").as_posix(): path for path in paths}
+
+
+def _find(files: Mapping[str, Path], frame: str, image_name: str | None) -> Path | None:
+    """Return the file of a frame: of its whole name, else of its last parts, else of its image."""
+    parts = frame.split("/")
+    names = ["/".join(parts[first:]) for first in range(len(parts))]
+    names += [] if image_name is None else [image_name]
+    return next((files[name] for name in names if name in files), None)
+
+
+def _read_array(
+    path: Path, size: tuple[int, int], depth_scale: float
+) -> NDArray[np.uint8] | NDArray[np.float32]:
+    try:
+        values: NDArray[Any] = np.squeeze(np.load(path, allow_pickle=False))
+    except (OSError, ValueError, EOFError) as error:
+        raise DatasetError(
+            f"{path}: cannot be read ({error}). Write it with numpy.save."
+        ) from error
+    require_size(path, values.shape, size)
+    if values.ndim != 2 or values.dtype.kind not in "fiu":
+        raise DatasetError(
+            f"{path}: is {values.dtype} {values.shape}; expected a map (height, width) of integers "
+            "(class ids) or of floats (depth in metres)."
+        )
+    if values.dtype.kind == "f":
+        if not np.isfinite(values).all():
+            raise DatasetError(f"{path}: has depth that is not finite; write 0 for no depth.")
+        return np.asarray(values, np.float32)
+    if path.parent.name == "depth":
+        return np.asarray(values / depth_scale, np.float32)
+    if values.min() < 0 or values.max() > 255:
+        raise DatasetError(
+            f"{path}: integers up to {values.max()}; expected class ids from 0 to 255. Write depth "
+            "as floats in metres."
+        )
+    return np.asarray(values, np.uint8)

@@ -1,0 +1,245 @@
+"""The score of one model on one set, with every LiDAR input and fault."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from statistics import median
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from runtime.base.errors import InputError
+from training.datasets.class_mapping import list_classes
+from training.datasets.sample import IGNORE, Sample, SampleSource
+from training.evaluation.depth_folder import DepthFolder
+from training.evaluation.score_report import Row
+from training.evaluation.scored_model import ScoredModel
+from training.evaluation.scoring import HeadMaps, Scores, figures_over_places
+from training.evaluation.shared_classes import ScoredClasses
+from training.lidar.faults import Fault, add_fault
+from training.lidar.split import LidarInput, LidarSplit, frame_generator, split_lidar
+
+#: A LiDAR input and its fault.
+Feed = tuple[LidarInput, Fault]
+
+
+@dataclass(frozen=True)
+class EvaluatedSet:
+    """A data set that is open, the frames of it that are scored, and their classes."""
+
+    title: str
+    source: SampleSource
+    classes: ScoredClasses
+    indices: Sequence[int]
+
+    def read(self, index: int) -> tuple[Sample, bool]:
+        """Return a frame with labels in the scored classes, and whether it has any label."""
+        sample = self.source[index]
+        labelled = bool((sample.semantic != IGNORE).any())
+        if "semantic" in sample.targets:
+            lookup = self.classes.lookup(self.classes.table, IGNORE)
+            sample = sample.with_targets(semantic=lookup[sample.semantic])
+        return sample, labelled
+
+    def answer(
+        self, model: ScoredModel, sample: Sample, fed: NDArray[np.float32], index: int
+    ) -> HeadMaps:
+        """Return a model's answer to a frame, with ids of the scored classes."""
+        answer = model.predict_frame(sample, fed, self.image_name(index))
+        if answer.semantic is None:
+            return answer
+        table = model.table or self.classes.table
+        highest, count = (
+            answer.semantic[answer.semantic != IGNORE].max(initial=0),
+            len(list_classes(table)),
+        )
+        if highest >= count:
+            raise InputError(
+                f"{sample.name}: the answer has the class id {highest}, and there are {count} "
+                "classes: name those of the answers, with classes in an adapter or in "
+                "--predictions DIR,classes=cityscapes"
+            )
+        lookup = self.classes.lookup(table, len(self.classes.names))
+        return answer._replace(semantic=lookup[answer.semantic])
+
+    def image_name(self, index: int) -> str | None:
+        """Return the stem of a frame's image; None where the set does not know its files."""
+        images = getattr(self.source, "images", ())
+        return images[index].stem if images else None
+
+    def group(self, sample: Sample, index: int) -> str:
+        """Return the place or the drive of a frame: frames of one are alike."""
+        images = getattr(self.source, "images", ())
+        return sample.place or (str(images[index].parent) if images else "")
+
+
+@dataclass(frozen=True)
+class FrameScore:
+    """What a frame adds to the sums, for differences between models and for the worst frames.
+
+    Attributes:
+        index: in the set.
+        name: of the frame.
+        group: its place or drive; "" where none is known.
+        confusion: int64 (C, C + 1), see `SemanticScores`.
+        depth: float64 (3,), scored pixels, sum of |error| [m] and of its square.
+    """
+
+    index: int
+    name: str
+    group: str
+    confusion: NDArray[np.int64]
+    depth: NDArray[np.float64]
+
+    def error(self, head: str) -> float | None:
+        """Return the share of wrong pixels, or the MAE [m]; None where nothing is scored."""
+        if head == "semantic":
+            pixels = self.confusion.sum()
+            return float(1 - np.trace(self.confusion) / pixels) if pixels else None
+        return float(self.depth[1] / self.depth[0]) if self.depth[0] else None
+
+
+@dataclass(frozen=True)
+class Result:
+    """What one model scored on one set with one input.
+
+    Attributes:
+        row: its figures.
+        feed: the LiDAR input and its fault.
+        scores: the counts behind the figures.
+        frames: the part of each frame.
+        classes: names of the scored classes.
+    """
+
+    row: Row
+    feed: Feed
+    scores: Scores
+    frames: Sequence[FrameScore]
+    classes: tuple[str, ...]
+
+
+@dataclass
+class _Tally:
+    """What one input has scored so far."""
+
+    classes: int
+    places: dict[str | None, Scores] = field(default_factory=dict)
+    frames: list[FrameScore] = field(default_factory=list)
+    was_fed: bool = False
+
+    def add(self, answer: HeadMaps, frame: LidarSplit, index: int, group: str) -> None:
+        scores = Scores(self.classes)
+        scores.update(answer, frame)
+        name, place = frame.sample.name, frame.sample.place
+        self.frames.append(
+            FrameScore(index, name, group, scores.semantic.confusion.copy(), scores.depth.sums)
+        )
+        if place in self.places:
+            self.places[place].merge(scores)
+        else:
+            self.places[place] = scores
+
+    def total(self) -> Scores:
+        total = Scores(self.classes)
+        for part in self.places.values():
+            total.merge(part)
+        return total
+
+
+def score_set(
+    name: str,
+    model: ScoredModel,
+    data: EvaluatedSet,
+    feeds: Sequence[Feed],
+    *,
+    save: DepthFolder | None = None,
+    leave_out_fed: bool = False,
+) -> list[Result]:
+    """Score a model on a set, see `evaluate`, which describes the arguments.
+
+    Returns:
+        A result for each input that the set can give.
+
+    Raises:
+        InputError: for a LiDAR that feeds the depth to score, unless it is to be left out.
+    """
+    tallies = {feed: _Tally(len(data.classes.names)) for feed in feeds}
+    labelled, times_ms, without_focal = False, list[float](), 0
+    for index in tqdm(data.indices, desc=f"{name}, {data.title}", disable=None):
+        sample, has_labels = data.read(index)  # once: reading it may cost more than an answer
+        labelled |= has_labels
+        without_focal += sample.focal_length_px is None
+        answers: dict[str, HeadMaps] = {}  # all inputs without returns share one answer
+        for feed, label, frame, fed in split_feeds(
+            sample, index, feeds, leave_out_fed=leave_out_fed
+        ):
+            tallies[feed].was_fed |= bool(frame.fed.any())
+            if label not in answers:
+                started = perf_counter()
+                answers[label] = data.answer(model, sample, fed, index)
+                times_ms.append(1e3 * (perf_counter() - started))
+                if save is not None:
+                    parts = (name, data.title, label, *sample.name.split("/"))
+                    save.write(parts, answers[label].depth)
+            tallies[feed].add(answers[label], frame, index, data.group(sample, index))
+    results: dict[tuple[str, str], Result] = {}
+    for feed, tally in tallies.items():
+        key = (str(feed[0]), feed[1]) if tally.was_fed else ("none", "none")
+        if not tally.frames or key in results:
+            continue
+        total = tally.total()
+        figures, by_place = _figures(total, tally.places, data.classes.names)
+        row = Row(
+            *(name, model.engine, data.title, *key, total.frames, figures),
+            places=by_place,
+            figures_over_places=figures_over_places(by_place.values()),
+            heads=sorted(total.heads),
+            labelled=total.labelled(data.classes.names),
+            left_out=data.classes.left_out if labelled and model.table else "",
+            unscored=total.unscored(),
+            latency_ms=median(times_ms) if model.recorded is None and times_ms else None,
+            without_focal=without_focal if model.is_canonical else 0,
+        )
+        results[key] = Result(row, feed, total, tally.frames, data.classes.names)
+    return list(results.values())
+
+
+def split_feeds(
+    sample: Sample, index: int, feeds: Sequence[Feed], *, leave_out_fed: bool
+) -> Iterator[tuple[Feed, str, LidarSplit, NDArray[np.float32]]]:
+    """Yield the inputs that a frame gives: what it is called, the split, and what is fed."""
+    for feed in feeds:
+        lidar, fault = feed
+        rng = frame_generator(index)  # the same for every model, whatever the limit
+        frame = split_lidar(sample, lidar, rng)
+        if frame is None:
+            continue
+        if frame.target.any() and np.array_equal(frame.fed, frame.target):
+            if leave_out_fed:
+                continue
+            raise InputError(
+                f"{sample.name}: with the LiDAR {str(lidar)!r} the input is the depth to "
+                "score, so that an error of 0 would mean nothing. Feed a share with --lidar "
+                "random:0.5, or give denser depth."
+            )
+        if not frame.fed.any():
+            yield feed, "none", frame, frame.fed
+            continue
+        label = str(lidar) if fault == "none" else f"{lidar}-{fault}"
+        yield feed, label, frame, add_fault(frame.fed, fault, rng)
+
+
+def _figures(
+    total: Scores, places: Mapping[str | None, Scores], names: Sequence[str]
+) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+    """Return the figures of a whole set, and those by place where all frames have one."""
+    figures = total.figures(names)
+    # One threshold for the whole set, not the best threshold of each place.
+    threshold = figures.get("boundary_threshold")
+    by_place = {
+        place: part.figures(names, boundary_threshold=threshold)
+        for place, part in places.items()
+        if place is not None and None not in places and len(places) > 1
+    }
+    return figures, by_place

@@ -1,0 +1,129 @@
+"""The classes in which several models are scored on a set: those that all have, by their names."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.base.errors import InputError
+from training.datasets.class_mapping import ClassTable, is_mapped, list_classes
+from training.datasets.source_recipe import SourceRecipe
+
+
+@dataclass(frozen=True)
+class ScoredClasses:
+    """The classes that all models are scored in on a set, by their names.
+
+    Attributes:
+        table: that the set is opened with.
+        names: of the classes that it and every model with classes have.
+        left_out: the other classes in words; empty without any.
+        joined: class in lower case -> the class that it counts as.
+    """
+
+    table: ClassTable
+    names: tuple[str, ...]
+    left_out: str = ""
+    joined: Mapping[str, str] = field(default_factory=dict)
+
+    def lookup(self, table: ClassTable, others: int) -> NDArray[np.uint8]:
+        """Return a look-up table (256,) from a table's ids to those of `names`, or ``others``."""
+        known = {name.lower(): index for index, name in enumerate(self.names)}
+        names = [self.joined.get(info.name.lower(), info.name) for info in list_classes(table)]
+        ids = np.full(256, others, np.uint8)
+        ids[: len(names)] = [known.get(name.lower(), others) for name in names]
+        return ids
+
+
+def share_classes(
+    recipe: SourceRecipe,
+    title: str,
+    tables: Mapping[str, ClassTable],
+    *,
+    ids: ClassTable | None = None,
+    joined: Mapping[str, str] | None = None,
+) -> ScoredClasses:
+    """Return the classes of a set that models are scored in.
+
+    Those of the models' table if all have the same and the labels are mapped to it, else those that
+    the set and every model have by name, in any case.
+
+    Args:
+        recipe: of the set.
+        title: of the set.
+        tables: model -> its class table, of the models that have one.
+        ids: what the labels of a set are if its recipe names no classes; None = those of the
+            models.
+        joined: see `join_names`.
+
+    Raises:
+        InputError: if the labels are ids of no named classes, and the models have several tables.
+    """
+    joined = joined or {}
+    own = recipe.label_table if recipe.label_table is not None else ids
+    known = {name: _names(table, joined) for name, table in tables.items()}
+    first = next(iter(tables.values()), "camvid")
+    same = len({tuple(map(str.lower, _names(table, {}))) for table in tables.values()}) < 2
+    if own is None and not same:
+        several = "; ".join(
+            f"{name}: {', '.join(_names(table, {}))}" for name, table in tables.items()
+        )
+        raise InputError(
+            f"{title}: its labels are numbers, and the models have different classes ({several}). "
+            'Name the numbers, for example label_ids={0 = "road", 1 = "car"}, or give the folder '
+            "of the run that was trained on them in place of its model."
+        )
+    table = first if own is None or (same and is_mapped(own, first)) else own
+    every = {title: _names(table, joined), **known}
+    names = tuple(
+        name for name in every[title] if all(_holds(found, name) for found in every.values())
+    )
+    alone = {
+        where: [name for name in found if not _holds(names, name)] for where, found in every.items()
+    }
+    left_out = "; ".join(f"{', '.join(found)} ({where})" for where, found in alone.items() if found)
+    if left_out:
+        outcome = (
+            "left out of the mean, as a class must be one of the set and of every model"
+            if names
+            else "classes are not scored, as none of the set is one of every model"
+        )
+        left_out = f"{title}: {outcome}: {left_out}"
+    return ScoredClasses(table, names, left_out, joined)
+
+
+def join_names(groups: Mapping[str, Sequence[str]], tables: Iterable[ClassTable]) -> dict[str, str]:
+    """Return class in lower case -> the class of ``groups`` that it counts as.
+
+    Args:
+        groups: class -> the classes that count as it, such as ``vehicle = ["car", "truck"]``.
+        tables: of the sets and models, to find names that none of them has.
+
+    Raises:
+        InputError: for a class in two groups, or one that no set and no model has.
+    """
+    known = {info.name.lower() for table in tables for info in list_classes(table)}
+    joined: dict[str, str] = {}
+    for group, names in groups.items():
+        for name in names:
+            if name.lower() not in known:
+                raise InputError(
+                    f"{group} = {list(names)}: no set and no model has the class {name!r}; they "
+                    f"have {', '.join(sorted(known)) or 'no classes'}"
+                )
+            if joined.setdefault(name.lower(), group) != group:
+                raise InputError(
+                    f"the class {name!r} is to count as {joined[name.lower()]!r} and as "
+                    f"{group!r}: keep one of them"
+                )
+    return joined
+
+
+def _names(table: ClassTable, joined: Mapping[str, str]) -> tuple[str, ...]:
+    names = (joined.get(info.name.lower(), info.name) for info in list_classes(table))
+    return tuple({name.lower(): name for name in names}.values())
+
+
+def _holds(names: Iterable[str], name: str) -> bool:
+    return name.lower() in {other.lower() for other in names}

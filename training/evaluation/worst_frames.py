@@ -1,0 +1,183 @@
+"""Pictures of the frames with the largest errors: truth, answers, and where these are wrong."""
+
+import colorsys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.app.drawing.overlay import Overlay
+from runtime.app.encode import encode_jpeg
+from runtime.contract.contract import ClassInfo
+from training.datasets.class_mapping import list_classes
+from training.datasets.sample import IGNORE, Sample
+from training.evaluation.metrics import FARTHEST_M, scored
+from training.evaluation.score_set import EvaluatedSet, Result, split_feeds
+from training.evaluation.scored_model import ScoredModel
+from training.evaluation.scoring import HeadMaps
+from training.evaluation.shared_classes import ScoredClasses
+
+_WIDEST, _QUALITY = 420, 80  # of a panel
+#: Depth is wrong from this share of the true depth on.
+WRONG_SHARE = 0.1
+_GOLDEN = 0.618  # of a turn of the hue, between two classes without a colour
+#: BGR of what is right, and of what the model, the other and both have wrong.
+_RIGHT, _WRONG, _OTHER_WRONG, _BOTH_WRONG = (
+    (90, 90, 90),
+    (60, 60, 235),
+    (235, 150, 40),
+    (235, 235, 235),
+)
+
+
+@dataclass(frozen=True)
+class WorstFrame:
+    """A frame with a large error of a model.
+
+    Attributes:
+        model: whose error it is.
+        other: the model that is drawn beside; "" = none.
+        data: the set.
+        lidar: the input.
+        head: "semantic" or "depth".
+        name: of the frame.
+        error: share of wrong pixels, or MAE [m].
+        other_error: of the other model; None = there is none.
+        panels: title -> picture, JPEG.
+    """
+
+    model: str
+    other: str
+    data: str
+    lidar: str
+    head: str
+    name: str
+    error: float
+    other_error: float | None
+    panels: Mapping[str, bytes]
+
+
+def draw_worst(
+    results: Sequence[Result],
+    models: Mapping[str, ScoredModel],
+    sets: Sequence[EvaluatedSet],
+    *,
+    count: int,
+) -> Iterator[WorstFrame]:
+    """Draw the frames with the largest errors of each model, set and head, with the first input.
+
+    Beside each model the first one is drawn, beside the first the second.
+
+    Args:
+        results: see `compare`.
+        models: title -> model, open.
+        sets: open.
+        count: of frames.
+    """
+    for data in sets:
+        found = [result for result in results if result.row.data == data.title]
+        first = [result for result in found if result.feed == found[0].feed]
+        for result in first:
+            other = next((item for item in first if item is not result), None)
+            pair = [item for item in (result, other) if item is not None]
+            for head in ("semantic", "depth"):
+                yield from _draw(pair, models, data, head, count)
+
+
+def _draw(
+    pair: Sequence[Result],
+    models: Mapping[str, ScoredModel],
+    data: EvaluatedSet,
+    head: str,
+    count: int,
+) -> Iterator[WorstFrame]:
+    errors = [
+        {frame.index: error for frame in item.frames if (error := frame.error(head)) is not None}
+        for item in pair
+    ]
+    drawn = [item for item, found in zip(pair, errors, strict=True) if found]
+    if pair[0] not in drawn:
+        return
+    overlay = Overlay(class_colors(data.classes), FARTHEST_M)
+    row = pair[0].row
+    for index in sorted(errors[0], key=lambda index: -errors[0][index])[:count]:
+        sample, _ = data.read(index)
+        ((_, _, frame, fed),) = split_feeds(sample, index, [pair[0].feed], leave_out_fed=False)
+        answers = [data.answer(models[item.row.model], sample, fed, index) for item in drawn]
+        other = drawn[1].row.model if len(drawn) > 1 else ""
+        yield WorstFrame(
+            *(row.model, other, data.title, row.lidar, head, sample.name),
+            errors[0][index],
+            errors[1].get(index) if other else None,
+            _panels(overlay, sample, frame.target, answers, head, [row.model, other]),
+        )
+
+
+def _panels(
+    overlay: Overlay,
+    sample: Sample,
+    target: NDArray[np.float32],
+    answers: Sequence[HeadMaps],
+    head: str,
+    names: Sequence[str],
+) -> dict[str, bytes]:
+    truth = (
+        HeadMaps(semantic=sample.semantic) if head == "semantic" else HeadMaps(depth=_dots(target))
+    )
+    shown = {"truth": truth}
+    for name, answer in zip(names, answers, strict=False):
+        shown[name] = HeadMaps(**{head: getattr(answer, head)})
+    pictures = overlay.panels(sample.rgb, HeadMaps(), widest=_WIDEST)
+    for title, maps in shown.items():
+        (pictures[title],) = overlay.panels(None, maps, widest=_WIDEST).values()
+    if head == "semantic":
+        known = sample.semantic != IGNORE
+        wrong = [answer.semantic != sample.semantic for answer in answers]
+    else:
+        known = scored(target)
+        depths = [answer.depth for answer in answers if answer.depth is not None]
+        wrong = [np.abs(depth - target) > WRONG_SHARE * target for depth in depths]
+    colors = np.zeros((*sample.size, 3), np.uint8)
+    colors[known] = _RIGHT
+    colors[known & wrong[0]] = _WRONG
+    if len(wrong) > 1:
+        colors[known & wrong[1]] = _OTHER_WRONG
+        colors[known & wrong[0] & wrong[1]] = _BOTH_WRONG
+    height, width = next(iter(pictures.values())).shape[:2]
+    if known.mean() < 0.5:  # single returns would vanish
+        window = np.ones((1 + 2 * (sample.size[1] // width), 3), np.uint8)
+        colors = np.asarray(cv2.dilate(colors, window), np.uint8)
+    shrunk = cv2.resize(colors, (width, height), interpolation=cv2.INTER_NEAREST)
+    pictures["where they are wrong" if len(wrong) > 1 else "where it is wrong"] = np.asarray(
+        shrunk, np.uint8
+    )
+    return {
+        title: bytes(encode_jpeg(picture, quality=_QUALITY)) for title, picture in pictures.items()
+    }
+
+
+def _dots(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Enlarge single returns to dots, the nearest in front; a dense depth does not change."""
+    if (depth > 0).mean() > 0.5:
+        return depth
+    nearness = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
+    side = 1 + 2 * max(1, depth.shape[1] // _WIDEST)
+    nearness = np.asarray(cv2.dilate(nearness, np.ones((side, side), np.uint8)))
+    return np.divide(1, nearness, out=np.zeros_like(depth), where=nearness > 0)
+
+
+def class_colors(classes: ScoredClasses) -> tuple[ClassInfo, ...]:
+    """Return the scored classes with the colours of the set, or with colours of their own."""
+    known = {info.name.lower(): info.color for info in list_classes(classes.table)}
+    found = []
+    for at, name in enumerate(classes.names):
+        color = known.get(name.lower(), (0, 0, 0))
+        found.append(ClassInfo(name, color if any(color) else _hue(_GOLDEN * at % 1)))
+    return tuple(found)
+
+
+def _hue(hue: float) -> tuple[int, int, int]:
+    red, green, blue = (round(255 * part) for part in colorsys.hsv_to_rgb(hue, 0.65, 0.9))
+    return red, green, blue
