@@ -89,6 +89,14 @@ def evaluate(
     all_columns: Annotated[
         bool, typer.Option("--all", help="Print all figures instead of the main ones.")
     ] = False,
+    page: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.html",
+            help="Write an HTML page: tables, differences, confusion, errors by distance, "
+            "reliability of the uncertainty, and the ten worst frames of each model.",
+        ),
+    ] = None,
     json: Annotated[Path | None, typer.Option(help="Write all figures to this file.")] = None,
     save: Annotated[
         Path | None,
@@ -99,7 +107,7 @@ def evaluate(
     ] = None,
     overwrite: Annotated[
         bool,
-        typer.Option("--overwrite", help="Replace depth of the same names below --save."),
+        typer.Option("--overwrite", help="Replace depth below --save, and --page."),
     ] = False,
     _version: Version = False,
 ) -> None:
@@ -114,10 +122,12 @@ def evaluate(
         from training.evaluation.depth_folder import DepthFolder
         from training.evaluation.evaluate import evaluate as run
         from training.evaluation.evaluate import read_groups
+        from training.evaluation.page import WORST, write_page
         from training.evaluation.score_report import format_differences, format_table, write_json
 
-        if json is not None:
-            require_writable(json)
+        for file in (json, page):
+            if file is not None:
+                require_writable(file)
         folder = None if save is None else DepthFolder(save, overwrite)
         if folder is not None:
             folder.require_free()
@@ -135,6 +145,7 @@ def evaluate(
                     threads=threads,
                     size=parse_network_size(size),
                     limit=limit,
+                    pictures=0 if page is None else WORST,
                     save=folder,
                 )
             except MissingAdapterError as error:
@@ -145,6 +156,8 @@ def evaluate(
             print_result(text + format_differences(found.differences, width=width))
             if json is not None:
                 write_json(found.rows, json, found.differences)
+            if page is not None:
+                write_page(found, page, overwrite=overwrite)
 
 
 def _parse_faults(text: str) -> list[Any]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -91,10 +91,12 @@ class ForeignNetwork:
         """Answer a frame, see `Predict`."""
         frame = preprocess(
             rgb,
-            sparse_depth,
+            None if self.adapter.sparse_depth is None else sparse_depth,
             size_for=self._size_for,
             scale_for=lambda size: self._scale_for(size, focal_length_px),
         )
+        # What the engine does with returns after the network is no merit of this one.
+        frame = replace(frame, full_size_returns=None)
         canvas, corner = self._canvas(frame.network_size)
         feeds = {self._rgb.name: self._image(frame, canvas, corner)}
         if self.adapter.sparse_depth is not None:

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -151,7 +151,7 @@ def format_table(
     columns = [column for column in known if all_columns or column.main]
     notes = table_notes(rows)
     if len(columns) < len(known):
-        notes.insert(0, f"{len(known) - len(columns)} more figures with --all or --json")
+        notes.insert(0, f"{len(known) - len(columns)} more figures with --all, --page or --json")
     if not scored:
         return "\n".join(notes)
     lay_out = _by_figure if all_columns else _by_model
@@ -162,17 +162,24 @@ def format_differences(differences: "Sequence[Difference]", *, width: int | None
     """Lay the differences between models out as a Markdown table, with a verdict in words each."""
     lines = []
     for against in dict.fromkeys(item.against for item in differences):
+        found = [item for item in differences if item.against == against]
         cells = [["model", "data", "LiDAR", "figure", "change", "95 % interval", f"than {against}"]]
-        for item in (item for item in differences if item.against == against):
-            lidar = item.lidar if item.fault == "none" else f"{item.lidar}, {item.fault}"
-            for column in (column for column in COLUMNS if column.key in item.figures):
-                value, low, high = (column.factor * each for each in item.figures[column.key])
-                change, *interval = (f"{each:+.{column.digits}f}" for each in (value, low, high))
-                verdict = item.verdict(column.key)
-                row = [item.model, item.data, lidar, column.title, change, " to ".join(interval)]
-                cells.append([*row, verdict])
+        for item, row, verdict in difference_rows(found):
+            cells.append([item.model, item.data, *row, verdict])
         lines += ["", *_markdown(cells, keys=4, width=width)]
     return "\n".join(lines)
+
+
+def difference_rows(
+    differences: "Sequence[Difference]",
+) -> "Iterator[tuple[Difference, list[str], str]]":
+    """Yield each difference with input, figure, change and interval in words, and its verdict."""
+    for item in differences:
+        lidar = item.lidar if item.fault == "none" else f"{item.lidar}, {item.fault}"
+        for column in (column for column in COLUMNS if column.key in item.figures):
+            values = [column.factor * each for each in item.figures[column.key]]
+            change, low, high = (f"{value:+.{column.digits}f}" for value in values)
+            yield item, [lidar, column.title, change, f"{low} to {high}"], item.verdict(column.key)
 
 
 def table_notes(rows: Sequence[Row]) -> list[str]:

@@ -50,6 +50,22 @@ class UncertaintyScores(Accumulator):
         self._bins[:, 1] += np.bincount(index, weights=error, minlength=_BINS)
         self._within += [(error <= factor * scale).sum() for factor in (1, 2)]
 
+    def reliability(self, groups: int = 10) -> list[tuple[float, float]]:
+        """Return mean scale and mean |error| [m] of pixels in groups of equal number, by scale.
+
+        The mean |error| of a Laplace distribution is its scale.
+        """
+        pixels = self._bins[:, 0].sum()
+        if not pixels:
+            return []
+        middles = np.geomspace(_LOWEST_M, _HIGHEST_M, _BINS)
+        sums = np.stack([self._bins[:, 0], self._bins[:, 0] * middles, self._bins[:, 1]])
+        counts, scales, errors = np.pad(sums, ((0, 0), (1, 0))).cumsum(axis=1)
+        at = np.linspace(0, pixels, groups + 1)
+        means = (np.diff(np.interp(at, counts, each)) for each in (scales, errors))
+        scale, error = (each * groups / pixels for each in means)
+        return list(zip(scale.tolist(), error.tolist(), strict=True))
+
     def figures(self) -> dict[str, float]:
         """Return the errors [m] of the confident pixels, and shares of the errors by their scale.
 

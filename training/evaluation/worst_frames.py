@@ -46,6 +46,7 @@ class WorstFrame:
         error: share of wrong pixels, or MAE [m].
         other_error: of the other model; None = there is none.
         panels: title -> picture, JPEG.
+        legend: name and colour (red, green, blue) of the classes; () for the depth.
     """
 
     model: str
@@ -57,6 +58,7 @@ class WorstFrame:
     error: float
     other_error: float | None
     panels: Mapping[str, bytes]
+    legend: Sequence[tuple[str, tuple[int, int, int]]] = ()
 
 
 def draw_worst(
@@ -100,7 +102,9 @@ def _draw(
     drawn = [item for item, found in zip(pair, errors, strict=True) if found]
     if pair[0] not in drawn:
         return
-    overlay = Overlay(class_colors(data.classes), FARTHEST_M)
+    colors = class_colors(data.classes)
+    overlay = Overlay(colors, FARTHEST_M)
+    legend = [(info.name, info.color) for info in colors] if head == "semantic" else ()
     row = pair[0].row
     for index in sorted(errors[0], key=lambda index: -errors[0][index])[:count]:
         sample, _ = data.read(index)
@@ -112,6 +116,7 @@ def _draw(
             errors[0][index],
             errors[1].get(index) if other else None,
             _panels(overlay, sample, frame.target, answers, head, [row.model, other]),
+            legend,
         )
 
 

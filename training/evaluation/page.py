@@ -1,0 +1,272 @@
+"""The page of `ssdnet-eval --page`: figures, differences and the worst frames, in one HTML file."""
+
+import base64
+import math
+import shlex
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from runtime.app.run.engine_facts import machine_facts
+from runtime.app.run.outputs.page import render_template
+from runtime.files.atomic_write import atomic_write
+from training.evaluation.depth_regions import RETURN_DISTANCES
+from training.evaluation.evaluate import Evaluation
+from training.evaluation.metrics import RANGES_M
+from training.evaluation.score_report import COLUMNS, difference_rows, table_notes
+from training.evaluation.score_set import Result
+from training.evaluation.worst_frames import WRONG_SHARE, WorstFrame
+
+#: Frames that are drawn of each model, set and head.
+WORST = 10
+_TICKS = 5
+_LEAST = 0.005  # share of a label that is written in the confusion
+
+_TITLES = {column.key: column.title.removesuffix(" mm") for column in COLUMNS}
+#: Title, what a line is of, and the figures.
+_BARS = (
+    ("Error of the depth by distance", "distance", [f"mae_m_{a:g}_{b:g}" for a, b in RANGES_M[2:]]),
+    ("Error by distance to the returns", "place", [f"mae_m_{name}" for name in RETURN_DISTANCES]),
+)
+_MARKS = (
+    ("semantic", "Colours of the last picture: red = wrong here, blue = in the other, "),
+    ("depth", f"Wrong by over {WRONG_SHARE:.0%} of the depth: red = here, blue = in the other, "),
+)
+
+
+def write_page(
+    found: Evaluation, path: Path, *, overwrite: bool = True, title: str = "", command: str = ""
+) -> None:
+    """Write the page, HTML in UTF-8 without external resources.
+
+    Args:
+        found: with pictures of the worst frames, or without.
+        path: of the file.
+        overwrite: whether an existing file is replaced.
+        title: of the page; "" = the names of the models.
+        command: that made it; "" = this one.
+
+    Raises:
+        OutputError: if the file cannot be written.
+    """
+    facts = machine_facts()
+    names = list(dict.fromkeys(row.model for row in found.rows))
+    values = {
+        "title": title or f"Evaluation of {', '.join(names)}",
+        "command": command or shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "machine": f"{facts.processor}, {facts.logical_cores} logical cores",
+        "differences": [
+            ([item.model, item.data, *cells], f"{verdict} than {item.against}", _kind(verdict))
+            if verdict in ("better", "worse")
+            else ([item.model, item.data, *cells], verdict, "soft")
+            for item, cells, verdict in difference_rows(found.differences)
+        ],
+        "groups": list(_groups(found.results)),
+        "worst": list(_worst(found.worst)),
+        "notes": table_notes(found.rows),
+    }
+    content = render_template("evaluation.html", values).encode(errors="backslashreplace")
+    atomic_write(path, content, overwrite=overwrite)
+
+
+def _kind(verdict: str) -> str:
+    return "good" if verdict == "better" else "bad"
+
+
+def _groups(results: Sequence[Result]) -> Iterator[dict[str, Any]]:
+    """Yield what the page shows of each set with each input."""
+
+    def key(result: Result) -> tuple[str, str, str]:
+        return result.row.key[1:]
+
+    order = list(dict.fromkeys(map(key, results)))
+    for data, lidar, fault in order:
+        found = [item for item in results if key(item) == (data, lidar, fault) and item.row.figures]
+        if not found:
+            continue
+        figures = [item.row.shown for item in found]
+        rows = [("frames", [str(item.row.frames) for item in found])]
+        for column in COLUMNS:
+            cells = [column.show(each) for each in figures]
+            rows += [(column.title, cells)] if any(cells) else []
+        yield {
+            "title": f"{data}, LiDAR {lidar}" + f", {fault}" * (fault != "none"),
+            "models": [item.row.model for item in found],
+            "rows": rows,
+            "bars": list(_bars(found)),
+            "charts": [*_reliability(found), *_latency(found)],
+            "confusions": list(_confusions(found)),
+        }
+
+
+def _bars(found: Sequence[Result]) -> Iterator[dict[str, Any]]:
+    figures = [item.row.figures for item in found]
+    classes = [f"iou_{name}" for name in found[0].classes]
+    tables = [("IoU of the classes, %", "class", classes, 100.0)]
+    tables += [(f"{title}, MAE in mm", of, keys, 1000.0) for title, of, keys in _BARS]
+    for title, of, keys, factor in tables:
+        known = [key for key in keys if any(_is_known(each.get(key)) for each in figures)]
+        most = max((each.get(key) or 0 for each in figures for key in known), default=0)
+        rows = [
+            (
+                _TITLES.get(key, key.removeprefix("iou_")).removeprefix("MAE ").rstrip(","),
+                [
+                    (f"{factor * value:.1f}", 100 * value / (1 if factor == 100 else most or 1))
+                    if _is_known(value := each.get(key))
+                    else ("", 0)
+                    for each in figures
+                ],
+            )
+            for key in known
+        ]
+        if rows:
+            yield {"title": title, "of": of, "rows": rows}
+
+
+def _is_known(value: float | None) -> bool:
+    return value is not None and not math.isnan(value)
+
+
+def _confusions(found: Sequence[Result]) -> Iterator[tuple[str, Sequence[str], list[Any]]]:
+    for item in found:
+        matrix, rows = item.scores.semantic.confusion, []
+        for name, counts in zip(item.classes, matrix, strict=True):
+            if total := counts.sum():
+                shares = (counts / total).tolist()
+                rows.append(
+                    (
+                        name,
+                        [(f"{100 * each:.0f}" if each >= 0.005 else "", each) for each in shares],
+                    )
+                )
+        if rows:
+            yield item.row.model, item.classes, rows
+
+
+def _reliability(found: Sequence[Result]) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    for item in found:
+        points = item.scores.uncertainty.reliability()
+        if not points:
+            continue
+        values = [value for point in points for value in point if value > 0]
+        low = math.floor(math.log10(min(values)))
+        high = max(math.ceil(math.log10(max(values))), low + 1)
+
+        def place(value: float, low: int = low, high: int = high) -> float:
+            return 100 * (math.log10(max(value, 10.0**low)) - low) / (high - low)
+
+        ticks = [10.0**power for power in range(low, high + 1)]
+        spots = [(place(scale), 100 - place(error)) for scale, error in points]
+        chart = {
+            **_axes(
+                [(100 - place(tick), tick) for tick in ticks],
+                [(place(tick), f"{tick:g}") for tick in ticks],
+            ),
+            "lines": [" ".join(f"{x:.2f},{y:.2f}" for x, y in spots)],
+            "dashed": ["0,100 100,0"],
+            "points": [
+                ("point", x, y, f"uncertainty {scale:.3g} m, error {error:.3g} m")
+                for (x, y), (scale, error) in zip(spots, points, strict=True)
+            ],
+            "unit": "error [m]",
+            "axis": "depth_uncertainty [m]",
+            "label": f"reliability of the uncertainty of {item.row.model}",
+            "note": "Mean error of tenths of the pixels by their uncertainty. On the dashed line "
+            "the uncertainty is right; above it, it is too small.",
+        }
+        yield f"Reliability of depth_uncertainty, {item.row.model}", "", chart
+
+
+def _latency(found: Sequence[Result]) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    timed = [item for item in found if item.row.latency_ms is not None]
+    for key, title, factor in (("miou", "mIoU %", 100.0), ("mae_m", "MAE mm", 1000.0)):
+        spots = [
+            (item.row.latency_ms or 0.0, factor * item.row.figures[key], item.row.model)
+            for item in timed
+            if _is_known(item.row.figures.get(key))
+        ]
+        if len(spots) < 2:
+            continue
+        (x, last), (y, top) = (_linear(max(spot[at] for spot in spots)) for at in (0, 1))
+        chart = {
+            **_axes(
+                [(100 - y(tick), tick) for tick in _ticks(top)],
+                [(x(tick), f"{tick:g}") for tick in _ticks(last)],
+            ),
+            "points": [
+                ("point", x(ms), 100 - y(value), f"{name}: {ms:.1f} ms, {value:.1f}")
+                for ms, value, name in spots
+            ],
+            "names": [
+                ("left" if x(ms) > 50 else "right", x(ms), 100 - y(value), name)
+                for ms, value, name in spots
+            ],
+            "unit": title,
+            "axis": "median time of an answer [ms]",
+            "label": f"{title} over the time of an answer",
+            "note": "Times of this evaluation, which may share the machine with others; "
+            "ssdnet-bench measures speed.",
+        }
+        yield f"Accuracy and latency, {title}", "", chart
+
+
+def _axes(
+    rows: Sequence[tuple[float, float]], columns: Sequence[tuple[float, str]]
+) -> dict[str, Any]:
+    """Return the values of chart.html for an empty chart with these ticks."""
+    return {
+        "ticks": rows,
+        "frames": columns,
+        "lines": [],
+        "deadline": [],
+        "unanswered": [],
+        "points": [],
+    }
+
+
+def _linear(most: float) -> tuple[Callable[[float], float], float]:
+    """Return the place in percent of a value on an axis from 0, and the axis' end."""
+    power = 10.0 ** math.floor(math.log10(most or 1))
+    end = next(step * power for step in (1, 2, 2.5, 5, 10) if step * power >= most)
+    return lambda value: 100 * value / end, end
+
+
+def _ticks(end: float) -> list[float]:
+    return [end * tick / _TICKS for tick in range(_TICKS + 1)]
+
+
+def _worst(frames: Sequence[WorstFrame]) -> Iterator[tuple[str, list[Any], list[dict[str, Any]]]]:
+    """Yield heading, legend and frames of each model, set and head."""
+    marks = dict(_MARKS)
+    for (model, data, lidar, head), group in groupby(
+        frames, lambda frame: (frame.model, frame.data, frame.lidar, frame.head)
+    ):
+        found = list(group)
+        what = "classes" if head == "semantic" else "depth"
+        yield (
+            f"Worst {what} of {model} on {data}, LiDAR {lidar}",
+            [*found[0].legend, (f"{marks[head]}white = in both", (235, 235, 235))],
+            [
+                {
+                    "name": frame.name,
+                    "words": _words(frame),
+                    "panels": [(title, _jpeg(picture)) for title, picture in frame.panels.items()],
+                }
+                for frame in found
+            ],
+        )
+
+
+def _words(frame: WorstFrame) -> str:
+    def show(error: float) -> str:
+        return f"{100 * error:.1f} %" if frame.head == "semantic" else f"{1000 * error:.0f} mm"
+
+    what = "wrong pixels" if frame.head == "semantic" else "MAE"
+    text = f"{what} {show(frame.error)}"
+    return text if frame.other_error is None else f"{text}, {frame.other} {show(frame.other_error)}"
+
+
+def _jpeg(content: bytes) -> str:
+    return f"data:image/jpeg;base64,{base64.b64encode(content).decode()}"
