@@ -162,7 +162,7 @@ def _reliability(found: Sequence[Result]) -> Iterator[tuple[str, str, dict[str, 
         chart = {
             **_axes(
                 [(100 - place(tick), tick) for tick in ticks],
-                [(place(tick), f"{tick:g}") for tick in ticks],
+                [(place(tick), tick) for tick in ticks],
             ),
             "lines": [" ".join(f"{x:.2f},{y:.2f}" for x, y in spots)],
             "dashed": ["0,100 100,0"],
@@ -170,9 +170,9 @@ def _reliability(found: Sequence[Result]) -> Iterator[tuple[str, str, dict[str, 
                 ("point", x, y, f"uncertainty {scale:.3g} m, error {error:.3g} m")
                 for (x, y), (scale, error) in zip(spots, points, strict=True)
             ],
-            "unit": "error [m]",
+            "quantity": "error [m]",
             "axis": "depth_uncertainty [m]",
-            "label": f"reliability of the uncertainty of {item.row.model}",
+            "label": f"error of {item.row.model}",
             "note": "Mean error of tenths of the pixels by their uncertainty. On the dashed line "
             "the uncertainty is right; above it, it is too small.",
         }
@@ -193,7 +193,7 @@ def _latency(found: Sequence[Result]) -> Iterator[tuple[str, str, dict[str, Any]
         chart = {
             **_axes(
                 [(100 - y(tick), tick) for tick in _ticks(top)],
-                [(x(tick), f"{tick:g}") for tick in _ticks(last)],
+                [(x(tick), tick) for tick in _ticks(last)],
             ),
             "points": [
                 ("point", x(ms), 100 - y(value), f"{name}: {ms:.1f} ms, {value:.1f}")
@@ -203,9 +203,9 @@ def _latency(found: Sequence[Result]) -> Iterator[tuple[str, str, dict[str, Any]
                 ("left" if x(ms) > 50 else "right", x(ms), 100 - y(value), name)
                 for ms, value, name in spots
             ],
-            "unit": title,
+            "quantity": title,
             "axis": "median time of an answer [ms]",
-            "label": f"{title} over the time of an answer",
+            "label": title,
             "note": "Times of this evaluation, which may share the machine with others; "
             "ssdnet-bench measures speed.",
         }
@@ -213,12 +213,13 @@ def _latency(found: Sequence[Result]) -> Iterator[tuple[str, str, dict[str, Any]
 
 
 def _axes(
-    rows: Sequence[tuple[float, float]], columns: Sequence[tuple[float, str]]
+    rows: Sequence[tuple[float, float]], columns: Sequence[tuple[float, float]]
 ) -> dict[str, Any]:
     """Return the values of chart.html for an empty chart with these ticks."""
     return {
         "ticks": rows,
-        "frames": columns,
+        "along": columns,
+        "unit": "",
         "lines": [],
         "deadline": [],
         "unanswered": [],
