@@ -15,6 +15,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from runtime.alignment.calibrate import CalibrationResult as CalibrationResult
+    from runtime.alignment.calibrate import calibrate as calibrate
     from runtime.base.errors import ContractError as ContractError
     from runtime.base.errors import InferenceError as InferenceError
     from runtime.base.errors import InputError as InputError
@@ -43,6 +45,7 @@ if TYPE_CHECKING:
 
 #: Module -> the public names that it holds.
 _MODULES = {
+    "alignment.calibrate": "CalibrationResult calibrate",
     "engine.bundled_models": "list_bundled_models",
     "contract.contract": "ClassInfo Contract",
     "base.errors": "ContractError InferenceError InputError OutputError ProviderError SSDNetError",

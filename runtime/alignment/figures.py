@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.alignment.view import View
-from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import as_key, ray_bounds
 from runtime.streams.health.depth_plausibility import correlation
 
 AXES = ("yaw", "pitch", "roll")
 BLUR = 2 / 375  # of the boundary, in heights of the image, where figures are compared
 _LEAST = 30  # returns, or jumps, inside the image
+_NEAREST_M = 0.1
 
 Angles = Sequence[float] | NDArray[np.float64]
 
@@ -45,9 +45,8 @@ def rotation(angles: Angles) -> NDArray[np.float64]:
 def figures_of(view: View, angles: Angles = (0, 0, 0), *, blur: float = BLUR) -> Figures:
     """Return the figures of a view with its returns turned about the LiDAR's origin."""
     boundary, turn = view.blurred_boundary(blur), rotation(angles)
-    place = view.calibration.extrinsics[:3, 3]
-    row, column, depth = _pixels(view.returns, turn, place, view.calibration, boundary.shape)
-    at_row, at_column, _ = _pixels(view.jumps, turn, place, view.calibration, boundary.shape)
+    row, column, depth = pixels_of(view, view.returns, turn)
+    at_row, at_column, _ = pixels_of(view, view.jumps, turn)
     edge = alike = 0.0
     if len(row) >= _LEAST:
         seen, measured = view.log_depth[row, column], np.log(depth)
@@ -62,26 +61,25 @@ def totals(views: Iterable[View], angles: Angles, *, blur: float = BLUR) -> NDAr
     return np.array([sum(figures_of(view, angles, blur=blur)) for view in views])
 
 
-def _pixels(
-    points: NDArray[np.float32],
-    turn: NDArray[np.float64],
-    place: NDArray[np.float64],
-    calibration: Calibration,
-    size: tuple[int, ...],
+def pixels_of(
+    view: View, points: NDArray[np.float32], turn: NDArray[np.float64]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
-    """Row, column and depth [m] of the points that fall into the image."""
-    height, width = size
-    turned = points @ turn.T.astype(np.float32) + place.astype(np.float32)
-    turned = turned[turned[:, 2] > 0.1]
+    """Row and column in the answers of a view, and depth [m], of turned points inside its image."""
+    calibration, (height, width) = view.calibration, view.boundary.shape
+    place = calibration.extrinsics[:3, 3].astype(np.float32)
+    turned = points @ turn.T.astype(np.float32) + place
+    turned = turned[turned[:, 2] > _NEAREST_M]
     z = turned[:, 2]
     x, y = turned[:, 0] / z, turned[:, 1] / z
     if (lens := calibration.lens_model) is not None:
-        bounds = ray_bounds(lens, as_key(calibration.intrinsics), (height, width))
+        bounds = ray_bounds(lens, as_key(calibration.intrinsics), view.size)
         seen = x * x + y * y <= bounds.radius_2
         z = z[seen]
         x, y = lens.distort(x[seen], y[seen])
     across, down = calibration.intrinsics[:2].astype(np.float32)
-    column = np.rint(across[0] * x + across[1] * y + across[2]).astype(np.intp)
-    row = np.rint(down[0] * x + down[1] * y + down[2]).astype(np.intp)
+    column, row = (
+        np.rint((line[0] * x + line[1] * y + line[2] + 0.5) / view.shrink - 0.5).astype(np.intp)
+        for line in (across, down)
+    )
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     return row[inside], column[inside], z[inside]

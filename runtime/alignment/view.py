@@ -4,7 +4,8 @@ A jump is a return beside which, on the same scan line, another return lies clea
 an object ends, and the network sees a boundary in the image. Ranges are those of the LiDAR.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import cv2
 import numpy as np
@@ -20,8 +21,9 @@ from runtime.geometry.returns import is_return
 from runtime.streams.frame import Frame
 
 LEAST_JUMPS, LEAST_RETURNS = 60, 500  # of a view; with fewer nothing is computed
-_MOST_JUMPS, _MOST_RETURNS = 3000, 6000  # more are subsampled
+_MOST_JUMPS, _MOST_RETURNS = 2500, 4000  # more are subsampled
 _NEAREST_M, _LEAST_DEPTH_M = 1.0, 0.1
+_ROWS = 375  # answers with twice as many rows are shrunk: the network sees no finer boundary
 _MARGIN = 0.12  # of the rays beyond the image, about 7 degrees: a trial rotation moves them into it
 _LINE_RAD, _ACROSS = 0.02, 8  # neighbours lie so near along a scan line, and an eighth across it
 _JUMP_M, _JUMP_SHARE = 0.5, 0.05  # a neighbour is farther by this, or by this share of the range
@@ -39,7 +41,8 @@ class View:
         returns: float32 (N, 3), metres, axes of the camera, origin of the LiDAR; a sample.
         jumps: the same of the returns that are jumps.
         calibration: as given.
-        boundary: float32 (H, W), probability.
+        size: (height, width) of the image.
+        boundary: float32 (H, W), probability; one for each `shrink` x `shrink` pixels of the image.
         log_depth: float32 (H, W), logarithm of metres.
     """
 
@@ -47,14 +50,26 @@ class View:
     returns: _Points
     jumps: _Points
     calibration: Calibration
+    size: tuple[int, int]
     boundary: NDArray[np.float32]
     log_depth: NDArray[np.float32]
     _blurred: dict[float, NDArray[np.float32]] = field(default_factory=dict)
 
     @property
+    def shrink(self) -> int:
+        """Pixels of the image, along a side, for each of `boundary`."""
+        return shrink_of(self.size)
+
+    @property
     def has_structure(self) -> bool:
         """Whether there are enough returns and jumps to compute with."""
         return len(self.jumps) >= LEAST_JUMPS and len(self.returns) >= LEAST_RETURNS
+
+    def with_scan(self, points: _Points, calibration: Calibration | None = None) -> Self:
+        """The view with another scan, float32 (N, 3) or wider, or with another calibration."""
+        calibration = calibration or self.calibration
+        returns, jumps = find_structure(points, calibration, self.size)
+        return replace(self, returns=returns, jumps=jumps, calibration=calibration)
 
     def blurred_boundary(self, blur: float) -> NDArray[np.float32]:
         """The boundary, blurred by a share of the image's height."""
@@ -64,13 +79,12 @@ class View:
         return self._blurred[blur]
 
 
-def view_of(frame: Frame, camera_only: Prediction, scan: Scan | None = None) -> View | None:
+def view_of(frame: Frame, camera_only: Prediction) -> View | None:
     """Return the view of a frame.
 
     Args:
         frame: with a scan and a calibration.
         camera_only: prediction from its image without any return.
-        scan: of another frame, in place of its own.
 
     Returns:
         The view; None without a scan, and if the prediction lacks depth or boundary or is invalid.
@@ -80,12 +94,17 @@ def view_of(frame: Frame, camera_only: Prediction, scan: Scan | None = None) -> 
         return None
     if not camera_only.valid or IMAGE_CONSTANT in camera_only.degraded:
         return None
-    points = _points_in_time(frame) if scan is None else scan.points
-    if points is None:
+    if (points := points_in_time(frame)) is None:
         return None
     returns, jumps = find_structure(points, calibration, frame.size)
     logarithms = np.log(np.maximum(depth, np.float32(_LEAST_DEPTH_M)))
-    return View(frame.name, returns, jumps, calibration, boundary, logarithms)
+    edges, depths = (_shrunk(each, shrink_of(frame.size)) for each in (boundary, logarithms))
+    return View(frame.name, returns, jumps, calibration, frame.size, edges, depths)
+
+
+def shrink_of(size: tuple[int, int]) -> int:
+    """By how much the answers to an image of this size are shrunk."""
+    return max(1, size[0] // _ROWS)
 
 
 def find_structure(
@@ -124,7 +143,7 @@ def find_jumps(points: _Points) -> NDArray[np.bool_]:
     return np.asarray(farther > np.maximum(_JUMP_M, _JUMP_SHARE * ranges))
 
 
-def _points_in_time(frame: Frame) -> _Points | None:
+def points_in_time(frame: Frame) -> _Points | None:
     """The points of the frame's scan, moved to the time of its image where there are poses."""
     if frame.depth is None or not isinstance(scan := frame.depth.data, Scan):
         return None
@@ -147,3 +166,10 @@ def _image_bounds(calibration: Calibration, size: tuple[int, int]) -> tuple[floa
 
 def _sample(points: _Points, most: int) -> _Points:
     return points[:: len(points) // most + 1]
+
+
+def _shrunk(answer: NDArray[np.float32], step: int) -> NDArray[np.float32]:
+    """Means of step x step pixels; an incomplete last row or column is left out."""
+    height, width = answer.shape[0] // step, answer.shape[1] // step
+    whole = answer[: height * step, : width * step]
+    return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)  # type: ignore[return-value]

@@ -458,6 +458,19 @@ class BagSource(Source):
         return given | {"left_out": dict(self._left_out)}
 
     @property
+    def transform_frames(self) -> tuple[str, str]:
+        """See `Source.transform_frames`."""
+        return self._frame(self._image_topic), self._frame(self._depth_topic or self._image_topic)
+
+    @property
+    def lidar_position(self) -> NDArray[np.float64] | None:
+        """See `Source.lidar_position`: as in /tf_static, without the baseline of a stereo pair."""
+        if self._given.calibration is not None or not self._has_clouds:
+            return super().lidar_position
+        camera, lidar = self.transform_frames
+        return self._tree.between(lidar, camera)[:3, 3]
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """See `Source.notes`."""
         topics = ", ".join(f"{name}={topic}" for name, topic in self._topics.items() if topic)

@@ -208,6 +208,16 @@ class Source(ABC):
         """The inputs as in report.json; after listing, also the counts of skipped messages."""
 
     @property
+    def transform_frames(self) -> tuple[str, str]:
+        """The names of the frames of camera and LiDAR, for a transform between them."""
+        return "camera", "lidar"
+
+    @property
+    def lidar_position(self) -> NDArray[np.float64] | None:
+        """Where the LiDAR is in the camera's frame [m], float64 (3,); None without calibration."""
+        return None if self.calibration is None else self.calibration.extrinsics[:3, 3]
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """Lines for the terminal: guesses and, after listing, the skipped messages."""
         return (*self._notes, *left_out_note(self._left_out))

@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Annotated, Any
 
 import typer
@@ -33,8 +33,13 @@ class GroupedCommand(TyperCommand):
                 formatter.write_dl(rows)
 
 
-def with_run_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Let typer see a parameter for each field of `RunOptions`; the command takes **given."""
+def with_run_options(
+    command: Callable[..., None], names: Collection[str] | None = None
+) -> Callable[..., None]:
+    """Let typer see a parameter for each field of `RunOptions`; the command takes **given.
+
+    names: of the fields; None: all.
+    """
     shown = [
         inspect.Parameter(
             field.name,
@@ -43,7 +48,7 @@ def with_run_options(command: Callable[..., None]) -> Callable[..., None]:
             annotation=Annotated[field.type, field.metadata[OPTION]],
         )
         for field in dataclasses.fields(RunOptions)
-        if field.init
+        if field.init and (names is None or field.name in names)
     ]
     shown += list(inspect.signature(command).parameters.values())[:-1]
     command.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]

@@ -17,6 +17,7 @@ def _command(module: str) -> Callable[[], None]:
 
 
 run = _command("run.cli")
-info, doctor, verify, bench = map(
-    _command, ("tools.info", "tools.doctor", "tools.verify", "tools.bench")
+info, doctor, verify, bench, calibrate = map(
+    _command,
+    ("tools.info", "tools.doctor", "tools.verify", "tools.bench", "tools.calibrate"),
 )

@@ -1,0 +1,286 @@
+"""`calibrate`: whether the rotation of a calibration is right, and by how much it is off."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.alignment.figures import AXES, Figures, figures_of, rotation
+from runtime.alignment.mistakes import ALIKE, find_mistake, usual_mistakes
+from runtime.alignment.pairing import Neighbours, find_pairing_fault
+from runtime.alignment.search import Optimum, find_coarse, find_rotation
+from runtime.alignment.selection import choose_frames
+from runtime.alignment.view import View, view_of
+from runtime.base.checks import check_integer
+from runtime.base.errors import InputError
+from runtime.engine.predictor import Predictor
+from runtime.geometry.calibration import Calibration
+from runtime.recordings.source import Source
+from runtime.streams.answerer import known_focal_length_px
+from runtime.streams.frame import Frame
+
+_HEADS = ("boundary", "depth")
+_LEAST_FRAMES = 3
+_LEAST_EDGE = 0.02  # edge figure, median; right calibrations have 0.07 to 0.16
+_THUMBNAIL = 64, 24  # columns and rows of the predicted boundary that tell scenes apart
+_FAR_M = 3.0  # a position beyond it may be of another unit
+# What standard errors do not hold, yaw, pitch and roll [degrees], 95 %, from rigs whose calibration
+# is known (benchmarks/calibration.py): a deviation of the network that is the same on all frames,
+# and one that is the same on frames of one scene, and averages out over several. That of pitch
+# follows from how far apart the two figures put it: in a queue of trucks up to 1.3 degrees.
+_FLOOR_DEGREES = np.array([0.25, 0.4, 0.6])
+_SCENE_YAW, _SCENE_ROLL, _SCENE_PITCH_APART = 0.5, 2.9, 2.0
+# An axis is seen if 95 % of the answers lie within this.
+_SEEN_DEGREES = np.array([1.0, 1.2, 2.0])
+
+
+class Verdict(StrEnum):
+    """What the frames of a recording show of its calibration."""
+
+    RIGHT = "right"
+    OFF = "off"
+    OTHER_SCANS = "other_scans"  # the images are paired with scans of another time
+    NOT_VISIBLE = "not_visible"
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationResult:
+    """What `calibrate` found, for the position and the intrinsics that the calibration states.
+
+    Attributes:
+        verdict: in a word.
+        reason: the same in a sentence.
+        given: the calibration of the recording.
+        refined: the calibration to use: `given` if it is right, the corrected one if it is off,
+            None if the frames do not show it.
+        off_degrees: float64 (3,), yaw, pitch and roll by which the returns lie too far to the
+            right, too high, and too far clockwise in the image; None without evidence. After a
+            mistake that has a name, what remains without it.
+        within_degrees: float64 (3,), uncertainty of each, 95 %; infinite for an axis that these
+            frames do not show.
+        mistake: one of the usual mistakes, in words, that seems to have been made; None: none.
+        before: edge and depth figure of the given calibration, medians over the frames.
+        after: the same of the refined one.
+        range_m: distance at which an error of position looks like one of rotation, see
+            `alternatives`.
+        frames: names of the frames that counted.
+        scenes: effective number of scenes among them, see `count_scenes`.
+        example: one of them, to be drawn.
+    """
+
+    verdict: Verdict
+    reason: str
+    given: Calibration
+    refined: Calibration | None
+    off_degrees: NDArray[np.float64] | None
+    within_degrees: NDArray[np.float64] | None
+    mistake: str | None
+    before: Figures
+    after: Figures
+    range_m: float
+    frames: tuple[str, ...]
+    scenes: float
+    example: Frame
+
+    @property
+    def alternatives(self) -> tuple[str, ...]:
+        """Errors of position or intrinsics that would look the same, with their size."""
+        if self.off_degrees is None or self.within_degrees is None:
+            return ()
+        matrix, width = self.given.intrinsics, self.example.size[1]
+        lines = []
+        for axis, way, centre in ((0, "sideways", "cx"), (1, "in height", "cy")):
+            angle = np.radians(abs(self.off_degrees[axis]))
+            shift_m, shift_px = np.tan(angle) * self.range_m, np.tan(angle) * matrix[axis, axis]
+            a_tenth = np.degrees(np.arctan(0.1 / self.range_m))
+            lines.append(
+                f"{AXES[axis]} looks the same as a position {shift_m:.2f} m off {way} (0.1 m as "
+                f" {a_tenth:.2f} degrees), or as {centre} {shift_px:.0f} px off "
+                f"({shift_px / width:.1%} of the width)"
+            )
+        return tuple(lines)
+
+
+def calibrate(
+    source: Source,
+    predictor: Predictor,
+    *,
+    frames: int = 20,
+    on_frame: Callable[[], None] = lambda: None,
+) -> CalibrationResult:
+    """Check and refine the rotation between the LiDAR and the camera of a recording.
+
+    The model answers each image alone. Returns where the scan jumps to something farther must lie
+    on boundaries that it sees, and its depth must correlate with that of the returns. The images
+    must first be paired with their own scans. Position and intrinsics are taken as they are.
+
+    Args:
+        source: with scans and a calibration.
+        predictor: of a model with boundary and depth that was not adapted with this calibration.
+        frames: how many to look at, 3 to 1000; more make the answer surer.
+        on_frame: called when one of them is done.
+
+    Raises:
+        InputError: for a model without these heads, and a recording without scans or calibration.
+    """
+    check_integer("frames", frames, _LEAST_FRAMES, 1000, error=InputError)
+    if missing := [head for head in _HEADS if head not in predictor.heads]:
+        raise InputError(
+            f"the model {predictor.contract.model_name} answers no {' and no '.join(missing)}: a "
+            "calibration is checked with a bundled model"
+        )
+    views: list[View] = []
+    scans: list[NDArray[np.float32]] = []
+    neighbours: list[Neighbours] = []
+    example: Frame | None = None
+    for chosen in choose_frames(source, frames):
+        focal_px = known_focal_length_px(predictor, chosen.frame.calibration)
+        answer = predictor.predict(chosen.frame.rgb, None, focal_length_px=focal_px)
+        if (view := view_of(chosen.frame, answer)) is not None:
+            if all(len(view.jumps) > len(each.jumps) for each in views):
+                example = chosen.frame
+            views.append(view)
+            scans.append(chosen.points)
+            neighbours.append(chosen.neighbours)
+        on_frame()
+    if example is None or example.calibration is None:
+        raise InputError("no frame of the recording can be judged: are all images black?")
+    given = source.calibration or example.calibration
+    return judge(views, scans, neighbours, given, example)
+
+
+def judge(
+    views: list[View],
+    scans: list[NDArray[np.float32]],
+    neighbours: list[Neighbours],
+    given: Calibration,
+    example: Frame,
+) -> CalibrationResult:
+    """Return the verdict: the pairing first, then usual mistakes, then the rotation.
+
+    Args:
+        views: of frames in order.
+        scans: their points, float32 (N, 3) or wider, LiDAR frame.
+        neighbours: points of the scans before and after each.
+        given: calibration of the recording.
+        example: one of the frames.
+    """
+    kept = [place for place, view in enumerate(views) if view.has_structure]
+    seen, fault, best, mistake = [views[place] for place in kept], None, None, None
+    if len(seen) >= _LEAST_FRAMES:
+        start = find_coarse(seen)
+        fault = find_pairing_fault(seen, [neighbours[place] for place in kept], start)
+        best = find_rotation(seen, start)
+    before = _median(seen, np.zeros(3))
+    after = before if best is None else _median(seen, best.angles)
+    far = np.abs(given.extrinsics[:3, 3]).max() > _FAR_M
+    if fault is None and (far or after.alike < ALIKE or after.edge < _LEAST_EDGE):
+        place = find_mistake(views, scans)
+        if place is not None:
+            mistake = list(usual_mistakes(given.extrinsics))[place]
+            mended = []
+            for view, points in zip(views, scans, strict=True):
+                each = list(usual_mistakes(view.calibration.extrinsics))[place].extrinsics
+                mended.append(view.with_scan(points, replace(view.calibration, extrinsics=each)))
+            seen = [view for view in mended if view.has_structure]
+            best = find_rotation(seen) if len(seen) >= _LEAST_FRAMES else None
+            after = _median(seen, np.zeros(3) if best is None else best.angles)
+    turned = given if mistake is None else replace(given, extrinsics=mistake.extrinsics)
+    found = CalibrationResult(
+        Verdict.NOT_VISIBLE,
+        "",
+        given,
+        refined=None,
+        off_degrees=None,
+        within_degrees=None,
+        mistake=mistake and mistake.text,
+        before=before,
+        after=after,
+        range_m=_shift_range(seen),
+        frames=tuple(view.name for view in seen),
+        scenes=count_scenes(seen),
+        example=example,
+    )
+    if fault is not None:
+        return replace(found, verdict=Verdict.OTHER_SCANS, reason=fault)
+    return _decide(found, best, turned)
+
+
+def _decide(
+    found: CalibrationResult, best: Optimum | None, start: Calibration
+) -> CalibrationResult:
+    """Add the verdict on the rotation. start: the calibration that `best` turns."""
+    count = len(found.frames)
+    if best is None:
+        reason = f"not visible: {count} frames have structure, at least {_LEAST_FRAMES} are needed"
+        if found.mistake is None:
+            return replace(found, reason=reason)
+        return replace(found, verdict=Verdict.OFF, reason=found.mistake, refined=start)
+    freedom = count - 1
+    errors = 1.96 + 2.4 / freedom + 4.5 / freedom**2  # Student's, 95 %
+    scene = np.array([_SCENE_YAW, _SCENE_PITCH_APART * best.apart[1], _SCENE_ROLL])
+    floor = np.hypot(_FLOOR_DEGREES, scene / np.sqrt(found.scenes))
+    within = np.hypot(errors * best.error, floor)
+    is_seen = within <= _SEEN_DEGREES
+    fits = found.after.alike >= ALIKE and found.after.edge >= _LEAST_EDGE
+    if not (is_seen[:2].all() and fits):
+        reason = (
+            "not visible in these frames: the returns fit the images nowhere near"
+            if not fits
+            else f"not visible in these frames: yaw +- {within[0]:.1f}, pitch +- {within[1]:.1f}"
+        )
+        if found.mistake is None:
+            return replace(found, reason=f"{reason}; take more frames, with near objects")
+        return replace(found, verdict=Verdict.OFF, reason=found.mistake, refined=start)
+    off = -best.angles
+    within = np.where(is_seen, within, np.inf)
+    found = replace(found, off_degrees=off, within_degrees=within)
+    seen = " degrees, ".join(
+        f"{name} {value:+.2f} +- {most:.2f}" if np.isfinite(most) else f"{name} not visible"
+        for name, value, most in zip(AXES, off, within, strict=True)
+    )
+    if (np.abs(off) > within).any():
+        turned = start.extrinsics.copy()
+        turned[:3, :3] = rotation(np.where(is_seen, best.angles, 0)) @ turned[:3, :3]
+        start, text = replace(start, extrinsics=turned), f"off by {seen}"
+    else:
+        limits = " degrees, ".join(
+            f"{name} {most:.2f}" if np.isfinite(most) else f"{name} not visible"
+            for name, most in zip(AXES, np.abs(off) + within, strict=True)
+        )
+        text = f"right within {limits} (measured: {seen})"
+    if found.mistake is not None:
+        text = f"{found.mistake}; then {text}"
+    is_right = text.startswith("right")
+    verdict = Verdict.RIGHT if is_right else Verdict.OFF
+    return replace(found, verdict=verdict, reason=text, refined=start)
+
+
+def count_scenes(views: Sequence[View]) -> float:
+    """Return the effective number of scenes, 1 to the number of views.
+
+    It is n^2 / sum(r), with r the correlation of the predicted boundaries of each two frames
+    after the mean of each row, which is similar on all roads, is subtracted.
+    """
+    if not views:
+        return 1.0
+    small = [cv2.resize(view.boundary, _THUMBNAIL, interpolation=cv2.INTER_AREA) for view in views]
+    rows = np.array([(each - each.mean(axis=1, keepdims=True)).ravel() for each in small])
+    rows /= np.linalg.norm(rows, axis=1, keepdims=True) + 1e-6
+    return float(len(views) ** 2 / np.maximum(rows @ rows.T, 0).sum())
+
+
+def _median(views: list[View], angles: NDArray[np.float64]) -> Figures:
+    if not views:
+        return Figures(0.0, 0.0)
+    edge, alike = np.median([figures_of(view, angles) for view in views], axis=0)
+    return Figures(float(edge), float(alike))
+
+
+def _shift_range(views: list[View]) -> float:
+    """Where a shift moves the jumps, on average, as a turn does: the harmonic mean of depths."""
+    depths = [view.jumps[:, 2] for view in views if len(view.jumps)]
+    return float(1 / np.mean(1 / np.maximum(np.concatenate(depths), 1))) if depths else np.inf

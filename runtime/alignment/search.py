@@ -1,0 +1,125 @@
+"""The rotation at which returns fit the image best, and how surely these frames show it."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.alignment.figures import figures_of, totals
+from runtime.alignment.view import View
+
+#: Blur of the boundaries, in heights of the image; step of yaw and pitch [degrees]; most moves.
+_COARSE = ((8 / 375, 1.5, 4), (5 / 375, 0.75, 4))
+_FINE = ((3 / 375, 0.5, 3), (2 / 375, 0.3, 3))
+_ROLL_STEP = 2.5  # steps of roll, which moves returns less, are so many times as large
+_LONGEST_MOVE, _ARRIVED = 1.5, 0.3  # in steps
+# Where the sum is computed around a place, in steps: it, the sides and the corners of a cube.
+_CUBE = np.array(
+    [(0, 0, 0)]
+    + [way * side for side in np.eye(3) for way in (-1, 1)]
+    + [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)],
+    np.float64,
+)
+_PAIRS = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
+_TERMS = np.column_stack(
+    [np.ones(len(_CUBE)), _CUBE, *(_CUBE[:, i] * _CUBE[:, j] for i, j in _PAIRS)]
+)
+_FIT = np.linalg.pinv(_TERMS)
+_RESAMPLES, _BLOCKS = 200, 10  # of the bootstrap; frames are drawn in at most so many blocks
+_FARTHEST_STEPS = 15.0  # where the parabola of a resample has no maximum near
+
+_Floats = NDArray[np.float64]
+
+
+class Optimum(NamedTuple):
+    """Where the mean of both figures is largest.
+
+    Attributes:
+        angles: float64 (3,), yaw, pitch and roll [degrees] by which returns are turned.
+        error: float64 (3,), standard error [degrees] by a bootstrap over blocks of frames; large
+            where there is no maximum.
+        apart: float64 (3,), distance [degrees] of the maxima of the two figures, each alone.
+    """
+
+    angles: _Floats
+    error: _Floats
+    apart: _Floats
+
+
+def find_coarse(views: Sequence[View]) -> _Floats:
+    """Return the angles (3,) of the best rotation near the given one, to about half a degree."""
+    return _climb(views, np.zeros(3), _COARSE)
+
+
+def find_rotation(views: Sequence[View], start: _Floats | None = None) -> Optimum:
+    """Return the best rotation near the given one, and its standard error.
+
+    Args:
+        views: of the frames, in order.
+        start: angles (3,) of `find_coarse`; None: found first.
+    """
+    angles = _climb(views, find_coarse(views) if start is None else start, _FINE)
+    blur, step, _ = _FINE[-1]
+    places = angles + _CUBE * _sides(step)
+    both = np.array([[figures_of(view, place, blur=blur) for place in places] for view in views])
+    edge, alike = (_best_of(_FIT @ both[..., figure].mean(axis=0)) for figure in (0, 1))
+    sums = both.sum(axis=2)
+    return Optimum(
+        angles + _best_of(_FIT @ sums.mean(axis=0)) * _sides(step),
+        _bootstrap(sums) * _sides(step),
+        np.abs(edge - alike) * _sides(step),
+    )
+
+
+def _climb(
+    views: Sequence[View], angles: _Floats, levels: Sequence[tuple[float, float, int]]
+) -> _Floats:
+    """Move to the maximum of a parabola through the sums around, again and again."""
+    for blur, step, moves in levels:
+        for _ in range(moves):
+            move = _best_of(_FIT @ _around(views, angles, blur, step).mean(axis=0))
+            length = max(float(np.abs(move).max()), 1e-9)
+            angles = angles + move * min(1, _LONGEST_MOVE / length) * _sides(step)
+            if length < _ARRIVED:
+                break
+    return angles
+
+
+def _sides(step: float) -> _Floats:
+    return step * np.array([1, 1, _ROLL_STEP])
+
+
+def _around(views: Sequence[View], angles: _Floats, blur: float, step: float) -> _Floats:
+    """The sums of each view, (frames, places of the cube)."""
+    places = angles + _CUBE * _sides(step)
+    return np.column_stack([totals(views, place, blur=blur) for place in places])
+
+
+def _best_of(terms: _Floats) -> _Floats:
+    """Where the parabola of these ten terms is largest, in steps; uphill if it has no maximum."""
+    slope, bend = terms[1:4], np.zeros((3, 3))
+    for (row, column), term in zip(_PAIRS, terms[4:], strict=True):
+        bend[row, column] += term
+        bend[column, row] += term
+    curvatures, axes = np.linalg.eigh(bend)
+    along = axes.T @ slope
+    far = np.sign(along) * _FARTHEST_STEPS
+    with np.errstate(divide="ignore", invalid="ignore"):
+        steps = np.where(curvatures < 0, -along / curvatures, far)
+    return np.asarray(axes @ np.clip(np.nan_to_num(steps), -_FARTHEST_STEPS, _FARTHEST_STEPS))
+
+
+def _bootstrap(sums: _Floats) -> _Floats:
+    """The standard error of the maximum, in steps, from resampled blocks of frames."""
+    blocks = np.array_split(np.arange(len(sums)), min(len(sums), _BLOCKS))
+    if len(blocks) < 2:
+        return np.full(3, _FARTHEST_STEPS)
+    terms = np.stack([_FIT @ sums[block].sum(axis=0) for block in blocks])
+    random = np.random.default_rng(0)
+    drawn = random.integers(len(blocks), size=(_RESAMPLES, len(blocks)))
+    places = np.stack([_best_of(terms[each].sum(axis=0)) for each in drawn])
+    # Quantiles, since a few resamples have no maximum; a normal distribution has 2 between them.
+    low, high = np.quantile(places, [0.16, 0.84], axis=0)
+    few = np.sqrt(len(blocks) / (len(blocks) - 1))
+    return np.asarray((high - low) / 2 * few)

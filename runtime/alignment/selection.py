@@ -1,0 +1,77 @@
+"""Which frames of a recording are looked at: spread over it, those with structure preferred."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.alignment.view import find_structure, points_in_time
+from runtime.base.errors import InputError
+from runtime.recordings.source import ListedFrame, Source
+from runtime.streams.frame import Frame
+
+_CANDIDATES = 2  # frames that are read for each that is taken
+_Points = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """A frame, its scan, and those before and after it.
+
+    Attributes:
+        frame: with image, scan and calibration.
+        points: of its scan, at the time of the image.
+        neighbours: points of the scan before and of the one after; None: there is none.
+    """
+
+    frame: Frame
+    points: _Points
+    neighbours: tuple[_Points | None, _Points | None]
+
+
+def choose_frames(source: Source, count: int) -> Iterator[Chosen]:
+    """Yield frames that are spread over a recording, each the best of some in its part.
+
+    Args:
+        source: with scans and a calibration.
+        count: of frames.
+
+    Raises:
+        InputError: if the recording has no scans, or no calibration.
+    """
+    listed = [each for each in source.list_frames() if each.complete and each.depth is not None]
+    if not listed:
+        raise InputError(
+            "the recording has no scans: give --points with --calibration, or a bag or drive with "
+            "point clouds"
+        )
+    parts = np.array_split(np.arange(len(listed)), min(count, len(listed)))
+    for part in parts:
+        places = part[np.linspace(0, len(part) - 1, min(_CANDIDATES, len(part))).astype(int)]
+        found = [each for place in places if (each := _read(source, listed, int(place)))]
+        if found:
+            _, place, frame, points = max(found, key=lambda each: each[0])
+            beside = (_read(source, listed, place + step) for step in (-1, 1))
+            before, after = (None if each is None else each[3] for each in beside)
+            yield Chosen(frame, points, (before, after))
+
+
+def _read(
+    source: Source, listed: Sequence[ListedFrame], place: int
+) -> tuple[float, int, Frame, _Points] | None:
+    """Structure, place, frame and points; None if the frame cannot be read."""
+    if not 0 <= place < len(listed):
+        return None
+    try:
+        frame = source.read(listed[place])
+    except InputError:  # damaged; the others count
+        return None
+    if (points := points_in_time(frame)) is None or frame.calibration is None:
+        raise InputError(
+            "the recording has depth maps, or no calibration: a calibration is checked with raw "
+            "scans, --points with --calibration, or a bag or drive with point clouds"
+        )
+    returns, jumps = find_structure(points, frame.calibration, frame.size)
+    spread = np.log(np.linalg.norm(returns, axis=1)).std() if len(returns) else 0.0
+    return len(jumps) * float(spread), place, frame, points

@@ -1,0 +1,138 @@
+"""`ssdnet-calibrate`: whether a calibration is right, without a target; `runtime.calibrate`."""
+
+import functools
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from runtime.alignment.calibrate import CalibrationResult, Verdict, calibrate
+from runtime.alignment.view import points_in_time
+from runtime.app.command import print_result, progress_bar, reported_errors, stop_requested
+from runtime.app.command_options import Version
+from runtime.app.drawing.alignment_picture import draw_alignment
+from runtime.app.encode import encode_jpeg, encode_png
+from runtime.app.run.cli import GroupedCommand, with_run_options
+from runtime.app.run.options import RunOptions, UsageError
+from runtime.app.tools.calibration_file import format_static_transform, format_toml
+from runtime.base.errors import InputError
+from runtime.engine.predictor import Predictor
+from runtime.files.atomic_write import atomic_write
+from runtime.recordings.source import Source
+
+_NOT_VISIBLE, _WRONG = 3, 4  # exit codes
+_EXIT_CODES = {Verdict.RIGHT: 0, Verdict.NOT_VISIBLE: _NOT_VISIBLE}
+_PICTURES = (".jpg", ".jpeg", ".png")
+#: The options of `ssdnet-run` that say what is read.
+_READ = ("path", "rgb", "points", "calibration", "rectify", "poses", "source", "max_skew_ms")
+
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+@app.command(
+    cls=GroupedCommand,
+    epilog="Exit codes: 0 the calibration is right within the printed limits; 1 error; 2 usage; "
+    "3 the frames do not show it; 4 it is off, or images have the scans of other frames; 130 "
+    "stopped by Ctrl-C or SIGTERM.",
+)
+@functools.partial(with_run_options, names=_READ)
+def main(
+    *,
+    frames: Annotated[
+        int, typer.Option(min=3, max=1000, help="Frames to look at, spread over the recording.")
+    ] = 20,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.toml",
+            help="Write the calibration to use, for --calibration. Nothing is written if the "
+            "frames do not show it.",
+        ),
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.jpg", help="Write the returns on an image, as given and as refined."
+        ),
+    ] = None,
+    threads: Annotated[
+        int | None, typer.Option(min=1, help="Threads of inference. [default: physical cores]")
+    ] = None,
+    _version: Version = False,
+    **given: Any,
+) -> None:
+    """Check the rotation between LiDAR and camera in a recording, and refine it.
+
+    A bundled model answers each image alone. Position and intrinsics are taken as they are.
+    """
+    with reported_errors("cpu"), stop_requested(interrupts=True):
+        try:
+            options = RunOptions(**given)
+        except UsageError as error:
+            raise typer.BadParameter(str(error)) from error
+        for option, path, suffixes in (("out", out, (".toml",)), ("picture", picture, _PICTURES)):
+            if path is not None and path.suffix.lower() not in suffixes:
+                raise typer.BadParameter(f"--{option} writes {suffixes[0]} files, got {path}")
+        with _open_source(options) as source, Predictor(threads=threads, warmup=0) as predictor:
+            with progress_bar(frames, "frames") as advance:
+                result = calibrate(source, predictor, frames=frames, on_frame=advance)
+            notes, transform = source.notes, _transform(result, source)
+        print_result("\n".join([*notes, *describe_result(result, transform)]))
+        if out is not None and result.refined is not None:
+            about = f"ssdnet-calibrate: {result.reason}"
+            atomic_write(out, format_toml(result.refined, about, *transform).encode())
+        if picture is not None:
+            _write_picture(result, picture)
+        raise typer.Exit(_EXIT_CODES.get(result.verdict, _WRONG))
+
+
+def _open_source(options: RunOptions) -> Source:
+    """The only camera. Raises InputError for several."""
+    cameras = options.open_cameras()
+    if len(cameras) > 1:
+        for source in cameras.values():
+            source.close()
+        raise InputError(f"{len(cameras)} cameras are named: check each by itself")
+    (source,) = cameras.values()
+    if options.rectify:
+        source.rectify_images()
+    return source
+
+
+def describe_result(result: CalibrationResult, transform: tuple[str, ...] = ()) -> list[str]:
+    """The verdict, what it rests on, and what else would look the same.
+
+    transform: lines with the command of ROS, printed where the calibration is off.
+    """
+    before, after = result.before, result.after
+    lines = [
+        f"calibration: {result.reason}",
+        f"{len(result.frames)} frames, as good as {result.scenes:.1f} different scenes",
+        f"boundary figure {before.edge:.3f} as given, {after.edge:.3f} at best; depth correlation "
+        f"{before.alike:.3f}, {after.alike:.3f}",
+    ]
+    if result.verdict in (Verdict.RIGHT, Verdict.OFF):
+        lines += [f"for the stated position and intrinsics: {each}" for each in result.alternatives]
+    return lines + (list(transform) if result.verdict is Verdict.OFF else [])
+
+
+def _transform(result: CalibrationResult, source: Source) -> tuple[str, ...]:
+    """The command of ROS that publishes the refined calibration; () without one."""
+    if (refined := result.refined) is None:
+        return ()
+    position = refined.extrinsics[:3, 3]
+    if result.mistake is None and source.lidar_position is not None:
+        position = source.lidar_position  # without the baseline of a stereo pair
+    rotation = refined.extrinsics[:3, :3]
+    return (format_static_transform(rotation, position, source.transform_frames),)
+
+
+def _write_picture(result: CalibrationResult, path: Path) -> None:
+    frame, calibrations = result.example, {"as given": result.given}
+    if result.verdict is Verdict.OFF and result.refined is not None:
+        calibrations["refined"] = result.refined
+    points = points_in_time(frame)
+    assert points is not None  # `calibrate` takes frames with scans
+    drawn = draw_alignment(frame.rgb, points, calibrations)
+    is_png = path.suffix.lower() == ".png"
+    atomic_write(path, encode_png(drawn) if is_png else encode_jpeg(drawn, quality=92))

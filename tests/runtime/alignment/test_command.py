@@ -1,0 +1,73 @@
+"""`ssdnet-calibrate`, and the files that it writes."""
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from runtime.alignment.figures import rotation
+from runtime.app.tools.calibrate import app
+from runtime.app.tools.calibration_file import format_static_transform, format_toml, quaternion
+from runtime.geometry.calibration import Calibration
+
+
+def test_the_written_calibration_is_the_right_one(tmp_path, recording, frames, turned):
+    given = recording([turned(each, (2, 0, 0)) for each in frames[:4]])
+    out, picture = tmp_path / "right.toml", tmp_path / "check.png"
+    given += ["--frames", "4", "--out", str(out), "--picture", str(picture)]
+    result = CliRunner().invoke(app, given)
+    assert result.exit_code == 4, result.output
+    assert "calibration: off by yaw +" in result.stdout
+    assert "--frame-id camera --child-frame-id lidar" in result.stdout
+    right, known = Calibration.from_file(out), frames[0].calibration
+    between = right.extrinsics[:3, :3] @ known.extrinsics[:3, :3].T
+    assert np.abs(between[0, 2]) < np.radians(0.6), "yaw"
+    assert np.allclose(right.extrinsics[:3, 3], known.extrinsics[:3, 3])
+    drawn = cv2.imread(str(picture))
+    assert drawn.shape[1] == 1280
+    assert drawn.std() > 10
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (["--out", "right.yaml"], "--out writes .toml files"),
+        (["--picture", "x.gif"], "--picture writes .jpg files"),
+        (["--frames", "2"], "--frames"),
+    ],
+)
+def test_wrong_options_are_usage_errors(tmp_path, recording, frames, more, words):
+    result = CliRunner().invoke(app, recording(frames[:1]) + more)
+    assert result.exit_code == 2
+    assert words in " ".join(result.output.split())
+
+
+def test_a_calibration_survives_its_file(tmp_path):
+    body = np.eye(4)
+    body[:3, 3] = 0.1, 0.2, 1.7
+    extrinsics = np.eye(4)
+    extrinsics[:3, :3] = rotation((10, 20, 30))
+    matrix = np.array([[700.5, 0, 320], [0, 701, 240], [0, 0, 1]])
+    lens = {"lens": "plumb_bob", "distortion": [-0.3, 0.1, 0, 0, 0.01]}
+    calibration = Calibration(matrix, extrinsics, (480, 640), body, **lens)
+    (tmp_path / "car.toml").write_text(format_toml(calibration, "two\nlines"))
+    read = Calibration.from_file(tmp_path / "car.toml")
+    for name in ("intrinsics", "extrinsics", "body_from_lidar", "size", "lens", "distortion"):
+        assert np.array_equal(getattr(read, name), getattr(calibration, name)), name
+
+
+@pytest.mark.parametrize(
+    "angles", [(0, 0, 0), (10, -20, 30), (180, 0, 0), (0, 179.9, 0), (0, 0, -90)]
+)
+def test_the_transform_of_ros_is_the_matrix(angles):
+    matrix = rotation(angles)
+    x, y, z, w = quaternion(matrix)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    assert np.allclose(rows, matrix, atol=1e-9)
+    line = format_static_transform(matrix, np.array([1, 2, 3.5]), ("cam", "velo"))
+    assert "--x 1 --y 2 --z 3.5 --qx" in line
+    assert line.endswith("--frame-id cam --child-frame-id velo")
