@@ -1,5 +1,6 @@
 """Recipes of several stages: runs one after the other, each from the weights of the one before."""
 
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -108,7 +109,7 @@ def train_stages(
             if path.name != FINAL:
                 return path
             if processes.is_first:
-                _make_result(stage, folder, init, data)
+                _make_result(stage, folder, folder, init, data)
             processes.wait()  # until the file is written
             result = folder / stage.result
             if stage is stages[-1]:
@@ -125,13 +126,15 @@ def train_stages(
     return out / FINAL
 
 
-def _make_result(stage: Stage, folder: Path, init: Weights | None, data: Sequence[Path]) -> None:
-    """Call what a finished stage has to call, unless its result is there."""
-    if stage.then is not None and not (folder / stage.result).is_file():
+def _make_result(
+    stage: Stage, folder: Path, made: Path, init: Weights | None, data: Sequence[Path]
+) -> None:
+    """Call what a finished stage has to call, and write it to ``made``, unless it is there."""
+    if stage.then is not None and not (made / stage.result).is_file():
         before = None if init is None else init.network
         trained = load_checkpoint(folder / FINAL)
         network = stage.then(Trained(before, trained.model, _read_pictures(stage.recipe, data)))
-        save_checkpoint(folder / stage.result, network, training=trained.training)
+        save_checkpoint(made / stage.result, network, training=trained.training)
 
 
 def _read_pictures(recipe: Recipe, data: Sequence[Path]) -> Iterator[Tensor]:
@@ -145,14 +148,21 @@ def _read_pictures(recipe: Recipe, data: Sequence[Path]) -> Iterator[Tensor]:
 def next_stage(
     stages: Sequence[Stage], out: Path, init: Weights | None, data: Sequence[Path]
 ) -> tuple[Stage, Path, Weights | None]:
-    """Return the first stage that is not finished, its folder, and the weights it starts from."""
+    """Return the first stage that is not finished, its folder, and the weights it starts from.
+
+    Nothing is written to ``out``.
+    """
     _require_same_stages(stages, out)
     for stage in stages:
         folder = out / stage.folder
         if not (folder / FINAL).is_file() or stage is stages[-1]:
             break
-        _make_result(stage, folder, init, data)
-        init = read_weights(folder / stage.result)
+        if (folder / stage.result).is_file():
+            init = read_weights(folder / stage.result)
+            continue
+        with tempfile.TemporaryDirectory() as made:
+            _make_result(stage, folder, Path(made), init, data)
+            init = read_weights(Path(made) / stage.result)
     return stage, folder, init
 
 

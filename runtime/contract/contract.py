@@ -218,6 +218,13 @@ def check_name(text: object, name: str) -> str:
 
 def check_classes(classes: Sequence[ClassInfo]) -> tuple[ClassInfo, ...]:
     """Return a class table; ValueError for too many, a bad name or colour, or a repeated name."""
+    if isinstance(classes, str) or not isinstance(classes, Sequence):
+        raise ValueError(f"classes must be a sequence of ClassInfo, got {shown(classes)}")
+    for index, info in enumerate(classes):
+        if not isinstance(info, ClassInfo):
+            raise ValueError(
+                f"classes[{index}] must be a ClassInfo(name, (red, green, blue)), got {shown(info)}"
+            )
     if len(classes) > MAX_CLASSES:
         raise ValueError(f"classes must be at most {MAX_CLASSES}, got {len(classes)}")
     for index, info in enumerate(classes):

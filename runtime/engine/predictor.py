@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import check_integer
+from runtime.base.checks import check_integer, shown
 from runtime.base.errors import ContractError, InferenceError, InputError
 from runtime.contract.canonical_focal import CameraScale, camera_scale
 from runtime.contract.contract import check_focal_length, check_size
@@ -346,9 +346,15 @@ class Predictor:
 
 def _one_each(name: str, values: Any, count: int) -> list[Any]:
     """Return a value for each frame, None for all without values. Raises InputError."""
-    each: list[Any] = [None] * count if values is None else list(values)
-    if len(each) != count:
-        raise InputError(f"{name} must hold one entry for each of {count} frames")
+    try:
+        each: list[Any] = [None] * count if values is None else list(values)
+    except TypeError:
+        each = []
+    if len(each) != count or isinstance(values, str):
+        raise InputError(
+            f"{name} must hold one entry for each of {count} frames, got {shown(values)}: give a "
+            "list"
+        )
     return each
 
 

@@ -6,7 +6,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.errors import SSDNetError
+from runtime.base.checks import shown
+from runtime.base.errors import InputError, SSDNetError
 from runtime.contract.degraded import IMPLAUSIBLE_DEPTH
 from runtime.engine.prediction import Prediction
 from runtime.geometry.calibration import Calibration
@@ -47,7 +48,7 @@ class Answerer:
         is_implausible: whether returns are known to be implausible until `check_last` clears them.
 
     Raises:
-        InputError: if `consistency` is out of range.
+        InputError: if `consistency` is out of range, or `predictor` has no `predict`.
     """
 
     def __init__(
@@ -59,6 +60,8 @@ class Answerer:
         has_lidar: bool = False,
         is_implausible: bool = False,
     ) -> None:
+        if not callable(getattr(predictor, "predict", None)):
+            raise InputError(f"predictor must be a Predictor, got {shown(predictor)}")
         self._predictor = predictor
         self._health, self._plausibility = FrameHealth(has_lidar=has_lidar), DepthPlausibility()
         self._is_implausible = is_implausible

@@ -23,6 +23,7 @@ from models.blocks import ConvBNReLU, pad_to_multiple
 from models.classes import numbered_classes
 from models.registry import NETWORKS, Entry
 from runtime.base.errors import CheckpointError
+from runtime.contract.contract import ClassInfo
 from training.commands.train import app
 from training.evaluation import cli as evaluation_cli
 from training.initial_weights import read_weights
@@ -182,3 +183,14 @@ def test_every_network_meets_the_contract_of_the_base(name):
     if "semantic" in maps:
         assert model.semantic_head.bias.shape == (model.config.num_classes,)
     assert type(model.config).from_dict(model.config.to_dict()) == model.config
+
+
+@pytest.mark.parametrize(("classes", "text"), [
+    (("road", "car"), r"classes\[0\] must be a ClassInfo"), (3, "classes must be a sequence"),
+    ("road", "classes must be a sequence"),
+    ((ClassInfo("Car", (1, 2, 3)), ClassInfo("car", (1, 2, 4))), "names that differ beyond case"),
+    ((ClassInfo("STRASSE", (1, 2, 3)), ClassInfo("straße", (1, 2, 4))), "differ beyond case"),
+], ids=str)  # fmt: skip
+def test_classes_of_another_kind_are_refused(classes, text):
+    with pytest.raises(ValueError, match=text):
+        create_model("ssdnet-nano", classes=classes)

@@ -120,9 +120,14 @@ class Overlay:
                 continue
             if kind is Panel.CLASSES and ids is not None:
                 panels["classes"] = self._paint_classes(ids, image)
-            elif kind is Panel.DEPTH and depth is not None:
-                title = "depth" if ids is None or self._sky is None else "depth, none in the sky"
-                panels[title] = self._depth_scale.paint(depth, hidden=hidden)
+            elif kind is Panel.DEPTH:
+                own = _shrink_nearest(heads[head], step)
+                unknown = ~(own > 0)
+                title = head
+                if ids is not None and self._sky is not None:
+                    unknown |= ids == self._sky
+                    title += ", none in the sky"
+                panels[title] = self._depth_scale.paint(own, hidden=unknown)
             elif kind is Panel.SHARE_OF_DEPTH and depth is not None:
                 percent: NDArray[Any] = 100 * _shrink_nearest(heads[head], step)
                 percent = percent / np.maximum(depth, 1e-6)

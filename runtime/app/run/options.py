@@ -73,7 +73,7 @@ _input, _outputs, _model, _timing = map(_group, ("Input", "Outputs", "Model", "T
 
 _KEYS = "; ".join(f"{kind} ({', '.join(keys_of(kind))})" for kind in SOURCES)
 _PATH = typer.Argument(
-    metavar="[PATH]",
+    metavar="PATH",
     help=f"Frames to predict: {'; '.join(kind.accepted for kind in SOURCES.values())}. Its kind "
     "follows from the path.",
     rich_help_panel="Input",
@@ -256,6 +256,11 @@ class RunOptions:
             raise UsageError(
                 "give one of PATH, --demo, --rgb (with --depth or --points) and --source"
             )
+        if self.rectify and self.depth is not None:
+            raise UsageError(
+                "--rectify goes with --points: depth maps (--depth) lie on the pixels of the "
+                "distorted images; leave --rectify out, or give the scans"
+            )
         for option, path in self.named_files.items():
             if path.suffix.lower() != FILE_SUFFIXES[option]:
                 raise UsageError(f"--{option} writes {FILE_SUFFIXES[option]} files, got {path}")
@@ -281,11 +286,13 @@ class RunOptions:
     def _read_kinds(self) -> tuple[str, ...]:
         texts = ",".join(self.save or ["all"])
         requested = {kind.strip() for kind in texts.split(",")}
-        if requested in ({"all"}, {"none"}):
-            return KINDS if requested == {"all"} else ()
+        if requested == {"none"}:
+            return ()
+        if "all" in requested:  # "all,cloud" adds the clouds
+            requested = (requested - {"all"}) | set(KINDS)
         if requested - SUFFIXES.keys():
             raise UsageError(
-                f"--save is all, none, or some of {', '.join(SUFFIXES)}, got {shown(texts)}"
+                f"--save is none, or some of all, {', '.join(SUFFIXES)}, got {shown(texts)}"
             )
         return tuple(kind for kind in SUFFIXES if kind in requested)
 

@@ -19,7 +19,7 @@ def info(
     model: Annotated[
         str | None,
         typer.Argument(
-            metavar="[NAME|PATH]",
+            metavar="NAME|PATH",
             help="Name of a bundled model, or path of an ONNX file made by ssdnet-export. "
             "[default: list the bundled models]",
         ),

@@ -94,6 +94,7 @@ def test_a_bad_frame_is_named_before_any_runs(model_file, make_frame, counted):
             ([good, None, good], {}, "frame 1 of 3"),
             (None, {}, r"frames must be \(rgb, sparse_depth\)"),
             ([good, good], {"stamps": [1]}, "each of 2"),
+            ([good], {"focal_lengths_px": 700.0}, "one entry for each of 1 frames, got 700.0"),
             ([good], {"focal_lengths_px": [-1.0]}, "frame 0 of 1: focal_length_px"),
         ]:
             with pytest.raises(InputError, match=named):

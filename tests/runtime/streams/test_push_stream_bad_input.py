@@ -115,3 +115,9 @@ def test_bad_messages_are_refused_or_flagged_and_accounted_for(checked_predictor
         assert np.isfinite(result.prediction.depth).all()
         assert result.rgb.any() or "image_black" in result.health
         assert result.prediction.depth_returns or "no_depth" in result.prediction.degraded
+
+
+@pytest.mark.parametrize("predictor", [None, "ssdnet-lite", object()], ids=str)
+def test_what_is_no_predictor_is_refused_at_once(predictor):
+    with pytest.raises(InputError, match="predictor must be a Predictor"):
+        PushStream(predictor)

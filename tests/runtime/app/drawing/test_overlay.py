@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from runtime.app.drawing.overlay import Overlay
+from runtime.contract.heads import HEADS
 
 
 @pytest.fixture
@@ -137,3 +138,14 @@ def test_the_overlay_leaves_out_missing_heads(contract, overlay, answered):
     assert overlay.draw(rgb, prediction).shape[1] == 5 * 80
     only_boundary = change(prediction, depth_uncertainty=None, semantic=None, depth=None)
     assert Overlay((), contract.max_depth_m).draw(rgb, only_boundary).shape == (60, 2 * 80, 3)
+
+
+def test_a_second_head_of_depth_has_a_panel_of_its_own(overlay, answered, monkeypatch):
+    row = dataclasses.replace(HEADS["depth"], name="depth_2")
+    monkeypatch.setitem(HEADS, "depth_2", row)
+    rgb, prediction = answered
+    far = np.full_like(prediction.depth, 60)
+    panels = overlay.panels(rgb, change(prediction, semantic=None, depth_2=far))
+    alone = overlay.panels(rgb, change(prediction, semantic=None, depth=far))
+    np.testing.assert_array_equal(panels["depth_2"], alone["depth"])
+    assert (panels["depth"] != panels["depth_2"]).any()
