@@ -9,6 +9,7 @@ IMAGE_CONSTANT = "image_constant"  # all pixels are equal: a covered or dead cam
 IMPLAUSIBLE_DEPTH = (
     "implausible_depth"  # of a stream, see `runtime.streams.health.depth_plausibility`
 )
+IMPLAUSIBLE_POSES = "implausible_poses"  # the same of poses: `health.pose_plausibility`
 DEPTH_REUSED = "depth_reused"  # the image has no scan of its own, and took an older one
 DEPTH_UNCOMPENSATED = "depth_uncompensated"  # returns are not moved to the time of the image
 POINTS_UNTIMED = "points_untimed"  # returns were left out: their times are not of their scan
@@ -19,6 +20,6 @@ POSE_JUMP = "pose_jump"  # the odometry jumped
 POSE_CLOCK = "pose_clock"  # the stamps of the poses are of another clock
 #: Those that are of the frame in its stream, not of `Predictor.predict`.
 OF_THE_STREAM = {
-    *(IMPLAUSIBLE_DEPTH, DEPTH_REUSED, DEPTH_UNCOMPENSATED, POINTS_UNTIMED),
+    *(IMPLAUSIBLE_DEPTH, IMPLAUSIBLE_POSES, DEPTH_REUSED, DEPTH_UNCOMPENSATED, POINTS_UNTIMED),
     *(NO_POSE, POSE_GAP, POSE_JUMP, POSE_CLOCK),
 }

@@ -152,7 +152,7 @@ class PoseTrack:
             )
         weights = (times_ns - stamps_ns[start]) / np.maximum(lengths_ns, 1)
         poses = np.zeros((len(times_ns), 4, 4))
-        poses[:, :3, :3] = _matrices(
+        poses[:, :3, :3] = rotations(
             _slerp(self.quaternions[start], self.quaternions[end], weights)
         )
         step = self.positions[end] - self.positions[start]
@@ -310,7 +310,7 @@ def _slerp(
     return np.asarray(between / np.linalg.norm(between, axis=1, keepdims=True))
 
 
-def _matrices(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rotation matrices (M, 3, 3) of unit quaternions."""
     w, x, y, z = quaternions.T
     matrices = np.array(

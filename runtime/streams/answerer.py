@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from runtime.base.checks import shown
 from runtime.base.errors import InputError, SSDNetError
-from runtime.contract.degraded import IMPLAUSIBLE_DEPTH
+from runtime.contract.degraded import IMPLAUSIBLE_DEPTH, IMPLAUSIBLE_POSES
 from runtime.engine.prediction import Prediction
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import Scan
@@ -17,6 +17,7 @@ from runtime.streams.frame_result import FrameResult
 from runtime.streams.health.consistency import ConsistencyCheck
 from runtime.streams.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.streams.health.frame_health import FrameHealth
+from runtime.streams.health.pose_plausibility import PosePlausibility
 
 _CHECK_EVERY = 100  # frames with depth, after the first FIRST_FRAMES
 
@@ -65,6 +66,10 @@ class Answerer:
         self._predictor = predictor
         self._health, self._plausibility = FrameHealth(has_lidar=has_lidar), DepthPlausibility()
         self._is_implausible = is_implausible
+        self._poses = PosePlausibility()
+        self._posed: Frame | None = None  # not compared with its poses yet
+        #: Why the poses cannot be right; None = nothing was found.
+        self.pose_fault: str | None = None
         self._check_depth = check_depth
         self._last: Frame | None = None  # of the next check
         self._checks = self._since = 0  # checked frames; frames with depth since the last check
@@ -94,6 +99,9 @@ class Answerer:
             self._last = None if prediction.depth is None or not self._check_depth else frame
             if self._is_implausible:
                 reasons = (IMPLAUSIBLE_DEPTH, *reasons)
+        if frame.own_depth is not None and frame.poses is not None:
+            self._posed = frame
+            reasons += () if self.pose_fault is None else (IMPLAUSIBLE_POSES,)
         prediction = prediction.after_reading(reasons, frame.in_time.lost_points)
         # `predict` has checked that they fit.
         scan = None if (own := frame.own_depth) is None else own.data
@@ -122,11 +130,15 @@ class Answerer:
         )
 
     def check_last(self, *, idle: bool) -> None:
-        """Compare the returns of the last frame with a prediction from its image alone, if due.
+        """Compare the last frame with its poses, and its returns with its image alone, if due.
 
         The first FIRST_FRAMES with depth are, then one in _CHECK_EVERY, when the stream is idle.
         With `consistency` its predictions serve.
         """
+        posed, self._posed = self._posed, None
+        if posed is not None and self.pose_fault is None:
+            self._poses.add(posed)
+            self.pose_fault = self._poses.finding()
         last, self._last = self._last, None
         if last is None or self._consistency is not None:
             return

@@ -185,6 +185,7 @@ def run_stream(
             reads.popleft()
             writes.append(answer(index, listed, reading, due))
             read_next()
+            answerer.check_last(idle=True)
             while len(writes) > _WRITE_BEHIND:
                 finish_oldest()
         while writes:

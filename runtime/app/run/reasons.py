@@ -21,6 +21,7 @@ REASONS = {
     degraded.POSE_JUMP: "the odometry jumped",
     degraded.POSE_CLOCK: "poses of another clock",
     degraded.IMPLAUSIBLE_DEPTH: "the returns contradict the image",
+    degraded.IMPLAUSIBLE_POSES: "scans moved by the poses contradict each other",
     degraded.IMAGE_CONSTANT: "all pixels are equal",
     health.IMAGE_FROZEN: "same bytes as the image before",
     health.IMAGE_BLACK: "nearly all pixels are dark",

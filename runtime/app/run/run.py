@@ -192,7 +192,7 @@ def _answer(
         answers = [each.prediction for each in result.records if each.prediction]
         if fault is NoDepth.NO_RETURNS and any(answer.depth_returns for answer in answers):
             fault = None  # the LiDAR started later
-        opened.report = _report(stream, options, result, fault)
+        opened.report = _report(stream, options, result, fault, answerer.pose_fault)
     return opened.report
 
 
@@ -249,7 +249,11 @@ def _warm_up(
 
 
 def _report(
-    stream: _Stream, options: RunOptions, result: StreamResult, implausible_depth: str | None
+    stream: _Stream,
+    options: RunOptions,
+    result: StreamResult,
+    implausible_depth: str | None,
+    implausible_poses: str | None,
 ) -> RunReport:
     source, scale = stream.source, stream.scale
     inputs = {
@@ -280,4 +284,5 @@ def _report(
         stream.fit,
         outages,
         timeline,
+        implausible_poses,
     )

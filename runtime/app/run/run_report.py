@@ -18,7 +18,7 @@ from runtime.app.run.outages import Outage, Timeline
 from runtime.app.run.pipeline import StreamResult
 from runtime.app.run.reasons import LATE
 from runtime.contract.canonical_focal import CameraScale
-from runtime.contract.degraded import IMPLAUSIBLE_DEPTH
+from runtime.contract.degraded import IMPLAUSIBLE_DEPTH, IMPLAUSIBLE_POSES
 from runtime.engine.prediction import Cleaned, Prediction
 from runtime.engine.predictor import Predictor
 from runtime.files.atomic_write import atomic_write
@@ -47,6 +47,7 @@ class RunReport:
         calibration_fit: how the returns of the first frames fit the image; None = not known.
         outages: when a sensor was out.
         timeline: times of the frames; None = not known, or of several cameras.
+        implausible_poses: why the poses cannot be right; None = nothing was found.
     """
 
     engine: Mapping[str, Any]
@@ -58,6 +59,7 @@ class RunReport:
     calibration_fit: QuickFinding | None = None
     outages: tuple[Outage, ...] = ()
     timeline: Timeline | None = None
+    implausible_poses: str | None = None
 
     @classmethod
     def of_rig(
@@ -93,6 +95,7 @@ class RunReport:
             inputs={"cameras": {camera: report.inputs for camera, report in reports.items()}},
             stream=stream,
             implausible_depth="; ".join(found) or None,
+            implausible_poses=first.implausible_poses,  # all cameras have the same
             outages=tuple(
                 replace(outage, camera=camera)
                 for camera, report in reports.items()
@@ -155,6 +158,8 @@ class RunReport:
         """Reason of `REASONS` -> frames, or outages."""
         counts = self.degraded + self.health + self.by_status
         counts[LATE] = sum(record.deadline_met is False for record in self.records)
+        if self.implausible_poses is not None:
+            counts[IMPLAUSIBLE_POSES] = max(counts[IMPLAUSIBLE_POSES], 1)
         if self.implausible_depth is not None:
             counts[IMPLAUSIBLE_DEPTH] = max(counts[IMPLAUSIBLE_DEPTH], 1)
         silent = Counter(each.reason for each in self.outages if each.scans is None)
@@ -204,7 +209,8 @@ class RunReport:
             return DEADLINE_MISSED
         if self.failed_on:
             return REASON_FOUND
-        doubtful = self.implausible_depth is not None and self.records
+        found = self.implausible_depth or self.implausible_poses
+        doubtful = found is not None and self.records
         return FRAMES_SKIPPED if self.stream.interrupted or self.not_ok or doubtful else 0
 
     def document(self) -> dict[str, Any]:
@@ -224,6 +230,7 @@ class RunReport:
                 "health": self.health,
                 "depth": self.depth_sources,
                 "implausible_depth": self.implausible_depth,
+                "implausible_poses": self.implausible_poses,
                 "calibration_fit": self.calibration_fit and self.calibration_fit._asdict(),
                 "by_network_size": self.by_network_size,
                 "not_ok": [
@@ -336,6 +343,8 @@ def describe_run(report: RunReport) -> str:
     lines += [f"  degraded: {reason}: {count}" for reason, count in report.degraded.items()]
     lines += [f"  health: {reason}: {count}" for reason, count in report.health.items()]
     lines += [f"warning: {each.text}" for each in report.outages]
+    if report.implausible_poses is not None:
+        lines.append(f"warning: {report.implausible_poses}")
     lines += [f"failed on {reason}: {count}" for reason, count in report.failed_on.items()]
     if report.options.rate is not None:
         lines.append(f"constant stream of {report.options.rate:g} Hz")

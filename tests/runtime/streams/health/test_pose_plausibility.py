@@ -1,0 +1,94 @@
+"""Poses that contradict the scans that they move, and the reading of them that does not."""
+
+import numpy as np
+import pytest
+
+from runtime.geometry.motion import Scan
+from runtime.geometry.poses import PoseTrack
+from runtime.streams.frame import Frame, Message
+from runtime.streams.health.pose_plausibility import PosePlausibility
+
+N, STEP_NS = 16, 100_000_000
+IMAGE = np.zeros((2, 2, 3), np.uint8)
+
+
+def pose(seconds, turn):
+    """Of a car of 10 m/s in a turn [rad/s]; LiDAR to world, z up."""
+    angle = turn * seconds
+    matrix = np.eye(4)
+    matrix[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    way = [np.sin(angle), 1 - np.cos(angle)] if turn else [angle, 0]
+    matrix[:2, 3] = 10 / turn * np.array(way) if turn else (10 * seconds, 0)
+    return matrix
+
+
+def street():
+    """Points of posts and of the ground, float64 (N, 4), of the world."""
+    rng = np.random.default_rng(0)
+    feet = rng.uniform([-5, -25], [60, 25], (60, 2))
+    posts = np.repeat(feet, 120, axis=0) + rng.uniform(-0.4, 0.4, (7200, 2))
+    ground = rng.uniform([-5, -25], [60, 25], (4000, 2))
+    points = np.vstack([
+        np.c_[posts, rng.uniform(-1.7, 4, len(posts))], np.c_[ground, np.full(len(ground), -1.7)]
+    ])  # fmt: skip
+    return np.c_[points, np.ones(len(points))]
+
+
+WORLD = street()
+
+
+def finding(read, *, turn=0.0, moves=True):
+    """The verdict on a drive whose poses are what `read` makes of the right ones."""
+    right = [pose(0.1 * number if moves else 0.0, turn) for number in range(N)]
+    stamps = [number * STEP_NS for number in range(N)]
+    track = PoseTrack.of([read(each) for each in right], stamps)
+    check = PosePlausibility()
+    for stamp, each in zip(stamps, right, strict=True):
+        seen = (WORLD @ np.linalg.inv(each).T)[:, :3].astype(np.float32)
+        seen = seen[np.argsort(-np.linalg.norm(seen, axis=1))]
+        scan = Scan.of(seen)._replace(times=stamp)
+        check.add(Frame(Message(stamp, stamp, IMAGE), Message(stamp, stamp, scan), poses=track))
+    return check.finding()
+
+
+def scaled(factor):
+    def read(matrix):
+        matrix = matrix.copy()
+        matrix[:3, 3] *= factor
+        return matrix
+
+    return read
+
+
+def w_first(matrix):
+    """What a reader of x, y, z, w makes of w, x, y, z; of a turn about z."""
+    half = np.arctan2(matrix[1, 0], matrix[0, 0]) / 2
+    x, w = np.cos(half), np.sin(half)
+    read = matrix.copy()
+    read[:3, :3] = [[1, 0, 0], [0, 1 - 2 * x * x, -2 * x * w], [0, 2 * x * w, 1 - 2 * x * x]]
+    return read
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.4])
+def test_right_poses_are_not_doubted(turn):
+    assert finding(lambda matrix: matrix, turn=turn) is None
+    assert finding(lambda matrix: matrix, moves=False) is None
+
+
+@pytest.mark.parametrize(("read", "turn", "said"), [
+    (np.linalg.inv, 0.0, "as their inverse"), (np.linalg.inv, 0.4, "as their inverse"),
+    (scaled(0.001), 0.0, "in kilometres"), (w_first, 0.4, "with w as the first number"),
+])  # fmt: skip
+def test_the_reading_that_fits_is_named(read, turn, said):
+    found = finding(read, turn=turn)
+    assert found is not None
+    assert said in found
+
+
+def test_poses_of_another_drive_are_far_worse_than_none():
+    def other(matrix):
+        matrix = matrix.copy()
+        matrix[:3, 3] = 0, 3 * matrix[0, 3], 0
+        return matrix
+
+    assert "another" in (finding(other) or "")
