@@ -1,14 +1,15 @@
 """Data sets, rendering, losses, metrics and the loop that make checkpoints.
 
 ```python
-from training import adapt, finetune, train
+from training import adapt, evaluate, finetune, train
 
 train("lite", data="data", out="run")  # a recipe of the package, or one of yours
 finetune("mine/images", labels="mine/labels", classes="mine/classes.txt", out="run")
 adapt("drive.mcap", out="rig")  # a recording without labels
 ```
 
-These names are loaded on first use (PEP 562), since they need PyTorch.
+`evaluate` scores models on data sets, as `ssdnet-eval` does, and returns the scores. All names are
+loaded on first use (PEP 562), since they need PyTorch.
 """
 
 from importlib import import_module
@@ -18,14 +19,20 @@ if TYPE_CHECKING:
     from training.api import adapt as adapt
     from training.api import finetune as finetune
     from training.api import train as train
+    from training.evaluation.evaluate import evaluate as evaluate
 
-__all__ = ["adapt", "finetune", "train"]
+#: Name -> the module that has it.
+_HOMES = {
+    **dict.fromkeys(("adapt", "finetune", "train"), "training.api"),
+    "evaluate": "training.evaluation.evaluate",
+}
+__all__ = ["adapt", "evaluate", "finetune", "train"]
 
 
 def __getattr__(name: str) -> Any:
-    if name not in __all__:
+    if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = value = getattr(import_module("training.api"), name)
+    globals()[name] = value = getattr(import_module(_HOMES[name]), name)
     return value
 
 

@@ -5,9 +5,10 @@ import copy
 import math
 import random
 import sys
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -29,6 +30,7 @@ from training.loading.augment import with_crop
 from training.loading.mixture import DepthTarget
 from training.loading.open_dataset import (
     FREQUENCY_SAMPLES,
+    Survey,
     count_shared,
     open_dataset,
     spread_pictures,
@@ -98,97 +100,144 @@ def open_task(
     A ``resumed`` training does not read pretrained weights again. Raises StopRequested while
     ``stop`` is True.
     """
-    # OpenCV's thread pool does not survive the fork of the loader's workers: they would hang.
-    cv2.setNumThreads(0)
-    torch.manual_seed(recipe.data.seed)
-    random.seed(recipe.data.seed)
-    np.random.seed(recipe.data.seed)  # noqa: NPY002  (for libraries that draw from it)
-
-    model, loss = recipe.model, recipe.loss
-    lidar = LidarInput.parse(recipe.validation.lidar)
-    road, sky = model.class_id("road"), model.class_id("sky")
-    sources = [open_dataset(item, data, classes=model.class_table) for item in recipe.data.source]
-    validation = {
-        item.title: open_dataset(item, data, classes=model.class_table)
-        for item in recipe.validation.source
-    }
-    shared = {title: count_shared([source], sources) for title, source in validation.items()}
-    network = build_network(model, init, resumed=resumed, pictures=spread_pictures(sources))
-    taught_by = prepare_teacher(teacher, loss, network)
+    _seed(recipe.data.seed)
+    sets = _open_sets(recipe, data)
+    network, taught_by = _open_networks(recipe, sets, init, teacher, processes, resumed=resumed)
     known_data, data_terms = state_provenance(recipe, init, teacher)
-    config = network.config
-    try:
-        check_output(network)
-    except ValueError as error:
-        raise InputError(f"the network {config.name!r}: {error}") from error
-    for part in (network, taught_by):
-        if part is not None:
-            part.to(processes.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-
-    watched = [Watched(source, stop) for source in sources]
-    found = survey(recipe.data.source, watched, model.class_names, config)
+    watched = [Watched(source, stop) for source in sets.sources]
+    found = survey(recipe.data.source, watched, recipe.model.class_names, network.config)
     decided = replace(
         recipe.data,
         augment=with_crop(recipe.data.augment, found.smallest),
         workers=min(recipe.data.workers, available_cores()),
     )
-    terms = loss.terms_for(network.heads)
-    targets = sorted({term.target for term in terms.values()} - {""})
-    warnings = [text for target, text in found.notes if target in targets]
-    warnings += [
-        f"{count} of the {len(validation[title])} frames of {title} are also trained on: its "
-        "scores do not hold for other frames"
-        for title, count in shared.items()
-        if count
-    ]
-
-    weights = None
-    if "semantic" in terms:
-        weights = class_weights(torch.from_numpy(found.classes), loss.class_weighting)
-    criterion = SSDNetLoss(
-        loss,
-        weights,
-        max_depth_m=config.max_depth_m,
-        target_depth_m=config.target_depth_m,
-        road=road,
-    ).to(processes.device)
+    terms = recipe.loss.terms_for(network.heads)
+    criterion = _build_loss(recipe, network, terms, found).to(processes.device)
     optimizer = build_optimizer(recipe.optimizer, network, criterion)
     _require_batches(network, decided, processes)
     _require_learning(recipe, network, terms, found.targets)
-    for title, source in validation.items():
-        seen = Watched(source, stop)
-        if not _gives_scores(recipe.validation.best, network, title, seen, lidar):
-            warnings.append(f"{title} has no ground truth for a head: it gives no scores")
+    targets = sorted({term.target for term in terms.values()} - {""})
+    warnings = [text for target, text in found.notes if target in targets]
+    warnings += _doubts_of_validation(recipe, sets, network, stop)
     for text in warnings if processes.is_first else ():
         tqdm.write(f"warning: {text}", file=sys.stderr)
-
-    depth = DepthTarget(
-        config.canonical_focal_px,
-        sky if recipe.data.sky_depth_m else None,
-        recipe.data.sky_depth_m,
-        max_depth_m=config.max_depth_m,
-    )
     task = Task(
         data=decided,
-        sources=sources,
-        validation=validation,
-        lidar=lidar,
+        sources=sets.sources,
+        validation=sets.validation,
+        lidar=LidarInput.parse(recipe.validation.lidar),
         network=network,
         criterion=criterion,
         optimizer=optimizer,
         targets=targets,
-        depth_target=depth,
+        depth_target=_depth_target(recipe, network),
         known_data=known_data,
         data_terms=data_terms,
         teacher=taught_by,
     )
-    if 0 < recipe.data.augment.pair_shift < task.pair_step:
-        raise InputError(
-            f"data.augment.pair_shift = {recipe.data.augment.pair_shift}; the classes of "
-            f"{config.name!r} are on cells of {task.pair_step} px, so that the second view would "
-            f"never be shifted. Set at least {task.pair_step}, or 0 for one view."
-        )
+    _require_shift(task)
     return task
+
+
+def _seed(seed: int) -> None:
+    """Seed the random numbers of this process, and prepare it for the fork of workers."""
+    # OpenCV's thread pool does not survive the fork of the loader's workers: they would hang.
+    cv2.setNumThreads(0)
+    torch.manual_seed(seed)
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002  (for libraries that draw from it)
+
+
+class _Sets(NamedTuple):
+    """The data sets of a recipe: those that it trains on, and those of its validation by title."""
+
+    sources: Sequence[SampleSource]
+    validation: Mapping[str, SampleSource]
+
+
+def _open_sets(recipe: Recipe, data: Sequence[Path]) -> _Sets:
+    table = recipe.model.class_table
+    return _Sets(
+        [open_dataset(item, data, classes=table) for item in recipe.data.source],
+        {item.title: open_dataset(item, data, classes=table) for item in recipe.validation.source},
+    )
+
+
+def _open_networks(
+    recipe: Recipe,
+    sets: _Sets,
+    init: Weights | None,
+    teacher: Weights | None,
+    processes: Processes,
+    *,
+    resumed: bool,
+) -> tuple[Network, Network | None]:
+    """Build the network and its teacher on the device; InputError for a network's wrong output."""
+    pictures = spread_pictures(sets.sources)
+    network = build_network(recipe.model, init, resumed=resumed, pictures=pictures)
+    taught_by = prepare_teacher(teacher, recipe.loss, network)
+    try:
+        check_output(network)
+    except ValueError as error:
+        raise InputError(f"the network {network.config.name!r}: {error}") from error
+    for part in (network, taught_by):
+        if part is not None:
+            part.to(processes.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return network, taught_by
+
+
+def _build_loss(
+    recipe: Recipe, network: Network, terms: Collection[str], found: Survey
+) -> SSDNetLoss:
+    """Build the loss; its class weights are those of the surveyed frames."""
+    weights = None
+    if "semantic" in terms:
+        weights = class_weights(torch.from_numpy(found.classes), recipe.loss.class_weighting)
+    return SSDNetLoss(
+        recipe.loss,
+        weights,
+        max_depth_m=network.config.max_depth_m,
+        target_depth_m=network.config.target_depth_m,
+        road=recipe.model.class_id("road"),
+    )
+
+
+def _depth_target(recipe: Recipe, network: Network) -> DepthTarget:
+    sky_depth_m = recipe.data.sky_depth_m
+    return DepthTarget(
+        network.config.canonical_focal_px,
+        recipe.model.class_id("sky") if sky_depth_m else None,
+        sky_depth_m,
+        max_depth_m=network.config.max_depth_m,
+    )
+
+
+def _doubts_of_validation(
+    recipe: Recipe, sets: _Sets, network: Network, stop: Callable[[], bool]
+) -> Iterator[str]:
+    """Yield why scores of validation sets do not hold, or why there are none."""
+    for title, source in sets.validation.items():
+        if count := count_shared([source], sets.sources):
+            yield (
+                f"{count} of the {len(source)} frames of {title} are also trained on: its "
+                "scores do not hold for other frames"
+            )
+    lidar = LidarInput.parse(recipe.validation.lidar)
+    for title, source in sets.validation.items():
+        seen = Watched(source, stop)
+        if not _gives_scores(recipe.validation.best, network, title, seen, lidar):
+            yield f"{title} has no ground truth for a head: it gives no scores"
+
+
+def _require_shift(task: Task) -> None:
+    """Raise InputError where the second view could never be shifted by a cell."""
+    shift = task.data.augment.pair_shift
+    if 0 < shift < task.pair_step:
+        raise InputError(
+            f"data.augment.pair_shift = {shift}; the classes of {task.network.config.name!r} are "
+            f"on cells of {task.pair_step} px, so that the second view would never be shifted. "
+            f"Set at least {task.pair_step}, or 0 for one view."
+        )
 
 
 def _require_batches(network: Network, data: DataRecipe, processes: Processes) -> None:
