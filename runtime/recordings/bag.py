@@ -465,7 +465,7 @@ class BagSource(Source):
     @property
     def lidar_position(self) -> NDArray[np.float64] | None:
         """See `Source.lidar_position`: as in /tf_static, without the baseline of a stereo pair."""
-        if self._given.calibration is not None or not self._has_clouds:
+        if self._rig.calibration is not None or not self._has_clouds:
             return super().lidar_position
         camera, lidar = self.transform_frames
         return self._tree.between(lidar, camera)[:3, 3]
