@@ -92,6 +92,9 @@ def finetune(
     labels: str | Path | None = None,
     classes: str | Path | None = None,
     depth: str | Path | None = None,
+    depth_scale: float | None = None,
+    focal_length_px: float | None = None,
+    intrinsics: tuple[float, float, float, float] | None = None,
     init: str | Path = "ssdnet-lite",
     changes: Sequence[str] = (),
     device: str = "cpu",
@@ -111,7 +114,11 @@ def finetune(
         out: folder of the run.
         labels: 8-bit PNGs of class ids (0, 1, ...; 255 = none).
         classes: text file with the name of one class a line, in order of the ids.
-        depth: 16-bit PNGs of a LiDAR's depth, metres x 256, 0 = none.
+        depth: 16-bit PNGs of a LiDAR's depth, 0 = none.
+        depth_scale: units of the depth per metre; None = 256.
+        focal_length_px: of the images as they are: distances of another camera than that of the
+            weights are then scaled, see `runtime.contract.canonical_focal`. None = not known.
+        intrinsics: fx, fy, cx, cy [px], in place of the focal length.
         init: weights to start from.
         changes: see `train`, like what follows.
         device: "cpu", "cuda" or "cuda:N".
@@ -128,14 +135,22 @@ def finetune(
             the other way round, and as in `train`, like the other errors.
     """
     begin, target = _read_weights(init), Path(out)
-    own = OwnFolders(Path(images), *map(_path, (labels, depth, classes)))
+    own = OwnFolders(
+        Path(images),
+        labels=_path(labels),
+        depth=_path(depth),
+        classes=_path(classes),
+        depth_scale=depth_scale,
+        focal_length_px=focal_length_px,
+        intrinsics=intrinsics,
+    )
     text = own.make_recipe(begin)
     report(text)
     table = fine_tune(tomllib.loads(text), changes, begin)
     stages = (Stage("", build_recipe(table, target / RECIPE_TEXT)),)
+    keep_recipe(text, target)  # of a dry run, too: it is the file that one edits
     if dry_run:
         return _draw_first_batch(stages, [own.root], target, begin, None, device, report)
-    keep_recipe(text, target)
     return train_stages(
         stages,
         data=[own.root],

@@ -48,17 +48,27 @@ class OwnFolders:
     Attributes:
         images: PNG or JPEG images.
         labels: 8-bit PNGs of class ids, 255 = none.
-        depth: 16-bit PNGs of a LiDAR's depth, metres x 256.
+        depth: 16-bit PNGs of a LiDAR's depth.
         classes: text file with the name of a class a line, the first of id 0; goes with labels.
+        depth_scale: units of the depth per metre; None = 256.
+        focal_length_px: of the images as they are; the principal point is then in their middle.
+        intrinsics: fx, fy, cx, cy [px] of the images as they are, in place of the focal length.
     """
 
     images: Path
     labels: Path | None = None
     depth: Path | None = None
     classes: Path | None = None
+    depth_scale: float | None = None
+    focal_length_px: float | None = None
+    intrinsics: tuple[float, float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Check that there is something to learn."""
+        """Check that there is something to learn, and that the options go together."""
+        if self.depth is None and self.depth_scale is not None:
+            raise InputError("--depth-scale is the unit of --depth: give both, or neither")
+        if self.focal_length_px is not None and self.intrinsics is not None:
+            raise InputError("--focal-length and --intrinsics state the same: give one of them")
         if self.labels is None and self.depth is None:
             raise InputError("images alone teach nothing: give --labels with --classes, or --depth")
         if (self.labels is None) != (self.classes is None):
@@ -91,6 +101,10 @@ class OwnFolders:
                 keys[key] = os.path.relpath(folder.resolve(), images)
         if self.depth is not None:
             keys["scan"] = True
+        if self.depth_scale is not None:
+            keys["depth_scale"] = self.depth_scale
+        if self.intrinsics is not None:
+            keys["intrinsics"] = self.intrinsics
         frames = Folders(images, FoldersRecipe(**keys), classes or "camvid")
         count = len(frames)
         if count < _VALIDATION:
@@ -98,6 +112,9 @@ class OwnFolders:
                 f"{self.images}: {count} images; expected at least {_VALIDATION}, a tenth of which "
                 "is for validation. Add images with their labels or depth."
             )
+        if self.focal_length_px is not None:
+            height, width = read_rgb(frames.images[0]).shape[:2]
+            keys["intrinsics"] = (*[self.focal_length_px] * 2, (width - 1) / 2, (height - 1) / 2)
         heights = [_read_height(path) for path in frames.images]
         rows = int(median(heights))
         far = [height for height in heights if not rows / 2 <= height <= 2 * rows]
@@ -141,7 +158,7 @@ def _describe(
         yield f'kind = "folders"\nname = "{"train" if table == "data" else "val"}"'
         yield from (f"{key} = {_quoted(value)}" for key, value in keys.items())
         yield chosen
-        if has_depth:
+        if has_depth and "intrinsics" not in keys:
             yield "# intrinsics = [721.5, 721.5, 609.6, 172.9]  # fx, fy, cx, cy of the camera [px]"
     steps = min(max(_PASSES * first // _BATCH, _MIN_STEPS), _MAX_STEPS)
     yield f"\n[schedule]\nsteps = {steps}  # of {_BATCH} frames"
@@ -190,8 +207,8 @@ def keep_recipe(text: str, out: Path) -> None:
         atomic_write(path, text.encode())
 
 
-def _quoted(value: str | int | bool) -> str:
-    """Return a text, a number or a truth value as TOML."""
+def _quoted(value: Any) -> str:
+    """Return a text, a number, a truth value or numbers as TOML."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 

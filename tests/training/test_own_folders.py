@@ -106,7 +106,7 @@ def test_a_dry_run_shows_the_recipe(mine):
     assert "size = 50\n" in result.stdout
     assert "steps = 200" in result.stdout
     assert "lidar" not in result.stdout
-    assert [path.name for path in (mine / "run").iterdir()] == ["batch.png"]
+    assert {path.name for path in (mine / "run").iterdir()} == {"batch.png", "recipe.toml"}
 
 
 @pytest.mark.parametrize(
@@ -184,3 +184,26 @@ def test_options_that_do_not_fit_are_refused(mine, options, text):
     assert result.exit_code == 1
     assert text in result.stderr
     assert not (mine / "run").exists()
+
+
+@pytest.mark.parametrize(("options", "expected"), [
+    (["--depth-scale", 1000], "depth_scale = 1000.0"),
+    (["--focal-length", 50], "intrinsics = [50.0, 50.0, 31.5, 23.5]"),
+    (["--intrinsics", 50, 51, 30, 20], "intrinsics = [50.0, 51.0, 30.0, 20.0]"),
+], ids=str)  # fmt: skip
+def test_unit_and_camera_are_keys_of_the_recipe_that_a_dry_run_writes(mine, options, expected):
+    result = train(mine, "--dry-run", *STEPS, *map(str, options), depth="lidar")
+    assert result.exit_code == 0, result.output
+    text = (mine / "run/recipe.toml").read_text()
+    assert text.count(f"\n{expected}") == 2
+    assert "# intrinsics" not in text or "scale" in expected
+    assert not (mine / "run/model.pt").exists()
+
+
+@pytest.mark.parametrize(("options", "text"), [
+    (["--depth-scale", 1000], "--depth-scale is the unit of --depth"),
+    (["--focal-length", 50, "--intrinsics", 1, 1, 1, 1], "state the same"),
+], ids=str)  # fmt: skip
+def test_unit_and_camera_that_contradict_are_refused(mine, options, text):
+    result = train(mine, *map(str, options))
+    assert (result.exit_code, text in result.output) == (1, True)

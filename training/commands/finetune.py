@@ -44,6 +44,22 @@ def finetune(
             help="LiDAR depth: 16-bit PNGs named like the images, metres x 256, 0 = none."
         ),
     ] = None,
+    depth_scale: Annotated[
+        float | None,
+        typer.Option(min=1e-6, help="Units of --depth per metre.", show_default="256"),
+    ] = None,
+    focal_length: Annotated[
+        float | None,
+        typer.Option(
+            min=1, help="Focal length of the images in pixels, with the optical axis in the middle."
+        ),
+    ] = None,
+    intrinsics: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(
+            metavar="FX FY CX CY", help="In place of --focal-length, in pixels of the images."
+        ),
+    ] = None,
     out: Out,
     init: Begin = "ssdnet-lite",
     change: Changes = None,
@@ -67,6 +83,9 @@ def finetune(
             labels=labels,
             classes=classes,
             depth=depth,
+            depth_scale=depth_scale,
+            focal_length_px=focal_length,
+            intrinsics=intrinsics,
             out=out,
             init=init,
             changes=change or (),
