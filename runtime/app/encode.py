@@ -36,8 +36,16 @@ def encode_ids(ids: NDArray[np.uint8]) -> memoryview:
     return _encode(".png", ids, _PNG_RUNS)
 
 
+def count_beyond_png(metres: NDArray[np.float32]) -> int:
+    """How many pixels are beyond the 255.99 m that `encode_metres` holds: they become 65535.
+
+    By readers of this format, `to_metres` among them, that is no measurement.
+    """
+    return int(np.count_nonzero(metres > METRES_PNG_MAX_M))
+
+
 def encode_metres(metres: NDArray[np.float32], *, small: bool = False) -> memoryview:
-    """Encode metres as a 16-bit PNG, metres x 256 rounded; beyond 255.99 m it holds 65535."""
+    """Encode metres as a 16-bit PNG, metres x 256 rounded; see `count_beyond_png`."""
     near = np.clip(metres, 0, METRES_PNG_MAX_M)
     parameters = _PNG_SMALL if small else _PNG_STORED
     return _encode(".png", np.rint(near * METRES_PNG_SCALE).astype(np.uint16), parameters)

@@ -24,6 +24,8 @@ from runtime.engine.prediction import Prediction
 from runtime.engine.preprocess import NetworkInput, preprocess
 from runtime.engine.process_guard import ProcessGuard
 from runtime.engine.session import node_counts
+from runtime.geometry.assumptions import collect_assumptions
+from runtime.geometry.units import check_view
 
 _MOST_THREADS = 1024
 _SMALL_SIZE = (64, 64)  # frame of the check of a model of free size
@@ -248,6 +250,8 @@ class Predictor:
     ) -> CameraScale:
         """Return the depth range for a frame, and the focal length that is used.
 
+        A focal length by which the frame shows over 150 degrees is an `AssumptionWarning`.
+
         Args:
             frame_size: (height, width) of the frame.
             focal_length_px: fx of this frame's camera; None = the predictor's.
@@ -255,10 +259,13 @@ class Predictor:
         Raises:
             InputError: as `network_size`, and for a focal length out of range.
         """
+        focal_px = _check_focal_length(focal_length_px) or self.focal_length_px
+        if focal_px is not None:
+            check_view(focal_px, frame_size[1])
         return camera_scale(
             self.contract.max_depth_m,
             self.contract.canonical_focal_px,
-            _check_focal_length(focal_length_px) or self.focal_length_px,
+            focal_px,
             frame_size=frame_size,
             network_size=self.network_size(frame_size),
         )
@@ -327,7 +334,8 @@ class Predictor:
 
     def _predict_empty(self, size: tuple[int, int]) -> Prediction:
         """Predict a gray frame without returns. Raises ContractError unless it is finite."""
-        prediction = self.predict(np.full((*size, 3), _GRAY, np.uint8))
+        with collect_assumptions([]):  # the focal length may be of frames of another size
+            prediction = self.predict(np.full((*size, 3), _GRAY, np.uint8))
         if broken := [each for each in prediction.degraded if each.endswith("_not_finite")]:
             raise ContractError(
                 f"the model's answer to an empty frame is not finite ({', '.join(broken)}): export "

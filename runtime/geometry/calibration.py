@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.files.read_input import read_toml
-from runtime.geometry.kitti_calibration import NumbersFile, chain, is_kitti
+from runtime.geometry.assumptions import assume
+from runtime.geometry.kitti_calibration import NumbersFile, chain, is_kitti, size_of_kitti
 from runtime.geometry.lens import PLUMB_BOB, Lens, as_key, rectifying_maps
 from runtime.geometry.projection import check_intrinsics, project_points
 from runtime.geometry.region import region_of_images
 from runtime.geometry.rigid import read_rigid
+from runtime.geometry.units import check_mount
 
 RAW_CAMERAS, RAW_SCANNER = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
 #: Of a camera, to be filled in for another.
@@ -72,6 +74,7 @@ class Calibration:
                 f"coefficients, got lens {shown(self.lens)} and distortion {shown(self.distortion)}"
             )
         _ = self.lens_model
+        check_mount(self.extrinsics, self.body_from_lidar)
 
     @property
     def focal_length_px(self) -> float:
@@ -126,7 +129,18 @@ class Calibration:
         return project_points(points, self.intrinsics, self.extrinsics, size, lens=self.lens_model)
 
     def require_size(self, size: tuple[int, ...]) -> None:
-        """Raise InputError if `size` is known and differs from this (height, width)."""
+        """Raise InputError if `size` is known and differs from this (height, width).
+
+        A size that is known by KITTI's intrinsics alone is said: the images may be cut below and at
+        the right, which changes no intrinsics.
+        """
+        if self.size is None and (known := size_of_kitti(self.intrinsics)) not in (None, size):
+            assume(
+                f"the calibration is of images of {size} (height, width), although KITTI's with "
+                f"these intrinsics are of {known}",
+                "subtract what is cut at the left and above from cx and cy, or scale the "
+                "intrinsics, and state size in a TOML file for --calibration",
+            )
         if self.size not in (None, size):
             swapped = self.size == size[::-1]
             remedy = "swap the two" if swapped else "scale the intrinsics with the image"

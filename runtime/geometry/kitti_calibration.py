@@ -2,6 +2,7 @@
 
 import contextlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,27 @@ from runtime.geometry.projection import check_intrinsics
 
 #: Names by one of which a file of object or odometry data is known.
 _NAMES = ("P0", "P1", "P2", "P3", "R0_rect", "Tr_velo_to_cam", "Tr")
+
+
+#: fx, cx and cy [px] of KITTI's rectified cameras, and the (height, width) of their images, by the
+#: day of recording; object and odometry files do not state the size.
+_SIZES = {
+    (721.5377, 609.5593, 172.854): (375, 1242),  # 2011_09_26
+    (707.0493, 604.0814, 180.5066): (370, 1224),  # 2011_09_28
+    (718.3351, 600.3891, 181.5122): (374, 1238),  # 2011_09_29
+    (707.0912, 601.8873, 183.1104): (370, 1226),  # 2011_09_30
+    (718.856, 607.1928, 185.2157): (376, 1241),  # 2011_10_03
+}
+_SAME_PX = 0.1
+
+
+def size_of_kitti(intrinsics: NDArray[np.floating[Any]]) -> tuple[int, int] | None:
+    """The (height, width) of KITTI's images with these intrinsics; None for another camera."""
+    numbers = intrinsics[[0, 0, 1], [0, 2, 2]]
+    for known, size in _SIZES.items():
+        if np.abs(numbers - known).max() < _SAME_PX:
+            return size
+    return None
 
 
 class NumbersFile:

@@ -10,6 +10,11 @@ from runtime.contract.contract import MAX_DEPTH_RANGE_M
 
 _NEAREST_M = 0.01  # nearer points are rounded (0, 0, 0), by which Ouster, Livox and SICK mark none
 _LEAST_JUDGED, _MOST_IMPLAUSIBLE = 50, 0.25
+# Marks of misses: rounding of their range, the neighbourhood in which returns would be, both in
+# shares of the range; their least number and share of the scan; how many more they are than their
+# neighbours; and their extent in shares of the range.
+_EDGE, _BESIDE = 1e-5, 1e-2
+_LEAST_MISSES, _LEAST_MISS_SHARE, _MISSES, _LEAST_WIDTH = 50, 0.01, 2, 0.1
 _WIDEST_POINT = 16  # numbers per point; a longer row of a few is an axis of (3, N)
 _SATURATED = 65535  # of 16-bit depth: no measurement
 #: The same in metres, of the usual units: KITTI's, millimetres, centimetres.
@@ -60,7 +65,9 @@ def is_transposed(shape: tuple[int, ...]) -> bool:
 def is_return(points: NDArray[np.float32], *, name: str = "a scan") -> NDArray[np.bool_]:
     """Return which points of a scan are returns, bool (N,).
 
-    None is at (0, 0, 0), or where a coordinate is NaN, infinite or beyond 10 km.
+    None is at (0, 0, 0), or where a coordinate is NaN, infinite or beyond 10 km; nor are the many
+    points at one identical range at the edge of a scan, by which simulators mark beams that met
+    nothing. That range is seen where the points are in the LiDAR's own frame.
 
     Args:
         points: float32 (N, 3) or wider, x, y, z first, metres.
@@ -73,7 +80,7 @@ def is_return(points: NDArray[np.float32], *, name: str = "a scan") -> NDArray[n
     returns: NDArray[np.bool_] = (extent >= _NEAREST_M) & (extent <= MAX_DEPTH_RANGE_M)
     count = np.count_nonzero(returns)
     if count == len(points):
-        return returns
+        return _without_misses(points, returns, count)
     limits = np.finfo(np.float32)
     far = (extent > MAX_DEPTH_RANGE_M) & (extent < limits.max)
     wrong = np.count_nonzero(far | ((extent > 0) & (extent < limits.tiny)))
@@ -83,6 +90,34 @@ def is_return(points: NDArray[np.float32], *, name: str = "a scan") -> NDArray[n
             "normal numbers: expected float32, metres. Are they of another type (float64, "
             "integers), of records with other fields, or not metres?"
         )
+    return _without_misses(points, returns, count)
+
+
+def _without_misses(
+    points: NDArray[np.float32], returns: NDArray[np.bool_], count: int
+) -> NDArray[np.bool_]:
+    """The returns without those at the nearest or farthest range if these are marks.
+
+    Surfaces are not spheres around the LiDAR: of returns, far fewer are at the very edge than in
+    the hundredth of the range beside it.
+    """
+    if count < _LEAST_JUDGED:
+        return returns
+    x, y, z = points[:, 0], points[:, 1], points[:, 2]
+    with np.errstate(over="ignore", invalid="ignore"):
+        square = x * x + y * y + z * z
+    inside = square if count == len(points) else square[returns]
+    least = max(_LEAST_MISSES, _LEAST_MISS_SHARE * count)
+    for edge, sign in ((float(inside.max()), -1), (float(inside.min()), 1)):
+        near, wide = (np.float32(edge * (1 + 2 * sign * width)) for width in (_EDGE, _BESIDE))
+        compare = np.greater_equal if sign < 0 else np.less_equal
+        at = np.count_nonzero(compare(inside, near))
+        if at < least or at < _MISSES * (np.count_nonzero(compare(inside, wide)) - at):
+            continue
+        marks = returns & compare(square, near)
+        # Copies of one point are not a dome.
+        if marks.any() and np.ptp(points[marks, :3], axis=0).max() ** 2 > _LEAST_WIDTH**2 * edge:
+            returns = returns & ~marks
     return returns
 
 

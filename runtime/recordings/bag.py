@@ -395,6 +395,10 @@ class BagSource(Source):
     def read(self, frame: ListedFrame) -> Frame:
         """See `Source.read`."""
         self._bag.guard.check()
+        with self.collecting():
+            return self._read(frame)
+
+    def _read(self, frame: ListedFrame) -> Frame:
         messages = self._take(frame)
         image = self._bag.decode(messages[frame.image])
         is_compressed = self._bag.types[self._image_topic] == COMPRESSED_IMAGE
@@ -412,10 +416,9 @@ class BagSource(Source):
         """The depth map of a frame; as a scan if it is a cloud, or of another camera."""
         if self._has_clouds:
             points, after_s = decode_points(message), None
-            with collect_assumptions(self._notes):
-                if self._poses is not None and frame.depth_stamp_ns is not None:
-                    after_s = point_times_s(message, frame.depth_stamp_ns, points)
-                return Scan.of(points, after_s, frame.depth_stamp_ns or 0)
+            if self._poses is not None and frame.depth_stamp_ns is not None:
+                after_s = point_times_s(message, frame.depth_stamp_ns, points)
+            return Scan.of(points, after_s, frame.depth_stamp_ns or 0)
         depth = decode_depth_image(message)
         if (camera := self._depth_camera) is None:
             return depth

@@ -240,6 +240,10 @@ class FolderSource(Source):
 
     def read(self, frame: ListedFrame) -> Frame:
         """See `Source.read`. Raises InputError also where one of the two files is missing."""
+        with self.collecting():
+            return self._read(frame)
+
+    def _read(self, frame: ListedFrame) -> Frame:
         if frame.image is None:
             raise InputError(f"{frame.name} has a {self._what}, but no image")
         if frame.depth is None and self._depth is not None and not self.camera_alone:
@@ -248,8 +252,7 @@ class FolderSource(Source):
         if self._calibration_files:
             if frame.name not in self._calibration_files:
                 raise InputError(f"{frame.name} has no calibration in {self._rig.calibration}")
-            with collect_assumptions(self._notes):
-                calibration = self._read_calibration(self._calibration_files[frame.name])
+            calibration = self._read_calibration(self._calibration_files[frame.name])
         depth: NDArray[np.float32] | Scan | None = None
         if frame.depth is not None and self._has_scans:
             depth = self._read_scan(frame)

@@ -16,6 +16,7 @@ from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_PIXELS
 from runtime.files.read_input import read_input
 from runtime.geometry.returns import to_metres
+from runtime.recordings.orientation import check_exif
 
 RGB_SUFFIXES = (".png", ".jpg", ".jpeg")
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")
@@ -33,8 +34,8 @@ def read_rgb(path: Path) -> NDArray[np.uint8]:
     """Read an 8-bit PNG or JPEG file.
 
     One channel becomes three equal ones. Pixels stay where the sensor has them, as in the depth
-    map: an EXIF orientation is not applied. A JPEG that is complete but damaged inside is decoded
-    as far as possible: its format has no checksum, PNG's has.
+    map: an EXIF orientation is an assumption that is said, not applied. A JPEG that is complete but
+    damaged inside is decoded as far as possible: its format has no checksum, PNG's has.
 
     Args:
         path: the file, of at most `MAX_FILE_BYTES` and `MAX_PIXELS`.
@@ -51,6 +52,7 @@ def read_rgb(path: Path) -> NDArray[np.uint8]:
 
 def decode_rgb(content: bytes, *, name: str) -> NDArray[np.uint8]:
     """Decode the content of such a file as `read_rgb` does; `name` is for the errors."""
+    check_exif(content)
     image = decode(content, cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH, name=name)
     if image.dtype != np.uint8:
         raise InputError(

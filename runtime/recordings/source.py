@@ -4,6 +4,7 @@ import re
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -156,6 +157,10 @@ class Source(ABC):
             reason = "calibration" if self.calibration is None else "lens in their calibration"
             raise InputError(f"the images cannot be rectified: there is no {reason}")
         self._rectify = True
+
+    def collecting(self) -> AbstractContextManager[None]:
+        """Collect in `notes` what this thread assumes inside a block."""
+        return collect_assumptions(self._notes)
 
     def measured(
         self,

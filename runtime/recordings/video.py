@@ -17,6 +17,7 @@ from runtime.files.read_input import require_regular
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.images import DEPTH_SUFFIXES, KITTI_DEPTH_SCALE, list_files, require_pixels
+from runtime.recordings.orientation import check_turn
 from runtime.recordings.source import ListedFrame, by_number
 from runtime.streams.frame import Frame, Message
 
@@ -62,6 +63,9 @@ class VideoSource(FolderSource):
         height, width = (int(self._video.get(side)) for side in sides)
         require_pixels((height, width), name=str(path))
         self._most: int | None = None  # frames to be counted; None = all
+        degrees = self._video.get(cv2.CAP_PROP_ORIENTATION_META) % 360
+        with self.collecting():
+            check_turn(f"turns them by {degrees:.0f} degrees" if degrees else "", "video's header")
 
     @staticmethod
     def accepts(path: Path) -> bool:
@@ -136,6 +140,6 @@ def _open(path: Path, *, threads: int = 1) -> cv2.VideoCapture:
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, threads])
     if not video.isOpened():
         raise InputError(f"cannot read the video {path}: it is damaged, or OpenCV lacks its codec")
-    # An orientation in the header is not applied, as for images.
+    # An orientation in the header is said, not applied, as for images.
     video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     return video

@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from runtime.alignment.quick_check import QuickCheck, QuickFinding
 from runtime.app.command import stop_requested
@@ -145,6 +145,11 @@ class _Stream:
 
 def _prepare(options: RunOptions, source: Source, predictor: Predictor) -> _Stream:
     """List the frames, read the first, and warm up; nothing is written."""
+    with source.collecting():
+        return _prepared(options, source, predictor)
+
+
+def _prepared(options: RunOptions, source: Source, predictor: Predictor) -> _Stream:
     if options.rectify:
         source.rectify_images()
     listed = source.list_frames(limit=options.limit)
@@ -179,20 +184,24 @@ def _answer(
             is_implausible=fault is not None and not isinstance(fault, NoDepth),
         )
         about = f"{camera}: {stream.about}" if camera else stream.about
-        result = run_stream(
-            answerer,
-            stream.frames,
-            stream.read,
-            options,
-            outputs=outputs,
-            recorders=recorders,
-            on_record=on_start(about, len(stream.frames)),
-            stop=stop,
-        )
+        with stream.source.collecting():
+            result = run_stream(
+                answerer,
+                stream.frames,
+                stream.read,
+                options,
+                outputs=outputs,
+                recorders=recorders,
+                on_record=on_start(about, len(stream.frames)),
+                stop=stop,
+            )
         answers = [each.prediction for each in result.records if each.prediction]
         if fault is NoDepth.NO_RETURNS and any(answer.depth_returns for answer in answers):
             fault = None  # the LiDAR started later
-        opened.report = _report(stream, options, result, fault, answerer.pose_fault)
+        opened.report = replace(
+            _report(stream, options, result, fault, answerer.pose_fault),
+            beyond_png=opened.beyond_png,
+        )
     return opened.report
 
 

@@ -6,7 +6,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -48,6 +48,7 @@ class RunReport:
         outages: when a sensor was out.
         timeline: times of the frames; None = not known, or of several cameras.
         implausible_poses: why the poses cannot be right; None = nothing was found.
+        beyond_png: kind of file -> pixels that its PNGs cannot hold.
     """
 
     engine: Mapping[str, Any]
@@ -60,6 +61,7 @@ class RunReport:
     outages: tuple[Outage, ...] = ()
     timeline: Timeline | None = None
     implausible_poses: str | None = None
+    beyond_png: Mapping[str, int] = field(default_factory=dict)
 
     @classmethod
     def of_rig(
@@ -102,6 +104,7 @@ class RunReport:
                 for outage in report.outages
             ),
             timeline=None,
+            beyond_png=sum((Counter(each.beyond_png) for each in reports.values()), Counter()),
         )
 
     @property
@@ -222,7 +225,11 @@ class RunReport:
             "inputs": self.inputs,
             "output": str(self.out),
             "saved": self.saved,
-            "depth_png": {"units_per_metre": METRES_PNG_SCALE, "max_m": METRES_PNG_MAX_M},
+            "depth_png": {
+                "units_per_metre": METRES_PNG_SCALE,
+                "max_m": METRES_PNG_MAX_M,
+                "beyond": dict(self.beyond_png),
+            },
             "frames": {
                 "total": len(self.records),
                 "by_status": self.by_status,
@@ -346,6 +353,12 @@ def describe_run(report: RunReport) -> str:
     if report.implausible_poses is not None:
         lines.append(f"warning: {report.implausible_poses}")
     lines += [f"failed on {reason}: {count}" for reason, count in report.failed_on.items()]
+    lines += [
+        f"  warning: {count:,} pixels of {kind} are beyond {METRES_PNG_MAX_M:.2f} m, saved as "
+        "65535: no measurement"
+        for kind, count in report.beyond_png.items()
+        if count
+    ]
     if report.options.rate is not None:
         lines.append(f"constant stream of {report.options.rate:g} Hz")
     lines += ["", report.statistics.table(), ""]

@@ -1,9 +1,13 @@
-"""Detects a calibration that was made for images of another size.
+"""Detects a calibration that was made for images of another size, or before they were cut.
 
-Such a calibration puts the principal point far from the middle of the image. Cropped images look
-the same. So the calibration is reported only if scaling it to the size of the images moves the
-returns to where they fit better to the depth that the model predicts from the image alone.
+Such a calibration puts the principal point far from the middle of the image. Images that were cut
+together with their calibration look the same. So the calibration is reported only if scaling or
+shifting it to these images moves the returns to where they fit better to the depth that the model
+predicts from the image alone.
 """
+
+from collections import defaultdict
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +18,8 @@ from runtime.geometry.calibration import Calibration
 from runtime.geometry.returns import is_measured
 from runtime.streams.health.depth_plausibility import BANDS, correlations, log_depth
 
-_FAR = 0.08  # offset of the principal point / width; KITTI, PandaSet, View-of-Delft: at most 0.02
+# Offset of the principal point / side of the image; KITTI, PandaSet, View-of-Delft: at most 0.04
+_FAR = 0.08
 _LEAST_RETURNS = 200
 # Gain in correlation, median of up to five frames, of KITTI and PandaSet at 0.5, 0.67, 0.8 and 2
 # times the size of their calibration: 0.18 to 1.1; cut at the left or right: -0.3 and less.
@@ -23,12 +28,38 @@ _LEAST_GAIN = 0.1
 _Index = NDArray[np.intp]
 
 
+class _Change(NamedTuple):
+    """What the calibration may need: a scale, then a shift of the principal point [px]."""
+
+    scale: float
+    left: float
+    up: float
+
+    def advice(self, size: tuple[int, int], middle: tuple[float, float]) -> str:
+        seems = f"its principal point ({middle[0]:.0f}, {middle[1]:.0f}) is far from the middle of "
+        seems += f"the images of {size[0]} x {size[1]}, and the returns fit them better "
+        if self.scale == 1:
+            return (
+                "the calibration seems to be for images before they were cut: "
+                f"{seems}{self.left:.0f} px farther left and {self.up:.0f} px farther up. Subtract "
+                "the columns and rows that were cut at the left and above from cx and cy, in a "
+                "TOML file for --calibration"
+            )
+        return (
+            f"the calibration seems to be for images of another size: {seems}at {self.scale:.2g} "
+            "times its scale. Use images of the calibrated size, or multiply the first two rows of "
+            "the intrinsics by the ratio of the image width to the calibrated width, about "
+            f"{self.scale:.2g}, in a TOML file for --calibration"
+        )
+
+
 class CalibrationSize:
     """Compares the returns of the first frames of a stream with the camera-only prediction."""
 
     def __init__(self) -> None:
-        self._gains: list[float] = []
-        self._suspect, self._scale = "", 1.0
+        #: What the calibration may need -> gains, and the advice.
+        self._gains: dict[str, list[float]] = defaultdict(list)
+        self._advice: dict[str, str] = {}
 
     def add(
         self,
@@ -48,41 +79,48 @@ class CalibrationSize:
             return
         height, width = sparse_depth.shape
         middle_x, middle_y = calibration.intrinsics[:2, 2]
-        if abs(middle_x / width - 0.5) < _FAR or middle_x <= 0:
+        if min(middle_x, middle_y) <= 0:
             return
-        self._scale = width / (2 * middle_x)
-        if camera_only is not None:
-            gain = _gain(camera_only, sparse_depth, self._scale)
-        else:
-            gain = 1.0 if middle_x > width else None  # no return falls into the image as it is
-        if gain is None:
-            return
-        self._gains.append(gain)
-        self._suspect = (
-            f"its principal point ({middle_x:.0f}, {middle_y:.0f}) is far from the middle of the "
-            f"images of {height} x {width}"
-        )
+        for name, change in _changes(middle_x, middle_y, sparse_depth.shape).items():
+            if camera_only is not None:
+                gain = _gain(camera_only, sparse_depth, change)
+            else:  # no return falls into the image as it is
+                gain = 1.0 if middle_x > width else None
+            if gain is not None:
+                self._gains[name].append(gain)
+                self._advice[name] = change.advice((height, width), (middle_x, middle_y))
 
     def finding(self) -> str | None:
         """What is wrong by the frames so far, and what to do; None: nothing was found."""
-        if not self._gains or np.median(self._gains) < _LEAST_GAIN:
-            return None
-        return (
-            f"the calibration seems to be for images of another size: {self._suspect}, and the "
-            f"returns fit them better at {self._scale:.2g} times its scale. Use images of the "
-            f"calibrated size, or multiply the first two rows of the intrinsics by the ratio of "
-            f"the image width to the calibrated width, about {self._scale:.2g}, in a TOML file "
-            "for --calibration"
-        )
+        gains = {name: float(np.median(gains)) for name, gains in self._gains.items()}
+        best = max(gains, key=lambda name: gains[name], default="")
+        return self._advice[best] if best and gains[best] >= _LEAST_GAIN else None
 
 
-def _gain(camera_only: Prediction, sparse_depth: NDArray[np.float32], scale: float) -> float | None:
-    """Correlation gained by moving the returns to `scale` times their pixels; None: not known."""
+def _changes(middle_x: float, middle_y: float, shape: tuple[int, ...]) -> dict[str, _Change]:
+    """What may put the principal point into the middle of images of this shape, by name."""
+    height, width = shape
+    found: dict[str, _Change] = {}
+    if abs(middle_x / width - 0.5) >= _FAR:
+        found["scale"] = _Change(width / (2 * middle_x), 0, 0)
+    cut_x, cut_y = max(2 * middle_x - width, 0), max(2 * middle_y - height, 0)
+    if cut_y >= 2 * _FAR * height:  # at the top, as KITTI's images for depth completion
+        found["top"] = _Change(1, cut_x / 2, cut_y)
+        found["around"] = _Change(1, cut_x / 2, cut_y / 2)
+    return found
+
+
+def _gain(
+    camera_only: Prediction, sparse_depth: NDArray[np.float32], change: _Change
+) -> float | None:
+    """Correlation gained by moving the returns as the changed calibration does; None: unknown."""
     if camera_only.depth is None or not camera_only.valid:
         return None
     height, width = sparse_depth.shape
     row, column = np.nonzero(is_measured(sparse_depth))
-    inside = (row * scale < height - 0.5) & (column * scale < width - 0.5)
+    moved_row, moved_column = row * change.scale - change.up, column * change.scale - change.left
+    inside = (moved_row > -0.5) & (moved_row < height - 0.5)
+    inside &= (moved_column > -0.5) & (moved_column < width - 0.5)
     if np.count_nonzero(inside) < _LEAST_RETURNS or IMAGE_CONSTANT in camera_only.degraded:
         return None
     depth, measured = camera_only.depth, np.log(sparse_depth[row, column].astype(np.float64))
@@ -91,5 +129,5 @@ def _gain(camera_only: Prediction, sparse_depth: NDArray[np.float32], scale: flo
         seen = log_depth(depth, row, column)
         return sum(correlations(row * BANDS // height, measured, seen)) / 2
 
-    moved_row, moved_column = (np.rint(p[inside] * scale).astype(np.intp) for p in (row, column))
-    return fit(moved_row, moved_column, measured[inside]) - fit(row, column, measured)
+    moved = (np.rint(each[inside]).astype(np.intp) for each in (moved_row, moved_column))
+    return fit(*moved, measured[inside]) - fit(row, column, measured)

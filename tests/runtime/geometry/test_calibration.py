@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from runtime.base.errors import InputError
+from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import Lens
 from runtime.geometry.projection import project_points
@@ -223,3 +224,31 @@ def test_a_file_of_another_tool_is_answered_with_toml_to_fill_in(tmp_path, text)
         Calibration.from_file(path)
     toml.write_text(str(caught.value).split(":\n", 1)[1])
     assert Calibration.from_file(toml).size == (375, 1242)
+
+
+KITTI = np.array([[721.5377, 0, 609.5593], [0, 721.5377, 172.854], [0, 0, 1]])
+
+
+@pytest.mark.parametrize(("intrinsics", "size", "said"), [
+    (KITTI, (375, 1242), False),
+    (KITTI, (352, 1216), True),
+    (KITTI, (188, 621), True),
+    (KITTI - [[0, 0, 13], [0, 0, 23], [0, 0, 0]], (352, 1216), False),
+    (K, (352, 1216), False),
+])  # fmt: skip
+def test_images_of_another_size_than_kittis_are_said(tmp_path, intrinsics, size, said):
+    """Whatever file holds its intrinsics."""
+    rows = np.hstack([intrinsics, np.zeros((3, 1))])
+    kitti = {"P2": rows, "R0_rect": np.eye(3), "Tr_velo_to_cam": np.eye(4)[:3]}
+    lines = (f"{name}: {' '.join(map(str, matrix.ravel()))}\n" for name, matrix in kitti.items())
+    (tmp_path / "calib.txt").write_text("".join(lines))
+    toml = f'intrinsics = {intrinsics.tolist()}\npoints_in = "camera"\n'
+    (tmp_path / "calib.toml").write_text(toml)
+    for name in ("calib.txt", "calib.toml"):
+        messages = []
+        with collect_assumptions(messages):
+            Calibration.from_file(tmp_path / name).project(np.zeros((0, 3), np.float32), size)
+        assert len(messages) == said
+        assert all(
+            "although KITTI's with these intrinsics are of (375, 1242)" in m for m in messages
+        )

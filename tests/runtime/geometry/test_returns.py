@@ -1,11 +1,17 @@
 """Marks of no return, and arrays that are no points, beside scans that look like them."""
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from runtime import InputError, project_points
+from runtime.geometry.motion import Scan
 from runtime.geometry.returns import check_points, is_return
+from runtime.recordings.scan import read_scan
 
+DATA = os.environ.get("SSDNET_DATA")
 RNG = np.random.default_rng(0)
 SCAN = (RNG.normal(size=(2000, 4)) * [20, 20, 3, 1]).astype(np.float32)
 LARGEST = np.finfo(np.float32).max
@@ -83,3 +89,42 @@ def test_points_come_one_a_row(shape, text):
         return
     with pytest.raises(InputError, match=text):
         check_points(points)
+
+
+def dome(range_m, n=600):
+    """Points on a part of a sphere."""
+    rays = np.float32(RNG.normal(size=(n, 3)) * [1, 1, 0.2])
+    rays *= np.float32(range_m) / np.linalg.norm(rays, axis=1, keepdims=True)
+    return np.hstack([rays, np.ones((n, 1), np.float32)])
+
+
+@pytest.mark.parametrize(("ranges", "count"), [
+    ([120.0], 2000), ([0.05], 2000), ([0.05, 120.0], 2000), ([150.0], 0), ([0.9], 300),
+])  # fmt: skip
+def test_many_points_at_the_edge_of_the_range_met_nothing(ranges, count):
+    scan = np.vstack([SCAN[:count], *map(dome, ranges)])
+    order = RNG.permutation(len(scan))
+    np.testing.assert_array_equal(is_return(scan[order]), order < count)
+    assert Scan.of(scan).lost == 600 * len(ranges)
+
+
+def test_what_looks_like_misses_is_returns():
+    ring = dome(30, 1000)
+    rough = dome(120) * RNG.uniform(0.95, 1, (600, 1)).astype(np.float32)  # a cut at 120 m
+    copies = np.tile(np.float32([[200, 3, 1, 1]]), (300, 1))
+    few = dome(120, 30)
+    far = SCAN * 5  # behind and before the ring
+    steps = np.round(np.linalg.norm(SCAN[:, :3], axis=1, keepdims=True) / 0.04) * np.float32(0.04)
+    stepped = dome(1, 2000) * steps.astype(np.float32)  # a LiDAR that counts in 4 cm
+    for scan in (np.vstack([far, ring]), *(np.vstack([SCAN, x]) for x in (rough, copies, few))):
+        assert is_return(scan).all()
+    assert is_return(stepped)[np.linalg.norm(stepped[:, :3], axis=1) > 0.01].all()
+
+
+@pytest.mark.skipif(not DATA, reason="SSDNET_DATA names no folder of recordings")
+@pytest.mark.parametrize(("folder", "columns"), [
+    ("kitti_stream/velodyne_fov", 4), ("view_of_delft/velodyne", 4), ("pandaset_front/points", 6),
+])  # fmt: skip
+def test_recorded_scans_have_no_misses(folder, columns):
+    for path in sorted(Path(DATA, folder).iterdir())[:5]:
+        assert is_return(read_scan(path, columns=columns)).all()

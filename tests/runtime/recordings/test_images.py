@@ -1,5 +1,7 @@
 """Files to arrays."""
 
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -8,7 +10,9 @@ import pytest
 
 import runtime.recordings.images
 from runtime import InputError
-from runtime.recordings.images import image_size, read_rgb, read_sparse_depth
+from runtime.geometry.assumptions import AssumptionWarning
+from runtime.recordings.images import decode_rgb, image_size, read_rgb, read_sparse_depth
+from runtime.recordings.orientation import check_exif
 
 
 def write(path: Path, image) -> Path:
@@ -108,7 +112,28 @@ def test_an_exif_orientation_is_not_followed(tmp_path):
         turned = tmp_path / f"{orientation}.jpg"
         turned.write_bytes(jpeg[:2] + header + jpeg[2:])
         assert cv2.imread(str(turned)).shape != image.shape or orientation == 3
-        np.testing.assert_array_equal(read_rgb(turned), read_rgb(upright))
+        with pytest.warns(
+            AssumptionWarning, match=r"EXIF of the images turns them by (180|90) deg"
+        ):
+            pixels = read_rgb(turned)
+        np.testing.assert_array_equal(pixels, read_rgb(upright))
+
+
+@pytest.mark.parametrize(("order", "orientation", "said"), [
+    ("<", 8, "270"), (">", 3, "180"), ("<", 2, "mirrors"), (">", 1, ""), ("<", 99, ""),
+])  # fmt: skip
+def test_what_exif_turns_is_said(order, orientation, said, recwarn):
+    """Also of a PNG, whose chunk eXIf holds the same."""
+    entry = struct.pack(f"{order}HHIHH", 0x112, 3, 1, orientation, 0)
+    other = struct.pack(f"{order}HHII", 0x10F, 2, 4, 0)
+    exif = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(f"{order}IH", 8, 2)
+    exif += other + entry + bytes(4)
+    png = cv2.imencode(".png", np.zeros((4, 6, 3), np.uint8))[1].tobytes()
+    chunk = b"eXIf" + exif
+    chunk = struct.pack(">I", len(exif)) + chunk + struct.pack(">I", zlib.crc32(chunk))
+    assert decode_rgb(png[:33] + chunk + png[33:], name="a.png").shape == (4, 6, 3)
+    assert [said in str(each.message) for each in recwarn] == [True] * bool(said)
+    check_exif(b"\xff\xd8Exif\0\0" + exif[:12])  # truncated
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])

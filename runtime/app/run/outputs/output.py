@@ -1,5 +1,6 @@
 """What the outputs of a run share while it is open."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -29,6 +30,7 @@ class OpenRun:
         kinds: of SUFFIXES, the files of a frame to write.
         names: of the frames.
         sensors: frames of the camera and the LiDAR, as ROS names them.
+        beyond_png: kind of file -> pixels that its PNGs cannot hold, see `count_beyond_png`.
         report: set after the last frame, before the outputs are closed.
     """
 
@@ -37,6 +39,7 @@ class OpenRun:
     kinds: Sequence[str] = ()
     names: Sequence[str] = ()
     sensors: SensorFrames = field(default_factory=SensorFrames)
+    beyond_png: Counter[str] = field(default_factory=Counter)
     report: RunReport = field(init=False)
 
     def draw(

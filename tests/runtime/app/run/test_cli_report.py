@@ -43,7 +43,9 @@ def test_a_run_from_end_to_end(tmp_path, run):
     report = json.loads((out / "report.json").read_text())
     assert (report["format"], report["version"]) == ("ssdnet-run", "2.0")
     assert report["frames"]["by_status"] == {"ok": N}
-    assert report["depth_png"] == {"units_per_metre": 256, "max_m": 65535 / 256}
+    assert report["depth_png"] == {
+        "units_per_metre": 256, "max_m": 65535 / 256, "beyond": {"depth": 0, "uncertainty": 0}
+    }  # fmt: skip
     assert (report["provider"]["threads"], len(report["model"]["sha256"])) == (1, 64)
     assert report["provider"]["nodes"]["CPUExecutionProvider"] > 5
     assert report["deadline"] == {"deadline_ms": 60_000, "count": 0, "longest_run": 0}

@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+from dataclasses import replace
 
 import pytest
 
@@ -9,7 +10,7 @@ from outcomes import outcome
 from runtime.app.run.options import RunOptions, UsageError
 from runtime.app.run.outages import Outage
 from runtime.app.run.pipeline import StreamResult
-from runtime.app.run.run_report import RunReport, frames_csv
+from runtime.app.run.run_report import RunReport, describe_run, frames_csv
 from runtime.streams.frame_result import INVALID, OK, SKIPPED
 from runtime.streams.statistics import MissedDeadlines
 
@@ -103,3 +104,14 @@ def test_a_frame_without_answer_ends_no_run_of_late_ones(report_of):
     rows = csv.DictReader(frames_csv(report).splitlines())
     assert [row["missed_deadline"] for row in rows] == ["1", "0", "1", "", "1"]
     assert report_of(outcome(0)).statistics.missed is None
+
+
+def test_what_pngs_cannot_hold_is_said(report_of):
+    counts = {"depth": 1234, "uncertainty": 0}
+    first, second = (replace(report_of(*records_of(OK)), beyond_png=counts) for _ in range(2))
+    assert "warning: 1,234 pixels of depth are beyond 256.00 m, saved as 65535" in (
+        describe_run(first)
+    )
+    assert "uncertainty are beyond" not in describe_run(first)
+    both = RunReport.of_rig({"a": first, "b": second}, first.options, interrupted=False)
+    assert both.document()["depth_png"]["beyond"] == {"depth": 2468}

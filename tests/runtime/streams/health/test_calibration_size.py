@@ -48,7 +48,8 @@ def changed(rgb, intrinsics, change):
 
 
 WRONG = (0.5, 2 / 3, 2)
-RIGHT = (1.0, np.s_[85:, :], np.s_[:, 277:], np.s_[:, :-277])  # as it is, or cut by a third
+#: As it is, or cut by a third together with its calibration; below, that changes nothing.
+RIGHT = (1.0, np.s_[85:, :], np.s_[:, 277:], np.s_[:, :-277], np.s_[:-85, :])
 
 
 @pytest.mark.parametrize("change", WRONG + RIGHT)
@@ -113,3 +114,19 @@ def test_a_run_warns_reports_and_degrades(bundled, tmp_path):
     assert "another size" in str(frames_of["implausible_depth"])
     assert frames_of["degraded"] == {"implausible_depth": 3}
     assert frames_of["by_status"] == {"ok": 3}
+
+
+@pytest.mark.parametrize(("part", "left", "up"), [
+    (np.s_[85:, :], 0, 85), (np.s_[60:-60, :], 0, 60), (np.s_[85:, 120:-120], 120, 85),
+])  # fmt: skip
+def test_images_cut_without_their_calibration_are_found(nano, bundled, part, left, up):
+    frames, known = bundled
+    check = CalibrationSize()
+    calibration = Calibration(known, np.eye(4))
+    for rgb, points in frames:
+        image = np.ascontiguousarray(rgb[part])
+        sparse_depth = calibration.project(points, image.shape[:2])
+        camera_only = nano.predict(image, None, focal_length_px=known[0, 0])
+        check.add(camera_only, sparse_depth, calibration)
+    assert "images before they were cut" in check.finding()
+    assert f"better {left} px farther left and {up} px farther up" in check.finding()

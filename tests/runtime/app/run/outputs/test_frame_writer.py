@@ -13,6 +13,7 @@ from runtime.app.run.options import KINDS, RunOptions
 from runtime.app.run.outputs import frame_writer
 from runtime.app.run.outputs.frame_writer import FrameWriter
 from runtime.files.atomic_write import atomic_file
+from runtime.recordings.images import read_sparse_depth
 
 
 def make_run_folder(out, *, kinds=KINDS, names=(), overwrite=False):
@@ -59,6 +60,22 @@ def test_only_what_was_asked_for_and_what_the_model_has(tmp_path, write):
     kinds = ("semantic", "boundary", "uncertainty")
     write(tmp_path / "out", "a", kinds=kinds, heads=("semantic", "depth"))
     assert files_in(tmp_path / "out") == {".ssdnet", "semantic/a.png"}
+
+
+def test_depth_that_a_png_cannot_hold_is_counted(tmp_path, open_run, answered):
+    frame, result = answered
+    heads = dict(result.prediction.heads)
+    heads["depth"] = np.full_like(heads["depth"], 20)
+    heads["depth"][3, :7] = 300
+    heads["depth_uncertainty"] = np.full_like(heads["depth"], 255.9)
+    make_run_folder(tmp_path / "out", kinds=("depth", "uncertainty"), names=("a",))
+    run = open_run(out=tmp_path / "out", kinds=("depth", "uncertainty"))
+    prediction = dataclasses.replace(result.prediction, heads=heads)
+    FrameWriter(run).write(frame, dataclasses.replace(result, prediction=prediction))
+    assert run.beyond_png == {"depth": 7, "uncertainty": 0}
+    again = read_sparse_depth(tmp_path / "out/depth/a.png")
+    assert np.isnan(again[3, :7]).all()
+    assert (again[4:] == 20).all()
 
 
 def test_a_frame_that_fails_half_way_leaves_none_of_its_files(tmp_path, write, answered):

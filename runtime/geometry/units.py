@@ -1,0 +1,48 @@
+"""Numbers that are possible, but unlikely in the unit that is expected: they are said, not refused.
+
+The limits: a lens of 150 degrees seen as a pinhole has its edges stretched 15 times, and even a
+fisheye of 190 degrees has a focal length of 0.3 image widths, by which a pinhole sees 118.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.geometry.assumptions import assume
+
+_WIDEST_DEGREES = 150
+_FARTHEST_SENSOR_M, _FARTHEST_BODY_M = 3.0, 10.0
+
+
+def check_view(focal_px: float, width: int) -> None:
+    """Say a focal length [px] that is unlikely for images of this width [px], as in millimetres."""
+    degrees = 2 * math.degrees(math.atan(width / (2 * focal_px)))
+    if degrees > _WIDEST_DEGREES:
+        assume(
+            f"a focal length of {focal_px:g} px, by which images of {width} px show {degrees:.0f} "
+            "degrees",
+            "give fx of the camera's matrix, in pixels; px = mm x image width in px / sensor width "
+            "in mm",
+        )
+
+
+def check_mount(
+    extrinsics: NDArray[np.floating[Any]], body: NDArray[np.floating[Any]] | None
+) -> None:
+    """Say a LiDAR that is unlikely far from its camera or body, as in centimetres.
+
+    Args:
+        extrinsics: (4, 4), from the LiDAR to the camera.
+        body: (4, 4), from the LiDAR to the body; None = unknown.
+    """
+    mounts = ("camera", extrinsics, _FARTHEST_SENSOR_M), ("body", body, _FARTHEST_BODY_M)
+    for name, matrix, farthest_m in mounts:
+        if matrix is None or (apart_m := float(np.linalg.norm(matrix[:3, 3]))) <= farthest_m:
+            continue
+        assume(
+            f"the LiDAR is {apart_m:.3g} m from the {name}",
+            "translations are metres: check that those of the calibration are not centimetres or "
+            "millimetres",
+        )

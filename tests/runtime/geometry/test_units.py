@@ -1,0 +1,68 @@
+"""Numbers of an unlikely unit are said, whoever reads them; numbers of rare rigs are not."""
+
+import numpy as np
+import pytest
+
+from runtime import Calibration, Predictor
+from runtime.geometry.assumptions import AssumptionWarning
+from runtime.geometry.units import check_view
+
+K = np.array([[700.0, 0, 320], [0, 710, 120], [0, 0, 1]])
+
+
+@pytest.mark.parametrize("focal", [18, 4.2, 111])
+def test_a_focal_length_in_millimetres_is_said(focal):
+    with pytest.warns(AssumptionWarning, match=f"focal length of {focal:g} px.*degrees"):
+        check_view(focal, 832)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("focal", "width"), [(112, 832), (386, 1280), (18, 64), (1280 / 6.28, 1280)]
+)
+def test_wide_lenses_and_panoramas_are_possible(focal, width):
+    check_view(focal, width)
+
+
+def test_every_way_to_a_predictor_says_it_but_not_its_warm_up(make_frame, recwarn):
+    rgb, depth = make_frame(64, 96)
+    with Predictor("ssdnet-nano", threads=1, focal_length_px=60) as predictor:  # warms up at 832 px
+        predictor.predict(rgb, depth)
+        assert not [each for each in recwarn if each.category is AssumptionWarning]
+        for ask in (
+            lambda: predictor.predict(rgb, depth, focal_length_px=4.2),
+            lambda: predictor.predict_batch([(rgb, depth)], focal_lengths_px=[4.2]),
+            lambda: predictor.camera_scale((64, 96), focal_length_px=4.2),
+        ):
+            with pytest.warns(AssumptionWarning, match="4.2 px"):
+                ask()
+
+
+def mounted(x, y, z):
+    matrix = np.eye(4)
+    matrix[:3, 3] = x, y, z
+    return matrix
+
+
+@pytest.mark.parametrize("shift", [(-0.4, -7.6, -27.0), (4, -76, -270), (3.2, 0, 0)])
+def test_a_mount_in_centimetres_is_said(shift, tmp_path):
+    with pytest.warns(AssumptionWarning, match="m from the camera: translations are metres"):
+        Calibration(K, mounted(*shift))
+    with pytest.warns(AssumptionWarning, match="m from the body"):
+        Calibration(K, np.eye(4), body_from_lidar=mounted(95, 0, 173))
+    text = f"intrinsics = {K.tolist()}\nextrinsics = {mounted(*shift).tolist()}\n"
+    (tmp_path / "car.toml").write_text(text)
+    with pytest.warns(AssumptionWarning, match="from the camera"):
+        Calibration.from_file(tmp_path / "car.toml")
+    projection = " ".join(map(str, np.hstack([K, np.zeros((3, 1))]).ravel()))
+    numbers = " ".join(map(str, mounted(*shift)[:3].ravel()))
+    rectify = " ".join(map(str, np.eye(3).ravel()))
+    text = f"P2: {projection}\nR0_rect: {rectify}\nTr_velo_to_cam: {numbers}\n"
+    (tmp_path / "calib.txt").write_text(text)
+    with pytest.warns(AssumptionWarning, match="from the camera"):
+        Calibration.from_file(tmp_path / "calib.txt")
+
+
+@pytest.mark.filterwarnings("error")
+def test_mounts_of_trucks_are_possible():
+    Calibration(K, mounted(1.2, -2, 1.5), body_from_lidar=mounted(6, 0, 3.2))
