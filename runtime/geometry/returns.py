@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_DEPTH_RANGE_M
+from runtime.geometry.assumptions import assume
 
 _NEAREST_M = 0.01  # nearer points are rounded (0, 0, 0), by which Ouster, Livox and SICK mark none
 _LEAST_JUDGED, _MOST_IMPLAUSIBLE = 50, 0.25
@@ -47,6 +48,26 @@ def is_measured(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
     return (depth > 0) & (depth < np.finfo(np.float32).max)
 
 
+def check_farthest(depth: NDArray[np.float32]) -> None:
+    """Say a depth map in which many pixels have exactly the farthest depth, as at a far plane.
+
+    They are not left out: a wall across the whole view looks the same, as a dome of points does
+    not.
+    """
+    measured = is_measured(depth)
+    count = np.count_nonzero(measured)
+    if count < _LEAST_JUDGED:
+        return
+    farthest = depth.max(where=measured, initial=0)
+    at = np.count_nonzero(depth == farthest)
+    near = np.count_nonzero((depth < farthest) & (depth > farthest * (1 - 2 * _BESIDE)))
+    if at >= max(_LEAST_MISSES, 2 * _LEAST_MISS_SHARE * count) and 4 * near < at < 0.8 * count:
+        assume(
+            "the many pixels at the farthest depth of a map are returns",
+            f"write 0 where there is none, if {farthest:g} m is the end of the sensor's range",
+        )
+
+
 def check_points(points: Any) -> None:
     """Raise InputError unless `points` is a scan, float32 (N, 3) or wider."""
     if (kind := kind_of(points)) != np.float32:
@@ -78,7 +99,7 @@ def is_return(points: NDArray[np.float32], *, name: str = "a scan") -> NDArray[n
     """
     extent = np.maximum.reduce([np.abs(points[:, axis]) for axis in range(3)])  # NaN if one is
     returns: NDArray[np.bool_] = (extent >= _NEAREST_M) & (extent <= MAX_DEPTH_RANGE_M)
-    count = np.count_nonzero(returns)
+    count = int(np.count_nonzero(returns))
     if count == len(points):
         return _without_misses(points, returns, count)
     limits = np.finfo(np.float32)

@@ -25,6 +25,7 @@ from runtime.geometry.motion import (
     lidar_mount,
 )
 from runtime.geometry.poses import PoseFrame, PoseTrack
+from runtime.geometry.returns import check_farthest
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.ros_answers import FixedTransform, SensorFrames
 from runtime.streams.frame import MATCHED, Frame, Message, Sensor
@@ -200,6 +201,8 @@ class Source(ABC):
                 with collect_assumptions(self._notes):
                     assume_middle("in --source")
         measured = None
+        if isinstance(depth, np.ndarray):
+            check_farthest(depth)
         if depth is not None:
             measured = Message(frame.depth_stamp_ns, frame.depth_stamp_ns or 0, depth)
         image = Message(frame.image_stamp_ns, frame.image_stamp_ns or 0, rgb)

@@ -129,5 +129,5 @@ def _gain(
         seen = log_depth(depth, row, column)
         return sum(correlations(row * BANDS // height, measured, seen)) / 2
 
-    moved = (np.rint(each[inside]).astype(np.intp) for each in (moved_row, moved_column))
-    return fit(*moved, measured[inside]) - fit(row, column, measured)
+    row_to, column_to = (np.rint(p[inside]).astype(np.intp) for p in (moved_row, moved_column))
+    return fit(row_to, column_to, measured[inside]) - fit(row, column, measured)

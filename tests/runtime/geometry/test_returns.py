@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from runtime import InputError, project_points
+from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.motion import Scan
-from runtime.geometry.returns import check_points, is_return
+from runtime.geometry.returns import check_farthest, check_points, is_return
 from runtime.recordings.scan import read_scan
 
 DATA = os.environ.get("SSDNET_DATA")
@@ -119,6 +120,22 @@ def test_what_looks_like_misses_is_returns():
     for scan in (np.vstack([far, ring]), *(np.vstack([SCAN, x]) for x in (rough, copies, few))):
         assert is_return(scan).all()
     assert is_return(stepped)[np.linalg.norm(stepped[:, :3], axis=1) > 0.01].all()
+
+
+def test_depth_maps_that_end_at_a_far_plane_are_said():
+    road = np.linspace(5, 79, 6400, dtype=np.float32).reshape(64, 100) * RNG.uniform(
+        0.9, 1, (64, 100)
+    )
+    road = road.astype(np.float32)
+    clipped, wall = road.copy(), np.full_like(road, 10)
+    clipped[:16] = 100
+    notes = []
+    with collect_assumptions(notes):
+        for depth in (road, wall, np.zeros_like(road), np.minimum(road, 70), road[:1, :20]):
+            check_farthest(depth)
+        assert not notes
+        check_farthest(clipped)
+    assert "if 100 m is the end of the sensor's range" in notes[0]
 
 
 @pytest.mark.skipif(not DATA, reason="SSDNET_DATA names no folder of recordings")
