@@ -6,6 +6,7 @@ from training import adapt, evaluate, finetune, train
 train("lite", data="data", out="run")  # a recipe of the package, or one of yours
 finetune("mine/images", labels="mine/labels", classes="mine/classes.txt", out="run")
 adapt("drive.mcap", out="rig")  # a recording without labels
+print(evaluate(["run", "ssdnet-lite"]))  # on the validation set of the run
 ```
 
 `evaluate` scores models on data sets, as `ssdnet-eval` does, and returns the scores. All names are

@@ -1,5 +1,6 @@
 """The training loop: from a recipe to checkpoints."""
 
+import copy
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
@@ -20,6 +21,7 @@ from training.run_folder import (
     BEST,
     FINAL,
     LAST,
+    PAGE,
     SCORES,
     TENSORBOARD,
     list_data,
@@ -30,7 +32,7 @@ from training.score_table import ScoreTable
 from training.state import TrainingState
 from training.stop_signal import StopRequested
 from training.task import open_task
-from training.validation import Board, validate
+from training.validation import Board, validate, write_validation
 
 
 def train(
@@ -48,9 +50,9 @@ def train(
 
     Writes to ``out``: recipe.json (resolved), last.pt (to resume from), model.pt (the averaged
     weights, to release), best.pt (those of the best validation so far), scores.csv (every score of
-    every validation) and tensorboard/. An ``out`` with a last.pt of the same recipe is resumed.
-    Started by torchrun, each process takes its share of every batch, see `training.distributed`;
-    the first one writes, and all stop at the same step.
+    every validation), validation.html (the page of the last one) and tensorboard/. An ``out``
+    with a last.pt of the same recipe is resumed. Started by torchrun, each process takes its share
+    of every batch, see `training.distributed`; the first one writes, and all stop at the same step.
 
     Args:
         recipe: what to train and how.
@@ -169,6 +171,14 @@ def train(
             save_checkpoint(out / FINAL, released(), training=facts())
             for line in scores.compare() if scores else ():
                 tqdm.write(line, file=sys.stderr)
+            if task.validation:
+                networks = {"after": released()}
+                classes = networks["after"].config.classes
+                if init is not None and init.network.config.classes == classes:
+                    before = copy.deepcopy(init.network).to(processes.device)
+                    networks = {"before": before, **networks}
+                table = recipe.model.class_table
+                write_validation(networks, table, task, out / PAGE, stop=stop)
         processes.wait()  # until the file is written
         # A run that was stopped early releases no weights.
         return out / (FINAL if state.step == steps else LAST)

@@ -25,10 +25,11 @@ LAST = "last.pt"
 FINAL = "model.pt"
 BEST = "best.pt"
 SCORES = "scores.csv"
+PAGE = "validation.html"
 TENSORBOARD = "tensorboard"
 BATCH = "batch.png"
 #: What a run writes and replaces.
-_FILES = [Path(name) for name in (RECIPE, LAST, FINAL, BEST, SCORES, TENSORBOARD)]
+_FILES = [Path(name) for name in (RECIPE, LAST, FINAL, BEST, SCORES, PAGE, TENSORBOARD)]
 #: Keys of recipe.json: the data's files at the first start, and the folders that held them at the
 #: last, by which `ssdnet-eval RUN` finds the validation sets.
 _DATA, DATA_FOLDERS = "data_files", "data_folders"

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +12,23 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from models import Network
+from training.datasets.class_mapping import ClassTable, list_classes
 from training.distributed import Processes
+from training.evaluation.evaluate import score_models
 from training.evaluation.pictures import draw_pictures
+from training.evaluation.score_set import EvaluatedSet
+from training.evaluation.scored_model import ScoredModel
 from training.evaluation.scoring import score_sources, scored_classes, torch_predict
+from training.evaluation.shared_classes import ScoredClasses
+from training.loading.open_dataset import spread_indices
 from training.run_folder import folder_errors
 from training.score_table import SHOWN
 from training.state import Step
-from training.stop_signal import Watched
+from training.stop_signal import StopRequested, Watched
 from training.task import Task
+
+#: Frames of a set on the page of the validation, evenly spread.
+_PAGE_FRAMES = 500
 
 
 class Board:
@@ -62,6 +72,45 @@ class Board:
         if self._folder is not None:
             with folder_errors(self._folder):  # of the writer's thread, at the call that follows
                 getattr(self._writer, call)(*arguments, **options)
+
+
+def write_validation(
+    networks: Mapping[str, Network],
+    table: ClassTable,
+    task: Task,
+    path: Path,
+    *,
+    stop: Callable[[], bool],
+) -> None:
+    """Write the page of networks on the validation sets, see `training.evaluation.page`.
+
+    Args:
+        networks: name -> network, of the same classes; the first is what others are compared with.
+        table: their classes.
+        task: with the sets.
+        path: of the file.
+        stop: True ends it without a page.
+    """
+    from training.evaluation.page import WORST, write_page  # only where a page is made
+
+    models = {
+        name: ScoredModel(
+            torch_predict(network),
+            f"torch on {network.rgb_mean.device}",
+            table,
+            network.config.canonical_focal_px is not None and "depth" in network.heads,
+        )
+        for name, network in networks.items()
+    }
+    classes = ScoredClasses(table, tuple(info.name for info in list_classes(table)))
+    sets = [
+        EvaluatedSet(name, Watched(source, stop), classes, spread_indices(source, _PAGE_FRAMES))
+        for name, source in task.validation.items()
+    ]
+    with suppress(StopRequested):
+        found = score_models(models, sets, [(task.lidar, "none")], pictures=WORST)
+        write_page(found, path, title=f"Validation of {path.absolute().parent.name}")
+        tqdm.write(f"the page of the validation: {path}", file=sys.stderr)
 
 
 def validate(

@@ -17,7 +17,7 @@ from training.evaluation.classical import METHODS
 from training.evaluation.depth_folder import DepthFolder
 from training.evaluation.differences import Difference, compare
 from training.evaluation.evaluated_run import EvaluatedRun, read_run
-from training.evaluation.score_report import Row
+from training.evaluation.score_report import Row, format_differences, format_table
 from training.evaluation.score_set import EvaluatedSet, Feed, Result, score_set
 from training.evaluation.scored_model import (
     ScoredModel,
@@ -47,6 +47,10 @@ class Evaluation:
     results: Sequence[Result]
     differences: Sequence[Difference] = ()
     worst: Sequence[WorstFrame] = ()
+
+    def __str__(self) -> str:
+        """Return the tables that `ssdnet-eval` prints, with lines of any length."""
+        return format_table(self.rows) + format_differences(self.differences)
 
     @property
     def rows(self) -> list[Row]:

@@ -81,11 +81,16 @@ class Predictions:
         Raises:
             DatasetError: if there is no file of its name, or one of another kind or size.
         """
-        found = {
-            head: self._read(path, sample)
-            for head, files in self._files.items()
-            if (path := _find(files, sample.name, image_name)) is not None
-        }
+        found = {}
+        for head, files in self._files.items():
+            if (path := _find(files, sample.name, image_name)) is None:
+                continue
+            if (frame := self._frames.setdefault(path, sample.name)) != sample.name:
+                raise DatasetError(
+                    f"{path}: is the file of two frames, {frame} and {sample.name}. Put each into "
+                    "a folder of the name before it."
+                )
+            found[head] = self._read(path, sample)
         if len(found) < len(self._files):
             name = image_name or sample.name
             missing = next(head for head in self._files if head not in found)
@@ -108,6 +113,11 @@ class Predictions:
         if empty := [self.folder / head for head, files in found.items() if not files]:
             raise DatasetError(f"{empty[0]}: has no .png and no .npy files; expected one a frame.")
         return found
+
+    @cached_property
+    def _frames(self) -> dict[Path, str]:
+        """File -> the frame that it was read for."""
+        return {}
 
     def _read(self, path: Path, sample: Sample) -> NDArray[np.uint8] | NDArray[np.float32]:
         scale = self.options.depth_scale

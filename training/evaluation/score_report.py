@@ -166,7 +166,7 @@ def format_differences(differences: "Sequence[Difference]", *, width: int | None
         cells = [["model", "data", "LiDAR", "figure", "change", "95 % interval", f"than {against}"]]
         for item, row, verdict in difference_rows(found):
             cells.append([item.model, item.data, *row, verdict])
-        lines += ["", *_markdown(cells, keys=4, width=width)]
+        lines += ["", "", *_markdown(cells, keys=4, width=width)]
     return "\n".join(lines)
 
 

@@ -1,0 +1,87 @@
+"""Whether two models differ: paired intervals by bootstrap."""
+
+import numpy as np
+import pytest
+
+from training.evaluation.differences import compare
+from training.evaluation.metrics import DepthScores
+from training.evaluation.score_report import Row, format_differences
+from training.evaluation.score_set import FrameScore, Result
+from training.lidar.split import LidarInput
+
+
+def result(model, errors_m, *, hits=None, groups=None):
+    """A model with an error of a pixel at 10 m and right pixels, of ten, for each frame."""
+    frames = []
+    for index, error in enumerate(errors_m):
+        depth = DepthScores()
+        depth.update(np.array([[10.0 + error]]), np.array([[10.0]]))
+        hit = 0 if hits is None else hits[index]
+        confusion = np.array([[hit, 10 - hit, 0], [0, 5, 0]]) * (hits is not None)
+        group = "" if groups is None else groups[index]
+        frames.append(FrameScore(index, f"frame {index}", group, confusion, depth.sums))
+    row = Row(model, "torch", "set", "own", "none", len(frames), {})
+    return Result(row, (LidarInput(), "none"), None, frames, ("road", "car"))
+
+
+def test_differences_are_of_the_sums_of_all_frames_and_their_signs_are_judged():
+    rng = np.random.default_rng(1)
+    base = rng.normal(1, 0.2, 40)
+    first = result("a", base, hits=[5] * 40)
+    better = result("b", base - 0.1, hits=[8] * 40)
+    other = result("c", base + rng.normal(0, 0.1, 40), hits=[5] * 40)
+    good, same = compare([first, better, other])
+    assert (good.model, good.against, good.frames, good.groups) == ("b", "a", 40, 0)
+    assert good.figures["mae_m"] == pytest.approx((-0.1, -0.1, -0.1))  # of every pair alike
+    # Of ten pixels of road and five of car: 8 / 10 and 5 / 7, before 5 / 10 and 5 / 10.
+    assert good.figures["miou"].value == pytest.approx((8 / 10 + 5 / 7) / 2 - 1 / 2)
+    rmse = np.sqrt(np.square(base - 0.1).mean()) - np.sqrt(np.square(base).mean())
+    assert good.figures["rmse_m"].value == pytest.approx(rmse)
+    assert [good.verdict(key) for key in ("miou", "mae_m", "rmse_m")] == ["better"] * 3
+    assert same.verdict("mae_m") == "not distinguishable on 40 frames"
+    (worse,) = compare([better, first])
+    assert [worse.verdict(key) for key in ("miou", "mae_m", "rmse_m")] == ["worse"] * 3
+    text = format_differences([good, same])
+    assert "than a" in text
+    assert "| -100.0 " in text
+    assert "not distinguishable on 40 frames" in text
+
+
+def test_the_interval_holds_the_true_difference_as_often_as_it_says():
+    """Of 100 pairs of models, at 40 frames: 95 are expected, and 88 are still likely."""
+    rng, held = np.random.default_rng(2), 0
+    for _ in range(100):
+        base = rng.normal(1, 0.3, 40).clip(0.01)
+        change = rng.normal(0.05, 0.1, 40)
+        (found,) = compare([result("a", base), result("b", base + change)])
+        _, low, high = found.figures["mae_m"]
+        held += low <= 0.05 <= high
+    assert 88 <= held <= 100
+
+
+def test_frames_of_one_place_count_as_one():
+    """Eight alike frames of each of six places: an interval over frames would be too narrow."""
+    rng = np.random.default_rng(3)
+    base = np.ones(48)
+    change = np.repeat(rng.normal(0.05, 0.1, 6), 8)
+    groups = [str(index // 8) for index in range(48)]
+    (frames,) = compare([result("a", base), result("b", base + change)])
+    (places,) = compare(
+        [result("a", base, groups=groups), result("b", base + change, groups=groups)]
+    )
+    width = {
+        name: item.figures["mae_m"][2] - item.figures["mae_m"][1]
+        for name, item in (("frames", frames), ("places", places))
+    }
+    assert width["places"] > 2 * width["frames"]
+    assert (places.groups, places.sample) == (6, "48 frames of 6 places")
+    few = [str(index // 12) for index in range(48)]  # four places tell no interval
+    (alone,) = compare([result("a", base, groups=few), result("b", base + change, groups=few)])
+    assert alone.groups == 0
+
+
+def test_one_frame_distinguishes_nothing_and_heads_that_one_lacks_are_left_out():
+    (one,) = compare([result("a", [1.0]), result("b", [0.5])])
+    assert one.verdict("mae_m") == "not distinguishable on 1 frame"
+    (both,) = compare([result("a", [1, 2], hits=[5, 5]), result("b", [1, 1])])
+    assert set(both.figures) == {"mae_m", "rmse_m"}
