@@ -132,7 +132,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--model", default=None)
-    parser.add_argument("--sets", type=int, default=6, help="most sets of a rig and size")
+    parser.add_argument("--sets", type=int, default=4, help="most sets of a rig and size")
     args = parser.parse_args()
     random = np.random.default_rng(2)
     with (
@@ -163,6 +163,8 @@ def report_size(name: str, sets: list[Sequence[Trial]], random: np.random.Genera
     if left:
         stated = ", ".join(f"{each:.2f}" for each in np.median(within, axis=0))
         line += f"{cell(left)} | {covered} of {len(left)} | {stated} | "
+    else:
+        line += "| | | "
     print(f"{line}{unseen} |", flush=True)
 
 
