@@ -1,0 +1,40 @@
+"""Two clocks, and times of points and scans that are assumed."""
+
+import numpy as np
+import pytest
+
+from runtime.geometry.assumptions import collect_assumptions
+from runtime.geometry.motion import Scan
+from runtime.streams.health.sensor_times import clocks_apart_s
+
+S, PERIOD = 10**9, 10**8
+
+
+def apart(ahead_s, *, is_scan=True):
+    images, scans = [-5_000_000] * 9, [-6_000_000 + round(ahead_s * S)] * 9
+    return clocks_apart_s(images, scans, PERIOD, is_scan=is_scan)
+
+
+@pytest.mark.parametrize("ahead_s", [1.0, 37.0, 0.06, -0.3, -37.0])
+def test_two_clocks_are_found(ahead_s):
+    assert apart(ahead_s) == pytest.approx(ahead_s, abs=0.002)
+
+
+def test_the_time_that_drivers_take_is_no_other_clock():
+    assert apart(0.04) is None
+    assert apart(-0.14) is None, "recorded when a scan ends, stamped at its start"
+    assert apart(-0.14, is_scan=False) is not None, "a depth map has no duration"
+    assert clocks_apart_s([0], [S], PERIOD, is_scan=True) is None
+
+
+@pytest.mark.parametrize(("first", "last", "is_said"), [
+    (0.0, 0.1, False), (-0.1, 0.0, False), (-0.05, 0.05, False), (-0.15, -0.05, False),
+    (0.0, 0.5, False), (-0.301, -0.299, True), (0.4, 0.5, True),
+])  # fmt: skip
+def test_times_of_points_far_from_their_stamp_are_said(first, last, is_said):
+    points = np.full((500, 3), 5, np.float32)
+    notes = []
+    with collect_assumptions(notes):
+        Scan.of(points, np.linspace(first, last, 500), S)
+    assert bool(notes) == is_said
+    assert all("of another clock" in note for note in notes)
