@@ -3,10 +3,12 @@
     python benchmarks/rigs.py MODEL [MODEL ...] --data DIR [--data DIR ...]
 
 MODEL is a bundled name, an exported file or a checkpoint with depth, or a classical method. All
-frames are at most ROWS rows high, and every model runs at their size. `SETS` has the frames, and
-which returns are fed; the others, or a denser truth, are scored up to 100 m, without those behind
-a nearer return (`OcclusionFilter`). A set whose folder is missing is left out. NARROW leaves out
-less: half of the error is then of returns that are seen through gaps between scan lines.
+frames are at most ROWS rows high, and every model runs at their size, except in the sets of
+FULL_SIZE: there frames have the camera's own size, and a model runs as it does by default. `SETS`
+has the frames, and which returns are fed; the others, or a denser truth, are scored up to 100 m,
+without those behind a nearer return (`OcclusionFilter`, whose window grows with the picture). A set
+whose folder is missing is left out. NARROW leaves out less: half of the error is then of returns
+that are seen through gaps between scan lines.
 
 MAE / RMSE, median of the absolute errors in mm, means over frames. All models get the returns up to
 100 m alone, and a depth beyond counts as 100 m: a method that does not know them would be ahead.
@@ -49,7 +51,7 @@ from training.lidar.split import (
 )
 from training.loading.open_dataset import open_dataset
 
-ROWS = 400
+ROWS, FULL = 400, 100_000
 WIDE_DEG = 80.0
 REFERENCES = ("linear", "planes")
 HIDDEN, NARROW = OcclusionFilter(), OcclusionFilter((3, 3), 0.1, 0.0)
@@ -106,8 +108,9 @@ def read_pandaset(
     folders: Sequence[Path],
     *,
     hidden: OcclusionFilter = HIDDEN,
+    rows: int | None = None,
 ) -> Iterator[Frame]:
-    """Read the frames of PandaSet's front camera, reduced to ROWS rows.
+    """Read the frames of PandaSet's front camera, reduced to a number of rows.
 
     Args:
         fed: LiDAR whose returns are fed: 0 = all around, 1 = forward.
@@ -115,11 +118,12 @@ def read_pandaset(
         share: of the returns that are fed.
         folders: of the data.
         hidden: what is left out of the truth.
+        rows: of the pictures, at most; None = ROWS.
     """
     root = find_folder(folders, "pandaset_front")
     assert root is not None
     for index, (rgb, points, matrix) in enumerate(pandaset_frames(root)):
-        rgb, intrinsics = reduce(rgb, matrix)
+        rgb, intrinsics = reduce(rgb, matrix, rows or ROWS)
         size = (rgb.shape[0], rgb.shape[1])
         first, second = (
             project_points(points[points[:, 4] == device, :3], intrinsics, np.eye(4), size)
@@ -141,7 +145,11 @@ def pandaset_frames(
 
 
 def read_delft(
-    share: float, folders: Sequence[Path], *, hidden: OcclusionFilter = HIDDEN
+    share: float,
+    folders: Sequence[Path],
+    *,
+    hidden: OcclusionFilter = HIDDEN,
+    rows: int | None = None,
 ) -> Iterator[Frame]:
     """Read the frames of View-of-Delft, of whose returns a share is fed."""
     root = find_folder(folders, "view_of_delft")
@@ -149,20 +157,20 @@ def read_delft(
     for index, path in enumerate(sorted((root / "image").glob("*.jpg"))):
         calibration = Calibration.from_kitti(root / "calib" / f"{path.stem}.txt")
         points = np.fromfile(root / "velodyne" / f"{path.stem}.bin", np.float32).reshape(-1, 4)
-        rgb, intrinsics = reduce(read_rgb(path), calibration.intrinsics)
+        rgb, intrinsics = reduce(read_rgb(path), calibration.intrinsics, rows or ROWS)
         size = (rgb.shape[0], rgb.shape[1])
         returns = project_points(points, intrinsics, calibration.extrinsics, size)
         yield withhold(Frame(rgb, returns, returns, intrinsics[0, 0]), share, index, hidden)
 
 
 def reduce(
-    rgb: NDArray[np.uint8], intrinsics: NDArray[np.float64]
+    rgb: NDArray[np.uint8], intrinsics: NDArray[np.float64], rows: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Reduce a picture to ROWS rows, with its intrinsics."""
+    """Reduce a picture to a number of rows, with its intrinsics."""
     height, width = rgb.shape[:2]
-    if height <= ROWS:
+    if height <= rows:
         return rgb, intrinsics
-    size = (ROWS, round(width * ROWS / height))
+    size = (rows, round(width * rows / height))
     scaled = intrinsics.copy()
     for axis, (new, old) in enumerate(zip(size[::-1], (width, height), strict=True)):
         scaled[axis] *= new / old
@@ -176,7 +184,13 @@ def withhold(frame: Frame, share: float, seed: int, hidden: OcclusionFilter = HI
     fed = random_share(frame.fed, share, np.random.default_rng(seed)) if share < 1 else frame.fed
     truth = np.where(fed > 0, np.float32(0), frame.truth)
     returns = np.where(frame.fed > 0, frame.fed, frame.truth)
-    return frame._replace(fed=fed, truth=hidden.apply(truth, returns))
+    return frame._replace(fed=fed, truth=magnified(hidden, len(returns)).apply(truth, returns))
+
+
+def magnified(hidden: OcclusionFilter, rows: int) -> OcclusionFilter:
+    """Enlarge the window of a filter for ROWS rows to a picture of more rows; sides stay odd."""
+    height, width = (2 * round(side // 2 * max(1.0, rows / ROWS)) + 1 for side in hidden.window)
+    return replace(hidden, window=(height, width))
 
 
 _STREETS = KittiStreetsRecipe(path="kitti_streets", first=70)
@@ -197,12 +211,16 @@ SETS: Mapping[str, tuple[str, Read]] = {
     "forward": ("pandaset_front", partial(read_pandaset, 1, 0, 1.0)),
     "Delft, half": ("view_of_delft", partial(read_delft, 0.5)),
     "Delft, quarter": ("view_of_delft", partial(read_delft, 0.25)),
+    "PandaSet, full size": ("pandaset_front", partial(read_pandaset, 0, 0, 0.5, rows=FULL)),
+    "Delft, full size": ("view_of_delft", partial(read_delft, 0.5, rows=FULL)),
     "rendered, wide": ("rendered/wide", read_wide),
     "PandaSet, half, narrow": ("pandaset_front", partial(read_pandaset, 0, 0, 0.5, hidden=NARROW)),
     "Delft, half, narrow": ("view_of_delft", partial(read_delft, 0.5, hidden=NARROW)),
 }
+#: Sets at the camera's own size, where a model runs at the size that it chooses.
+FULL_SIZE = ("PandaSet, full size", "Delft, full size")
 #: Sets that no mean is over.
-ASIDE = ("rendered, wide", "PandaSet, half, narrow", "Delft, half, narrow")
+ASIDE = (*FULL_SIZE, "rendered, wide", "PandaSet, half, narrow", "Delft, half, narrow")
 
 
 def score(predict: Predict, frames: Sequence[Frame]) -> NDArray[np.float64]:
@@ -230,8 +248,12 @@ def main() -> None:
     }
     print(f"| model | {' | '.join(sets)} | MAE | RMSE |\n{'|---' * (len(sets) + 3)}|")
 
-    def scores_of(predict: Predict) -> NDArray[np.float64]:
-        return np.array([score(predict, frames) for frames in sets.values()])
+    def scores_of(predict: Predict, full_size: Predict | None = None) -> NDArray[np.float64]:
+        found = [
+            score(full_size if full_size and name in FULL_SIZE else predict, frames)
+            for name, frames in sets.items()
+        ]
+        return np.array(found)
 
     references = {name: scores_of(open_method(name).predict) for name in REFERENCES}
     best = np.min([figures[:, :2] for figures in references.values()], axis=0)
@@ -252,8 +274,9 @@ def main() -> None:
     names = [name for name in others if name not in METHODS]
     paths = [Path(name) if name.endswith(".pt") else find_model(name) for name in names]
     for title, path in zip(short_names(paths), paths, strict=True):
-        with open_scored_model(path, threads=arguments.threads, size="frame") as model:
-            print_row(title, scores_of(model.predict))
+        open_at = partial(open_scored_model, path, threads=arguments.threads)
+        with open_at(size="frame") as model, open_at() as full_size:
+            print_row(title, scores_of(model.predict, full_size.predict))
 
 
 if __name__ == "__main__":

@@ -50,6 +50,11 @@ def test_a_reduced_picture_keeps_the_pixels_of_its_returns(pandaset, monkeypatch
     assert frame.fed[round(20.5 / 2 - 0.5), round(45.5 / 2 - 0.5)] == 20
 
 
+def test_the_window_that_hides_returns_grows_with_the_picture():
+    assert rigs.magnified(rigs.HIDDEN, 375).window == rigs.HIDDEN.window == (15, 9)
+    assert rigs.magnified(rigs.HIDDEN, 1080).window == (39, 23)
+
+
 def test_withheld_returns_are_the_truth():
     returns = np.zeros((200, 300), np.float32)
     returns[::20, ::12] = 30
