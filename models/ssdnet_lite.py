@@ -7,6 +7,8 @@
 | 4 | `early`, with planes and surfaces added; decoders; boundary; geometry | 24; 32; 1; 24 |
 | 8, 16, 32 | `EfficientNetLite.late`; decoders at 8 and 16 | 40, 112, 320; 48, 64 |
 
+`docs/network.png` shows these grids (`benchmarks/network_figure.py` draws it from the modules).
+
 The order of execution: `surfaces.find_candidates` with `planes.fit_base`, the encoder, the boundary
 decoder, which gates both task decoders, and the heads; the depth's is
 `surface_depth.SurfaceDepthHead`. `ssdnet-nano` has no features at stride 2 except the encoder's.

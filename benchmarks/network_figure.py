@@ -1,0 +1,118 @@
+"""Draw the grids of `ssdnet-lite` as its modules compute them: docs/network.png.
+
+    python benchmarks/network_figure.py [MODEL] [--out docs/network.png]
+
+A frame runs through the network; every box is a module's output, with its channels, in the row of
+its stride. So the picture shows the network as it is, not as somebody remembers it.
+"""
+
+import argparse
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import torch
+from torch import Tensor, nn
+
+from models import create_model
+
+SIZE = (64, 96)
+STRIDES = (1, 2, 4, 8, 16, 32)
+#: Column -> its title and the beginnings of the names of its modules.
+COLUMNS = (
+    ("returns", ("surface_depth.embed", "surface_depth.geometry")),
+    ("encoder", ("encoder", "context")),
+    ("boundary", ("boundary_decoder",)),
+    ("classes", ("semantic_decoder", "semantic_refine", "semantic_head", "semantic_coarse_head")),
+    ("depth", ("depth_decoder", "surface_depth.head", "surface_depth.guess")),
+)
+#: Modules that are drawn: whole blocks, not their layers.
+_DEPTH = {"encoder": 2, "semantic_decoder": 3, "depth_decoder": 3, "boundary_decoder": 3}
+
+
+class Box(NamedTuple):
+    """The output of a module.
+
+    Attributes:
+        column: number in COLUMNS.
+        stride: of its grid.
+        channels: of the output.
+        name: of the module.
+    """
+
+    column: int
+    stride: int
+    channels: int
+    name: str
+
+
+def find_boxes(network: nn.Module) -> list[Box]:
+    """Run a frame and return the outputs of the network's modules, in the order of execution."""
+    boxes: list[Box] = []
+
+    def watch(name: str, column: int, module: nn.Module) -> None:
+        def hook(_module: nn.Module, _inputs: object, output: object) -> None:
+            if isinstance(output, tuple | list):
+                output = output[0]
+            if isinstance(output, Tensor) and output.ndim == 4 and output.shape[2] > 1:
+                boxes.append(Box(column, SIZE[0] // output.shape[2], output.shape[1], name))
+
+        module.register_forward_hook(hook)
+
+    for name, module in network.named_modules():
+        for column, (_, starts) in enumerate(COLUMNS):
+            start = next((s for s in starts if name == s or name.startswith(f"{s}.")), None)
+            if start is not None and name.count(".") + 1 == _DEPTH.get(start, start.count(".") + 1):
+                watch(name, column, module)
+    depth = torch.zeros(1, 1, *SIZE)
+    depth[..., ::4, ::4] = 10
+    with torch.no_grad():
+        network.eval()(torch.zeros(1, 3, *SIZE), depth)
+    return boxes
+
+
+def draw(boxes: list[Box], path: Path, title: str) -> None:
+    """Draw the boxes, a column a part of the network, a row a stride."""
+    _, axes = plt.subplots(figsize=(9.6, 4.8), dpi=110)
+    cells: dict[tuple[int, int], list[Box]] = {}
+    for box in boxes:
+        cells.setdefault((box.column, box.stride), []).append(box)
+    for (column, stride), found in cells.items():
+        row = STRIDES.index(stride)
+        width = 0.9 / len(found)
+        for place, box in enumerate(found):
+            left = column - 0.45 + place * width
+            color = plt.colormaps["tab10"](column)
+            axes.add_patch(
+                plt.Rectangle((left, row - 0.34), width * 0.92, 0.68, color=color, alpha=0.35)
+            )
+            axes.text(left + width * 0.46, row, str(box.channels), ha="center", va="center")
+    axes.set_xlim(-0.6, len(COLUMNS) - 0.4)
+    axes.set_ylim(len(STRIDES) - 0.4, -0.6)
+    axes.set_xticks(range(len(COLUMNS)), [name for name, _ in COLUMNS])
+    axes.set_yticks(range(len(STRIDES)), [f"stride {stride}" for stride in STRIDES])
+    axes.xaxis.tick_top()
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+    axes.set_title(title, fontsize=10)
+    plt.savefig(path, bbox_inches="tight")
+    plt.close()
+
+
+def main() -> None:
+    """Draw the figure of a network."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("model", nargs="?", default="ssdnet-lite")
+    parser.add_argument("--out", type=Path, default=Path("docs/network.png"))
+    arguments = parser.parse_args()
+    network = create_model(arguments.model)
+    title = f"{arguments.model}: channels of each module's output, in the order of execution"
+    draw(find_boxes(network), arguments.out, title)
+    print(arguments.out)
+
+
+if __name__ == "__main__":
+    main()
