@@ -27,7 +27,16 @@ COLUMNS = (
     ("encoder", ("encoder", "context")),
     ("boundary", ("boundary_decoder",)),
     ("classes", ("semantic_decoder", "semantic_refine", "semantic_head", "semantic_coarse_head")),
-    ("depth", ("depth_decoder", "surface_depth.head", "surface_depth.guess")),
+    (
+        "depth",
+        (
+            "depth_decoder",
+            "surface_depth.refinement",
+            "surface_depth.head",
+            "surface_depth.coarse_head",
+            "surface_depth.guess",
+        ),
+    ),
 )
 #: Modules that are drawn: whole blocks, not their layers.
 _DEPTH = {"encoder": 2, "semantic_decoder": 3, "depth_decoder": 3, "boundary_decoder": 3}
