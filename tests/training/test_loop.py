@@ -17,6 +17,7 @@ from models import create_model, load_checkpoint
 from runtime.base.errors import CheckpointError, DatasetError, InputError, OutputError
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
+from training.evaluation.evaluate import evaluate
 from training.initial_weights import read_weights
 from training.loading.augment import AugmentConfig
 from training.loop import train
@@ -129,6 +130,12 @@ def test_validation_feeds_the_lidar_of_the_recipe(data, tmp_path):
         train(recipe(1, validation=validation), data=[data], out=out)
         errors.append(read_events(out).Scalars("validation/scenes/mae_m")[0].value)
     assert errors[0] != errors[1] == errors[2]
+    page = (out / "validation.html").read_text()
+    assert "scenes, LiDAR random:0.5" in page
+    assert "Worst depth of after" in page
+    (row,) = evaluate([out]).rows  # of the run's folder: its set, with its input
+    assert (row.data, row.lidar) == ("scenes", "random:0.5")
+    assert row.figures["mae_m"] == pytest.approx(errors[2], rel=1e-5)
 
 
 def test_best_weights_and_scores_survive_an_interruption(data, tmp_path):
