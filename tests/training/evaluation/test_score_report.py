@@ -58,7 +58,7 @@ def test_a_table_that_is_too_wide_is_several(all_columns):
     narrow = format_table(rows, all_columns=all_columns, width=64)
     assert max(map(len, wide.splitlines())) > 64 >= max(map(len, narrow.splitlines()))
     assert wide.count("| 50.00 ") == narrow.count("| 50.00 ")
-    first = "| figure" if all_columns else "| model"
+    first = "| figure" if all_columns else "| model "
     assert narrow.count(first) > wide.count(first) == 1
 
 
