@@ -114,7 +114,7 @@ def _bars(found: Sequence[Result]) -> Iterator[dict[str, Any]]:
                 _TITLES.get(key, key.removeprefix("iou_")).removeprefix("MAE ").rstrip(","),
                 [
                     (f"{factor * value:.1f}", 100 * value / (1 if factor == 100 else most or 1))
-                    if _is_known(value := each.get(key))
+                    if (value := each.get(key)) is not None and not math.isnan(value)
                     else ("", 0)
                     for each in figures
                 ],
@@ -189,7 +189,10 @@ def _latency(found: Sequence[Result]) -> Iterator[tuple[str, str, dict[str, Any]
         ]
         if len(spots) < 2:
             continue
-        (x, last), (y, top) = (_linear(max(spot[at] for spot in spots)) for at in (0, 1))
+        (x, last), (y, top) = (
+            _linear(max(ms for ms, _, _ in spots)),
+            _linear(max(value for _, value, _ in spots)),
+        )
         chart = {
             **_axes(
                 [(100 - y(tick), tick) for tick in _ticks(top)],
