@@ -121,6 +121,11 @@ class BagSource(Source):
                 self._info_topic = topics.choose("info_topic", given.info_topic, infos, beside[:1])
                 self.calibration = self._calibrate()
                 self._pose_topic = self._find_poses()
+            # Asked for while frames are read, which a second reading of an MCAP would disturb.
+            for topic in filter(None, (self._image_topic, self._depth_topic)):
+                with contextlib.suppress(InputError):  # no message can be decoded
+                    self._frame(topic)
+            _ = self._tree
         except BaseException:
             self.close()
             raise
