@@ -21,7 +21,7 @@ QUATERNION = Rotation.from_matrix(TURN).as_quat()
 
 def rigid(rotation):
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation, (1, 2, 3)
+    matrix[:3, :3], matrix[:3, 3] = rotation, (0.1, 0.2, 0.3)
     return matrix
 
 
@@ -86,8 +86,8 @@ def test_a_quaternion_is_of_unit_length_or_nearly(length, outcome):
         warnings.simplefilter("always")
         if outcome == "refused":
             with pytest.raises(InputError, match="line 3"):
-                pose_of((1, 2, 3), length * QUATERNION, "line 3")
+                pose_of((0.1, 0.2, 0.3), length * QUATERNION, "line 3")
             return
-        found = pose_of((1, 2, 3), length * QUATERNION, "line 3")
+        found = pose_of((0.1, 0.2, 0.3), length * QUATERNION, "line 3")
     assert len(caught) == (outcome == "nearest")
     np.testing.assert_allclose(found, rigid(TURN), atol=1e-3)
