@@ -7,8 +7,8 @@ predictor = Predictor()  # the bundled model on the CPU
 prediction = predictor.predict(rgb, sparse_depth)
 ```
 
-Names are loaded on first use (PEP 562): code that needs only the contract or the errors, as the
-networks do, loads neither OpenCV nor ONNX Runtime.
+Names are loaded on first use (PEP 562). Code that needs only the contract or the errors, such as the
+networks, therefore loads neither OpenCV nor ONNX Runtime.
 """
 
 from importlib import import_module
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
     __version__: str
 
-#: Module -> the public names that it holds.
+#: Module -> its public names.
 _MODULES = {
     "alignment.calibrate": "CalibrationResult calibrate",
     "engine.bundled_models": "list_bundled_models",
@@ -72,7 +72,7 @@ def __getattr__(name: str) -> Any:
         value = getattr(import_module(_HOMES[name]), name)
     else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = value  # looked up once
+    globals()[name] = value  # so that the name is looked up only once
     return value
 
 

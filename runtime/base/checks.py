@@ -1,4 +1,7 @@
-"""Checks of numbers that callers and files give, and how an error shows a value. Leaf of all."""
+"""Checks of numbers from callers and files, and the text by which an error shows a value.
+
+This module imports no other module of the project.
+"""
 
 import numbers
 import operator
@@ -6,7 +9,7 @@ from typing import Any
 
 
 def shown(value: object, most: int = 80) -> str:
-    """Return a value for an error message: its repr, cut after `most` characters."""
+    """Return the repr of a value for an error message, cut after `most` characters."""
     return cut(repr(value), most)
 
 
@@ -24,7 +27,11 @@ def check_number(
     *,
     error: type[Exception] = ValueError,
 ) -> float:
-    """Return a number of any library; `error`, naming it, unless it is one of least to most."""
+    """Return any real number between `least` and `most` as a float.
+
+    Numbers of Python, NumPy and other libraries are accepted, booleans are not. For anything else
+    `error` is raised, with the name of the number.
+    """
     is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
     if not (is_number and least <= value <= most):
         raise error(f"{name} must be {least:g} to {most:g}{unit and ' '}{unit}, got {shown(value)}")
@@ -40,7 +47,7 @@ def check_integer(
     *,
     error: type[Exception] = ValueError,
 ) -> int:
-    """Return a whole number of any library; `error` as in `check_number`, also for booleans."""
+    """Return any whole number between `least` and `most` as an int; errors as in `check_number`."""
     try:
         number = operator.index(value)
     except TypeError:

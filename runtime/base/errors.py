@@ -34,12 +34,12 @@ class DatasetError(SSDNetError):
 
 
 def install_command(extras: str) -> str:
-    """Return the command that installs these extras, as the README has it."""
+    """Return the command by which the README installs these extras."""
     return f'pip install -c constraints.txt ".[{extras}]" in a clone of ssdnet'
 
 
 def import_remedy(error: ImportError, extras: str) -> str:
-    """Return what to do about an import of a package of these extras that failed."""
+    """Return the remedy for a failed import of a package that belongs to these extras."""
     if isinstance(error, ModuleNotFoundError):
         return install_command(extras)
     return "it is installed but cannot be loaded, ssdnet-doctor examines it"

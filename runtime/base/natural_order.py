@@ -1,11 +1,14 @@
-"""The numbers in names, and the order of names by them: one reading for all that list files."""
+"""The numbers in file names, and the order of names by these numbers.
+
+All code that lists files uses this module, so that every list has the same order.
+"""
 
 import re
 from collections.abc import Iterable
 from decimal import Decimal
 
-# A point between two digits, with no other point beside them, as in 1700000000.05. A number that is
-# the whole name may be negative, or small as in 5e-05.
+# A decimal number has one point between two digits, as in 1700000000.05. A number that is the whole
+# name may also be negative, or have an exponent, as in 5e-05.
 _DECIMAL = r"(?<![0-9.])[0-9]+\.[0-9]+(?![0-9.])"
 _NUMBERS = re.compile(
     rf"(^-?[0-9]+(?:\.[0-9]+)?e-[0-9]+$|^-[0-9]+(?:\.[0-9]+)?$|{_DECIMAL}|[0-9]+)"
@@ -15,7 +18,7 @@ _CLOCK_DIGITS = 9  # of seconds since 1970
 
 
 def in_natural_order(names: Iterable[str]) -> list[str]:
-    """Sort names by the numbers in them: "9" before "10", "12.25" before "12.5"."""
+    """Sort names by the numbers in them: "9" comes before "10", and "12.25" before "12.5"."""
     names = list(names)
     numbers = _pattern(names)
 
@@ -27,18 +30,19 @@ def in_natural_order(names: Iterable[str]) -> list[str]:
 
 
 def numbers_in(names: Iterable[str]) -> dict[str, tuple[Decimal, ...]]:
-    """Return the numbers of each name: of "image_0.50" (0.5,), of "3_07" (3, 7)."""
+    """Return the numbers in each name: (0.5,) for "image_0.50", and (3, 7) for "3_07"."""
     names = list(names)
     numbers = _pattern(names)
     return {name: tuple(map(Decimal, numbers.findall(name))) for name in names}
 
 
 def hold_decimals(names: Iterable[str]) -> bool | None:
-    """Whether numbers with a point in these names are decimals; None = nothing tells.
+    """Return whether numbers with a point in these names are decimals; None if it is not clear.
 
-    They are if seconds since 1970 are before the point, or if of digits of several lengths after it
-    some begin with 0, as in 0.05 and 0.1. They are two counters if some end in 0, as in 1.9 and
-    1.10: no program writes decimals so.
+    They are decimals if the digits before the point are seconds since 1970. They are also decimals
+    if the digits after the point have several lengths and some begin with 0, as in 0.05 and 0.1.
+    They are two counters if the lengths differ and some end in 0, as in 1.9 and 1.10, because no
+    program writes decimals in this way.
     """
     found = {part for name in names for part in re.findall(_DECIMAL, name)}
     wholes, parts = zip(*(part.split(".") for part in found), strict=True) if found else ((), ())

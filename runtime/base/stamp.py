@@ -1,4 +1,4 @@
-"""Time stamps of sensors, of any clock: as numbers and as text."""
+"""Time stamps of sensors, as numbers and as text. They may come from any clock."""
 
 import operator
 import warnings
@@ -14,27 +14,28 @@ from runtime.base.errors import InputError
 Stamp = float | int
 
 NS_PER_MS = 1_000_000
-#: Largest difference between the stamps of an image and its depth map by default: half the period
-#: of a LiDAR of 10 Hz, so that each scan has its image.
+#: Default of the largest difference between the stamps of an image and its depth map. It is half
+#: the period of a LiDAR of 10 Hz, so that each scan has its image.
 DEFAULT_MAX_SKEW_MS = 50.0
-#: Oldest depth that an image without depth of its own takes: a LiDAR of 10 Hz may lose a scan.
+#: Default of the largest age of depth that is reused for an image without depth of its own. A LiDAR
+#: of 10 Hz may lose one scan.
 DEFAULT_REUSE_DEPTH_MS = 150.0
-#: The clock of a sensor was reset if its stamps go back further.
+#: If the stamps of a sensor go back by more than this, its clock was reset.
 JUMP_BACK_NS = 1_000 * NS_PER_MS
-_COARSEST_S = 1e-3  # of the time since 1970, float64 resolves 2.4e-7 s, float32 128 s
+_COARSEST_S = 1e-3  # float64 resolves the time since 1970 to 2.4e-7 s, float32 to 128 s
 _DATE = "2011-09-26 13:02:25.964389445"
-_LIMIT_NS = 2**63  # what 64 bits hold: 292 years
+_LIMIT_NS = 2**63  # 64 bits hold 292 years
 
 
 def stamp_ns(stamp: Any) -> int:
     """Return a stamp in nanoseconds.
 
     Args:
-        stamp: seconds if a float, nanoseconds if an int; Python's or NumPy's.
+        stamp: a float in seconds or an int in nanoseconds, of Python or NumPy.
 
     Raises:
-        InputError: if it is of another type, not finite, beyond 64 bits of nanoseconds, or a float
-            that is too short to tell milliseconds apart.
+        InputError: if the stamp has another type, is not finite, exceeds 64 bits of nanoseconds, or
+            is a float of too few bits to resolve milliseconds.
     """
     try:
         if isinstance(stamp, bool | np.bool_):
@@ -57,23 +58,23 @@ def stamp_ns(stamp: Any) -> int:
 
 
 def parse_date(text: str, where: str) -> int:
-    """Nanoseconds since 1970 of a date and time such as `_DATE`, taken as UTC.
+    """Return the nanoseconds since 1970 of a date and time such as `_DATE`, in UTC.
 
     Raises:
-        InputError: if it is none; it begins with `where`.
+        InputError: if the text is no date and time; the message begins with `where`.
     """
     try:
-        with warnings.catch_warnings(action="error"):  # of a time zone
+        with warnings.catch_warnings(action="error"):  # NumPy warns about a time zone
             date: np.datetime64 = np.datetime64(text.strip(), "ns")
     except (ValueError, UserWarning):
         date = np.datetime64("NaT")
-    if np.isnat(date):  # also of an empty line
+    if np.isnat(date):  # an empty line is also NaT
         raise InputError(f"{where} is {text!r:.60}, expected a time like {_DATE}")
     return int(date.astype(np.int64))
 
 
 def parse_seconds(text: str, where: str) -> int:
-    """Nanoseconds of a number of seconds, exact to the last digit; errors as `parse_date`."""
+    """Return a number of seconds in nanoseconds, exact to the last digit; errors as `parse_date`."""
     try:
         stamp_ns = Decimal(text.strip()) * 10**9
         if abs(stamp_ns) < 2**63:
