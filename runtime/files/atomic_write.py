@@ -1,8 +1,8 @@
-"""Files that are whole or not there.
+"""Files that are either complete or absent.
 
-They are written into a hidden, locked folder beside their target, and renamed when they are
-whole. A killed process loses its lock: a hidden folder that can be locked is a leftover, and the
-next write of the same target removes it.
+A file is written into a hidden, locked folder beside its target, and renamed when it is complete. A
+killed process loses its lock, so a hidden folder that can be locked is a leftover. The next write
+to the same target removes it.
 """
 
 import contextlib
@@ -17,11 +17,11 @@ from typing import BinaryIO
 
 from runtime.base.errors import OutputError
 
-_NAME_LENGTH = 40  # characters of the target's name in the name of its hidden folder
+_NAME_LENGTH = 40  # so many characters of the target's name are in its hidden folder's name
 
 
 def atomic_write(path: Path, content: bytes | memoryview, *, overwrite: bool = True) -> None:
-    """Write a file whole or not at all; arguments and errors as in `atomic_file`."""
+    """Write a complete file or none; arguments and errors are those of `atomic_file`."""
     with atomic_file(path, overwrite=overwrite) as file:
         file.write(content)
 
@@ -30,20 +30,22 @@ def atomic_write(path: Path, content: bytes | memoryview, *, overwrite: bool = T
 def atomic_file(path: Path, *, overwrite: bool = True, durable: bool = False) -> Iterator[BinaryIO]:
     """Open a file that gets its name when the block ends; after an error it is removed.
 
-    An existing file stays until then. The new one has the permissions that the umask leaves, and a
-    link at `path` is replaced, not followed. Others can read it as ``file.name`` meanwhile.
+    An existing file stays until the block ends. The new file has the permissions that the umask
+    allows. A link at `path` is replaced, not followed. Inside the block, other programs can read
+    the file as `file.name`.
 
     Args:
         path: the file's name, in a folder that exists.
-        overwrite: False: of several writers of one path only one succeeds.
-        durable: whether the content is on the disk, not in a cache, before the file gets its name.
+        overwrite: whether an existing file is replaced. If False, only one of several writers to
+            the same path succeeds.
+        durable: whether the content is flushed to the disk before the file gets its name.
 
     Yields:
         The file, open for reading and writing.
 
     Raises:
-        OutputError: if the file cannot be written (also for an OSError of the block), if it exists
-            and may not be replaced, or if another process is writing it at this moment.
+        OutputError: if the file cannot be written, if the block raises an OSError, if the file
+            exists and may not be replaced, or if another process is writing it at this moment.
     """
     with temporary_path(path) as made:
         with open(made, "x+b") as file:
@@ -56,21 +58,21 @@ def atomic_file(path: Path, *, overwrite: bool = True, durable: bool = False) ->
 
 @contextlib.contextmanager
 def atomic_path(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
-    """Name a file for a library that opens files by itself, by their name and its ending.
+    """Yield a temporary path for a library that opens files by name.
 
-    What the block leaves there takes its place at `path` when the block ends; where it leaves
-    nothing and may overwrite, a file at `path` is removed. After an error the new file is removed
-    and the old stays.
+    The file that the block writes there is moved to `path` when the block ends. If the block writes
+    no file and `overwrite` is True, the file at `path` is removed. After an error the new file is
+    removed and the old one stays.
 
     Args:
-        path: the file's name; its folder is made.
+        path: the file's name; its folder is created.
         overwrite: see `atomic_file`.
 
     Yields:
         A path of the same name in a hidden folder beside it.
 
     Raises:
-        OutputError: as `atomic_file`.
+        OutputError: as for `atomic_file`.
     """
     with temporary_path(path, make_parents=True) as made:
         yield made
@@ -82,32 +84,32 @@ def atomic_path(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
 
 
 def require_writable(path: Path) -> None:
-    """Raise the OutputError of `atomic_file` for a file that cannot be written; nothing is left."""
+    """Raise the OutputError of `atomic_file` if the file cannot be written; no file is left."""
     with temporary_path(path):
         if path.is_dir():
             raise OutputError(f"{path} is a folder: name a file to write")
 
 
 def remove_leftover(path: Path) -> None:
-    """Remove the hidden folder of `path` that a killed process left; keep it if it is locked."""
+    """Remove the hidden folder that a killed process left beside `path`, unless it is locked."""
     if os.path.isdir(_hidden_folder(path)):
         with contextlib.suppress(OutputError), temporary_path(path):
             pass
 
 
 def _hidden_folder(path: Path) -> Path:
-    """Equal for all writers of `path`, so that each finds leftovers."""
+    """Return the hidden folder, which is the same for all writers of `path`."""
     name = path.name
     return path.with_name(f".{name[:_NAME_LENGTH]}.{zlib.crc32(os.fsencode(name)):08x}.part")
 
 
 @contextlib.contextmanager
 def temporary_path(path: Path, *, make_parents: bool = False) -> Iterator[Path]:
-    """Yield a path of the same name in the hidden folder of `path`, which is then removed.
+    """Yield a path of the same name in the hidden folder of `path`; the folder is then removed.
 
-    Raises OutputError as `atomic_file`.
+    Raises OutputError as `atomic_file` does.
     """
-    if path.name in ("", ".."):  # of ".", ".." and "/"
+    if path.name in ("", ".."):  # the path is ".", ".." or "/"
         raise OutputError(f"{path} has no name that could be given to a result: name a new one")
     try:
         _require_replaceable(path)
@@ -129,7 +131,7 @@ def temporary_path(path: Path, *, make_parents: bool = False) -> Iterator[Path]:
 
 
 def _lock(folder: Path) -> int:
-    """Make a folder and lock it. Raises OSError, BlockingIOError if another process holds it."""
+    """Create a folder and lock it. Raises BlockingIOError if another process holds the lock."""
     while True:
         with contextlib.suppress(FileExistsError):
             folder.mkdir()
@@ -154,7 +156,7 @@ def _lock(folder: Path) -> int:
 
 
 def _require_replaceable(path: Path) -> None:
-    """Raise OutputError for devices, pipes and sockets, which root could replace with a file."""
+    """Raise OutputError for devices, pipes and sockets, which root could otherwise replace."""
     try:
         mode = path.lstat().st_mode
     except FileNotFoundError:
@@ -164,7 +166,7 @@ def _require_replaceable(path: Path) -> None:
 
 
 def _publish(made: Path, path: Path, *, overwrite: bool) -> None:
-    """Rename `made` to `path`, whose hidden folder is locked. Raises OutputError if it exists."""
+    """Rename `made` to `path`, whose hidden folder is locked; OutputError if `path` exists."""
     _require_replaceable(path)
     if not overwrite and os.path.lexists(path):
         raise OutputError(f"{path} exists: choose another name, or replace it with --overwrite")

@@ -1,6 +1,6 @@
-"""Folders whose content may be replaced: a hidden file in them lists what was written there.
+"""Folders whose content may be replaced: a hidden file in each lists the files written there.
 
-Only what this list names is ever removed or replaced; everything else is the user's.
+Only files on this list are ever removed or replaced. All other files belong to the user.
 """
 
 import json
@@ -22,16 +22,16 @@ def atomic_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Make a folder that gets its name when the block ends; after an error it is removed.
 
     Args:
-        path: the folder's name; its parents are made.
-        overwrite: whether an earlier folder of this function is replaced; one that holds anything
-            else never is.
+        path: the folder's name; its parents are created.
+        overwrite: whether an earlier folder of this function is replaced. A folder that holds any
+            other file is never replaced.
 
     Yields:
-        The folder to fill, until then of a hidden path.
+        The folder to fill. It has a hidden path until the block ends.
 
     Raises:
-        OutputError: as `atomic_file`, and for a folder that is not replaced; what is there is then
-            untouched.
+        OutputError: as for `atomic_file`, and if a folder exists that may not be replaced. The
+            existing files are then unchanged.
     """
     with temporary_path(path, make_parents=True) as made:
         _list_replaced(path, overwrite=overwrite)
@@ -46,7 +46,7 @@ def atomic_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
 
 
 def require_folder_free(path: Path, *, overwrite: bool = False) -> None:
-    """Raise the OutputError of `atomic_folder` for a folder that cannot be made or replaced."""
+    """Raise the OutputError of `atomic_folder` if the folder cannot be created or replaced."""
     with temporary_path(path, make_parents=True):
         _list_replaced(path, overwrite=overwrite)
 
@@ -55,14 +55,14 @@ def make_own_folder(path: Path, files: Sequence[Path], *, overwrite: bool = Fals
     """Make a folder into which files will be written one by one.
 
     Args:
-        path: a folder that exists must be empty, or, with `overwrite`, one of this function, whose
-            files are then removed in the order of their list.
-        files: paths below it.
+        path: a new or empty folder or, with `overwrite`, an earlier folder of this function. The
+            files of the earlier folder are removed in the order of its list.
+        files: the paths that will be written, relative to `path`.
         overwrite: whether earlier files are replaced.
 
     Raises:
-        OutputError: if the folder cannot be used, or if writing there would replace a file of
-            others or follow a link; what is there is then untouched.
+        OutputError: if the folder cannot be used, or if writing there would replace a file that
+            is not on the list or follow a link. The existing files are then unchanged.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -90,9 +90,9 @@ def make_own_folder(path: Path, files: Sequence[Path], *, overwrite: bool = Fals
 
 
 def mark_folder(path: Path, files: Sequence[Path]) -> Path:
-    """Write the list of a folder whose files will be replaced while they grow; return its path.
+    """Write the list of a folder whose files will be replaced as they grow; return its path.
 
-    A list that is there stays. Raises OutputError if one of the files is there and not listed.
+    An existing list is kept. Raises OutputError if one of the files exists and is not listed.
     """
     if not (path / MARKER).exists():
         _require_own(path, files, set())
@@ -101,7 +101,7 @@ def mark_folder(path: Path, files: Sequence[Path]) -> Path:
 
 
 def _require_own(path: Path, files: Iterable[Path], earlier: set[Path]) -> None:
-    """Raise OutputError for a file that exists and is not of the list, and for links to folders."""
+    """Raise OutputError if a file exists that is not on the list, or a folder is a link."""
     for folder in {path / file.parent for file in files}:
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise OutputError(
@@ -117,7 +117,7 @@ def _require_own(path: Path, files: Iterable[Path], earlier: set[Path]) -> None:
 
 
 def _list_replaced(path: Path, *, overwrite: bool) -> list[Path]:
-    """All entries of an earlier folder, in the order of their removal, the list last.
+    """Return all entries of an earlier folder in the order of removal; the list comes last.
 
     Raises OutputError if the folder may not be replaced.
     """
@@ -141,7 +141,7 @@ def _list_replaced(path: Path, *, overwrite: bool) -> list[Path]:
 
 
 def _is_file(path: Path) -> bool:
-    """Whether there is a file or a link, which may have been written; never a folder."""
+    """Return whether the path is a file or a link, not a folder."""
     return path.is_file() or path.is_symlink()
 
 
@@ -151,7 +151,7 @@ def _write_list(folder: Path, files: Iterable[Path], *, overwrite: bool = False)
 
 
 def _read_list(folder: Path) -> list[Path]:
-    """Return the paths of a folder's list, below it. Raises OutputError."""
+    """Return the paths on a folder's list, relative to the folder. Raises OutputError."""
     marker = folder / MARKER
     if not marker.is_file():
         raise OutputError(

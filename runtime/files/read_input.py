@@ -1,7 +1,7 @@
-"""Input files: regular files of bounded size, read at once.
+"""Input files: regular files of bounded size.
 
-Reading a pipe, a device or a file of the kernel can block forever or never end, whatever link or
-name leads there: every reader of the project opens its files here.
+Reading a pipe, a device or a kernel file can block forever, and a link may point to any of them.
+Therefore every reader of the project opens its files with this module.
 """
 
 import contextlib
@@ -15,8 +15,8 @@ from typing import Any, BinaryIO
 from runtime.base.checks import cut
 from runtime.base.errors import InputError
 
-MAX_FILE_BYTES = 256_000_000  # of an image or a scan
-MAX_TEXT_BYTES = 32_000_000  # of a calibration, time stamps, a table or a recipe
+MAX_FILE_BYTES = 256_000_000  # an image or a scan
+MAX_TEXT_BYTES = 32_000_000  # a calibration, time stamps, a table or a recipe
 _POINTER, _MAX_POINTER_BYTES = b"version https://git-lfs", 1024
 
 
@@ -26,14 +26,14 @@ def open_input(path: Path, *, max_bytes: int | None) -> Iterator[BinaryIO]:
 
     Args:
         path: the file; links are followed.
-        max_bytes: its largest size; None: of any size.
+        max_bytes: its largest size; None = any size.
 
     Yields:
-        The file, to be read.
+        The file, open for reading.
 
     Raises:
-        InputError: if it cannot be opened, is no regular file, is larger, or is a pointer of Git
-            LFS to the file.
+        InputError: if the file cannot be opened, is not a regular file, is larger than
+            `max_bytes`, or is a Git LFS pointer instead of the file.
     """
     with _reported(path):
         file = open(path, "rb", opener=_open_at_once)  # noqa: SIM115 - closed below
@@ -65,7 +65,8 @@ def read_input(path: Path, *, max_bytes: int = MAX_FILE_BYTES) -> bytes:
         Its content.
 
     Raises:
-        InputError: if it cannot be read, is no regular file or is larger.
+        InputError: if the file cannot be read, is not a regular file, or is larger than
+            `max_bytes`.
     """
     with open_input(path, max_bytes=max_bytes) as file, _reported(path):
         return file.read(os.fstat(file.fileno()).st_size)  # files in /proc have size 0
@@ -73,7 +74,7 @@ def read_input(path: Path, *, max_bytes: int = MAX_FILE_BYTES) -> bytes:
 
 def read_text(path: Path) -> str:
     """Read a UTF-8 file of at most `MAX_TEXT_BYTES`; errors as in `read_input`."""
-    try:  # editors of Windows begin a text with a byte order mark
+    try:  # editors on Windows write a byte order mark first
         return read_input(path, max_bytes=MAX_TEXT_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"cannot read {_shown(path)}: it is not UTF-8 text ({error})") from error
@@ -84,12 +85,12 @@ def read_toml(path: Path) -> dict[str, Any]:
     text = read_text(path)
     try:
         return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also of an integer of 5,000 digits
+    except (ValueError, RecursionError) as error:  # ValueError also for an integer of 5,000 digits
         raise InputError(f"{_shown(path)} is not valid TOML: {cut(str(error), 200)}") from error
 
 
 def require_regular(path: Path, *, max_bytes: int | None = None) -> None:
-    """Check a file that a library opens by its name. Errors as `open_input`, and if it is empty."""
+    """Check a file that a library opens by name; errors as `open_input`, and for an empty file."""
     with open_input(path, max_bytes=max_bytes) as file:
         if os.fstat(file.fileno()).st_size == 0:  # files in /proc and /sys: reading can block
             raise InputError(f"cannot read {_shown(path)}: it is empty")
@@ -101,7 +102,7 @@ def _open_at_once(path: str, flags: int) -> int:
 
 @contextlib.contextmanager
 def _reported(path: Path) -> Iterator[None]:
-    """Convert errors of opening or reading a file to InputError."""
+    """Convert errors that occur when a file is opened or read to InputError."""
     try:
         yield
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
