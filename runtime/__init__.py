@@ -7,8 +7,8 @@ predictor = Predictor()  # the bundled model on the CPU
 prediction = predictor.predict(rgb, sparse_depth)
 ```
 
-Names are loaded on first use (PEP 562). Code that needs only the contract or the errors, such as the
-networks, therefore loads neither OpenCV nor ONNX Runtime.
+Names are loaded on first use (PEP 562). Code that needs only the contract or the errors, such as
+the networks, therefore loads neither OpenCV nor ONNX Runtime.
 """
 
 from importlib import import_module

@@ -74,7 +74,7 @@ def parse_date(text: str, where: str) -> int:
 
 
 def parse_seconds(text: str, where: str) -> int:
-    """Return a number of seconds in nanoseconds, exact to the last digit; errors as `parse_date`."""
+    """Return seconds in nanoseconds, exact to the last digit; errors as in `parse_date`."""
     try:
         stamp_ns = Decimal(text.strip()) * 10**9
         if abs(stamp_ns) < 2**63:
