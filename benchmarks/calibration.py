@@ -7,27 +7,33 @@ all around) and view_of_delft; what is missing is left out. Of each rig the sets
 frames and of 20 spread ones are disjoint: starting again on the same frames would be no new trial.
 Each set starts from a rotation that is wrong by up to 2 degrees in each axis.
 
-A line for each rig and number of frames: trials; the median and the largest deviation of yaw,
+The floors of the uncertainty were set on these rigs. Whether they hold for another one is estimated
+by leaving rigs out: each axis of the floors is scaled by the least factor with which all trials of
+the other rigs lie within, and the trials of the rig that was left out are counted again.
+
+First, for each rig, the verdict with the right calibration, and with the scans of the next frames.
+Then a line for each rig and number of frames: trials; the median and the largest deviation of yaw,
 pitch and roll from the known calibration; trials in which all axes that are seen lie within the
-stated uncertainty; its medians; trials in which yaw and pitch are not seen. Then the verdict with
-the right calibration, and with the scans of the next frames.
+stated uncertainty; within that of floors from the other recordings; from those of other vehicles;
+medians of the stated uncertainty; trials in which yaw and pitch are not seen. Last the factors.
 """
 
 import argparse
 import itertools
 import json
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime import CalibrationResult, Predictor, open_source
-from runtime.alignment.calibrate import judge
+from runtime import CalibrationResult, Predictor, Rig, open_source
+from runtime.alignment.calibrate import judge, uncertainty_of
 from runtime.alignment.figures import rotation
 from runtime.alignment.pairing import Neighbours
+from runtime.alignment.search import find_rotation
 from runtime.alignment.view import View, points_in_time, view_of
 from runtime.recordings.source import Source
 from runtime.streams.frame import Frame
@@ -45,6 +51,42 @@ class Trial:
     points: NDArray[np.float32]
 
 
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A set of frames in which yaw and pitch are seen; float64 (3,) of the axes, degrees.
+
+    Attributes:
+        rig: its recording.
+        frames: how many there are.
+        left: the deviation from the known calibration.
+        within: the stated uncertainty; infinite for an axis that is not seen.
+        scatter: the part of it that follows from how the frames differ.
+        floor: the part that was set on these rigs.
+    """
+
+    rig: str
+    frames: int
+    left: NDArray[np.float64]
+    within: NDArray[np.float64]
+    scatter: NDArray[np.float64]
+    floor: NDArray[np.float64]
+
+    @property
+    def vehicle(self) -> str:
+        """KITTI's recordings are of one vehicle."""
+        return self.rig.split("_", maxsplit=1)[0]
+
+    def needed(self) -> NDArray[np.float64]:
+        """The factors of the floor with which the deviation just lies within."""
+        needed = np.sqrt(np.maximum(self.left**2 - self.scatter**2, 0)) / self.floor
+        return np.where(np.isfinite(self.within), needed, 0)
+
+    def is_within(self, factors: NDArray[np.float64]) -> bool:
+        """Whether the axes that are seen lie within scatter and scaled floor."""
+        most = np.hypot(self.scatter, factors * self.floor)
+        return bool((np.abs(self.left) <= np.where(np.isfinite(self.within), most, np.inf)).all())
+
+
 def open_rigs(data: Path, scratch: Path) -> Iterator[tuple[str, Source]]:
     """Yield the recordings that are there."""
     calibrations = {"kitti_streets": "kitti_streets/calib.txt"}
@@ -52,15 +94,15 @@ def open_rigs(data: Path, scratch: Path) -> Iterator[tuple[str, Source]]:
         if (root := data / name).is_dir():
             points, calibration = root / "velodyne_fov", data / calibrations.get(name, name)
             images = root / "image_02"
-            yield name, open_source("folders", images, points=points, calibration=calibration)
+            yield name, open_source("folders", images, Rig(calibration=calibration), points=points)
     folders = (
         ("kitti_object", "image_2", "velodyne_fov"),
         ("view_of_delft", "image", "velodyne"),
     )
     for name, images, scans in folders:
         if (root := data / name).is_dir():
-            given = {"points": root / scans, "calibration": root / "calib"}
-            yield name, open_source("folders", root / images, **given)
+            rig = Rig(calibration=root / "calib")
+            yield name, open_source("folders", root / images, rig, points=root / scans)
     if (root := data / "pandaset_front").is_dir():
         camera = json.loads((root / "intrinsics.json").read_text())
         rows = [[camera["fx"], 0, camera["cx"]], [0, camera["fy"], camera["cy"]], [0, 0, 1]]
@@ -69,8 +111,8 @@ def open_rigs(data: Path, scratch: Path) -> Iterator[tuple[str, Source]]:
         for path in (root / "points").glob("*.bin"):
             points = np.fromfile(path, np.float32).reshape(-1, 6)
             np.save(scratch / f"{path.stem}.npy", points[points[:, 4] == 0, :3])
-        given = {"points": scratch, "calibration": toml}
-        yield root.name, open_source("folders", root / "image", **given)
+        rig = Rig(calibration=toml)
+        yield root.name, open_source("folders", root / "image", rig, points=scratch)
 
 
 def read_rig(source: Source, predictor: Predictor) -> list[Trial]:
@@ -89,21 +131,36 @@ def read_rig(source: Source, predictor: Predictor) -> list[Trial]:
     return trials
 
 
-def judge_set(
-    trials: Sequence[Trial],
-    wrong: NDArray[np.float64],
-    neighbours: Sequence[Neighbours] | None = None,
-) -> CalibrationResult:
-    """Judge some frames with a rotation that is wrong by these angles."""
+def turned_views(trials: Sequence[Trial], wrong: NDArray[np.float64]) -> list[View]:
+    """The views of some frames with a rotation that is wrong by these angles."""
     views = []
     for trial in trials:
         extrinsics = trial.view.calibration.extrinsics.copy()
         extrinsics[:3, :3] = rotation(wrong) @ extrinsics[:3, :3]
         calibration = replace(trial.view.calibration, extrinsics=extrinsics)
         views.append(trial.view.with_scan(trial.points, calibration))
+    return views
+
+
+def judge_set(
+    trials: Sequence[Trial], views: list[View], neighbours: Sequence[Neighbours] | None = None
+) -> CalibrationResult:
+    """Judge some frames."""
     beside = list(neighbours or [(None, None)] * len(views))
     scans = [trial.points for trial in trials]
     return judge(views, scans, beside, views[0].calibration, trials[0].frame)
+
+
+def measure(rig: str, trials: Sequence[Trial], wrong: NDArray[np.float64]) -> Measured | None:
+    """What is left of a rotation by these angles; None: not seen."""
+    views = turned_views(trials, wrong)
+    result = judge_set(trials, views)
+    if result.off_degrees is None or result.within_degrees is None:
+        return None
+    seen = [view for view in views if view.has_structure]
+    scatter, floor = uncertainty_of(find_rotation(seen), len(seen), result.scenes)
+    left = np.asarray(result.off_degrees - wrong)
+    return Measured(rig, len(trials), left, result.within_degrees, scatter, floor)
 
 
 def disjoint(trials: Sequence[Trial], size: int, most: int) -> list[Sequence[Trial]]:
@@ -113,12 +170,6 @@ def disjoint(trials: Sequence[Trial], size: int, most: int) -> list[Sequence[Tri
         step = -(-count // most)
         return [trials[size * each : size * (each + 1)] for each in range(0, count, step)]
     return [trials[each::count][:size] for each in range(count)][:most]
-
-
-def deviation(result: CalibrationResult, wrong: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What is left of a rotation by these angles after the correction, degrees."""
-    assert result.off_degrees is not None
-    return np.asarray(result.off_degrees - wrong)
 
 
 def cell(values: Sequence[NDArray[np.float64]]) -> str:
@@ -135,6 +186,7 @@ def main() -> None:
     parser.add_argument("--sets", type=int, default=4, help="most sets of a rig and size")
     args = parser.parse_args()
     random = np.random.default_rng(2)
+    found: dict[tuple[str, int], list[Measured | None]] = {}
     with (
         tempfile.TemporaryDirectory() as scratch,
         Predictor(args.model, threads=1, warmup=0) as predictor,
@@ -143,41 +195,60 @@ def main() -> None:
             with source:
                 trials = read_rig(source, predictor)
             for size in SIZES if len(trials) >= SIZES[1] else SIZES[:1]:
-                report_size(name, disjoint(trials, size, args.sets), random)
+                sets = disjoint(trials, size, args.sets)
+                starts = random.uniform(-WRONG_DEGREES, WRONG_DEGREES, (len(sets), 3))
+                found[name, len(sets[0])] = [
+                    measure(name, each, wrong) for each, wrong in zip(sets, starts, strict=True)
+                ]
             report_verdicts(name, trials)
+    report_coverage(found)
 
 
-def report_size(name: str, sets: list[Sequence[Trial]], random: np.random.Generator) -> None:
-    """Print the line of a rig and a number of frames."""
-    left, within, covered, unseen = [], [], 0, 0
-    for each in sets:
-        wrong = random.uniform(-WRONG_DEGREES, WRONG_DEGREES, 3)
-        result = judge_set(each, wrong)
-        if result.off_degrees is None or result.within_degrees is None:
-            unseen += 1
-            continue
-        left.append(deviation(result, wrong))
-        within.append(result.within_degrees)
-        covered += bool((np.abs(left[-1]) <= within[-1]).all())
-    line = f"| {name} | {len(sets[0])} | {len(sets)} | "
-    if left:
-        stated = ", ".join(f"{each:.2f}" for each in np.median(within, axis=0))
-        line += f"{cell(left)} | {covered} of {len(left)} | {stated} | "
-    else:
-        line += "| | | "
-    print(f"{line}{unseen} |", flush=True)
+def floors_without(
+    measured: Sequence[Measured], left_out: Callable[[Measured], bool]
+) -> NDArray[np.float64] | None:
+    """Factors of the floors, (3,), from the other trials; None: there are none."""
+    others = [each.needed() for each in measured if not left_out(each)]
+    return np.max(others, axis=0) if others else None
+
+
+def report_coverage(found: dict[tuple[str, int], list[Measured | None]]) -> None:
+    """Print the lines of the rigs and numbers of frames, and the factors of the floors."""
+    everything = [each for trials in found.values() for each in trials if each is not None]
+    factors = {}
+    for (name, frames), trials in found.items():
+        seen = [each for each in trials if each is not None]
+        line = f"| {name} | {frames} | {len(trials)} | "
+        if seen:
+            vehicle = seen[0].vehicle
+            recording = floors_without(everything, lambda each, name=name: each.rig == name)
+            elsewhere = floors_without(everything, lambda each, v=vehicle: each.vehicle == v)
+            factors[f"without {name}"], factors[f"without all of {vehicle}"] = recording, elsewhere
+            counts = [
+                "" if each is None else f"{sum(m.is_within(each) for m in seen)} of {len(seen)}"
+                for each in (np.ones(3), recording, elsewhere)
+            ]
+            stated = np.median([each.within for each in seen], axis=0)
+            texts = (f"{each:.2f}" if np.isfinite(each) else "not visible" for each in stated)
+            line += f"{cell([m.left for m in seen])} | {' | '.join(counts)} | {', '.join(texts)} | "
+        else:
+            line += "| | | | | "
+        print(f"{line}{len(trials) - len(seen)} |", flush=True)
+    for name, each in factors.items():
+        print(f"  floors {name}: {each if each is None else np.round(each, 2)} of the stated")
 
 
 def report_verdicts(name: str, trials: Sequence[Trial]) -> None:
     """Print the verdicts with the right calibration, and with the scans of the next frames."""
     (some,) = disjoint(trials, SIZES[1], 1)
-    right = judge_set(some, np.zeros(3)).verdict
+    right = judge_set(some, [trial.view for trial in some]).verdict
     later = [replace(trial, points=after.points) for trial, after in itertools.pairwise(trials)]
     shifted = [replace(each, view=each.view.with_scan(each.points)) for each in later]
     beside: list[Neighbours] = [(trial.points, None) for trial in trials[:-1]]
     step = max(1, len(shifted) // SIZES[1])
-    paired = judge_set(shifted[::step], np.zeros(3), beside[::step])
-    print(f"  {name}: right calibration: {right}; scans of the next frames: {paired.verdict}")
+    some = shifted[::step]
+    paired = judge_set(some, [trial.view for trial in some], beside[::step]).verdict
+    print(f"  {name}: right calibration: {right}; scans of the next frames: {paired}", flush=True)
 
 
 if __name__ == "__main__":

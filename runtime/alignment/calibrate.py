@@ -219,11 +219,7 @@ def _decide(
         if found.mistake is None:
             return replace(found, reason=reason)
         return replace(found, verdict=Verdict.OFF, reason=found.mistake, refined=start)
-    freedom = count - 1
-    errors = 1.96 + 2.4 / freedom + 4.5 / freedom**2  # Student's, 95 %
-    scene = np.array([_SCENE_YAW, _SCENE_PITCH_APART * best.apart[1], _SCENE_ROLL])
-    floor = np.hypot(_FLOOR_DEGREES, scene / np.sqrt(found.scenes))
-    within = np.hypot(errors * best.error, floor)
+    within = np.hypot(*uncertainty_of(best, count, found.scenes))
     is_seen = within <= _SEEN_DEGREES
     fits = found.after.alike >= ALIKE and found.after.edge >= _LEAST_EDGE
     if not (is_seen[:2].all() and fits):
@@ -257,6 +253,19 @@ def _decide(
     is_right = text.startswith("right")
     verdict = Verdict.RIGHT if is_right else Verdict.OFF
     return replace(found, verdict=verdict, reason=text, refined=start)
+
+
+def uncertainty_of(
+    best: Optimum, frames: int, scenes: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the two parts of the uncertainty, yaw, pitch and roll, 95 %, degrees.
+
+    The first follows from how the frames differ, the second is the floor: what they have in common.
+    """
+    freedom = frames - 1
+    errors = 1.96 + 2.4 / freedom + 4.5 / freedom**2  # Student's, 95 %
+    scene = np.array([_SCENE_YAW, _SCENE_PITCH_APART * best.apart[1], _SCENE_ROLL])
+    return errors * best.error, np.hypot(_FLOOR_DEGREES, scene / np.sqrt(scenes))
 
 
 def count_scenes(views: Sequence[View]) -> float:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from runtime import InputError, Predictor, calibrate, open_source
+from runtime import InputError, Predictor, Rig, calibrate, open_source
 from runtime.alignment.calibrate import Verdict, judge
 from runtime.alignment.figures import rotation
 from runtime.alignment.view import points_in_time, view_of
@@ -99,7 +99,7 @@ def test_nothing_is_said_of_scans_that_fit_nowhere(judged):
 def test_a_source_is_judged_by_its_frames(recording, frames, predictor, turned):
     images, _, points, _, calibration, *_ = recording([turned(each, (0, 2, 0)) for each in frames])
     done = []
-    with open_source("folders", images, points=points, calibration=calibration) as source:
+    with open_source("folders", images, Rig(calibration=calibration), points=points) as source:
         result = calibrate(source, predictor, frames=4, on_frame=lambda: done.append(1))
     assert result.verdict is Verdict.OFF, result.reason
     assert abs(result.off_degrees[1] - 2) < result.within_degrees[1]
@@ -111,7 +111,7 @@ def test_models_without_boundaries_and_frames_without_scans_are_refused(
     recording, frames, model_file, predictor
 ):
     images, _, points, _, calibration, *_ = recording(frames[:3])
-    with open_source("folders", images, points=points, calibration=calibration) as source:
+    with open_source("folders", images, Rig(calibration=calibration), points=points) as source:
         with (
             Predictor(model_file(heads=("semantic", "depth"))) as other,
             pytest.raises(InputError, match="no boundary: a calibration is checked with a"),
