@@ -213,7 +213,8 @@ def _answered_kinds(
     missing = [
         kind for kind in options.kinds if kind in heads and heads[kind] not in predictor.heads
     ]
-    if missing and options.kinds is not KINDS:
+    are_all = set(KINDS) <= set(options.kinds)  # those that the model has
+    if missing and (CLOUD in missing or not are_all):
         raise InputError(
             f"--save requests {', '.join(missing)}, but the model {predictor.contract.model_name} "
             f"answers {', '.join(predictor.heads)}: leave it out, or choose another --model"
