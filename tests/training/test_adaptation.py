@@ -91,7 +91,7 @@ def scored(monkeypatch):
     def set_scores(errors, forgotten=(0.0, 0.0)):
         errors, forgotten = iter((9.0, *errors)), iter(forgotten)  # the first are of "linear"
 
-        def score(predict, samples):
+        def score(predict, samples, stop):
             assert len(samples) == 2  # of twelve, in the last tenth of the time
             return dict.fromkeys(FEEDS, np.full(3, next(errors)))
 
