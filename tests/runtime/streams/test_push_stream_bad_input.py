@@ -117,7 +117,7 @@ def test_bad_messages_are_refused_or_flagged_and_accounted_for(checked_predictor
         assert result.prediction.depth_returns or "no_depth" in result.prediction.degraded
 
 
-@pytest.mark.parametrize("predictor", [None, "ssdnet-lite", object()], ids=str)
+@pytest.mark.parametrize("predictor", [None, "ssdnet-lite", object()])
 def test_what_is_no_predictor_is_refused_at_once(predictor):
     with pytest.raises(InputError, match="predictor must be a Predictor"):
         PushStream(predictor)

@@ -11,7 +11,7 @@ from runtime.app.run.options import KINDS, RunOptions, UsageError
     (["all,cloud"], {*KINDS, "cloud"}), (["cloud", "all"], {*KINDS, "cloud"}),
     (["all"], set(KINDS)), (["none"], set()), (["depth", "cloud"], {"depth", "cloud"}),
     (None, set(KINDS)),
-], ids=str)  # fmt: skip
+])  # fmt: skip
 def test_all_adds_to_other_kinds(texts, kinds):
     assert set(RunOptions(demo=True, save=texts).kinds) == kinds
 
