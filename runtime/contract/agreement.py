@@ -1,7 +1,7 @@
 """Differences between two answers of a head, and their limits.
 
-Used by the export (model file against PyTorch) and by recordings (present run against the recorded
-run). The tolerances are in `runtime.contract.heads`.
+The export compares a model file with PyTorch, and recordings compare the present run with the
+recorded one. The tolerances are in `runtime.contract.heads`.
 """
 
 import re
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from runtime.contract.contract import Contract
 from runtime.contract.heads import HEADS, Difference, Head, Unit
 
-#: Factors by which half precision may differ more than single precision: in the share of pixels
-#: that differ, and in values.
+#: Factors by which half precision may differ more than single precision: one for the share of
+#: pixels that differ, and one for values.
 HALF_SHARE, HALF_VALUE = 10, 100
 
 _SHARE = Difference.EQUAL_SHARE.value  # the only figure whose limit is a minimum
@@ -28,7 +28,7 @@ _MEANS = {
 }
 _LEAST_MEAN = 1e-9
 _PERCENTILE = re.compile(r"p(100|[0-9]{1,2}(?:\.[0-9]{1,3})?)")
-#: A file's precision -> its rank, the least exact last.
+#: The precisions of files; the least exact one comes last.
 _EXACTNESS = ("fp32", "fp16", "int8")
 
 
@@ -41,13 +41,15 @@ def compare(
         head: name in `HEADS`.
         answer: the array to judge.
         expected: the array it should be, of the same shape.
-        wanted: figures to return, too, as of `figure_name`: percentiles are computed on demand.
+        wanted: names of further figures to return, see `figure_name`. Percentiles are computed only
+            on demand.
 
     Returns:
-        By the head's `difference`: {"agreement"}, the share of equal pixels; {"max_relative",
-        "mean_relative"}; {"mean_abs", "max_abs"}; or {"max_abs", "mean_abs", "mean_relative"},
-        with "_m" after "abs" where the unit is metres. "mean_relative" is the mean difference as a
-        share of the mean expected value. A NaN in an array is a NaN in the figures.
+        The figures depend on the head's `difference`: {"agreement"}, the share of equal pixels;
+        {"max_relative", "mean_relative"}; {"mean_abs", "max_abs"}; or {"max_abs", "mean_abs",
+        "mean_relative"}. "_m" follows "abs" if the unit is metres. "mean_relative" is the mean
+        difference as a share of the mean expected value. A NaN in an array gives a NaN in the
+        figures.
     """
     row = HEADS[head]
     if row.difference is Difference.EQUAL_SHARE:
@@ -77,16 +79,17 @@ def first_figure(head: str) -> str:
 
 
 def figure_name(head: str, short: str) -> str:
-    """Return the figure that a person calls "equal", "mean", "max", or "p50" to "p99.9".
+    """Return the full name of a figure from its short name, for example "max" or "p99.9".
 
     Args:
         head: name in `HEADS`.
-        short: "equal", the share of equal pixels, of a head of class ids; of every other head
-            "mean", "max" or a percentile of the absolute difference, in the unit of the head; of
-            scores they are shares of the largest one ("mean": of the mean).
+        short: "equal", the share of equal pixels, for a head of class ids. For every other head,
+            "mean", "max" or a percentile of the absolute difference, in the unit of the head. For
+            scores, "max" and percentiles are shares of the largest score, and "mean" is a share of
+            the mean score.
 
     Raises:
-        ValueError: if the head has no such figure; the text names those that it has.
+        ValueError: if the head has no such figure; the message names the figures it has.
     """
     row = HEADS[head]
     if row.difference is Difference.EQUAL_SHARE:
@@ -102,7 +105,7 @@ def figure_name(head: str, short: str) -> str:
 
 
 def _suffix(row: Head) -> str:
-    """What ends the names of a head's figures, those that are no share of equal pixels."""
+    """Return the suffix of the names of a head's figures, except for the share of equal pixels."""
     if row.difference is Difference.RELATIVE:
         return "_relative"
     return "_abs_m" if row.unit is Unit.METRES else "_abs"
@@ -118,26 +121,26 @@ def worst(figures: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
 
 def file_limits(head: str, contract: Contract) -> dict[str, float]:
-    """Return the limits of a file's answers against PyTorch's on the machine of the export.
+    """Return the limits for a file's answers compared with PyTorch's on the machine of the export.
 
-    Only `first_figure` has a limit. Files in 8-bit integers are judged by their accuracy instead,
-    see `export.int8`.
+    Only `first_figure` has a limit. 8-bit files are judged by their accuracy instead, see
+    `export.int8`.
     """
     row = HEADS[head]
     return _limit(row, first_figure(head), row.limit(contract.max_depth_m), contract)
 
 
 def recording_limits(head: str, contract: Contract, *, from_torch: bool) -> dict[str, float]:
-    """Return the limits of the file of a recording on another machine or in another version.
+    """Return the limits for a recording that is repeated on another machine or in another version.
 
-    A float file against its own answers has the limits of `file_limits`. An 8-bit file differs far
-    in some pixels if operations are reordered: a mean or the share of equal pixels is limited
-    instead of the maximum. The same figure is limited for answers of PyTorch, with the difference
-    that was measured at export added.
+    A float file that is compared with its own answers has the limits of `file_limits`. An 8-bit
+    file differs strongly in some pixels if operations are reordered, so a mean or the share of
+    equal pixels is limited instead of the maximum. If PyTorch gave the recorded answers, the same
+    figure is limited, and the difference that was measured at export is added.
 
     Args:
         head: name in `HEADS`.
-        contract: of the file.
+        contract: the contract of the file.
         from_torch: whether PyTorch gave the recorded answers, not the file.
     """
     if contract.precision != "int8" and not from_torch:
@@ -153,7 +156,7 @@ def recording_limits(head: str, contract: Contract, *, from_torch: bool) -> dict
 
 
 def less_exact(first: Contract, second: Contract) -> Contract:
-    """Return the contract of the file in the coarser arithmetic, of equals the first."""
+    """Return the contract of the less exact file; ties keep the first."""
     return max(first, second, key=lambda each: _EXACTNESS.index(each.precision))
 
 
@@ -168,7 +171,7 @@ def within(figures: Mapping[str, float], limits: Mapping[str, float]) -> bool:
 def _limit(
     row: Head, name: str, tolerance: float, contract: Contract, measured: float | None = None
 ) -> dict[str, float]:
-    """The limit of a figure: its tolerance in the file's precision, beside what was measured."""
+    """Return the limit of a figure: its tolerance in the file's precision plus `measured`."""
     share = row.difference is Difference.EQUAL_SHARE
     room = 1 - tolerance if share else tolerance
     if contract.precision == "fp16":

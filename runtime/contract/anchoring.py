@@ -1,8 +1,9 @@
-"""Predicted depth moved to the returns of the frame's own size, before it is resized to it.
+"""Correction of predicted depth by the returns at the frame's own size.
 
-The network of a large camera runs at a smaller size, at which a return loses its place by up to
-half a cell. Where a return of the frame and the predicted depth at its exact place agree, their
-ratio is applied to the predicted depth around it, on one surface.
+For a large camera the network runs at a smaller size, where a return is displaced by up to half a
+cell. If a return of the frame agrees with the predicted depth at its exact place, the ratio of both
+is applied to the predicted depth around it, on the same surface. This is done before the depth is
+resized to the frame.
 """
 
 from typing import Any, NamedTuple
@@ -15,14 +16,14 @@ from runtime.contract.resize import is_one_surface
 
 Floats = NDArray[Any]  # float32
 
-#: Largest log ratio of a return to the predicted depth at which they agree.
+#: A return and the predicted depth agree up to this log ratio.
 AGREE = 0.03
-#: Root mean square of the log ratios of the surrounding predicted depths to a pixel's own, up to
-#: which they are one surface with it.
+#: Surrounding predicted depths are on one surface with a pixel up to this root mean square of their
+#: log ratios to the pixel's own depth.
 ONE_SURFACE = 0.06
-#: Side of a cell of the sums, in pixels of the network, and times that their grid is halved.
+#: The sums have cells of this side, in pixels of the network; their grid is halved so many times.
 CELL, LEVELS = 2, 2
-#: Cells that a window of 3 x 3 with the weights 1, 2, 1 averages over, (16 / 6) ** 2.
+#: Effective number of cells in a window of 3 x 3 with the weights 1, 2, 1: (16 / 6) ** 2.
 _CELLS = 7.1
 #: Largest share by which agreeing returns reduce the uncertainty.
 REDUCTION = 0.4
@@ -31,12 +32,12 @@ _TENT = np.array([0.25, 0.5, 0.25], np.float32)
 
 
 def move_to_returns(depth: Floats, uncertainty: Floats | None, returns: Floats) -> None:
-    """Move a predicted depth to the returns that agree with it, in place, see `anchor`.
+    """Correct a predicted depth, in place, by the returns that agree with it, see `anchor`.
 
     Args:
         depth: predicted, float32 (h, w), metres.
-        uncertainty: of the depth, float32 (h, w), metres, reduced beside returns; None = the model
-            has none.
+        uncertainty: of the depth, float32 (h, w), metres; it is reduced near returns. None if the
+            model has no uncertainty.
         returns: of the frame, float32 (H, W), metres, 0 = no return.
     """
     factors = anchor(np.maximum(depth, _LEAST_DEPTH_M), returns)
@@ -49,20 +50,20 @@ def move_to_returns(depth: Floats, uncertainty: Floats | None, returns: Floats) 
 class Anchored(NamedTuple):
     """Maps on the grid of the network, each float32 (h, w)."""
 
-    #: What the predicted depth is multiplied by, exp(-AGREE)..exp(AGREE).
+    #: Factor for the predicted depth, exp(-AGREE)..exp(AGREE).
     ratio: Floats
-    #: What its uncertainty is multiplied by, 1 - REDUCTION..1.
+    #: Factor for the uncertainty, 1 - REDUCTION..1.
     uncertainty: Floats
 
 
 def anchor(depth: Floats, returns: Floats) -> Anchored | None:
     """Return the factors that move a predicted depth to the returns that agree with it.
 
-    Sums over the agreeing returns of each cell of CELL x CELL pixels are averaged in windows of
-    growing width. In each window the mean log ratio counts by the number of its returns, up to one
-    for a full window, and narrower windows come first. A window counts only where the predicted
-    depths at its returns are one surface with the cell's own, and the factors are 1 at edges of the
-    predicted depth, so a ratio never crosses an edge.
+    Sums over the agreeing returns of each cell of `CELL` x `CELL` pixels are averaged in windows of
+    growing width. The mean log ratio of a window has a weight that grows with the number of its
+    returns, up to 1 for a full window, and narrower windows come first. A window counts only if the
+    predicted depths at its returns are one surface with the cell's own depth. The factors are 1 at
+    edges of the predicted depth, so a ratio never crosses an edge.
 
     Args:
         depth: predicted, float32 (h, w), metres, above 0.
@@ -79,7 +80,7 @@ def anchor(depth: Floats, returns: Floats) -> Anchored | None:
     agrees = np.abs(ratio) < AGREE
     if not agrees.any():
         return None
-    # Whole cells of the coarsest window, by repeating the last rows and columns.
+    # Repeat the last rows and columns until there are whole cells of the coarsest window.
     side = CELL * 2**LEVELS
     padded = cv2.copyMakeBorder(depth, 0, -height % side, 0, -width % side, cv2.BORDER_REPLICATE)
     log_depth = cv2.log(np.ascontiguousarray(padded[CELL // 2 :: CELL, CELL // 2 :: CELL]))
@@ -109,8 +110,8 @@ def anchor(depth: Floats, returns: Floats) -> Anchored | None:
 def _window(sums: Floats, log_depth: Floats, level: int) -> tuple[Floats, Floats]:
     """Return the share, 0..1, and the mean log ratio of the returns in the window of a level.
 
-    sums: over the returns of each cell, (h, w, 4): their number, log ratios, log depths and squared
-    log depths; whole cells of the level.
+    `sums` are the sums over the returns of each cell, (h, w, 4): their number, log ratios, log
+    depths and squared log depths. h and w are multiples of the level's cell.
     """
     (height, width), side = log_depth.shape, 2**level
     if level:
@@ -130,7 +131,7 @@ def _window(sums: Floats, log_depth: Floats, level: int) -> tuple[Floats, Floats
 
 
 def _place(pixels: NDArray[np.intp], old: int, new: int) -> NDArray[np.float64]:
-    """The coordinate of each pixel's centre on the grid of the network, within its centres."""
+    """Return where pixel centres lie on the network's grid, clipped to its outermost centres."""
     return np.clip((pixels + 0.5) * (new / old) - 0.5, 0, new - 1)
 
 
@@ -140,7 +141,7 @@ def _depth_at(
     row: NDArray[np.float64],
     column: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """The predicted depth at fractional places, as `resize_surface` would have it there."""
+    """Return the predicted depth at fractional places, interpolated like in `resize_surface`."""
     top = np.minimum(row.astype(np.intp), depth.shape[0] - 2)
     left = np.minimum(column.astype(np.intp), depth.shape[1] - 2)
     down, right = row - top, column - left

@@ -1,10 +1,10 @@
 """Canonical depth: metres as a camera of one fixed focal length would see them.
 
-An image magnified by s looks as if everything were s times nearer, so a network trained on one
-camera misjudges another's distances. Yin et al. 2023, "Metric3D: Towards zero-shot metric 3D
-prediction from a single image" (ICCV), Sec. 3.2: the network works in depth * f_c / f, with f_c the
-focal length of one canonical camera and f that of its input image; its answer is multiplied by
-f / f_c.
+An image magnified by s looks as if everything were s times nearer, so a network that was trained on
+one camera misjudges the distances of another camera. Yin et al. 2023, "Metric3D: Towards zero-shot
+metric 3D prediction from a single image" (ICCV), Sec. 3.2: the network works in depth * f_c / f,
+where f_c is the focal length of one canonical camera and f that of the input image. The answer is
+multiplied by f / f_c.
 """
 
 import math
@@ -15,9 +15,10 @@ class CameraScale(NamedTuple):
     """Conversion between metres and a network's depth, for one camera and one size of frames.
 
     Attributes:
-        factor: f_c / f, from metres to canonical depth; 1 where either is not known.
-        range_m: no answer is farther, and returns beyond it are clipped to it, metres.
-        focal_length_px: of the frame, as used; None = not known, or not used by the model.
+        factor: f_c / f, from metres to canonical depth; 1 if f_c or f is not known.
+        range_m: depth range in metres: no answer is farther, and farther returns are clipped to it.
+        focal_length_px: focal length of the frame; None if it is not known, or the model does not
+            use it.
     """
 
     factor: float
@@ -35,14 +36,14 @@ def camera_scale(
 ) -> CameraScale:
     """Return the scale for a frame.
 
-    The focal length follows the frame to the network's size; where both sides are magnified
-    differently it is the geometric mean of both.
+    The focal length is scaled with the frame to the network's size. If height and width are scaled
+    differently, the geometric mean of both scales is used.
 
     Args:
         max_depth_m: range of the model, canonical metres.
-        canonical_focal_px: of the model; None = it works in plain metres.
-        focal_length_px: of the frame; None = not known.
-        frame_size: (height, width).
+        canonical_focal_px: canonical focal length of the model; None = it works in plain metres.
+        focal_length_px: focal length of the frame; None = not known.
+        frame_size: (height, width) of the frame.
         network_size: (height, width) at which the network runs.
     """
     if canonical_focal_px is None or focal_length_px is None:

@@ -1,4 +1,4 @@
-"""The versioned JSON document inside every ONNX file: what its tensors do not describe."""
+"""The versioned JSON document inside every ONNX file; it states what the tensors do not."""
 
 import hashlib
 import json
@@ -13,24 +13,24 @@ from runtime.contract.heads import HEADS
 METADATA_KEY = "ssdnet"
 SCHEMA_VERSION = "1.4"
 
-# Limits of a model file and of a network's configuration.
-MIN_SIDE = 32  # rows, columns: networks of the family halve an image up to five times
+# Limits for a model file and for a network's configuration.
+MIN_SIDE = 32  # rows or columns: the networks halve an image up to five times
 MAX_SIDE = 16_384
 MAX_PIXELS = 64_000_000  # largest image; automotive cameras have up to 12 million
 MAX_STRIDE = 1024
-NO_CLASS = 255  # a pixel without a class: unlabelled, or, in an answer, with scores not finite
+NO_CLASS = 255  # no class: an unlabelled pixel, or an answer whose scores are not finite
 MAX_CLASSES = 255  # ids are uint8, and one of them is NO_CLASS
 MAX_NAME_LENGTH = 64
 MIN_DEPTH_RANGE_M = 1.0  # bounds of max_depth_m
 MAX_DEPTH_RANGE_M = 10_000.0
-#: Longest range of automotive LiDARs [m]. Larger values that are also beyond the model's range are
-#: no measurement: 65535 in a 16-bit PNG (256 m) marks pixels without a return.
+#: Longest range of automotive LiDARs [m]. A value is no measurement if it is larger and also beyond
+#: the model's range: 65535 in a 16-bit PNG (256 m) marks pixels without a return.
 MAX_RETURN_M = 250.0
 MIN_FOCAL_PX = 1.0  # bounds of a focal length: from tiny pictures to long telephoto lenses
 MAX_FOCAL_PX = 1_000_000.0
 MAX_GIGA_MACS = 1_000_000.0
 
-#: Written for other engines; not read by this one.
+#: This is written for other engines; this engine does not read it.
 _RESIZE = {"rgb": "bilinear", "sparse_depth": "nearest"} | {
     head.name: head.resize for head in HEADS.values()
 }
@@ -56,29 +56,30 @@ class Content:
 
 @dataclass(frozen=True)
 class Contract:
-    """What a model file states beside the tensors of its graph.
+    """What a model file states in addition to the tensors of its graph.
 
     Attributes:
-        schema_version: SCHEMA_VERSION; another is refused.
+        schema_version: SCHEMA_VERSION; any other version is refused.
         model_name: for example "ssdnet-lite".
         classes: in the order of the ids of `semantic`; empty without a semantic head.
-        max_depth_m: the range: no answer is farther, and returns beyond it are clipped, see
-            `farthest_return`; canonical metres if there are any.
-        native_size: (height, width) it was exported and verified at; a dynamic model takes any.
-        stride: the graph pads to a multiple of it, and crops back.
+        max_depth_m: the depth range. No answer is farther, and returns beyond the range are
+            clipped, see `farthest_return`. In canonical metres if `canonical_focal_px` is given.
+        native_size: (height, width) at which the file was exported and verified; a dynamic model
+            takes any size.
+        stride: the graph pads its inputs to a multiple of it, and crops the outputs back.
         precision: "fp32", "fp16" or "int8".
         training: the data it was trained on and their terms.
-        versions: of the software that made the file (ssdnet, torch, onnx, opset).
+        versions: versions of the software that made the file (ssdnet, torch, onnx, opset).
         parity: head -> largest measured difference to PyTorch; {} = not measured.
         checkpoint_sha256: digest of the checkpoint the file was made from.
         trained_height: rows of the images it was trained on; None = not known.
         canonical_focal_px: focal length [px] of the camera in whose metres the graph works, see
             `runtime.contract.canonical_focal`; None = plain metres.
-        giga_macs: multiplications with addition that a frame of `native_size` takes, billions;
-            None = not counted.
+        giga_macs: multiply-accumulate operations for a frame of `native_size`, in billions; None =
+            not counted.
         accuracy: measured with this file: "repeat", the command, and "rows", each with data, lidar,
             frames, miou (0..1) and mae_m; None = not measured.
-        quantization: of an "int8" file: the calibration data, the convolutions left in float, and
+        quantization: for an "int8" file, the calibration data, the convolutions left in float, and
             the rows of `accuracy` in single precision; else None.
         content: the bytes of the file before this document; `with_contract` fills it in.
     """
@@ -103,7 +104,7 @@ class Contract:
 
     @property
     def sky(self) -> int | None:
-        """The id of the class that has no depth; None = there is none."""
+        """The id of the class that has no depth; None if there is no such class."""
         return find_sky(self.classes)
 
     def to_json(self) -> str:
@@ -120,11 +121,11 @@ class Contract:
         """Read the document.
 
         Args:
-            text: as `to_json` writes it.
+            text: the document as `to_json` writes it.
 
         Raises:
-            ContractError: naming the missing key, the wrong type or value or the other version, and
-                for a document that was changed after it was written.
+            ContractError: if a key is missing, a type, a value or the version is wrong, or the
+                document was changed after it was written. The message names the cause.
         """
         try:
             document = json.loads(text)
@@ -167,12 +168,12 @@ class Contract:
 
 
 def check_side(side: object, name: str) -> int:
-    """Return an image's height or width; ValueError naming it if it is out of range."""
+    """Return an image's height or width; ValueError with its name if it is out of range."""
     return check_integer(name, side, MIN_SIDE, MAX_SIDE, "pixels")
 
 
 def check_size(size: object, name: str = "size") -> tuple[int, int]:
-    """Return an image's (height, width); ValueError naming it if it is out of range."""
+    """Return an image's (height, width); ValueError with its name if it is out of range."""
     if not isinstance(size, Sequence) or isinstance(size, str) or len(size) != 2:
         raise ValueError(f"{name} must be (height, width), got {shown(size)}")
     height, width = (
@@ -195,15 +196,16 @@ def check_max_depth(range_m: object) -> float:
 
 
 def farthest_return(range_m: float) -> float:
-    """Return the largest depth [m] that is a return: beyond the range it is clipped to the range.
+    """Return the largest depth [m] that counts as a return.
 
-    Farther ones, Inf, NaN, 0 and negative values are no measurement.
+    Returns between `range_m` and this depth are clipped to `range_m`. Farther values, Inf, NaN, 0
+    and negative values are no measurement.
     """
     return max(range_m, MAX_RETURN_M)
 
 
 def check_focal_length(focal_px: object, name: str) -> float:
-    """Return a focal length in pixels; ValueError naming it if it is out of range."""
+    """Return a focal length in pixels; ValueError with its name if it is out of range."""
     return check_number(name, focal_px, MIN_FOCAL_PX, MAX_FOCAL_PX, "pixels")
 
 
@@ -237,19 +239,19 @@ def check_classes(classes: Sequence[ClassInfo]) -> tuple[ClassInfo, ...]:
             check_integer(f"classes[{index}].color[{place}]", part, 0, 255)
     names = [info.name.casefold() for info in classes]
     for index, name in enumerate(names):
-        if name in names[:index]:  # "sky" and "road" are found in any case of their letters
+        if name in names[:index]:  # "sky" and "road" are found in upper and lower case
             twice = classes[names.index(name)].name, classes[index].name
             raise ValueError(f"classes must have names that differ beyond case, got {twice}")
     return tuple(classes)
 
 
 def find_sky(classes: Sequence[ClassInfo]) -> int | None:
-    """Return the id of the class "sky", in any case of its letters; None = there is none."""
+    """Return the id of the class "sky", in upper or lower case; None if there is no such class."""
     return next((i for i, info in enumerate(classes) if info.name.lower() == "sky"), None)
 
 
 def _take(document: Any, key: str, kind: Any = object) -> Any:
-    """Return the value of a key. Raises ValueError where it is missing or of another type."""
+    """Return the value of a key. Raises ValueError if it is missing or has another type."""
     if not isinstance(document, dict) or key not in document:
         raise ValueError(f"it lacks the key {key!r}")
     if not isinstance(value := document[key], kind):
@@ -258,7 +260,7 @@ def _take(document: Any, key: str, kind: Any = object) -> Any:
 
 
 def _optional(document: Any, key: str, check: Callable[[object, str], _Checked]) -> _Checked | None:
-    """Return the checked value of a key, None where it is null."""
+    """Return the checked value of a key, or None if it is null."""
     value = _take(document, key)
     return None if value is None else check(value, key)
 

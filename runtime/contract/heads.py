@@ -1,7 +1,8 @@
-"""The heads of the networks: one row a head, read by all code that handles answers.
+"""The heads of the networks: a table with one row for each head.
 
-The contract, the signature check, post-processing, recordings and their comparison, the writers and
-the drawing read this table, so a new head is a row here. It loads nothing but Python.
+All code that handles answers reads this table: the contract, the signature check, post-processing,
+recordings and their comparison, the writers and the drawing. A new head is therefore a new row. The
+module imports only the standard library.
 """
 
 import math
@@ -42,30 +43,30 @@ class Panel(StrEnum):
 
 @dataclass(frozen=True)
 class Head:
-    """One output of a network: what it is, then what is done with it.
+    """One output of a network: its meaning, and how the project handles it.
 
-    Limits of heads in metres are shares of the contract's `max_depth_m`; the `tolerance` of an
-    absolute difference is a share of it up to 100 m.
+    For heads in metres, `least` and `most` are shares of the contract's `max_depth_m`. The
+    `tolerance` of an absolute difference is a share of `max_depth_m`, or of 100 m if that is less.
 
     Attributes:
-        name: of the ONNX output, and in `Prediction.heads`.
-        dtype: numpy's name of the type.
-        unit: what a value is.
+        name: name of the ONNX output, and in `Prediction.heads`.
+        dtype: NumPy's name of the type.
+        unit: the meaning of a value.
         least: smallest plausible value.
         most: largest plausible value. Class ids are limited by the class table.
-        per_class: True if an answer is (C, H, W), a plane a class, instead of (H, W).
+        per_class: True if an answer is (C, H, W), one plane for each class, instead of (H, W).
         unlabelled: value of a pixel without a label in the targets of a training.
-        resize: rule where the network runs at another size than the frame, see
+        resize: rule used if the network runs at another size than the frame, see
             `runtime.contract.resize`: "nearest" never mixes two values, "bilinear" takes the mean
-            of the area where a side shrinks, "surface" mixes depths of one surface.
+            of the area when a side shrinks, "surface" mixes depths of one surface.
         difference: how two runtimes are compared, at an export and for a recording.
-        tolerance: least share of equal pixels, else the largest (mean) difference between two
+        tolerance: smallest share of equal pixels, or else the largest (mean) difference between two
             runtimes.
-        tolerance_int8: between two runtimes of one 8-bit file, the largest share of pixels that
-            differ, mean difference, or mean difference as a share of the mean value.
-        saved_as: name for `ssdnet-run --save` and of the subfolder; "" = is not written. Its files
-            are encoded by the unit, see `runtime.app.encode`.
-        panel: how it is drawn; None = is not drawn.
+        tolerance_int8: the limit between two runtimes for one 8-bit file: the largest share of
+            pixels that differ, mean difference, or mean difference as a share of the mean value.
+        saved_as: name for `ssdnet-run --save` and of the subfolder; "" = the head is not written.
+            The unit decides how its files are encoded, see `runtime.app.encode`.
+        panel: how the head is drawn; None = it is not drawn.
     """
 
     name: str
@@ -84,20 +85,20 @@ class Head:
     panel: Panel | None = None
 
     def bounds(self, max_depth_m: float) -> tuple[float, float]:
-        """Return the smallest and the largest plausible value, -inf and inf where any is."""
+        """Return the smallest and the largest plausible value; -inf and inf mean no limit."""
         scale = max_depth_m if self.unit is Unit.METRES else 1.0
         return self.least * scale, self.most * scale
 
     def limit(self, max_depth_m: float) -> float:
         """Return `tolerance` in the unit of the difference."""
         is_metres = self.unit is Unit.METRES and self.difference is Difference.ABSOLUTE
-        # Absolute errors are limited for a range of 100 m, also where the range is larger.
+        # Absolute errors have the limit of a range of 100 m, even if the range is larger.
         return self.tolerance * (min(max_depth_m, 100.0) if is_metres else 1.0)
 
 
-#: Pixels with a larger probability of the boundary decoder are object edges, where predicted depth
-#: passes from the near to the far surface through empty space. With classes, `boundary` is half of
-#: this probability inside regions of one class.
+#: Pixels for which the boundary decoder gives a larger probability are object edges. At an edge,
+#: predicted depth passes from the near to the far surface through empty space. In a model with
+#: classes, `boundary` is half of this probability inside regions of one class.
 EDGE_BOUNDARY = 0.5
 
 #: Name -> head, in the order of the contract.
@@ -131,7 +132,8 @@ HEADS: dict[str, Head] = {
             panel=Panel.DEPTH,
             unlabelled=0,
         ),
-        # With classes, halved inside regions of one class: above 0.5 both heads see a boundary.
+        # In a model with classes, it is halved inside regions of one class, so above 0.5 both heads
+        # see a boundary.
         Head(
             "boundary",
             "float32",

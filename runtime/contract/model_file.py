@@ -1,4 +1,4 @@
-"""The bytes of a model file: read within bounds, written and checked with the metadata at the end.
+"""The bytes of a model file: an ONNX model, followed by the metadata by which it is checked.
 
 A file holds, in this order and nothing else:
 
@@ -11,8 +11,8 @@ A file holds, in this order and nothing else:
 
 LENGTH is a protobuf varint. The document holds the length and SHA-256 of the content, and its own
 SHA-256, so that no byte of the file can change unnoticed. The entry is found by its key, which JSON
-cannot contain; the content is left to ONNX Runtime. That finds damage, not forgery: a forger can
-write the digests too. `sha256=` of `load_model_file` pins a whole file.
+cannot contain; only ONNX Runtime parses the content. The digests detect damage, not forgery: a
+forger can write the digests too. `sha256=` of `load_model_file` pins a whole file.
 """
 
 import dataclasses
@@ -49,16 +49,16 @@ def load_model_file(path: Path, *, sha256: str | None = None) -> ModelFile:
     """Read a model file and check that it is whole.
 
     Args:
-        path: of the file.
+        path: the model file.
         sha256: digest that the file must have, 64 hexadecimal digits; None = any.
 
     Raises:
-        ContractError: for a file that is missing, not a regular one, larger than MAX_MODEL_BYTES,
-            of another digest, not ONNX, damaged or without metadata.
+        ContractError: if the file is missing, not a regular file, larger than `MAX_MODEL_BYTES`,
+            not ONNX or damaged, or if it has another digest or no metadata.
     """
     content = _read(path)
     digest = hashlib.sha256(content).hexdigest()
-    if sha256 is not None and str(sha256).lower() != digest:  # what is no text is another digest
+    if sha256 is not None and str(sha256).lower() != digest:  # what is no text never matches
         raise ContractError(
             f"the model {path} has the SHA-256 {digest}, expected {shown(sha256)}: get the right "
             "file, or give this digest"
@@ -67,10 +67,10 @@ def load_model_file(path: Path, *, sha256: str | None = None) -> ModelFile:
 
 
 def read_onnx(path: Path) -> bytes:
-    """Read an ONNX file of any origin; one with metadata of ours is checked to be whole.
+    """Read an ONNX file of any origin; if it has metadata of this project, it is also checked.
 
     Raises:
-        ContractError: as `load_model_file`, but not for a file without metadata.
+        ContractError: as for `load_model_file`, but not if the file has no metadata.
     """
     content = _read(path)
     _require_onnx(content)
@@ -80,17 +80,17 @@ def read_onnx(path: Path) -> bytes:
 
 
 def has_metadata(path: Path) -> bool:
-    """Whether an ONNX file holds metadata of ours, whole or not. Raises ContractError."""
+    """Return whether an ONNX file holds metadata of this project, damaged or not; ContractError."""
     content = _read(path)
     _require_onnx(content)
     return _KEY + _VALUE in content
 
 
 def parse_model_file(content: bytes) -> ModelFile:
-    """Read the metadata of a model, and check by it that its bytes are what was exported.
+    """Read the metadata of a model, and check with it that the bytes are those of the export.
 
     Raises:
-        ContractError: for bytes that are not ONNX, damaged or without metadata.
+        ContractError: if the bytes are not ONNX, damaged, or have no metadata.
     """
     view, text = memoryview(content), _document(content)
     contract, entry = Contract.from_json(text), _entry(text)
@@ -108,14 +108,14 @@ def parse_model_file(content: bytes) -> ModelFile:
 
 
 def with_contract(content: bytes, contract: Contract) -> bytes:
-    """Return the bytes of a model file: an ONNX model, then its metadata.
+    """Return the bytes of a model file: an ONNX model, followed by its metadata.
 
     Args:
         content: the serialised ONNX model.
-        contract: the metadata; its own `content` is filled in.
+        contract: the metadata; this function fills in its `content`.
 
     Raises:
-        ValueError, TypeError: where the contract holds something other than plain JSON.
+        ValueError, TypeError: if the contract holds values that JSON cannot represent.
     """
     described = Content(bytes=len(content), sha256=hashlib.sha256(content).hexdigest())
     text = dataclasses.replace(contract, content=described).to_json()
@@ -123,7 +123,7 @@ def with_contract(content: bytes, contract: Contract) -> bytes:
 
 
 def _document(content: bytes) -> str:
-    """The text of the metadata. Raises ContractError."""
+    """Return the text of the metadata. Raises ContractError."""
     _require_onnx(content)
     key = content.rfind(_KEY + _VALUE)
     if key < 0:
@@ -165,7 +165,7 @@ def _read(path: Path) -> bytes:
 
 
 def _entry(text: str) -> bytes:
-    """The metadata entry that holds `text`, as protobuf writes it."""
+    """Return the metadata entry that holds `text`, encoded as protobuf encodes it."""
     value = text.encode()
     entry = _KEY + _VALUE + _varint(len(value)) + value
     return _METADATA_PROPS + _varint(len(entry)) + entry

@@ -1,4 +1,4 @@
-"""The size at which a network runs for a frame: the rule of engine and evaluation."""
+"""The size at which a network runs for a frame; engine and evaluation use the same rule."""
 
 from typing import Any, Literal
 
@@ -6,10 +6,11 @@ from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_PIXELS, MAX_SIDE, MIN_SIDE, check_side, check_size
 
-#: None = about the trained height, "frame" = the frame's own, rows, or (height, width).
+#: None = about the trained height, "frame" = the frame's own size, a number of rows, or (height,
+#: width).
 NetworkSize = Literal["frame"] | int | tuple[int, int] | None
 
-#: Frames of up to this many times the trained height run at their own size.
+#: Frames of up to this multiple of the trained height run at their own size.
 LARGEST_RATIO = 1.25
 
 
@@ -17,12 +18,12 @@ def check_network_size(requested: Any, *, fixed: bool) -> NetworkSize:
     """Return a requested size in plain integers.
 
     Args:
-        requested: a NetworkSize.
+        requested: a `NetworkSize`.
         fixed: whether the model takes one size only.
 
     Raises:
-        InputError: for anything but a NetworkSize, for sides out of range, and for anything but
-            None where the model is of fixed size.
+        InputError: if `requested` is no `NetworkSize`, a side is out of range, or a size is
+            requested from a model of fixed size.
     """
     if requested is None:
         return None
@@ -65,15 +66,15 @@ def network_size(
     """Return the (height, width) at which a network runs for a frame.
 
     Args:
-        requested: None = `trained_height` rows with the aspect kept for a frame that has more than
-            a quarter more of them, the frame's own size for any other or where no height is known;
-            "frame" = the frame's own size; a number of rows with the aspect kept; or
-            (height, width), as of a network of fixed size.
-        frame_size: (height, width).
+        requested: the size to use. None = `trained_height` rows, with the aspect kept, if the frame
+            has over a quarter more rows; the frame's own size if it has fewer, or if the trained
+            height is not known. "frame" = the frame's own size. An int = a number of rows, with the
+            aspect kept. (height, width) = this size, also for a network of fixed size.
+        frame_size: (height, width) of the frame.
         trained_height: rows of the images that the network was trained on; None = not known.
 
     Raises:
-        InputError: if the rows are too wide at the frame's aspect.
+        InputError: if the rows would be too wide with the frame's aspect.
     """
     if isinstance(requested, tuple):
         return requested

@@ -1,8 +1,8 @@
 """Resizing of frames and answers, the same for inference and training.
 
 Integers are pixel centres, as in `runtime.geometry.projection`. When a side of `old` pixels is
-resized to `new`, a centre u moves to u' = (u + 0.5) * new / old - 0.5, and a return there falls
-into the pixel rint(u'), half to even, as a projected return does.
+resized to `new`, a centre u moves to u' = (u + 0.5) * new / old - 0.5. A return at u falls into the
+pixel rint(u'), rounded half to even, like a projected return.
 """
 
 from collections.abc import Callable
@@ -18,18 +18,18 @@ Size = tuple[int, int]  # (height, width)
 
 #: The pixel and its eight neighbours.
 _AROUND = np.ones((3, 3), np.uint8)
-#: Neighbouring depths are one surface if the farthest is at most this many times the nearest.
+#: Neighbouring depths are one surface if the farthest is at most this multiple of the nearest.
 SAME_SURFACE = 1.15
 
 
 def resize_image(image: NDArray[Any], size: Size) -> NDArray[Any]:
     """Resize an image or a map of probabilities or scores, (H, W) or (H, W, C), to `size`.
 
-    By area along each side that shrinks, so that no pixel is skipped; bilinear along one that
-    grows.
+    A side that shrinks is averaged by area, so that no pixel is skipped; a side that grows is
+    interpolated linearly.
     """
     height, width = size
-    # OpenCV takes areas only where no side grows: the shrinking sides first.
+    # OpenCV averages areas only if no side grows, so the shrinking sides are resized first.
     smaller = min(height, image.shape[0]), min(width, image.shape[1])
     if image.shape[:2] != smaller:
         image = cv2.resize(image, smaller[::-1], interpolation=cv2.INTER_AREA)
@@ -48,9 +48,9 @@ def resize_nearest(values: NDArray[Any], size: Size) -> NDArray[Any]:
 def resize_surface(depth: NDArray[np.float32], size: Size) -> NDArray[np.float32]:
     """Resize a map of predicted depth, (H, W), to `size`; two surfaces are never mixed.
 
-    Where it grows, inverse depth is bilinear, as it is affine in the pixel on a plane, wherever the
-    3 x 3 pixels around the nearest centre are one surface, see SAME_SURFACE. Elsewhere, and where
-    a side shrinks, each pixel takes the nearest centre.
+    When the map grows, inverse depth is interpolated bilinearly if the 3 x 3 pixels around the
+    nearest centre are one surface, see `SAME_SURFACE`; on a plane, inverse depth is an affine
+    function of the pixel. Elsewhere, and when a side shrinks, each pixel takes the nearest centre.
     """
     resized = resize_nearest(depth, size)
     if size[0] < depth.shape[0] or size[1] < depth.shape[1]:
@@ -63,12 +63,12 @@ def resize_surface(depth: NDArray[np.float32], size: Size) -> NDArray[np.float32
 
 
 def is_one_surface(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Whether the 3 x 3 pixels around each are one surface, see SAME_SURFACE."""
+    """Return whether the 3 x 3 pixels around each pixel are one surface, see `SAME_SURFACE`."""
     farthest, nearest = cv2.dilate(depth, _AROUND), cv2.erode(depth, _AROUND)
     return (nearest > 0) & (farthest <= SAME_SURFACE * nearest)
 
 
-#: Rule of `HEADS` -> its function, of (H, W) and the new size.
+#: Rule of `HEADS` -> its function, which takes an array (H, W) and the new size.
 RESIZE: dict[ResizeRule, Callable[[NDArray[Any], Size], NDArray[Any]]] = {
     "nearest": resize_nearest,
     "bilinear": resize_image,
@@ -79,8 +79,8 @@ RESIZE: dict[ResizeRule, Callable[[NDArray[Any], Size], NDArray[Any]]] = {
 def move_returns(sparse_depth: NDArray[np.float32], size: Size) -> NDArray[np.float32]:
     """Move each return of a sparse depth map to its pixel in a map of another size.
 
-    No return is duplicated or mixed with another; of several in one pixel the nearest to the camera
-    is kept, as in a projected scan. NaN and negative values are dropped.
+    No return is duplicated or mixed with another. If several returns fall into one pixel, the
+    nearest is kept, like in a projected scan. NaN and negative values are dropped.
 
     Args:
         sparse_depth: float32 (H, W), metres, 0 = no return.
@@ -96,7 +96,7 @@ def move_returns(sparse_depth: NDArray[np.float32], size: Size) -> NDArray[np.fl
 def move_scan_lines(
     sparse_depth: NDArray[np.float32], scan_line: NDArray[np.int16], size: Size
 ) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
-    """Move returns as `move_returns` does, and the scan line, int16 (H, W), -1 = none, of each."""
+    """Move returns as `move_returns` does, and their scan lines: int16 (H, W), -1 = none."""
     source, target = _moves(sparse_depth, size)
     return (
         _moved(sparse_depth, source, target, size, nothing=0),
@@ -113,7 +113,7 @@ def _moved(
 
 
 def _moves(sparse_depth: NDArray[np.float32], size: Size) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Flat indices of the returns that are kept and of their pixels in `size`."""
+    """Return flat indices of the returns that are kept, and of their pixels in `size`."""
     (height, width), (new_height, new_width) = sparse_depth.shape, size
     # np.nonzero is four times as fast on a mask as on floats.
     source = np.flatnonzero(sparse_depth > 0)
@@ -128,9 +128,9 @@ def _moves(sparse_depth: NDArray[np.float32], size: Size) -> tuple[NDArray[Any],
 
 
 def _moved_pixels(old: int, new: int) -> NDArray[np.intp]:
-    """rint((u + 0.5) * new / old - 0.5) of each pixel u of a side, in integers: (old,)."""
+    """Return rint((u + 0.5) * new / old - 0.5) for each pixel u of a side, as integers (old,)."""
     numerator = (2 * np.arange(old) + 1) * new - old
     pixel, remainder = np.divmod(numerator, 2 * old)
-    # Half to even, as np.rint; the remainder is in units of 1 / (2 * old).
+    # Round half to even, as np.rint does; the remainder is in units of 1 / (2 * old).
     pixel[(remainder > old) | ((remainder == old) & (pixel % 2 == 1))] += 1
     return pixel
