@@ -1,1 +1,1 @@
-"""The engine: a model file answers a frame."""
+"""The engine, which runs a model file on frames."""

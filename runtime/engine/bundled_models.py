@@ -1,4 +1,4 @@
-"""The models that are installed with the engine, files `assets/NAME.onnx`."""
+"""The models that are installed with the engine, in files `assets/NAME.onnx`."""
 
 import os
 from importlib import resources
@@ -23,12 +23,12 @@ def find_model(model: str | PathLike[str] | None) -> Path:
     """Return the file of a model.
 
     Args:
-        model: text that ends in ".onnx" or holds a folder, and any `PathLike`, is a path; other
-            text is a name of `list_bundled_models`, even where the current folder has a file of
-            that name ("./NAME" is that file); None = DEFAULT_MODEL.
+        model: a path or a name. Any `PathLike`, and text that ends in ".onnx" or contains a folder,
+            is a path. Other text is a name from `list_bundled_models`, even if the current folder
+            has a file of that name ("./NAME" is that file). None = `DEFAULT_MODEL`.
 
     Returns:
-        The path; whether there is a file is not checked.
+        The path. This function does not check that the file exists.
 
     Raises:
         ContractError: for an unknown name.

@@ -29,12 +29,12 @@ def _physical(logical: set[int]) -> int:
 
 
 def _quota() -> int:
-    """The least CPU quota from the process's cgroups up to the root; all cores without one."""
+    """Return the smallest CPU quota of the process's cgroups, or all cores if there is none."""
     least = os.cpu_count() or 1
     for line in _read(_CGROUPS).splitlines():
         _, names, cgroup = line.split(":", 2)  # version 1 names the controllers
         mounts = {_MOUNT / names, _MOUNT / "cpu"} if "cpu" in names.split(",") else {_MOUNT}
-        below = Path(cgroup.strip("/"))  # in a container perhaps as the host sees it
+        below = Path(cgroup.strip("/"))  # in a container, this may be the path on the host
         for folder in (mount / each for mount in mounts for each in (below, *below.parents)):
             limit = _read(folder / "cpu.max").split()
             limit += (_read(folder / f"cpu.cfs_{each}_us").strip() for each in ("quota", "period"))
@@ -45,7 +45,7 @@ def _quota() -> int:
 
 
 def _read(path: Path | str) -> str:
-    """The text of a file of the kernel; "" without it."""
+    """Return the text of a kernel file, or "" if there is no such file."""
     try:
         return Path(path).read_text()
     except (OSError, ValueError):

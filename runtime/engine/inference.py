@@ -1,4 +1,4 @@
-"""From the inputs of the network to the answers for the frames: run, check, convert, resize."""
+"""The run of a network, and the checks, conversion and resizing of its outputs."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ from runtime.engine.prediction import Latency, Prediction
 from runtime.engine.preprocess import NetworkInput
 from runtime.engine.session import explain
 
-_ROUNDING = 1e-3  # of a head's range: how far arithmetic may leave it
+_ROUNDING = 1e-3  # share of a head's range by which rounding may exceed it
 
 
 def run_batch(
@@ -25,10 +25,10 @@ def run_batch(
     """Run frames of one network size as one batch.
 
     Returns:
-        Head -> array, of each frame.
+        A dictionary for each frame: head -> array.
 
     Raises:
-        InferenceError: if the session fails, or an output is of another type or shape.
+        InferenceError: if the session fails, or an output has another type or shape.
     """
     size, count = frames[0].network_size, len(frames)
     feed = {
@@ -69,11 +69,11 @@ def to_prediction(
     """Return the answers for a frame.
 
     Args:
-        outputs: head -> array, of the frame.
-        frame: as the network took it.
-        contract: of the model.
-        times_ms: of preprocessing and of the session.
-        stamp: of the frame.
+        outputs: head -> array, for this frame.
+        frame: the input of the network.
+        contract: the contract of the model.
+        times_ms: times of preprocessing and of the session.
+        stamp: stamp of the frame.
     """
     started = time.perf_counter()
     found = faults(outputs, contract)
@@ -116,7 +116,7 @@ def to_frame(outputs: Mapping[str, NDArray[Any]], frame: NetworkInput) -> dict[s
 def faults(outputs: Mapping[str, NDArray[Any]], contract: Contract) -> tuple[str, ...]:
     """Return the reasons why outputs, head -> array of one frame, cannot be used; () if they can.
 
-    They are "HEAD_not_finite", "HEAD_out_of_range" and, for class ids, "HEAD_unknown_class".
+    The reasons are "HEAD_not_finite", "HEAD_out_of_range" and, for class ids, "HEAD_unknown_class".
     """
     found = (_fault(HEADS[head], values, contract) for head, values in outputs.items())
     return tuple(fault for fault in found if fault)

@@ -1,4 +1,4 @@
-"""A model: the contract of its file, what its graph takes and gives, and its session."""
+"""A model: the contract of its file, the inputs and outputs of its graph, and its session."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,12 +18,12 @@ class Model:
     """A model whose file was opened.
 
     Attributes:
-        path: of its file.
+        path: path of its file.
         contract: what the file states about itself.
         sha256: digest of the file, hexadecimal.
         heads: names of its heads, in the order of `HEADS`.
-        size: (height, width) of its inputs; None = any.
-        free_batch: whether one run takes any number of frames, or one only.
+        size: (height, width) of its inputs; None = any size.
+        free_batch: True if one run takes any number of frames, False if it takes only one.
     """
 
     path: Path
@@ -37,22 +37,23 @@ class Model:
 def open_model(
     path: Path, *, sha256: str | None, provider: str, device_id: int, threads: int
 ) -> tuple[Model, Any]:
-    """Open a model; outputs of its graph that are no heads are ignored.
+    """Open a model. Outputs of its graph that are not in `HEADS` are ignored.
 
-    The first prediction shows whether the graph gives what the contract says, see `run_batch`.
+    The first prediction checks whether the outputs agree with the contract, see `run_batch`.
 
     Args:
-        path: of the file.
+        path: the model file.
         sha256: digest that the file must have; None = any.
-        provider: as of `open_session`.
-        device_id: as of `open_session`.
-        threads: as of `open_session`.
+        provider: see `open_session`.
+        device_id: see `open_session`.
+        threads: see `open_session`.
 
     Returns:
         The model, and the session of ONNX Runtime that runs it.
 
     Raises:
-        ContractError: as `load_model_file` and `open_session`, and for a graph of other tensors.
+        ContractError: as for `load_model_file` and `open_session`, and if the graph has other
+            inputs or outputs.
         ProviderError: if the provider cannot be used.
     """
     file = load_model_file(path, sha256=sha256)

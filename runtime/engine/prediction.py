@@ -1,4 +1,4 @@
-"""What `Predictor.predict` returns."""
+"""The result of `Predictor.predict`."""
 
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, field, replace
@@ -28,17 +28,17 @@ class Latency:
 
 @dataclass(frozen=True)
 class Cleaned:
-    """Pixels of the sparse depth that were changed, by kind: the first three became none."""
+    """Numbers of sparse depth pixels that were changed; the first three kinds were set to 0."""
 
-    nan: int = 0  # also 65535 of 16 bits, by which sensors mark no measurement
+    nan: int = 0  # also 65535 in 16 bits, which marks pixels without a measurement
     infinite: int = 0
     negative: int = 0
-    too_far: int = 0  # beyond the range: clipped; beyond `farthest_return`: none
-    lost_points: int = 0  # points of the scan without a return, see `is_return`, or without a time
+    too_far: int = 0  # clipped to the range; set to 0 beyond `farthest_return`
+    lost_points: int = 0  # points that are no returns, see `is_return`, or have no valid time
 
     @property
     def total(self) -> int:
-        """All kinds together."""
+        """The sum of all kinds."""
         return sum(astuple(self))
 
 
@@ -47,19 +47,19 @@ class Prediction:
     """The answers for one frame, at the frame's own size (H, W). The arrays belong to the caller.
 
     Attributes:
-        heads: head -> answer, see `runtime.contract.heads`; the heads of the model.
+        heads: head -> answer, for each head of the model, see `runtime.contract.heads`.
         frame_size: (height, width).
-        network_size: (height, width) at which the network ran; the answers are resized if it is not
-            the frame's.
-        latency: of the stages.
-        valid: False when an output holds NaN, Inf, an unknown class or a value out of its range;
-            `degraded` names it.
+        network_size: (height, width) at which the network ran; the answers are resized to the
+            frame's size.
+        latency: times of the stages.
+        valid: False if an output holds NaN, Inf, an unknown class or a value out of its range;
+            `degraded` then has the reason.
         degraded: reasons why the answer is less reliable than usual; () in the normal case.
-        cleaned: depth pixels that were treated as no measurement.
+        cleaned: numbers of depth pixels that were changed.
         depth_returns: number of depth pixels used.
-        range_m: depth range of the frame: no answer is farther, metres.
-        stamp: as given to `predict`.
-        contract: of the model that answered; None in a prediction made by hand.
+        range_m: depth range of the frame in metres; no answer is farther.
+        stamp: the stamp that was given to `predict`.
+        contract: contract of the model that answered; None in a prediction made by hand.
     """
 
     heads: Mapping[str, NDArray[Any]]
@@ -84,13 +84,13 @@ class Prediction:
         )
 
     def after_reading(self, degraded: tuple[str, ...], lost_points: int) -> "Prediction":
-        """Add what reading the frame found: reasons of `degraded`, and points as of `Cleaned`."""
+        """Return a copy with reasons added to `degraded`, and with `Cleaned.lost_points`."""
         cleaned = replace(self.cleaned, lost_points=lost_points)
         return replace(self, degraded=(*self.degraded, *degraded), cleaned=cleaned)
 
     @property
     def class_names(self) -> tuple[str, ...]:
-        """Names of the classes in the order of the ids of `semantic`; () where none are known."""
+        """Names of the classes in the order of the ids of `semantic`; () if none are known."""
         return () if self.contract is None else tuple(each.name for each in self.contract.classes)
 
     @property
@@ -125,15 +125,15 @@ class Prediction:
         """Draw one picture of the frame and its answers.
 
         Args:
-            rgb: uint8 (H, W, 3), the frame's image, RGB; None = the answers alone.
+            rgb: uint8 (H, W, 3), the frame's image, RGB; None = draw only the answers.
 
         Returns:
-            uint8 (H', W', 3), RGB: panels of image and heads over a legend, shrunk by a whole
-            number where the frame is large, see `runtime.app.drawing.overlay.Overlay`. Answers with
-            `valid` False are also drawn.
+            uint8 (H', W', 3), RGB: panels of image and heads above a legend. Large frames are
+            shrunk by a whole number, see `runtime.app.drawing.overlay.Overlay`. Answers whose
+            `valid` is False are drawn, too.
 
         Raises:
-            InputError: for an image that is not the frame's, and where `contract` is None.
+            InputError: if the image does not have the frame's size, or `contract` is None.
         """
         from runtime.app.drawing.draw_prediction import draw_prediction  # on demand
 
@@ -146,18 +146,18 @@ class Prediction:
         *,
         intrinsics: "NDArray[np.floating[Any]] | Calibration | None" = None,
     ) -> None:
-        """Write a file, whole or not at all; a file that is there is replaced.
+        """Write the prediction to a file; an existing file is replaced after a complete write.
 
         Args:
-            path: the ending decides: ``.png``, ``.jpg``, ``.jpeg``: the picture of `draw`;
-                ``.npz``: all arrays by their head's name, with `valid` and `degraded`; ``.ply``:
-                the cloud of `points`, binary, with colours where `rgb` is given and class ids as
-                ``label``.
+            path: its ending decides the format. `.png`, `.jpg` and `.jpeg` hold the picture of
+                `draw`. `.npz` holds all arrays under their head's name, with `valid` and
+                `degraded`. `.ply` holds the cloud of `points`, binary, with colours if `rgb` is
+                given and class ids as `label`.
             rgb: uint8 (H, W, 3), the frame's image, RGB.
-            intrinsics: as of `points`; for ``.ply``.
+            intrinsics: see `points`; needed for `.ply`.
 
         Raises:
-            InputError: for another ending, and as `draw` and `points`.
+            InputError: for another ending, and as for `draw` and `points`.
             OutputError: if the file cannot be written.
         """
         from runtime.app.drawing.draw_prediction import save_prediction  # on demand
@@ -180,19 +180,19 @@ class Prediction:
             intrinsics: the camera's `Calibration`, or float (3, 3) of a rectified camera, in pixels
                 of the frame.
             rgb: uint8 (H, W, 3), the frame's image, for the colours of the points.
-            edge_boundary: pixels whose `boundary` is above it have no point: depth passes from one
-                surface to the next there; "auto" = 0.25 with classes, 0.5 without; None = all
-                have one.
+            edge_boundary: pixels whose `boundary` is larger have no point, because depth passes
+                from one surface to the next there. "auto" = 0.25 with classes, 0.5 without;
+                None = no pixel is left out for this reason.
             keep_sky: keep the points of the class "sky", whose depth is meaningless.
             max_uncertainty: pixels whose `depth_uncertainty` is a larger share of their depth have
-                no point; None = all have one.
-            voxel_m: keep one point of each cube of this side in metres, the one of the smallest
-                uncertainty; None = all are kept.
+                no point; None = no pixel is left out for this reason.
+            voxel_m: side of cubes in metres; of each cube, only the point of the smallest
+                uncertainty is kept. None = all points are kept.
 
         Raises:
-            InputError: for arrays that do not fit, for a model without depth, for
-                `max_uncertainty` and a model without `depth_uncertainty`, for values out of range,
-                and where `valid` is False.
+            InputError: if an array does not fit, a value is out of range, `valid` is False, the
+                model has no depth, or `max_uncertainty` is given and the model has no
+                `depth_uncertainty`.
         """
         if self.depth is None or not self.valid:
             reason = ", ".join(self.degraded) if self.depth is not None else "it has no such head"

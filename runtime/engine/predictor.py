@@ -1,4 +1,4 @@
-"""The engine: a model file, and `predict`."""
+"""The class `Predictor`, which runs a model file on frames."""
 
 import time
 import warnings
@@ -28,17 +28,17 @@ from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.units import check_view
 
 _MOST_THREADS = 1024
-_SMALL_SIZE = (64, 64)  # frame of the check of a model of free size
-_GRAY = 128  # of the pixels of an empty frame
+_SMALL_SIZE = (64, 64)  # size of the frame that checks a model of free size
+_GRAY = 128  # value of the pixels of an empty frame
 
 
 class Predictor:
-    """Run a model: one image and one sparse depth map in, its answers out.
+    """Run a model: it takes an image and a sparse depth map, and returns the answers.
 
-    One predictor may be used by several threads: `predict` and `predict_batch` keep nothing of a
-    frame outside the call. The threads share the same `threads` cores, so that several frames at
-    once take longer each. After an error of `predict` the predictor stays usable. Each process
-    makes its own: a predictor cannot be pickled, and raises InferenceError after a fork.
+    Several threads may use one predictor, because `predict` and `predict_batch` keep no data of a
+    frame after the call. The threads share the same `threads` cores, so each frame takes longer if
+    several are predicted at once. After an error in `predict` the predictor stays usable. Each
+    process needs its own predictor: it cannot be pickled, and raises InferenceError after a fork.
 
     Args:
         model: an ONNX file made by ssdnet-export, or the name of a bundled model, see `find_model`;
@@ -46,38 +46,39 @@ class Predictor:
         sha256: digest that the file must have, 64 hexadecimal digits; None = any.
         provider: "cpu" or "cuda". The requested provider is used, or an error is raised.
         device_id: index of the GPU.
-        size: size at which a model of free size runs; answers have the frame's size in any case.
-            None = the height it was trained for, keeping the aspect, where the frame is larger by
-            more than a quarter, else the frame's own; "frame" = the frame's own; a number of rows,
-            keeping the aspect; or (height, width).
-        focal_length_px: fx of the camera in pixels of the frames as they are given to `predict`. A
+        size: size at which a model of free size runs; the answers always have the frame's size.
+            None = the height for which the model was trained, with the aspect kept, if the frame
+            is higher by more than a quarter; otherwise the frame's own size. "frame" = the frame's
+            own size. An int = a number of rows, with the aspect kept. Or (height, width).
+        focal_length_px: fx of the camera, in pixels of the frames that are given to `predict`. A
             model with `contract.canonical_focal_px` then scales distances for this camera, see
-            `runtime.contract.canonical_focal`; None = as if the network's image were the canonical
-            camera's.
+            `runtime.contract.canonical_focal`. None = the image is treated as if it came from the
+            canonical camera.
         threads: threads within an operator; None = the physical cores this process may use.
-        warmup: predictions made at once at the model's own size, so that the first frame is fast.
+        warmup: number of predictions that the constructor makes at the model's own size, so that
+            the first frame is fast.
 
     Attributes:
         contract: what the model file states about itself.
         digest: SHA-256 of the model file, hexadecimal.
         model: the open `Model`, with the `path` of its file.
-        provider: as requested.
+        provider: the requested provider.
         providers: ONNX Runtime's execution providers of the session.
-        node_counts: execution provider -> nodes of the graph.
+        node_counts: execution provider -> number of graph nodes.
         threads: threads within an operator.
-        size: (height, width) of a model of fixed size, else as requested.
+        size: (height, width) of a model of fixed size, else the requested size.
         free_size: whether the model takes frames of any size.
         free_batch: whether one run of the model takes several frames.
-        focal_length_px: as given.
+        focal_length_px: the focal length that was given.
         heads: names of the outputs, for example ("semantic", "depth", "boundary").
-        load_ms: time of reading and optimising the model.
-        first_inference_ms: time of the first warm-up prediction; None without.
+        load_ms: time for reading and optimising the model.
+        first_inference_ms: time of the first warm-up prediction; None before it.
 
     Raises:
-        ContractError: for a missing, damaged or foreign model, one of a newer version, and one
-            whose answer to an empty frame is not finite.
-        ProviderError: if the provider cannot run it.
-        InputError: for arguments out of range, and for a `size` where the model has a fixed one.
+        ContractError: if the model is missing, damaged, foreign or of another version, or if its
+            answer to an empty frame is not finite.
+        ProviderError: if the provider cannot run the model.
+        InputError: if an argument is out of range, or `size` is given for a model of fixed size.
         InferenceError: if the model fails on an empty frame.
     """
 
@@ -138,24 +139,25 @@ class Predictor:
     ) -> Prediction:
         """Predict the heads of one frame.
 
-        Where the network runs at another size (`network_size`), the frame is resized to it and the
-        answers back.
+        If the network runs at another size (`network_size`), the frame is resized to that size, and
+        the answers are resized to the frame.
 
         Args:
             rgb: uint8 (H, W, 3), RGB, not BGR.
-            sparse_depth: float32 (H, W), metres along the optical axis; 0 = no measurement, as are
-                NaN, Inf, negative values and those beyond both 250 m and the range
-                (`camera_scale`). Other returns beyond the range are clipped to it.
-                `Prediction.cleaned` counts all these. None = the camera alone.
+            sparse_depth: float32 (H, W), metres along the optical axis; 0 = no measurement. NaN,
+                Inf, negative values, and values beyond both 250 m and the range (`camera_scale`)
+                are no measurement either. Other returns beyond the range are clipped to it.
+                `Prediction.cleaned` counts all these pixels. None = predict from the image alone.
             focal_length_px: fx of this frame's camera; None = the predictor's.
-            stamp: any value, returned in the answer.
+            stamp: any value; it is returned in the answer.
 
         Returns:
             The answers at the frame's size (H, W).
 
         Raises:
-            InputError: for arrays of another type or shape and for a focal length out of range.
-            InferenceError: if the session fails, answers in another shape, or was closed.
+            InputError: if an array has another type or shape, or the focal length is out of range.
+            InferenceError: if the session fails, its outputs have another shape, or the predictor
+                is closed.
         """
         started = time.perf_counter()
         frame = self._preprocess(rgb, sparse_depth, focal_length_px)
@@ -175,23 +177,23 @@ class Predictor:
     ) -> list[Prediction]:
         """Predict the frames of several cameras with one call.
 
-        Frames that the network sees at one size (`network_size`) run as one batch where the file
-        takes several frames (`free_batch`); other sizes run one after another. The answers are
-        those of `predict` but for rounding. On one core a batch takes as long as its frames one by
-        one.
+        Frames of the same `network_size` run as one batch if the file takes several frames
+        (`free_batch`); frames of different sizes run one after another. The answers equal those of
+        `predict` except for rounding. On one core a batch takes as long as its frames one by one.
 
         Args:
-            frames: (rgb, sparse_depth) of each, as for `predict`, of any sizes.
-            focal_lengths_px: of each camera; None = the predictor's, for all or for one of them.
-            stamps: any value of each, returned in its answer; None = none.
+            frames: (rgb, sparse_depth) of each camera, as for `predict`, of any sizes.
+            focal_lengths_px: focal length of each camera; None for all or for one of them = the
+                predictor's.
+            stamps: any value for each frame, which is returned in its answer; None = no stamps.
 
         Returns:
-            The answers in the order of the frames. `latency.inference_ms` is the run of a frame's
-            batch, and `latency.total_ms` the whole call.
+            The answers in the order of the frames. `latency.inference_ms` is the time of the
+            frame's batch, and `latency.total_ms` that of the whole call.
 
         Raises:
-            InputError: naming the frame, before any of them runs.
-            InferenceError: as `predict`; then there is no answer for any frame.
+            InputError: if a frame is invalid; the message names it, and no frame is predicted.
+            InferenceError: as for `predict`; there is then no answer for any frame.
         """
         started = time.perf_counter()
         try:
@@ -241,7 +243,7 @@ class Predictor:
             frame_size: (height, width) of the frame.
 
         Raises:
-            InputError: if the requested rows are too wide at the frame's aspect.
+            InputError: if the requested rows would be too wide with the frame's aspect.
         """
         return network_size(self.size, frame_size, trained_height=self.contract.trained_height)
 
@@ -250,14 +252,15 @@ class Predictor:
     ) -> CameraScale:
         """Return the depth range for a frame, and the focal length that is used.
 
-        A focal length by which the frame shows over 150 degrees is an `AssumptionWarning`.
+        An `AssumptionWarning` is issued if the frame would show more than 150 degrees with this
+        focal length.
 
         Args:
             frame_size: (height, width) of the frame.
             focal_length_px: fx of this frame's camera; None = the predictor's.
 
         Raises:
-            InputError: as `network_size`, and for a focal length out of range.
+            InputError: as for `network_size`, and if the focal length is out of range.
         """
         focal_px = _check_focal_length(focal_length_px) or self.focal_length_px
         if focal_px is not None:
@@ -276,7 +279,7 @@ class Predictor:
         The time of the very first prediction is kept as `first_inference_ms`.
 
         Args:
-            size: (height, width) of the frames to come; the network runs at `network_size` of it.
+            size: (height, width) of the frames to come.
             runs: number of predictions.
 
         Raises:
@@ -297,8 +300,8 @@ class Predictor:
     def reset(self) -> None:
         """Open the session again from the model file, on the same provider and device.
 
-        For a provider that failed while running, so that `predict` keeps raising InferenceError.
-        Other threads may continue to predict meanwhile. After an error the old session is kept.
+        This is the remedy if a provider failed and `predict` keeps raising InferenceError. Other
+        threads may continue to predict in the meantime. After an error the old session is kept.
 
         Raises:
             ContractError: if the file is no longer the one that was opened.
@@ -353,7 +356,7 @@ class Predictor:
 
 
 def _one_each(name: str, values: Any, count: int) -> list[Any]:
-    """Return a value for each frame, None for all without values. Raises InputError."""
+    """Return one value for each frame; `values` None gives None for each. Raises InputError."""
     try:
         each: list[Any] = [None] * count if values is None else list(values)
     except TypeError:
@@ -367,7 +370,7 @@ def _one_each(name: str, values: Any, count: int) -> list[Any]:
 
 
 def _check_focal_length(focal_px: Any) -> float | None:
-    """Return a focal length, None as it is. Raises InputError."""
+    """Return a checked focal length, or None if there is none. Raises InputError."""
     if focal_px is None:
         return None
     try:

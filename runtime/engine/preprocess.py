@@ -1,4 +1,4 @@
-"""From a frame to the input of the network: check, clean, resize."""
+"""Checks, cleaning and resizing of a frame before it enters the network."""
 
 import math
 from collections.abc import Callable
@@ -27,7 +27,7 @@ _LOW_SHARE = 0.01  # of the cells
 
 @dataclass(frozen=True, eq=False)
 class NetworkInput:
-    """A frame as the network takes it.
+    """A frame that is ready for the network.
 
     Attributes:
         rgb: uint8 (h, w, 3) at the network's size.
@@ -35,11 +35,11 @@ class NetworkInput:
             no measurement.
         frame_size: (height, width) of the frame.
         full_size_returns: float32 (H, W) at the frame's size, metres, 0 = no measurement; None if
-            the network does not run at a smaller size, or there are none.
-        cleaned: depth pixels of the frame that were changed.
-        depth_returns: number of depth pixels of the frame that are left.
+            the network does not run at a smaller size, or the frame has no returns.
+        cleaned: numbers of depth pixels of the frame that were changed.
+        depth_returns: number of depth pixels of the frame that remain.
         degraded: reasons why the answer is less reliable than usual.
-        scale: from metres to the network's depth.
+        scale: conversion from metres to the network's depth.
     """
 
     rgb: NDArray[np.uint8]
@@ -68,12 +68,12 @@ def preprocess(
 
     Args:
         rgb: uint8 (H, W, 3), RGB.
-        sparse_depth: float32 (H, W), metres; None = the camera alone.
+        sparse_depth: float32 (H, W), metres; None = predict from the image alone.
         size_for: frame size -> network size, both (height, width).
         scale_for: frame size -> scale of its depth.
 
     Raises:
-        InputError: for arrays of another type or shape.
+        InputError: if an array has another type or shape.
     """
     rgb = check_rgb(rgb)
     frame_size = (rgb.shape[0], rgb.shape[1])
@@ -152,7 +152,7 @@ def check_sparse_depth(sparse_depth: Any, *, size: tuple[int, int]) -> NDArray[n
 
 
 def _other_kind(array: Any, dtype: type) -> str:
-    """What an input is instead of a plain array of this type; "" where it is one."""
+    """Return the type of an input that is no plain array of this dtype, or "" if it is one."""
     if isinstance(array, np.ndarray) and not isinstance(array, np.ma.MaskedArray):
         return "" if array.dtype == dtype else str(array.dtype)
     return type(array).__name__
@@ -164,12 +164,12 @@ def clean_sparse_depth(
     """Replace invalid depth by 0 and clip returns to the range, see `farthest_return`.
 
     Args:
-        sparse_depth: float32 (H, W), metres; not written to.
-        max_depth_m: the range.
+        sparse_depth: float32 (H, W), metres; it is not changed.
+        max_depth_m: the depth range.
 
     Returns:
-        The depth (the same array if it was clean), what was cleaned, and the number of measurements
-        left.
+        The depth (the same array if it was clean), the numbers of cleaned pixels, and the number of
+        measurements that remain.
     """
     low, high = sparse_depth.min(), sparse_depth.max()  # both NaN if any pixel is
     farthest = farthest_return(max_depth_m)
@@ -191,10 +191,10 @@ def clean_sparse_depth(
 
 
 def covers_little(sparse_depth: NDArray[np.float32], *, returns: int) -> bool:
-    """Whether returns lie in fewer than `_LOW_SHARE` of the cells of `_GRID` over the image.
+    """Return whether the returns lie in fewer than `_LOW_SHARE` of the image's cells, see `_GRID`.
 
-    So the camera's resolution does not matter. A cell is at least a pixel; `returns` is the number
-    of returns.
+    The cells make the result independent of the camera's resolution. A cell is at least one pixel.
+    `returns` is the number of returns.
     """
     height, width = sparse_depth.shape
     rows, columns = min(_GRID[0], height), min(_GRID[1], width)

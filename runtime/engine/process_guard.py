@@ -1,11 +1,11 @@
-"""Objects that do not survive a fork: usable only in the process that created them."""
+"""Protection of objects that can be used only in the process that created them."""
 
 import os
 
 from runtime.base.errors import InferenceError, SSDNetError
 
 _THREADS = "threads do not survive a fork"
-#: Of an object that holds files open.
+#: Reason for an object that holds files open.
 SHARED_FILES = "after a fork both processes would read from one position in its files"
 
 
@@ -13,9 +13,9 @@ class ProcessGuard:
     """Remembers the process that made an object.
 
     Args:
-        what: names the object.
-        why: it cannot be used after a fork.
-        error: that `check` raises.
+        what: name of the object, for the error.
+        why: the reason why the object cannot be used after a fork.
+        error: type of the error that `check` raises.
     """
 
     def __init__(
@@ -25,11 +25,11 @@ class ProcessGuard:
 
     @property
     def is_forked(self) -> bool:
-        """Whether this is a child of that process."""
+        """Whether the present process is a fork of the one that created the object."""
         return os.getpid() != self._process
 
     def check(self) -> None:
-        """Raise the error in a child."""
+        """Raise the error if the present process is a fork."""
         if self.is_forked:
             raise self._error(
                 f"the {self._what} was created before this process was forked, and {self._why}: "

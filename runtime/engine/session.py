@@ -1,4 +1,4 @@
-"""Open an ONNX Runtime session on the requested provider, or raise an error."""
+"""Opens ONNX Runtime sessions on the requested provider, or raises an error."""
 
 import contextlib
 import io
@@ -19,12 +19,12 @@ _GPU_NEEDS = (
     f"it needs an NVIDIA driver and: pip uninstall -y onnxruntime; {install_command('gpu')}"
 )
 _NO_MEMORY = re.compile("allocate|bad_alloc|out of memory", re.IGNORECASE)
-# If a convolution runs on another provider, the requested provider does not do the work.
+# If one of these runs on another provider, the requested provider does not do the work.
 _HEAVY_OPERATORS = frozenset({"Conv", "FusedConv", "QLinearConv", "ConvInteger", "NhwcConv"})
 
 
 def import_onnxruntime() -> Any:
-    """Return the onnxruntime module; ProviderError if it is missing or broken."""
+    """Return the module `onnxruntime`; ProviderError if it is missing or broken."""
     try:
         import onnxruntime
     except ImportError as error:
@@ -49,9 +49,9 @@ def open_session(
         model: the bytes of an ONNX file.
         provider: "cpu" or "cuda".
         device_id: index of the GPU.
-        threads: threads within an operator.
-        weights_folder: of the weights that a network of others keeps in files beside its own; by
-            default an impossible one, with which these fail to load.
+        threads: number of threads within an operator.
+        weights_folder: folder of weights that a foreign network keeps outside its ONNX file. The
+            default is an invalid folder, so that loading such a network fails.
 
     Raises:
         ProviderError: if the provider cannot be used.
@@ -94,7 +94,7 @@ def open_session(
 
 
 def explain(error: Exception) -> str:
-    """Return the text of an error of ONNX Runtime or NumPy, with a remedy where memory ran out."""
+    """Return the text of an error of ONNX Runtime or NumPy, with a remedy if memory ran out."""
     if isinstance(error, MemoryError) or _NO_MEMORY.search(str(error)):
         return f"out of memory, choose a smaller size or fewer frames ({error})"
     return str(error)
@@ -122,7 +122,7 @@ def _options(ort: Any, threads: int, weights_folder: str) -> Any:
 
 
 def _preload(ort: Any) -> str:
-    """Load CUDA and cuDNN from their pip packages; return what was printed."""
+    """Load CUDA and cuDNN from their pip packages; return the printed text."""
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed), contextlib.suppress(Exception):
         ort.preload_dlls()
@@ -130,7 +130,7 @@ def _preload(ort: Any) -> str:
 
 
 def _require_running(session: Any, provider: str, printed: str) -> None:
-    """Raise ProviderError where ONNX Runtime fell back to the CPU, which it only warns about.
+    """Raise ProviderError if ONNX Runtime fell back to the CPU, which is only a warning there.
 
     Shape arithmetic of a model of free size belongs on the CPU (`session.disable_cpu_ep_fallback`
     would refuse it); a convolution does not.
@@ -150,7 +150,7 @@ def _require_running(session: Any, provider: str, printed: str) -> None:
 
 
 def _assigned_nodes(session: Any) -> list[tuple[str, str]]:
-    """(execution provider, operator) of every node."""
+    """Return (execution provider, operator) of every node."""
     return [
         (subgraph.ep_name, node.op_type)
         for subgraph in session.get_provider_graph_assignment_info()
@@ -159,7 +159,7 @@ def _assigned_nodes(session: Any) -> list[tuple[str, str]]:
 
 
 def _unloadable(error: Exception) -> ContractError:
-    """The error for a file that ONNX Runtime refuses."""
+    """Return the error for a file that ONNX Runtime refuses."""
     text = explain(error)
     if "external data" in text.lower():
         found = "" if os.devnull in text else f", which cannot be read ({text})"
