@@ -44,8 +44,8 @@ class Answerer:
         predictor: a `Predictor`, or a drop-in replacement.
         consistency: share of the returns that is held out, see `ConsistencyCheck`; None = no check.
         check_depth: whether `check_last` compares returns with a prediction from the image alone.
-        has_lidar: whether there is one, so that an image without depth lacks it; False: from the
-            first frame with depth on.
+        has_lidar: whether the car has a LiDAR, so that an image without depth is a fault; False =
+            this is assumed from the first frame with depth on.
         is_implausible: whether returns are known to be implausible until `check_last` clears them.
 
     Raises:
@@ -132,8 +132,9 @@ class Answerer:
     def check_last(self, *, idle: bool) -> None:
         """Compare the last frame with its poses, and its returns with its image alone, if due.
 
-        The first FIRST_FRAMES with depth are, then one in _CHECK_EVERY, when the stream is idle.
-        With `consistency` its predictions serve.
+        The returns of the first `FIRST_FRAMES` frames with depth are compared, then those of one
+        frame in `_CHECK_EVERY`, when the stream is idle. With `consistency`, the returns are
+        compared with the predictions of that check instead.
         """
         posed, self._posed = self._posed, None
         if posed is not None and self.pose_fault is None:
@@ -165,7 +166,7 @@ class Answerer:
 def known_focal_length_px(
     predictor: FramePredictor, calibration: Calibration | None
 ) -> float | None:
-    """The focal length of a camera: the predictor's, else that of the calibration, if any."""
+    """Return the focal length of the predictor, or else that of the calibration, if any."""
     if predictor.focal_length_px is not None or calibration is None:
         return predictor.focal_length_px
     return calibration.focal_length_px

@@ -1,4 +1,4 @@
-"""Messages of sensors, what becomes of them, and the frame as it was measured."""
+"""Messages of sensors, their outcomes, and the frame that is made of them."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -27,14 +27,14 @@ MATCHED = (Sensor.IMAGE, Sensor.DEPTH)
 
 
 class Outcome(StrEnum):
-    """What happened to a message."""
+    """The outcome of a message."""
 
     ANSWERED = "answered"
     # Dropped:
     OVERTAKEN = "overtaken"  # live: a newer frame was complete before its turn
     INCOMPLETE = "incomplete"  # live: an image without depth gave way to a complete frame
-    UNREAD = "unread"  # live: its result was not fetched before the next one was there
-    OVERFLOW = "overflow"  # live: more messages than can wait
+    UNREAD = "unread"  # live: its result was not fetched before the next one was ready
+    OVERFLOW = "overflow"  # live: too many messages were waiting
     DUPLICATE = "duplicate"  # a stamp that this sensor has sent before
     LATE = "late"  # older than an image that was already decided
     CLOSED = "closed"  # pushed after the stream was closed
@@ -61,11 +61,11 @@ class Message:
     """An image, a scan or a depth map.
 
     Attributes:
-        stamp: as given, see `Stamp`; nanoseconds in a recording; None = not known.
+        stamp: the stamp that was given, see `Stamp`; nanoseconds in a recording; None = not known.
         stamp_ns: the same in nanoseconds; 0 = not known.
-        data: uint8 (H, W, 3), a `Scan`, or float32 (H, W) in metres; while messages of a recording
-            are matched, where the source finds it.
-        arrived_ns: when it was pushed, by the clock of the stream.
+        data: uint8 (H, W, 3), a `Scan`, or float32 (H, W) in metres. While messages of a recording
+            are matched, this is the place where the source finds the data.
+        arrived_ns: time when the message was pushed, by the clock of the stream.
     """
 
     stamp: Any = None
@@ -76,15 +76,15 @@ class Message:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """An image, the depth that belongs to it, and what moves the depth into the image.
+    """An image, its depth, and the calibration and poses that move the depth into the image.
 
     Attributes:
-        image: its message.
-        depth: its message; None = the camera alone.
-        reused: whether the depth is an older one, which is accounted for elsewhere.
-        calibration: of the camera and, for a scan, of the LiDAR; None = not known.
-        poses: of the LiDAR over the time of the frame; None = of a car without poses.
-        name: in its recording.
+        image: message of the image.
+        depth: message of the depth; None = there is no depth.
+        reused: whether the depth is an older message, whose outcome is counted elsewhere.
+        calibration: calibration of the camera and, for a scan, of the LiDAR; None = not known.
+        poses: poses of the LiDAR over the time of the frame; None if the car has no poses.
+        name: name of the frame in its recording.
     """
 
     image: Message
@@ -96,7 +96,7 @@ class Frame:
 
     @property
     def own_depth(self) -> Message | None:
-        """The depth that has the same outcome as the image."""
+        """The depth message that shares the outcome of the image; None if the depth is reused."""
         return None if self.reused else self.depth
 
     @property
@@ -117,17 +117,17 @@ class Frame:
 
     @property
     def depth_motion(self) -> DepthMotion | None:
-        """How the returns were moved, as of `DepthInTime`; None without depth."""
+        """How the returns were moved, see `DepthInTime`; None if there is no depth."""
         return None if self.depth is None else self.in_time.motion
 
     @property
     def degraded(self) -> tuple[str, ...]:
-        """What is wrong with the depth: reasons as of `Prediction.degraded`."""
+        """Faults of the depth: reasons for `Prediction.degraded`."""
         return self.in_time.degraded
 
     @cached_property
     def in_time(self) -> DepthInTime:
-        """The depth at the time of the image: a scan is moved and projected, a map stays.
+        """The depth at the time of the image; a scan is moved and projected, a map is unchanged.
 
         Raises:
             InputError: if the calibration that projects a scan is of images of another size.

@@ -1,4 +1,4 @@
-"""The answer to a frame, which a run, a replay and a live stream give alike, and its figures."""
+"""The answer to a frame, which runs, replays and live streams share, and its figures."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from runtime.geometry.motion import DepthMotion
 from runtime.streams.health.consistency import Consistency
 
 OK, SKIPPED, INVALID = "ok", "skipped", "invalid"
-_NONE: Any = None  # in the report of a run alone: a stream gives these fields in each result
+_NONE: Any = None  # only in the report of a run; a stream sets these fields in each result
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -22,30 +22,31 @@ class FrameResult:
 
     Attributes:
         sequence: number of the answer in its stream, or of the frame in a run, from 0.
-        name: of the frame in a run.
+        name: name of the frame in a run.
         reason: why the status is not "ok".
         rgb: uint8 (H, W, 3), the image, read-only: the next check predicts from it. None in the
             report of a run.
-        prediction: of the `Predictor`. That in the report of a run is without arrays (`heads` is
-            empty), and None for a frame that could not be read or predicted.
-        health: what is wrong with the sensors, see `FrameHealth.check`; () if nothing.
+        prediction: the answer of the `Predictor`. In the report of a run it has no arrays (`heads`
+            is empty), and it is None if the frame could not be read or predicted.
+        health: faults of the sensors, see `FrameHealth.check`; () if there are none.
         consistency: running figures of calibration and sync; None without the option `consistency`,
-            and where the prediction is from the camera alone.
-        image_stamp: as given to a stream; nanoseconds in a run, None where they are not known.
-        depth_stamp: the same of the depth; None where the prediction is from the camera alone
-            (`prediction.degraded` then holds "no_depth").
+            or if the prediction is from the camera alone.
+        image_stamp: stamp of the image as it was given to a stream; in a run, nanoseconds, or None
+            if it is not known.
+        depth_stamp: stamp of the depth in the same form; None if the prediction is from the camera
+            alone (`prediction.degraded` then holds "no_depth").
         depth_reused: whether the depth is an older scan's (`prediction.degraded` then holds
             "depth_reused"), because the image has none of its own.
         depth_motion: "each" where each return was moved to the time of the image by its own time,
-            "scan" where the scan was moved as one, "none" where it is as it was measured; None
-            without depth.
+            "scan" where the scan was moved as one, "none" where it was not moved; None without
+            depth.
         read_ms: time of reading and decoding, in a run.
         write_ms: time of writing to all outputs, in a run.
-        latency_ms: what a deadline limits: in a live stream the time since the image was pushed,
-            with waiting for its depth and for its turn; in a constant stream that since the frame
-            was due; else that of the prediction.
-        age_ms: time of the answer - stamp of the image by the stream's `sensor_clock`, without one
-            `latency_ms`; None in a run that is no constant stream.
+        latency_ms: the time that a deadline limits. In a live stream it starts when the image is
+            pushed, and includes waiting for the depth and for the predictor. In a constant stream
+            it starts when the frame is due. Otherwise it is the time of the prediction.
+        age_ms: time of the answer by the stream's `sensor_clock` - stamp of the image; without such
+            a clock, `latency_ms`. None in a run that is no constant stream.
         jitter_ms: |(t2 - t1) - (s2 - s1)| of this answer and the one before at the times t with the
             image stamps s, in a constant stream with the times s at which they were due (the
             transit-time difference of RFC 3550).
@@ -79,14 +80,14 @@ class FrameResult:
 
     @property
     def skew_ms(self) -> float | None:
-        """Depth stamp - image stamp; None where one is not known."""
+        """Depth stamp - image stamp; None if one of them is not known."""
         if self.image_stamp is None or self.depth_stamp is None:
             return None
         return (stamp_ns(self.depth_stamp) - stamp_ns(self.image_stamp)) / NS_PER_MS
 
     @property
     def depth_age_ms(self) -> float | None:
-        """Image stamp - depth stamp; None where one is not known."""
+        """Image stamp - depth stamp; None if one of them is not known."""
         return None if self.skew_ms is None else 0.0 - self.skew_ms  # no -0.0
 
     def in_report(self, sequence: int) -> "FrameResult":
@@ -95,8 +96,9 @@ class FrameResult:
         return replace(self, sequence=sequence, rgb=_NONE, prediction=prediction, age_ms=_NONE)
 
 
-#: Figure [ms] -> its value of a frame. "predict" is `Predictor.predict` from end to end, "skew" is
-#: absolute and of images with depth of their own, "depth_age" is 0 where the depth is newer.
+#: Figure [ms] -> the function that returns its value for a frame. "predict" is the whole time of
+#: `Predictor.predict`. "skew" is absolute, and only for images with depth of their own. "depth_age"
+#: is 0 if the depth is newer than the image.
 FIGURES: dict[str, Callable[[FrameResult], float | None]] = {
     "read": lambda done: done.read_ms,
     "preprocess": lambda done: done.prediction.latency.preprocess_ms if done.prediction else None,

@@ -1,13 +1,13 @@
-"""Which image and which depth map belong together, by the sensors' own stamps.
+"""Matching of images and depth maps by the sensors' own stamps.
 
-There are no threads, clocks or arrays here. An image is matched with the depth map nearest to it
+This module uses no threads, clocks or arrays. An image is matched with the depth map nearest to it
 within `max_skew_ns`, a depth map with the image nearest to it. A match is certain once no later
 message can be nearer; the stamps of a sensor are assumed to rise. An image without a partner takes
 the newest depth map before it that is at most `reuse_ns` old ("reused"). One depth map may serve
 several images, beside the one that it was matched with.
 
-What differs is how long a message waits for its partner: `Synchronizer` has the rules of a live
-stream, `StampMatching` those of a recording.
+Live streams and recordings differ in how long a message waits for its partner: `Synchronizer` has
+the rules of a live stream, `StampMatching` those of a recording.
 """
 
 from abc import ABC, abstractmethod
@@ -43,7 +43,7 @@ class Decided:
 
     Attributes:
         frames: in the order of their images, without calibration and poses.
-        discarded: messages that are in none of them.
+        discarded: messages that are in none of these frames.
         jumped_back: whether the message of the step was older than the newest of its sensor by more
             than a second.
     """
@@ -55,7 +55,7 @@ class Decided:
 
 @dataclass(eq=False)
 class _Kept:
-    """A depth map that may be reused; `outcome` when it is dropped, None = it has one already."""
+    """A depth map that may be reused, and its outcome when dropped; None = already counted."""
 
     depth: Message
     outcome: Outcome | None
@@ -73,7 +73,7 @@ class Intervals:
         self._intervals: deque[int] = deque(maxlen=_REMEMBERED_INTERVALS)
 
     def add(self, stamp_ns: int) -> None:
-        """Take the stamp of a message, of any order."""
+        """Add the stamp of a message; stamps may come in any order."""
         newest_ns = self.newest_ns
         if newest_ns is None or stamp_ns < newest_ns - JUMP_BACK_NS:
             self._intervals.clear()
@@ -117,9 +117,9 @@ class Matching(ABC):
 
     Args:
         max_skew_ms: largest difference between the stamps of a pair.
-        reuse_depth_ms: largest age of a depth map that an image without one of its own takes; 0 =
-            none.
-        capacity: most messages of a sensor that wait.
+        reuse_depth_ms: largest age of a depth map that is reused for an image without depth of its
+            own; 0 = no depth is reused.
+        capacity: largest number of waiting messages of a sensor.
 
     Raises:
         InputError: if the skew or the age is out of range.
@@ -146,7 +146,7 @@ class Matching(ABC):
 
     @abstractmethod
     def _next_decidable(self) -> Message | None:
-        """The image to decide next; None = all of them have to wait."""
+        """Return the image to decide next; None if all images have to wait."""
 
     @abstractmethod
     def _is_over(self, message: Message, other: Sensor) -> bool:
@@ -319,7 +319,7 @@ class Synchronizer(Matching):
         return decided
 
     def due_ns(self) -> int | None:
-        """When to call `advance` next; None = only after another message."""
+        """Return when to call `advance` next; None = only after another message."""
         # A depth map near a waiting image is decided together with this image.
         waiting = [*self._images, *(depth for depth in self._depths if not self._near(depth))]
         arrived_ns = min((message.arrived_ns for message in waiting), default=None)
@@ -372,8 +372,8 @@ class Synchronizer(Matching):
 class StampMatching(Matching):
     """Matches messages in the order of a recording.
 
-    More than `capacity` messages of a sensor wait only if it is far ahead of the other sensor, or
-    the other one is silent: then the oldest is decided.
+    If `capacity` messages of a sensor wait and another one arrives, the oldest is decided. This
+    happens only if the sensor is far ahead of the other one, or the other one is silent.
     """
 
     def match(

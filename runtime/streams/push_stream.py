@@ -1,11 +1,11 @@
-"""A stream that sensors push into: images and depth maps in from any thread, results out.
+"""A stream into which sensors push messages from any thread, and which returns results.
 
 The stream's own thread predicts (`stream_thread`). One lock guards all state: that of `_changed`,
 on which all threads wait, and which is notified at every change. Invariants:
 
 1. An accepted message is in one place: in the synchronizer, in `_ready`, in the frame that is being
    answered, or counted with its outcome. It moves only while the lock is held.
-2. The lock is not held during a prediction, a copy or a callback. So a push waits for a few
+2. The lock is not held during a prediction, a copy or a callback. A push therefore waits for a few
    comparisons at most, and a callback may call any method.
 3. Memory is bounded: `_ready` and `_unread` hold one frame each, the synchronizer `_WAITING`
    messages of a sensor.
@@ -46,9 +46,10 @@ _WAITING = 16  # messages of a sensor that wait for their partner
 
 
 class PushStream:
-    """Match, predict and account for what sensors push from their own threads.
+    """Match and predict the messages that sensors push from their own threads, and count them.
 
-    A push never waits, and the newest complete frame wins. Recordings go through `replay`.
+    A push never waits for a prediction, and the newest complete frame is predicted next. For
+    recordings use `replay`.
 
     ```python
     rig = Rig(calibration=calibration, pose_frame="lidar")
@@ -70,8 +71,8 @@ class PushStream:
             messages belong together. `push_points` needs its calibration, `push_pose` its
             `pose_frame`.
         deadline_ms: limit for `FrameResult.latency_ms`; None = no limit.
-        max_wait_ms: how long an image waits for its depth map, before it is answered without, and
-            a depth map for its image.
+        max_wait_ms: how long an image waits for its depth map, before it is predicted without
+            depth, and how long a depth map waits for its image.
         consistency: share of the returns that is held out of each frame to check whether camera
             and LiDAR are still calibrated and in sync (0.05, for example); every 10th frame is then
             predicted a second time. None = no check.
@@ -80,13 +81,13 @@ class PushStream:
             frames then have "implausible_depth" in `Prediction.degraded`. The check runs after the
             frame's result was handed over, and is not part of its latency.
         on_result: called with each `FrameResult` in the stream's thread, instead of iterating.
-        on_error: called there with each InputError or InferenceError of a frame, and with an
-            unexpected error, which ends the stream.
-        on_state: called there with each new `state`.
+        on_error: called in the stream's thread with each InputError or InferenceError of a frame,
+            and with an unexpected error, which ends the stream.
+        on_state: called in the stream's thread with each new `state`.
         watchdog: limits for `state`.
         sensor_clock: returns the present time by the clock of the stamps, for
             `FrameResult.age_ms`.
-        clock: by which the stream waits; for tests.
+        clock: clock by which the stream waits; only tests replace it.
 
     Raises:
         InputError: if an option is out of range.
@@ -151,13 +152,13 @@ class PushStream:
 
         Raises:
             InputError: if the array or the stamp is not valid, or the image has another size than
-                the calibration's; that is counted, too.
+                the calibration's; such a message is counted as an error.
             InferenceError: if the stream was ended by an unexpected error.
         """
         self._push("image", rgb, stamp)
 
     def push_depth(self, sparse_depth: NDArray[np.float32], stamp: Stamp) -> None:
-        """Push a sparse depth map, as `push_image`.
+        """Push a sparse depth map, like `push_image`.
 
         Args:
             sparse_depth: float32 (H, W) of the image's size, metres along the optical axis, 0 = no
@@ -176,7 +177,7 @@ class PushStream:
         stamp: Stamp,
         times: NDArray[np.floating[Any]] | NDArray[np.integer[Any]] | None = None,
     ) -> None:
-        """Push a LiDAR scan, as `push_depth`.
+        """Push a LiDAR scan, like `push_depth`.
 
         Args:
             points: float32 (N, 3) or wider: x, y, z in metres in the LiDAR's frame.
@@ -185,18 +186,18 @@ class PushStream:
                 nanoseconds of its clock. None = unknown, see `Rig.scan_stamp`.
 
         Raises:
-            InputError: as `push_image`, if the rig has no `calibration`, for a scan whose points
-                are none, and if half of the times are more than a second from the stamp.
+            InputError: as `push_image`, and if the rig has no `calibration`, the points cannot be
+                metres, or half of the times are more than a second from the stamp.
             InferenceError: as `push_image`.
         """
         self._push("points", points, stamp, times)
 
     def push_pose(self, pose: NDArray[np.floating[Any]], stamp: Stamp) -> None:
-        """Push where the car is, in rising order of the stamps; needs `Rig.pose_frame`.
+        """Push a pose of the car; stamps must rise, and the rig needs a `pose_frame`.
 
         Args:
             pose: float (4, 4), rigid, from the rig's `pose_frame` to a frame that is fixed over
-                seconds, as that of an odometry [m].
+                seconds, such as an odometry frame [m].
             stamp: see `push_image`.
 
         Raises:
@@ -247,13 +248,15 @@ class PushStream:
     def close(self) -> None:
         """Accept no more messages, answer the accepted ones, and end.
 
-        Messages that wait for a partner are decided with what is there. Returns when its thread has
-        ended; a result that was not fetched yet stays. Returns at once, and the stream ends by
-        itself, where a callback of the stream calls it. May be called again, and from any thread,
-        but not in a signal handler, which may interrupt another method of the stream.
+        Messages that wait for a partner are decided without later messages. The method returns when
+        the stream's thread has ended; a result that was not fetched can still be fetched. If a
+        callback of the stream calls it, it returns at once, and the stream ends by itself. It may
+        be called again, and from any thread, but not in a signal handler, which may interrupt
+        another method of the stream.
 
         Raises:
-            Exception: what a callback raised, or any other unexpected error of its thread; once.
+            Exception: the error of a callback, or any other unexpected error of the stream's
+                thread; it is raised only once.
         """
         self._guard.check()
         with self._changed:
@@ -323,7 +326,7 @@ class PushStream:
         return True
 
     def _idle_ns(self) -> int | None:
-        """How long there will be no work without a change; None = for ever. With the lock held."""
+        """Return how long there is no work unless something changes; None = for ever."""
         now_ns = self._clock.now_ns()
         if self._closed or self._ready is not None:
             return 0

@@ -1,7 +1,7 @@
-"""The answers to a recording, one after another: no threads, no clock, nothing is dropped.
+"""Answers to a recording, one after another, without threads or a clock. No image is dropped.
 
-The messages are matched as `ssdnet-run` matches those of a bag, moved and flagged as by a
-`PushStream`.
+Messages are matched as `ssdnet-run` matches those of a bag. Returns are moved, and answers are
+flagged, as in a `PushStream`.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ from runtime.streams.stream_counter import StreamCounter
 
 _WAITING = 16  # messages of a sensor that wait for their partner, and frames that wait for poses
 
-#: (kind, array, stamp), as the arguments of the `PushStream.push_` method of this kind.
+#: (kind, array, stamp): array and stamp are the arguments of the kind's `PushStream.push_` method.
 ReplayMessage = (
     tuple[Kind, NDArray[Any], Stamp]
     | tuple[Literal["points"], NDArray[Any], Stamp, NDArray[Any] | None]
@@ -41,7 +41,7 @@ def replay(
     on_error: Callable[[SSDNetError], object] | None = None,
     counter: StreamCounter | None = None,
 ) -> Iterator[FrameResult]:
-    """Answer every image of a recording, as a `PushStream` that is never late.
+    """Answer every image of a recording, like a `PushStream` that is never late.
 
     ```python
     def messages():  # in the order of time, read as they are needed
@@ -54,29 +54,30 @@ def replay(
         answer.prediction, answer.skew_ms, answer.depth_age_ms
     ```
 
-    An image waits for its depth until the stamps of the LiDAR are past it, and for poses until they
-    reach it and its scan. Where 16 images wait, the oldest is answered with what is there; so many
-    messages may one sensor be recorded behind the others.
+    An image waits for its depth until the stamps of the LiDAR are later than its own, and for poses
+    until they reach the image and its scan. If more than 16 images wait, the oldest is answered
+    with the messages received so far. One sensor may thus be recorded up to 16 messages later than
+    the others.
 
     Args:
         predictor: a `Predictor`, or a drop-in replacement.
         messages: (kind, array, stamp) of kind "image", "depth", "points" or "pose"; see the method
-            `PushStream.push_image` and so on of that kind.
-        rig: the car's sensors, as of `PushStream`.
-        consistency: share of the returns that is held out.
+            of that kind, such as `PushStream.push_image`.
+        rig: the car's sensors, see `PushStream`.
+        consistency: share of the returns that is held out, see `PushStream`.
         check_depth: whether returns are compared with a prediction from the image alone.
-        on_error: called with the error of each message and frame that has one, which is left out;
-            None = the first one is raised.
+        on_error: called with the error of each invalid message and each failed frame, which are
+            then left out; None = the first error is raised.
         counter: counts the messages, their outcomes and the answers.
 
     Returns:
         An iterator over the answers, in the order of the images' stamps.
 
     Raises:
-        InputError: if an option is out of range; from the iterator, for a message that is none, and
-            without `on_error` for each that `PushStream` refuses, and for depth that does not fit
-            its image.
-        InferenceError: from the iterator without `on_error`, if the provider fails.
+        InputError: if an option is out of range. The iterator raises it for an object that is no
+            message. Without `on_error` it also raises it for a message that `PushStream` refuses,
+            and for depth that does not fit its image.
+        InferenceError: from the iterator, if the provider fails and there is no `on_error`.
     """
     counter = StreamCounter() if counter is None else counter
     answerer = Answerer(predictor, consistency=consistency, check_depth=check_depth)
@@ -88,7 +89,7 @@ def replay(
         on_error(error)
 
     def accepted() -> Iterator[tuple[Sensor, Message]]:
-        """Check the messages and yield those to be matched; poses are taken."""
+        """Check the messages, store the poses, and yield the messages to be matched."""
         for message in messages:
             parts = _parts(message)
             try:
@@ -129,7 +130,7 @@ def replay(
 
 
 def _parts(message: Any) -> tuple[Kind, Any, Any, Any]:
-    """The kind, array, stamp and times of a message; InputError if it is not a message."""
+    """Return the kind, array, stamp and times of a message; InputError if it is no message."""
     if isinstance(message, tuple) and len(message) in (3, 4):
         kind, data, stamp, *times = message
         if isinstance(kind, str) and kind in SENSORS and (not times or kind == "points"):

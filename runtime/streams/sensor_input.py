@@ -1,4 +1,4 @@
-"""What sensors send: its checks, its outcome, the poses of the car, and the time of each scan."""
+"""Messages of sensors: their checks and counts, the poses of the car, and the time of a scan."""
 
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -27,7 +27,7 @@ from runtime.streams.frame import Frame, Message, Outcome, Sensor
 from runtime.streams.matching import Intervals
 from runtime.streams.stream_counter import StreamCounter
 
-_SHORTEST_NS = 10**6  # between depth messages: shorter ones are of integers of another unit
+_SHORTEST_NS = 10**6  # between depth messages; shorter intervals come from integers of another unit
 Kind = Literal["image", "depth", "points", "pose"]
 SENSORS: dict[str, Sensor] = {
     "image": Sensor.IMAGE,
@@ -41,12 +41,12 @@ class SensorInput:
     """Accepts the messages of a car's sensors and counts them. Only `check` is thread-safe.
 
     Args:
-        rig: the car.
+        rig: the car's sensors.
         counter: counts each message.
         lock: held wherever the counter is used; `check` takes it, other callers hold it.
 
     Raises:
-        InputError: if the calibration cannot be read, or poses need one and there is none.
+        InputError: if the calibration cannot be read, or is missing although poses need it.
     """
 
     def __init__(
@@ -72,9 +72,9 @@ class SensorInput:
     def check(
         self, kind: Kind, data: Any, stamp: Stamp, times: Any = None
     ) -> tuple[Sensor, Message]:
-        """Return a copy of what a sensor sends, a scan as `Scan`; `take` counts it.
+        """Return a checked copy of a message, a scan as a `Scan`; `take` counts the message.
 
-        Raises InputError, after counting the message as an error.
+        Raises InputError after it has counted an invalid message as an error.
         """
         sensor, outcome = SENSORS[kind], Outcome.BAD_STAMP
         try:
@@ -112,9 +112,9 @@ class SensorInput:
         return data.copy()
 
     def take(self, sensor: Sensor, message: Message) -> Message | None:
-        """Count a checked message; return what is to be matched, None for a pose.
+        """Count a checked message; return the message to be matched, or None for a pose.
 
-        A scan whose points have no times gets that of its middle.
+        A scan whose points have no times gets the time of its middle.
         """
         if sensor is Sensor.POSE:
             newest_ns = self._poses.newest_ns
@@ -140,12 +140,12 @@ class SensorInput:
         return replace(message, data=scan._replace(times=middle_ns))
 
     def reaches(self, frame: Frame) -> bool:
-        """Whether poses were given up to the end of a frame; for a car without poses, always."""
+        """Return whether poses reach the end of a frame; True if the car has no poses."""
         newest_ns = self._poses.newest_ns
         return self._mount is None or (newest_ns is not None and newest_ns >= _span_ns(frame)[1])
 
     def complete(self, matched: Frame) -> Frame:
-        """The frame with the calibration, and with the poses of the LiDAR over its time."""
+        """Return the frame with the calibration, and with the poses of the LiDAR over its time."""
         poses = None
         if self._mount is not None:
             poses = self._poses.between(*_span_ns(matched)).mounted(self._mount)
@@ -153,7 +153,7 @@ class SensorInput:
 
 
 def _span_ns(frame: Frame) -> tuple[int, int]:
-    """(Earliest, latest) of the times of a frame's image and returns."""
+    """Return the (earliest, latest) time of a frame's image and returns."""
     times = [np.int64(frame.image.stamp_ns)]
     if frame.depth is not None and isinstance(frame.depth.data, Scan):
         of_points = np.asarray(frame.depth.data.times)

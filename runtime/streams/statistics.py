@@ -10,19 +10,19 @@ from typing import Any
 
 from runtime.base.stamp import NS_PER_MS
 
-_GROWTH = math.log1p(1 / 1024)  # of a bucket to the next one
+_GROWTH = math.log1p(1 / 1024)  # log ratio of a bucket to the one before
 _LEAST_MS = 1e-4
 
 
 @dataclass(frozen=True)
 class LatencyStatistics:
-    """How long a stage took over n frames, in milliseconds; no outlier is clipped.
+    """Durations of a stage over n frames, in milliseconds; no outlier is clipped.
 
     Attributes:
         n: frames.
         mean_ms, median_ms, max_ms: over all frames.
-        p90_ms, p99_ms, p99_9_ms: percentiles by nearest rank; None where n is too small for at
-            least one frame to lie beyond (10, 100 and 1000 frames).
+        p90_ms, p99_ms, p99_9_ms: percentiles by nearest rank; None if there are fewer than 10, 100
+            or 1000 frames, so that no frame could lie beyond the percentile.
     """
 
     n: int
@@ -56,7 +56,7 @@ def latency_statistics(durations_ms: Iterable[float]) -> LatencyStatistics | Non
 def statistics_by_rank(
     n: int, sum_ms: float, at_rank: Callable[[int], float]
 ) -> LatencyStatistics | None:
-    """Statistics of n durations, `at_rank(1)` the shortest and `at_rank(n)` the longest [ms]."""
+    """Return statistics of n durations [ms]; `at_rank` returns them from shortest to longest."""
     if n == 0:
         return None
 
@@ -80,7 +80,7 @@ def statistics_by_rank(
 class DurationHistogram:
     """Counts durations [ms] in buckets that grow by 1/1024; nothing is clipped.
 
-    Memory is constant. A percentile is at most 0.1 % too high, and at least 0.1 µs; number, mean
+    Memory is constant. A percentile is at most 0.1 % too high, and never below 0.1 µs. Number, mean
     and maximum are exact.
     """
 
@@ -108,7 +108,7 @@ class DurationHistogram:
 
 
 class MissCounter:
-    """Counts the answers that missed the deadline or have another fault, and their longest run.
+    """Counts answers that missed the deadline or have another fault, and their longest run.
 
     Frames without an answer have no latency: they neither count nor end a run.
 
@@ -137,12 +137,12 @@ class Jitter:
         self._last_ns: int | None = None
 
     def record(self, transit_ns: int) -> float | None:
-        """Return |this - last| [ms], None for the first; transit: time of answer - stamp."""
+        """Return |this - last| [ms], or None at first; `transit_ns` is time of answer - stamp."""
         last_ns, self._last_ns = self._last_ns, transit_ns
         return None if last_ns is None else abs(transit_ns - last_ns) / NS_PER_MS
 
     def reset(self) -> None:
-        """The stamps jumped: the next answer has no jitter."""
+        """Forget the last answer, because the stamps jumped; the next answer has no jitter."""
         self._last_ns = None
 
 
@@ -152,8 +152,8 @@ class StreamStatistics:
 
     Attributes:
         stages: figure of `FIGURES` -> statistics in milliseconds, None without a value.
-        deadline_ms: None = there is none.
-        missed: late answers; None without a deadline.
+        deadline_ms: the deadline; None = there is none.
+        missed: late answers; None if there is no deadline.
     """
 
     stages: dict[str, LatencyStatistics | None]
@@ -173,7 +173,7 @@ class StreamStatistics:
         }
 
     def table(self) -> str:
-        """Return a text table, a line a figure; "n/a" where there is nothing or n is too small."""
+        """Return a text table with a line for each figure; "n/a" if there are too few frames."""
         columns = ("n", "mean", "median", "p90", "p99", "p99.9", "max")
         width = max(len(stage) for stage in (*self.stages, "stage [ms]"))
         lines = ["stage [ms]".ljust(width) + "".join(f"{column:>9}" for column in columns)]

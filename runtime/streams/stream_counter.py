@@ -1,6 +1,6 @@
 """Counts of a stream or a replay: messages by outcome, figures of the answers, faults in a row.
 
-By its faults in a row and its silence a stream is OK, WARN or ERROR.
+The faults in a row and the silence of a stream decide whether its state is OK, WARN or ERROR.
 """
 
 import math
@@ -91,7 +91,7 @@ class WatchdogState:
 
 @dataclass(frozen=True)
 class WatchdogLimits:
-    """Limits for WARN and for ERROR, a pair each; None = never.
+    """Limits as pairs (for WARN, for ERROR); None = never.
 
     Attributes:
         late: results in a row that missed the deadline.
@@ -99,13 +99,13 @@ class WatchdogLimits:
             "depth_reused", or in `FrameResult.health`.
         reused: results in a row with the depth of an older scan.
         failed: frames in a row that were an error or whose prediction is not valid.
-        silence_ms: time since the last result, or else since the first message.
-        camera_silent: the same since the last image [ms].
-        lidar_silent: the same since the last scan or depth map [ms], once there was one. By default
-            it is no error, since the camera alone still answers.
+        silence_ms: time since the last result, or since the first message if there is no result.
+        camera_silent: time since the last image, or since the first message [ms].
+        lidar_silent: time since the last scan or depth map [ms], after the first one. By default
+            this is no error, because images without depth are still answered.
 
     Raises:
-        InputError: if a limit is not such a pair.
+        InputError: if a limit is no such pair.
     """
 
     late: Limits = (1, 5)
@@ -128,7 +128,7 @@ class WatchdogLimits:
                     check_number(f"{expected}: each", limit, 1e-6, math.inf, error=InputError)
 
     def state(self, figures: Mapping[str, float]) -> WatchdogState:
-        """Return the state by the figures of the limits."""
+        """Return the state for these figures: name of a limit -> present value."""
         level, reasons = Level.OK, []
         for name, figure in figures.items():
             warn, error = getattr(self, name)
@@ -147,8 +147,8 @@ class StreamCounter:
     Memory is constant. Not thread-safe. Times are by the clock of a live stream [ns].
 
     Args:
-        deadline_ms: of the stream; None = no limit.
-        limits: for `state`; None = the default ones.
+        deadline_ms: deadline of the stream; None = no limit.
+        limits: limits for `state`; None = the default limits.
     """
 
     def __init__(
@@ -171,7 +171,7 @@ class StreamCounter:
             self._outcomes[sensor][outcome] += 1
 
     def hear(self, sensor: Sensor, now_ns: int) -> None:
-        """A message was accepted; the first one ends the state "n/a"."""
+        """Record that a message was accepted; the first one ends the state "n/a"."""
         self._is_started = True
         self._since_ns.setdefault("silence_ms", now_ns)
         self._since_ns.setdefault("camera_silent", now_ns)
@@ -194,7 +194,7 @@ class StreamCounter:
             self._camera_only += times * (not frame.reused)
 
     def record_answer(self, frame: Frame, result: FrameResult, now_ns: int | None = None) -> None:
-        """A frame was answered. A replay has no clock: it gives no time, and is never silent."""
+        """Record the answer to a frame. A replay passes no time, so it is never silent."""
         self._is_started = True
         self.record_frame(frame, Outcome.ANSWERED)
         for name, histogram in self._histograms.items():
@@ -209,19 +209,19 @@ class StreamCounter:
         self._faults["failed"].record(not result.prediction.valid)
 
     def record_failed(self, frame: Frame, error: BaseException) -> None:
-        """A frame was an error instead of an answer."""
+        """Record a frame that ended with an error instead of an answer."""
         self._is_started = True
         self._faults["failed"].record(True)
         is_input = isinstance(error, SSDNetError) and not isinstance(error, InferenceError)
         self.record_frame(frame, Outcome.INPUT_ERROR if is_input else Outcome.INFERENCE_ERROR)
 
     def record_unread(self, frame: Frame) -> None:
-        """An answer was not fetched: its messages count as dropped instead."""
+        """Count the messages of an answer as dropped, because it was not fetched."""
         self.record_frame(frame, Outcome.ANSWERED, -1)
         self.record_frame(frame, Outcome.UNREAD)
 
     def counts(self) -> StreamCounts:
-        """A copy of the present counts."""
+        """Return a copy of the present counts."""
         both = self._outcomes[Sensor.IMAGE] + self._outcomes[Sensor.DEPTH]
         pushed = self._pushed[Sensor.IMAGE] + self._pushed[Sensor.DEPTH]
         return StreamCounts(
@@ -235,7 +235,7 @@ class StreamCounter:
         )
 
     def statistics(self) -> StreamStatistics:
-        """The statistics of the answers so far."""
+        """Return the statistics of the answers so far."""
         return StreamStatistics(
             stages={name: each.statistics() for name, each in self._histograms.items()},
             deadline_ms=self._deadline_ms,
@@ -243,7 +243,7 @@ class StreamCounter:
         )
 
     def state(self, now_ns: int) -> WatchdogState:
-        """The state at this moment; silence counts in a live stream only."""
+        """Return the present state; silence counts only in a live stream."""
         if not self._is_started:
             return WatchdogState(Level.NOT_YET)
         figures: dict[str, float] = {name: fault.run for name, fault in self._faults.items()}
@@ -252,7 +252,7 @@ class StreamCounter:
         return self._limits.state(figures)
 
     def due_ns(self, now_ns: int) -> int | None:
-        """When silence changes the state next; None = never."""
+        """Return when silence changes the state next; None = never."""
         limits_ns = [
             since_ns + round(limit * NS_PER_MS)
             for name, since_ns in self._since_ns.items()

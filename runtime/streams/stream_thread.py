@@ -1,4 +1,4 @@
-"""The thread of a stream, which ends with the stream, also with one that nobody closes."""
+"""The thread of a stream. It ends with the stream, even if the stream is never closed."""
 
 import threading
 import time
@@ -26,14 +26,14 @@ class MonotonicClock:
 
 @dataclass(frozen=True)
 class StreamWork:
-    """What the thread calls with the stream.
+    """The functions that the thread calls with the stream.
 
     Attributes:
-        step: does what can be done now; returns False at the end of the stream.
-        idle_ns: how long there will be nothing to do without a change; None = for ever. With the
-            lock held.
+        step: does the work that is ready; returns False at the end of the stream.
+        idle_ns: returns how long there will be no work unless something changes; None = for ever.
+            It is called with the lock held.
         fail: ends the stream after an error of `step`.
-        discard: drops all messages and closes the stream. With the lock held.
+        discard: drops all messages and closes the stream. It is called with the lock held.
     """
 
     step: Callable[[Any], bool]
@@ -51,8 +51,8 @@ def start_thread(
 ) -> threading.Thread:
     """Start the thread of a stream, which references the stream only while it works.
 
-    So a stream that nobody else references is collected, which ends the thread. The exit of the
-    interpreter, which must not happen during a prediction, ends it, too.
+    A stream without other references is therefore collected, which ends the thread. The exit of the
+    interpreter also ends the thread, because it must not happen during a prediction.
     """
     reference = weakref.ref(stream)
 
