@@ -14,8 +14,8 @@ def answers(output: NetworkOutput, max_depth_m: float) -> dict[str, Tensor]:
     """Return the answers of a network at full size.
 
     Args:
-        output: of `Network.forward`.
-        max_depth_m: of the network's configuration.
+        output: what `Network.forward` returned.
+        max_depth_m: `max_depth_m` of the network's configuration.
 
     Returns:
         Head -> (N, H, W) in the unit of the head, see `runtime.contract.heads`; the class scores as
@@ -31,7 +31,7 @@ def answers(output: NetworkOutput, max_depth_m: float) -> dict[str, Tensor]:
 
 
 def head_maps(output: NetworkOutput) -> dict[str, Tensor]:
-    """Return head -> its map, (N, C, h, w); C is 1, and for the classes their number."""
+    """Return head -> its map, (N, C, h, w); C is the number of classes, or 1 for other heads."""
     maps = {
         "semantic": output.semantic_logits,
         "boundary": output.boundary_logits,
@@ -59,12 +59,12 @@ def to_unit(head: str, values: Tensor, max_depth_m: float) -> Tensor:
 def class_ids(scores: Tensor) -> Tensor:
     """Return the class ids of scores (N, C, h, w): uint8 (N, h, w).
 
-    NO_CLASS where a score is NaN or Inf: an arg-max would return a class.
+    A pixel with a score of NaN or Inf gets NO_CLASS; an arg-max would return a class there.
     """
-    # NaN and Inf reach the sum; times 0 both are NaN.
+    # NaN and Inf propagate into the sum; both become NaN when multiplied by 0.
     unknown = torch.isnan(scores.sum(dim=1) * 0.0)
     ids = scores.argmax(dim=1).to(torch.uint8)
-    # Not a maximum: ONNX Runtime has none of bytes on CUDA.
+    # Not a maximum: ONNX Runtime has no maximum of bytes on CUDA.
     no_class = torch.tensor(NO_CLASS, dtype=torch.uint8)
     return torch.where(unknown, no_class, ids)
 
@@ -79,7 +79,7 @@ def with_thin_boundary(found: dict[str, Tensor]) -> dict[str, Tensor]:
     if not {"boundary", "semantic"} <= found.keys():
         return found
     ids = found["semantic"][:, None, ::CLASS_STRIDE, ::CLASS_STRIDE].to(torch.float32)
-    # The greatest id around a pixel, and minus the least one.
+    # The greatest id around a pixel, and the negated least id.
     signs = ids.new_tensor([1.0, -1.0]).view(1, 2, 1, 1)
     differences = F.max_pool2d(ids * signs, 3, 1, 1).sum(dim=1, keepdim=True).clamp(0.5, 1.0)
     height, width = found["boundary"].shape[-2:]

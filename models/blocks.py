@@ -35,8 +35,8 @@ class BaConv(nn.Module):
     Gating the input before an ordinary convolution gives the same sum, so an exported graph needs
     no custom operator, only `Mul` and `Conv`.
 
-    Shapes: x (N, C, H, W), boundary (N, 1, H, W) in 0..1, None = 0; returns (N, C', H, W). No
-    bias.
+    Shapes: x (N, C, H, W), boundary (N, 1, H, W) in 0..1, None means 0; returns (N, C', H, W).
+    There is no bias.
     """
 
     def __init__(self, in_channels: int, out_channels: int) -> None:
@@ -82,7 +82,7 @@ def shortcut(in_channels: int, out_channels: int, stride: int) -> nn.Module:
 
 
 def boundary_side(in_channels: int, channels: int) -> nn.Sequential:
-    """Return a side output of a boundary decoder: (N, C, H, W) to the logits (N, 1, H, W)."""
+    """Return a side output of a boundary decoder: features (N, C, H, W) to logits (N, 1, H, W)."""
     return nn.Sequential(ConvBNReLU(in_channels, channels), nn.Conv2d(channels, 1, 1))
 
 
@@ -91,7 +91,7 @@ class GlobalContext(nn.Module):
 
     def __init__(self, channels: int) -> None:
         super().__init__()
-        # No batch normalisation: one value a channel and image is too few to normalise over.
+        # No batch normalisation: one value per channel and image is too few to normalise over.
         self.project = nn.Conv2d(channels, channels, 1)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -112,12 +112,12 @@ def _enlarge(x: Tensor, factor: int) -> Tensor:
 
 
 def repeat(x: Tensor, factor: int) -> Tensor:
-    """Repeat each pixel of (N, C, h, w) ``factor`` times along both sides."""
+    """Repeat each pixel of (N, C, h, w) `factor` times along both sides."""
     return x if factor == 1 else F.interpolate(x, scale_factor=float(factor), mode="nearest")
 
 
 def ramp(x: Tensor, slope: float, offset: float) -> Tensor:
-    """``slope * x + offset`` within 0..1; in an exported graph one operation instead of three."""
+    """`slope * x + offset` limited to 0..1: in an exported graph one operation, not three."""
     if torch.compiler.is_exporting():
         return torch.onnx.ops.symbolic(
             "HardSigmoid", [x], {"alpha": slope, "beta": offset}, dtype=x.dtype, shape=x.shape
@@ -126,15 +126,15 @@ def ramp(x: Tensor, slope: float, offset: float) -> Tensor:
 
 
 def pad_to_multiple(x: Tensor, multiple: int) -> Tensor:
-    """Pad (N, C, H, W) with zeros at the bottom and right to a multiple of ``multiple``."""
+    """Pad (N, C, H, W) with zeros at the bottom and right to a multiple of `multiple`."""
     return F.pad(x, (0, -x.shape[3] % multiple, 0, -x.shape[2] % multiple))
 
 
 def extend_to_multiple(x: Tensor, multiple: int) -> Tensor:
-    """Repeat the last row and column of (N, C, H, W) up to a multiple of ``multiple``.
+    """Repeat the last row and column of (N, C, H, W) up to a multiple of `multiple`.
 
-    For maps that are pooled next: ONNX Runtime fuses zero padding into a pooling, and then refuses
-    a model whose padding is as wide as the window.
+    Use it for maps that are pooled next: ONNX Runtime fuses zero padding into a pooling, and then
+    refuses a model whose padding is as wide as the window.
     """
     return F.pad(x, (0, -x.shape[3] % multiple, 0, -x.shape[2] % multiple), mode="replicate")
 
@@ -142,7 +142,7 @@ def extend_to_multiple(x: Tensor, multiple: int) -> Tensor:
 def adaptive_mean(x: Tensor, cells: int) -> Tensor:
     """Mean over a grid of cells x cells: (N, C, H, W) -> (N, C, cells, cells).
 
-    Adaptive average pooling as two products, which ONNX can express for any H and W.
+    It is adaptive average pooling as two matrix products, which ONNX can express for any H and W.
     """
     rows, columns = (_cell_means(x, x.shape[axis], cells) for axis in (2, 3))
     return rows @ x @ columns.transpose(0, 1)

@@ -35,7 +35,7 @@ class Checkpoint:
 
     @property
     def facts(self) -> TrainingFacts:
-        """What it says about its training.
+        """What the checkpoint says about its training.
 
         Raises:
             CheckpointError: if the height of its images is not a valid one.
@@ -55,11 +55,11 @@ def save_checkpoint(
 ) -> None:
     """Write a checkpoint whole or not at all; an existing file is replaced.
 
-    It holds the name under which the network is registered, its configuration (with classes, depth
-    range and normalisation) and its weights.
+    The file holds the name under which the network is registered, its configuration (with classes,
+    depth range and normalisation) and its weights.
 
     Args:
-        path: file to write; its folder is made.
+        path: file to write; its folder is created.
         model: the network.
         training: training data, terms and the recipe; plain values.
         trainer: state of the training loop; plain values and tensors.
@@ -124,7 +124,7 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
         ) from error
     try:
         config = type(default).from_dict(document["config"])
-        with torch.device("meta"):  # shapes only: a wrong configuration may need any memory
+        with torch.device("meta"):  # shapes only: a wrong configuration may need too much memory
             expected = network(config).state_dict()
     except (ValueError, TypeError, KeyError, RuntimeError) as error:
         raise CheckpointError(
@@ -143,17 +143,17 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
     return Checkpoint(model.eval(), document["training"], document["trainer"])
 
 
-#: What files of earlier releases hold: a name of the Python class -> a registered name of it.
+#: Files of earlier releases hold the name of the Python class -> a registered name of the class.
 _CLASS_NAMES = {entry.network.__name__: name for name, entry in NETWORKS.items()}
 
 
 def _find_class(name: str) -> Entry:
-    """Return the network of a file, by its registered name; ValueError if it is not known."""
+    """Return the network of a file by its registered name; ValueError for an unknown name."""
     return find_network(name if name in NETWORKS else _CLASS_NAMES.get(name, name))
 
 
 def check_weights(weights: Mapping[str, object], expected: Mapping[str, Tensor]) -> None:
-    """Raise ValueError unless the weights fit ``expected``, a network's state on any device.
+    """Raise ValueError unless the weights fit `expected`, a network's state on any device.
 
     Names and shapes must be the same; floating-point values may have any precision, others must
     have the same type.
@@ -187,12 +187,12 @@ def _read_document(path: Path) -> dict[str, Any]:
         document = torch.load(path, map_location="cpu", weights_only=True)
     except CheckpointError:
         raise
-    except pickle.UnpicklingError as error:  # its text says how to run the code
+    except pickle.UnpicklingError as error:  # PyTorch's message explains how to run the code
         raise CheckpointError(
             f"{path}: it contains objects other than tensors and plain values, which could run "
             "code when loaded. Give a file that ssdnet-train wrote."
         ) from error
-    except Exception as error:  # of any type, where an archive or a pickle is damaged
+    except Exception as error:  # a damaged archive or pickle may raise any type
         raise CheckpointError(f"{path}: damaged ({_first_line(error)}). Copy it again.") from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise CheckpointError(
@@ -213,7 +213,7 @@ def _check_archive(path: Path) -> None:
         raise CheckpointError(
             f"{path}: not an ssdnet checkpoint. Give a file that ssdnet-train wrote."
         )
-    if not zipfile.is_zipfile(path):  # its directory comes last
+    if not zipfile.is_zipfile(path):  # the archive's directory comes last
         raise CheckpointError(f"{path}: truncated ({path.stat().st_size} bytes). Copy it again.")
     with zipfile.ZipFile(path) as archive:
         if (name := archive.testzip()) is not None:  # torch.load does not compare checksums

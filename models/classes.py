@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from runtime.contract.contract import ClassInfo
 
 #: CamVid's eleven classes in the split and order of the SegNet papers (Brostow et al. 2009;
-#: Badrinarayanan et al. 2017); colours are RGB. Those of pavement, sign, fence and car are
-#: Cityscapes', since CamVid's look alike over an image.
+#: Badrinarayanan et al. 2017); colours are RGB. The colours of pavement, sign, fence and car are
+#: those of Cityscapes, since CamVid's colours look alike over an image.
 CAMVID_CLASSES: tuple[ClassInfo, ...] = (
     ClassInfo("sky", (128, 128, 128)),
     ClassInfo("building", (128, 0, 0)),
@@ -82,9 +82,9 @@ CATEGORIES: Mapping[str, frozenset[str]] = {
 
 
 def numbered_classes(count: int) -> tuple[ClassInfo, ...]:
-    """Return ``count`` (0..255) classes named ``class_0`` ... in the colours of PASCAL VOC.
+    """Return `count` (0..255) classes named `class_0` ... in the colours of PASCAL VOC.
 
-    For networks whose class names are unknown.
+    They serve networks whose class names are unknown.
     """
     return tuple(ClassInfo(f"class_{index}", _voc_color(index)) for index in range(count))
 

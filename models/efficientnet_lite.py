@@ -1,7 +1,7 @@
 """EfficientNet-Lite0's trunk (Tan and Le 2019; Liu 2020): ReLU6 and no squeeze-excitation.
 
-Made for 8-bit integers. Weights of ImageNet fit it by name, see `training.imagenet_weights`; they
-want RGB normalised by `RGB_MEAN` and `RGB_STD`.
+It was designed for 8-bit integers. Weights trained on ImageNet fit it by name, see
+`training.imagenet_weights`; they need RGB normalised by `RGB_MEAN` and `RGB_STD`.
 """
 
 from collections.abc import Sequence
@@ -21,15 +21,16 @@ _STAGES = (
     ((3, 2, 80), *((3, 1, 80),) * 2, *((5, 1, 112),) * 3),
     ((5, 2, 192), *((5, 1, 192),) * 3, (3, 1, 320)),
 )
-#: Channels of the stem, then those within each block after the first: six times those of its input.
+#: Channels of the stem, then the inner channels of each block after the first: six times the
+#: channels of its input.
 WIDTHS = (32, 96, *[144] * 2, *[240] * 2, *[480] * 3, *[672] * 3, *[1152] * 4)
 
 
 class SameConv(nn.Conv2d):
-    """Convolution without a bias, padded with zeros as TensorFlow's SAME at even sizes.
+    """Convolution without a bias, with the zero padding of TensorFlow's SAME at even sizes.
 
-    With a stride of 2 that is one row and column more at the bottom and right than at the top and
-    left. Constant, so that an exporter makes it part of the convolution.
+    With a stride of 2 this is one row and column more at the bottom and right than at the top and
+    left. The padding is constant, so that an exporter makes it part of the convolution.
     """
 
     def __init__(
@@ -119,7 +120,7 @@ class EfficientNetLite(nn.Module):
         return at_2, self.stride4(at_2)
 
     def late(self, at_4: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the features at strides 8, 16 and 32 of those at stride 4."""
+        """Return the features at strides 8, 16 and 32, computed from those at stride 4."""
         at_8 = self.stride8(at_4)
         at_16 = self.stride16(at_8)
         return at_8, at_16, self.stride32(at_16)

@@ -1,14 +1,14 @@
-"""What installed packages add to the tables of this one, by entry points.
+"""What installed packages add to the tables of this package, by entry points.
 
-A package of one's own names what it adds in its pyproject.toml:
+Your own package names in its pyproject.toml what it adds:
 
 ```toml
 [project.entry-points."ssdnet.networks"]
 my-network = "my_package.network:MY_NETWORK"
 ```
 
-The groups are ``ssdnet.networks`` (a `models.registry.Entry`), ``ssdnet.losses`` (a
-`training.losses.terms.Term`) and ``ssdnet.datasets`` (a subclass of
+The groups are `ssdnet.networks` (a `models.registry.Entry`), `ssdnet.losses` (a
+`training.losses.terms.Term`) and `ssdnet.datasets` (a subclass of
 `training.datasets.source_recipe.SourceRecipe`). They are looked up only for names that the tables
 do not have.
 """
@@ -23,20 +23,20 @@ def find_entry(group: str, name: str, kind: type[T]) -> T | None:
     """Load what an installed package registers under a name.
 
     Args:
-        group: of the entry points, for example "ssdnet.networks".
-        name: of the entry point.
-        kind: the type of what is registered.
+        group: group of the entry points, for example "ssdnet.networks".
+        name: name of the entry point.
+        kind: type that the registered object must have.
 
     Returns:
         The object, or None if no package registers the name.
 
     Raises:
-        ValueError: if it cannot be imported or has another type.
+        ValueError: if the object cannot be imported or has another type.
     """
     for point in entry_points(group=group, name=name):
         try:
             found = point.load()
-        except Exception as error:  # code of another package, which may raise anything
+        except Exception as error:  # code of another package may raise any error
             raise ValueError(f"the entry point {group}: {name} = {point.value}: {error}") from error
         if not isinstance(found, kind):
             raise ValueError(

@@ -16,12 +16,13 @@ from torch.nn import functional as F
 P = ParamSpec("P")
 Operation = Callable[Concatenate[Tensor, P], Tensor]
 
-#: Up to this number of channels the maps are upsampled one by one; from 16 on PyTorch is faster.
+#: Up to this number of channels the maps are upsampled one by one; from 16 channels on PyTorch is
+#: faster.
 _FEW_CHANNELS = 8
 
 
 def fast_on_cpu(fast: Operation[P]) -> Callable[[Operation[P]], Operation[P]]:
-    """Replace an operation by a faster form of equal answers; ``__wrapped__`` is the plain form."""
+    """Replace an operation by a faster form of equal result; `__wrapped__` is the plain form."""
 
     def decorate(plain: Operation[P]) -> Operation[P]:
         @functools.wraps(plain)
@@ -65,11 +66,11 @@ def means_around(x: Tensor, window: int) -> Tensor:
 
 
 def maxima_around(x: Tensor, window: int) -> Tensor:
-    """Maxima of shifted maps, see `cell_means`; each step doubles what they span."""
+    """Maxima of shifted maps, see `cell_means`; each step doubles the window."""
     half = window // 2
     x = F.pad(x, (half, half, half, half), value=float("-inf"))
     for dim in (2, 3):
-        span = 1  # x holds the maximum over so many pixels
+        span = 1  # width of the window whose maximum x holds
         while span < window:
             step = min(span, window - span)
             length = x.shape[dim] - step
@@ -79,7 +80,7 @@ def maxima_around(x: Tensor, window: int) -> Tensor:
 
 
 def gate(x: Tensor, boundary: Tensor) -> Tensor:
-    """The gate expanded over the channels first.
+    """Expand the gate over the channels before the product.
 
     In channels-last order a product with a map of one channel is scalar code in bfloat16, which
     takes four times as long.
@@ -91,7 +92,7 @@ def gate(x: Tensor, boundary: Tensor) -> Tensor:
 
 
 def enlarge(x: Tensor, factor: int) -> Tensor:
-    """Few maps one by one, with a gradient that takes a third to a ninth of PyTorch's time."""
+    """Upsample few maps one by one; the gradient takes a third to a ninth of PyTorch's time."""
     if x.shape[1] <= _FEW_CHANNELS and x.requires_grad:
         enlarged: Tensor = _EnlargeFew.apply(x, factor)
         return enlarged
@@ -125,9 +126,9 @@ def _sum_under_tents(gradient: Tensor, dim: int, factor: int) -> Tensor:
     total = torch.zeros_like(cells.select(dim + 1, 0))
     for place in range(factor):
         part = cells.select(dim + 1, place)
-        offset = (place + 0.5) / factor - 0.5  # from the middle of its cell
+        offset = (place + 0.5) / factor - 0.5  # measured from the middle of the cell
         total.add_(part, alpha=1.0 - abs(offset))
-        # The rest belongs to the neighbour; at the edge, where there is none, to the cell itself.
+        # The rest belongs to the neighbour, or at the edge, which has none, to the cell itself.
         here, there = (0, 1) if offset > 0 else (1, 0)
         edge = count - 1 if offset > 0 else 0
         total.narrow(dim, there, count - 1).add_(

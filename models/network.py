@@ -24,7 +24,7 @@ from runtime.contract.contract import (
 )
 
 #: Stride of the coarsest grid on which classes are decided. Scores of a coarser grid are upsampled
-#: to it, and each decision is repeated to full size. At full size it takes a tenth more time.
+#: to it, and each decision is repeated to full size. Deciding at full size takes a tenth more time.
 CLASS_STRIDE = 2
 #: Limit of the channels of a layer, far beyond any network in use.
 MAX_CHANNELS = 8192
@@ -33,14 +33,14 @@ MAX_CHANNELS = 8192
 class NetworkOutput(NamedTuple):
     """The output of a network; a head that the network lacks is None."""
 
-    #: (N, C, H, W) before the soft-max; on a coarser grid repeated, see CLASS_STRIDE.
+    #: (N, C, H, W) before the soft-max; scores of a coarser grid are repeated, see CLASS_STRIDE.
     semantic_logits: Tensor | None = None
     #: Normalised depth 0..1, times `max_depth_m` gives metres: (N, 1, h_i, w_i), finest first.
     #: The finest has the image's size.
     depths: tuple[Tensor, ...] | None = None
     #: (N, 1, H, W), the logit of P_b.
     boundary_logits: Tensor | None = None
-    #: (N, 1, H, W), normalised as the depth: the scale b of a Laplace distribution of its error,
+    #: (N, 1, H, W), normalised like the depth: the scale b of a Laplace distribution of its error.
     #: 63 % of the errors are below b, 86 % below 2 b.
     depth_uncertainty: Tensor | None = None
     #: Other heads of `runtime.contract.heads` by name, (N, 1, H, W): logits of a probability, or
@@ -62,8 +62,8 @@ class NetworkConfig:
     #: Depth [m] of the normalised output 1.0; returns beyond it are clipped to it.
     max_depth_m: float = 100.0
     #: Focal length [px] of the canonical camera (Yin et al. 2023, Metric3D): the input depth is
-    #: multiplied by this / f and the output depth by f / this, f the focal length fx [px] of the
-    #: image that the network gets. Both are done outside the network. None = plain metres.
+    #: multiplied by this / f and the output depth by f / this, where f is the focal length fx [px]
+    #: of the image that the network gets. Both are done outside the network. None = plain metres.
     canonical_focal_px: float | None = None
     #: Mean and standard deviation of RGB in 0..255, part of the network (ImageNet's values).
     rgb_mean: tuple[float, float, float] = (123.675, 116.28, 103.53)
@@ -123,9 +123,9 @@ class Network(nn.Module):
     """Base of every network.
 
     A network implements `predict_coarse`, and names its heads and strides: as class attributes
-    where they are fixed, else in its ``__init__`` before it calls this one. If it has classes,
-    `semantic_head` is its last convolution, with a bias, which gives their scores: training
-    initialises it again where the classes differ.
+    where they are fixed, else in its `__init__` before it calls `Network.__init__`. If it has
+    classes, `semantic_head` is the last convolution, with a bias, which computes their scores:
+    training initialises it again if the classes differ.
 
     Args:
         config: the settings that the network is built from.
@@ -142,13 +142,13 @@ class Network(nn.Module):
     semantic_stride: int = 1
     #: Ratio of the image to the grid of the finest depth and its uncertainty.
     depth_stride: int = 1
-    #: Ratio of the image to the grid of the boundary. That of another head is ``<head>_stride``, 1
+    #: Ratio of the image to the grid of the boundary. That of another head is `<head>_stride`, 1
     #: where there is no such attribute.
     boundary_stride: int = 1
     #: Layers that the depth alone reads, by the beginnings of their names; training them changes no
     #: other head. () = none: such a network cannot be adapted without labels.
     depth_layers: tuple[str, ...] = ()
-    #: Layers among them that other heads read, too.
+    #: Those of these layers that other heads read, too.
     shared_depth_layers: tuple[str, ...] = ()
     rgb_mean: Tensor
     rgb_std: Tensor
@@ -174,17 +174,17 @@ class Network(nn.Module):
 
         Args:
             rgb: float (N, 3, H, W), RGB in 0..255; H, W >= MIN_SIDE, odd sizes too.
-            sparse_depth: float (N, 1, H, W), metres; 0, negative, NaN, Inf or beyond both 250 m and
-                ``config.max_depth_m`` = no measurement; other returns beyond the latter are clipped
-                to it.
+            sparse_depth: float (N, 1, H, W), metres. A value that is 0, negative, NaN, Inf or
+                beyond both 250 m and `config.max_depth_m` means no measurement; other returns
+                beyond `config.max_depth_m` are clipped to it.
             upsample_semantic: False leaves the semantic logits on their own grid of
-                ceil(H / s) x ceil(W / s), s = ``semantic_stride``.
+                ceil(H / s) x ceil(W / s), s = `semantic_stride`.
 
         Returns:
             Every head at (H, W); the coarser depths on their own grids.
 
         Raises:
-            ValueError: on other shapes.
+            ValueError: for other shapes.
         """
         height, width = _check_shapes(rgb, sparse_depth)
         coarse = self.predict_coarse(rgb, sparse_depth)
@@ -211,11 +211,11 @@ class Network(nn.Module):
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on the heads' own grids.
 
-        These are 1 / ``semantic_stride`` of the image for the semantics, 1 /
-        ``depth_stride`` for the finest depth and its uncertainty and 1 /
-        ``boundary_stride`` for the boundary. Inputs as `forward`. A network that pads the
-        image at the bottom and right to a multiple of its stride gives grids that cover the padding
-        too.
+        These are 1 / `semantic_stride` of the image for the semantics, 1 /
+        `depth_stride` for the finest depth and its uncertainty and 1 /
+        `boundary_stride` for the boundary. The inputs are those of `forward`. A network that pads
+        the image at the bottom and right to a multiple of its stride returns grids that cover the
+        padding, too.
         """
         raise NotImplementedError
 
@@ -230,21 +230,21 @@ class Network(nn.Module):
         All (N, 1, H, W). `sparse_depth` is in metres, see `forward`.
         """
         limit = self.config.max_depth_m
-        valid_mask = (sparse_depth > 0) & (sparse_depth <= farthest_return(limit))  # not for NaN
+        valid_mask = (sparse_depth > 0) & (sparse_depth <= farthest_return(limit))  # false for NaN
         return torch.where(valid_mask, sparse_depth.clamp(max=limit), 0.0) / limit, valid_mask
 
 
 def class_scores(logits: Tensor, stride: int) -> tuple[Tensor, int]:
     """Upsample the class scores to the grid on which classes are decided, and return its stride.
 
-    logits: (N, C, h, w), on a grid of ``stride``. See CLASS_STRIDE.
+    logits: (N, C, h, w), on a grid of `stride`. See CLASS_STRIDE.
     """
     decided = min(stride, CLASS_STRIDE)
     return upsample(logits, factor=stride // decided), decided
 
 
 def present_heads(*, semantic: bool, depth: bool) -> tuple[str, ...]:
-    """Return the names of the heads of a network that always has a boundary."""
+    """Return the names of the heads; a boundary is always among them."""
     present = {"semantic": semantic, "depth": depth, "boundary": True}
     return tuple(head for head, there in present.items() if there)
 
@@ -259,7 +259,7 @@ def check_counts(
 
 
 def initialise(module: nn.Module) -> None:
-    """Set Xavier weights and zero biases, as the paper does; for ``module.apply``."""
+    """Set Xavier weights and zero biases, as the paper does; for `module.apply`."""
     if isinstance(module, nn.Conv2d):
         nn.init.xavier_uniform_(module.weight)
         if module.bias is not None:

@@ -3,7 +3,7 @@
 The inverse depth of a plane is an affine function of the pixel. For each cell of a grid the affine
 function that fits the returns around it best is found: local linear regression (Cleveland 1979)
 over a pyramid of windows (Gortler et al. 1996). The returns of the smallest window have their full
-weight. All returns of a larger window have together the weight of a third of a return, so they
+weight. All returns of a larger window together have the weight of a third of a return, so they
 matter where the smaller window does not determine a value or a slope. Where the scene is a plane,
 the result is that plane, whatever the pattern of the returns.
 
@@ -26,7 +26,7 @@ from torch.nn import functional as F
 from models.blocks import ramp, upsample
 from models.pooling import cell_maxima, cell_means, maxima_around
 
-#: Side of a cell of the planes [pixels], and times that their grid is halved: up to a stride of 32.
+#: Side of a cell of the planes [pixels], and how often their grid is halved: up to a stride of 32.
 CELL, LEVELS = 4, 3
 #: Side of a cell of the base, in pixels.
 BASE_CELL = 2
@@ -41,21 +41,22 @@ FLAT_WEIGHT = 0.002
 #: up to which the slope has its full weight. The weight falls to 0 at a value 1 larger. Larger
 #: values continue slopes farther beyond the returns.
 INSIDE = 2.0
-#: The result lies between the nearest and the farthest return of a window of so many coarsest
-#: cells.
+#: The result lies between the nearest and the farthest return of a window; this is the side of the
+#: window, in cells of the coarsest grid.
 BOUND_WINDOW = 7
-#: The sums are those of 1; r, c, z; rr, cc, rc, zr, zc. r is the distance below a centre, c to the
-#: right of it, z the inverse depth. First the powers of r and c in the sums without z, and in those
-#: with z; then the places of these sums among the nine.
+#: The nine sums are those of 1; r, c, z; rr, cc, rc, zr, zc. r is the distance below a centre, c
+#: the distance to the right of it, and z the inverse depth. _POWERS has the powers of r and c in
+#: the sums without z and in the sums with z; _PLACES has the positions of these sums among the nine.
 _POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1)), ((0, 0), (1, 0), (0, 1))
 _PLACES = (0, 1, 2, 4, 5, 6), (3, 7, 8)
 _SUMS = 9
-#: Against divisions by 0: less than one return in a window, and less than any spread of several.
+#: These avoid divisions by 0: a weight below that of one return in a window, and a spread below
+#: that of any two returns.
 _LEAST_COUNT, _LEAST_SPREAD = 1e-3, 1e-2
 
 
 #: Relative difference of inverse depth up to which a return is on the plane. From twice this
-#: difference on it is on another surface.
+#: difference on, the return is on another surface.
 ON_PLANE = 0.15
 #: Weight of the mean difference of coarser cells, in returns, and the number of coarser grids.
 ANCHOR_WEIGHT, ANCHOR_LEVELS = 0.1, 2
@@ -78,7 +79,7 @@ def fit_base(inverse: Tensor, mask: Tensor, extremes: Tensor) -> Base:
 
     Args:
         inverse: inverse of the normalised depth, at least 1, (N, 1, H, W), 0 where nothing is
-            measured; H and W are multiples of ``CELL * 2**LEVELS``.
+            measured; H and W are multiples of `CELL * 2**LEVELS`.
         mask: 1 where measured, same shape.
         extremes: the greatest inverse depth and the greatest depth in each cell of CELL pixels,
             (N, 2, h, w), 0 where nothing is measured.
@@ -116,7 +117,7 @@ def anchor(plane: Tensor, sums: Tensor) -> Tensor:
 
     Args:
         plane: inverse depth at the cells' centres, (N, 1, h, w).
-        sums: of 1, r, c and z over the returns of each cell, (N, 4, h, w), see `_POWERS`.
+        sums: the sums of 1, r, c and z over the returns of each cell, (N, 4, h, w), see `_POWERS`.
     """
     around = F.pad(plane, (1, 1, 1, 1), mode="replicate")
     there = (_convolve(around, _VALUE_AND_SLOPES) * sums[:, :3]).sum(dim=1, keepdim=True)
@@ -145,7 +146,7 @@ _TENTS = np.einsum("ab,i,j->abij", np.eye(2), _SIDE, _SIDE / 4).astype(np.float3
 
 
 def _of_one_return(sums: Tensor) -> Tensor:
-    """Give all returns of a window together the weight of one; sums: (N, 9, h, w)."""
+    """Give all returns of a window together the weight of one return; sums: (N, 9, h, w)."""
     return sums / sums[:, :1].clamp(min=_LEAST_COUNT)
 
 
@@ -160,9 +161,9 @@ def _inside(sums: Tensor) -> Tensor:
 
 
 def _about_centroid(sums: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the means of r, c and z; the sums of rr, cc, rc, zr and zc about them; the change.
+    """Return the means of r, c and z; the sums of rr, cc, rc, zr, zc about them; the change.
 
-    One product computes several channels: fewer and larger operations.
+    One product computes several channels, so that there are fewer and larger operations.
     """
     count, first, second = sums.split([1, 3, 5], dim=1)
     mean = first / count.clamp(min=_LEAST_COUNT)
@@ -178,7 +179,7 @@ def _solve(sums: Tensor, inside: Tensor) -> Tensor:
     mean, about, _ = _about_centroid(sums)
     flat = (FLAT_WEIGHT, FLAT_WEIGHT, 0.0, 0.0, 0.0)
     about = about + about.new_tensor(flat).view(1, len(flat), 1, 1)
-    # Cramer's rule, of rr, cc, rc, zr and zc.
+    # Cramer's rule for the sums of rr, cc, rc, zr and zc.
     products = _take(about, (1, 2, 0, 2, 0, 2)) * _take(about, (3, 4, 4, 3, 1, 2))
     numerators, determinant = _convolve(products, _PAIRS).split([2, 1], dim=1)
     slopes = numerators * (inside / determinant)
@@ -205,7 +206,7 @@ def _bound(plane: Tensor, extremes: Tensor) -> Tensor:
 
 
 def _sums_around(sums: Tensor, window: int) -> Tensor:
-    """Sum the cells around each, weighted by a tent of half the width ``window``."""
+    """Sum the cells around each, weighted by a tent of half the width `window`."""
     return _convolve(sums, _window_kernel(window), padding=window - 1)
 
 
@@ -240,7 +241,7 @@ def _cell_kernel(side: int) -> NDArray[np.float32]:
 
 @cache
 def _coarser_kernel() -> NDArray[np.float32]:
-    """Kernel (9, 9, 2, 2): the sums of four cells to those of the cell that they make up."""
+    """Kernel (9, 9, 2, 2): the sums of four cells to the sums of the cell that they make up."""
     kernel = np.zeros((_SUMS, _SUMS, 2, 2), np.float32)
     for row, column in np.ndindex(2, 2):
         kernel[:, :, row, column] = _moved((row - 0.5) / 2, (column - 0.5) / 2, scale=0.5)
@@ -252,7 +253,7 @@ def _finer_kernel() -> NDArray[np.float32]:
     """Kernel (9, 9, 4, 4) of a transposed convolution: the sums of a cell to the finer ones."""
     kernel = np.zeros((_SUMS, _SUMS, 4, 4), np.float32)
     for row, column in np.ndindex(4, 4):
-        down, right = 1.5 - row, 1.5 - column  # of the cell's centre from the finer one's
+        down, right = 1.5 - row, 1.5 - column  # from the finer cell's centre to the cell's
         weight = LARGER_WINDOW_WEIGHT * (1 - abs(down) / 2) * (1 - abs(right) / 2)
         kernel[:, :, row, column] = weight * _moved(down, right, scale=2.0).T
     return kernel
@@ -260,7 +261,7 @@ def _finer_kernel() -> NDArray[np.float32]:
 
 @cache
 def _window_kernel(window: int) -> NDArray[np.float32]:
-    """Kernel (9, 9, 2 w - 1, 2 w - 1): the weighted sums around the centre cell, w the window."""
+    """Kernel (9, 9, 2 w - 1, 2 w - 1): the weighted sums around the centre cell of a window w."""
     side = 2 * window - 1
     kernel = np.zeros((_SUMS, _SUMS, side, side), np.float32)
     for row, column in np.ndindex(side, side):
@@ -273,7 +274,7 @@ def _window_kernel(window: int) -> NDArray[np.float32]:
 def _moved(down: float, right: float, *, scale: float = 1.0) -> NDArray[Any]:
     """Return the matrix (9, 9) from sums around one centre to sums around another.
 
-    A position p relative to the old centre is ``scale * p + (down, right)`` relative to the new
+    A position p relative to the old centre is `scale * p + (down, right)` relative to the new
     one; its powers follow from the binomial theorem.
     """
     matrix = np.zeros((_SUMS, _SUMS))

@@ -8,19 +8,19 @@ from torch.nn import functional as F
 from models import fast_cpu
 from models.fast_cpu import fast_on_cpu
 
-#: Kernel (24, 1, 5, 5): each pixel around the centre.
+#: Kernel (24, 1, 5, 5) that selects each pixel around the centre.
 _SHIFTS = np.delete(np.eye(25, dtype=np.float32), 12, axis=0).reshape(24, 1, 5, 5)
 
 
 @fast_on_cpu(fast_cpu.cell_means)
 def cell_means(x: Tensor, side: int) -> Tensor:
-    """Mean over each square cell of the side, a power of two."""
+    """Mean over each square cell; its side is a power of two."""
     return F.avg_pool2d(x, side)
 
 
 @fast_on_cpu(fast_cpu.cell_maxima)
 def cell_maxima(x: Tensor, side: int) -> Tensor:
-    """Maximum over each square cell of the side, a power of two."""
+    """Maximum over each square cell; its side is a power of two."""
     return F.max_pool2d(x, side)
 
 
@@ -34,7 +34,7 @@ def means_around(x: Tensor, window: int) -> Tensor:
 def maxima_around(x: Tensor, window: int) -> Tensor:
     """Maximum over the square window around each pixel.
 
-    First over columns, then over rows, which is faster from 5 pixels on.
+    It is taken over columns first and then over rows, which is faster from 5 pixels on.
     """
     half = window // 2
     if window == 3:
@@ -44,9 +44,9 @@ def maxima_around(x: Tensor, window: int) -> Tensor:
 
 
 def maxima_beside(x: Tensor) -> Tensor:
-    """Maximum over the 24 pixels around each, without itself, 0 beyond: (N, 1, H, W) -> same.
+    """Maximum over the 24 pixels around each pixel, 0 beyond the map: (N, 1, H, W) -> same.
 
-    One shift a channel: in an exported graph two operations.
+    Each shift is a channel, which makes two operations in an exported graph.
     """
     shifts = torch.from_numpy(_SHIFTS).to(x)
     return F.conv2d(x, shifts, padding=2).amax(dim=1, keepdim=True)

@@ -31,7 +31,7 @@ class Entry(NamedTuple):
     config: NetworkConfig
 
 
-#: Name -> network; a new network is a line here, or an entry point of another package.
+#: Name -> network. A new network needs a line here, or an entry point of another package.
 NETWORKS: dict[str, Entry] = {
     **{config.name: Entry(SSDNet, config) for config in SSDNETS},
     "ssdnet-lite": Entry(SSDNetLite, SSDNetLiteConfig()),
@@ -96,8 +96,8 @@ def create_model(name: str, **changes: Any) -> Network:
 
     Args:
         name: one of `list_models`.
-        **changes: fields of the network's configuration, for example a tuple ``classes``,
-            ``max_depth_m``, or ``boundary_gating=False`` of `SSDNetConfig`.
+        **changes: fields of the network's configuration, for example a tuple `classes`,
+            `max_depth_m`, or `boundary_gating=False` of `SSDNetConfig`.
 
     Returns:
         The network in training mode, on the CPU.

@@ -10,7 +10,7 @@
 `docs/network.png` shows these grids (`benchmarks/network_figure.py` draws it from the modules).
 
 The order of execution: `surfaces.find_candidates` with `planes.fit_base`, the encoder, the boundary
-decoder, which gates both task decoders, and the heads; the depth's is
+decoder, which gates both task decoders, and the heads; the head of the depth is
 `surface_depth.SurfaceDepthHead`. `ssdnet-nano` has no features at stride 2 except the encoder's.
 """
 
@@ -34,7 +34,7 @@ from models.planes import CELL
 from models.surface_depth import SurfaceDepthHead
 from models.surfaces import find_candidates
 
-#: Depth [m] that the network predicts at most where no return shows it; the sky's.
+#: Largest depth [m] that the network predicts without a return, which is also the depth of the sky.
 FARTHEST_GUESS_M = 100.0
 _LITE_WIDTHS = (32, 48, 80, 80, 160, 160, *[320] * 3, *[480] * 3, *[896] * 3, 640)
 #: Strides of the skips, and of the bottom.
@@ -58,7 +58,7 @@ class SSDNetLiteConfig(NetworkConfig):
     encoder_widths: tuple[int, ...] = _LITE_WIDTHS
     #: Channels of the decoders at strides 16, 8 and 4.
     decoder_channels: tuple[int, ...] = (64, 48, 32)
-    #: Channels at stride 2 of the classes and of the depth; 0 = none, the prediction is made at
+    #: Channels at stride 2 of the classes and of the depth; 0 = none: the prediction is made at
     #: stride 4. Poles and signs are thinner than a cell of the coarser grid.
     semantic_refine_channels: int = 16
     depth_refine_channels: int = 16
@@ -105,7 +105,7 @@ class SSDNetLite(Network):
 
     config: SSDNetLiteConfig
     stride = _BOTTOM
-    shared_depth_layers = ("surface_depth.embed",)  # the encoder reads what they give
+    shared_depth_layers = ("surface_depth.embed",)  # the encoder reads their output
 
     def __init__(self, config: SSDNetLiteConfig) -> None:
         heads = present_heads(semantic=config.semantic_head, depth=config.depth_head)

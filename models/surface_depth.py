@@ -1,4 +1,4 @@
-"""The depth head: what decides among the candidates of `models.surfaces`.
+"""The depth head, which decides among the candidates of `models.surfaces`.
 
 Close to returns the depth is the mean of two choices. One is the base, which passes through the
 returns; it departs to the nearest or the farthest surface where the geometry of the returns, the
@@ -66,13 +66,13 @@ class SurfaceDepthHead(nn.Module):
     """Depth at the image's size, and the scale of its error, from candidates and features.
 
     Args:
-        channels: of the decoders' features, at stride 4.
-        at_2_channels: of the encoder's features at stride 2.
-        at_4_channels: of those at stride 4.
-        refine_channels: at stride 2, where the choice is made; 0 = at stride 4.
-        geometry_channels: of the convolutions that decide close to returns.
+        channels: channels of the decoders' features, at stride 4.
+        at_2_channels: channels of the encoder's features at stride 2.
+        at_4_channels: channels of the encoder's features at stride 4.
+        refine_channels: channels at stride 2, where the choice is made; 0 = it is made at stride 4.
+        geometry_channels: channels of the convolutions that decide close to returns.
         semantics: whether there are features of the semantic decoder.
-        max_depth_m: depth of 1.0.
+        max_depth_m: depth [m] of the normalised depth 1.0.
         farthest_guess: the farthest normalised depth without a return.
     """
 
@@ -93,7 +93,7 @@ class SurfaceDepthHead(nn.Module):
         self.embed = nn.Conv2d(FEATURE_CHANNELS, at_4_channels, 1)
         self.guess = nn.Conv2d(channels, 1, 1)
         self.project = nn.Conv2d(FEATURE_CHANNELS, channels, 1)
-        # Classes imply surfaces without returns: a car has a roof and windows.
+        # Classes imply surfaces that have no returns: a car has a roof and windows.
         self.semantics = nn.Conv2d(channels, channels, 1) if semantics else None
         self.refinement = None
         if refine_channels:
@@ -101,7 +101,7 @@ class SurfaceDepthHead(nn.Module):
             self.coarse_head = nn.Conv2d(channels, HEAD_CHANNELS, 1)
         self.head = nn.Conv2d(refine_channels or channels, HEAD_CHANNELS, 1)
         self.cell = CELL // 2 if refine_channels else CELL
-        # Not the class scores: fine-tuning for other classes must not change the depth.
+        # The class scores are not read: fine-tuning for other classes must not change the depth.
         self.classes = nn.Conv2d(channels, _CLASS_CHANNELS, 1) if semantics else None
         self.geometry = nn.Sequential(
             ConvBNReLU(_RATIO_CHANNELS + (_CLASS_CHANNELS if semantics else 0), geometry_channels),
@@ -167,8 +167,8 @@ class SurfaceDepthHead(nn.Module):
         inverse, scale, boundary_logits = maps.split(1, dim=1)
         beside = candidates.beside
         if self.training:
-            # At random the share is 0, as it is, or doubled: neither choice learns to compensate
-            # for the other.
+            # At random the share is set to 0, kept, or doubled, so that neither choice learns to
+            # compensate for the other.
             beside = beside._replace(share=beside.share * torch.randint(3, ()).to(beside.share))
         inverse, scale = join_base(inverse, scale, geometry, candidates.base.base, beside)
         maps = upsample(torch.cat([inverse, scale, boundary_logits], dim=1), factor=BASE_CELL)
@@ -220,7 +220,7 @@ def choose_surface(
 
     Each candidate replaces what was chosen before, weighted by the confidence in it: the plane the
     guess, then the farthest surface, then the nearest. The result is corrected. No depth is beyond
-    ``reach``, the limit of the guess, unless the farthest surface is.
+    `reach`, the limit of the guess, unless the farthest surface is.
 
     Returns:
         The normalised depth, (N, 1, h, w), NEAREST..1, and the scale of its error's Laplace
@@ -241,7 +241,8 @@ def choose_surface(
 def correct(depth: Tensor, surfaces: Surfaces, logits: Tensor) -> Tensor:
     """Scale the depth; close to returns by no more than the two surfaces differ.
 
-    Where they agree the depth stays as it is; without returns the limit is MAX_LOG_CORRECTION.
+    Where the surfaces agree the depth stays as it is. Where there are no returns the limit is
+    MAX_LOG_CORRECTION.
     """
     disagreement = surfaces.farthest / surfaces.nearest
     room = torch.log(disagreement).clamp(0.0, MAX_LOG_CORRECTION)
@@ -265,16 +266,16 @@ def confidence(logits: Tensor) -> Tensor:
 def replace(
     depth: Tensor, spread: Tensor | float, step: Tensor, weight: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Replace a share ``weight`` (0..1) of the depth by a candidate that is ``step`` farther.
+    """Replace a share `weight` (0..1) of the depth by a candidate that is `step` farther.
 
-    The spread is half the mean distance of the candidates from the depth: w (1 - w) |step| of two
-    candidates, and an upper bound of it of more.
+    The spread is half the mean distance of the candidates from the depth. For two candidates it is
+    w (1 - w) |step|; for more candidates the sum of these terms is an upper bound.
     """
     taken = weight * step
     return depth + taken, (1.0 - weight) * (spread + taken.abs())
 
 
-#: Position up to which the answer is the base; beyond, the position is reduced by it.
+#: Position up to which the answer is the base. A position beyond it is reduced by this value.
 DEAD_ZONE = 0.1
 
 
@@ -290,15 +291,15 @@ def join_base(
     """Average the chosen depth with the base, which departs to a surface where there are two.
 
     Args:
-        inverse: of the chosen normalised depth, (N, 1, H, W), on the grid of BASE_CELL.
-        scale: of its error, same shape.
+        inverse: inverse of the chosen normalised depth, (N, 1, H, W), on the grid of BASE_CELL.
+        scale: scale of its error, same shape.
         geometry: position, -1 = nearest surface, 1 = farthest, and scale of the error, before their
             activations, (N, 2, h, w), on the grid of CELL.
-        base: inverse depth, shape of ``inverse``.
-        beside: on the grid of CELL.
+        base: inverse depth of the base, shape of `inverse`.
+        beside: what decides the depth close to returns, on the grid of CELL.
 
     Returns:
-        Inverse depth and the scale of its error, both of the shape of ``inverse``.
+        Inverse depth and the scale of its error, both of the shape of `inverse`.
     """
     place, log_scale = geometry.split(1, dim=1)
     place = position(place)
@@ -311,11 +312,11 @@ def join_base(
 
 
 #: Difference of inverse depths [1/m] up to which a LiDAR beside the camera hardly sees past the
-#: nearer one: 1.3 pixels of parallax for 1 m between both, at 721.5 pixels of focal length. From
-#: twice as much on it does.
+#: nearer surface: 1.3 pixels of parallax for 1 m between the sensors, at 721.5 pixels of focal
+#: length. From twice this difference on, the LiDAR sees past it.
 PARALLAX = 1.8e-3
-#: Relative difference of depths two pixels apart on one slanted surface. From twice as much on they
-#: are two surfaces.
+#: Relative difference of depths two pixels apart on one slanted surface. From twice this difference
+#: on they belong to two surfaces.
 SLOPE = 0.03
 #: Largest share by which a return beside a pixel reduces the error's scale, which stays positive.
 #: Not tuned.
@@ -334,11 +335,11 @@ def take_returns(
     the return is farther by more than a slope explains.
 
     Args:
-        depth: predicted, normalised by ``max_depth_m``, (N, 1, H, W).
-        scale: of its error, same shape.
-        returns: around each pixel.
+        depth: predicted depth, normalised by `max_depth_m`, (N, 1, H, W).
+        scale: scale of its error, same shape.
+        returns: returns around each pixel.
         confidence: sigmoids of `HeadChannels.returns`, (N, 3, H, W).
-        max_depth_m: depth of 1.0.
+        max_depth_m: depth [m] of the normalised depth 1.0.
 
     Returns:
         The depth; and the scale, reduced beside a return, plus the spread of the two depths.
@@ -349,7 +350,7 @@ def take_returns(
     step = measured - depth
     parallax = (inverse - returns.inverse).abs()
     aligned = ramp(parallax, -1.0 / (max_depth_m * PARALLAX), 2.0)
-    # From a relative difference of SLOPE on, in full from twice as much.
+    # It begins at a relative difference of SLOPE and is complete at twice SLOPE.
     beyond = ramp(measured * inverse, 1.0 / SLOPE, -1.0 / SLOPE - 1.0)
     weight = torch.where(step < 0, before, behind)
     weight = torch.maximum(weight, aligned * torch.maximum(returns.here, beyond)) * returns.near
@@ -365,5 +366,5 @@ def _relative_scale(logits: Tensor) -> Tensor:
 
 
 def _with_gradient_of(free: Tensor, limited: Tensor) -> Tensor:
-    """Return the value of ``limited`` with the gradient of ``free``."""
+    """Return the value of `limited` with the gradient of `free`."""
     return free + (limited - free).detach()

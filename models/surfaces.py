@@ -2,8 +2,8 @@
 
 Each cell of a grid has the nearest and the farthest surface around it and the plane between the
 returns, because the mean of 5 m and 80 m is the depth of no surface. The base (`models.planes`)
-passes through the returns on a finer grid. At the image's size the returns are dilated. What
-decides among the candidates is in `models.surface_depth`. Near and far surfaces kept apart resemble
+passes through the returns on a finer grid. At the image's size the returns are dilated.
+`models.surface_depth` decides among the candidates. Keeping near and far surfaces apart resembles
 twin surface extrapolation (Imran et al. 2021).
 """
 
@@ -25,10 +25,10 @@ NEAREST = 1e-3
 class Measured(NamedTuple):
     """The measured depth at the image's size, all (N, 1, H, W), each 0 where nothing is measured.
 
-    Height and width are multiples of ``planes.CELL * 2**planes.LEVELS``.
+    Height and width are multiples of `planes.CELL * 2**planes.LEVELS`.
     """
 
-    #: Normalised.
+    #: Normalised depth.
     depth: Tensor
     #: 1 where measured.
     mask: Tensor
@@ -37,13 +37,13 @@ class Measured(NamedTuple):
 
 
 class Surfaces(NamedTuple):
-    """Candidates on a grid, and where there are any, each (N, 1, h, w)."""
+    """Candidates on a grid, and the cells that have any, each (N, 1, h, w)."""
 
     #: Normalised depth, NEAREST..1, of the nearest and the farthest surface; undefined where
-    #: ``support`` is 0.
+    #: `support` is 0.
     nearest: Tensor
     farthest: Tensor
-    #: Inverse of the normalised depth, 1..1/NEAREST; undefined where ``reached`` is 0.
+    #: Inverse of the normalised depth, 1..1/NEAREST; undefined where `reached` is 0.
     plane: Tensor
     #: 1 where a return is within reach of WINDOWS, and within reach of the plane's windows; between
     #: 0 and 1 after upsampling.
@@ -75,15 +75,15 @@ class Candidates(NamedTuple):
 
 
 def find_candidates(depth: Tensor, mask: Tensor, *, max_depth_m: float) -> Candidates:
-    """Return the candidates of a frame; arguments as `measure`."""
+    """Return the candidates of a frame; the arguments are those of `measure`."""
     measured = measure(depth, mask, max_depth_m=max_depth_m)
     surfaces, base, count = propagate_surfaces(measured)
     features, limit = surface_features(surfaces, count), limit_guess(surfaces, count)
     return Candidates(measured, surfaces, base, look_beside(surfaces, base), features, limit)
 
 
-#: A return without confirmation, see `measure`: it is within this depth [m], at least so many of
-#: the cells around have returns, and all of these are more than so many times as far.
+#: A return is isolated if it is within ISOLATED_M [m], at least ISOLATED_CELLS of the cells around
+#: have returns, and all of these are more than ISOLATED_RATIO times as far, see `measure`.
 ISOLATED_M, ISOLATED_CELLS, ISOLATED_RATIO = 10.0, 8, 3.0
 
 
@@ -96,7 +96,7 @@ def measure(depth: Tensor, mask: Tensor, *, max_depth_m: float) -> Measured:
     et al. 2018 on the image's grid: the farther an object, the smaller it may be.
 
     Args:
-        depth: normalised by ``max_depth_m``, (N, 1, H, W), see `Measured`.
+        depth: normalised by `max_depth_m`, (N, 1, H, W), see `Measured`.
         mask: 1 where measured, same shape.
         max_depth_m: depth of 1.0.
     """
@@ -163,8 +163,8 @@ def surface_features(surfaces: Surfaces, count: Tensor) -> Tensor:
     return torch.cat([steps, surfaces.support, surfaces.reached, density], dim=1)
 
 
-#: A cell is within the LiDAR's field of view if there is a return up to so many cells above it, and
-#: up to so many to each side. Larger values limit the guess in the sky above the scan, too.
+#: A cell is within the LiDAR's field of view if there is a return up to this number of cells above
+#: it and to each side. Larger values limit the guess in the sky above the scan, too.
 LOOKED_ABOVE, LOOKED_BESIDE = 10, 2
 
 
@@ -172,7 +172,7 @@ def limit_guess(surfaces: Surfaces, count: Tensor) -> Tensor:
     """Return the greatest depth that the guess from the image may have: the farthest surface's.
 
     A surface without returns, such as a black car or a window, hides the surfaces behind it. Above
-    the LiDAR's field of view there is no limit. Shapes as `surface_features`.
+    the LiDAR's field of view there is no limit. The shapes are those of `surface_features`.
     """
     window = (LOOKED_ABOVE + 1, 2 * LOOKED_BESIDE + 1)
     padded = F.pad(count, (LOOKED_BESIDE, LOOKED_BESIDE, LOOKED_ABOVE, 0))
@@ -180,8 +180,8 @@ def limit_guess(surfaces: Surfaces, count: Tensor) -> Tensor:
     return 1.0 - looked * (1.0 - surfaces.farthest)
 
 
-#: Log ratio of a surface to the base up to which they are one surface; from twice as much on they
-#: are two.
+#: Log ratio of a surface to the base up to which they are one surface. From twice this ratio on
+#: they are two surfaces.
 APART = 0.08
 #: Greatest log ratio of a surface to the base.
 MOST_APART = 2.5
@@ -213,8 +213,8 @@ RETURN_REACH = 2
 class Returns(NamedTuple):
     """The returns around each pixel, all (N, 1, H, W)."""
 
-    #: Inverse of the normalised depth of the closest return; of several returns at the same
-    #: distance, of the nearest to the camera. 1 where ``near`` is 0.
+    #: Inverse of the normalised depth of the closest return. Of several returns at the same
+    #: distance the nearest to the camera is used. 1 where `near` is 0.
     inverse: Tensor
     #: 1 where a return is within RETURN_REACH.
     near: Tensor

@@ -9,7 +9,7 @@ from runtime.contract.contract import ClassInfo, check_side
 
 @dataclass(frozen=True)
 class TrainingFacts:
-    """What a file says about the training of its weights, there as plain values.
+    """What a file says about the training of its weights; the file holds it as plain values.
 
     Attributes:
         data: titles of the data sets that the weights were trained on.

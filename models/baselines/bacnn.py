@@ -1,9 +1,10 @@
 """BaCNN: semantics and boundaries from RGB alone.
 
 Paper: Zou, He, Wang, Bi, Shang, "Boundary-Aware CNN for Semantic Segmentation", IEEE Access 2019:
-FCN8s whose first convolution of each block is boundary-aware, behind a boundary network. The paper
-leaves open how the boundary gets to the coarser blocks: here by max-pooling, so that none is lost.
-The boundary network has a side output on each block and fuses them, as Xie and Tu's (2015).
+a boundary network, then an FCN8s whose first convolution of each block is boundary-aware. The paper
+does not say how the boundary gets to the coarser blocks. Here it is max-pooled, so that no boundary
+is lost.
+Like that of Xie and Tu (2015), the boundary network has a side output on each block and fuses them.
 """
 
 import torch
@@ -41,7 +42,7 @@ class BaCNN(FCN8s):
 
 
 class BoundaryNetwork(nn.Module):
-    """VGG16 with one logit a pixel from each block, fused at full size."""
+    """VGG16 with one logit per pixel from each block, fused at full size."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -1,8 +1,8 @@
 """DDRNet-23-slim: semantic segmentation from RGB alone.
 
 Paper: Hong, Pan, Sun, Jia, "Deep Dual-resolution Networks for Real-time and Accurate Semantic
-Segmentation of Road Scenes", 2021, Table 1 and Figure 4. Without the extra head on the fine branch
-that its training adds.
+Segmentation of Road Scenes", 2021, Table 1 and Figure 4. The extra head on the fine branch, which
+the authors add for training, is left out.
 """
 
 import torch
@@ -20,9 +20,9 @@ _HEAD = 64
 
 
 class DDRNet23Slim(Network):
-    """A branch that stays at an eighth of the image, one that goes down, and bridges between.
+    """A branch at an eighth of the image, a branch on coarser grids, and bridges between them.
 
-    The stages end without ReLU, which each reader of their features applies.
+    The stages end without ReLU; the layers that read their features apply it.
     """
 
     heads = ("semantic",)

@@ -2,7 +2,7 @@
 
 Paper: Chen, Papandreou, Kokkinos, Murphy, Yuille, "Semantic Image Segmentation with Deep
 Convolutional Nets and Fully Connected CRFs", ICLR 2015, section 4.2, in its form with 1024 channels
-and a rate of 12. Without the CRF, which smooths the answers of the network afterwards.
+and a rate of 12. The CRF, which smooths the answers of the network afterwards, is left out.
 """
 
 from torch import Tensor, nn
@@ -15,7 +15,7 @@ _WIDE = 1024
 _RATE = 12
 #: Stride of the pooling after each block of VGG16.
 _POOL_STRIDES = (2, 2, 2, 1, 1)
-#: Dilation of each block: the last sees as far as if the pooling before it had a stride.
+#: Dilation of each block: the last block sees as far as if the pooling before it had a stride.
 _DILATIONS = (1, 1, 1, 1, 2)
 
 

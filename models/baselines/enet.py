@@ -3,9 +3,9 @@
 Paper: Paszke, Chaurasia, Kim, Culurciello, "ENet: A Deep Neural Network Architecture for Real-Time
 Semantic Segmentation", 2016, Table 1 and Figure 2.
 
-What they leave open is as in the implementations of 0.35M parameters: a bottleneck works on a
-quarter of its input's channels, and those that go up on transposed convolutions of 2x2. The
-authors' code has a quarter of the output's, and 3x3.
+What the paper leaves open follows the implementations with 0.35M parameters: a bottleneck works on
+a quarter of its input's channels, and upsampling bottlenecks use transposed convolutions of 2x2.
+The authors' code uses a quarter of the output's channels, and 3x3.
 """
 
 from collections.abc import Sequence
@@ -20,12 +20,12 @@ from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 #: A bottleneck works on this share of the channels.
 _SHARE = 4
-#: Kernel and dilation of the bottlenecks of stage 2, and of stage 3 once more; 5 is 5x1 and 1x5.
+#: Kernel and dilation of the bottlenecks of stage 2, repeated in stage 3; 5 means 5x1 and 1x5.
 _CONTEXT = ((3, 1), (3, 2), (5, 1), (3, 4), (3, 1), (3, 8), (5, 1), (3, 16))
 
 
 class ENet(Network):
-    """Bottlenecks down to an eighth of the image, and by max-unpooling up again."""
+    """Bottlenecks that go down to an eighth of the image, and up again by max-unpooling."""
 
     heads = ("semantic",)
     stride = 8
@@ -78,7 +78,7 @@ class InitialBlock(nn.Module):
 
 
 class Bottleneck(nn.Module):
-    """1x1, a convolution that looks around, 1x1, added to the input: (N, C, H, W) -> same."""
+    """1x1, a wider convolution, 1x1, added to the input: (N, C, H, W) -> same."""
 
     def __init__(
         self,
@@ -103,13 +103,13 @@ class Bottleneck(nn.Module):
         self.activation = _activation(channels, decodes)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Add what the layers find."""
+        """Return the input plus the output of the layers."""
         out: Tensor = self.activation(x + self.layers(x))
         return out
 
 
 class DownBottleneck(nn.Module):
-    """To half the size: the bottleneck's first convolution has a stride, its input is pooled."""
+    """Halve the size: the bottleneck's first convolution has a stride, and its input is pooled."""
 
     def __init__(self, in_channels: int, out_channels: int, *, dropout: float) -> None:
         super().__init__()
@@ -121,13 +121,13 @@ class DownBottleneck(nn.Module):
         self.activation = nn.PReLU(out_channels)
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """(N, C, H, W) -> (N, C', H / 2, W / 2), and where the pooled values were."""
+        """(N, C, H, W) -> (N, C', H / 2, W / 2), and the positions of the pooled values."""
         pooled = F.pad(F.max_pool2d(x, 2), (0, 0, 0, 0, 0, self.more_channels))
         return self.activation(pooled + self.layers(x)), max_mask(x)
 
 
 class UpBottleneck(nn.Module):
-    """To twice the size: a transposed convolution, added to the input unpooled."""
+    """Double the size: a transposed convolution, added to the unpooled input."""
 
     def __init__(self, in_channels: int, out_channels: int) -> None:
         super().__init__()
@@ -140,7 +140,7 @@ class UpBottleneck(nn.Module):
         self.layers = _bottleneck(squeeze, around, out_channels, dropout=0.1, decodes=True)
 
     def forward(self, x: Tensor, mask: Tensor) -> Tensor:
-        """(N, C, H, W) -> (N, C', 2 H, 2 W); mask of the stage of C' channels."""
+        """(N, C, H, W) -> (N, C', 2 H, 2 W); the mask is that of the stage with C' channels."""
         return F.relu(max_unpool(self.shortcut(x), mask) + self.layers(x))
 
 
@@ -152,7 +152,7 @@ def _bottleneck(
     dropout: float,
     decodes: bool = False,
 ) -> nn.Sequential:
-    """To fewer channels, what looks around there, and 1x1 to the channels of the output."""
+    """Reduce to fewer channels, convolve there, and expand to the output's channels by a 1x1."""
     narrow = squeeze.out_channels
     return nn.Sequential(
         squeeze,

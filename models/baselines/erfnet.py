@@ -79,5 +79,5 @@ class Factorized(nn.Module):
         self.layers = nn.Sequential(*layers)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Add what the layers find."""
+        """Return the input plus the output of the layers."""
         return F.relu(x + self.layers(x))

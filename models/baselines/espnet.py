@@ -13,7 +13,7 @@ from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 #: Blocks at a quarter (the paper's p) and at an eighth (q) of the image.
 _BLOCKS = (2, 8)
-#: Of the parallel convolutions.
+#: Dilations of the parallel convolutions.
 _DILATIONS = (1, 2, 4, 8, 16)
 
 
@@ -69,7 +69,7 @@ class ESPNet(Network):
 
 
 class SpatialPyramid(nn.Module):
-    """The paper's ESP: reduce, convolve at five dilations, add them up from fine to coarse, join.
+    """The paper's ESP: reduce, convolve at five dilations, sum from fine to coarse, concatenate.
 
     The input is added if it has the output's shape.
     """
@@ -77,7 +77,7 @@ class SpatialPyramid(nn.Module):
     def __init__(self, in_channels: int, out_channels: int, *, stride: int = 1) -> None:
         super().__init__()
         narrow = out_channels // len(_DILATIONS)
-        first = out_channels - (len(_DILATIONS) - 1) * narrow  # what the division leaves over
+        first = out_channels - (len(_DILATIONS) - 1) * narrow  # the remainder of the division
         kernel = 3 if stride > 1 else 1
         self.reduce = nn.Conv2d(in_channels, narrow, kernel, stride, kernel // 2, bias=False)
         self.transform = nn.ModuleList(

@@ -1,7 +1,7 @@
 """Fast-SCNN: semantic segmentation from RGB alone.
 
 Paper: Poudel, Liwicki, Cipolla, "Fast-SCNN: Fast Semantic Segmentation Network", BMVC 2019, Table 1
-and Figure 2. Without the losses at inner layers that its training adds.
+and Figure 2. The losses at inner layers, which the authors add for training, are left out.
 """
 
 import torch

@@ -16,7 +16,7 @@ _WIDE = 4096
 
 
 class FCN8s(Network):
-    """VGG16 as convolutions throughout; scores at 1/32, 1/16 and 1/8 of the image, added."""
+    """A fully convolutional VGG16 that adds its scores at 1/32, 1/16 and 1/8 of the image."""
 
     heads: tuple[str, ...] = ("semantic",)
     stride = 32
@@ -50,6 +50,6 @@ class FCN8s(Network):
             scores: Tensor = self.semantic_head(classified.float())
         for head, features in ((self.score_16, pooled[3]), (self.score_8, pooled[2])):
             height, width = features.shape[2], features.shape[3]
-            # Pooling rounded up: of an odd grid the last row and column have one child.
+            # Pooling rounded up: the last row and column of an odd grid have one child.
             scores = head(features) + upsample(scores)[:, :, :height, :width]
         return scores

@@ -18,7 +18,7 @@ def windows(x: Tensor) -> Tensor:
 
 
 def max_mask(x: Tensor) -> Tensor:
-    """True at the first of the largest values of each window, once a window.
+    """Return True at the first of the largest values of each window, once per window.
 
     (N, C, H, W) -> bool (N, C, 4, H / 2, W / 2), in the order of `windows`.
     """
@@ -33,8 +33,8 @@ def max_mask(x: Tensor) -> Tensor:
 
 
 def max_unpool(x: Tensor, mask: Tensor) -> Tensor:
-    """Max-unpooling: each value goes back to where it was in its window, the rest is 0.
+    """Max-unpooling: each value goes back to its position in its window, the rest is 0.
 
-    x (N, C, h, w), mask of `max_mask` -> (N, C, 2 h, 2 w).
+    x (N, C, h, w) and the mask from `max_mask` give (N, C, 2 h, 2 w).
     """
     return F.pixel_shuffle(torch.where(mask, x.unsqueeze(2), 0.0).flatten(1, 2), 2)

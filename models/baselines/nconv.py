@@ -15,9 +15,10 @@ from models.blocks import pad_to_multiple
 from models.network import Network, NetworkConfig, NetworkOutput
 
 _CHANNELS = 2
-#: Halvings; the layers between them are the same at every size.
+#: How often the grid is halved; the layers between are the same at every size.
 _LEVELS = 3
-#: Confidence below this is 0; above any rounding error in an empty window.
+#: A confidence below this value counts as 0; the value is above any rounding error in an empty
+#: window.
 _NO_CONFIDENCE = 1e-6
 
 
@@ -46,7 +47,7 @@ class NConv(Network):
         levels = [(x, confidence)]
         for level in range(_LEVELS):
             x, confidence = self.spread(*_pool(x, confidence))
-            if level == 0:  # the paper's figure: twice at a half, once at the coarser sizes
+            if level == 0:  # the paper's figure has two layers at half size
                 x, confidence = self.spread_on(x, confidence)
             levels.append((x, confidence))
         for merge, (fine, fine_confidence) in zip(self.merge, levels[-2::-1], strict=True):
@@ -81,7 +82,7 @@ class NormalisedConv(nn.Module):
 
 
 def _pool(x: Tensor, confidence: Tensor) -> tuple[Tensor, Tensor]:
-    """To half the size: the most confident value of each 2x2 window, for a quarter of the area."""
+    """Keep the most confident value of each 2x2 window; its confidence counts for a quarter."""
     chosen = torch.where(max_mask(confidence), windows(x), 0.0).sum(dim=2)
     return chosen, F.max_pool2d(confidence, 2) / 4
 

@@ -1,8 +1,8 @@
 """PIDNet-S: semantic segmentation from RGB alone.
 
 Paper: Xu, Xiong, Bhattacharyya, "PIDNet: A Real-time Semantic Segmentation Network Inspired by PID
-Controllers", CVPR 2023, Figures 4 to 7 and Table 2. Without the heads on the detail and boundary
-branches that its training adds.
+Controllers", CVPR 2023, Figures 4 to 7 and Table 2. The heads on the detail and boundary branches,
+which the authors add for training, are left out.
 """
 
 import torch
@@ -26,9 +26,9 @@ _HEAD = 128
 
 
 class PIDNetS(Network):
-    """Three branches: detail (P) and boundary (D) at an eighth of the image, context (I) below.
+    """Detail (P) and boundary (D) branches at an eighth of the image, context (I) on coarser grids.
 
-    The stages end without ReLU, which each reader of their features applies.
+    The stages end without ReLU; the layers that read their features apply it.
     """
 
     heads = ("semantic",)
@@ -47,7 +47,7 @@ class PIDNetS(Network):
         self.stage2 = basic_stage(c, 2 * c, stride=2)
         self.context3 = basic_stage(2 * c, 4 * c, count=3, stride=2)
         self.context4 = basic_stage(4 * c, 8 * c, count=3, stride=2)
-        # Without a ReLU between, as in the authors' code; their figures do not show it.
+        # There is no ReLU between these, as in the authors' code; the figures leave it open.
         self.context5 = nn.Sequential(Bottleneck(8 * c, 8 * c, stride=2), Bottleneck(16 * c, 8 * c))
         self.pyramid = ParallelPyramidContext(16 * c, _CONTEXT, 4 * c)
         self.detail3 = basic_stage(2 * c, 2 * c)
@@ -99,7 +99,7 @@ class AttentionGuide(nn.Module):
         self.embed_context = conv_bn(channels, narrow, kernel=1)
 
     def forward(self, detail: Tensor, context: Tensor) -> Tensor:
-        """Blend the two by how alike they are, pixel by pixel."""
+        """Blend detail and context by their similarity at each pixel."""
         alike = self.embed_detail(detail) * self.embed_context(context)
         share = torch.sigmoid(alike.sum(dim=1, keepdim=True))
         return (1.0 - share) * detail + share * context

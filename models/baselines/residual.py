@@ -41,9 +41,9 @@ class Bottleneck(nn.Module):
 
 
 class PoolingPyramid(nn.Module):
-    """Means over larger and larger windows, each brought to the features' size.
+    """Means over larger and larger windows, each upsampled to the features' size.
 
-    The base of DDRNet's and PIDNet's context modules, which differ in how they ``process`` them.
+    It is the base of DDRNet's and PIDNet's context modules, which differ in `process`.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class PoolingPyramid(nn.Module):
 def basic_stage(
     in_channels: int, out_channels: int, *, count: int = 2, stride: int = 1
 ) -> nn.Sequential:
-    """So many basic blocks with a ReLU between."""
+    """Return a sequence of basic blocks with a ReLU between them."""
     layers: list[nn.Module] = [BasicBlock(in_channels, out_channels, stride=stride)]
     for _ in range(count - 1):
         layers += [nn.ReLU(), BasicBlock(out_channels, out_channels)]

@@ -43,10 +43,10 @@ class SparseConvNet(Network):
 
 
 class SparseConv(nn.Module):
-    """A convolution over what was measured: its sum over the share of measured pixels, plus bias.
+    """A convolution over the measured pixels: sum divided by the share of them, plus bias.
 
-    The paper divides by their count, which is the same but for a factor in the weights: with it
-    weights of the usual size neither grow nor shrink what goes through six layers.
+    The paper divides by their count, which differs by a constant factor in the weights. With the
+    share, weights of the usual size keep the magnitude of the features through six layers.
 
     Shapes: x (N, C, H, W), mask (N, 1, H, W), 0 or 1; returns (N, C', H, W) and the mask of
     windows that hold a measurement.
@@ -61,6 +61,6 @@ class SparseConv(nn.Module):
     def forward(self, x: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
         """Convolve and grow the mask."""
         share = F.avg_pool2d(mask, self.kernel, 1, self.kernel // 2)
-        # An empty window sums to 0 over 1 pixel: exact where the paper adds a small number.
+        # An empty window is 0 divided by 1: exact, while the paper adds a small number.
         out = self.conv(x * mask) / share.clamp(min=1 / self.kernel**2) + self.bias
         return out, F.max_pool2d(mask, self.kernel, 1, self.kernel // 2)

@@ -1,8 +1,8 @@
 """VGG16's convolutions, the backbone of FCN8s, BaCNN and DeepLab.
 
 Paper: Simonyan, Zisserman, "Very Deep Convolutional Networks for Large-Scale Image Recognition",
-ICLR 2015, configuration D. Batch normalisation is ours: without it the network hardly learns from
-random weights, and export fuses it into the convolutions.
+ICLR 2015, configuration D. Batch normalisation is added here: without it the network hardly learns
+from random weights, and export fuses it into the convolutions.
 """
 
 from collections.abc import Sequence
@@ -30,11 +30,11 @@ class VGG16(nn.Module):
     def forward(
         self, x: Tensor, boundaries: Sequence[Tensor] = ()
     ) -> tuple[list[Tensor], list[Tensor]]:
-        """Return the features of each block, finest first, and the same pooled.
+        """Return the features of each block, finest first, before and after pooling.
 
         x: (N, 3, H, W). boundaries: B in 0..1, (N, 1, h, w) on the grid of each block's input, or
-        none. A block whose input is gated by 1 - B begins with a boundary-aware convolution
-        (`models.blocks.BaConv`): the sum is the same.
+        empty. With boundaries each block's input is multiplied by 1 - B, which makes its first
+        convolution boundary-aware (`models.blocks.BaConv`).
         """
         features, pooled = [], []
         for index, block in enumerate(self.blocks):
@@ -49,7 +49,7 @@ class VGG16(nn.Module):
 def vgg_block(
     in_channels: int, out_channels: int, count: int, *, dilation: int = 1
 ) -> nn.Sequential:
-    """So many 3x3 convolutions, each with batch normalisation and ReLU."""
+    """Return a sequence of 3x3 convolutions, each with batch normalisation and ReLU."""
     layers: list[nn.Module] = []
     for _ in range(count):
         layers += ConvBNReLU(in_channels, out_channels, dilation=dilation)

@@ -31,9 +31,9 @@ class SSDNetConfig(NetworkConfig):
     encoder_blocks: tuple[int, ...] = (2, 2, 3, 3, 3)
     #: Channels of the UpBlocks, coarse to fine: one for each skip.
     decoder_channels: tuple[int, ...] = (512, 192, 96, 64, 16)
-    #: Of the side outputs of the boundary decoder.
+    #: Channels of the side outputs of the boundary decoder.
     boundary_channels: int = 16
-    #: Gate the decoders by 1 - B (Eq. 1); without it B = 0 and a BaConv is a plain convolution.
+    #: Gate the decoders by 1 - B (Eq. 1). If false, B = 0 and a BaConv is a plain convolution.
     boundary_gating: bool = True
     use_rgb: bool = True
     use_sparse_depth: bool = True

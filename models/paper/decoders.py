@@ -13,7 +13,7 @@ from models.paper.config import SSDNetConfig
 class BoundaryDecoder(nn.Module):
     """A side output on every skip, and their fusion into one boundary map (Figure 2b).
 
-    Side i: 3x3 convolution to ``boundary_channels``, BN, ReLU, 1x1 to one logit; B_i = its sigmoid.
+    Side i: 3x3 convolution to `boundary_channels`, BN, ReLU, 1x1 to one logit; B_i = its sigmoid.
     Fusion: the logits are upsampled to the finest skip, concatenated, 1x1 to the logit of P_b.
     """
 

@@ -44,7 +44,7 @@ class SSDNet(Network):
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on the heads' own grids, see `Network.predict_coarse`.
 
-        A network with a strided stem pads the image to a multiple of its stride, others do not.
+        A network with a strided stem pads the image to a multiple of its stride; others do not pad.
         """
         config = self.config
         inputs = [self.normalise_rgb(rgb)] if config.use_rgb else []
@@ -66,7 +66,7 @@ class SSDNet(Network):
 
 
 class PlainEncoder(nn.Module):
-    """VGG's cascaded 3x3 convolutions; every stage is a skip, 2x2 max-pool after each.
+    """VGG's cascaded 3x3 convolutions; every stage is a skip, followed by a 2x2 max-pool.
 
     Paper, section 2.1.1 and Figure 2a. Pooling rounds up, so 125 x 414 becomes 63x207, 32x104,
     16x52, 8x26 and 4x13, the sizes that reproduce the paper's multiply-accumulates.
