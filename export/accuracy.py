@@ -11,8 +11,9 @@ from runtime.base.errors import InputError
 from training.evaluation.evaluate import evaluate
 from training.evaluation.score_report import Row
 
-#: LiDAR inputs that a file is measured with: all returns of a frame, 16 scan lines, none. If no set
-#: has returns besides its ground truth, random samples of the ground truth are added for int8.
+#: LiDAR inputs that a file is measured with: all returns of a frame, 16 scan lines, no returns. If
+#: no set has returns besides its ground truth, random samples of the ground truth are added for
+#: int8.
 LIDARS, OTHER_LIDAR = ("own", "16", "none"), "random:0.05"
 #: Least numbers of labelled pixels and frames for comparing the IoU of a class.
 LEAST_CLASS_PIXELS, LEAST_CLASS_FRAMES = 20_000, 10
@@ -27,7 +28,7 @@ class Accuracy:
         lidar: the LiDAR input, as `ssdnet-eval` names it.
         frames: number of frames.
         miou: 0..1.
-        mae_m: of the depth [m].
+        mae_m: mean absolute error of the depth [m].
         boundary_f: 0..1.
         coverage_1: share of the depth's errors within `depth_uncertainty`.
         class_iou: class -> IoU, for the classes that are labelled often enough to compare it.
@@ -46,7 +47,7 @@ class Accuracy:
 def measure_accuracy(
     path: Path, data: Sequence[str], lidars: Sequence[str] = LIDARS
 ) -> list[Accuracy]:
-    """Measure a file, named ``*.onnx``, on data sets and LiDARs as `ssdnet-eval` takes them.
+    """Measure a file, named `*.onnx`, on data sets and LiDARs as `ssdnet-eval` takes them.
 
     Raises:
         DatasetError, InputError: for data that cannot be read, or that hold neither labels nor

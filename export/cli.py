@@ -115,7 +115,7 @@ def export(
         raise typer.BadParameter("--precision int8 needs --validate")
     size = None if height is None or width is None else (height, width)
     with reported_errors("export,train,cpu" if validate else "export,cpu"):
-        from export.exporter import export_checkpoint  # here: --help does not wait for PyTorch
+        from export.exporter import export_checkpoint  # slow, and --help needs no PyTorch
 
         options = Int8Options(
             tuple(calibrate or ()), max_drop_miou=max_drop_miou, max_rise_mae=max_rise_mae

@@ -36,7 +36,7 @@ class DeployGraph(nn.Module):
 
         Args:
             rgb: uint8 (N, H, W, 3), RGB.
-            sparse_depth: float32 (N, H, W), metres; the network masks what is no measurement.
+            sparse_depth: float32 (N, H, W), metres; the network masks values that are invalid.
 
         Returns:
             (N, H, W) of the dtype and unit of the head, see `runtime.contract.heads`; class scores
@@ -80,8 +80,8 @@ class DeployGraph(nn.Module):
 def _crop(x: Tensor, rgb: Tensor) -> Tensor:
     """Crop the last two axes to the size of the image (N, H, W, 3).
 
-    With a free size the graph has one operation for it; with a fixed size it has none where nothing
-    is cropped.
+    With a free size the graph has one operation for it; with a fixed size it has none if there is
+    nothing to crop.
     """
     size = rgb.shape[1:3]
     if all(isinstance(side, int) for side in size):

@@ -31,20 +31,21 @@ from runtime.contract.model_file import with_contract
 from runtime.files.atomic_write import atomic_file
 from runtime.recordings.recording import RecordedFrame, Recorder, Settings, record
 
-#: (height, width) a model of any size is verified at: Cityscapes at half size, as in the paper.
+#: (height, width) at which a model of any size is verified: Cityscapes at half size, as in the
+#: paper.
 DEFAULT_SIZE = (512, 1024)
 
 
 @dataclass(frozen=True)
 class ExportReport:
-    """What was written, and how far it is from PyTorch.
+    """The exported file, and its difference from PyTorch.
 
     Attributes:
-        path: of the file.
-        size: (height, width) it was exported at.
+        path: path of the file.
+        size: (height, width) at which it was exported.
         dynamic: whether it takes any size.
         heads: names of its outputs.
-        parity: head -> the worst difference over all frames it was verified on.
+        parity: head -> the worst difference over all frames on which it was verified.
         num_frames: number of these frames.
         num_bytes: size of the file.
         contract: the file's metadata.
@@ -87,9 +88,9 @@ def export_checkpoint(
         with_logits: add the class scores to the outputs.
         record_dir: folder for a recording of PyTorch's answers to the frames it was verified on,
             for ssdnet-verify; None = no recording.
-        triton_dir: Triton model repository to put the file into as well, under its name; None =
-            none.
-        precision: of the file's trunk; for 8-bit integers the data and the gate.
+        triton_dir: Triton model repository to which the file is added, under its name; None = no
+            repository.
+        precision: precision of the file's trunk; for 8-bit integers also the data and the gate.
         validate: data sets as `ssdnet-eval` takes them, KIND:FOLDER[,KEY=VALUE...], that the
             file's accuracy is measured on; int8 needs at least one.
         overwrite: replace an older file, recording and Triton model.
@@ -147,7 +148,7 @@ def export_checkpoint(
         if precision is not Precision.FP32 or validate:
             model, contract = _finish(model, contract, precision, validate)
             _write(model, file, contract)
-            # On artificial frames half precision rounds too much: recorded ones decide.
+            # On synthetic frames half precision rounds too much, so recorded frames are used.
             if precision is Precision.FP16:
                 frames = recorded_frames(size)
             parity = measure(frames)
@@ -225,7 +226,7 @@ def _digest(path: Path | str) -> str:
 
 
 def _frames(size: tuple[int, int], *, dynamic: bool, max_depth_m: float) -> list[ProbeFrame]:
-    """Return frames of the native size; for a free size also of two others, one of them odd."""
+    """Return frames of the native size; for a free size also of two other sizes, one odd."""
     sizes = [size]
     if dynamic:
         sizes.append((max(size[0] // 2 | 1, MIN_SIDE), max(size[1] // 2 | 1, MIN_SIDE)))

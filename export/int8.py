@@ -74,8 +74,8 @@ class Quantized:
 
     Attributes:
         model: the graph.
-        accuracy: of the graph.
-        facts: `Contract.quantization`.
+        accuracy: accuracy of the graph.
+        facts: the value of `Contract.quantization`.
     """
 
     model: onnx.ModelProto
@@ -87,9 +87,9 @@ def require_frames(options: Int8Options, validate: Sequence[str], checkpoint: Ch
     """Check that there are `LEAST_FRAMES` to calibrate, and as many others to validate.
 
     Args:
-        options: with the data sets of the calibration.
+        options: options that hold the data sets of the calibration.
         validate: data sets of the validation.
-        checkpoint: of the model.
+        checkpoint: checkpoint of the model.
 
     Raises:
         DatasetError, InputError: for data that cannot be read, have fewer frames or share some.
@@ -121,8 +121,8 @@ def quantize_within(
     """Quantise a graph; convolutions that cost too much accuracy stay in single precision.
 
     Convolutions on the finest grids stay in float, see _FINE_STRIDE. As long as the gate is missed,
-    further convolutions do: of the head that misses its limit most, the convolution that changes
-    this head most when it alone is quantised; then each time half as many again.
+    further convolutions stay in float: first the one that, quantised alone, most changes the head
+    that misses its limit most; then each time half as many again.
 
     Args:
         model: a traced graph.
@@ -132,8 +132,8 @@ def quantize_within(
         write: writes a graph as a file that the engine runs.
 
     Raises:
-        DatasetError, InputError: for data that cannot be read, or that hold no labels for a model
-            of classes, or no depth for one of depth.
+        DatasetError, InputError: for data that cannot be read, or that lack labels although the
+            model has classes, or depth although it has a depth head.
         ExportError: if the gate is missed with half of the other convolutions in float, too.
     """
     heads = [output.name for output in model.graph.output]
@@ -242,7 +242,7 @@ def _missed(
 def _losses(
     before: Accuracy, after: Accuracy, options: Int8Options
 ) -> Iterator[tuple[str, float, float, str]]:
-    """Yield head, loss, its limit, and the loss in words, of what was measured in both."""
+    """Yield head, loss, its limit, and the loss in words, of figures measured in both."""
     if before.miou is not None and after.miou is not None:
         drop = 100 * (before.miou - after.miou)
         yield "semantic", drop, options.max_drop_miou, f"semantic loses {drop:.2f} points of mIoU"

@@ -18,7 +18,7 @@ from runtime import Predictor
 from runtime.contract.agreement import compare, file_limits, within, worst
 from runtime.engine.session import open_session
 
-#: The figure that half precision is judged by in place of the largest difference, and its limit.
+#: The figure by which half precision is judged instead of the largest difference, and its limit.
 _BEYOND, _MOST_BEYOND = "share_beyond", 0.03
 
 
@@ -28,7 +28,7 @@ class HeadParity:
 
     Attributes:
         figures: see `runtime.contract.agreement.compare`.
-        passed: whether they are within the tolerance.
+        passed: whether the figures are within the tolerance.
     """
 
     figures: Mapping[str, float]
@@ -47,7 +47,7 @@ def measure_parity(
     Args:
         model: the network.
         onnx_path: the exported file.
-        frames: of the size of the file or, if it is dynamic, of any size.
+        frames: frames of the size of the file or, if it is dynamic, of any size.
         dynamic: whether the file takes any size.
 
     Returns:
@@ -59,7 +59,7 @@ def measure_parity(
     """
     measured: dict[str, list[dict[str, float]]] = {}
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # that fp16 is slow on the processor
+        warnings.simplefilter("ignore", RuntimeWarning)  # fp16 is slow on the processor
         predictor = Predictor(onnx_path, size="frame" if dynamic else None, warmup=0)
     contract = predictor.contract
     with predictor:

@@ -44,7 +44,7 @@ def quantize(
 
     Args:
         model: a traced graph.
-        ranges: of its tensors, see `measure_ranges`.
+        ranges: ranges of its tensors, see `measure_ranges`.
         keep_float: names of nodes that are left in single precision, with what lies between them.
     """
     copy = onnx.ModelProto()

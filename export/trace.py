@@ -58,14 +58,14 @@ def trace(
                 dynamic_shapes=(free, free),
                 verbose=False,
             )
-    except Exception as error:  # the exporter raises errors of any type
+    except Exception as error:  # the exporter may raise any type
         raise ExportError(
             f"PyTorch's exporter failed on {graph.model.config.name!r} at {height} x {width}, "
             f"opset {opset}: {error}"
         ) from error
     assert program is not None
     model = program.model_proto
-    # The exporter writes a newer one, which the older engines that vehicles pin refuse.
+    # The exporter writes a newer version, which the older engines pinned in vehicles refuse.
     model.ir_version = onnx.helper.find_min_ir_version_for(list(model.opset_import))
     _strip_notes(model)
     _name_axes(model.graph)
@@ -78,7 +78,7 @@ def trace(
 def check_standard(model: onnx.ModelProto, *, opset: int) -> None:
     """Raise ExportError unless the model is valid and of the standard operators of an opset.
 
-    Other operators, and functions, would be of other domains, which `opset_import` names.
+    Other operators, and functions, would belong to other domains, which `opset_import` names.
     """
     versions = {entry.domain: entry.version for entry in model.opset_import}
     if versions != {"": opset}:

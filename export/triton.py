@@ -1,7 +1,7 @@
 """A model repository of NVIDIA's Triton Inference Server with an exported file.
 
 DIR/NAME/config.pbtxt names the tensors (`ModelConfig` of Triton's model_config.proto, in protobuf's
-text form), DIR/NAME/1/model.onnx is the file itself: ``tritonserver --model-repository=DIR``.
+text form), DIR/NAME/1/model.onnx is the file itself: `tritonserver --model-repository=DIR`.
 """
 
 import re
@@ -30,7 +30,7 @@ def triton_config(model: onnx.ModelProto, *, name: str) -> str:
 
     Args:
         model: the ONNX model.
-        name: of the model in the repository.
+        name: name of the model in the repository.
     """
     tensors = [*model.graph.input, *model.graph.output]
     batched = all(_dims(tensor)[0] == _FREE for tensor in tensors)
@@ -53,7 +53,7 @@ def write_triton_model(
     """Write a model into a repository; other models there are not touched.
 
     Args:
-        folder: of the model in the repository, named as the model.
+        folder: folder of the model in the repository, named like the model.
         model: the ONNX model.
         content: bytes of the model file.
         overwrite: replace an older model of that name.

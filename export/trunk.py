@@ -1,4 +1,4 @@
-"""The trunk of a traced graph: what may compute in less than single precision."""
+"""The trunk of a traced graph: the nodes that may compute in less than single precision."""
 
 from collections.abc import Collection, Sequence
 
@@ -16,7 +16,7 @@ def trunk(model: onnx.ModelProto, *, without: Collection[str] = ()) -> list[str]
 
     These are its wide convolutions, and what lies between them: additions, products with a
     boundary map (BaConv), activations and upsamplings. The rest, which reads the sensors and
-    computes the answers, is not in it, nor are the nodes named in ``without`` and what lies
+    computes the answers, is not in it, nor are the nodes named in `without` and what lies
     between them.
     """
     graph = model.graph

@@ -46,7 +46,8 @@ INSIDE = 2.0
 BOUND_WINDOW = 7
 #: The nine sums are those of 1; r, c, z; rr, cc, rc, zr, zc. r is the distance below a centre, c
 #: the distance to the right of it, and z the inverse depth. _POWERS has the powers of r and c in
-#: the sums without z and in the sums with z; _PLACES has the positions of these sums among the nine.
+#: the sums without z and in the sums with z; _PLACES has the positions of these sums among the
+#: nine.
 _POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1)), ((0, 0), (1, 0), (0, 1))
 _PLACES = (0, 1, 2, 4, 5, 6), (3, 7, 8)
 _SUMS = 9
