@@ -1,7 +1,7 @@
-"""Assumptions: what a reader takes for granted where a recording does not prove it.
+"""Assumptions that a reader makes where a recording does not state a fact.
 
-An assumption that changes where a return lands is said, in one form: "warning: assumed ...". A
-source collects those of its recording as notes; elsewhere Python shows them.
+Every assumption that changes where a return lands is reported in one form: "warning: assumed ...".
+A source collects the assumptions about its recording as notes; elsewhere they are Python warnings.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ class AssumptionWarning(UserWarning):
 
 
 def assume(what: str, remedy: str) -> None:
-    """Say what is assumed, and what states it; the same assumption is collected once."""
+    """Report an assumption, and the remedy that avoids it; each one is collected only once."""
     notes, line = _notes.get(), f"warning: assumed {what}: "
     if notes is None:
         warnings.warn(f"{line}{remedy}".removeprefix("warning: "), AssumptionWarning, stacklevel=3)

@@ -22,7 +22,7 @@ from runtime.geometry.rigid import read_rigid
 from runtime.geometry.units import check_mount
 
 RAW_CAMERAS, RAW_SCANNER = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
-#: Of a camera, to be filled in for another.
+#: Example of a file, to be filled in for another camera.
 _EXAMPLE = """\
 intrinsics = [[721.5, 0.0, 609.6], [0.0, 721.5, 172.9], [0.0, 0.0, 1.0]]  # pixels
 # From the LiDAR's frame to the camera's, metres; points_in = "camera" where they are the same.
@@ -44,13 +44,13 @@ class Calibration:
         body_from_lidar: float64 (4, 4) from the LiDAR's frame to the vehicle's [m], needed for
             poses of the frame "body"; None if unknown.
         lens: model of the images' distortion, "plumb_bob", "rational_polynomial" or "equidistant"
-            (a fisheye); None: they are rectified. Returns are projected into the images as they
-            are: these are not resampled.
+            (a fisheye); None: the images are rectified. Returns are projected into the distorted
+            images; the images are not resampled.
         distortion: coefficients of the lens, in the order of OpenCV and ROS.
 
     Raises:
-        InputError: for invalid matrices, see `read_rigid`, an unknown lens, and coefficients that
-            are not the lens's.
+        InputError: if a matrix is invalid, see `read_rigid`, the lens is unknown, or the
+            coefficients do not fit the lens.
     """
 
     intrinsics: NDArray[np.float64]
@@ -83,7 +83,7 @@ class Calibration:
 
     @property
     def lens_model(self) -> Lens | None:
-        """The lens with its coefficients; None where the images are not distorted."""
+        """The lens with its coefficients; None if the images are not distorted."""
         if self.lens is None:
             return None
         model = Lens.of(self.lens, self.distortion)
@@ -97,7 +97,7 @@ class Calibration:
     def rectify(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return an image without distortion, of the same size and focal length.
 
-        What a lens sees beyond this size is lost; pixels that it does not see are black.
+        Parts of the scene that fall outside this size are lost; pixels without a source are black.
 
         Args:
             rgb: uint8 (H, W, 3).
@@ -131,8 +131,8 @@ class Calibration:
     def require_size(self, size: tuple[int, ...]) -> None:
         """Raise InputError if `size` is known and differs from this (height, width).
 
-        A size that is known by KITTI's intrinsics alone is said: the images may be cut below and at
-        the right, which changes no intrinsics.
+        If the size is unknown but the intrinsics are KITTI's, an `AssumptionWarning` is issued for
+        other sizes: images may be cut at the bottom and right without new intrinsics.
         """
         if self.size is None and (known := size_of_kitti(self.intrinsics)) not in (None, size):
             assume(
@@ -158,8 +158,8 @@ class Calibration:
         Args:
             path: TOML file, or KITTI's file or folder.
             camera: whose images, 0 to 3; for KITTI only.
-            rectified: as of `from_kitti`.
-            for_scans: as of `from_kitti`.
+            rectified: see `from_kitti`.
+            for_scans: see `from_kitti`.
 
         Raises:
             InputError: if the calibration cannot be read.
@@ -180,12 +180,12 @@ class Calibration:
                 with P2, R0_rect and Tr_velo_to_cam (object), with P2 and Tr (odometry), or of nine
                 numbers, the intrinsics alone (depth selection).
             camera: whose images, 0 to 3.
-            rectified: False: of the raw data's images as they were taken, with their lens.
+            rectified: False for the raw data's images as they were taken, with their lens.
             for_scans: refuse a file that holds the intrinsics alone.
 
         Raises:
-            InputError: for a missing file, a missing name or a wrong count of numbers; for a file
-                of another tool with a TOML file to fill in.
+            InputError: if a file or a name is missing, or the count of numbers is wrong. For a file
+                of another tool, the message has a TOML file to fill in.
         """
         path = Path(path)
         if path.name in (RAW_CAMERAS, RAW_SCANNER):
@@ -256,7 +256,7 @@ class Calibration:
             size: (height, width) of the images; None: by the CameraInfo, see `region_of_images`.
 
         Raises:
-            InputError: if fields are missing, and for a distortion that is no `lens`.
+            InputError: if fields are missing, or the distortion model is no `lens`.
         """
         fields = {str(key).lower(): value for key, value in info.items()}
         distortion = fields.get("d", ())
@@ -321,7 +321,7 @@ class Calibration:
 
 
 def find_raw_calibration(drive: Path) -> Path | None:
-    """The folder with KITTI raw data's calibration: `drive` or its parent; None without one."""
+    """Return the folder of KITTI raw data's calibration, `drive` or its parent, or None."""
     folders = (drive, Path(os.path.realpath(drive)).parent)
     return next((each for each in folders if os.path.exists(each / RAW_CAMERAS)), None)
 

@@ -1,9 +1,9 @@
-"""Lenses that distort: where a ray meets the image, and the ray of each pixel.
+"""Lens distortion: where a ray meets the image, and the ray of each pixel.
 
 The models and the order of their coefficients are those of OpenCV and of ROS's CameraInfo (Brown
 1966; Kannala and Brandt 2006). A ray is (x, y) = (X / Z, Y / Z) in the camera's frame. A model is
-used up to the angle from the optical axis at which its radius stops growing: beyond, it would fold
-the scene back into the image.
+used up to the angle from the optical axis at which its radius stops growing. Beyond this angle it
+would fold the scene back into the image.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ PLUMB_BOB, RATIONAL_POLYNOMIAL, EQUIDISTANT = "plumb_bob", "rational_polynomial"
 _ALIASES = {"radtan": PLUMB_BOB} | dict.fromkeys(
     ("equi", "fisheye", "kannala_brandt4"), EQUIDISTANT
 )
-#: Model -> the accepted numbers of coefficients, and these.
+#: Model -> the accepted numbers of coefficients, and their names.
 _COEFFICIENTS = {
     PLUMB_BOB: ((4, 5), "k1, k2, p1, p2[, k3]"),
     RATIONAL_POLYNOMIAL: ((8,), "k1, k2, p1, p2, k3, k4, k5, k6"),
@@ -52,11 +52,11 @@ class Lens:
 
     Attributes:
         model: "plumb_bob", "rational_polynomial" or "equidistant" (a fisheye).
-        coefficients: of the model.
+        coefficients: coefficients of the model.
 
     Raises:
-        InputError: for an unknown model, another number of coefficients, and one that is not
-            finite.
+        InputError: if the model is unknown, the number of coefficients is wrong, or one of them is
+            not finite.
     """
 
     model: str
@@ -78,7 +78,7 @@ class Lens:
 
     @classmethod
     def of(cls, model: Any, coefficients: Any) -> "Lens":
-        """Make a lens of values of any type; zeros beyond the model's do nothing.
+        """Make a lens from values of any type; zeros after the model's coefficients are ignored.
 
         Raises InputError.
         """
@@ -132,7 +132,7 @@ class Lens:
 
     @property
     def is_ideal(self) -> bool:
-        """Whether it does not distort: a polynomial of zeros."""
+        """Whether the lens does not distort: all coefficients of its polynomial are 0."""
         return self.model != EQUIDISTANT and not any(self.coefficients)
 
     @property

@@ -1,4 +1,4 @@
-"""The depth of an image of a moving car: its returns, moved to the time of the image."""
+"""Motion compensation: the returns of a scan, moved to the time of an image."""
 
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple, cast
@@ -78,9 +78,9 @@ class Scan(NamedTuple):
 
 
 def _check_clock(after_s: NDArray[np.float64]) -> None:
-    """Say where the times of points, seconds after the stamp of their scan, do not surround it.
+    """Warn if the times of points, in seconds after the stamp of their scan, are far from it.
 
-    A stamp is from the start to the end of its scan, or within a scan of it.
+    A stamp lies between the start and the end of its scan, or at most one scan duration from it.
     """
     if not after_s.size:
         return
@@ -120,15 +120,15 @@ def project_in_time(
     *,
     reused: bool,
 ) -> DepthInTime:
-    """Project a scan into an image, as `project_moved` where there are poses.
+    """Project a scan into an image; if there are poses, move it as `project_moved` does.
 
     Args:
-        calibration: of camera and LiDAR.
-        scan: its times are not None where there are poses.
-        poses: of the LiDAR; None = of a car without poses.
-        to: nanoseconds, the time of the image.
-        size: its (height, width).
-        reused: whether it is an older scan than the image's own.
+        calibration: calibration of camera and LiDAR.
+        scan: the scan; its times are not None if there are poses.
+        poses: poses of the LiDAR; None if the car has no poses.
+        to: time of the image in nanoseconds.
+        size: (height, width) of the image.
+        reused: whether the scan is older than the image's own.
 
     Raises:
         InputError: if the size is not the calibration's.
@@ -148,7 +148,7 @@ def project_in_time(
 
 
 def assume_middle(remedy: str) -> None:
-    """Say that the stamp of a scan without times of points is taken as that of its middle."""
+    """Warn that the stamp of a scan without times of points is taken as that of its middle."""
     assume("the stamps of scans mark their middle", f"scan_stamp= {remedy}".rstrip())
 
 
@@ -187,7 +187,7 @@ def move_points(
 ) -> NDArray[np.float32]:
     """Move each return from where the LiDAR was at its own time to where it is at another one.
 
-    What stands still in the world is then where the LiDAR would have measured it at `to`.
+    An object that stands still is then where the LiDAR would have measured it at the time `to`.
 
     Args:
         points: float32 (N, 3) or wider, x, y, z first, metres, in the LiDAR's frame.
@@ -201,7 +201,7 @@ def move_points(
 
     Raises:
         NoPoseError: if there is no pose for one of the times.
-        InputError: for arrays of another type or shape, and for points that are none.
+        InputError: if an array has another type or shape, or the points cannot be metres.
     """
     check_points(points)
     moved = points.copy()
@@ -314,7 +314,7 @@ def _in_front(
 
 
 def lidar_mount(pose_frame: PoseFrame | str, calibration: Calibration) -> NDArray[np.float64]:
-    """Return the matrix float64 (4, 4) from the LiDAR to the frame of which poses are given.
+    """Return the matrix, float64 (4, 4), from the LiDAR to the frame whose poses are given.
 
     Raises:
         InputError: for an unknown frame, and if the calibration does not have it.

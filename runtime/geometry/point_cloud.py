@@ -1,4 +1,4 @@
-"""From a predicted depth map to a point cloud, without the points between objects."""
+"""Conversion of a predicted depth map to a point cloud without points between objects."""
 
 from dataclasses import dataclass, fields
 from typing import Any, Literal
@@ -129,7 +129,7 @@ def to_points(
 def thin_to_voxels(cloud: PointCloud, side_m: float) -> PointCloud:
     """Keep one point of each cube of space, in the order of the pixels.
 
-    It is the point of the smallest uncertainty, or the first where there is none.
+    The point of the smallest uncertainty is kept, or the first one if there is no uncertainty.
 
     Args:
         cloud: its points.

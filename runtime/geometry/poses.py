@@ -1,8 +1,8 @@
 """Poses of a moving sensor by time: a bounded buffer, and interpolation between its poses.
 
-There are no threads and no clocks here. Between two poses rotations are interpolated by slerp and
-positions linearly. Beyond the first and the last pose the motion goes on evenly for at most
-`MAX_EXTRAPOLATION_MS`. Elsewhere there is no pose, and `NoPoseError` says why.
+This module uses no threads and no clocks. Between two poses, rotations are interpolated by slerp
+and positions linearly. Before the first and after the last pose, constant motion is assumed for at
+most `MAX_EXTRAPOLATION_MS`. Elsewhere there is no pose, and `NoPoseError` says why.
 """
 
 from bisect import bisect_left, bisect_right
@@ -38,7 +38,7 @@ _TURN_DEG_S, _TURN_DEG_S2, _JUMP_DEG = 180.0, 400.0, 5.0
 
 
 class PoseFrame(StrEnum):
-    """The frame of which poses are given."""
+    """The frame whose poses are given."""
 
     LIDAR = "lidar"
     CAMERA = "camera"
@@ -46,7 +46,7 @@ class PoseFrame(StrEnum):
 
 
 def check_pose_frame(value: Any) -> PoseFrame:
-    """Return the frame of poses, also of its name as text; InputError for another word."""
+    """Return the frame of poses, also from its name as text; InputError for another word."""
     try:
         return PoseFrame(value)
     except ValueError as error:
@@ -93,8 +93,8 @@ class PoseTrack:
             stamps_ns: N integers, rising.
 
         Raises:
-            InputError: for a pose that is not rigid, for stamps that are no whole numbers or do not
-                rise, and for another number of them.
+            InputError: if a pose is not rigid, the stamps are no whole numbers or do not rise, or
+                their number differs from that of the poses.
         """
         counts = [len(each) if hasattr(each, "__len__") else None for each in (poses, stamps_ns)]
         if counts[0] is None or counts[0] != counts[1]:
@@ -110,7 +110,7 @@ class PoseTrack:
         return buffer.whole()
 
     def mounted(self, mount: NDArray[np.float64]) -> "PoseTrack":
-        """The motion of another frame that is rigidly mounted to the frame of the poses, (4, 4)."""
+        """Return the motion of a frame that `mount`, (4, 4), transforms to the poses' frame."""
         return replace(self, mount=mount)
 
     def at(self, times_ns: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -120,7 +120,8 @@ class PoseTrack:
             times_ns: int64 (M,).
 
         Raises:
-            NoPoseError: if one of the times has none, or the motion jumped between them.
+            NoPoseError: if there is no pose for one of the times, or the motion jumped between
+                them.
         """
         if not len(times_ns):
             return np.zeros((0, 4, 4))
@@ -171,8 +172,8 @@ class _Pose(NamedTuple):
 class PoseBuffer:
     """Keeps the newest poses of one moving frame, at least `capacity`.
 
-    A pose that is older than the newest one is not taken: poses are used as they come. Stamps that
-    go back by more than a second are of a new clock; all older poses are then forgotten.
+    A pose that is older than the newest one is ignored. If stamps go back by more than a second,
+    the clock was reset, and all older poses are removed.
     """
 
     def __init__(self, capacity: int = CAPACITY) -> None:
@@ -185,7 +186,7 @@ class PoseBuffer:
         return self._poses[-1].stamp_ns if self._poses else None
 
     def add(self, pose: NDArray[np.float64], stamp_ns: int) -> bool:
-        """Take a pose as `read_rigid` returns it; False where it is not newer: not taken."""
+        """Add a pose as `read_rigid` returns it; return False if it is ignored as not newer."""
         newest_ns = self.newest_ns
         if newest_ns is not None and stamp_ns <= newest_ns:
             if stamp_ns >= newest_ns - JUMP_BACK_NS:

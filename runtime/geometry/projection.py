@@ -1,4 +1,4 @@
-"""From LiDAR returns to the sparse depth map of a camera.
+"""Projection of LiDAR returns to the sparse depth map of a camera.
 
 Integers are pixel centres: the pixel in row v and column u reaches from v - 0.5 to v + 0.5 and from
 u - 0.5 to u + 0.5, as in the intrinsics of KITTI and OpenCV. A return at (u, v) falls into pixel
@@ -42,9 +42,9 @@ def project_points(
 ) -> NDArray[np.float32]:
     """Project LiDAR returns into a camera as a sparse depth map.
 
-    Of several returns on one pixel the nearest is kept. Returns behind the camera and outside the
-    image are dropped, and points that are none, see `is_return`. The arithmetic is float32: a
-    return within about 1e-3 px of the border of two pixels may fall into either.
+    If several returns fall on one pixel, the nearest is kept. Returns behind the camera or outside
+    the image are dropped, and so are points that are no returns, see `is_return`. The arithmetic is
+    float32: a return within about 1e-3 px of the border of two pixels may fall into either.
 
     Args:
         points: float32 (N, 3) or wider, x, y, z first, metres, LiDAR frame.
@@ -58,8 +58,8 @@ def project_points(
         float32 (height, width), metres along the optical axis, 0 = no return.
 
     Raises:
-        InputError: for points, matrices or a size of another type or shape, for matrices that are
-            not those of a camera, and for a scan whose points are none.
+        InputError: if points, matrices or size have another type or shape, the matrices are not
+            those of a camera, or the points cannot be metres, see `is_return`.
     """
     return project_with_rows(points, intrinsics, extrinsics, size, lens=lens).sparse_depth
 

@@ -17,13 +17,14 @@ def region_of_images(
 ) -> tuple[NDArray[np.float64], tuple[int, int] | None]:
     """Return the intrinsics of the images of a CameraInfo, and their (height, width).
 
-    By REP 104 its matrices, height and width are of the whole sensor. Drivers also state the size
-    of the images, the matrices of the images, or both. Where the sizes contradict each other or the
-    principal point leaves the middle, the reading with the principal point nearer to the middle
-    counts. It is said, unless binning alone tells both apart.
+    By REP 104, the matrices, height and width of a CameraInfo describe the whole sensor. Some
+    drivers state the size of the images, the matrices of the images, or both. If the sizes
+    contradict each other or the principal point is far from the middle, the reading whose principal
+    point is nearer to the middle is used. An `AssumptionWarning` says so, unless only binning is
+    involved.
 
     Args:
-        fields: of the CameraInfo: "height", "width", "binning_x", "binning_y", and "roi".
+        fields: fields of the CameraInfo: "height", "width", "binning_x", "binning_y", and "roi".
         intrinsics: its K or P, (3, 3).
         size: (height, width) of the images; None = not known.
     """

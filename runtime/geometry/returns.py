@@ -1,4 +1,4 @@
-"""What a sensor writes for "no return", recognised before anything is computed with it."""
+"""Recognition of the values that sensors write for "no return"."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_DEPTH_RANGE_M
 from runtime.geometry.assumptions import assume
 
-_NEAREST_M = 0.01  # nearer points are rounded (0, 0, 0), by which Ouster, Livox and SICK mark none
+_NEAREST_M = 0.01  # nearer points are a rounded (0, 0, 0), which Ouster, Livox and SICK use
 _LEAST_JUDGED, _MOST_IMPLAUSIBLE = 50, 0.25
 # Marks of misses: rounding of their range, the neighbourhood in which returns would be, both in
 # shares of the range; their least number and share of the scan; how many more they are than their
@@ -18,12 +18,12 @@ _EDGE, _BESIDE = 1e-5, 1e-2
 _LEAST_MISSES, _LEAST_MISS_SHARE, _MISSES, _LEAST_WIDTH = 50, 0.01, 2, 0.1
 _WIDEST_POINT = 16  # numbers per point; a longer row of a few is an axis of (3, N)
 _SATURATED = 65535  # of 16-bit depth: no measurement
-#: The same in metres, of the usual units: KITTI's, millimetres, centimetres.
+#: The same value in metres, if the unit is KITTI's, millimetres or centimetres.
 _SATURATED_M = tuple(np.float32(_SATURATED / units) for units in (256, 1000, 100))
 
 
 def to_metres(depth: NDArray[Any], units_a_metre: float) -> NDArray[np.float32]:
-    """Return a depth map in metres, float32; NaN where 16 bits are saturated: no measurement."""
+    """Return a depth map in metres, float32; NaN where a 16-bit value is saturated."""
     scale = np.float32(units_a_metre)
     with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is no measurement
         metres: NDArray[np.float32] = np.divide(depth, scale, dtype=np.float32, casting="same_kind")
@@ -33,9 +33,10 @@ def to_metres(depth: NDArray[Any], units_a_metre: float) -> NDArray[np.float32]:
 
 
 def drop_saturated(metres: NDArray[np.float32], farthest: float) -> NDArray[np.float32]:
-    """Return a depth map with NaN where others made it of saturated 16 bits.
+    """Return a depth map with NaN where it was converted from saturated 16-bit values.
 
-    metres: float32 (H, W), returned if nothing changes. farthest: largest value to look at.
+    `metres` is float32 (H, W), and is returned itself if nothing changes. `farthest` is the largest
+    value to look at.
     """
     for mark in _SATURATED_M:
         if mark <= farthest and (is_mark := metres == mark).any():
@@ -44,15 +45,14 @@ def drop_saturated(metres: NDArray[np.float32], farthest: float) -> NDArray[np.f
 
 
 def is_measured(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Where a depth map has a number of metres: not 0, negative, NaN, Inf or the largest float."""
+    """Return where depth is measured: not 0, negative, NaN, Inf or the largest float."""
     return (depth > 0) & (depth < np.finfo(np.float32).max)
 
 
 def check_farthest(depth: NDArray[np.float32]) -> None:
-    """Say a depth map in which many pixels have exactly the farthest depth, as at a far plane.
+    """Warn if many pixels of a depth map have exactly the farthest depth, like at a far plane.
 
-    They are not left out: a wall across the whole view looks the same, as a dome of points does
-    not.
+    These pixels are kept, because a wall across the whole view looks the same.
     """
     measured = is_measured(depth)
     count = np.count_nonzero(measured)
@@ -69,7 +69,7 @@ def check_farthest(depth: NDArray[np.float32]) -> None:
 
 
 def check_points(points: Any) -> None:
-    """Raise InputError unless `points` is a scan, float32 (N, 3) or wider."""
+    """Raise InputError if `points` is no scan, float32 (N, 3) or wider."""
     if (kind := kind_of(points)) != np.float32:
         hint = "use points.astype(np.float32)"
         raise InputError(f"points must be a plain float32 array [m], got {kind}: {hint}")
@@ -86,16 +86,18 @@ def is_transposed(shape: tuple[int, ...]) -> bool:
 def is_return(points: NDArray[np.float32], *, name: str = "a scan") -> NDArray[np.bool_]:
     """Return which points of a scan are returns, bool (N,).
 
-    None is at (0, 0, 0), or where a coordinate is NaN, infinite or beyond 10 km; nor are the many
-    points at one identical range at the edge of a scan, by which simulators mark beams that met
-    nothing. That range is seen where the points are in the LiDAR's own frame.
+    A point is no return if it is at (0, 0, 0), or a coordinate is NaN, infinite or beyond 10 km.
+    Many points at one identical range at the edge of a scan are no returns either: simulators mark
+    beams without a return by such points. They are recognised only if the points are in the LiDAR's
+    own frame.
 
     Args:
         points: float32 (N, 3) or wider, x, y, z first, metres.
         name: for the error.
 
     Raises:
-        InputError: if they are no points: a quarter is beyond 10 km, or integers read as floats.
+        InputError: if the array holds no points: a quarter of them is beyond 10 km, or they are
+            integers that were read as floats.
     """
     extent = np.maximum.reduce([np.abs(points[:, axis]) for axis in range(3)])  # NaN if one is
     returns: NDArray[np.bool_] = (extent >= _NEAREST_M) & (extent <= MAX_DEPTH_RANGE_M)
@@ -117,10 +119,10 @@ def is_return(points: NDArray[np.float32], *, name: str = "a scan") -> NDArray[n
 def _without_misses(
     points: NDArray[np.float32], returns: NDArray[np.bool_], count: int
 ) -> NDArray[np.bool_]:
-    """The returns without those at the nearest or farthest range if these are marks.
+    """Return `returns` without points at the nearest or farthest range that are marks.
 
-    Surfaces are not spheres around the LiDAR: of returns, far fewer are at the very edge than in
-    the hundredth of the range beside it.
+    Surfaces are not spheres around the LiDAR, so far fewer returns lie at the very edge of the
+    range than in the hundredth of the range beside it.
     """
     if count < _LEAST_JUDGED:
         return returns
@@ -150,7 +152,7 @@ def axes_of(points: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def kind_of(array: Any) -> Any:
-    """Return the dtype of a plain numpy array, the name of any other type."""
+    """Return the dtype of a plain NumPy array, or the name of any other type."""
     if isinstance(array, np.ndarray) and not isinstance(array, np.ma.MaskedArray | np.matrix):
         return array.dtype
     return type(array).__name__

@@ -20,9 +20,10 @@ class Rig:
     """A camera and a LiDAR or depth camera on one car.
 
     Attributes:
-        calibration: of camera and LiDAR, or the path of its file, see `Calibration.from_file`.
-            Scans need it to be projected; its focal length is used where the predictor has none.
-            None: unknown; a source of recordings then looks for the recording's own.
+        calibration: calibration of camera and LiDAR, or the path of its file, see
+            `Calibration.from_file`. Scans cannot be projected without it. Its focal length is used
+            if the predictor has none. None: unknown; a source of recordings then looks for the
+            recording's own calibration.
         pose_frame: the frame whose poses are given, "lidar", "camera" or "body" (the calibration's
             `body_from_lidar`): scans are moved to the time of their image. None: no poses are
             given.
@@ -30,9 +31,9 @@ class Rig:
             points have no times is moved as if all of them were measured in its middle. None:
             "middle", with an `AssumptionWarning` where scans are moved by it.
         max_skew_ms: largest difference between the stamps of an image and its depth.
-        reuse_depth_ms: an image without depth of its own takes the newest depth before it, if that
-            is at most so old; 0: never. None: 150, except in folders of files without times, where
-            nothing is reused.
+        reuse_depth_ms: largest age of an older depth that is reused for an image without depth of
+            its own; 0: depth is never reused. None: 150, except in folders of files without times,
+            where depth is never reused.
 
     Raises:
         InputError: if a value is out of range or of another type.
@@ -63,7 +64,7 @@ class Rig:
 
     @property
     def oldest_depth_ms(self) -> float:
-        """`reuse_depth_ms`, or its default of streams."""
+        """`reuse_depth_ms`, or the default for streams."""
         return DEFAULT_REUSE_DEPTH_MS if self.reuse_depth_ms is None else self.reuse_depth_ms
 
     @property
@@ -72,16 +73,16 @@ class Rig:
         return MIDDLE_AFTER[self.scan_stamp or "middle"]
 
     def read_calibration(self, **of_file: Any) -> Calibration | None:
-        """The calibration; a file is read by `Calibration.from_file`, which takes `of_file`."""
+        """Return the calibration; `of_file` are options of `Calibration.from_file` for a file."""
         if isinstance(self.calibration, Path | str):
             return Calibration.from_file(self.calibration, **of_file)
         return self.calibration
 
     @property
     def given(self) -> tuple[str, ...]:
-        """The names of the attributes that are not as by default."""
+        """The names of the attributes that differ from their defaults."""
         return tuple(each.name for each in fields(self) if getattr(self, each.name) != each.default)
 
 
-#: Of a car about which nothing is known.
+#: The rig of a car about which nothing is known.
 DEFAULT_RIG: Final = Rig()

@@ -1,4 +1,4 @@
-"""Rotations and rigid transforms: checked where they are read, from whatever file or message."""
+"""Checks of rotations and rigid transforms from files and messages."""
 
 from typing import Any
 
@@ -9,16 +9,16 @@ from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume
 from runtime.geometry.returns import kind_of
 
-_EXACT = 1e-3  # of float32, and of files with four digits
+_EXACT = 1e-3  # error of float32, and of files with four digits
 _LARGEST_M = 1e7
-_NEAR = 0.02  # of DAIR-V2X's calibrations; a lost sign or a scale is beyond it
+_NEAR = 0.02  # DAIR-V2X's calibrations are within it; a lost sign or a scale is not
 
 
 def read_rotation(name: str, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a rotation matrix, float64 (3, 3): as it is, or the nearest where it is nearly one.
+    """Return a rotation matrix, float64 (3, 3); if it is inexact, return the nearest rotation.
 
     Raises:
-        InputError: if it is none: it scales, shears or mirrors.
+        InputError: if the matrix is no rotation, because it scales, shears or mirrors.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         error = np.abs(rotation.T @ rotation - np.eye(3)).max()
@@ -36,11 +36,11 @@ def read_rotation(name: str, rotation: NDArray[np.float64]) -> NDArray[np.float6
 
 
 def read_rigid(name: str, matrix: Any) -> NDArray[np.float64]:
-    """Return a rigid transform, float64 (4, 4), a new array, see `read_rotation`.
+    """Return a rigid transform as a new array, float64 (4, 4), see `read_rotation`.
 
     Raises:
-        InputError: also for another shape or type, for numbers that are not finite, a position
-            farther than 10,000 km, and unless the last row is 0, 0, 0, 1.
+        InputError: as for `read_rotation`, and if the shape or type is wrong, a number is not
+            finite, the position is beyond 10,000 km, or the last row is not 0, 0, 0, 1.
     """
     check_matrix(name, matrix, 4)
     if not np.array_equal(matrix[3], (0, 0, 0, 1)):

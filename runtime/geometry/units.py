@@ -1,4 +1,4 @@
-"""Numbers that are possible, but unlikely in the unit that is expected: they are said, not refused.
+"""Warnings about numbers that are possible, but unlikely in the expected unit.
 
 The limits: a lens of 150 degrees seen as a pinhole has its edges stretched 15 times, and even a
 fisheye of 190 degrees has a focal length of 0.3 image widths, by which a pinhole sees 118.
@@ -17,7 +17,7 @@ _FARTHEST_SENSOR_M, _FARTHEST_BODY_M = 3.0, 10.0
 
 
 def check_view(focal_px: float, width: int) -> None:
-    """Say a focal length [px] that is unlikely for images of this width [px], as in millimetres."""
+    """Warn if a focal length [px] is unlikely for this image width [px], such as millimetres."""
     degrees = 2 * math.degrees(math.atan(width / (2 * focal_px)))
     if degrees > _WIDEST_DEGREES:
         assume(
@@ -31,7 +31,7 @@ def check_view(focal_px: float, width: int) -> None:
 def check_mount(
     extrinsics: NDArray[np.floating[Any]], body: NDArray[np.floating[Any]] | None
 ) -> None:
-    """Say a LiDAR that is unlikely far from its camera or body, as in centimetres.
+    """Warn if the LiDAR is unlikely far from its camera or body, such as in centimetres.
 
     Args:
         extrinsics: (4, 4), from the LiDAR to the camera.
