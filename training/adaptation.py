@@ -1,8 +1,8 @@
 """The depth of a network adapted to a camera and a LiDAR by a recording of them, without labels.
 
-A part of the returns is fed, the others are the target. Only layers that the depth alone reads
-are trained, so that classes and boundaries stay what they are. On frames kept apart the model
-before is scored beside the one after, and the better one is kept.
+A part of the returns is the input, the others are the target. Only layers that the depth alone
+reads are trained, so that classes and boundaries do not change. The models before and after the
+training are scored on frames that were kept apart, and the better model is kept.
 """
 
 import contextlib
@@ -46,7 +46,7 @@ from training.stop_signal import StopRequested
 
 Depth = NDArray[np.float32]
 
-#: Folders below a run's: the frames of the recording, and the training.
+#: Folders inside the folder of a run: the frames of the recording, and the training.
 FRAMES, TRAINING = "recording", "training"
 #: Frames that are read at most, and the least number of them.
 MOST_FRAMES, LEAST_FRAMES = 600, 5
@@ -56,7 +56,7 @@ _KINDS = ("images", "lidar")
 #: Share of the time of the frames with returns, at its end, that is kept apart.
 KEPT_APART = 0.1
 _STEPS, _WARMUP = 200, 20
-#: Share of the trained weights in the model between both.
+#: Share of the trained weights in the mean of the old and the trained model.
 _BETWEEN = 0.5
 #: Largest relative change of the depth on the bundled recording: what changes more has forgotten
 #: other rigs.
@@ -68,9 +68,9 @@ class Adapted:
     """The result of `adapt`.
 
     Attributes:
-        path: the checkpoint, `RUN/model.pt`; where training was stopped, its last.pt.
+        path: the checkpoint, `RUN/model.pt`; if the training was stopped, its last.pt.
         lines: the scores, and what was kept, for the terminal.
-        paid: whether the adapted model is better; otherwise ``path`` is the one before.
+        paid: whether the adapted model is better; otherwise `path` holds the model before.
     """
 
     path: Path
@@ -89,14 +89,14 @@ def adapt(
 ) -> Adapted:
     """Adapt the depth of a network to the rig of a recording.
 
-    Writes to ``out``: recording/ (the chosen frames as PNGs), training/ (the run, see `train`) and
+    Writes to `out`: recording/ (the chosen frames as PNGs), training/ (the run, see `train`) and
     model.pt. The same call resumes what was stopped.
 
     Args:
         source: the recording, with images and returns.
         init: the network that is adapted.
         out: folder of the run.
-        changes: of the recipe, see `build_recipe`.
+        changes: changes of the recipe, see `build_recipe`.
         device: "cpu", "cuda" or "cuda:N".
         stop: called between two steps; True stops.
 
@@ -134,7 +134,7 @@ def _adapt(
     recipe = make_recipe(init, frames, focal_px, changes)
     kept_apart = open_dataset(_frames_of("kept_apart", frames, focal_px), [out], classes=())
     samples = [kept_apart[index] for index in range(len(kept_apart))]
-    # Before the training, which takes long: whether these frames can tell the models apart.
+    # Before the long training: check that these frames can tell the models apart.
     linear = score(method_predict(create_method("linear")), samples, stop)
     if linear.keys() != FEEDS.keys():
         raise InputError(
@@ -157,7 +157,7 @@ def _adapt(
     ratio = {name: float((figures[name] / figures["before"]).mean()) for name in models}
     change = {name: bundled_change(network, models[name]) for name in ("between", "after")}
     allowed = ["before", *(name for name, share in change.items() if share <= MOST_CHANGE)]
-    best = min(allowed, key=lambda name: ratio[name])  # of equals that before
+    best = min(allowed, key=lambda name: ratio[name])  # ties keep the model before
     paid = best != "before"
     with folder_errors(out):
         facts = dict(trained.training) if paid else init.facts.to_dict()
@@ -191,7 +191,8 @@ def open_recording(recording: str, calibration: Path | None = None, **files: Pat
 def choose_frames(listed: Sequence[ListedFrame]) -> list[tuple[ListedFrame, float]]:
     """Choose frames at equal distances of time, each with its time, 0 to 1.
 
-    Without stamps their order is the time. InputError for too few frames with depth.
+    If there are no stamps, the order of the frames is the time. InputError for too few frames with
+    depth.
     """
     found = [frame for frame in listed if frame.complete and frame.depth is not None]
     if len(found) < LEAST_FRAMES:
@@ -294,7 +295,7 @@ def _frames_of(part: str, frames: Path, focal_px: float | None) -> FoldersRecipe
 def make_recipe(
     init: Weights, frames: Path, focal_px: float | None, changes: Sequence[str] = ()
 ) -> Recipe:
-    """Return the recipe of the training; ``changes`` as of `build_recipe`."""
+    """Return the recipe of the training; `changes` are those of `build_recipe`."""
     config, facts = init.network.config, init.facts
     model: dict[str, Any] = {"name": config.name, "config": config_changes(config)}
     table = trained_classes(config.classes, facts.to_dict())
@@ -342,7 +343,7 @@ def score(
 ) -> dict[str, NDArray[np.float64]]:
     """Feed -> MAE, RMSE and median error [m] of the withheld returns, means over frames, (3,).
 
-    Raises StopRequested once ``stop`` is True.
+    Raises StopRequested once `stop` is True.
     """
     found: dict[str, list[tuple[float, float, float]]] = {name: [] for name in FEEDS}
     for number, sample in enumerate(samples):

@@ -39,9 +39,9 @@ def train(
     dry_run: bool = False,
     report: Callable[[str], None] = print,
 ) -> Path:
-    """Train a network by a recipe; an ``out`` of the same recipe is resumed.
+    """Train a network by a recipe; an `out` of the same recipe is resumed.
 
-    `training.loop.train` and `training.stages.train_stages` describe what is written to ``out``.
+    `training.loop.train` and `training.stages.train_stages` describe what is written to `out`.
 
     Args:
         recipe: the name of a recipe of the package, or the path of a TOML file.
@@ -58,11 +58,11 @@ def train(
         report: called with each line of the description of a dry run.
 
     Returns:
-        The checkpoint ``out``/model.pt; the last.pt of a run that was stopped; the picture
+        The checkpoint `out`/model.pt; the last.pt of a run that was stopped; the picture
         batch.png of a dry run.
 
     Raises:
-        InputError: for an unknown recipe, wrong keys or values, or an ``out`` of another recipe.
+        InputError: for an unknown recipe, wrong keys or values, or an `out` of another recipe.
         DatasetError: if a data set is missing or damaged.
         CheckpointError: if weights cannot be read or do not fit.
         NonFiniteLossError: if the loss or its gradient is NaN or infinite.
@@ -103,9 +103,9 @@ def finetune(
     dry_run: bool = False,
     report: Callable[[str], None] = print,
 ) -> Path:
-    """Train the classes or the depth of a network on folders of one's own.
+    """Train the classes or the depth of a network on your own folders.
 
-    A recipe is made for the folders and written to ``out``/recipe.toml. With labels the last layers
+    A recipe is made for the folders and written to `out`/recipe.toml. With labels the last layers
     of the classes are trained, otherwise those that only the depth reads. Files of a frame have the
     same name in each folder.
 
@@ -113,11 +113,12 @@ def finetune(
         images: PNG or JPEG images, at least 10. The last tenth, by name, is for validation.
         out: folder of the run.
         labels: 8-bit PNGs of class ids (0, 1, ...; 255 = none).
-        classes: text file with the name of one class a line, in order of the ids.
+        classes: text file with the name of one class per line, in order of the ids.
         depth: 16-bit PNGs of a LiDAR's depth, 0 = none.
         depth_scale: units of the depth per metre; None = 256.
-        focal_length_px: of the images as they are: distances of another camera than that of the
-            weights are then scaled, see `runtime.contract.canonical_focal`. None = not known.
+        focal_length_px: focal length of the images as they are. Distances are then scaled if the
+            camera differs from that of the weights, see `runtime.contract.canonical_focal`. None =
+            not known.
         intrinsics: fx, fy, cx, cy [px], in place of the focal length.
         init: weights to start from.
         changes: see `train`, like what follows.
@@ -148,7 +149,7 @@ def finetune(
     report(text)
     table = fine_tune(tomllib.loads(text), changes, begin)
     stages = (Stage("", build_recipe(table, target / RECIPE_TEXT)),)
-    keep_recipe(text, target)  # of a dry run, too: it is the file that one edits
+    keep_recipe(text, target)  # also in a dry run, because it is the file to edit
     if dry_run:
         return _draw_first_batch(stages, [own.root], target, begin, None, device, report)
     return train_stages(
@@ -177,12 +178,12 @@ def adapt(
 ) -> Adapted:
     """Adapt the depth of a network to a camera and a LiDAR, by a recording without labels.
 
-    Only layers that the depth alone reads are trained, on returns that are not fed. Of the model
-    before, the one after and the mean of both, the best on frames kept apart becomes
-    ``out``/model.pt. The same call resumes what was stopped.
+    Only layers that the depth alone reads are trained, on returns that are not part of the input.
+    The model before, the model after and the mean of both are scored on frames that were kept
+    apart; the best becomes `out`/model.pt. The same call resumes a run that was stopped.
 
     Args:
-        recording: a path, or KIND:PATH[,KEY=VALUE...] like ``--source`` of `ssdnet-run`.
+        recording: a path, or KIND:PATH[,KEY=VALUE...] like `--source` of `ssdnet-run`.
         out: folder of the run.
         depth: depth maps of a folder of images.
         points: scans of a folder of images.

@@ -1,4 +1,4 @@
-"""The recipe that a command names: one of the package, or a TOML file.
+"""The recipe that a command names: a recipe of the package, or a TOML file.
 
 What a file leaves out comes from the training of the weights that it begins with.
 """
@@ -81,14 +81,14 @@ _DEFAULTS = {
 def fine_tune(
     table: Mapping[str, Any], changes: Sequence[str], init: Weights | None
 ) -> Mapping[str, Any]:
-    """Return a recipe's changed table, with settings of the earlier training where it has none.
+    """Return a recipe's changed table; settings it lacks come from the earlier training.
 
-    What is added, unless it is the default, is reported on stderr. For weights of the package the
-    recipe of their first stage is taken: it trains all heads.
+    Added settings that are not the default are reported on stderr. For weights of the package the
+    recipe of their first stage is used, because it trains all heads.
 
     Args:
-        table: the recipe, as TOML has it.
-        changes: of it, see `training.recipe.change`.
+        table: the recipe's table, as read from TOML.
+        changes: changes of the recipe, see `training.recipe.change`.
         init: the checkpoint that the training begins with; None = there is none.
     """
     table = change(table, changes)
@@ -108,7 +108,7 @@ def fine_tune(
 def _settings(
     table: Mapping[str, Any], earlier: Mapping[str, Any], config: NetworkConfig, classes: Any
 ) -> dict[str, Any]:
-    """Return what fits a recipe's table of the earlier recipe; nothing for another network."""
+    """Return the values of the earlier recipe that fit; nothing for another network."""
     model = _below(table, "model")
     if model.get("name", config.name) != config.name:
         return {}
@@ -158,7 +158,7 @@ def _fit_loss(loss: dict[str, Any], table: Mapping[str, Any], classes: object) -
 
 
 def _fit_rates(optimizer: dict[str, Any], wanted: Mapping[str, Any]) -> None:
-    """Lower the rates to those of fine-tuning; another optimiser has none of them."""
+    """Lower the rates to those of fine-tuning; for another optimiser no rate is taken over."""
     for key in ("learning_rate", "encoder_rate"):
         if optimizer.get(key) is not None:
             optimizer[key] *= RATE_SHARE

@@ -59,7 +59,7 @@ class Processes:
     def shares(self, first: int, last: int, batch_size: int) -> list[int]:
         """Return this process's samples of first..last - 1: one batch of each round.
 
-        Every round of ``count`` batches is a contiguous range, so that it has the same samples
+        Every round of `count` batches is a contiguous range, so that it has the same samples
         whatever the number of processes.
         """
         return [
@@ -90,7 +90,7 @@ def open_device(text: str) -> torch.device:
 def join_processes(device: str) -> Iterator[Processes]:
     """Join the processes that torchrun started, or be the only one.
 
-    Inside a block of its own it joins nothing anew: runs that follow one another share the group.
+    A nested block joins no new group: runs that follow one another share the group.
 
     Args:
         device: "cpu" (gloo), "cuda" (nccl; each process of a machine takes its own GPU), or
@@ -143,10 +143,10 @@ class _SumOverProcesses(torch.autograd.Function):
 
 
 def share_network(network: nn.Module, processes: Processes) -> nn.Module:
-    """Wrap a network so that the processes train it as one would with the large batch.
+    """Wrap a network so that the processes train it like a single process with the large batch.
 
-    Gradients are averaged over the processes; batch normalisation is over the batches of all, in
-    ``network`` too.
+    Gradients are averaged over the processes; batch normalisation is over the batches of all
+    processes, in `network` too.
     """
     if processes.count == 1:
         return network

@@ -1,4 +1,4 @@
-"""A training without its steps: whether it can start, and what it would be given."""
+"""A training without its steps: whether it can start, and the data that it would read."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -37,7 +37,7 @@ def dry_run(
     """Open all that a training needs and draw its first batch; arguments and errors as in `train`.
 
     Returns:
-        batch.png, the only file that is written (``out`` does not become a run's folder), and the
+        batch.png, the only file that is written (`out` does not become a run's folder), and the
         description of the data.
     """
     with join_processes(device) as processes:

@@ -41,8 +41,8 @@ COLORS = {"rgb_mean": (RGB_MEAN,) * 3, "rgb_std": (RGB_STD,) * 3}
 def pretrain(network: Network, pictures: Iterable[Tensor], *, load: bool) -> Network:
     """Return a network whose encoder begins with weights of ImageNet.
 
-    They are pruned for a narrower trunk, by their features of ``pictures``, see `prune_trunk`.
-    Without ``load`` the network is only checked.
+    For a narrower trunk the weights are pruned by their features of `pictures`, see `prune_trunk`.
+    If `load` is false, the network is only checked.
 
     Raises:
         InputError: for a network without such an encoder, or that normalises images otherwise.

@@ -16,7 +16,7 @@ from training.losses import LossConfig
 from training.prune import trunk_of, trunk_widths
 from training.recipe import Recipe
 
-#: Layers with weights a class.
+#: Layers with weights for each class.
 _CLASS_LAYERS = ("semantic_head.", "semantic_coarse_head.")
 #: Buffers that hold settings of the configuration.
 _SETTINGS = ("rgb_mean", "rgb_std")
@@ -44,8 +44,8 @@ class Weights:
     Attributes:
         path: its file.
         name: the file's name with the start of its SHA-256.
-        network: on the CPU, in evaluation mode.
-        facts: of its training.
+        network: the network, on the CPU, in evaluation mode.
+        facts: the facts of its training.
     """
 
     path: Path
@@ -87,11 +87,11 @@ def find_weights(text: str) -> Path:
 
 
 def start_from(network: Network, init: Weights, *, resumed: bool = False) -> None:
-    """Load the weights of the checkpoint ``init``, as far as they fit.
+    """Load the weights of the checkpoint `init`, as far as they fit.
 
     Layers that the checkpoint lacks or has in another shape keep their initial weights, and so do
     the class layers where the classes differ. These layers, and settings that change what the
-    weights compute, are reported on stderr, unless the run is ``resumed``: it replaces all weights.
+    weights compute, are reported on stderr, unless the run is `resumed`: it replaces all weights.
 
     Raises:
         CheckpointError: if nothing fits, or the trunk has other widths: its layers would be random.
@@ -139,7 +139,7 @@ def start_from(network: Network, init: Weights, *, resumed: bool = False) -> Non
 
 
 def prepare_teacher(weights: Weights | None, loss: LossConfig, network: Network) -> Network | None:
-    """Return the teacher of ``network``; None if the loss compares with no teacher.
+    """Return the teacher of `network`; None if the loss compares with no teacher.
 
     Args:
         weights: its checkpoint; None = none was given.
@@ -185,7 +185,7 @@ def prepare_teacher(weights: Weights | None, loss: LossConfig, network: Network)
 
 
 def _meaning(network: Network, key: str) -> object:
-    """Return a setting of a network that its answers depend on; of classes the names."""
+    """Return a setting that a network's answers depend on; for classes, their names."""
     value = getattr(network.config, key)
     return [info.name for info in value] if key == "classes" else value
 

@@ -25,7 +25,7 @@ CropSide = Annotated[int, Field(ge=1, le=MAX_SIDE)]
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Positive = Annotated[float, Field(gt=0, le=1e9)]
-#: Of a relative change of colours.
+#: Limits of a relative change of colours.
 Strength = Annotated[float, Field(ge=0, le=10)]
 Degrees = Annotated[float, Field(ge=0, le=180)]
 NotNegative = Annotated[float, Field(ge=0, le=1e9)]

@@ -48,9 +48,9 @@ def train(
 ) -> Path:
     """Train a network by a recipe.
 
-    Writes to ``out``: recipe.json (resolved), last.pt (to resume from), model.pt (the averaged
+    Writes to `out`: recipe.json (resolved), last.pt (to resume from), model.pt (the averaged
     weights, to release), best.pt (those of the best validation so far), scores.csv (every score of
-    every validation), validation.html (the page of the last one) and tensorboard/. An ``out``
+    every validation), validation.html (the page of the last one) and tensorboard/. An `out`
     with a last.pt of the same recipe is resumed. Started by torchrun, each process takes its share
     of every batch, see `training.distributed`; the first one writes, and all stop at the same step.
 
@@ -69,10 +69,10 @@ def train(
         model.pt, or last.pt if the run was stopped early, which is not there before the first step.
 
     Raises:
-        InputError: if the recipe, the device or ``out`` cannot be used, for example an ``out`` of
+        InputError: if the recipe, the device or `out` cannot be used, for example an `out` of
             another recipe.
         DatasetError: if a data set is missing or damaged.
-        CheckpointError: if nothing of ``init`` fits, or a checkpoint cannot be read or written.
+        CheckpointError: if nothing of `init` fits, or a checkpoint cannot be read or written.
         NonFiniteLossError: if the loss or its gradient is NaN or infinite.
     """
     with join_processes(device) as processes, ExitStack() as held, suppress(StopRequested):

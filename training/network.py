@@ -20,16 +20,16 @@ def build_network(
     resumed: bool = False,
     pictures: Iterable[Tensor] = (),
 ) -> Network:
-    """Build a recipe's network, with the weights of ``init`` as far as they fit.
+    """Build a recipe's network, with the weights of `init` as far as they fit.
 
-    Images are normalised as ``init``'s network does, or as ``pretrained`` weights want, unless the
+    Images are normalised as `init`'s network does, or as `pretrained` weights want, unless the
     recipe says otherwise: the weights know no other values. Pretrained weights are loaded before
-    ``init``'s, unless these replace the whole trunk, or the run is ``resumed``; they are pruned for
-    a narrower trunk, by their features of ``pictures``, see `prune_trunk`.
+    `init`'s, unless these replace the whole trunk, or the run is `resumed`; they are pruned for
+    a narrower trunk, by their features of `pictures`, see `prune_trunk`.
 
     Raises:
-        InputError: if the network cannot be built, or ``pretrained`` weights are not for it.
-        CheckpointError: if ``pretrained`` weights cannot be read, nothing of ``init`` fits, or its
+        InputError: if the network cannot be built, or `pretrained` weights are not for it.
+        CheckpointError: if `pretrained` weights cannot be read, nothing of `init` fits, or its
             trunk has other widths.
     """
     changes: dict[str, Any] = {}

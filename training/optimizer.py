@@ -1,4 +1,4 @@
-"""What of a network is trained, and at which rates."""
+"""The parts of a network that are trained, and their learning rates."""
 
 from typing import Any
 
@@ -44,10 +44,10 @@ def build_optimizer(
 
 
 def train_parts(network: Network, only: tuple[str, ...], frozen: tuple[str, ...] = ()) -> None:
-    """Put the parts whose names begin with an entry of ``only`` into training mode; () = all.
+    """Put the parts whose names begin with an entry of `only` into training mode; () = all.
 
-    The others, and layers at any depth whose names begin with one of ``frozen``, have no gradient
-    and constant batch statistics. InputError for a beginning that fits none.
+    The others, and layers at any depth whose names begin with an entry of `frozen`, have no
+    gradient and constant batch statistics. InputError for an entry that fits no name.
     """
     parts = dict(network.named_children())
     unknown = [start for start in only if not any(name.startswith(start) for name in parts)]

@@ -37,7 +37,7 @@ _CLASSES_ALONE = (
     'frozen = ["semantic_decoder"]',
     "learning_rate = 2e-3",
 )
-#: One of this many frames is for validation, which is also the least number of frames.
+#: One frame in this number is for validation; it is also the least number of frames.
 _VALIDATION = 10
 
 
@@ -49,7 +49,7 @@ class OwnFolders:
         images: PNG or JPEG images.
         labels: 8-bit PNGs of class ids, 255 = none.
         depth: 16-bit PNGs of a LiDAR's depth.
-        classes: text file with the name of a class a line, the first of id 0; goes with labels.
+        classes: text file with one class name per line, starting at id 0; required with labels.
         depth_scale: units of the depth per metre; None = 256.
         focal_length_px: of the images as they are; the principal point is then in their middle.
         intrinsics: fx, fy, cx, cy [px] of the images as they are, in place of the focal length.
@@ -76,16 +76,16 @@ class OwnFolders:
 
     @property
     def root(self) -> Path:
-        """The recipe's ``--data``: the folder that holds the images' folder."""
+        """The recipe's `--data`: the folder that holds the images' folder."""
         return self.images.resolve().parent
 
     def make_recipe(self, init: Weights) -> str:
-        """Return a recipe, as TOML, for a training that starts from ``init``.
+        """Return a recipe, as TOML, for a training that starts from `init`.
 
         The last tenth of the frames is for validation: neighbours of a recording are alike. Images
-        of far more rows than those ``init`` was trained on are resized to its rows, and images of
+        of far more rows than those `init` was trained on are resized to its rows, and images of
         far different sizes to the median of their rows; each keeps its aspect. Classes are learned
-        by their own layers, and so is the depth without labels: the others stay those of ``init``.
+        by their own layers, and so is the depth without labels: the others stay those of `init`.
 
         Raises:
             InputError: if a folder or the classes cannot be read, for too few images, and where
@@ -137,7 +137,7 @@ class OwnFolders:
 def _describe(
     classes: Sequence[ClassInfo], rows: int, keys: Mapping[str, Any], first: int, count: int
 ) -> Iterator[str]:
-    """Yield the lines of a recipe whose validation begins with the frame of number ``first``."""
+    """Yield the lines of a recipe whose validation begins with the frame of number `first`."""
     has_depth = "depth" in keys
     yield "[model]"
     if classes:

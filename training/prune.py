@@ -39,15 +39,15 @@ class _Moments:
         self.squares = self.squares + pixels.T @ pixels
 
     def mean_and_covariance(self) -> tuple[Tensor, Tensor]:
-        """Return them, (C,) and (C, C)."""
+        """Return mean and covariance, (C,) and (C, C)."""
         mean = torch.as_tensor(self.total) / self.count
         return mean, torch.as_tensor(self.squares) / self.count - torch.outer(mean, mean)
 
 
 def trunk_of(network: Network) -> EfficientNetLite | None:
-    """Return the trunk of EfficientNet-Lite0 of a network, its ``encoder``; None without one.
+    """Return the trunk of EfficientNet-Lite0 of a network, its `encoder`; None without one.
 
-    The configuration of such a network has the widths of the trunk as ``encoder_widths``.
+    The configuration of such a network has the widths of the trunk as `encoder_widths`.
     """
     encoder = getattr(network, "encoder", None)
     return encoder if isinstance(encoder, EfficientNetLite) else None
@@ -67,8 +67,8 @@ def prune_trunk(network: Network, widths: Sequence[int], pictures: Iterable[Tens
     Alistarh 2022). Where nothing is to be removed, the network itself is returned.
 
     Args:
-        network: with a trunk, see `trunk_of`; not changed.
-        widths: of the stem and of each block, see `EfficientNetLite`; () = all.
+        network: a network with a trunk, see `trunk_of`; it is not changed.
+        widths: channels of the stem and of each block, see `EfficientNetLite`; () = all.
         pictures: float (N, 3, H, W), RGB in 0..255, at least one; not read if nothing is removed.
 
     Raises:

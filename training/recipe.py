@@ -74,7 +74,7 @@ def _read_registered(value: Any) -> SourceRecipe:
 if TYPE_CHECKING:
     AnySource = SourceRecipe
 else:
-    #: A data set of any kind, by its key ``kind``.
+    #: A data set of any kind, by its key `kind`.
     AnySource = Annotated[
         Union[
             *(Annotated[kind, Tag(name)] for name, kind in DATASETS.items()),
@@ -89,7 +89,7 @@ else:
     ]
 
 
-#: Tags of the two forms of ``model.classes``.
+#: Tags of the two forms of `model.classes`.
 _NAMED, _OWN = "(named)", "(own)"
 _Channel = Annotated[int, Field(ge=0, le=255)]
 
@@ -186,7 +186,7 @@ class DataRecipe:
 
     source: Annotated[tuple[AnySource, ...], Field(min_length=1, max_length=100)]
     augment: AugmentConfig = field(default_factory=AugmentConfig)
-    #: Per process.
+    #: Batch size and number of workers, both for each process.
     batch_size: BatchSize = 8
     workers: Workers = 1
     #: Memory for decoded frames, all workers of a process together [GiB]; 0 = no cache.
@@ -398,7 +398,7 @@ def build_recipe(table: Mapping[str, Any], name: Path | str, changes: Sequence[s
 def change(table: Mapping[str, Any], changes: Sequence[str]) -> dict[str, Any]:
     """Return a table with changes, each "table.key = value" in TOML.
 
-    A list (``data.source``) is replaced as a whole.
+    A list (`data.source`) is replaced as a whole.
     """
     changed = dict(table)
     for text in changes:
@@ -425,7 +425,7 @@ def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]
 
 
 def build(kind: type[T], table: object) -> T:
-    """Build ``kind`` from a TOML table, strictly; InputError names the wrong key."""
+    """Build `kind` from a TOML table, strictly; InputError names the wrong key."""
     try:
         # Through JSON: there a list may be a tuple, and "3" is not 3.
         return TypeAdapter(kind).validate_json(json.dumps(table))
@@ -506,7 +506,7 @@ def _describe(error: Mapping[str, Any], kind: Any) -> str:
 
 
 def _table_at(kind: Any, place: Sequence[str | int]) -> Any:
-    """Return the dataclass of the table at a location below ``kind``."""
+    """Return the dataclass of the table at a location below `kind`."""
     for part in place:
         if part in _TAGS:
             kind = _TAGS[str(part)]

@@ -15,7 +15,7 @@ _BIAS = "semantic_head.bias"
 
 
 def adjust_logits(network: Network, class_weights: Tensor, share: float) -> Network:
-    """Lower the semantic bias by ``share`` * log(class weight) (Menon et al. 2021).
+    """Lower the semantic bias by `share` * log(class weight) (Menon et al. 2021).
 
     A network trained with class weights w predicts the odds of w * p; subtracting log w from the
     logits gives p. Without a share or classes the network itself is returned.
@@ -51,7 +51,7 @@ def mix_weights(before: Network | None, after: Network, share: float) -> Network
 
 
 def add_offsets(network: Network, offsets: Mapping[str, float]) -> Network:
-    """Add to the logit of each class in ``offsets``; benchmarks/logit_offsets.py finds them.
+    """Add to the logit of each class in `offsets`; benchmarks/logit_offsets.py finds them.
 
     Raises:
         InputError: for a class that the network does not have.

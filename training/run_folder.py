@@ -52,9 +52,9 @@ def prepare_folder(
     files: Mapping[str, Mapping[str, Any]],
     roots: Sequence[Path] = (),
 ) -> None:
-    """Make ``out`` the folder of this training; InputError if it belongs to another one.
+    """Make `out` the folder of this training; InputError if it belongs to another one.
 
-    ``files`` describes the data, see `list_data`, in the folders ``roots``. Those of the first
+    `files` describes the data, see `list_data`, in the folders `roots`. Those of the first
     start stay in recipe.json; a difference to them is a warning on stderr.
     """
     path = out / RECIPE
@@ -112,10 +112,10 @@ def list_data(roots: Sequence[Path], paths: Sequence[str]) -> dict[str, dict[str
 
 @contextmanager
 def lock_folder(out: Path) -> Iterator[None]:
-    """Keep other trainings from writing to ``out``, and this one from replacing files of others.
+    """Keep other trainings from writing to `out`, and this one from replacing files of others.
 
-    The lock ends with the process. It is POSIX's, which workers of the process do not inherit. A
-    file system without locks has none. Raises InputError and OutputError.
+    The lock ends with the process. It is a POSIX lock, which workers of the process do not inherit.
+    On a file system without locks nothing is locked. Raises InputError and OutputError.
     """
     with folder_errors(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -136,7 +136,7 @@ def lock_folder(out: Path) -> Iterator[None]:
 
 @contextmanager
 def folder_errors(out: Path) -> Iterator[None]:
-    """Raise an OSError of the block as an InputError about ``out``."""
+    """Raise an OSError of the block as an InputError about `out`."""
     try:
         yield
     except OSError as error:
@@ -157,7 +157,7 @@ def require_same(
     """Raise InputError that names the first key in which two trainings differ.
 
     Keys of `_WITHOUT_EFFECT` are ignored, and so is the path of a set that holds the same files:
-    ``known`` and ``files`` are the earlier and the present answer of `list_data`. A missing key of
+    `known` and `files` are the earlier and the present answer of `list_data`. A missing key of
     an older recipe has its default.
     """
     try:

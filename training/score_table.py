@@ -19,7 +19,7 @@ _TOLERANCE = 0.05
 class ScoreTable:
     """A CSV file with one row per step and set: "step", "set", and one column per score.
 
-    Rows of steps after ``step`` are dropped, at step 0 all: an interrupted run computes them again.
+    Rows of steps after `step` are dropped, at step 0 all: an interrupted run computes them again.
     """
 
     def __init__(self, path: Path, step: int) -> None:
@@ -36,9 +36,9 @@ class ScoreTable:
         return any(row["step"] == str(step) for row in self._rows)
 
     def add(self, step: int, scores: Mapping[str, Mapping[str, float]], best: str) -> bool:
-        """Write the scores of a step; return whether the score ``best`` is the best so far.
+        """Write the scores of a step; return whether the score `best` is the best so far.
 
-        ``best`` is "SET/SCORE", or "" for the first set's miou or, without labels, mae_m.
+        `best` is "SET/SCORE", or "" for the first set's miou or, without labels, mae_m.
         OutputError if the file cannot be written.
         """
         name, figure = _choose(scores, best)
@@ -66,7 +66,7 @@ class ScoreTable:
     def compare(self) -> Iterator[str]:
         """Yield a table of the shown scores before the first step and now, and what became worse.
 
-        Nothing where step 0 was not scored.
+        It yields nothing if step 0 was not scored.
         """
         now = {row["set"]: row for row in self._rows}  # last row of each set
         pairs = {

@@ -1,4 +1,4 @@
-"""Recipes of several stages: runs one after the other, each from the weights of the one before."""
+"""Recipes of several stages: each is a run that starts from the weights of the stage before."""
 
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -17,13 +17,13 @@ from training.loop import train
 from training.recipe import Recipe
 from training.run_folder import FINAL, RECIPE, folder_errors
 
-#: In a stage's folder: what its call made of the trained weights.
+#: The file in a stage's folder with the result of its call on the trained weights.
 RESULT = "result.pt"
 
 
 @dataclass(frozen=True)
 class Trained:
-    """What a stage gives to its call.
+    """The argument of a stage's call.
 
     Attributes:
         before: the network that it began with; None = random weights.
@@ -70,13 +70,13 @@ def train_stages(
 ) -> Path:
     """Run all stages; a run that was stopped or killed is resumed in its stage.
 
-    Each is a run of its own in ``out``/NUMBER-NAME that begins with the result of the one before:
-    its model.pt, or, where it has a call, the result.pt that this makes of it. The result of the
-    last is also ``out``/model.pt. A finished stage is not run again, but refused where its recipe
-    is another one now.
+    Each stage is a run in `out`/NUMBER-NAME that begins with the result of the stage before: its
+    model.pt or, if the stage has a call, the result.pt that the call makes of it. The result of the
+    last stage is also `out`/model.pt. A finished stage is not run again; it is an error if its
+    recipe has changed.
 
     Args:
-        stages: of a recipe, in order.
+        stages: the stages of a recipe, in order.
         data: see `train`, like what follows.
         out: folder of all stages.
         init: a checkpoint that the first stage starts from.
@@ -86,11 +86,11 @@ def train_stages(
         stop: called between two steps; True stops.
 
     Returns:
-        ``out``/model.pt, or the last.pt of the stage that was stopped; stopped exactly between two
+        `out`/model.pt, or the last.pt of the stage that was stopped; stopped exactly between two
         stages, the model.pt of the first of them.
 
     Raises:
-        InputError: if ``out`` belongs to other stages, and as in `train`, like all others.
+        InputError: if `out` belongs to other stages, and as in `train`, like all others.
     """
     _require_same_stages(stages, out)
     with join_processes(device) as processes:
@@ -129,7 +129,7 @@ def train_stages(
 def _make_result(
     stage: Stage, folder: Path, made: Path, init: Weights | None, data: Sequence[Path]
 ) -> None:
-    """Call what a finished stage has to call, and write it to ``made``, unless it is there."""
+    """Call what a finished stage has to call, and write it to `made`, unless it is there."""
     if stage.then is not None and not (made / stage.result).is_file():
         before = None if init is None else init.network
         trained = load_checkpoint(folder / FINAL)
@@ -150,7 +150,7 @@ def next_stage(
 ) -> tuple[Stage, Path, Weights | None]:
     """Return the first stage that is not finished, its folder, and the weights it starts from.
 
-    Nothing is written to ``out``.
+    Nothing is written to `out`.
     """
     _require_same_stages(stages, out)
     for stage in stages:

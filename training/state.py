@@ -47,7 +47,7 @@ class TrainingState:
     Args:
         recipe: the recipe.
         task: what it trains on what.
-        processes: that train together.
+        processes: the processes that train together.
         out: folder of the run, for errors.
     """
 
@@ -176,7 +176,7 @@ def learning_rate(schedule: ScheduleRecipe, peak: float, step: int) -> float:
 def exponential_average(decay: float) -> Callable[[Tensors, Tensors, Tensor | int], None]:
     """Return AveragedModel's update rule: an exponential average.
 
-    The decay grows as (1 + n) / (10 + n) up to ``decay``, so that the random initial weights do not
+    The decay grows as (1 + n) / (10 + n) up to `decay`, so that the random initial weights do not
     remain in the average of a short run.
     """
 

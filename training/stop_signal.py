@@ -13,7 +13,7 @@ class StopRequested(Exception):
 
 
 class Watched:
-    """A data set that raises StopRequested instead of a frame once ``stop`` is True."""
+    """A data set that raises StopRequested instead of a frame once `stop` is True."""
 
     def __init__(self, source: SampleSource, stop: Callable[[], bool]) -> None:
         self._source, self._stop = source, stop

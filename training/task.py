@@ -1,4 +1,4 @@
-"""What a recipe trains on what: all that can be refused before a run writes anything."""
+"""An opened recipe: networks and data, checked before a run writes anything."""
 
 import contextlib
 import copy
@@ -57,13 +57,13 @@ class Task:
         validation: the validation sets by title.
         lidar: the input of the validation.
         network: on the device of the process; only the parts that are trained have gradients.
-        criterion: the loss, there too.
-        optimizer: of both, at the recipe's rates.
-        targets: those that the loss uses.
+        criterion: the loss, on the same device.
+        optimizer: the optimiser of network and loss, at the recipe's rates.
+        targets: the targets that the loss uses.
         depth_target: unit of the depth target, and the depth of the sky.
-        known_data: names of the data that the weights know, from other trainings too.
-        data_terms: their terms.
-        teacher: the network whose answers are learned, on the device too; None = there is none.
+        known_data: names of the data that the weights were trained on, also in other trainings.
+        data_terms: terms of these data.
+        teacher: the network whose answers are learned, on the same device; None = no teacher.
     """
 
     data: DataRecipe
@@ -97,8 +97,8 @@ def open_task(
 ) -> Task:
     """Seed the random numbers, open the data sets and build network and loss, see `loop.train`.
 
-    A ``resumed`` training does not read pretrained weights again. Raises StopRequested while
-    ``stop`` is True.
+    A `resumed` training does not read pretrained weights again. Raises StopRequested while
+    `stop` is True.
     """
     _seed(recipe.data.seed)
     sets = _open_sets(recipe, data)
@@ -301,7 +301,7 @@ def _gives_scores(
 ) -> bool:
     """Return whether a set gives scores.
 
-    Raises InputError if it lacks the LiDAR, or the score of ``validation.best``.
+    Raises InputError if it lacks the LiDAR, or the score of `validation.best`.
     """
     name, _, figure = best.rpartition("/")
     for count in (_SCORED, FREQUENCY_SAMPLES):  # mostly few frames are enough

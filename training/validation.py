@@ -32,7 +32,7 @@ _PAGE_FRAMES = 500
 
 
 class Board:
-    """TensorBoard's file of a run in ``folder``; none in processes that do not write.
+    """TensorBoard's file of a run in `folder`; none in processes that do not write.
 
     A context manager that ends the file. InputError if it cannot be written.
     """
@@ -50,7 +50,7 @@ class Board:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Write what is left."""
+        """Write the entries that are still buffered."""
         self._write("close")
 
     def add_step(self, done: Step, log_variances: Mapping[str, Tensor], step: int) -> None:
@@ -87,8 +87,8 @@ def write_validation(
     Args:
         networks: name -> network, of the same classes; the first is what others are compared with.
         table: their classes.
-        task: with the sets.
-        path: of the file.
+        task: the task that holds the sets.
+        path: path of the page.
         stop: True ends it without a page.
     """
     from training.evaluation.page import WORST, write_page  # only where a page is made
@@ -125,7 +125,7 @@ def validate(
 ) -> dict[str, dict[str, float]]:
     """Score the network, each process on its share of the frames; show scores and pictures.
 
-    Raises StopRequested once ``stop`` is True; several processes wait for one another, so that none
+    Raises StopRequested once `stop` is True; several processes wait for one another, so that none
     of them leaves early.
     """
     alone = processes.count == 1

@@ -1,4 +1,4 @@
-"""`ssdnet-finetune`: the installed weights, or others, trained on folders of one's own."""
+"""`ssdnet-finetune`: the installed weights, or others, trained on your own folders."""
 
 from pathlib import Path
 from typing import Annotated

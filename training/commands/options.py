@@ -55,7 +55,7 @@ def set_threads(threads: int | None) -> None:
 
 
 def end_stopped(last: Path) -> None:
-    """End the command after a signal; the checkpoint ``last`` is where the run goes on, if any."""
+    """End the command after a signal; the checkpoint `last` is where the run goes on, if any."""
     if last.is_file():
         typer.echo(f"stopped; the same command resumes from {last}", err=True)
     else:

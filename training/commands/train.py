@@ -31,7 +31,7 @@ _USAGE = 2
 
 
 class _TrainCommand(TyperCommand):
-    """Refuses what earlier releases took, and prints what to type instead."""
+    """Refuses options of earlier releases, and prints the command that replaces them."""
 
     # typer's own copy of click, or click: the type of a context depends on the release of typer.
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
