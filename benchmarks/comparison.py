@@ -315,7 +315,7 @@ def find_or_make(entry: Entry, plan: Plan, arguments: argparse.Namespace, stop: 
 def find_or_score(
     out: Path, sets: Sets, arguments: argparse.Namespace, onnx: Path | None, method: str | None
 ) -> dict[str, dict[str, float]]:
-    """Return "set lidar" -> figures of an ONNX file or a classical method; kept in ``out``."""
+    """Return "set lidar" -> figures of an ONNX file or a classical method; kept in `out`."""
     settings = {
         "scored": method if onnx is None else load_model_file(onnx).sha256,
         "sets": {name: [asdict(recipe), list(lidars)] for name, (recipe, lidars) in sets.items()},
@@ -377,7 +377,7 @@ def time_all(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
 
 
 def find_file(entry: Entry, plan: Plan, runs: Path, folder: Path) -> str:
-    """Return a bundled name or a file to time: with random weights, in ``folder``, if need be."""
+    """Return a bundled name or a file to time: with random weights, in `folder`, if need be."""
     path = runs / entry.folder / ONNX
     if entry.onnx is not None:
         return entry.onnx

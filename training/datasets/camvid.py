@@ -32,7 +32,7 @@ class CamVidRecipe(SourceRecipe):
 
 
 class CamVid(FrameList):
-    """Frames of ``root/<split>`` with labels of ``root/<split>annot`` (uint8 PNG, 11 = none).
+    """Frames of `root/<split>` with labels of `root/<split>annot` (uint8 PNG, 11 = none).
 
     It has no depth and no calibration.
 

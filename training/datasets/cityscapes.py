@@ -49,10 +49,10 @@ class CityscapesRecipe(SourceRecipe):
 
 
 class Cityscapes(FrameList):
-    """Frames of ``root/leftImg8bit/<split>/<city>/<frame>_leftImg8bit.png``.
+    """Frames of `root/leftImg8bit/<split>/<city>/<frame>_leftImg8bit.png`.
 
-    Labels are those of ``gtFine`` (``_gtFine_labelIds.png``). With the folders ``disparity`` and
-    ``camera`` depth is baseline * fx / d with the disparity d = (p - 1) / 256 px of a 16-bit pixel
+    Labels are those of `gtFine` (`_gtFine_labelIds.png`). With the folders `disparity` and
+    `camera` depth is baseline * fx / d with the disparity d = (p - 1) / 256 px of a 16-bit pixel
     p > 0; without them it is unknown.
 
     Raises:
@@ -105,7 +105,7 @@ class Cityscapes(FrameList):
 def disparity_to_depth(
     stored: NDArray[np.uint16], focal_baseline: float, *, zero: int = 1
 ) -> NDArray[np.float32]:
-    """Convert a disparity image of Cityscapes, or of another ``zero``, to depth.
+    """Convert a disparity image of Cityscapes, or of another `zero`, to depth.
 
     Args:
         stored: uint16 (H, W); p > 0 means d = (p - zero) / 256 px. A disparity of 0 is at infinity

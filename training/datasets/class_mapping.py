@@ -143,7 +143,7 @@ def id_lookup(labels: str, table: ClassTable, order: Sequence[str | None]) -> ND
 class LabelFiles:
     """Reads a data set's label files, uint8 PNG, as ids of a class table, 255 = ignored.
 
-    ``order`` has the labels of the files' ids from 0, None = ignored. Raises DatasetError for a
+    `order` has the labels of the files' ids from 0, None = ignored. Raises DatasetError for a
     table that the labels are not mapped to.
     """
 

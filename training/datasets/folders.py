@@ -43,7 +43,7 @@ _Folder = Annotated[str, Field(min_length=1)]
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class FoldersRecipe(RangeRecipe):
-    """Options of a user's data in a recipe; folders are relative to ``path``."""
+    """Options of a user's data in a recipe; folders are relative to `path`."""
 
     unit_key: ClassVar[str] = "depth_scale"
 
@@ -56,11 +56,11 @@ class FoldersRecipe(RangeRecipe):
     sparse_depth: _Folder | None = None
     #: The depth is a LiDAR's: a part of the returns is the input, the others are the target.
     scan: bool = False
-    #: PNGs of ids in ``model.classes``, or of ``label_classes``, see `read_gray`.
+    #: PNGs of ids in `model.classes`, or of `label_classes`, see `read_gray`.
     labels: _Folder | None = None
-    #: "cityscapes": trainIds, which are mapped to ``model.classes``.
+    #: "cityscapes": trainIds, which are mapped to `model.classes`.
     label_classes: Literal["cityscapes"] | None = None
-    #: Name in ``model.classes`` of each id, or "ignore"; instead of the order of the classes.
+    #: Name in `model.classes` of each id, or "ignore"; instead of the order of the classes.
     label_ids: Mapping[Annotated[int, Field(ge=0, le=255)], str] | None = None
     #: "skip-target": a frame without its depth or labels has no such target, one without its
     #: sparse depth no LiDAR. Otherwise it is an error.
@@ -100,10 +100,10 @@ class FoldersRecipe(RangeRecipe):
 
 
 class Folders(FrameList):
-    """The images of ``root/<recipe.rgb>`` with depth and labels, in natural order: 9 before 10.
+    """The images of `root/<recipe.rgb>` with depth and labels, in natural order: 9 before 10.
 
     An image a.jpg has its depth in a.png of the depth folder, and so on; every folder that the
-    recipe names must have a file for every image, with ``missing = "skip-target"`` for one.
+    recipe names must have a file for every image, with `missing = "skip-target"` for one.
 
     Raises:
         DatasetError: for missing folders or partners, files of another kind or size, and ids that

@@ -49,9 +49,9 @@ class KittiDepth(FrameList):
 
     Splits "train" and "val": ``root/<split>/<drive>/proj_depth/{velodyne_raw,groundtruth}/
     image_0<c>/<number>.png``, with the images of the raw data, at
-    ``root/raw/<date>/<drive>/image_0<c>/data``; the benchmark leaves out each drive's first and
+    `root/raw/<date>/<drive>/image_0<c>/data`; the benchmark leaves out each drive's first and
     last five frames. "selection": the selected validation set,
-    ``root/val_selection_cropped/{image,velodyne_raw,groundtruth_depth,intrinsics}``.
+    `root/val_selection_cropped/{image,velodyne_raw,groundtruth_depth,intrinsics}`.
 
     Raises:
         DatasetError: for missing folders or partners, files of another kind and wrong sizes.

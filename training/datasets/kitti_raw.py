@@ -46,10 +46,10 @@ class KittiRawRecipe(SourceRecipe):
 
 
 class KittiRaw(FrameList):
-    """Frames of ``root/<date>/<drive>/image_0<camera>/data/<number>.png`` with their scans.
+    """Frames of `root/<date>/<drive>/image_0<camera>/data/<number>.png` with their scans.
 
-    The scan of a frame is ``<drive>/velodyne_points/data/<number>.bin``, the calibration
-    ``<date>/calib_cam_to_cam.txt`` and ``calib_velo_to_cam.txt``. The depth is every return in view
+    The scan of a frame is `<drive>/velodyne_points/data/<number>.bin`, the calibration
+    `<date>/calib_cam_to_cam.txt` and `calib_velo_to_cam.txt`. The depth is every return in view
     (the nearest of those in one pixel), with its scan line; there are no classes.
 
     Raises:

@@ -42,10 +42,10 @@ class KittiStreamRecipe(RangeRecipe):
 class KittiStream(FrameList):
     """Frames of a stream folder.
 
-    It has ``image_02`` (PNG or JPEG), ``velodyne_fov``, ``calib_cam_to_cam.txt`` and
-    ``calib_velo_to_cam.txt`` as in KITTI raw and, optionally, ``pseudo_semantic`` (Cityscapes
-    trainIds made by a network). A folder with ``calib`` is in the layout of KITTI's object data:
-    ``image_2``, one calibration per frame, and returns for some of the frames. The depth target is
+    It has `image_02` (PNG or JPEG), `velodyne_fov`, `calib_cam_to_cam.txt` and
+    `calib_velo_to_cam.txt` as in KITTI raw and, optionally, `pseudo_semantic` (Cityscapes
+    trainIds made by a network). A folder with `calib` is in the layout of KITTI's object data:
+    `image_2`, one calibration per frame, and returns for some of the frames. The depth target is
     every return in view, with its scan line, so that some lines can be the input and the others the
     target.
 

@@ -34,7 +34,7 @@ _PLACES = (70, 71, 72, 83, 84, 85, 88, 89, 99)
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class KittiStreetsRecipe(RangeRecipe):
-    """Options of KITTI's streets in a recipe; ``first`` and ``last`` are numbers of frames.
+    """Options of KITTI's streets in a recipe; `first` and `last` are numbers of frames.
 
     Neighbours often show one place: validate on another block of numbers than the one trained on.
     """
@@ -52,14 +52,14 @@ class KittiStreetsRecipe(RangeRecipe):
 
 
 class KittiStreets(FrameList):
-    """Frames ``root/image_02/<number>.jpg`` or .png.
+    """Frames `root/image_02/<number>.jpg` or .png.
 
-    The input is the scan of the frame, ``velodyne_fov/<number>.bin``, with its scan lines. The
-    target is ``disp_occ_0/<number>.png``: a stereo disparity of d = p / 256 px for a 16-bit pixel
-    p > 0, measured by seven scans and by models fitted to moving cars; depth is ``fb_disp`` / d.
-    ``calib.txt`` has P2, R0_rect, Tr_velo_to_cam and fb_disp (focal length times baseline, px m) of
-    all frames. Two folders of ``<number>.png`` are optional: ``road_mask``, for all frames, 0 = not
-    road, 1 = road, 255 = unknown, and ``semantic``, for some of them, with hand-made labels in
+    The input is the scan of the frame, `velodyne_fov/<number>.bin`, with its scan lines. The
+    target is `disp_occ_0/<number>.png`: a stereo disparity of d = p / 256 px for a 16-bit pixel
+    p > 0, measured by seven scans and by models fitted to moving cars; depth is `fb_disp` / d.
+    `calib.txt` has P2, R0_rect, Tr_velo_to_cam and fb_disp (focal length times baseline, px m) of
+    all frames. Two folders of `<number>.png` are optional: `road_mask`, for all frames, 0 = not
+    road, 1 = road, 255 = unknown, and `semantic`, for some of them, with hand-made labels in
     CamVid's ids, 11 = unknown, which a table that they are not mapped to leaves unread.
 
     Raises:

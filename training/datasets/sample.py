@@ -62,7 +62,7 @@ class Sample:
     #: a data set it is an input recorded in addition to the depth, which can be thinned; None: the
     #: input is sampled from the depth.
     sparse_depth: NDArray[np.float32] | None = None
-    #: int16 (H, W), the LiDAR scan line that measured each pixel, -1 = none: of ``sparse_depth``,
+    #: int16 (H, W), the LiDAR scan line that measured each pixel, -1 = none: of `sparse_depth`,
     #: or, where that is None, of the depth. None where no lines are known.
     scan_line: NDArray[np.int16] | None = None
     #: Target -> its weight in the loss, below 1 for labels made by a network; 1 where none is here.

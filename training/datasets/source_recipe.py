@@ -25,7 +25,7 @@ class SourceRecipe:
     """One data set of the mixture, or one of the validation sets.
 
     Each kind is a subclass in its reader's file, listed in `training.datasets.registry`: it has its
-    name as the default of ``kind``, a Literal, its own keys, and `open`.
+    name as the default of `kind`, a Literal, its own keys, and `open`.
     """
 
     #: Name in `models.CLASS_TABLES` of the classes that the kind has labels of; "" of none.
@@ -34,7 +34,7 @@ class SourceRecipe:
     unit_key: ClassVar[str] = ""
 
     kind: str
-    #: Folder, relative to one of the ``--data`` folders.
+    #: Folder, relative to one of the `--data` folders.
     path: Annotated[str, Field(min_length=1)]
     #: How often it is sampled, relative to the others.
     weight: Positive = 1.0
@@ -83,7 +83,7 @@ class RangeRecipe(SourceRecipe):
     def take(
         self, frames: Sequence[T], folder: Path, number: Callable[[T], int] | None = None
     ) -> list[T]:
-        """Return the frames of the range, by their place or by ``number``.
+        """Return the frames of the range, by their place or by `number`.
 
         Raises:
             DatasetError: if there is none.

@@ -96,7 +96,7 @@ class VirtualKitti1Recipe(_SelectionRecipe):
 
 @dataclasses.dataclass(frozen=True)
 class _Frame:
-    """The files of a frame; ``scan`` is a rendered LiDAR's, with its matrix to the camera."""
+    """The files of a frame; `scan` is a rendered LiDAR's, with its matrix to the camera."""
 
     name: str
     rgb: Path
@@ -146,9 +146,9 @@ class VirtualKitti(FrameList):
 def _list_second_edition(
     root: Path, selection: Selection, cameras: Sequence[int] = (0,), *, scans: bool = False
 ) -> list[_Frame]:
-    """List ``root/<scene>/<variant>/frames/{rgb,depth,classSegmentation}/Camera_<n>``.
+    """List `root/<scene>/<variant>/frames/{rgb,depth,classSegmentation}/Camera_<n>`.
 
-    With ``scans`` also ``frames/lidar/Camera_<n>`` and ``calib.txt``, which ssdnet-render writes.
+    With `scans` also `frames/lidar/Camera_<n>` and `calib.txt`, which ssdnet-render writes.
     """
     require_folder(root, "scenes in the Virtual KITTI 2 layout")
     frames: list[_Frame] = []
@@ -194,9 +194,9 @@ def _list_second_edition(
 
 @dataset_errors()
 def _list_first_edition(root: Path, selection: Selection) -> list[_Frame]:
-    """List ``root/vkitti_1.3.1_{rgb,depthgt,scenegt}/<scene>/<variant>/<number>.png``.
+    """List `root/vkitti_1.3.1_{rgb,depthgt,scenegt}/<scene>/<variant>/<number>.png`.
 
-    Colours are in ``vkitti_1.3.1_scenegt/<scene>_<variant>_scenegt_rgb_encoding.txt``; scenes are
+    Colours are in `vkitti_1.3.1_scenegt/<scene>_<variant>_scenegt_rgb_encoding.txt`; scenes are
     called "0001".
     """
     for kind in (_RGB_1, _DEPTH_1, _CLASSES_1):

@@ -38,7 +38,7 @@ _PLANES = 4  # axes of an image or of scores: batch, channels, rows, columns
 
 
 class MissingAdapterError(InputError):
-    """A network of others has no adapter; ``text`` is one that is filled in from its file."""
+    """A network of others has no adapter; `text` is one that is filled in from its file."""
 
     def __init__(self, message: str, text: str) -> None:
         super().__init__(message)

@@ -16,7 +16,7 @@ from runtime.files.own_folder import require_folder_free
 
 @dataclass(frozen=True)
 class DepthFolder:
-    """Where depth is written: ``folder/MODEL/SET/LIDAR/FRAME.png``, 16-bit, metres x 256.
+    """Where depth is written: `folder/MODEL/SET/LIDAR/FRAME.png`, 16-bit, metres x 256.
 
     Attributes:
         folder: is made with the first depth.

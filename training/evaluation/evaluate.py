@@ -95,7 +95,7 @@ def evaluate(
         adapters: TOML files of the networks of others, in the order of these; one without has its
             own beside it, NAME.toml. See `training.evaluation.adapter`.
         join: class -> the classes that count as it, of sets and of models, such as
-            ``{"vehicle": ["car", "truck"]}``.
+            `{"vehicle": ["car", "truck"]}`.
         device: "cpu", "cuda" or "cuda:N".
         threads: of the processor.
         size: at which models of a free size run, as `Predictor` takes it.
@@ -208,7 +208,7 @@ def open_sets(
 
 
 def read_groups(path: Path) -> dict[str, list[str]]:
-    """Read a TOML file of joined classes, ``vehicle = ["car", "truck"]``. Raises InputError."""
+    """Read a TOML file of joined classes, `vehicle = ["car", "truck"]`. Raises InputError."""
     try:
         groups = tomllib.loads(read_text(path))
     except tomllib.TOMLDecodeError as error:

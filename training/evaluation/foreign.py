@@ -271,7 +271,7 @@ def open_foreign(
         size: see `ForeignNetwork`.
 
     Raises:
-        MissingAdapterError: without a description, after one to edit was written to ``adapter``.
+        MissingAdapterError: without a description, after one to edit was written to `adapter`.
         InputError: for a description that does not fit.
         ContractError, ProviderError: for what cannot be opened.
     """

@@ -62,7 +62,7 @@ class SemanticScores(Accumulator):
 
     A class that is neither in the ground truth nor predicted is left out of mIoU, and its own IoU
     is NaN; one that is only predicted counts with IoU 0. mAcc is over the classes in the ground
-    truth. An answer of the id ``num_classes`` is a class that is none of these: wrong, whatever the
+    truth. An answer of the id `num_classes` is a class that is none of these: wrong, whatever the
     label.
 
     Attributes:

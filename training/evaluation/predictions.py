@@ -28,7 +28,7 @@ _HEADS = ("semantic", "depth")
 
 @checked(frozen=True, kw_only=True, config=STRICT)
 class PredictionOptions:
-    """Keys of ``--predictions DIR,KEY=VALUE``."""
+    """Keys of `--predictions DIR,KEY=VALUE`."""
 
     #: What the ids are: a name in `models.CLASS_TABLES`, or the names in their order; those of the
     #: set by default.
@@ -43,7 +43,7 @@ class PredictionOptions:
 
 @dataclass(frozen=True)
 class Predictions:
-    """A folder of answers, a file a frame: PNGs of 8 bits are ids, of 16 bits depth, or ``.npy``.
+    """A folder of answers, a file a frame: PNGs of 8 bits are ids, of 16 bits depth, or `.npy`.
 
     Attributes:
         folder: with the files, or with the folders "semantic" and "depth" of them.

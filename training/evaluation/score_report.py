@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Column(NamedTuple):
-    """A figure, shown times ``factor``; without --all only if it is a main one."""
+    """A figure, shown times `factor`; without --all only if it is a main one."""
 
     key: str
     title: str

@@ -95,9 +95,9 @@ def open_scored_model(
     size: NetworkSize = None,
     adapters: list[Path] | None = None,
 ) -> Iterator[ScoredModel]:
-    """Open ``*.pt`` through PyTorch, ``*.onnx`` through the engine that ships.
+    """Open `*.pt` through PyTorch, `*.onnx` through the engine that ships.
 
-    An ``*.onnx`` of others runs in ONNX Runtime as its adapter says, see `open_foreign`.
+    An `*.onnx` of others runs in ONNX Runtime as its adapter says, see `open_foreign`.
 
     Args:
         path: a checkpoint or an exported model.

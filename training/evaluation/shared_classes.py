@@ -28,7 +28,7 @@ class ScoredClasses:
     joined: Mapping[str, str] = field(default_factory=dict)
 
     def lookup(self, table: ClassTable, others: int) -> NDArray[np.uint8]:
-        """Return a look-up table (256,) from a table's ids to those of `names`, or ``others``."""
+        """Return a look-up table (256,) from a table's ids to those of `names`, or `others`."""
         known = {name.lower(): index for index, name in enumerate(self.names)}
         names = [self.joined.get(info.name.lower(), info.name) for info in list_classes(table)]
         ids = np.full(256, others, np.uint8)
@@ -94,10 +94,10 @@ def share_classes(
 
 
 def join_names(groups: Mapping[str, Sequence[str]], tables: Iterable[ClassTable]) -> dict[str, str]:
-    """Return class in lower case -> the class of ``groups`` that it counts as.
+    """Return class in lower case -> the class of `groups` that it counts as.
 
     Args:
-        groups: class -> the classes that count as it, such as ``vehicle = ["car", "truck"]``.
+        groups: class -> the classes that count as it, such as `vehicle = ["car", "truck"]`.
         tables: of the sets and models, to find names that none of them has.
 
     Raises:

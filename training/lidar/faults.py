@@ -88,7 +88,7 @@ def absorb(fed: Depth, semantic: NDArray[np.uint8], rng: Generator, *, ignore: i
     """Return a copy without the returns of one thing, or of its upper part: dark paint, glass.
 
     The thing is the region of one class around a random return; one of more than `THING_SHARE` of
-    the image, as the road, keeps its returns. semantic: (H, W), ``ignore`` belongs to no thing.
+    the image, as the road, keeps its returns. semantic: (H, W), `ignore` belongs to no thing.
     """
     kept = fed.copy()
     rows, columns = np.nonzero((fed > 0) & (semantic != ignore))

@@ -220,7 +220,7 @@ def split_lidar(
     - An input recorded beside its target: all of it ("own"), a random share of its returns, or the
       requested lines if its scan lines are known. The target does not change.
     - Only a recorded scan: some of its returns are the input, the others the target, without
-      occluded ones. With ``same_target``, for evaluation, the odd lines are always the target, so
+      occluded ones. With `same_target`, for evaluation, the odd lines are always the target, so
       that scores of LiDARs compare, and the input is from the even ones: all ("own", 32), every
       second of them (16), and so on, or a random share. Without, for training, all other returns
       are the target. 64 lines would leave no target.
@@ -268,7 +268,7 @@ def frame_generator(index: int) -> Generator:
 
 
 def masked(depth: Depth, kept: NDArray[np.bool_]) -> Depth:
-    """Return the depth where ``kept``, 0 elsewhere."""
+    """Return the depth where `kept`, 0 elsewhere."""
     return np.where(kept, depth, np.float32(0))
 
 

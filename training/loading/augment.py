@@ -68,7 +68,7 @@ class AugmentConfig:
     crop: tuple[CropSide, CropSide] | None = None
     #: Range of the random magnification of the image.
     scale: FactorRange = (0.7, 1.8)
-    #: Share of the crops that are chosen for rare classes: of ``crop_candidates`` random crops the
+    #: Share of the crops that are chosen for rare classes: of `crop_candidates` random crops the
     #: crop with the most pixels of `data.rare_classes`.
     rare_crops: Share = 0.0
     crop_candidates: Annotated[int, Field(ge=1, le=100)] = 4
@@ -140,10 +140,10 @@ def augment(
         rng: source of all random numbers.
         canonical_focal_px: makes the depth canonical, see `canonical_depth`; None = metres.
         max_depth_m: the network's range, for canonical depth.
-        rare: ids of the rare classes, see ``config.rare_crops``.
+        rare: ids of the rare classes, see `config.rare_crops`.
 
     Returns:
-        A sample of size ``config.size`` with a sparse depth.
+        A sample of size `config.size` with a sparse depth.
     """
     # With canonical depth, images without intrinsics count as taken by the canonical camera. Its
     # focal length is fixed, so a magnified image is an image taken closer to the scene.
@@ -167,11 +167,11 @@ def with_margin(config: AugmentConfig) -> AugmentConfig:
 def take_views(
     sample: Sample, config: AugmentConfig, rng: Generator, *, step: int
 ) -> tuple[Sample, Sample, tuple[int, int]]:
-    """Return two views of ``config.size`` and the offset (rows, columns) [px] of the second.
+    """Return two views of `config.size` and the offset (rows, columns) [px] of the second.
 
-    The offset is a multiple of ``step``. ``sample`` has the size of `with_margin`; the first view
+    The offset is a multiple of `step`. `sample` has the size of `with_margin`; the first view
     is its upper left corner. The LiDAR input of the second view is missing or has false returns,
-    with the probabilities of ``config``.
+    with the probabilities of `config`.
     """
     top, left = (step * int(count) for count in rng.integers(0, config.pair_shift // step + 1, 2))
     draw = rng.random()
@@ -188,10 +188,10 @@ def take_views(
 def scale_world(
     views: Sequence[Sample], config: AugmentConfig, rng: Generator, *, max_depth_m: float
 ) -> tuple[Sample, ...]:
-    """Multiply all depth of a frame's views by one random factor of ``config.world_scale``.
+    """Multiply all depth of a frame's views by one random factor of `config.world_scale`.
 
     Without returns in each view nothing changes: then the scale is learned from the image. Returns
-    beyond ``max_depth_m``, in the unit of the samples, are clipped to it.
+    beyond `max_depth_m`, in the unit of the samples, are clipped to it.
     """
     low, high = config.world_scale
     fed = (view.sparse_depth for view in views)
@@ -209,10 +209,10 @@ def scale_and_crop(
     is_closer: bool = False,
     rare: Sequence[int] = (),
 ) -> Sample:
-    """Magnify by a random factor and cut a random window of ``config.size``.
+    """Magnify by a random factor and cut a random window of `config.size`.
 
-    Some windows are chosen for the classes ``rare``, see `AugmentConfig.rare_crops`. Padding has
-    the mean colour, no depth and no label. The factor scales the intrinsics; if ``is_closer``, it
+    Some windows are chosen for the classes `rare`, see `AugmentConfig.rare_crops`. Padding has
+    the mean colour, no depth and no label. The factor scales the intrinsics; if `is_closer`, it
     divides the depth instead.
     """
     scale = float(np.exp(rng.uniform(*np.log(config.scale))))
@@ -228,10 +228,10 @@ def scale_and_crop(
 
 
 def canonical_depth(sample: Sample, focal_px: float, max_depth_m: float) -> Sample:
-    """Multiply all depth by ``focal_px`` / fx, the depth for a camera of this focal length [px].
+    """Multiply all depth by `focal_px` / fx, the depth for a camera of this focal length [px].
 
     Things of the same size in the image then have the same depth, whatever the camera (Yin et al.
-    2023, Metric3D, Sec. 3.2, "CSTM label"). Returns beyond ``max_depth_m``, the network's range in
+    2023, Metric3D, Sec. 3.2, "CSTM label"). Returns beyond `max_depth_m`, the network's range in
     canonical metres, are clipped to it or dropped as by the engine, see `farthest_return`. The
     intrinsics do not change; without intrinsics nothing does.
     """
@@ -246,7 +246,7 @@ def canonical_depth(sample: Sample, focal_px: float, max_depth_m: float) -> Samp
 
 
 def _scale_depth(sample: Sample, factor: float, farthest: float = np.inf) -> Sample:
-    """Multiply all depth by a factor; returns then beyond ``farthest`` are set to it."""
+    """Multiply all depth by a factor; returns then beyond `farthest` are set to it."""
     if "depth" in sample.targets:
         sample = sample.with_targets(depth=sample.depth * np.float32(factor))
     if sample.sparse_depth is None:
@@ -279,7 +279,7 @@ def _change_maps(
 
 
 def far_sky(sample: Sample, sky: int, depth_m: float) -> Sample:
-    """Set the depth target of the class ``sky`` to ``depth_m``, in the unit of the sample's depth.
+    """Set the depth target of the class `sky` to `depth_m`, in the unit of the sample's depth.
 
     Measured pixels do not change. Pixels within `SKY_MARGIN_PX` of another class do not change
     (`PSEUDO_SKY_MARGIN_PX` if a network made the labels), because leaves and wires in front of the
@@ -313,7 +313,7 @@ def resize(sample: Sample, size: tuple[int, int], *, is_dense: bool | None = Non
 
     Labels are resized by the rule of their head, dense depth by nearest neighbour. Recorded returns
     are moved one by one: none is duplicated, and of several on a pixel the nearest is kept.
-    ``is_dense``: whether the depth is dense; None = by its share of known pixels.
+    `is_dense`: whether the depth is dense; None = by its share of known pixels.
     """
     if size == sample.size:
         return sample

@@ -24,7 +24,7 @@ from training.loading.augment import (
 
 
 class CachedSource:
-    """A data set that keeps decoded frames in memory, up to ``limit_bytes``.
+    """A data set that keeps decoded frames in memory, up to `limit_bytes`.
 
     No frame is replaced by another: passes over a shuffled set would drop each frame just before it
     is used again. Each worker process has its own cache.
@@ -153,7 +153,7 @@ class DepthTarget:
     """The unit of the depth target, see `models.NetworkConfig`, and the depth of the sky."""
 
     canonical_focal_px: float | None = None
-    #: Class whose unmeasured pixels get the depth ``sky_depth_m``; None = no class.
+    #: Class whose unmeasured pixels get the depth `sky_depth_m`; None = no class.
     sky: int | None = None
     sky_depth_m: float = 100.0
     #: The network's range.
@@ -161,12 +161,12 @@ class DepthTarget:
 
 
 class Mixture(Dataset[Drawn]):
-    """``length`` augmented samples; the i-th is a pure function of the parts, seed, length and i.
+    """`length` augmented samples; the i-th is a pure function of the parts, seed, length and i.
 
     A run resumed at sample i therefore gets the same samples, whatever the number of worker
     processes. Each set is drawn in shuffled passes, each frame once a pass.
 
-    With ``pair_shift`` a sample has two views. Crops may be chosen for the classes ``rare``.
+    With `pair_shift` a sample has two views. Crops may be chosen for the classes `rare`.
     """
 
     def __init__(

@@ -31,7 +31,7 @@ _FAR_SHARE = 0.1
 class CheckedSource:
     """A data set whose targets have their type and size.
 
-    The frames are resized to ``size``, see `SourceRecipe.size`, by `augment.resize` if given.
+    The frames are resized to `size`, see `SourceRecipe.size`, by `augment.resize` if given.
 
     DatasetError names the reader and the frame of another.
     """
@@ -62,9 +62,9 @@ class CheckedSource:
 def open_dataset(
     recipe: SourceRecipe, roots: Sequence[Path], *, classes: ClassTable
 ) -> SampleSource:
-    """Open a data set in the first of ``roots`` that has its folder.
+    """Open a data set in the first of `roots` that has its folder.
 
-    ``classes`` is the table of the class ids. DatasetError if there is none, or it cannot be read.
+    `classes` is the table of the class ids. DatasetError if there is none, or it cannot be read.
     """
     source = recipe.open(_find_folder(recipe, roots), classes)
     return CheckedSource(source, recipe.size)
@@ -120,7 +120,7 @@ def _digest(path: Path) -> bytes:
 
 
 def spread_indices(source: SampleSource, count: int) -> list[int]:
-    """Return ``count`` indices at equal distances, or all of a smaller set."""
+    """Return `count` indices at equal distances, or all of a smaller set."""
     indices: list[int] = (
         np.linspace(0, len(source) - 1, min(count, len(source))).astype(int).tolist()
     )
@@ -156,7 +156,7 @@ def survey(
     class_names: Sequence[str],
     config: NetworkConfig,
 ) -> Survey:
-    """Count what sets hold for a network; ``class_names`` are those of their ids."""
+    """Count what sets hold for a network; `class_names` are those of their ids."""
     counts, sizes = np.zeros(len(class_names)), list[tuple[int, int]]()
     targets: set[str] = set()
     notes: list[tuple[str, str]] = []

@@ -124,7 +124,7 @@ def semantic_boundary_loss(disagreement: NeighbourMaps, boundary: Tensor, *, sid
 
     `boundary` P_b, float (N, 1, H, W) in 0..1. (1/N) sum f_u e^-P_b + f_v e^-P_b over all N
     pixels; the first column and row have no neighbour and f = 0. Without ground truth, so that
-    unlabelled images count as well. ``side`` is the side of a cell of the maps in pixels, the
+    unlabelled images count as well. `side` is the side of a cell of the maps in pixels, the
     number of pixels along which two cells meet.
     """
     doubt = torch.exp(-boundary.squeeze(1))
@@ -137,7 +137,7 @@ def semantic_depth_loss(disagreement: NeighbourMaps, depth: Tensor, *, side: int
     """Eq. 9-11: where neighbours differ in class the depth should step, ().
 
     `depth` P_d, float (N, 1, H, W). (1/N) sum f_u e^-|du P_d| + f_v e^-|dv P_d|: the printed loss
-    depends on the unit of depth; `SSDNetLoss` takes the normalised one, 0..1. ``side`` as in
+    depends on the unit of depth; `SSDNetLoss` takes the normalised one, 0..1. `side` as in
     `semantic_boundary_loss`.
     """
     depth = depth.squeeze(1)

@@ -24,8 +24,8 @@ def overlap(
 ) -> tuple[Tensor, Tensor]:
     """Crop two maps to the area that both views show, without PAIR_BORDER_PX: two (C, h', w').
 
-    first, second: (C, h, w), maps of cells of ``side`` pixels. offset: rows and columns [px] of the
-    second view's upper left corner in the first view, multiples of ``side``.
+    first, second: (C, h, w), maps of cells of `side` pixels. offset: rows and columns [px] of the
+    second view's upper left corner in the first view, multiples of `side`.
     """
     border = -(-PAIR_BORDER_PX // side)
     rows, columns = (part // side for part in offset)
@@ -88,7 +88,7 @@ def depth_seam_loss(first: Tensor, second: Tensor, pair: Pair) -> Tensor:
 def semantic_consistency_loss(first: Tensor, second: Tensor, pair: Pair, *, side: int) -> Tensor:
     """Symmetric Kullback-Leibler divergence of the classes of the two views, mean over cells, ().
 
-    first, second: (N, C, h, w), logits on cells of ``side`` pixels.
+    first, second: (N, C, h, w), logits on cells of `side` pixels.
     """
     losses = []
     for index, offset in enumerate(pair.offset.tolist()):

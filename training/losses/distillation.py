@@ -17,7 +17,7 @@ HALF_CERTAIN = 0.05
 def distilled_semantic_loss(logits: Tensor, teacher: Tensor) -> Tensor:
     """Kullback-Leibler divergence of the classes from the teacher's, mean over cells, ().
 
-    logits, teacher: (N, C, h, w), on different grids; compared on the grid of ``logits``.
+    logits, teacher: (N, C, h, w), on different grids; compared on the grid of `logits`.
     """
     wanted = on_grid(teacher.softmax(dim=1), grid_of(logits))
     divergence = F.kl_div(logits.log_softmax(dim=1), wanted, reduction="none")
@@ -39,7 +39,7 @@ def distilled_depth_loss(depth: Tensor, teacher: Tensor, scale: Tensor | None) -
 def distilled_boundary_loss(logits: Tensor, teacher: Tensor) -> Tensor:
     """Mean cross-entropy of the boundary's probability with the teacher's, ().
 
-    logits, teacher: (N, 1, h, w), on different grids; compared on the grid of ``logits``.
+    logits, teacher: (N, 1, h, w), on different grids; compared on the grid of `logits`.
     """
     wanted = on_grid(torch.sigmoid(teacher), grid_of(logits))
     return _mean(F.binary_cross_entropy_with_logits(logits, wanted, reduction="none"))

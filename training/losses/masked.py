@@ -32,7 +32,7 @@ def split_into_blocks(x: Tensor, grid: tuple[int, int], fill: float = 0) -> tupl
 
     `x` float (N, C, H, W); `grid` (height, width) of a map whose cells are squares of 2^k pixels
     from the top left on. The last cells may extend beyond the image, after ceil-mode pooling or
-    padding to the stride; the padding is ``fill``.
+    padding to the stride; the padding is `fill`.
     """
     side = cell_side(grid_of(x), grid)
     padding = (0, side * grid[1] - x.shape[-1], 0, side * grid[0] - x.shape[-2])
@@ -40,7 +40,7 @@ def split_into_blocks(x: Tensor, grid: tuple[int, int], fill: float = 0) -> tupl
 
 
 def cell_side(size: tuple[int, int], grid: tuple[int, int]) -> int:
-    """Return the side of a cell of ``grid`` in pixels, see `split_into_blocks`."""
+    """Return the side of a cell of `grid` in pixels, see `split_into_blocks`."""
     side = 1
     while side * grid[0] < size[0] or side * grid[1] < size[1]:
         side *= 2

@@ -226,7 +226,7 @@ class Term(NamedTuple):
         heads: heads that the network must have.
         target: the target in `Sample.targets` that it compares with; "" = none.
         loss: computes it, a mean (), not yet weighted.
-        weight: where the recipe has none in ``loss.weights``; a term of weight 0 is not computed.
+        weight: where the recipe has none in `loss.weights`; a term of weight 0 is not computed.
     """
 
     heads: frozenset[str]

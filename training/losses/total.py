@@ -18,10 +18,10 @@ from training.losses.terms import TERMS, Compared, Term, find_term, list_terms
 
 
 def gather_weights(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a table of `LossConfig` whose weights are all in ``weights``.
+    """Return a table of `LossConfig` whose weights are all in `weights`.
 
-    Recipes and checkpoints of earlier releases have them as ``NAME_weight``, those of other heads
-    in ``head_weights``.
+    Recipes and checkpoints of earlier releases have them as `NAME_weight`, those of other heads
+    in `head_weights`.
     """
     earlier = {f"{name}_weight": name for name in TERMS}
     gathered = {k: v for k, v in table.items() if k not in earlier and k != "head_weights"}
@@ -117,7 +117,7 @@ class SSDNetLoss(nn.Module):
         config: the options.
         class_weights: float (C,), see `training.losses.class_weights`; None = all 1.
         max_depth_m: depth [m] of the network's normalised output 1.0.
-        target_depth_m: see `models.NetworkConfig`; None = ``max_depth_m``.
+        target_depth_m: see `models.NetworkConfig`; None = `max_depth_m`.
         road: id of the class of the road masks; None = no such class.
     """
 
@@ -161,7 +161,7 @@ class SSDNetLoss(nn.Module):
         Args:
             output: of `Network.forward`.
             batch: the frames, with the targets of all terms. Depth that is not finite or beyond
-                ``target_depth_m`` is unknown; the weights of "semantic" are those in Eq. 5 and 6.
+                `target_depth_m` is unknown; the weights of "semantic" are those in Eq. 5 and 6.
 
         Returns:
             Terms by their names, without those of weight 0 and of missing heads.
