@@ -4,9 +4,11 @@ from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from runtime.alignment.figures import AXES, totals
-from runtime.alignment.view import View, view_of
+from runtime.alignment.mistakes import find_mistake, usual_mistakes
+from runtime.alignment.view import View, points_in_time, view_of
 from runtime.engine.prediction import Prediction
 from runtime.streams.frame import Frame
 
@@ -49,12 +51,26 @@ class QuickCheck:
 
     def __init__(self) -> None:
         self._views: list[View] = []
+        self._scanned: list[tuple[View, NDArray[np.float32]]] = []
 
     def add(self, frame: Frame, camera_only: Prediction) -> None:
-        """Add a frame; ignored without a scan, a calibration or enough structure."""
-        view = view_of(frame, camera_only)
-        if view is not None and view.has_structure:
+        """Add a frame; ignored without a scan or a calibration."""
+        view, points = view_of(frame, camera_only), points_in_time(frame)
+        if view is None or points is None:
+            return
+        self._scanned.append((view, points))
+        if view.has_structure:
             self._views.append(view)
+
+    def mistake(self) -> str | None:
+        """The usual mistake without which the returns would fit the images; None: none of them."""
+        if not self._scanned:
+            return None
+        views, scans = (list(each) for each in zip(*self._scanned, strict=True))
+        place = find_mistake(views, scans)
+        if place is None:
+            return None
+        return list(usual_mistakes(views[0].calibration.extrinsics))[place].text
 
     def finding(self) -> QuickFinding | None:
         """What the frames show; None if none could be judged."""

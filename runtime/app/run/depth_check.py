@@ -84,7 +84,10 @@ def find_depth_fault(
             range_m = predictor.camera_scale(frame.size, focal_length_px=focal_px).range_m
             returns.append(clean_sparse_depth(frame.sparse_depth, max_depth_m=range_m)[2])
             camera_only = None
-            if is_measured(frame.sparse_depth).any():
+            if not is_measured(frame.sparse_depth).any():
+                if frame.calibration is not None:
+                    fit.add(frame, predictor.predict(frame.rgb, None, focal_length_px=focal_px))
+            else:
                 camera_only = predictor.predict(frame.rgb, None, focal_length_px=focal_px)
                 check.add(camera_only, frame.sparse_depth)
                 fit.add(frame, camera_only)
@@ -96,5 +99,11 @@ def find_depth_fault(
     if (finding := check.finding()) is not None:
         has_scale = predictor.contract.canonical_focal_px is not None
         focal_px = known_focal_length_px(predictor, source.calibration) if has_scale else None
-        return finding.advice(depth_scale=depth_scale, focal_length_px=focal_px)
-    return NoDepth.NO_RETURNS if returns and not any(returns) else None
+        advice = finding.advice(depth_scale=depth_scale, focal_length_px=focal_px)
+        mistake = fit.mistake() if finding.ratio is None else None
+        return f"{advice}. Most likely: {mistake}" if mistake else advice
+    if returns and not any(returns):
+        mistake = fit.mistake()
+        nothing = "no scan of the first frames has a return in the image"
+        return f"{nothing}: {mistake}" if mistake else NoDepth.NO_RETURNS
+    return None

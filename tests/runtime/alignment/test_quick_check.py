@@ -1,7 +1,9 @@
 """The first frames of a run show a calibration that is wrong by a degree."""
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -46,3 +48,18 @@ def test_a_run_reports_it(tmp_path, recording, frames, turned):
     assert found["fit"] == "better_turned"
     assert found["turned"]["pitch"][0] > found["figure"] > found["turned"]["pitch"][1]
     assert line in page.read_text()
+
+
+@pytest.mark.parametrize("axes", [np.eye(4), np.diag([-1, -1, 1, 1.0])])
+def test_a_run_names_the_mistake_where_returns_fit_nowhere(tmp_path, recording, frames, axes):
+    """The inverse matrix, with no return in the image; and a half turn."""
+    wrong = []
+    for frame in frames[:3]:
+        right = frame.calibration.extrinsics
+        given = np.linalg.inv(right) if axes[0, 0] == 1 else right @ axes
+        wrong.append(replace(frame, calibration=replace(frame.calibration, extrinsics=given)))
+    given = [*recording(wrong), "--out", str(tmp_path / "out"), "--save", "none"]
+    result = CliRunner().invoke(app, given)
+    words = "camera to LiDAR: take its inverse" if axes[0, 0] == 1 else "180 degrees about its z"
+    assert words in " ".join(result.output.split()), result.output
+    assert result.exit_code == 3
