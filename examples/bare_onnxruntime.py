@@ -3,7 +3,8 @@
     python examples/bare_onnxruntime.py MODEL.onnx RGB.png DEPTH.png [FOCAL_LENGTH_PX]
 
 Nothing of this project is imported. `predict` answers as `Predictor` does, without its checks of
-arrays, file and answers (docs/model_file.md lists them).
+arrays, file and answers (docs/model_file.md lists them), and without moving the depth of a large
+frame to the frame's own returns.
 """
 
 import json

@@ -27,9 +27,14 @@ cv2.setNumThreads(1)
 
 
 def pytest_configure():
-    """Hear Ctrl-C, as the processes of tests do: a shell's background ignores it."""
+    """Hear Ctrl-C and a closed terminal, as the processes of tests do.
+
+    A shell's background ignores the first, and nohup the second.
+    """
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 @pytest.fixture(autouse=True)

@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime
 from numpy.typing import NDArray
 
 import runtime
@@ -168,7 +167,7 @@ class Recorder:
             "settings": asdict(self._settings),
             "software": {
                 "ssdnet": runtime.__version__,
-                "onnxruntime": onnxruntime.__version__,
+                "onnxruntime": _onnxruntime_version(),
                 "system": platform.platform(),
             },
             "model": {"name": file.contract.model_name, "sha256": file.sha256},
@@ -257,3 +256,9 @@ def _limits(head: str, entry: Mapping[str, Any]) -> dict[str, float]:
 
 def _frame_path(folder: Path, index: int) -> Path:
     return folder / _FRAMES / f"{index:06}.npz"
+
+
+def _onnxruntime_version() -> str:
+    import onnxruntime  # here: reading a recording needs no session
+
+    return str(onnxruntime.__version__)

@@ -22,6 +22,7 @@ from training.initial_weights import read_weights
 from training.loading.augment import AugmentConfig
 from training.loop import train
 from training.losses import LossConfig
+from training.losses.terms import TERMS
 from training.recipe import (
     DataRecipe,
     LoopRecipe,
@@ -222,7 +223,9 @@ def test_accumulated_batches_make_the_step_of_their_mean_gradient(data, tmp_path
     """Two batches of 1 against one of 2, for a layer behind which no normalisation sees a batch."""
     sgd = OptimizerRecipe("sgd", 0.01, weight_decay=0.0, momentum=0.0, only=("semantic_head",))
     # The cross-entropy of frames that are labelled everywhere: a mean of means is the mean.
-    loss = LossConfig(0.0, 1.0, 0.0, 0.0, 0.0, class_weighting="none")
+    loss = LossConfig(
+        weights={**dict.fromkeys(TERMS, 0.0), "semantic": 1.0}, class_weighting="none"
+    )
     found = []
     for size, batches in ((1, 2), (2, 1)):
         changes = {"batch_size": size, "augment": {"scale": (1.0, 1.0)}}

@@ -35,7 +35,7 @@ def start(tmp_path, capsys, tiny_lite):
     """Open the recipe with changes for eight frames of three classes; return what is reported."""
     for index in range(8):
         ids = np.uint8([[0, 1, 2]]).repeat(48, 0).repeat(20, 1)
-        write(tmp_path / f"mine/images/{index}.png", np.full((48, 60, 3), 90, np.uint8))
+        write(tmp_path / f"mine/images/{index}.png", np.full((48, 60, 3), 90 + index, np.uint8))
         write(tmp_path / f"mine/labels/{index}.png", ids)
         write(tmp_path / f"mine/lidar/{index}.png", np.full((48, 60), 5 * 256, np.uint16))
 

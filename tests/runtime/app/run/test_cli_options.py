@@ -70,7 +70,7 @@ def test_the_model_is_the_one_that_was_asked_for(tmp_path, run):
         [],
         ["--demo", "--depth", "somewhere"],
         ["somewhere", "--rgb", "somewhere"],
-        ["--demo", "--save", "depth,all"],
+        ["--demo", "--save", "depth,none"],
         ["--demo", "--overlay-width", "1"],
         ["--demo", "--size", "large"],
         ["--source", "folders:somewhere,depth_scale=0"],

@@ -233,7 +233,9 @@ def test_another_model_is_held_against_the_recorded_answers(recording, model_fil
     result = verify(recording, "--model", other)
     assert result.exit_code == 4
     assert "NOT the recorded one" in result.output
-    assert ["depth", "max_abs_m", "0.5"] in [line.split()[:3] for line in lines_of(result)]
+    found = [line.split() for line in lines_of(result)]
+    (worst,) = [float(words[2]) for words in found if words[:2] == ["depth", "max_abs_m"]]
+    assert 0.5 <= worst < 0.6
     fewer = model_file("fewer.onnx", heads=("depth",))
     assert "heads: depth, expected boundary" in verify(recording, "--model", fewer).output
 
