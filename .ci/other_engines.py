@@ -78,7 +78,7 @@ def main() -> None:
             print(f"  {head:18}{difference:10.2g}, at most {limit:g}")
             if not difference <= limit:
                 failed.append(f"{Path(file).name}: {head} differs by {difference:.2g}")
-    sys.exit("\n".join(failed))
+    sys.exit("\n".join(failed) or 0)
 
 
 def compare(
