@@ -77,7 +77,9 @@ def train(
     """
     with join_processes(device) as processes, ExitStack() as held, suppress(StopRequested):
         resumed = (out / LAST).is_file()
-        task = open_task(recipe, processes, data, init, teacher, resumed=resumed, stop=stop)
+        # Several processes stop together, at a step: none may leave the others in the survey.
+        alone = stop if processes.count == 1 else (lambda: False)
+        task = open_task(recipe, processes, data, init, teacher, resumed=resumed, stop=alone)
         resolved: dict[str, Any] = {
             "recipe": asdict(recipe),
             "crop": task.data.augment.crop,

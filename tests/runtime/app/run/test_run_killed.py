@@ -32,7 +32,7 @@ def frames_of_mcap(path):
     from rosbags.rosbag2 import Reader
 
     with Reader(path) as reader:
-        (overlays,) = [c for c in reader.connections if c.topic.endswith("compressed")]
+        (overlays,) = [c for c in reader.connections if c.topic.endswith("overlay/compressed")]
         return overlays.msgcount
 
 
@@ -62,7 +62,7 @@ def require_whole(folder):
         elif path.suffix == ".ply":
             header, content = path.read_bytes().split(b"end_header\n", 1)
             (count,) = [int(line.split()[2]) for line in header.splitlines() if b"vertex" in line]
-            assert len(content) == 16 * count > 0, path
+            assert len(content) == 20 * count > 0, path
     return seen
 
 
