@@ -154,7 +154,7 @@ def test_two_processes_train_what_one_trains_with_the_large_batch(root):
     assert sorted(path.name for path in two.iterdir()) == [
         *(".ssdnet", "best.pt", "last.pt", "model.pt"),
         *("rank0.start", "rank0.weights", "rank1.start", "rank1.weights"),
-        *("recipe.json", "scores.csv", "tensorboard"),
+        *("recipe.json", "scores.csv", "tensorboard", "validation.html"),
     ]
     assert len(list((two / "tensorboard").iterdir())) == 1  # one of them writes
 
