@@ -67,7 +67,8 @@ def built(library, tmp_path_factory):
 @pytest.fixture(scope="module")
 def checked(library, tmp_path_factory):
     """The program that finds its own memory faults and undefined behaviour."""
-    flags = "-O1 -fsanitize=address,undefined -fno-sanitize-recover=all"
+    # Without optimisation: it compiles in half the time, and no fault is optimised away.
+    flags = "-O0 -fsanitize=address,undefined -fno-sanitize-recover=all"
     folder = tmp_path_factory.mktemp("checked")
     build(folder, library, "-DCMAKE_BUILD_TYPE=None", f"-DCMAKE_CXX_FLAGS={flags}")
     code, printed = run("cmake", "--build", folder, "--target", "verify")
