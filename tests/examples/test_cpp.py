@@ -131,6 +131,16 @@ def test_the_loop_answers_in_time_or_counts_what_is_late(built, model_file):
     assert sum(counts) == 20
 
 
+def test_what_is_installed_runs_elsewhere(built, tmp_path):
+    code, printed = run("cmake", "--install", built, "--prefix", tmp_path)
+    assert code == 0, printed
+    headers = {path.name for path in EXAMPLE.glob("*.hpp")}
+    assert {path.name for path in (tmp_path / "include").iterdir()} == headers
+    for program in ("verify", "loop"):  # the library is found before the arguments are missed
+        _, printed = run(tmp_path / "bin" / program)
+        assert "usage: " in printed
+
+
 def edit(name, old, new):
     def spoil(folder):
         text = (folder / name).read_text()
