@@ -31,7 +31,9 @@ export function moveReturns(depth, [height, width], [newHeight, newWidth]) {
 
 /**
  * Predict a frame of the network's size: ImageData, float32 metres (0 = no return) and the focal
- * length in its pixels (0 = not known). Returns each head's plane; valid: false = do not use them.
+ * length in its pixels (0 = not known). A larger frame's depth is not moved to its own returns, as
+ * docs/model_file.md describes for answers at the frame's size. Returns each head's plane;
+ * valid: false = do not use them.
  */
 export async function predict({ session, contract }, { data, height, width }, depth, focal) {
   const started = performance.now();
