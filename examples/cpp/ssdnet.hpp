@@ -396,7 +396,7 @@ class Predictor {
     if (size == frame) return;
     if (answer_.depth_returns > 0 && size.height <= frame.height && size.width <= frame.width && !from.depth.empty())
       anchoring::move_to_returns(from.depth.data(), from.depth_uncertainty.empty() ? nullptr : from.depth_uncertainty.data(),
-                                 size, cleaned_.data(), frame);
+                                 size, cleaned_.data(), frame, static_cast<float>(answer_.range_m));
     for (const Head* head : has_) {
       std::vector<float>&values = from.*head->values, &answer = answer_.*head->values;
       answer.resize(frame.pixels());

@@ -45,8 +45,9 @@ inline Window window(const std::array<Plane, 4>& sums, const Plane& log_depth, S
   return {std::move(maps[0]), std::move(maps[1])};
 }
 
-// Move depth, and its uncertainty (null = none), to the returns of the frame that agree with it, in place. Metres.
-inline void move_to_returns(float* depth, float* uncertainty, Size size, const float* returns, Size frame) {
+// Move depth, and its uncertainty (null = none), to the returns of the frame that agree with it, in place. Metres; no
+// depth is moved beyond the range.
+inline void move_to_returns(float* depth, float* uncertainty, Size size, const float* returns, Size frame, float range) {
   const auto width = static_cast<std::size_t>(size.width);
   Plane own(depth, depth + size.pixels());
   for (float& each : own) each = std::max(each, 1e-3f);
@@ -108,8 +109,9 @@ inline void move_to_returns(float* depth, float* uncertainty, Size size, const f
   resizing::linear(confirmed.data(), cells, known.data(), padded);
   for (std::size_t i = 0; i < own.size(); ++i) {
     const std::size_t at = i / width * static_cast<std::size_t>(padded.width) + i % width;
+    if (is_surface[i]) depth[i] *= std::exp(by[at]);
+    depth[i] = std::min(depth[i], range);
     if (!is_surface[i]) continue;
-    depth[i] *= std::exp(by[at]);
     if (uncertainty != nullptr) uncertainty[i] *= 1 - 0.4f * known[at];
   }
 }

@@ -31,7 +31,9 @@ _LEAST_DEPTH_M = np.float32(1e-3)
 _TENT = np.array([0.25, 0.5, 0.25], np.float32)
 
 
-def move_to_returns(depth: Floats, uncertainty: Floats | None, returns: Floats) -> None:
+def move_to_returns(
+    depth: Floats, uncertainty: Floats | None, returns: Floats, *, range_m: float
+) -> None:
     """Correct a predicted depth, in place, by the returns that agree with it, see `anchor`.
 
     Args:
@@ -39,10 +41,12 @@ def move_to_returns(depth: Floats, uncertainty: Floats | None, returns: Floats) 
         uncertainty: of the depth, float32 (h, w), metres; it is reduced near returns. None if the
             model has no uncertainty.
         returns: of the frame, float32 (H, W), metres, 0 = no return.
+        range_m: no depth is moved beyond it.
     """
     factors = anchor(np.maximum(depth, _LEAST_DEPTH_M), returns)
     if factors is not None:
         depth *= factors.ratio
+        np.minimum(depth, np.float32(range_m), out=depth)
         if uncertainty is not None:
             uncertainty *= factors.uncertainty
 

@@ -103,7 +103,12 @@ def to_frame(outputs: Mapping[str, NDArray[Any]], frame: NetworkInput) -> dict[s
     if frame.network_size == frame.frame_size:
         return dict(outputs)
     if frame.full_size_returns is not None and "depth" in outputs:
-        move_to_returns(outputs["depth"], outputs.get("depth_uncertainty"), frame.full_size_returns)
+        move_to_returns(
+            outputs["depth"],
+            outputs.get("depth_uncertainty"),
+            frame.full_size_returns,
+            range_m=frame.scale.range_m,
+        )
     answers = {}
     for name, values in outputs.items():
         head = HEADS[name]

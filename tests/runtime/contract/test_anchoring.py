@@ -28,7 +28,7 @@ def test_the_depth_passes_through_returns_that_agree():
 def test_returns_of_another_surface_and_no_returns_change_nothing(ratio):
     depth, uncertainty, returns = plane(), np.ones(SMALL, np.float32), returns_of(20 * ratio)
     assert anchor(depth, returns) is None
-    move_to_returns(depth, uncertainty, returns)
+    move_to_returns(depth, uncertainty, returns, range_m=80.0)
     assert (depth == 20).all()
     assert (uncertainty == 1).all()
 
@@ -55,6 +55,14 @@ def test_a_return_is_compared_with_the_depth_at_its_exact_place():
 def test_answers_without_uncertainty_and_depths_of_zero_are_taken():
     depth = plane()
     depth[:5] = 0
-    move_to_returns(depth, None, returns_of(20.4))
+    move_to_returns(depth, None, returns_of(20.4), range_m=80.0)
     assert (depth[:3] == 0).all()
     assert depth[20, 30] == pytest.approx(20.4, rel=1e-3)
+
+
+def test_no_depth_is_moved_beyond_the_range():
+    depth = plane(79.0)
+    depth[:, 20:40] = 80
+    move_to_returns(depth, None, returns_of(80.0), range_m=80.0)
+    assert depth.max() == 80
+    assert depth.min() > 79
