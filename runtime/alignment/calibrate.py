@@ -98,7 +98,7 @@ class CalibrationResult:
             a_tenth = np.degrees(np.arctan(0.1 / self.range_m))
             lines.append(
                 f"{AXES[axis]} looks the same as a position {shift_m:.2f} m off {way} (0.1 m as "
-                f" {a_tenth:.2f} degrees), or as {centre} {shift_px:.0f} px off "
+                f"{a_tenth:.2f} degrees), or as {centre} {shift_px:.0f} px off "
                 f"({shift_px / width:.1%} of the width)"
             )
         return tuple(lines)
@@ -238,7 +238,9 @@ def _decide(
         f"{name} {value:+.2f} +- {most:.2f}" if np.isfinite(most) else f"{name} not visible"
         for name, value, most in zip(AXES, off, within, strict=True)
     )
+    verdict = Verdict.OFF if found.mistake is not None else Verdict.RIGHT
     if (np.abs(off) > within).any():
+        verdict = Verdict.OFF
         turned = start.extrinsics.copy()
         turned[:3, :3] = rotation(np.where(is_seen, best.angles, 0)) @ turned[:3, :3]
         start, text = replace(start, extrinsics=turned), f"off by {seen}"
@@ -250,8 +252,6 @@ def _decide(
         text = f"right within {limits} (measured: {seen})"
     if found.mistake is not None:
         text = f"{found.mistake}; then {text}"
-    is_right = text.startswith("right")
-    verdict = Verdict.RIGHT if is_right else Verdict.OFF
     return replace(found, verdict=verdict, reason=text, refined=start)
 
 

@@ -49,18 +49,19 @@ def choose_frames(source: Source, count: int) -> Iterator[Chosen]:
     parts = np.array_split(np.arange(len(listed)), min(count, len(listed)))
     for part in parts:
         places = part[np.linspace(0, len(part) - 1, min(_CANDIDATES, len(part))).astype(int)]
-        found = [each for place in places if (each := _read(source, listed, int(place)))]
+        read = ((int(place), _read(source, listed, int(place))) for place in places)
+        found = [(place, *each) for place, each in read if each is not None]
         if found:
-            _, place, frame, points = max(found, key=lambda each: each[0])
+            place, frame, points = max(found, key=lambda each: _structure(*each[1:]))
             beside = (_read(source, listed, place + step) for step in (-1, 1))
-            before, after = (None if each is None else each[3] for each in beside)
+            before, after = (None if each is None else each[1] for each in beside)
             yield Chosen(frame, points, (before, after))
 
 
 def _read(
     source: Source, listed: Sequence[ListedFrame], place: int
-) -> tuple[float, int, Frame, _Points] | None:
-    """Structure, place, frame and points; None if the frame cannot be read."""
+) -> tuple[Frame, _Points] | None:
+    """Return the frame and its points; None if it cannot be read."""
     if not 0 <= place < len(listed):
         return None
     try:
@@ -72,6 +73,12 @@ def _read(
             "the recording has depth maps, or no calibration: a calibration is checked with raw "
             "scans, --points with --calibration, or a bag or drive with point clouds"
         )
+    return frame, points
+
+
+def _structure(frame: Frame, points: _Points) -> float:
+    """Return how much structure a frame has: its jumps, times the spread of the log ranges."""
+    assert frame.calibration is not None  # checked when it was read
     returns, jumps = find_structure(points, frame.calibration, frame.size)
     spread = np.log(np.linalg.norm(returns, axis=1)).std() if len(returns) else 0.0
-    return len(jumps) * float(spread), place, frame, points
+    return len(jumps) * float(spread)

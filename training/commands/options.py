@@ -1,5 +1,6 @@
 """Options that the commands which train have in common, and how they end."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -52,6 +53,13 @@ def set_threads(threads: int | None) -> None:
 
     if threads is not None:
         torch.set_num_threads(threads)
+
+
+def end_run(path: Path, stop: Callable[[], bool]) -> None:
+    """Print what a run or a dry run has made, and end the command if a signal stopped it."""
+    typer.echo(str(path))
+    if stop() and path.name == "last.pt":
+        end_stopped(path)
 
 
 def end_stopped(last: Path) -> None:

@@ -18,7 +18,7 @@ from training.commands.options import (
     Out,
     StopAfter,
     Threads,
-    end_stopped,
+    end_run,
     set_threads,
 )
 from training.stop_signal import stop_signal
@@ -118,6 +118,4 @@ def train(
             dry_run=dry_run,
             report=typer.echo,
         )
-        typer.echo(str(path))
-        if stop() and path.name == "last.pt":
-            end_stopped(path)
+        end_run(path, stop)

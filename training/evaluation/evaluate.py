@@ -125,15 +125,15 @@ def evaluate(
     }
     run = next(iter(runs.values()), None)
     sets = [parse_data(item) if isinstance(item, str) else item for item in data]
-    if not sets and (run is None or not run.sets):
+    own = None if sets else run  # the run whose validation sets are scored
+    if own is not None:
+        sets = list(own.sets)
+    if not sets:
         raise InputError(
             "no data to score on: give --data KIND:FOLDER, or the folder of a run whose recipe has "
             "validation sets"
         )
-    of_run = not sets and run is not None
-    if of_run and run is not None:
-        sets = list(run.sets)
-    asked = lidars or [run.lidar if of_run and run is not None else "own"]
+    asked = lidars or ["own" if own is None else own.lidar]
     inputs = [LidarInput.parse(item) if isinstance(item, str) else item for item in asked]
     feeds = [(lidar, fault) for lidar in dict.fromkeys(inputs) for fault in dict.fromkeys(faults)]
     with ExitStack() as stack:
@@ -143,7 +143,7 @@ def evaluate(
             threads=threads,
             size=size,
         )
-        ids = run.table if run is not None and of_run else None
+        ids = None if own is None else own.table
         opened = open_sets(sets, scored, ids=ids, join=join, limit=limit)
         return score_models(
             scored, opened, feeds, pictures=pictures, save=save, leave_out_fed=leave_out_fed

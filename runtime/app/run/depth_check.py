@@ -83,17 +83,18 @@ def find_depth_fault(
             focal_px = known_focal_length_px(predictor, frame.calibration)
             range_m = predictor.camera_scale(frame.size, focal_length_px=focal_px).range_m
             returns.append(clean_sparse_depth(frame.sparse_depth, max_depth_m=range_m)[2])
+            has_returns = bool(is_measured(frame.sparse_depth).any())
             camera_only = None
-            if not is_measured(frame.sparse_depth).any():
-                if frame.calibration is not None:
-                    fit.add(frame, predictor.predict(frame.rgb, None, focal_length_px=focal_px))
-            else:
+            if has_returns or frame.calibration is not None:
                 camera_only = predictor.predict(frame.rgb, None, focal_length_px=focal_px)
-                check.add(camera_only, frame.sparse_depth)
                 fit.add(frame, camera_only)
+            if has_returns and camera_only is not None:
+                check.add(camera_only, frame.sparse_depth)
                 if depth_scale is not None and holds_metres(listed.depth):
                     depth_scale = None
-            size_check.add(camera_only, frame.sparse_depth, frame.calibration)
+            size_check.add(
+                camera_only if has_returns else None, frame.sparse_depth, frame.calibration
+            )
     if (other_size := size_check.finding()) is not None:
         return other_size
     if (finding := check.finding()) is not None:
