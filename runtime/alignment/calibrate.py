@@ -234,8 +234,8 @@ def _decide(
     off = -best.angles
     within = np.where(is_seen, within, np.inf)
     found = replace(found, off_degrees=off, within_degrees=within)
-    seen = " degrees, ".join(
-        f"{name} {value:+.2f} +- {most:.2f}" if np.isfinite(most) else f"{name} not visible"
+    seen = ", ".join(
+        f"{name} {value:+.2f} +- {most:.2f} degrees" if np.isfinite(most) else f"{name} not visible"
         for name, value, most in zip(AXES, off, within, strict=True)
     )
     verdict = Verdict.OFF if found.mistake is not None else Verdict.RIGHT
@@ -245,8 +245,8 @@ def _decide(
         turned[:3, :3] = rotation(np.where(is_seen, best.angles, 0)) @ turned[:3, :3]
         start, text = replace(start, extrinsics=turned), f"off by {seen}"
     else:
-        limits = " degrees, ".join(
-            f"{name} {most:.2f}" if np.isfinite(most) else f"{name} not visible"
+        limits = ", ".join(
+            f"{name} {most:.2f} degrees" if np.isfinite(most) else f"{name} not visible"
             for name, most in zip(AXES, np.abs(off) + within, strict=True)
         )
         text = f"right within {limits} (measured: {seen})"
