@@ -137,8 +137,7 @@ class Answerer:
         compared with the predictions of that check instead.
         """
         posed, self._posed = self._posed, None
-        if posed is not None and self.pose_fault is None:
-            self._poses.add(posed)
+        if posed is not None and self.pose_fault is None and self._poses.add(posed):
             self.pose_fault = self._poses.finding()
         last, self._last = self._last, None
         if last is None or self._consistency is not None:

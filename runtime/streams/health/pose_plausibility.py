@@ -68,24 +68,28 @@ class PosePlausibility:
         self._errors: list[dict[str, float]] = []
         self._track: PoseTrack | None = None  # of all frames so far
 
-    def add(self, frame: Frame) -> None:
-        """Add a frame; ignored without a scan of its own and poses."""
+    def add(self, frame: Frame) -> bool:
+        """Add a frame, and return whether `finding` may have changed.
+
+        A frame without a scan of its own or poses is ignored, and so are all after enough of them.
+        """
         own = frame.own_depth
         if len(self._errors) >= _ENOUGH or own is None or frame.poses is None:
-            return
+            return False
         if not isinstance(own.data, Scan) or own.data.times is None:
-            return
+            return False
         last = self._track
         if last is None or last.stamps_ns is not frame.poses.stamps_ns:  # else a whole recording
             self._track = frame.poses if last is None else _joined(last, frame.poses)
         if self._before is None:
             self._before = frame
-            return
+            return True
         assert self._track is not None
         track = replace(self._track, mount=frame.poses.mount)
         if (errors := _compare(self._before, frame, track)) is not None:
             self._errors.append(errors)
             self._before = frame
+        return True
 
     def finding(self) -> str | None:
         """Why the poses cannot be right, and what may be; None = nothing was found."""
