@@ -102,6 +102,12 @@ def test_cuda_that_runs(fake_runtime):
     assert options.intra_op_num_threads == 2
 
 
+def test_threads_do_not_spin_between_frames(model_file):
+    options = open_session(model_file().read_bytes(), threads=2).get_session_options()
+    for threads in ("intra_op", "inter_op"):
+        assert options.get_session_config_entry(f"session.{threads}.allow_spinning") == "0"
+
+
 def test_a_silent_fall_back_to_the_cpu_is_an_error(fake_runtime, capsys):
     fake_runtime({CUDA: fake_session([CPU], [(CPU, "Conv")])})
     with pytest.raises(ProviderError, match=r"CPUExecutionProvider.*libcudnn"):

@@ -142,6 +142,18 @@ def test_skipped_frames_are_counted_named_and_exit_code_3(tmp_path, run, stream)
     assert written == rows.keys() - reasons.keys()
 
 
+@pytest.mark.parametrize("last", [False, True])
+def test_a_lidar_that_starts_after_the_checked_frames_is_no_fault(tmp_path, run, stream, last):
+    """All that a run looks at before it starts is empty; without any return it is reported."""
+    for path in sorted(stream[1].iterdir()):
+        if path.stem != "f11" or not last:
+            cv2.imwrite(str(path), np.zeros((48, 64), np.uint16))
+    result = run("--save", "none")
+    assert "warning: no scan or depth map of the first frames has a return" in result.stdout
+    fault = json.loads((tmp_path / "out/report.json").read_text())["frames"]["implausible_depth"]
+    assert (fault is None, result.exit_code) == ((True, 0) if last else (False, 3))
+
+
 def test_a_picture_of_another_size_than_the_calibrations_is_skipped(tmp_path, run, stream):
     size = "size = [48, 64]"
     matrices = f"intrinsics = {[[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]}\nextrinsics = "

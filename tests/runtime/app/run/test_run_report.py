@@ -107,11 +107,18 @@ def test_a_frame_without_answer_ends_no_run_of_late_ones(report_of):
 
 
 def test_what_pngs_cannot_hold_is_said(report_of):
-    counts = {"depth": 1234, "uncertainty": 0}
-    first, second = (replace(report_of(*records_of(OK)), beyond_png=counts) for _ in range(2))
-    assert "warning: 1,234 pixels of depth are beyond 256.00 m, saved as 65535" in (
-        describe_run(first)
+    report = replace(report_of(*records_of(OK)), beyond_png={"depth": 1234, "uncertainty": 0})
+    text = describe_run(report)
+    assert "warning: 1,234 pixels of depth are beyond 256.00 m, saved as 65535" in text
+    assert "uncertainty are beyond" not in text
+
+
+def test_the_report_of_a_rig_adds_up_those_of_its_cameras(report_of):
+    """The cameras run one after the other, so their times add up, too."""
+    first, second = (
+        replace(report_of(*records_of(OK, OK), wall_s=wall_s), beyond_png={"depth": 1234})
+        for wall_s in (0.5, 1.5)
     )
-    assert "uncertainty are beyond" not in describe_run(first)
-    both = RunReport.of_rig({"a": first, "b": second}, first.options, interrupted=False)
-    assert both.document()["depth_png"]["beyond"] == {"depth": 2468}
+    both = RunReport.of_rig({"a": first, "b": second}, first.options, interrupted=False).document()
+    assert both["depth_png"]["beyond"] == {"depth": 2468}
+    assert (both["wall_s"], both["frames_per_second"]) == (2.0, 2.0)
