@@ -1,1 +1,1 @@
-"""Recordings to frames: folders, bags, KITTI, videos."""
+"""Sources that turn recordings into frames: folders, bags, KITTI's layouts and videos."""

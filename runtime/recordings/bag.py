@@ -1,4 +1,4 @@
-"""A camera and a LiDAR or depth camera in a bag of ROS 1 or ROS 2 or an MCAP file."""
+"""A camera with a LiDAR or a depth camera in a bag of ROS 1 or ROS 2 or in an MCAP file."""
 
 import contextlib
 import os
@@ -59,17 +59,20 @@ class BagOptions(NamedTuple):
     """The options of a `BagSource`.
 
     Attributes:
-        image_topic: of Image or CompressedImage; None: the only one.
-        depth_topic: of PointCloud2, or of Image in 16UC1 or mono16 [mm] or 32FC1 [m];
-            "none": the camera alone; None: the only one, without those that `role_of` doubts.
-        info_topic: of CameraInfo; None: the one beside the images.
-        rectified: whether the images are; None: by their CameraInfo and the name of their topic.
-        registered: whether depth images lie on the pixels of the images; None: if both are of one
-            frame, with a warning if their CameraInfo differ. Others are moved by their CameraInfo
-            and /tf_static or the rig's calibration.
-        pose_topic: of Odometry, or of TFMessage such as /tf, by which clouds are moved to the time
-            of the image; "none": they are not; None: the only Odometry, else /tf, if there are any
-            and /tf_static connects them to the LiDAR.
+        image_topic: topic of Image or CompressedImage messages; None: the bag has only one.
+        depth_topic: topic of PointCloud2 messages, or of Image messages in 16UC1 or mono16 [mm] or
+            32FC1 [m]; "none": only the camera is used; None: the only such topic, topics that
+            `role_of` doubts not counted.
+        info_topic: topic of CameraInfo messages; None: the one in the namespace of the images.
+        rectified: whether the images are rectified; None: the CameraInfo and the name of the topic
+            decide.
+        registered: whether the pixels of depth images lie on those of the images; None: they do if
+            both topics have one frame, with a warning if their CameraInfo differ. Depth images that
+            are not registered are moved with their CameraInfo and /tf_static or the rig's
+            calibration.
+        pose_topic: topic of Odometry messages, or of TFMessage messages such as /tf, whose poses
+            move clouds to the time of the image; "none": clouds are not moved; None: the only
+            Odometry topic, else /tf, if there is one and /tf_static connects it to the LiDAR.
     """
 
     image_topic: str | None = None
@@ -81,20 +84,20 @@ class BagOptions(NamedTuple):
 
 
 class BagSource(Source):
-    """Images and, matched by the time stamps in their headers, point clouds or depth images.
+    """Images, and the point clouds or depth images that match the time stamps in their headers.
 
-    A header without a stamp counts with the time at which it was recorded. An image without depth
-    takes an older one, or is a frame of the camera alone; depth without an image is left out.
-    Listing reads the bag once.
+    A message without a stamp in its header counts with the time at which it was recorded. An image
+    without depth takes older depth or becomes a frame of the camera alone. Depth without an image
+    is left out. Listing the frames reads the bag once.
 
     Args:
-        path: as `RosBag`, or an open one, which sources of other cameras read, too.
-        rig: its calibration, if there is one, takes the place of CameraInfo and /tf_static.
+        path: path of the bag, as `RosBag` takes it, or an open bag, which several cameras share.
+        rig: the sensors of the car; a calibration in it replaces CameraInfo and /tf_static.
         **options: see `BagOptions`.
 
     Raises:
-        InputError: if `rosbags` is not installed, the bag is damaged, a topic does not exist or
-            must be chosen, or clouds have no calibration.
+        InputError: if `rosbags` is not installed, if the bag is damaged, if a topic does not exist
+            or must be chosen, or if clouds have no calibration.
     """
 
     accepted = f"a bag ({', '.join(_SUFFIXES)}, or a folder that holds metadata.yaml)"
@@ -104,14 +107,14 @@ class BagSource(Source):
     def __init__(self, path: Path | RosBag, rig: Rig = DEFAULT_RIG, **options: Any) -> None:
         given = self._given = BagOptions(**options)
         self._rig = rig
-        self._of_frames: dict[str, Calibration] = {}  # of scans, by their frames
+        self._of_frames: dict[str, Calibration] = {}  # for scans, by their frames
         self._bag = path if isinstance(path, RosBag) else RosBag(path)
         path = self._bag.path
         self.folders = (path if os.path.isdir(path) else Path(os.path.realpath(path)).parent,)
         self.recordings = (path,)
         try:
             topics = self._bag_topics = RosTopics(self._bag)
-            self._depth_camera: Calibration | None = None  # if depth images are projected
+            self._depth_camera: Calibration | None = None  # set if depth images are projected
             with collect_assumptions(self._notes):
                 self._image_topic, self._depth_topic = topics.find(
                     given.image_topic, given.depth_topic
@@ -121,9 +124,9 @@ class BagSource(Source):
                 self._info_topic = topics.choose("info_topic", given.info_topic, infos, beside[:1])
                 self.calibration = self._calibrate()
                 self._pose_topic = self._find_poses()
-            # Asked for while frames are read, which a second reading of an MCAP would disturb.
+            # Frames need these later, when a second reading would disturb the reader of an MCAP.
             for topic in filter(None, (self._image_topic, self._depth_topic)):
-                with contextlib.suppress(InputError):  # no message can be decoded
+                with contextlib.suppress(InputError):  # no message may be decodable
                     self._frame(topic)
             _ = self._tree
         except BaseException:
@@ -139,7 +142,7 @@ class BagSource(Source):
         image_topic: str | None = None,
         **options: Any,
     ) -> dict[str, Source]:
-        """Open a source for each of the topics that are joined by +, over one open bag."""
+        """Open a source for each of the topics that are joined by "+", all over one open bag."""
         topics = (image_topic or "").split("+")
         if len(topics) == 1:
             return super().open_cameras(path, rig, image_topic=image_topic, **options)
@@ -158,7 +161,7 @@ class BagSource(Source):
         return {name: cls(bag, rig, image_topic=topic, **options) for name, topic in names.items()}
 
     def _calibrate(self) -> Calibration | None:
-        """The given calibration, or that of CameraInfo and /tf_static."""
+        """The given calibration, or the one that CameraInfo and /tf_static describe."""
         image, depth = self._image_topic, self._depth_topic
         if depth is None or not (self._has_clouds or self._is_apart(depth)):
             if (given := self._rig.read_calibration()) is not None:
@@ -166,7 +169,7 @@ class BagSource(Source):
             with (
                 contextlib.suppress(InputError),
                 collect_assumptions([]),
-            ):  # only for the focal length
+            ):  # here the calibration only gives the focal length
                 return self._camera(image)
             return None
         try:
@@ -190,14 +193,14 @@ class BagSource(Source):
             ) from error
 
     def _is_apart(self, depth: str) -> bool:
-        """Whether depth images do not lie on the pixels of the images."""
+        """Whether the pixels of depth images do not lie on those of the images."""
         if self._given.registered is not None:
             return not self._given.registered
         frames = self._frame(depth), self._frame(self._image_topic)
         if all(frames) and frames[0] != frames[1]:
             return True
         is_proved = all(frames)
-        with contextlib.suppress(InputError), collect_assumptions([]):  # without CameraInfo
+        with contextlib.suppress(InputError), collect_assumptions([]):  # there may be no CameraInfo
             ours, its = self._camera(self._image_topic), self._camera(depth)
             is_near = np.abs(ours.intrinsics - its.intrinsics).max() < SAME_PX
             is_straight = ours.lens_model is not None and its.lens_model is None
@@ -208,9 +211,9 @@ class BagSource(Source):
         return False
 
     def _camera(self, topic: str, source: str = "") -> Calibration:
-        """The calibration of a topic of images or depth images.
+        """The calibration of a topic of images or depth images. Raises InputError.
 
-        source: frame of the points to be projected; "" = that of the images. Raises InputError.
+        `source` is the frame of the points to be projected; "" stands for the frame of the images.
         """
         is_image = topic == self._image_topic
         info = (
@@ -234,7 +237,7 @@ class BagSource(Source):
 
     @cached_property
     def _fixed_frames(self) -> set[str]:
-        """The frames in which an Odometry moves the car."""
+        """The frames in which an Odometry message describes the motion of the car."""
         found = set()
         for topic in self._bag_topics.of_kind(ODOMETRY):
             with contextlib.suppress(InputError):
@@ -242,9 +245,10 @@ class BagSource(Source):
         return found
 
     def _calibration_of(self, depth: Any) -> Calibration | None:
-        """The calibration for a message of depth, by its own frame: not all are of the first's.
+        """The calibration for a message of depth: not all have the frame of the first message.
 
-        Raises InputError if /tf_static does not connect both, and for depth images.
+        Raises InputError if /tf_static does not connect the two frames, and if the message is a
+        depth image.
         """
         topic, frame = self._depth_topic or "", frame_name(depth.header.frame_id)
         first, calibration = self._frame(topic), self.calibration
@@ -269,7 +273,7 @@ class BagSource(Source):
         return self._of_frames[frame]
 
     def _require_camera(self, image: Any) -> None:
-        """Raise InputError for an image of another frame than the calibration's."""
+        """Raise InputError for an image whose frame is not the frame of the calibration."""
         topic, frame = self._image_topic, frame_name(image.header.frame_id)
         if self.calibration is not None and frame not in ("", self._frame(topic)):
             raise InputError(
@@ -279,7 +283,7 @@ class BagSource(Source):
 
     @cached_property
     def sensor_frames(self) -> SensorFrames:
-        """See `Source.sensor_frames`: those of the bag, with its /tf_static."""
+        """See `Source.sensor_frames`: the frames of the bag, with its /tf_static."""
         lidar = self._frame(self._depth_topic or "") if self._has_clouds else ""
         given = self.calibration if lidar else None
         is_own = self._rig.calibration is None
@@ -341,10 +345,10 @@ class BagSource(Source):
         offsets: dict[Sensor, list[int]] = {sensor: [] for sensor in MATCHED}
 
         def stamped() -> Iterator[tuple[Sensor, int, int]]:
-            """Yield (sensor, stamp, position in `_recorded`) of images and depth."""
+            """Yield (sensor, stamp, position in `_recorded`) for images and depth."""
             for place, message in self._recorded():
                 if message.topic == self._info_topic:
-                    with contextlib.suppress(InputError):  # damaged
+                    with contextlib.suppress(InputError):  # the message is damaged
                         cameras.extend(projection_of(self._bag.decode(message)))
                     continue
                 sensor = Sensor.IMAGE if message.topic == self._image_topic else Sensor.DEPTH
@@ -359,7 +363,7 @@ class BagSource(Source):
         def name(image: Message) -> str:
             stamp = str(image.stamp_ns)
             names[stamp] += 1
-            return stamp if names[stamp] == 1 else f"{stamp}-{names[stamp]}"  # looped recording
+            return stamp if names[stamp] == 1 else f"{stamp}-{names[stamp]}"  # played in a loop
 
         frames = self._match(
             stamped(),
@@ -385,15 +389,15 @@ class BagSource(Source):
             raise InputError(
                 f"the topic {self._image_topic} of {self._bag.path} has no messages with a stamp"
             )
-        # Position of a message -> sequence of the last frame that needs it. `_kept` holds what was
-        # read ahead and is needed later.
+        # Maps the position of a message to the sequence of the last frame that needs it. `_kept`
+        # holds messages that were read ahead and are needed later.
         self._owners = {place: f.sequence for f in frames for place in (f.image, f.depth)}
         self._kept: dict[int, RecordedMessage] = {}
         self._messages, self._next_place = self._recorded(), 0
         return frames
 
     def _recorded(self) -> Iterator[tuple[int, RecordedMessage]]:
-        """Yield (position, message) of the topics that are read, in the same order each time."""
+        """Yield (position, message) for the topics that are read, in the same order each time."""
         topics = (self._image_topic, self._depth_topic, self._info_topic)
         return enumerate(self._bag.messages([topic for topic in topics if topic is not None]))
 
@@ -418,7 +422,7 @@ class BagSource(Source):
         return self.measured(frame, rgb, depth, calibration)
 
     def _decode_depth(self, frame: ListedFrame, message: Any) -> NDArray[np.float32] | Scan:
-        """The depth map of a frame; as a scan if it is a cloud, or of another camera."""
+        """The depth of a frame: a scan if it is a cloud or from another camera, else a map."""
         if self._has_clouds:
             points, after_s = decode_points(message), None
             if self._poses is not None and frame.depth_stamp_ns is not None:
@@ -444,7 +448,7 @@ class BagSource(Source):
             if self._owners.get(place, -1) >= frame.sequence:
                 self._kept[place] = message
         taken = {place: self._kept[place] for place in places}
-        # A scan may serve later images, too.
+        # A scan may serve later images as well.
         kept = self._kept.items()
         self._kept = {place: each for place, each in kept if self._owners[place] > frame.sequence}
         return taken

@@ -1,4 +1,4 @@
-"""Images and depth maps or scans of the same names in two folders, or one of each."""
+"""Images with depth maps or scans of the same names in two folders, or one file of each."""
 
 import contextlib
 import os
@@ -33,8 +33,8 @@ from runtime.recordings.source import ListedFrame, Source, up_to
 from runtime.recordings.timestamps import read_timestamps
 from runtime.streams.frame import Frame, Outcome, Sensor
 
-_APART_NS = 100 * NS_PER_MS  # assumed between images without times
-#: Camera of a folder of KITTI, or of an image in it: image_02, image_2/0.png, image_02/data.
+_APART_NS = 100 * NS_PER_MS  # assumed interval between images without time stamps
+# Number of the camera in the paths of KITTI: image_02, image_2/0.png, image_02/data.
 _KITTI_CAMERA = re.compile(r"(?:^|/)image_0?([0-3])(?:/data)?(?:/[^/\n]*\.\w+)?$", re.MULTILINE)
 
 
@@ -42,16 +42,19 @@ class FolderOptions(NamedTuple):
     """The options of a `FolderSource`.
 
     Attributes:
-        depth: folder of depth maps, or the one of one image, see `read_sparse_depth`.
-        points: the same of scans, see `read_scan`, in place of depth; None: the camera alone.
+        depth: folder of depth maps, or the depth map of a single image, see `read_sparse_depth`.
+        points: folder of scans, or the scan of a single image, see `read_scan`. If neither `depth`
+            nor `points` is given, only the camera is used.
         depth_scale: units of 16-bit depth maps per metre.
-        point_columns: numbers per point of .bin scans; None: as `read_scan`.
-        camera: number of KITTI's camera, 0 to 3; None: that of the folder's name, links followed
-            (image_2), else 2, with a warning if the scans of another would lie elsewhere.
-        timestamps: file with the time of each image, see `read_timestamps`; None: unknown.
-        poses: file of poses, see `read_poses`, by which scans are moved to the time of an image.
-        point_time_column: number, from 0, of the column of .bin and .npy scans with the time of
-            each point, in seconds after the time of its image.
+        point_columns: numbers per point of .bin scans; None: the default of `read_scan`.
+        camera: number of KITTI's camera, 0 to 3; None: the number in the folder's name after links
+            are followed (image_2), else 2, with a warning if another camera's scans would land
+            elsewhere.
+        timestamps: file with the time of each image, see `read_timestamps`; None: times are
+            unknown.
+        poses: file of poses, see `read_poses`, which move scans to the time of their image.
+        point_time_column: index, from 0, of the column of .bin and .npy scans that holds the time
+            of each point, in seconds after the time of its image.
     """
 
     depth: Path | None = None
@@ -67,21 +70,22 @@ class FolderOptions(NamedTuple):
 class FolderSource(Source):
     """Pairs of files with the same stem, in natural order, see `in_natural_order`.
 
-    Where no stem occurs in both folders, files are paired whose stems have the same numbers, as
-    image_7 and depth_7.
+    If no stem occurs in both folders, files whose stems contain the same numbers are paired, such
+    as image_7 and depth_7.
 
     Args:
         rgb: folder of PNG and JPEG files, or one such file.
-        rig: the path of its calibration may also be a folder with a file of the name of each frame;
-            scans need one. Its `pose_frame` is that of `poses`. With `reuse_depth_ms`, `poses` or
-            `timestamps` an image without depth takes an older one or is a frame of the camera
-            alone; without any of the three it is a frame that cannot be read. Images without
-            times are 100 ms apart.
+        rig: the path of its calibration may also be a folder with a file for each frame, named like
+            the frame; scans need a calibration. Its `pose_frame` is the frame of `poses`. With
+            `reuse_depth_ms`, `poses` or `timestamps` an image without depth takes older depth or
+            becomes a frame of the camera alone; without any of the three it is a frame that cannot
+            be read. Images without time stamps count as 100 ms apart.
         **options: see `FolderOptions`.
 
     Raises:
-        InputError: for a folder with a file of the other kind, for scans with depth or without a
-            calibration, for poses without scans, and if the calibration cannot be read.
+        InputError: if a folder holds files of the other kind, if scans are given together with
+            depth maps or without a calibration, if poses are given without scans, or if the
+            calibration cannot be read.
     """
 
     accepted = "a folder of images, or one image"
@@ -89,10 +93,10 @@ class FolderSource(Source):
     rig_options: ClassVar[tuple[str, ...]] = (
         *("calibration", "pose_frame", "scan_stamp", "reuse_depth_ms"),
     )
-    #: True: an image without depth is a camera-only frame, and depth without an image is ignored.
-    #: False: both are frames that cannot be read.
+    # If true, an image without depth is a frame of the camera alone, and depth without an image is
+    # ignored. If false, both are frames that cannot be read.
     camera_alone = False
-    #: Whether images of KITTI's raw data are rectified.
+    # Whether the images of KITTI's raw data are rectified.
     _kitti_rectified = True
 
     def __init__(self, rgb: Path, rig: Rig = DEFAULT_RIG, **options: Any) -> None:
@@ -122,10 +126,10 @@ class FolderSource(Source):
                 self._open_calibration(Path(calibration), given.camera)
         if rig.pose_frame is not None and self.calibration is not None:
             self._pose_frame = PoseFrame(rig.pose_frame)
-            lidar_mount(self._pose_frame, self.calibration)  # raises InputError without its place
+            lidar_mount(self._pose_frame, self.calibration)  # raises if it is unknown
 
     def _open_calibration(self, path: Path, camera: int | None) -> None:
-        """Read the calibration; of a folder with a file a frame, the first that can be read."""
+        """Read the calibration; of a folder with a file per frame, the first readable one."""
         is_raw = any(os.path.lexists(path / name) for name in (RAW_CAMERAS, RAW_SCANNER))
         if os.path.isdir(path) and not is_raw:
             self._calibration_files = list_files(path, (".txt", ".toml"))
@@ -142,7 +146,7 @@ class FolderSource(Source):
         self._read_calibration, self.calibration = read, _first_readable(paths, read)
         for other in (0, 1, 3) if known is None and self._has_scans else ():
             is_same = True
-            with contextlib.suppress(InputError), collect_assumptions([]):  # may be missing
+            with contextlib.suppress(InputError), collect_assumptions([]):  # it may be missing
                 found = _first_readable(paths, partial(read, camera=other))
                 is_same = np.allclose(found.extrinsics, self.calibration.extrinsics)
             if not is_same:
@@ -154,7 +158,7 @@ class FolderSource(Source):
         return _is_image(path) or any(map(_is_image, list_entries(path)))
 
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
-        """See `Source.list_frames`. A name without a partner is listed too.
+        """See `Source.list_frames`. A file without a partner is listed as well.
 
         Raises:
             InputError: if a folder is missing or has no images, if a stem occurs twice in a folder,
@@ -185,7 +189,7 @@ class FolderSource(Source):
     def _list_timed(
         self, images: Mapping[str, Path], depths: Mapping[str, Path], limit: int | None
     ) -> tuple[ListedFrame, ...]:
-        """The frames with their times; an image without depth takes an older one."""
+        """List the frames with their times; an image without depth takes older depth."""
         if self._given.timestamps is None:
             stamps_ns = [number * _APART_NS for number in range(len(images))]
             self._note("guessed: the images are 100 ms apart; timestamps= in --source says when")
@@ -216,7 +220,7 @@ class FolderSource(Source):
         return list_files(folder, SCAN_SUFFIXES if self._has_scans else DEPTH_SUFFIXES)
 
     def _pair(self, images: Mapping[str, Path], depths: dict[str, Path]) -> dict[str, Path]:
-        """The depth maps or scans by the stems of their images. Raises InputError."""
+        """Map the stems of the images to their depth maps or scans. Raises InputError."""
         if images.keys() & depths.keys():
             return depths
         stems = {numbers: stem for stem, numbers in numbers_in(images).items()}
@@ -239,7 +243,7 @@ class FolderSource(Source):
         return read_rgb(image)
 
     def read(self, frame: ListedFrame) -> Frame:
-        """See `Source.read`. Raises InputError also where one of the two files is missing."""
+        """See `Source.read`. Raises InputError also if one of the two files is missing."""
         with self.collecting():
             return self._read(frame)
 
@@ -287,20 +291,20 @@ class FolderSource(Source):
         return inputs | ({"left_out": dict(self._left_out)} if self.camera_alone else {})
 
     def _note(self, line: str) -> None:
-        if line not in self._notes:  # the frames may be listed again
+        if line not in self._notes:  # the frames may be listed more than once
             self._notes.append(line)
 
 
 def _first_readable(paths: Sequence[Path], read: Callable[[Path], Calibration]) -> Calibration:
-    """The first calibration that can be read. Raises the InputError of the last one."""
+    """Return the first calibration that can be read, or raise the InputError of the last file."""
     for path in paths[:-1]:
-        with contextlib.suppress(InputError):  # reported where its frame is read
+        with contextlib.suppress(InputError):  # reported when its frame is read
             return read(path)
     return read(paths[-1])
 
 
 def list_entries(path: Path) -> list[Path]:
-    """What a folder holds, without hidden files; nothing if it is not a folder."""
+    """The entries of a folder except hidden ones; none if the path is not a folder."""
     try:
         return [entry for entry in path.iterdir() if not entry.name.startswith(".")]
     except OSError:

@@ -1,4 +1,4 @@
-"""Read images and depth maps from files of bounded size."""
+"""Reading images and depth maps from files of bounded size."""
 
 import contextlib
 import io
@@ -20,22 +20,23 @@ from runtime.recordings.orientation import check_exif
 
 RGB_SUFFIXES = (".png", ".jpg", ".jpeg")
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")
-KITTI_DEPTH_SCALE = 256.0  # units per metre; Virtual KITTI has 100
+KITTI_DEPTH_SCALE = 256.0  # units per metre; Virtual KITTI uses 100
 _PNG_START = b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR"
 _JPEG_START = b"\xff\xd8"
-# Codes of JPEG markers (ITU-T T.81, table B.1); a marker is 0xFF and its code.
+# Codes of JPEG markers (ITU-T T.81, table B.1). A marker is the byte 0xFF followed by its code.
 _MARKER = re.compile(rb"\xff([^\x00\xff])")
 _START_OF_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _NO_SEGMENT = frozenset({0x01, *range(0xD0, 0xD8)})
-_MAX_SEGMENTS = 1000  # before the size; a colour profile takes up to 255
+_MAX_SEGMENTS = 1000  # segments before the one with the size; a colour profile takes up to 255
 
 
 def read_rgb(path: Path) -> NDArray[np.uint8]:
     """Read an 8-bit PNG or JPEG file.
 
-    One channel becomes three equal ones. Pixels stay where the sensor has them, as in the depth
-    map: an EXIF orientation is an assumption that is said, not applied. A JPEG that is complete but
-    damaged inside is decoded as far as possible: its format has no checksum, PNG's has.
+    A single channel is repeated three times. Pixels stay where the sensor has them, as they do in
+    the depth map: an EXIF orientation is reported as an assumption, but not applied. A JPEG that is
+    complete but damaged inside is decoded as far as possible, because its format has no checksum;
+    PNG has one.
 
     Args:
         path: the file, of at most `MAX_FILE_BYTES` and `MAX_PIXELS`.
@@ -44,14 +45,14 @@ def read_rgb(path: Path) -> NDArray[np.uint8]:
         uint8 (H, W, 3), RGB.
 
     Raises:
-        InputError: if the file cannot be read, is truncated or damaged, or has more than 8 bits a
+        InputError: if the file cannot be read, is truncated or damaged, or has more than 8 bits per
             channel.
     """
     return decode_rgb(read_input(path), name=str(path))
 
 
 def decode_rgb(content: bytes, *, name: str) -> NDArray[np.uint8]:
-    """Decode the content of such a file as `read_rgb` does; `name` is for the errors."""
+    """Decode the content of a PNG or JPEG file as `read_rgb` does; errors mention `name`."""
     check_exif(content)
     image = decode(content, cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH, name=name)
     if image.dtype != np.uint8:
@@ -66,12 +67,12 @@ def read_sparse_depth(path: Path, *, depth_scale: float = KITTI_DEPTH_SCALE) -> 
     """Read a depth map from a PNG, TIFF or .npy file.
 
     Args:
-        path: the file, of at most `MAX_FILE_BYTES` and `MAX_PIXELS`, with one channel of uint16
-            or of floats, which are metres.
-        depth_scale: units of uint16 per metre, 256 for KITTI, 100 for Virtual KITTI.
+        path: the file, of at most `MAX_FILE_BYTES` and `MAX_PIXELS`, with one channel of uint16, or
+            of floats in metres.
+        depth_scale: units of uint16 per metre: 256 for KITTI, 100 for Virtual KITTI.
 
     Returns:
-        float32 (H, W), metres; 0 and what is not finite, as of 65535, = no measurement.
+        float32 (H, W), metres. 0, values that are not finite and 65535 are no measurement.
 
     Raises:
         InputError: if the file cannot be read, is truncated or damaged, or holds anything else.
@@ -89,7 +90,7 @@ def read_sparse_depth(path: Path, *, depth_scale: float = KITTI_DEPTH_SCALE) -> 
 
 
 def holds_metres(path: Path) -> bool:
-    """Whether a depth map is of floats, which are metres. Raises InputError."""
+    """Whether a depth map holds floats, which are metres. Raises InputError."""
     return path.suffix.lower() != ".png" and _read_map(path).dtype.kind == "f"
 
 
@@ -103,12 +104,12 @@ def read_npy(path: Path) -> NDArray[Any]:
     """Read a .npy file of at most `MAX_FILE_BYTES`.
 
     Raises:
-        InputError: if it cannot be read, is truncated or damaged, or holds Python objects.
+        InputError: if the file cannot be read, is truncated or damaged, or holds Python objects.
     """
     file = io.BytesIO(read_input(path))
     try:
         array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
-    except Exception as error:  # the header is a Python expression: parsing may raise any type
+    except Exception as error:  # parsing the header, a Python expression, may raise any type
         raise InputError(
             f"{path} is not a .npy file of numbers, or is truncated ({cut(str(error), 200)})"
         ) from error
@@ -118,10 +119,10 @@ def read_npy(path: Path) -> NDArray[Any]:
 def decode(content: bytes, flags: int, *, name: str) -> NDArray[Any]:
     """Decode a PNG, JPEG or TIFF with OpenCV's IMREAD_* `flags`. Raises InputError.
 
-    Pixels stay as they are stored: an EXIF orientation is never applied, whatever the file holds.
+    Pixels stay as they are stored: an EXIF orientation is never applied.
     """
     if (size := image_size(content)) is not None:
-        require_pixels(size, name=name)  # before its pixels take memory
+        require_pixels(size, name=name)  # checked before the pixels take memory
     try:
         image: NDArray[Any] | None = cv2.imdecode(
             np.frombuffer(content, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION
@@ -137,9 +138,9 @@ def decode(content: bytes, flags: int, *, name: str) -> NDArray[Any]:
 def image_size(content: bytes) -> tuple[int, int] | None:
     """(height, width) from the header of a PNG or JPEG file; None for any other content.
 
-    It is read where OpenCV's decoders (libpng, libjpeg) read it.
+    The size is read at the place where OpenCV's decoders (libpng, libjpeg) read it.
     """
-    with contextlib.suppress(struct.error):  # truncated
+    with contextlib.suppress(struct.error):  # the content may be truncated
         if content.startswith(_PNG_START):
             width, height = struct.unpack_from(">II", content, len(_PNG_START))
             return height, width
@@ -164,7 +165,7 @@ def _jpeg_size(content: bytes) -> tuple[int, int] | None:
 
 
 def require_pixels(size: tuple[int, int], *, name: str) -> None:
-    """Raise InputError for an image of (height, width) that has more than `MAX_PIXELS`."""
+    """Raise InputError for an image size (height, width) of more than `MAX_PIXELS` pixels."""
     if size[0] * size[1] > MAX_PIXELS:
         raise InputError(
             f"{name} has {size[0]} x {size[1]} pixels, expected at most {MAX_PIXELS:,}"
@@ -172,13 +173,14 @@ def require_pixels(size: tuple[int, int], *, name: str) -> None:
 
 
 def list_files(folder: Path, suffixes: tuple[str, ...] = RGB_SUFFIXES) -> dict[str, Path]:
-    """Stem -> path of the files of a folder that end in one of `suffixes`, without hidden ones.
+    """Map the stems of the files in a folder that end in one of `suffixes` to their paths.
 
-    Raises InputError if there is none, if the folder cannot be listed, or if a stem occurs twice.
+    Hidden files are left out. Raises InputError if there is no such file, if the folder cannot be
+    listed, or if a stem occurs twice.
     """
     try:
         paths = sorted(folder.iterdir())
-    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+    except (OSError, ValueError) as error:  # a zero byte in the name raises ValueError
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot list the folder {cut(str(folder), 200)} ({reason})") from error
     files: dict[str, Path] = {}

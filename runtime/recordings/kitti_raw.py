@@ -1,4 +1,4 @@
-"""A drive of KITTI raw data (Geiger et al. 2013), its scans projected into the camera."""
+"""A drive of KITTI's raw data (Geiger et al. 2013), with its scans projected into the camera."""
 
 import os
 from dataclasses import replace
@@ -27,21 +27,22 @@ _STAMPS = "timestamps.txt"
 
 
 class KittiRawSource(FolderSource):
-    """``image_0<camera>/data/*.png`` and ``velodyne_points/data/*.bin`` of a drive.
+    """Images in `image_0<camera>/data/*.png` and scans in `velodyne_points/data/*.bin` of a drive.
 
-    Images and scans are matched by the time stamps in timestamps.txt, or by their numbers where a
-    sensor has no such file. An image without a scan takes an older one, or is a frame of the camera
-    alone; a scan without an image is left out. Scans are moved to the time of the image by the
-    poses in ``oxts/``, of the IMU that calib_imu_to_velo.txt places, if both are there. The images
-    of a drive whose name ends in _extract are not rectified, and have the lens of the calibration.
+    Images and scans are matched by the time stamps in timestamps.txt, or by their numbers if a
+    sensor has no such file. An image without a scan takes an older scan or becomes a frame of the
+    camera alone. A scan without an image is left out. If the drive has poses in `oxts/` and
+    calib_imu_to_velo.txt, which places the IMU that they describe, scans are moved to the time of
+    the image. The images of a drive whose name ends in _extract are not rectified and have the lens
+    of the calibration.
 
     Args:
-        drive: folder like 2011_09_26_drive_0001_sync.
-        rig: without a calibration, KITTI's files in the drive's folder or the one above are read.
-            The stamps of KITTI mark the middle of a scan.
-        camera: 2 = left, 3 = right; 0 and 1 are grey.
-        by_number: match images and scans by their numbers even where they have time stamps,
-            without poses.
+        drive: folder of the drive, such as 2011_09_26_drive_0001_sync.
+        rig: without a calibration in it, KITTI's files in the drive's folder or in its parent are
+            read. The time stamps of KITTI mark the middle of a scan.
+        camera: 2 is the left and 3 the right colour camera; 0 and 1 are grey.
+        by_number: match images and scans by their numbers even if they have time stamps. No poses
+            are used.
 
     Raises:
         InputError: if a folder, the calibration or a time stamp is missing or damaged.
@@ -61,7 +62,7 @@ class KittiRawSource(FolderSource):
         camera: int = 2,
         by_number: bool = False,
     ) -> None:
-        rig = replace(rig, scan_stamp=rig.scan_stamp or "middle")  # as KITTI documents
+        rig = replace(rig, scan_stamp=rig.scan_stamp or "middle")  # as KITTI documents it
         images, scans = drive / f"image_{camera:02d}", drive / "velodyne_points"
         for folder in (images / "data", scans / "data"):
             if not os.path.isdir(folder):
@@ -83,7 +84,7 @@ class KittiRawSource(FolderSource):
             camera=camera,
         )
         self._drive, self._rig = drive, replace(rig, calibration=calibration)
-        self._oxts: Path | None = None  # the folder, if its poses are used
+        self._oxts: Path | None = None  # folder of the poses, if they are used
         self._stamped: list[tuple[Sensor, int, Path]] = []
         if not by_number:
             pictures = _read_stamps(Sensor.IMAGE, images, RGB_SUFFIXES)
@@ -109,7 +110,7 @@ class KittiRawSource(FolderSource):
         )
 
     def _read_oxts(self, folder: Path, mount: Path) -> None:
-        """Read the poses of the car, where there are any. Raises InputError if they are damaged."""
+        """Read the poses of the car if there are any. Raises InputError if they are damaged."""
         missing = [each for each in (folder / "data", folder / _STAMPS, mount) if not each.exists()]
         if missing:
             self._note(f"no poses: {missing[0]} is missing")
@@ -143,8 +144,8 @@ def _read_stamps(
 ) -> list[tuple[Sensor, int, Path]]:
     """(sensor, nanoseconds, path) of each file; its number is the line of its time, from 0.
 
-    Empty without the file. Raises InputError for a line that is no time, and for a number without
-    one.
+    The list is empty if there is no file of time stamps. Raises InputError if a line is not a time,
+    and if a file's number has no line.
     """
     numbers = by_number(list_files(folder / "data", suffixes))
     path = folder / _STAMPS

@@ -1,4 +1,4 @@
-"""Layouts of one folder that holds images and scans or depth maps, found by their names."""
+"""Layouts in which one folder holds images with scans or depth maps, recognised by their names."""
 
 import os
 from collections.abc import Mapping
@@ -13,33 +13,32 @@ from runtime.recordings.folders import FolderSource, list_entries
 from runtime.recordings.images import DEPTH_SUFFIXES, RGB_SUFFIXES, list_files
 from runtime.recordings.scan import SCAN_SUFFIXES
 
-# Names of folders begin with:
+# How the names of the folders begin:
 _IMAGES = ("image", "rgb", "color")
 _MAPS = ("depth", "sparse_depth")
 _SCANS = ("points", "velodyne", "lidar")  # may also hold depth maps, as in KITTI's depth selection
 _JPEG = (".jpg", ".jpeg")
 _FILES_OF_SCANS = tuple(suffix for suffix in SCAN_SUFFIXES if suffix not in DEPTH_SUFFIXES)
 _IMAGES_OF_DEPTH = tuple(suffix for suffix in DEPTH_SUFFIXES if suffix not in SCAN_SUFFIXES)
-_MAP = "depth"  # in the name of a map that lies beside its image
+_MAP = "depth"  # part of the name of a depth map that lies beside its image
 
 
 class KittiObjectSource(FolderSource):
     """KITTI's object data (Geiger et al. 2012), whose layout View-of-Delft shares.
 
-    It has ``image_<camera>/ID.png``, ``velodyne/ID.bin`` and ``calib/ID.txt``.
-
-    Each frame has a calibration of its own. An image without a scan is a frame of the camera alone;
-    a scan without an image is left out. Everything else in the folder is ignored.
+    The folder has `image_<camera>/ID.png`, `velodyne/ID.bin` and `calib/ID.txt`; everything else in
+    it is ignored. Each frame has its own calibration. An image without a scan is a frame of the
+    camera alone; a scan without an image is left out.
 
     Args:
-        path: folder like training.
-        rig: without a calibration, calib is read; see `FolderSource`.
-        camera: 2 = left, 3 = right.
-        points: folder of the scans; None: velodyne.
-        point_columns: numbers per point of .bin scans; None: as `read_scan`.
+        path: the folder, such as training.
+        rig: without a calibration in it, calib/ is read; see `FolderSource`.
+        camera: 2 is the left and 3 the right colour camera.
+        points: folder of the scans; None: velodyne/.
+        point_columns: numbers per point of .bin scans; None: the default of `read_scan`.
 
     Raises:
-        InputError: if the images are missing, and if a calibration cannot be read.
+        InputError: if the images are missing, or if a calibration cannot be read.
     """
 
     accepted = "KITTI's object layout (holds image_2/, velodyne/ and calib/)"
@@ -82,19 +81,20 @@ class KittiObjectSource(FolderSource):
 class OneFolderSource(FolderSource):
     """A `FolderSource` that finds images, depth and calibration in one folder.
 
-    The folder holds either two folders, image*/, rgb*/ or color*/ with depth*/, points*/,
-    velodyne*/ or lidar*/, or the files themselves: images with scans of the same stems, JPEGs with
-    depth maps, or images with depth maps that have "depth" in their names. The calibration of scans
-    is the only calib* file or folder, or KITTI's two files in the folder or its parent; that of
-    depth maps is an intrinsics/ folder.
+    The folder either holds two folders, one named image*, rgb* or color* and one named depth*,
+    points*, velodyne* or lidar*; or it holds the files themselves: images with scans of the same
+    stems, JPEGs with depth maps, or images with depth maps whose names contain "depth". The
+    calibration of scans is the only calib* file or folder, or KITTI's two files, in the folder or
+    its parent. The calibration of depth maps is a folder named intrinsics.
 
     Args:
         path: the folder.
-        rig: without a calibration, the folder's own is used.
-        **options: see `FolderSource`; with `depth` or `points`, `path` is the folder of images.
+        rig: without a calibration in it, the folder's own calibration is used.
+        **options: see `FolderSource`; with `depth` or `points`, `path` is the folder of the images.
 
     Raises:
-        InputError: if the folder holds several folders of a kind; and as `FolderSource`.
+        InputError: if the folder holds several folders of one kind, and in the cases of
+            `FolderSource`.
     """
 
     accepted = (
@@ -136,7 +136,7 @@ class OneFolderSource(FolderSource):
 
 
 def _find_folders(path: Path) -> list[Path] | None:
-    """[Folder of images, of depth maps or scans, scans that are not read]; None if one is missing.
+    """Folders of [images, depth maps or scans, scans that are not read]; None if one is missing.
 
     Raises InputError if the choice is ambiguous.
     """
@@ -174,9 +174,9 @@ def _holds(folder: Path, suffixes: tuple[str, ...]) -> bool:
 
 
 def _find_calibration(path: Path, *, of_scans: bool) -> Path | None:
-    """Calibration in a folder or its parent; None if there is none, or more than one.
+    """The calibration in a folder or its parent; None if there is none, or more than one.
 
-    For depth maps only the intrinsics/ folder of KITTI's depth selection is used.
+    For depth maps only the folder intrinsics/ of KITTI's depth selection is used.
     """
     if not of_scans:
         folder = path / "intrinsics"

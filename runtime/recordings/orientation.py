@@ -1,4 +1,4 @@
-"""By how much a picture's header turns it. Pixels stay as stored, where depth and lens are."""
+"""How a picture's header turns it. Pixels stay as they are stored, like the depth and the lens."""
 
 import contextlib
 import struct
@@ -6,7 +6,7 @@ import struct
 from runtime.geometry.assumptions import assume
 
 _ORIENTATION = 0x0112  # tag of EXIF (CIPA DC-008)
-#: Orientation of EXIF -> how viewers turn the picture; 1 = not at all.
+#: How viewers turn the picture for each EXIF orientation; 1 does not turn it.
 _TURNS = {
     2: "mirrors them",
     3: "turns them by 180 degrees",
@@ -16,15 +16,15 @@ _TURNS = {
     7: "turns and mirrors them",
     8: "turns them by 270 degrees",
 }
-_HEADER_BYTES = 1 << 17  # in which EXIF is looked for
+_HEADER_BYTES = 1 << 17  # EXIF is looked for in so many bytes
 
 
 def check_turn(turned: str, what: str) -> None:
-    """Say that a header turns pictures, which are used as they are stored; "" = it does not.
+    """Report the assumption that a header turns pictures, which are used as they are stored.
 
     Args:
-        turned: how, as "turns them by 180 degrees".
-        what: the header, as "EXIF of the images".
+        turned: what the header does, such as "turns them by 180 degrees"; "" if it does nothing.
+        what: name of the header, such as "EXIF of the images".
     """
     if turned:
         assume(
@@ -35,7 +35,7 @@ def check_turn(turned: str, what: str) -> None:
 
 
 def check_exif(content: bytes) -> None:
-    """Say what the EXIF of a JPEG or PNG file turns, see `check_turn`."""
+    """Report how the EXIF of a JPEG or PNG file turns the picture, see `check_turn`."""
     start = content.find(b"Exif\0\0", 0, _HEADER_BYTES) + 6
     if content.startswith(b"\x89PNG"):
         start = content.find(b"eXIf", 0, _HEADER_BYTES) + 4
@@ -44,7 +44,7 @@ def check_exif(content: bytes) -> None:
     orders = {b"II*\0": "<", b"MM\0*": ">"}
     if (order := orders.get(content[start : start + 4])) is None:
         return
-    with contextlib.suppress(struct.error):  # truncated
+    with contextlib.suppress(struct.error):  # the content may be truncated
         at = start + struct.unpack_from(f"{order}I", content, start + 4)[0]
         for entry in range(struct.unpack_from(f"{order}H", content, at)[0]):
             tag, _, _, value = struct.unpack_from(f"{order}HHIH", content, at + 2 + 12 * entry)

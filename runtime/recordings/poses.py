@@ -22,10 +22,12 @@ _EARTH_RADIUS_M = 6378137.0
 
 
 def read_kitti_poses(path: Path) -> NDArray[np.float64]:
-    """Read a file of 12 numbers a line, a 3 x 4 matrix row by row: KITTI odometry, kiss-icp.
+    """Read a file of poses with 12 numbers a line, as KITTI odometry and kiss-icp write them.
+
+    The numbers of a line are a 3 x 4 matrix, row by row.
 
     Returns:
-        float64 (N, 4, 4), a pose a line.
+        float64 (N, 4, 4), one pose for each line.
 
     Raises:
         InputError: if the file cannot be read or a line is no such matrix.
@@ -37,17 +39,17 @@ def read_kitti_poses(path: Path) -> NDArray[np.float64]:
 
 
 def read_tum_poses(path: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Read a file of "time x y z qx qy qz qw" lines, as of TUM's benchmark and evo.
+    """Read a file of "time x y z qx qy qz qw" lines, as TUM's benchmark and evo write them.
 
     Returns:
-        Nanoseconds int64 (N,), and poses float64 (N, 4, 4).
+        Nanoseconds, int64 (N,), and poses, float64 (N, 4, 4).
 
     Raises:
-        InputError: if the file cannot be read, or a line is no time [s] or no pose.
+        InputError: if the file cannot be read, or if a line does not hold a time [s] and a pose.
     """
     rows = _numbers(path, _TUM)
     names = [f"line {number} of {path}" for number in range(1, len(rows) + 1)]
-    # float64 has a resolution of 0.2 µs at 1.6e9 s.
+    # A float64 of 1.6e9 s has a resolution of 0.2 µs, so nanoseconds are read from the text.
     times = [line.split()[0] for line in _lines(path)]
     stamps_ns = [parse_seconds(*each) for each in zip(times, names, strict=True)]
     poses = [pose_of(row[1:4], row[4:8], name) for row, name in zip(rows, names, strict=True)]
@@ -55,14 +57,14 @@ def read_tum_poses(path: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
 
 
 def read_oxts_poses(paths: Iterable[Path]) -> NDArray[np.float64]:
-    """Read the files of KITTI raw's oxts/data, one each frame.
+    """Read the files of KITTI raw's oxts/data, one for each frame.
 
     Args:
-        paths: in the order of the frames. Each begins with latitude and longitude [degrees],
-            altitude [m], roll, pitch and yaw [rad].
+        paths: the files in the order of the frames. Each begins with latitude and longitude
+            [degrees], altitude [m], roll, pitch and yaw [rad].
 
     Returns:
-        float64 (N, 4, 4), poses of the IMU, on a Mercator plane scaled at the first latitude.
+        float64 (N, 4, 4), poses of the IMU on a Mercator plane scaled at the first latitude.
 
     Raises:
         InputError: if a file cannot be read.
@@ -96,19 +98,19 @@ def read_oxts_poses(paths: Iterable[Path]) -> NDArray[np.float64]:
 def read_poses(
     path: Path, stamps_ns: Sequence[int], *, of_clock: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Read the poses of a folder's frames: KITTI's format, a line a frame, or TUM's.
+    """Read the poses of a folder's frames: KITTI's format, one line per frame, or TUM's format.
 
     Args:
-        path: of the file.
-        stamps_ns: of the frames.
-        of_clock: whether these are times of a clock, which TUM's format needs.
+        path: the file of poses.
+        stamps_ns: time stamps of the frames.
+        of_clock: whether the stamps are times of a clock, which TUM's format needs.
 
     Returns:
-        Nanoseconds int64 (N,), and poses float64 (N, 4, 4).
+        Nanoseconds, int64 (N,), and poses, float64 (N, 4, 4).
 
     Raises:
-        InputError: as `read_kitti_poses` and `read_tum_poses`; and for another number of lines than
-            frames, and TUM's format without times of the frames.
+        InputError: in the cases of `read_kitti_poses` and `read_tum_poses`; if the number of lines
+            is not the number of frames; and for TUM's format if the frames have no times.
     """
     first = next(iter(_lines(path)), "")
     if len(first.split()) == _TUM:
@@ -132,7 +134,7 @@ def pose_of(
     """Return the matrix (4, 4) of a position [m] and a unit quaternion x, y, z, w.
 
     Raises:
-        InputError: if the numbers are not finite, or as `read_rigid`.
+        InputError: if the numbers are not finite, and in the cases of `read_rigid`.
     """
     pose = np.eye(4)
     pose[:3, 3] = tuple(position)
@@ -140,7 +142,7 @@ def pose_of(
     norm, cross = numbers @ numbers, np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     with np.errstate(divide="ignore", invalid="ignore"):
         pose[:3, :3] += 2 / norm * (w * cross + cross @ cross)
-    pose[:3, :3] *= norm**0.25  # a length off by 1 % is a matrix off by 1 %
+    pose[:3, :3] *= norm**0.25  # a length off by 1 % makes the matrix off by 1 %
     return read_rigid(f"{name}, x, y, z and a unit quaternion,", pose)
 
 

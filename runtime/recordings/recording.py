@@ -1,15 +1,15 @@
-"""A recording: frames and the answers to them, for comparison with later ones.
+"""A recording: frames and the answers to them, for comparison with later answers.
 
-A folder that needs nothing else:
+It is a folder that needs nothing else:
 
-| file | |
+| file | content |
 |---|---|
 | `recording.json` | origin, settings, limits per head, and one line per frame; see `Recording` |
 | `model.onnx` | the model that answered, byte for byte |
 | `frames/000000.npz` ... | a frame's `rgb`, `sparse_depth` and its answers, one array per head |
 
-Arrays are compressed without loss, to about 9 of 20 bytes a pixel with four heads; numpy's archive
-has a checksum of every array.
+The arrays are compressed without loss, with four heads to about 9 of 20 bytes per pixel. NumPy's
+archive holds a checksum of every array.
 """
 
 import contextlib
@@ -35,12 +35,12 @@ from runtime.files.own_folder import atomic_folder
 from runtime.files.read_input import open_input, read_text
 
 RECORDING_FORMAT, RECORDING_VERSION = "ssdnet-recording", "2.1"
-_READ_VERSIONS = ("2.0", RECORDING_VERSION)  # 2.0 did not say what software made it
+_READ_VERSIONS = ("2.0", RECORDING_VERSION)  # version 2.0 does not name the software that wrote it
 RECORDING_FILE, MODEL_FILE = "recording.json", "model.onnx"
 _FRAMES = "frames"
-_LARGEST = sys.float_info.max  # a limit or a time
+_LARGEST = sys.float_info.max  # largest limit or time
 
-MAX_FRAME_BYTES = 2**32  # of the largest cameras with all heads
+MAX_FRAME_BYTES = 2**32  # enough for the largest cameras with all heads
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,12 @@ class RecordedFrame:
     """Facts about a frame beside its arrays.
 
     Attributes:
-        name: of the frame, for people.
+        name: name of the frame, for people.
         valid: whether the answers are usable; if not, none are kept.
-        degraded: reasons of `Prediction.degraded`; None = not known (PyTorch answered).
-        predict_ms: time of `Predictor.predict`; None = not known.
-        focal_length_px: as `Predictor.predict` takes it.
+        degraded: reasons of `Prediction.degraded`; None if they are unknown because PyTorch
+            answered.
+        predict_ms: time of `Predictor.predict`; None if it is unknown.
+        focal_length_px: focal length that was given to `Predictor.predict`.
     """
 
     name: str
@@ -67,10 +68,10 @@ class Settings:
     """What a `Predictor` needs to repeat the answers.
 
     Attributes:
-        made_by: the command.
-        size: as `Predictor` takes it.
-        focal_length_px: as `Predictor` takes it.
-        provider: "cpu" or "cuda"; "torch" where PyTorch answered.
+        made_by: the command that wrote the recording.
+        size: size of the network, as `Predictor` takes it.
+        focal_length_px: focal length, as `Predictor` takes it.
+        provider: "cpu" or "cuda"; "torch" if PyTorch answered.
     """
 
     made_by: str
@@ -81,16 +82,17 @@ class Settings:
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording on disk; its arrays are read a frame at a time.
+    """A recording on disk, whose arrays are read one frame at a time.
 
     Attributes:
-        folder: where it is.
-        settings: of the predictor.
-        model_name: of the model that answered.
+        folder: where the recording is.
+        settings: settings of the predictor.
+        model_name: name of the model that answered.
         model_sha256: digest of that model's file.
-        limits: head -> limits of its figures, see `runtime.contract.agreement`.
+        limits: limits of the figures of each head, see `runtime.contract.agreement`.
         frames: facts about each frame.
-        software: versions of what made it: "ssdnet", "onnxruntime", "system"; {} = not known.
+        software: versions of "ssdnet", "onnxruntime" and "system" that wrote the recording; empty
+            if they are unknown.
     """
 
     folder: Path
@@ -103,7 +105,7 @@ class Recording:
 
     @property
     def model(self) -> Path:
-        """The model's file."""
+        """Path of the model's file."""
         return self.folder / MODEL_FILE
 
     def arrays(self, index: int) -> dict[str, NDArray[Any]]:
@@ -126,7 +128,7 @@ class Recording:
 
 
 class Recorder:
-    """Writes a recording into a folder, a frame at a time, see `record`."""
+    """Writes a recording into a folder, one frame at a time, see `record`."""
 
     def __init__(self, folder: Path, settings: Settings) -> None:
         self._folder, self._settings = folder, settings
@@ -141,20 +143,21 @@ class Recorder:
         sparse_depth: NDArray[np.float32],
         answers: Mapping[str, NDArray[Any]],
     ) -> None:
-        """Keep a frame and, where it is valid, its answers, head -> array."""
+        """Keep a frame and, if it is valid, its answers by head."""
         self._heads |= answers.keys()
         path = _frame_path(self._folder, len(self._frames))
-        # As given to `Predictor`, NaN included, so that the prediction can be repeated.
+        # The arrays are kept as `Predictor` got them, NaN included, so that the prediction can be
+        # repeated.
         arrays = {"rgb": rgb, "sparse_depth": sparse_depth, **(answers if frame.valid else {})}
         np.savez_compressed(path, **arrays)  # type: ignore[arg-type]  # numpy's stub
         self._frames.append(frame)
 
     def finish(self, model: Path, *, sha256: str | None = None) -> None:
-        """Add the model that answered, and the document.
+        """Add the model that answered, and write the document.
 
         Args:
-            model: its file.
-            sha256: of the file when it was loaded, since it may have been replaced.
+            model: the model's file.
+            sha256: digest of the file when it was loaded; the file may have been replaced since.
 
         Raises:
             ContractError: if the file cannot be read or has another digest.
@@ -185,15 +188,16 @@ class Recorder:
 
 @contextlib.contextmanager
 def record(path: Path, settings: Settings, *, overwrite: bool = False) -> Iterator[Recorder]:
-    """Write a recording, whole or not at all.
+    """Write a recording completely or not at all.
 
     Args:
         path: the folder, which gets its name when the block ends without an error.
-        settings: of the predictor.
-        overwrite: replace an older recording at `path`; a folder with any other file never is.
+        settings: settings of the predictor.
+        overwrite: replace an older recording at `path`; a folder with any other file is never
+            replaced.
 
     Yields:
-        The recorder; the block adds frames and calls `Recorder.finish`.
+        The recorder. The block adds frames and then calls `Recorder.finish`.
 
     Raises:
         OutputError: if the folder cannot be written or replaced.
@@ -206,7 +210,7 @@ def read_recording(folder: Path) -> Recording:
     """Read the document of a recording.
 
     Raises:
-        InputError: where the folder is no recording, or it is damaged.
+        InputError: if the folder is not a recording, or is damaged.
     """
     path = folder / RECORDING_FILE
     try:
@@ -218,7 +222,7 @@ def read_recording(folder: Path) -> Recording:
         ) from error
     try:
         return _parse(folder, json.loads(text))
-    except Exception as error:  # of any value where another is expected
+    except Exception as error:  # a value of an unexpected type may raise anything
         raise InputError(
             f"{path} is not a valid recording.json ({type(error).__name__}: {error}): it was "
             "changed, or comes from another version; record again"
@@ -259,6 +263,6 @@ def _frame_path(folder: Path, index: int) -> Path:
 
 
 def _onnxruntime_version() -> str:
-    import onnxruntime  # here: reading a recording needs no session
+    import onnxruntime  # imported here: reading a recording needs no session
 
     return str(onnxruntime.__version__)

@@ -1,4 +1,4 @@
-"""The kinds of sources, and their options. A new kind: its file and a line of `SOURCES`."""
+"""The kinds of sources and their options. A new kind needs a file and a line in `SOURCES`."""
 
 import os
 import re
@@ -26,7 +26,7 @@ SOURCES: dict[str, type[Source]] = {
     "video": VideoSource,
     "bag": BagSource,
     "one-folder": OneFolderSource,
-    "folders": FolderSource,  # last: folders of other kinds contain images, too
+    "folders": FolderSource,  # last, because folders of other kinds contain images, too
 }
 
 
@@ -34,8 +34,8 @@ class SourceKey(NamedTuple):
     """A key of --source.
 
     Attributes:
-        expected: what its value is, in words.
-        read: returns the value of a text; raises ValueError or InputError.
+        expected: what its value has to be, in words.
+        read: converts the text of a value; raises ValueError or InputError.
     """
 
     expected: str
@@ -54,11 +54,11 @@ def _text(text: str) -> str:
 
 
 def _path(text: str) -> Path:
-    return Path(os.path.expanduser(_text(text)))  # the shell does not expand KEY=~/FILE
+    return Path(os.path.expanduser(_text(text)))  # the shell does not expand "~" in KEY=~/FILE
 
 
 _TRUTH = SourceKey("true or false", lambda text: bool(("false", "true").index(text)))
-#: Keyword of the class of a source -> what --source takes for it. The other keywords are flags.
+# Keywords of the sources' classes and what --source takes for them. All other keywords are flags.
 SOURCE_KEYS = {
     "camera": _number("the number of a camera of KITTI", 0, 3, int),
     "depth_scale": _number("units per metre", 1e-3, 1e6),
@@ -74,18 +74,18 @@ SOURCE_KEYS = {
     "info_topic": SourceKey("a topic", _text),
     "pose_topic": SourceKey("a topic or none", _text),
 }
-_PATHS = ("depth", "points", "timestamps", "poses")  # options that are paths
+_PATHS = ("depth", "points", "timestamps", "poses")  # options whose values are paths
 _RIG_NAMES = {each.name for each in fields(Rig)}
 
 
 class SourcePath(NamedTuple):
-    """A recording whose kind is known, and what the keys of --source state.
+    """A recording whose kind is known, with the values of the keys of --source.
 
     Attributes:
-        kind: of SOURCES.
-        path: of the recording.
+        kind: one of SOURCES.
+        path: path of the recording.
         keys: options of the source.
-        rig: what is known of the car.
+        rig: the sensors of the car, as far as they are known.
     """
 
     kind: str
@@ -95,7 +95,7 @@ class SourcePath(NamedTuple):
 
 
 def detect_source(path: Path) -> SourcePath:
-    """Detect the kind of source of a path. Raises InputError with the accepted kinds."""
+    """Find the kind of source for a path. Raises InputError, which names the accepted kinds."""
     for kind, source in SOURCES.items():
         if source.accepts(path):
             return SourcePath(kind, path, {})
@@ -107,12 +107,12 @@ def detect_source(path: Path) -> SourcePath:
 def parse_source(text: str) -> SourcePath:
     """Read "KIND:PATH" or "KIND:PATH,KEY=VALUE,...".
 
-    The text is split at each comma that a known key and "=" follow. Path and values may hold other
-    commas and equals signs.
+    The text is split at each comma that is followed by a known key and "=". The path and the values
+    may contain other commas and equals signs.
 
     Raises:
-        InputError: for another form, an unknown kind, a key that is unknown or given twice, and a
-            wrong value.
+        InputError: if the text has another form, the kind or a key is unknown, a key is given
+            twice, or a value is wrong.
     """
     kind, _, rest = text.partition(":")
     if kind not in SOURCES or not rest or rest.startswith(","):
@@ -137,7 +137,7 @@ def parse_source(text: str) -> SourcePath:
 
 
 def _read_key(name: str, value: str, takes: str) -> Any:
-    """The value of a key that is given as text, in --source or in Python. Raises InputError."""
+    """Convert the text of a key's value, from --source or from Python. Raises InputError."""
     try:
         return SOURCE_KEYS[name].read(value)
     except (ValueError, InputError) as error:
@@ -152,28 +152,28 @@ def keys_of(kind: str) -> tuple[str, ...]:
 
 
 def _taken(kind: str) -> tuple[str, ...]:
-    """The options of a kind of source and the attributes of a `Rig` that it uses."""
+    """The options of a kind of source and the attributes of `Rig` that it uses."""
     return (*SOURCES[kind].options, *SOURCES[kind].rig_options)
 
 
 def choose_source(
     kind: str, path: str | Path, rig: Rig = DEFAULT_RIG, **options: Any
 ) -> Callable[[], Source]:
-    """Return a function that opens a source, and that can be pickled.
+    """Return a function that opens a source and can be pickled.
 
     Args:
-        kind: of SOURCES.
-        path: of the recording.
-        rig: the sensors of the car, where the recording does not describe them itself.
-        **options: those of the kind, see its class, also as the text of paths and of keys of
-            --source; None: not given.
+        kind: one of SOURCES.
+        path: path of the recording.
+        rig: the sensors of the car, as far as the recording does not describe them itself.
+        **options: options of the kind, see its class. Paths and the keys of --source may be given
+            as text; None stands for an option that is not given.
 
     Returns:
-        The function; it raises InputError for a path that is no recording of this kind.
+        The function, which raises InputError if the path is not a recording of this kind.
 
     Raises:
-        InputError: for an unknown kind, and for options or attributes of the rig that the kind does
-            not use.
+        InputError: if the kind is unknown, or does not use one of the options or attributes of the
+            rig.
     """
     given = _checked(kind, rig, options)
     return partial(SOURCES[kind], Path(path), rig, **given)
@@ -182,18 +182,18 @@ def choose_source(
 def choose_cameras(
     kind: str, path: str | Path, rig: Rig = DEFAULT_RIG, **options: Any
 ) -> Callable[[], dict[str, Source]]:
-    """Return what opens a source for each camera; see `choose_source`, `Source.open_cameras`."""
+    """Return a function that opens a source for each camera; see `Source.open_cameras`."""
     given = _checked(kind, rig, options)
     return partial(SOURCES[kind].open_cameras, Path(path), rig, **given)
 
 
 def open_source(kind: str, path: str | Path, rig: Rig = DEFAULT_RIG, **options: Any) -> Source:
-    """Open a source; arguments and errors as in `choose_source`."""
+    """Open a source; arguments and errors are those of `choose_source`."""
     return choose_source(kind, path, rig, **options)()
 
 
 def _checked(kind: str, rig: Rig, options: Mapping[str, Any]) -> dict[str, Any]:
-    """The options that are given. Raises InputError as `choose_source`."""
+    """The options that are given. Raises InputError in the cases of `choose_source`."""
     if kind not in SOURCES:
         raise InputError(
             f"unknown kind of source {shown(kind)}: give one of the kinds {', '.join(SOURCES)}"

@@ -1,6 +1,6 @@
 """Answers as the fields of ROS's standard messages, for files and for nodes.
 
-Each function returns the fields of a message without its header, by their names in ROS 2.
+Each function returns the fields of a message, without its header, by their names in ROS 2.
 """
 
 from typing import Any, NamedTuple
@@ -14,9 +14,9 @@ from runtime.geometry.poses import quaternion_of
 from runtime.streams.frame_result import FrameResult
 from runtime.streams.stream_counter import Level, WatchdogState
 
-#: NumPy's type -> datatype of a sensor_msgs/PointField.
+#: Datatypes of sensor_msgs/PointField for NumPy's types.
 _DATATYPES = {"|u1": 2, "<u4": 6, "<f4": 7}
-#: State of a stream -> level of a diagnostic_msgs/DiagnosticStatus.
+#: Levels of diagnostic_msgs/DiagnosticStatus for the states of a stream.
 _LEVELS = {Level.OK: 0, Level.WARN: 1, Level.ERROR: 2, Level.NOT_YET: 3}
 
 
@@ -24,8 +24,8 @@ class FixedTransform(NamedTuple):
     """A transform of /tf_static.
 
     Attributes:
-        parent: its frame.
-        child: the frame that it places in the parent.
+        parent: the parent frame.
+        child: the frame that the transform places in the parent.
         translation: x, y, z of the child's origin in the parent [m].
         rotation: unit quaternion x, y, z, w.
     """
@@ -37,19 +37,19 @@ class FixedTransform(NamedTuple):
 
     @classmethod
     def of(cls, parent: str, child: str, pose: NDArray[np.float64]) -> "FixedTransform":
-        """The transform of a pose, float64 (4, 4) from the child to the parent [m]."""
+        """Return the transform of a pose, float64 (4, 4), from the child to the parent [m]."""
         x, y, z = pose[:3, 3].tolist()
         w, *turn = quaternion_of(pose[:3, :3]).tolist()
         return cls(parent, child, (x, y, z), (turn[0], turn[1], turn[2], w))
 
 
 class SensorFrames(NamedTuple):
-    """Where a recording's sensors are, in the words of ROS.
+    """Where a recording's sensors are, in the terms of ROS.
 
     Attributes:
         camera: frame id of the answers.
         transforms: the fixed transforms between frames.
-        origin: what states them, in words; "" where there are none.
+        origin: what states the transforms, in words; "" if there are none.
     """
 
     camera: str = "camera"
@@ -58,9 +58,9 @@ class SensorFrames(NamedTuple):
 
 
 def cloud_fields(cloud: PointCloud) -> dict[str, Any]:
-    """The fields of a sensor_msgs/PointCloud2: x, y, z, rgb, class, uncertainty, without padding.
+    """Return the fields of a PointCloud2: x, y, z, rgb, class, uncertainty, without padding.
 
-    Colours are packed as PCL has them, 0x00RRGGBB in the bits of a float32.
+    Colours are packed as PCL packs them: 0x00RRGGBB in the bits of a float32.
     """
     columns: dict[str, tuple[str, NDArray[Any]]] = {
         axis: ("<f4", cloud.points[:, place]) for place, axis in enumerate("xyz")
@@ -93,7 +93,7 @@ def cloud_fields(cloud: PointCloud) -> dict[str, Any]:
 
 
 def camera_fields(camera: Calibration, size: tuple[int, int]) -> dict[str, Any]:
-    """The fields of a sensor_msgs/CameraInfo for images of this (height, width), without `roi`."""
+    """Return the fields, except `roi`, of a CameraInfo for images of this size (height, width)."""
     matrix, lens = np.asarray(camera.intrinsics, np.float64), camera.lens_model
     return {
         "height": size[0],
@@ -111,11 +111,11 @@ def camera_fields(camera: Calibration, size: tuple[int, int]) -> dict[str, Any]:
 def status_fields(
     result: FrameResult | None = None, state: WatchdogState | None = None
 ) -> dict[str, Any]:
-    """The fields of a diagnostic_msgs/DiagnosticStatus but its names.
+    """Return the fields of a diagnostic_msgs/DiagnosticStatus except its names.
 
     Args:
-        result: an answer; what is degraded or unhealthy is a warning.
-        state: of a stream; its level counts where it is worse.
+        result: an answer; if it is degraded or unhealthy, the level is a warning.
+        state: state of a stream; its level counts if it is worse.
 
     Returns:
         `level`, 0 to 3; `message`; and `values`, a mapping of texts.

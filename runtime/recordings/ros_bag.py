@@ -1,4 +1,4 @@
-"""Bags of ROS 1 and ROS 2 and MCAP files: topics and messages, through `rosbags` (extra `bag`)."""
+"""Bags of ROS 1 and ROS 2 and MCAP files: topics and messages, read by `rosbags` (extra `bag`)."""
 
 import contextlib
 import importlib.util
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
     from rosbags.typesys.store import Typestore
 
-#: Largest decompressed size of a chunk of a bag, as its index declares it.
+#: Largest size of a chunk of a bag after decompression, as declared by the bag's index.
 MAX_CHUNK_BYTES = 2**28
 
 _BAG_SUFFIXES = (".yaml", ".db3", ".mcap", ".zstd")
 _TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
-_ZSTD = b"\x28\xb5\x2f\xfd"  # start of compressed data; no message in CDR starts so
+_ZSTD = b"\x28\xb5\x2f\xfd"  # start of compressed data, with which no message in CDR begins
 
 
 class RecordedMessage(NamedTuple):
-    """A message as stored; `recorded_ns` is when it was recorded."""
+    """A message as it is stored; `recorded_ns` is the time at which it was recorded."""
 
     topic: str
     recorded_ns: int
@@ -38,15 +38,16 @@ class RosBag:
     """An open bag.
 
     Args:
-        path: ROS 1 bag (.bag), ROS 2 bag (folder with metadata.yaml, or .db3), or .mcap.
+        path: a ROS 1 bag (.bag), a ROS 2 bag (folder with metadata.yaml, or .db3) or an .mcap file.
 
     Attributes:
-        types: topic -> message type, by the names of ROS 2.
-        left_out: what is not read -> how often; of messages those that were met so far.
-        guard: of the process that may read it.
+        types: the message type of each topic, by its name in ROS 2.
+        left_out: counts of what is not read; messages are counted when they are met.
+        guard: guard of the process that may read the bag.
 
     Raises:
-        InputError: if `rosbags` cannot be imported, or the bag is damaged; so does every method.
+        InputError: if `rosbags` cannot be imported, or the bag is damaged. All methods raise it,
+            too.
     """
 
     def __init__(self, path: Path) -> None:
@@ -61,7 +62,7 @@ class RosBag:
                 is_own = (encoding == "cdr") == self._is_cdr
                 if is_own and self.types.setdefault(c.topic, c.msgtype) == c.msgtype:
                     self._topics.setdefault(c.topic, []).append(c)
-                else:  # of another library, or a second type of the topic
+                else:  # written by another library, or a second type of the same topic
                     self.left_out[f"{c.topic} ({encoding} {c.msgtype})"] += c.msgcount
             there = {file.name.removesuffix(".zstd") for file in _files(path)}
             named = {path.name, "metadata.yaml", *(s.path.name for s in _storages(self._reader))}
@@ -76,16 +77,16 @@ class RosBag:
         with _reading(self.path):
             for connection, recorded_ns, raw in self._reader.messages(connections):
                 left[connection.topic] -= 1
-                if self._is_cdr and raw[:4] == _ZSTD:  # a file without the metadata.yaml of its bag
+                if self._is_cdr and raw[:4] == _ZSTD:  # a file without its bag's metadata.yaml
                     raw = _decompress(raw)
                 yield RecordedMessage(connection.topic, recorded_ns, raw)
-        # A bag is read several times: the largest count of one reading.
+        # A bag is read several times; the count is the largest of a single reading.
         self.left_out |= Counter({f"{t} (only in the index)": n for t, n in left.items()})
 
     def decoded(self, topic: str, check: Callable[[Any], object] = bool) -> Iterator[Any]:
         """Yield the messages of a topic with their fields.
 
-        Those that are damaged, or for which `check` raises InputError, are left out.
+        Messages that are damaged, or for which `check` raises InputError, are left out.
         """
         damaged = 0
         for message in self.messages([topic]):
@@ -105,7 +106,7 @@ class RosBag:
         raise InputError(f"the topic {topic} of {self.path} has no message that can be decoded")
 
     def decode(self, message: RecordedMessage) -> Any:
-        """Return a message of a type of ROS itself, with its fields. Raises InputError."""
+        """Return the fields of a message whose type is one of ROS itself. Raises InputError."""
         store = self._definitions
         deserialize = store.deserialize_cdr if self._is_cdr else store.deserialize_ros1
         try:
@@ -116,10 +117,11 @@ class RosBag:
             ) from error
 
     def stamp_ns(self, message: RecordedMessage) -> int | None:
-        """The time stamp [ns] of a message that starts with a std_msgs/Header; 0: none was set.
+        """The time stamp [ns] of a message that starts with a std_msgs/Header; 0 if none was set.
 
-        None for a message that is too short. The rest of the message is not decoded: the stamp is
-        at byte 4 in both formats, after `seq` in ROS 1, after the byte order in CDR.
+        The result is None if the message is too short. The rest of the message is not decoded: in
+        both formats the stamp begins at byte 4, after `seq` in ROS 1 and after the byte order in
+        CDR.
         """
         if len(message.raw) < 12:
             return None
@@ -128,13 +130,13 @@ class RosBag:
         return int(stamp[0]) * 10**9 + int(stamp[1])
 
     def close(self) -> None:
-        """Close the files. May be called again."""
-        with contextlib.suppress(Exception):  # closed before
+        """Close the files. It may be called more than once."""
+        with contextlib.suppress(Exception):  # it may be closed already
             self._reader.close()
 
 
 def _open(path: Path) -> "tuple[Any, Typestore]":
-    """The open bag, and ROS's own message definitions: those in the bag may be damaged."""
+    """The open bag and ROS's own message definitions, because those in the bag may be damaged."""
     try:
         from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader as Reader2
@@ -171,7 +173,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _require_merged(file: Path) -> None:
-    """Raise InputError for a database of which SQLite left a part in a journal beside it."""
+    """Raise InputError for a database if SQLite left a part of it in a journal beside it."""
     journals = (Path(f"{os.path.realpath(file)}{end}") for end in ("-wal", "-journal"))
     for journal in filter(os.path.lexists, journals):
         with open_input(journal, max_bytes=None) as opened:
@@ -184,10 +186,10 @@ def _require_merged(file: Path) -> None:
 
 
 def _mcap_reader() -> Any:
-    """The class by which rosbags reads MCAP, but without the definitions of messages.
+    """The class with which rosbags reads MCAP, without the definitions of messages.
 
-    It fails on those of channels that are not of ROS. In a copy of its module they can be left out
-    without an effect on others that use rosbags.
+    The original fails at definitions of channels that do not belong to ROS. The change is made in a
+    copy of its module, so that others who use rosbags are not affected.
     """
     from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 
@@ -200,9 +202,9 @@ def _mcap_reader() -> Any:
 
 
 def _storages(reader: Any) -> list[Any]:
-    """The readers of the files of a bag of ROS 2."""
+    """The readers of the files of a ROS 2 bag."""
     storage = getattr(reader, "storage", None)
-    return getattr(storage, "storages", [storage] if storage else [])  # of a folder, or a file
+    return getattr(storage, "storages", [storage] if storage else [])  # of a folder, or of one file
 
 
 def _decompress(raw: bytes) -> bytes:
@@ -210,16 +212,16 @@ def _decompress(raw: bytes) -> bytes:
 
     with contextlib.suppress(zstd.ZstdError):
         return bytes(zstd.ZstdDecompressor().decompress(raw, MAX_CHUNK_BYTES))
-    return b""  # a message that is damaged
+    return b""  # stands for a damaged message
 
 
 def _declared_sizes(reader: Any) -> Iterator[int]:
-    """The decompressed sizes that the index of a bag declares for its compressed parts."""
+    """The sizes after decompression that a bag's index declares for its compressed parts."""
     from rosbags.rosbag1.reader import Header
 
     chunks = [chunk for each in _storages(reader) for chunk in getattr(each, "chunks", ())]
-    yield from (chunk.uncompressed_size for chunk in chunks if chunk.compression)  # of MCAP
-    for chunk in getattr(reader, "chunk_infos", ()):  # of ROS 1
+    yield from (chunk.uncompressed_size for chunk in chunks if chunk.compression)  # MCAP
+    for chunk in getattr(reader, "chunk_infos", ()):  # ROS 1
         reader.bio.seek(chunk.pos)
         header = Header.read(reader.bio)
         if header.get_string("compression") != "none":
@@ -228,7 +230,7 @@ def _declared_sizes(reader: Any) -> Iterator[int]:
 
 @contextlib.contextmanager
 def _reading(path: Path) -> Iterator[None]:
-    """Raise as InputError whatever a damaged bag makes the libraries raise."""
+    """Turn whatever a damaged bag makes the libraries raise into an InputError."""
     try:
         yield
     except SSDNetError:

@@ -1,6 +1,7 @@
-"""The calibration of a camera in a bag: what its CameraInfo, frames and /tf_static prove.
+"""The calibration of a camera in a bag, as its CameraInfo, frames and /tf_static prove it.
 
-Some fields of CameraInfo are used in two ways. What the bag does not prove is assumed and said.
+Some fields of CameraInfo are used in two ways. What the bag does not prove is assumed, and the
+assumption is reported.
 """
 
 import re
@@ -21,16 +22,17 @@ from runtime.recordings.ros_bag import RosBag
 from runtime.recordings.ros_poses import TransformTree, frame_name
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-#: Words, between / and _, of the names of topics of images that are, or are not, rectified.
+#: Words (between / and _) in the names of topics whose images are, or are not, rectified.
 _RECTIFIED, _RAW = {"rect", "rectified"}, {"raw", "unrectified", "distorted"}
-# A principal point farther from the middle, in shares of the sides, is of images of another size.
+# If the principal point is farther from the middle, in shares of the sides, the CameraInfo is for
+# images of another size.
 _OFF_CENTRE = 0.05
-# Two frames are the same up to this distance and turn [rad], which is a pixel at 500 px.
+# Two frames are the same up to this distance and this turn [rad], which is a pixel at 500 px.
 _SHIFT_M, _TURN = 1e-3, 2e-3
-# Two cameras are a stereo pair up to this error, in shares of the baseline, and this turn [rad]:
-# the turn to the rectified axes is not in /tf_static.
+# Two cameras are a stereo pair up to this error, in shares of the baseline, and this turn [rad].
+# /tf_static does not contain the turn to the rectified axes.
 _SHIFT_SHARE, _PAIR_TURN = 0.1, 0.1
-SAME_PX = 1.0  # largest difference of equal focal lengths and principal points
+SAME_PX = 1.0  # largest difference between equal focal lengths or principal points
 GIVE = "give --calibration"
 
 
@@ -40,12 +42,13 @@ def calibrate(
     """Return the calibration of a camera for the points of a sensor.
 
     Args:
-        bag: of both.
-        tree: of /tf_static.
-        topic: of the images.
-        beside: topic of their CameraInfo; the first that is set counts.
-        source: frame of the points; "" = that of the images.
-        rectified: whether the images are; None = by the CameraInfo and the name of the topic.
+        bag: the bag that holds both.
+        tree: the transforms of /tf_static.
+        topic: topic of the images.
+        beside: topic of their CameraInfo; the first message that is set counts.
+        source: frame of the points; "" stands for the frame of the images.
+        rectified: whether the images are rectified; None: the CameraInfo and the name of the topic
+            decide.
 
     Raises:
         InputError: if no CameraInfo is set, if it is invalid, or if /tf_static lacks a frame.
@@ -76,7 +79,7 @@ def calibrate(
         )
     except InputError as error:
         raise InputError(f"the CameraInfo of {beside}: {error}; or {GIVE}") from error
-    shift = found.extrinsics[:3, 3] - extrinsics[:3, 3]  # by P, of the second camera of a pair
+    shift = found.extrinsics[:3, 3] - extrinsics[:3, 3]  # from P of a pair's second camera
     if np.abs(shift).max() > _SHIFT_M and _has_own_frame(bag, tree, frame, shift):
         return replace(found, extrinsics=extrinsics)
     return found
@@ -88,11 +91,11 @@ def place_sensors(
     """Return the frames of a bag's sensors.
 
     Args:
-        tree: of /tf_static.
-        camera: frame of the images; "" = not stated.
-        lidar: frame of the clouds; "" = there are none.
-        calibration: of clouds and images; None = there is none.
-        is_own: whether it is that of the bag.
+        tree: the transforms of /tf_static.
+        camera: frame of the images; "" if it is not stated.
+        lidar: frame of the clouds; "" if there are no clouds.
+        calibration: calibration of clouds and images; None if there is none.
+        is_own: whether the calibration was read from the bag.
     """
     camera, transforms = camera or "camera", tuple(tree.valid())
     if calibration is None or not lidar:
@@ -101,8 +104,8 @@ def place_sensors(
         place = FixedTransform.of(camera, lidar, calibration.extrinsics)
         return SensorFrames(camera, (place,), "the calibration")
     if is_own:
-        # P of the second camera of a stereo pair holds the baseline to the frame of the first.
-        with collect_assumptions([]):  # reported with the calibration
+        # P of the second camera of a stereo pair holds the baseline to the first camera's frame.
+        with collect_assumptions([]):  # already reported with the calibration
             offset = tree.between(lidar, camera) @ np.linalg.inv(calibration.extrinsics)
         if not np.allclose(offset, np.eye(4), atol=1e-6):
             beside = f"{camera}_ssdnet"
@@ -112,13 +115,13 @@ def place_sensors(
 
 
 def projection_of(info: Any) -> list[list[float]]:
-    """[The 21 numbers of K and P]; [] if a driver sent 0, 1 or NaN, because it knew neither."""
+    """[The 21 numbers of K and P]; [] if a driver that knew neither wrote 0, 1 or NaN."""
     k, p = (_fields(info)[name] for name in "kp")
     return [[*k, *p]] if k[0] > 1 or p[0] > 1 else []
 
 
 def is_rectified(fields: Mapping[str, Any], topic: str) -> bool:
-    """Whether the images of a topic are described by P; if not, by K and D."""
+    """Whether P describes the images of a topic; otherwise K and D describe them."""
     words = set(re.split("[/_]", topic.lower()))
     camera, projection = np.reshape(fields["k"], (3, 3)), np.reshape(fields["p"], (3, 4))[:, :3]
     if words & _RECTIFIED or not (camera.any() and projection.any()):
@@ -129,7 +132,7 @@ def is_rectified(fields: Mapping[str, Any], topic: str) -> bool:
     state = "state it with rectified=true or false in --source"
     sides = np.array([fields["width"] or np.inf, fields["height"] or np.inf])
     off, straight_off = (abs(each[:2, 2] / sides - 0.5).max() for each in (camera, projection))
-    if off > _OFF_CENTRE and straight_off < off / 2:  # as in bags of kitti2bag
+    if off > _OFF_CENTRE and straight_off < off / 2:  # as in bags written by kitti2bag
         assume(f"{topic} is rectified, because K is of images of another size than P", state)
         return True
     if not words & _RAW:
@@ -138,14 +141,14 @@ def is_rectified(fields: Mapping[str, Any], topic: str) -> bool:
 
 
 def _has_own_frame(bag: RosBag, tree: TransformTree, frame: str, shift: Any) -> bool:
-    """Whether `frame` is that of the second camera itself; ROS's convention is the first one's."""
+    """Whether `frame` belongs to the second camera; by ROS's convention it is the first one's."""
     if any(_is_at(tree, each, frame, shift) for each in tree.frames if each != frame):
         return True
     for topic in (topic for topic, kind in bag.types.items() if kind == CAMERA_INFO):
         for info in bag.decoded(topic):
             p = _fields(info)["p"]
             if frame_name(info.header.frame_id) == frame and p[0] and not any(p[3::4]):
-                return False  # the frame is the first camera's
+                return False  # it is the first camera's frame
             break
     beside = f"{np.linalg.norm(shift):.3g} m beside"
     assume(f"{frame} is the frame of a stereo pair's first camera, {beside} the images", GIVE)
@@ -153,10 +156,10 @@ def _has_own_frame(bag: RosBag, tree: TransformTree, frame: str, shift: Any) -> 
 
 
 def _is_at(tree: TransformTree, source: str, target: str, shift: Any) -> bool:
-    """Whether `target` has the axes of `source`, and its points are moved by `shift` [m]."""
+    """Whether `target` has the axes of `source` and its points are shifted by `shift` [m]."""
     try:
         matrix = tree.between(source, target)
-    except InputError:  # not connected
+    except InputError:  # the frames are not connected
         return False
     length = np.linalg.norm(shift)
     is_near = np.linalg.norm(matrix[:3, 3] - shift) < _SHIFT_M + _SHIFT_SHARE * length
@@ -165,7 +168,7 @@ def _is_at(tree: TransformTree, source: str, target: str, shift: Any) -> bool:
 
 
 def _fields(info: Any) -> dict[str, Any]:
-    """The fields of a CameraInfo; ROS 1 has matrices in capitals."""
+    """The fields of a CameraInfo; the names of its matrices are capitals in ROS 1."""
     names = ("height", "width", "distortion_model", "binning_x", "binning_y", *"DKRPdkrp")
     fields = {name.lower(): getattr(info, name) for name in names if hasattr(info, name)}
     sides = ("x_offset", "y_offset", "height", "width")

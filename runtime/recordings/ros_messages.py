@@ -1,7 +1,7 @@
-"""Arrays from deserialised ROS sensor messages; layouts are those of sensor_msgs.
+"""Arrays from deserialised ROS sensor messages; their layouts are those of sensor_msgs.
 
-Every function takes a message with the fields of its type and raises InputError for inconsistent
-fields before it allocates memory.
+Every function takes a message with the fields of its type. If the fields are inconsistent it raises
+InputError before it allocates memory.
 """
 
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ from runtime.base.errors import InputError
 from runtime.geometry.returns import to_metres
 from runtime.recordings.images import decode_rgb, require_pixels
 
-#: Encoding of an image -> channels and the conversion to RGB.
+#: Number of channels and conversion to RGB for each encoding of an image.
 _PICTURES: dict[str, tuple[int, int | None]] = {
     "rgb8": (3, None),
     "bgr8": (3, cv2.COLOR_BGR2RGB),
@@ -30,7 +30,7 @@ _PICTURES: dict[str, tuple[int, int | None]] = {
     "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2RGB),
 }
 MONO16 = "mono16"
-#: Encoding of a depth map -> type and units per metre (REP 118); some drivers write mono16.
+#: Type and units per metre for each encoding of a depth map (REP 118); some drivers write mono16.
 DEPTHS: dict[str, tuple[str, float]] = {
     "16UC1": ("u2", 1000.0),
     "32FC1": ("f4", 1.0),
@@ -50,7 +50,7 @@ def decode_image(message: Any) -> NDArray[np.uint8]:
         uint8 (H, W, 3), RGB.
 
     Raises:
-        InputError: for another encoding and for inconsistent fields.
+        InputError: if the encoding is another one or the fields are inconsistent.
     """
     encoding = message.encoding
     if encoding not in _PICTURES:
@@ -67,16 +67,16 @@ def decode_compressed_image(message: Any) -> NDArray[np.uint8]:
     """Decode a CompressedImage.
 
     Args:
-        message: sensor_msgs/CompressedImage of an 8-bit JPEG or PNG; of one channel whose format
-            names bayer_*8: a mosaic.
+        message: sensor_msgs/CompressedImage with an 8-bit JPEG or PNG. An image of one channel
+            whose format names bayer_*8 is a mosaic.
 
     Returns:
         uint8 (H, W, 3), RGB.
 
     Raises:
-        InputError: for another format and for damaged content.
+        InputError: if the format is another one or the content is damaged.
     """
-    # "ENCODING; jpeg compressed TARGET" of image_transport, or "jpeg".
+    # image_transport writes "ENCODING; jpeg compressed TARGET"; others write "jpeg".
     encoding, name = str(message.format).split(";")[0].strip(), shown(message.format)
     is_depth = encoding in DEPTHS and encoding != MONO16
     if is_depth or "compressedDepth" in str(message.format):
@@ -87,7 +87,7 @@ def decode_compressed_image(message: Any) -> NDArray[np.uint8]:
     content = bytes(memoryview(message.data))
     rgb = decode_rgb(content, name=f"a CompressedImage ({name})")
     if not encoding.startswith("bayer_") or (rgb != rgb[..., :1]).any():
-        return rgb  # the camera's colours, also of a mosaic that was converted before
+        return rgb  # the camera's colours, also if a mosaic was converted before
     height, width, mosaic = *rgb.shape[:2], rgb[..., 0].ravel()
     fields = {"encoding": encoding, "height": height, "width": width, "step": width}
     return decode_image(SimpleNamespace(**fields, data=mosaic))
@@ -100,10 +100,10 @@ def decode_depth_image(message: Any) -> NDArray[np.float32]:
         message: sensor_msgs/Image in 16UC1 or mono16 [mm], or 32FC1 [m].
 
     Returns:
-        float32 (H, W), metres; 0 and what is not finite, as of 65535, = no measurement.
+        float32 (H, W), metres. 0, values that are not finite and 65535 are no measurement.
 
     Raises:
-        InputError: for another encoding and for inconsistent fields.
+        InputError: if the encoding is another one or the fields are inconsistent.
     """
     encoding = message.encoding
     if encoding not in DEPTHS:
@@ -124,11 +124,11 @@ def decode_points(message: Any) -> NDArray[np.float32]:
         message: sensor_msgs/PointCloud2 with x, y, z in float32 or float64.
 
     Returns:
-        float32 (N, 3), x, y, z in metres; NaN = no return.
+        float32 (N, 3), x, y, z in metres; NaN if there is no return.
 
     Raises:
-        InputError: if x, y or z is missing, doubled or of another type, and for inconsistent
-            offsets, steps and length of the data.
+        InputError: if x, y or z is missing, occurs twice or has another type, or if offsets, steps
+            and the length of the data are inconsistent.
     """
     fields = []
     for axis in "xyz":
@@ -140,7 +140,7 @@ def decode_points(message: Any) -> NDArray[np.float32]:
             )
         fields += found
     cloud = view_fields(message, fields, _FLOATS)
-    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32: Inf, no return
+    with np.errstate(over="ignore", invalid="ignore"):  # Inf beyond float32 is no return
         columns = [cloud[axis].astype(np.float32) for axis in "xyz"]
     return np.stack(columns, axis=-1).reshape(-1, 3)
 
@@ -157,8 +157,8 @@ def view_fields(message: Any, fields: list[Any], types: Mapping[int, str]) -> ND
         A structured array (height, width).
 
     Raises:
-        InputError: for another datatype, several numbers in a field, a field beyond the point, and
-            truncated data.
+        InputError: if a field has another datatype, holds several numbers or ends beyond the point,
+            or if the data are truncated.
     """
     height, width, point_step = message.height, message.width, message.point_step
     what = f"a PointCloud2 of {height} x {width} points"
@@ -203,7 +203,7 @@ def _rows(
 ) -> tuple[NDArray[np.uint8], int]:
     """The data of a message, not copied, and the bytes from one row to the next.
 
-    Data that are as long as all rows have no padding, whatever a driver states as their step.
+    Data that are exactly as long as all rows have no padding, whatever step a driver states.
     """
     content = np.frombuffer(message.data, np.uint8)
     is_packed = height <= 1 or len(content) == height * row_bytes

@@ -15,22 +15,22 @@ from runtime.recordings.poses import pose_of
 from runtime.recordings.ros_answers import FixedTransform
 from runtime.recordings.ros_messages import view_fields
 
-#: Field of a PointCloud2 with the time of each point, as drivers name it; the first that is there.
+#: Names that drivers give to the field with the time of each point; the first one present counts.
 TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")
-#: Datatype of such a field -> NumPy's type.
+#: NumPy's types for the datatypes of such a field.
 _TIMES = {6: "u4", 5: "i4", 7: "f4", 8: "f8"}
 _LONGEST_SCAN_S = 1.0
-#: Least value of nanoseconds since 1970 (here 1973), and least span of a scan in microseconds.
+#: Least value of nanoseconds since 1970 (a time in 1973), and least span of a scan in microseconds.
 _LEAST_EPOCH_NS, _LEAST_SPAN_US, _LEAST_SPAN_NS = 1e17, 1e3, 1e6
-#: REP 105, and what programs of SLAM call it.
+#: Fixed frames of REP 105, and the names that SLAM programs use for them.
 _FIXED = ("odom", "map", "earth", "world", "camera_init")
 
 
 def odometry_pose(message: Any) -> NDArray[np.float64]:
-    """Return the pose float64 (4, 4) of a nav_msgs/Odometry: of `child_frame_id` in its frame.
+    """Return the pose in a nav_msgs/Odometry: float64 (4, 4), from its child frame to its frame.
 
     Raises:
-        InputError: if the quaternion is not of unit length, or a number is not finite.
+        InputError: if the quaternion does not have unit length, or if a number is not finite.
     """
     return _pose(message.pose.pose.position, message.pose.pose.orientation, "an Odometry")
 
@@ -38,11 +38,11 @@ def odometry_pose(message: Any) -> NDArray[np.float64]:
 def point_times_s(
     message: Any, stamp_ns: int, points: NDArray[np.float32]
 ) -> NDArray[np.float64] | None:
-    """Return when each point of a PointCloud2 was measured, seconds after the stamp.
+    """Return when each point of a PointCloud2 was measured, in seconds after the stamp.
 
-    | type | values | are |
+    | type | values | meaning |
     |---|---|---|
-    | int32, uint32 | all; assumed below 1 ms | ns after the stamp (Ouster, Autoware, Livox) |
+    | int32, uint32 | any; assumed if below 1 ms | ns after the stamp (Ouster, Autoware, Livox) |
     | float32, float64 | up to 1 | s after the stamp (Velodyne) |
     | float32, float64 | up to 10^6, over a span of more than 10^3 | us after the stamp |
     | float64 | larger, over a span of up to 1 | s of the clock (Hesai, RoboSense) |
@@ -53,15 +53,16 @@ def point_times_s(
 
     Args:
         message: sensor_msgs/PointCloud2.
-        stamp_ns: of its header.
-        points: float32 (N, 3) or wider, as `decode_points`.
+        stamp_ns: time stamp in its header.
+        points: float32 (N, 3) or wider, as `decode_points` returns them.
 
     Returns:
-        float64 (N,), NaN where the field is; None where the message has no such field, or the same
-        time for all returns.
+        float64 (N,), NaN where the field holds NaN; None if the message has no such field, or if
+        all returns have the same time.
 
     Raises:
-        InputError: for a field of another type or beyond a point, and for truncated data.
+        InputError: if the field has another type or ends beyond the point, or if the data are
+            truncated.
     """
     field = next((f for name in TIME_FIELDS for f in message.fields if f.name == name), None)
     if field is None:
@@ -78,14 +79,14 @@ def point_times_s(
             assume(f"{field.name} of a scan is nanoseconds, although all are within 1 ms", remedy)
         return values / 1e9
     unit_ns, is_clock = _unit(lowest, highest, times.dtype.itemsize, field.name)
-    # float64 cannot hold nanoseconds since 1970 exactly: a whole number is subtracted first.
+    # float64 cannot hold nanoseconds since 1970 exactly, so a whole number is subtracted first.
     first = int(lowest) if is_clock else 0
     shift_ns = first * unit_ns - stamp_ns if is_clock else 0
     return ((values - first) * unit_ns + shift_ns) / 1e9
 
 
 def _unit(lowest: float, highest: float, size: int, name: str) -> tuple[int, bool]:
-    """(Nanoseconds, whether they are of the clock) of floats, by the table of `point_times_s`."""
+    """(Nanoseconds per unit, whether it is the clock's) by the table of `point_times_s`."""
     largest, span = max(abs(lowest), abs(highest)), highest - lowest
     if largest <= _LONGEST_SCAN_S:
         return 10**9, False
@@ -105,7 +106,8 @@ def odometry_poses(messages: Iterable[Any]) -> tuple[str, list[tuple[int, NDArra
     """Return the frame that moves, and the poses of nav_msgs/Odometry with their stamps [ns].
 
     Raises:
-        InputError: as `odometry_pose`, for several frames of either kind, and without messages.
+        InputError: if there are no messages or several frames of either kind, and in the cases of
+            `odometry_pose`.
     """
     frames: set[str] = set()
     fixed: set[str] = set()
@@ -126,15 +128,15 @@ def odometry_poses(messages: Iterable[Any]) -> tuple[str, list[tuple[int, NDArra
 def transform_poses(
     messages: Iterable[Any], carriers: Sequence[str]
 ) -> tuple[str, list[tuple[int, NDArray[np.float64]]]]:
-    """Return the frame that moves, and its poses of /tf with their stamps [ns].
+    """Return the frame that moves, and its poses in /tf with their stamps [ns].
 
     Args:
         messages: tf2_msgs/TFMessage.
-        carriers: the LiDAR's frame and those that it is fixed to.
+        carriers: the LiDAR's frame and the frames to which it is fixed.
 
     Raises:
-        InputError: as `odometry_pose`; if none of the carriers moves, and if it moves in a frame
-            that moves itself: odom, map and earth (REP 105) are fixed.
+        InputError: if none of the carriers moves, if it moves in a frame that moves itself (odom,
+            map and earth of REP 105 are fixed), and in the cases of `odometry_pose`.
     """
     moving: dict[str, list[tuple[int, NDArray[np.float64]]]] = {}
     parents: dict[str, str] = {}
@@ -163,10 +165,10 @@ def transform_poses(
 
 
 class TransformTree:
-    """The transforms of /tf_static between frames; if a child has several, the last counts.
+    """The transforms of /tf_static between frames; if a child has several, the last one counts.
 
-    Its methods raise InputError for invalid transforms between the frames in question; others may
-    be invalid.
+    Its methods raise InputError if a transform between the frames in question is invalid. Other
+    transforms may be invalid.
 
     Args:
         messages: tf2_msgs/TFMessage.
@@ -180,7 +182,7 @@ class TransformTree:
                 self._parents.setdefault(child, []).append((parent, stamped))
 
     def between(self, source: str, target: str) -> NDArray[np.float64]:
-        """Return the matrix, float64 (4, 4), from the frame `source` to the frame `target` [m].
+        """Return the matrix from the frame `source` to the frame `target` [m], float64 (4, 4).
 
         Raises:
             InputError: if the two are not connected.
@@ -193,7 +195,7 @@ class TransformTree:
                 f"{cut(', '.join(self.frames), 300) or 'no frames'}: give --calibration"
             )
         matrix: NDArray[np.float64] = np.linalg.inv(from_target[common]) @ from_source[common]
-        matrix[3] = (0, 0, 0, 1)  # to the last bit
+        matrix[3] = (0, 0, 0, 1)  # exact to the last bit
         return matrix
 
     @property
@@ -203,7 +205,7 @@ class TransformTree:
         return sorted({*self._parents, *parents})
 
     def valid(self) -> Iterator[FixedTransform]:
-        """Yield the last transform of each child that has a valid one."""
+        """Yield the last transform of each child whose last transform is valid."""
         for child, stated in self._parents.items():
             for parent, stamped in reversed(stated):
                 with contextlib.suppress(InputError):
@@ -211,7 +213,7 @@ class TransformTree:
                     break
 
     def ancestors(self, frame: str) -> dict[str, NDArray[np.float64]]:
-        """A frame, its parent and so on, each with the matrix from the frame to it."""
+        """A frame, its parent and so on up to the root, with matrices from the frame to each."""
         frame = frame_name(frame)
         matrices = {frame: np.eye(4)}
         while frame in self._parents:
@@ -220,7 +222,7 @@ class TransformTree:
                 raise InputError(f"/tf_static has a cycle at the frame {shown(parent)}")
             pose = _transform_pose(stamped)
             for each, other in others:
-                with contextlib.suppress(InputError):  # invalid
+                with contextlib.suppress(InputError):  # the transform is invalid
                     if each != parent or not np.allclose(_transform_pose(other), pose, atol=1e-3):
                         assume(f"the last of several transforms of {frame}", "/tf_static has more")
             matrices[parent] = pose @ matrices[frame]
@@ -229,7 +231,7 @@ class TransformTree:
 
 
 def is_fixed(frame: str) -> bool:
-    """Whether a frame does not move with the car, by its name."""
+    """Whether the name of a frame says that it does not move with the car."""
     return frame.rpartition("/")[2] in _FIXED
 
 

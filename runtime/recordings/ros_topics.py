@@ -1,4 +1,4 @@
-"""The topics of a bag and what they are of: images, depth, or neither unless they are named."""
+"""The topics of a bag by content: images, depth, or neither unless an option names them."""
 
 import contextlib
 import re
@@ -14,10 +14,10 @@ from runtime.recordings.source import left_out_note
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
-#: Value of depth_topic for the camera alone, and of pose_topic for scans that are not moved.
+# Value of depth_topic that selects the camera alone, and of pose_topic if scans are not moved.
 NO_TOPIC = "none"
-# Words, between / and _, digits at their ends left out, of topics whose 16 bits or floats are no
-# depth, and whose pictures are not in colour; those of the second line begin words.
+# Words in topic names (between / and _, without digits at the end) whose 16-bit or float images are
+# not depth, or whose pictures are not in colour. Those in the second line are beginnings of words.
 _OTHER = frozenset(
     [
         "ir",
@@ -36,19 +36,19 @@ _OTHERS = ("infra", "therm", "nearir", "flir", "lepton", "boson", "reflectiv", "
 
 
 class Role(StrEnum):
-    """What the images of a topic are."""
+    """What the images of a topic show."""
 
     PICTURE = "picture"
-    OTHER_PICTURE = "other picture"  # infrared: the camera only where no other picture is there
+    OTHER_PICTURE = "other picture"  # infrared; the camera only if there is no other picture
     DEPTH = "depth"
-    MAYBE_DEPTH = "maybe depth"  # only where depth_topic= names it
+    MAYBE_DEPTH = "maybe depth"  # used only if depth_topic= names it
 
 
 def role_of(topic: str, encoding: str) -> Role:
-    """Return what the images of a topic are, by its name and their encoding.
+    """Return what the images of a topic show, by its name and their encoding.
 
-    The encoding alone does not tell: counts of a thermal camera are 16UC1 as depth is, and mono16
-    is an infrared picture or depth.
+    The encoding alone does not decide: the counts of a thermal camera are 16UC1 like depth, and
+    mono16 is either an infrared picture or depth.
     """
     words = [word.rstrip("0123456789") for word in re.split("[/_]", topic.lower())]
     is_other = any(word in _OTHER or word.startswith(_OTHERS) for word in words)
@@ -62,7 +62,7 @@ class RosTopics:
     """The topics of a bag.
 
     Args:
-        bag: open.
+        bag: the open bag.
     """
 
     def __init__(self, bag: RosBag) -> None:
@@ -76,7 +76,7 @@ class RosTopics:
         """Return the topics of images and of depth, as requested or guessed.
 
         Raises:
-            InputError: if a requested topic is not of its kind, or one must be chosen.
+            InputError: if a requested topic is not of its kind, or if a topic must be chosen.
         """
         found = self._by_role()
         pictures = self.of_kind(COMPRESSED_IMAGE)
@@ -107,7 +107,7 @@ class RosTopics:
     def choose(
         self, option: str, requested: str | None, fitting: list[str], guesses: list[str]
     ) -> str | None:
-        """The requested topic, or the only guess; None without one. Raises InputError."""
+        """The requested topic, else the only guess, else None. Raises InputError."""
         if requested is None:
             return guesses[0] if len(guesses) == 1 else None
         if requested not in fitting:
@@ -124,10 +124,10 @@ class RosTopics:
         return [name for name in names if name in infos]
 
     def _by_role(self) -> dict[Role, list[str]]:
-        """Role -> topics of Image, by their first message."""
+        """The topics of Image messages by their role, which their first message decides."""
         found: dict[Role, list[str]] = {role: [] for role in Role}
         for topic in self.of_kind(IMAGE):
-            with contextlib.suppress(InputError):  # if no message can be decoded
+            with contextlib.suppress(InputError):  # no message may be decodable
                 found[role_of(topic, self._bag.first(topic).encoding)].append(topic)
         return found
 

@@ -1,6 +1,6 @@
-"""LiDAR scans from files: raw floats as of KITTI and nuScenes, PCD, PLY and .npy.
+"""LiDAR scans from files: raw floats as in KITTI and nuScenes, PCD, PLY and .npy.
 
-Formats: PCD 0.7 of the Point Cloud Library, compressed by Marc Lehmann's LZF; Greg Turk, "The PLY
+Formats: PCD 0.7 of the Point Cloud Library, compressed with Marc Lehmann's LZF; Greg Turk, "The PLY
 Polygon File Format", 1994.
 """
 
@@ -25,21 +25,21 @@ _MAX_HEADER_BYTES = 100_000
 _LAST_LINE = re.compile(rb"^(DATA\s|end_header)[^\n]*\n", re.MULTILINE)
 _CODES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
 _WORDS = ("char", "uchar", "short", "ushort", "int", "uint", "float", "double")
-#: Type of a field in a PLY or PCD file -> NumPy's.
+#: NumPy's types for the types of a field in a PLY or PCD file.
 _TYPES = {np.dtype(code).name: code for code in _CODES} | dict(zip(_WORDS, _CODES, strict=True))
 _TYPES |= {code: code for code in (*_CODES, "i8", "u8")}
-#: What Windows' C library prints for NaN and infinity, neither of which is a return.
+#: What the C library of Windows prints for NaN and infinity; neither is a return.
 _WORD_OF_WINDOWS = re.compile(rb"-?(?:nan\([a-z]*\)|1\.#[a-z]+[0-9]*)", re.IGNORECASE)
 _ASCII, _COMPRESSED = "ascii", "binary_compressed"
-#: Encoding of the points -> order of the bytes.
+#: Byte order for each encoding of the points.
 _OF_PCD = {_ASCII: "", "binary": "<", _COMPRESSED: "<"}
 _OF_PLY = {_ASCII: "", "binary_little_endian": "<", "binary_big_endian": ">"}
 # A raw file does not state how many columns a point has. They are judged by the angle between
-# successive points of a rotating scanner: 0.2 degrees along a ring, up to 21 between lasers; with a
-# wrong number of columns the median is 80 or more.
-_COLUMNS = (3, 4, 5, 6, 7, 8)  # the first is meant; 8: PCL's padded x, y, z, intensity
+# successive points of a rotating scanner: 0.2 degrees along a ring and up to 21 between lasers.
+# With a wrong number of columns the median is 80 or more.
+_COLUMNS = (3, 4, 5, 6, 7, 8)  # the first that fits is suggested; 8: PCL's padded points
 _DOUBLES = 0.9  # share of numbers that are float64 and have a value of float32
-_MOST_ROWS = 6  # of .npy with a row for each coordinate
+_MOST_ROWS = 6  # most rows of a .npy with a row for each coordinate
 _MAX_TURN_DEGREES = 40
 _MAX_DISTANCE_M = 250
 _DIAGONAL, _MOST_ON_AXIS = 0.85, 0.25
@@ -54,21 +54,22 @@ class _Header(NamedTuple):
 
 
 def read_scan(path: Path | str, *, columns: int | None = None) -> NDArray[np.float32]:
-    """Read a scan; the ending of its name decides on the format.
+    """Read a scan; the ending of the file's name decides on the format.
 
     Args:
-        path: .pcd or .ply with the float fields x, y and z; .npy of floats (N, 3) or wider, or
-            (3, N) to (6, N) as of nuScenes' devkit; any other file is raw float32.
-        columns: numbers per point of a raw file; None: 5 of .pcd.bin (nuScenes), else 4 (KITTI).
+        path: .pcd or .ply with the float fields x, y and z; .npy of floats (N, 3) or wider, or (3,
+            N) to (6, N) as nuScenes' devkit writes them; any other file is raw float32.
+        columns: numbers per point of a raw file; None: 5 for .pcd.bin (nuScenes), else 4 (KITTI).
 
     Returns:
-        float32 (N, 3), x, y, z [m] in the LiDAR's frame; see `is_return`; wider with the
-        other columns of a .npy or raw file, such as KITTI's reflectance.
+        float32 (N, 3), x, y, z [m] in the LiDAR's frame, see `is_return` for which points are
+        returns. A .npy or raw file with more columns, such as KITTI's reflectance, gives a wider
+        array.
 
     Raises:
-        InputError: if the file cannot be read, is truncated or damaged, lacks x, y or z, holds
-            numbers that are no points, or is a raw file whose points are those of a scanner only
-            with another number of columns or one coordinate after the other.
+        InputError: if the file cannot be read, is truncated or damaged, lacks x, y or z, or holds
+            numbers that are not points; and if a raw file looks like a scan only with another
+            number of columns, or holds one coordinate after the other.
     """
     path = Path(path)
     name = path.name.lower()
@@ -91,13 +92,13 @@ def _check_array(array: NDArray[Any]) -> NDArray[np.float32]:
     is_scan = array.ndim == 2 and array.shape[1] >= 3 and not is_transposed(array.shape)
     if array.dtype.kind != "f" or not is_scan:
         raise ValueError(f"expected floats of (N, 3) or wider, got {array.dtype} {array.shape}")
-    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is no return
+    with np.errstate(over="ignore", invalid="ignore"):  # values beyond float32 are no return
         return np.ascontiguousarray(array, np.float32)
 
 
 def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
     words = np.frombuffer(content, "<u4", len(content) // 8 * 2)
-    wide = words.view("<f8")[words[::2] != 0]  # float32 0 before another number is a float64, too
+    wide = words.view("<f8")[words[::2] != 0]  # a float32 0 before another number is a float64, too
     with np.errstate(over="ignore", invalid="ignore"):
         if np.count_nonzero(wide.astype(np.float32) == wide) > _DOUBLES * len(wide):
             raise ValueError("its numbers are float64: write them as float32")
@@ -118,7 +119,7 @@ def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
 
 
 def _is_of_a_scanner(points: NDArray[np.float32]) -> bool | None:
-    """Whether points in the middle lie near and in rings or sweeps; None: there are too few."""
+    """Whether points in the middle lie in rings or sweeps; None if there are too few points."""
     start = max(0, (len(points) - _JUDGED_POINTS) // 2)  # the first points may be sky
     with np.errstate(over="ignore", invalid="ignore"):  # of NaN and infinity
         judged = points[start : start + _JUDGED_POINTS, :3].astype(np.float64)
@@ -130,8 +131,8 @@ def _is_of_a_scanner(points: NDArray[np.float32]) -> bool | None:
     cosines = np.einsum("ij,ij->i", directions[1:], directions[:-1])
     is_ordered = np.median(cosines) > math.cos(math.radians(_MAX_TURN_DEGREES))
     is_near = np.median(distances[is_return]) < _MAX_DISTANCE_M
-    # Rows of three x (all x, then all y) lie on the diagonal (1, 1, 1), rows of an intensity and
-    # two zeros on an axis. Neither is a scan.
+    # Rows of three x (all x, then all y) lie on the diagonal (1, 1, 1), and rows of an intensity
+    # and two zeros lie on an axis. Neither is a scan.
     is_spread = np.median(np.abs(directions.sum(axis=1))) < math.sqrt(3) * _DIAGONAL
     is_spread &= np.mean(np.count_nonzero(directions, axis=1) == 1) < _MOST_ON_AXIS
     return bool(is_ordered and is_near and is_spread)
@@ -171,7 +172,7 @@ def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:
         return np.loadtxt(lines[:points], np.float32, comments=None, usecols=columns, ndmin=2)
     axes = []
     for _, start, code in places:
-        # Compressed PCD stores field by field: all x, then all y, ...
+        # A compressed PCD file stores field by field: all x, then all y, and so on.
         whole, step = (points, int(code[1])) if encoding == _COMPRESSED else (1, size)
         axes.append(np.ndarray(points, encodings[encoding] + code, body, start * whole, (step,)))
     with np.errstate(over="ignore", invalid="ignore"):
@@ -205,12 +206,12 @@ def _parse_ply(lines: list[list[str]]) -> _Header:
 
 
 def _place(fields: list[tuple[str, str, int]]) -> tuple[list[tuple[int, int, str]], int]:
-    """(Column, byte offset, type) of x, y and z; number of bytes of a point."""
+    """(Column, byte offset, type) of x, y and z, and the number of bytes of a point."""
     places: dict[str, tuple[int, int, str]] = {}
     width = size = 0
     for name, kind, count in fields:
         code = _TYPES.get(kind)
-        if code is None or count < 0:  # PCL writes padding of none
+        if code is None or count < 0:  # PCL writes padding with a count of 0
             raise ValueError(f"its field {cut(name)} is {count} of {cut(kind)}, expected numbers")
         if name in ("x", "y", "z"):
             if name in places or count != 1 or code[0] != "f":
@@ -230,7 +231,7 @@ def _decompress(body: bytes, size: int) -> bytes:
     packed, unpacked = np.frombuffer(body, "<u4", 2).tolist() if len(body) >= 8 else (0, 0)
     points: bytes | None = None
     if unpacked == size and packed <= len(body) - 8:
-        with contextlib.suppress(ValueError):  # raised for a copy of bytes that are not there
+        with contextlib.suppress(ValueError):  # raised for a copy of bytes that do not exist
             points = lzf.decompress(body[8 : 8 + packed], size)
     if points is None or len(points) != size:
         raise ValueError("its compressed points are truncated or damaged")

@@ -41,12 +41,13 @@ class ListedFrame:
 
     Attributes:
         sequence: index in the source, from 0.
-        name: of the frame and of its output files, unique in the source.
-        image: where the source finds the image (a path, an index, ...), None without one.
-        depth: where it finds the depth, None without any.
-        image_stamp_ns: time of the image by its sensor's clock [ns], None if unknown.
-        depth_stamp_ns: time of the depth by its sensor's clock [ns], None if unknown.
-        complete: whether it has an image and depth of its own; or an image, if no depth is read.
+        name: name of the frame and of its output files, unique in the source.
+        image: where the source finds the image (a path, an index, ...); None if there is no image.
+        depth: where the source finds the depth; None if there is no depth.
+        image_stamp_ns: time of the image by its sensor's clock [ns]; None if unknown.
+        depth_stamp_ns: time of the depth by its sensor's clock [ns]; None if unknown.
+        complete: whether the frame has an image and depth of its own, or only an image if the
+            source reads no depth.
         reused: whether the depth is an older scan, because the image has none of its own.
     """
 
@@ -66,12 +67,12 @@ class Source(ABC):
     Attributes:
         accepted: the paths that are of this kind, in words.
         options: names of its options, the keywords of its constructor.
-        rig_options: names of the attributes of a `Rig` that it uses.
-        calibration: of the camera and, where there is one, the LiDAR; None if unknown.
+        rig_options: names of the attributes of `Rig` that it uses.
+        calibration: calibration of the camera and, if there is one, the LiDAR; None if unknown.
         depth_scale: units per metre of the 16-bit depth maps; None if no such maps are read.
-        stamps_ns: stamps of the images and of the depth of a recording that has them [ns], in its
-            order, also of messages in no frame; known after listing.
-        folders: folders that frames are read from; predictions must not be written there.
+        stamps_ns: time stamps of images and depth [ns] in the order of the recording, including
+            messages that belong to no frame; known after listing, empty without time stamps.
+        folders: folders from which frames are read; predictions must not be written there.
         recordings: files or whole folders that outputs must not replace or write into.
     """
 
@@ -83,9 +84,9 @@ class Source(ABC):
     stamps_ns: Mapping[Sensor, Sequence[int]] = MappingProxyType({})
     folders: tuple[Path, ...] = ()
     recordings: tuple[Path, ...] = ()
-    # Of sources with stamps and poses:
+    # For sources with stamps and poses:
     _rig = DEFAULT_RIG
-    _period_ns = float(FIRST_SCAN_NS)  # of scans
+    _period_ns = float(FIRST_SCAN_NS)  # period of the scans
     _to_middle_ns = 0  # from the stamp of a scan to its middle
     _poses: PoseTrack | None = None
     _pose_frame = PoseFrame.BODY
@@ -97,11 +98,11 @@ class Source(ABC):
 
         Args:
             path: file or folder.
-            rig: the sensors of the car, as far as `rig_options` names.
-            **options: those that `options` names.
+            rig: the sensors of the car; the attributes in `rig_options` are used.
+            **options: the options named in `options`.
 
         Raises:
-            InputError: if it is no recording of this kind.
+            InputError: if the path is not a recording of this kind.
         """
 
     @classmethod
@@ -112,14 +113,14 @@ class Source(ABC):
 
         Args:
             path: file or folder.
-            rig: as of the constructor.
-            **options: as of the constructor; one of them may name several cameras.
+            rig: see the constructor.
+            **options: see the constructor; one of them may name several cameras.
 
         Returns:
-            The sources by the names of the cameras' folders; "" = the only camera.
+            The sources by the names of the cameras' folders; "" is the name of an only camera.
 
         Raises:
-            InputError: as the constructor.
+            InputError: in the cases of the constructor.
         """
         return {"": cls(path, rig, **options)}
 
@@ -133,7 +134,7 @@ class Source(ABC):
         """List the frames in order.
 
         Args:
-            limit: end the list with so many complete frames; None: list all.
+            limit: the list ends after this number of complete frames; None: all frames are listed.
 
         Raises:
             InputError: if the source has no frames or cannot be listed.
@@ -144,12 +145,12 @@ class Source(ABC):
         """Read a frame of the list; reading in the list's order is fastest.
 
         Raises:
-            InputError: if the frame is damaged or incomplete; others can still be read. Always, if
-                the source holds files open (a bag, a video) and the process was forked since.
+            InputError: if the frame is damaged or incomplete; other frames can still be read. Also
+                if the source holds files open (a bag or a video) and the process was forked since.
         """
 
     def rectify_images(self) -> None:
-        """Let `read` return images without distortion, with a calibration without a lens.
+        """Make `read` return images without distortion and a calibration without a lens.
 
         Raises:
             InputError: if the calibration has no lens.
@@ -160,7 +161,7 @@ class Source(ABC):
         self._rectify = True
 
     def collecting(self) -> AbstractContextManager[None]:
-        """Collect in `notes` what this thread assumes inside a block."""
+        """Collect the assumptions that this thread makes inside a block in `notes`."""
         return collect_assumptions(self._notes)
 
     def measured(
@@ -173,14 +174,14 @@ class Source(ABC):
         """Return a frame with what its sensors measured, the depth projected into the image.
 
         Args:
-            frame: of the list.
+            frame: a frame of the list.
             rgb: uint8 (H, W, 3), RGB.
             depth: a depth map, float32 (H, W) in metres, 0 where there is no return; or a scan,
-                without times where they are not known.
-            calibration: of the camera, for a scan also of the LiDAR.
+                whose points have times only if these are known.
+            calibration: calibration of the camera, for a scan also of the LiDAR.
 
         Raises:
-            InputError: if the calibration is of images of another size, which would silently
+            InputError: if the calibration is for images of another size, which would silently
                 falsify clouds and the focal length; and for a depth map after `rectify_images`.
         """
         poses = None
@@ -213,7 +214,7 @@ class Source(ABC):
     @property
     @abstractmethod
     def inputs(self) -> dict[str, Any]:
-        """The inputs as in report.json; after listing, also the counts of skipped messages."""
+        """The inputs for report.json; after listing, with the counts of skipped messages."""
 
     @property
     def transform_frames(self) -> tuple[str, str]:
@@ -222,7 +223,7 @@ class Source(ABC):
 
     @property
     def lidar_position(self) -> NDArray[np.float64] | None:
-        """Where the LiDAR is in the camera's frame [m], float64 (3,); None without calibration."""
+        """The LiDAR's position in the camera's frame [m], float64 (3,); None if unknown."""
         return None if self.calibration is None else self.calibration.extrinsics[:3, 3]
 
     @property
@@ -232,7 +233,7 @@ class Source(ABC):
 
     @property
     def sensor_frames(self) -> SensorFrames:
-        """The frames of the sensors as ROS names them; without a recording of ROS invented ones."""
+        """The frames of the sensors in the terms of ROS, with invented names for other formats."""
         if self.calibration is None:
             return SensorFrames()
         place = FixedTransform.of("camera", "lidar", self.calibration.extrinsics)
@@ -251,7 +252,7 @@ class Source(ABC):
 
     @property
     def left_out(self) -> Mapping[str, int]:
-        """What is in no frame, as "image: duplicate" -> how often; known after listing."""
+        """Counts of what is in no frame, such as "image: duplicate"; known after listing."""
         return self._left_out
 
     @cached_property
@@ -275,14 +276,14 @@ class Source(ABC):
 
         Args:
             messages: (sensor, stamp in nanoseconds, data) in the order of the recording; the data
-                are `ListedFrame.image` and `depth`.
+                become `ListedFrame.image` and `depth`.
             max_skew_ms: largest difference between the stamps of a pair.
-            limit: as of `list_frames`.
-            camera_only: whether the recording has no depth, so that images alone are complete.
-            name: of the frame of an image; the default is for data that are paths.
+            limit: see `list_frames`.
+            camera_only: whether the recording has no depth, so that an image alone is complete.
+            name: returns the name of an image's frame; the default is for data that are paths.
 
         Raises:
-            InputError: as `StampMatching`.
+            InputError: in the cases of `StampMatching`.
         """
         matching = StampMatching(
             max_skew_ms=max_skew_ms, reuse_depth_ms=self._rig.oldest_depth_ms, capacity=_WAITING
@@ -316,12 +317,12 @@ class Source(ABC):
         return frames
 
     def has_lidar(self, frames: Iterable[ListedFrame]) -> bool:
-        """Whether the recording has depth, of these frames of its list or of none."""
+        """Whether the recording has depth, in these frames of its list or in no frame."""
         has_messages = bool(self.stamps_ns.get(Sensor.DEPTH))
         return has_messages or any(each.depth is not None for each in frames)
 
     def close(self) -> None:  # noqa: B027 - most hold nothing open
-        """Close open files. May be called again."""
+        """Close open files. It may be called more than once."""
 
     def __enter__(self) -> Self:
         return self
@@ -343,7 +344,7 @@ def up_to(frames: Iterable[ListedFrame], limit: int | None) -> tuple[ListedFrame
 
 
 def by_number(files: Mapping[str, Path]) -> dict[int, Path]:
-    """Number at the end of the stem -> file. Raises InputError."""
+    """Map the number at the end of each file's stem to the file. Raises InputError."""
     numbers: dict[int, Path] = {}
     are_times = hold_decimals(files)
     for stem, path in files.items():
@@ -358,13 +359,16 @@ def by_number(files: Mapping[str, Path]) -> dict[int, Path]:
 
 
 def left_out_note(left_out: Mapping[str, int]) -> tuple[str, ...]:
-    """(A line with the counts of what is in no frame,); () if there is nothing."""
+    """One line with the counts of what is in no frame, or no line if there is nothing."""
     counts = ", ".join(f"{reason} {count}" for reason, count in sorted(left_out.items()))
     return (f"left out: {counts}",) if counts else ()
 
 
 def track_of(stamped: Iterable[tuple[int, NDArray[np.float64]]]) -> PoseTrack:
-    """The track of poses in any order; of equal stamps the first. Raises InputError."""
+    """Return the track of poses in any order; of equal stamps the first counts.
+
+    Raises InputError.
+    """
     first: dict[int, NDArray[np.float64]] = {}
     for stamp_ns, pose in stamped:
         first.setdefault(stamp_ns, pose)

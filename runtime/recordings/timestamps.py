@@ -1,4 +1,4 @@
-"""Files of time stamps, a time a line."""
+"""Files with one time stamp per line."""
 
 from pathlib import Path
 
@@ -8,14 +8,14 @@ from runtime.files.read_input import read_text
 
 
 def read_timestamps(path: Path) -> list[int]:
-    """Read a file with a time a line, seconds or a date as of KITTI's raw data, rising.
+    """Read a file with rising times, one per line: seconds, or dates as in KITTI's raw data.
 
     Returns:
-        Nanoseconds.
+        The times in nanoseconds.
 
     Raises:
-        InputError: if the file cannot be read, a line is no time, or a time is not later than the
-            one before.
+        InputError: if the file cannot be read, if a line is not a time, or if a time is not later
+            than the one before.
     """
     stamps_ns: list[int] = []
     for number, line in enumerate(read_text(path).rstrip().splitlines(), 1):

@@ -19,17 +19,18 @@ MANIFEST_FILE = "manifest.json"
 def unpack(
     recording: Recording, predictor: Predictor, path: Path, *, overwrite: bool = False
 ) -> None:
-    """Write the frames and answers of a recording as `.npy` files, whole or not at all.
+    """Write the frames and answers of a recording as `.npy` files, completely or not at all.
 
-    The folder holds `manifest.json`, `model.onnx`, and a folder for each frame with one file for
-    each array, in C order and little-endian. The manifest resolves what a `Predictor` would: the
+    The folder holds `manifest.json`, `model.onnx`, and a folder for each frame with one file per
+    array, in C order and little-endian. The manifest states what a `Predictor` would compute: the
     focal length of each frame, and the size at which the network runs for it.
 
     Args:
-        recording: what is unpacked.
-        predictor: of the recorded model with the recorded settings.
+        recording: the recording to be unpacked.
+        predictor: a predictor of the recorded model with the recorded settings.
         path: the folder, which gets its name when it is complete.
-        overwrite: replace an earlier folder of this function; any other folder never is.
+        overwrite: replace a folder that this function wrote earlier; any other folder is never
+            replaced.
 
     Raises:
         ContractError: if the recorded model cannot be read or has another digest.

@@ -1,4 +1,4 @@
-"""A video file, with depth maps in a folder beside it."""
+"""A video file, with a folder of depth maps beside it."""
 
 import math
 import os
@@ -22,19 +22,19 @@ from runtime.recordings.source import ListedFrame, by_number
 from runtime.streams.frame import Frame, Message
 
 _SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm")
-_MOST_DAMAGED = 1000  # frames in a row, after which the video is at its end
+_MOST_DAMAGED = 1000  # damaged frames in a row, after which the video has ended
 
 
 class VideoSource(FolderSource):
-    """The frames of a video, numbered from 0, and the depth maps with those numbers.
+    """The frames of a video, numbered from 0, and the depth maps with the same numbers.
 
     A frame's time stamp is its presentation time in the video.
 
     Args:
         path: a file that OpenCV's FFmpeg decodes.
-        rig: its calibration is used.
+        rig: the sensors of the car; its calibration is used.
         depth: folder of depth maps, see `read_sparse_depth`, whose names end in the frame's number
-            (7.png, depth_0007.png); None: the camera alone.
+            (7.png, depth_0007.png); None: only the camera is used.
         depth_scale: units of 16-bit depth maps per metre.
 
     Raises:
@@ -58,11 +58,11 @@ class VideoSource(FolderSource):
         self.recordings = (path,)
         self._guard = ProcessGuard("VideoSource", SHARED_FILES, InputError)
         self._video = _open(path)
-        self._next = 0  # index of the next frame that the video decodes
+        self._next = 0  # index of the frame that the video decodes next
         sides = (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH)
         height, width = (int(self._video.get(side)) for side in sides)
         require_pixels((height, width), name=str(path))
-        self._most: int | None = None  # frames to be counted; None = all
+        self._most: int | None = None  # number of frames to count; None: all
         degrees = self._video.get(cv2.CAP_PROP_ORIENTATION_META) % 360
         with self.collecting():
             check_turn(f"turns them by {degrees:.0f} degrees" if degrees else "", "video's header")
@@ -73,7 +73,7 @@ class VideoSource(FolderSource):
         return path.suffix.lower() in _SUFFIXES and os.path.isfile(path)
 
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
-        """See `Source.list_frames`. Decodes the video to count its frames."""
+        """See `Source.list_frames`. The video is decoded to count its frames."""
         self._most = limit if self._depth is None else None
         return super().list_frames(limit=limit)
 
@@ -83,7 +83,7 @@ class VideoSource(FolderSource):
             tried += 1
             if video.grab():
                 self._count = tried
-        stated = video.get(cv2.CAP_PROP_FRAME_COUNT)  # by the header, or its rate and duration
+        stated = video.get(cv2.CAP_PROP_FRAME_COUNT)  # from header, or rate and duration
         video.release()
         if self._count == 0:
             raise InputError(f"{self._rgb} has no frame: it is empty, truncated or damaged")
@@ -101,7 +101,7 @@ class VideoSource(FolderSource):
         return {_name(number): path for number, path in maps.items()}
 
     def read(self, frame: ListedFrame) -> Frame:
-        """See `Source.read`. Raises InputError also without image or depth map."""
+        """See `Source.read`. Raises InputError also if the image or the depth map is missing."""
         self._guard.check()
         read = super().read(frame)
         milliseconds = self._video.get(cv2.CAP_PROP_POS_MSEC)
@@ -109,13 +109,13 @@ class VideoSource(FolderSource):
         return replace(read, image=Message(stamp_ns, stamp_ns or 0, read.rgb))
 
     def _read_image(self, image: Any) -> NDArray[np.uint8]:
-        """Frame number `image` of the video; one before the last is read from the beginning."""
+        """Frame number `image`; to go back, the video is decoded again from its beginning."""
         if image < self._next:
             self._video.release()
             self._video, self._next = _open(self._rgb), 0
         grabbed = False
         while self._next <= image:
-            grabbed = self._video.grab()  # also takes a frame that is damaged
+            grabbed = self._video.grab()  # grab() also takes a frame that is damaged
             self._next += 1
         done, decoded = self._video.retrieve() if grabbed else (False, None)
         if not done or decoded is None:
@@ -132,14 +132,14 @@ def _name(number: int) -> str:
 
 
 def _open(path: Path, *, threads: int = 1) -> cv2.VideoCapture:
-    """The open video. Raises InputError unless OpenCV can decode it.
+    """Open the video. Raises InputError if OpenCV cannot decode it.
 
-    threads: 1: decode in the calling one, whose priority is lower than that of inference; 0: in as
-        many as there are cores.
+    With `threads=1` it is decoded in the calling thread, whose priority is lower than that of
+    inference; with 0 there are as many threads as cores.
     """
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, threads])
     if not video.isOpened():
         raise InputError(f"cannot read the video {path}: it is damaged, or OpenCV lacks its codec")
-    # An orientation in the header is said, not applied, as for images.
+    # An orientation in the header is reported, but not applied, as for images.
     video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     return video
