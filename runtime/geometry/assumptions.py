@@ -27,7 +27,7 @@ def assume(what: str, remedy: str) -> None:
 
 @contextlib.contextmanager
 def collect_assumptions(notes: list[str]) -> Iterator[None]:
-    """Append what this thread assumes inside the block to the notes of a source."""
+    """Append the assumptions that this thread makes inside the block to the notes of a source."""
     token = _notes.set(notes)
     try:
         yield

@@ -22,7 +22,7 @@ from runtime.geometry.rigid import read_rigid
 from runtime.geometry.units import check_mount
 
 RAW_CAMERAS, RAW_SCANNER = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
-#: Example of a file, to be filled in for another camera.
+#: Example of a file, which is filled in for another camera.
 _EXAMPLE = """\
 intrinsics = [[721.5, 0.0, 609.6], [0.0, 721.5, 172.9], [0.0, 0.0, 1.0]]  # pixels
 # From the LiDAR's frame to the camera's, metres; points_in = "camera" where they are the same.
@@ -39,8 +39,8 @@ class Calibration:
     Attributes:
         intrinsics: float64 (3, 3), in pixels of the images.
         extrinsics: float64 (4, 4) from the LiDAR's frame to the camera's [m]; the camera looks
-            along z, x to the right.
-        size: (height, width) of the images, None if unknown.
+            along z, and x points to the right.
+        size: (height, width) of the images; None if unknown.
         body_from_lidar: float64 (4, 4) from the LiDAR's frame to the vehicle's [m], needed for
             poses of the frame "body"; None if unknown.
         lens: model of the images' distortion, "plumb_bob", "rational_polynomial" or "equidistant"
@@ -61,7 +61,7 @@ class Calibration:
     distortion: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
-        """Check the matrices and the lens; nearly rigid matrices are made so."""
+        """Check the matrices and the lens, and replace nearly rigid matrices by rigid ones."""
         for name in ("extrinsics", "body_from_lidar"):
             if (matrix := getattr(self, name)) is not None:
                 object.__setattr__(self, name, read_rigid(name, matrix))
@@ -157,7 +157,7 @@ class Calibration:
 
         Args:
             path: TOML file, or KITTI's file or folder.
-            camera: whose images, 0 to 3; for KITTI only.
+            camera: number of KITTI's camera, 0 to 3.
             rectified: see `from_kitti`.
             for_scans: see `from_kitti`.
 
@@ -176,16 +176,16 @@ class Calibration:
         """Read KITTI's calibration.
 
         Args:
-            path: folder of raw data's calib_cam_to_cam.txt and calib_velo_to_cam.txt, or one file
-                with P2, R0_rect and Tr_velo_to_cam (object), with P2 and Tr (odometry), or of nine
-                numbers, the intrinsics alone (depth selection).
-            camera: whose images, 0 to 3.
+            path: the raw data's folder with calib_cam_to_cam.txt and calib_velo_to_cam.txt; or one
+                file with P2, R0_rect and Tr_velo_to_cam (object data), with P2 and Tr (odometry),
+                or with nine numbers, which are the intrinsics alone (depth selection).
+            camera: number of the camera, 0 to 3.
             rectified: False for the raw data's images as they were taken, with their lens.
             for_scans: refuse a file that holds the intrinsics alone.
 
         Raises:
-            InputError: if a file or a name is missing, or the count of numbers is wrong. For a file
-                of another tool, the message has a TOML file to fill in.
+            InputError: if a file or a name is missing, or the count of numbers is wrong. If the
+                file was written by another tool, the message contains a TOML file to fill in.
         """
         path = Path(path)
         if path.name in (RAW_CAMERAS, RAW_SCANNER):
@@ -247,16 +247,18 @@ class Calibration:
         """Take the fields of a ROS CameraInfo.
 
         Args:
-            info: "p" or "P" (12 numbers), "k" or "K" (9), "d" or "D", "distortion_model",
-                "height" and "width", and, if set, "binning_x", "binning_y" and "roi", a mapping.
-            extrinsics: (4, 4) from the LiDAR's frame to the camera's optical frame, as in tf; where
-                P holds a baseline, to the frame of the stereo pair's first camera.
+            info: "p" or "P" (12 numbers), "k" or "K" (9), "d" or "D", "distortion_model", "height"
+                and "width", and, if set, "binning_x", "binning_y" and "roi", a mapping.
+            extrinsics: (4, 4) from the LiDAR's frame to the camera's optical frame, as in tf; if P
+                holds a baseline, to the frame of the stereo pair's first camera.
             rectified: True for the images of image_rect, which P describes; False for those of
-                image_raw, which K and D describe. Of K and P, one that is not zero is used.
-            size: (height, width) of the images; None: by the CameraInfo, see `region_of_images`.
+                image_raw, which K and D describe. If only one of K and P is not zero, that one is
+                used.
+            size: (height, width) of the images; None: the CameraInfo decides, see
+                `region_of_images`.
 
         Raises:
-            InputError: if fields are missing, or the distortion model is no `lens`.
+            InputError: if fields are missing, or the distortion model is not a known `lens`.
         """
         fields = {str(key).lower(): value for key, value in info.items()}
         distortion = fields.get("d", ())
@@ -266,7 +268,7 @@ class Calibration:
         if projection.any() and (rectified or not np.any(fields.get("k", 0))):
             intrinsics = projection[:, :3]
             check_intrinsics(intrinsics, "P of the CameraInfo, without its last column,")
-            # P = K [I | t]: t is the baseline to the first camera of a stereo pair.
+            # P = K [I | t], where t is the baseline to the first camera of a stereo pair.
             shift[:3, 3] = np.linalg.solve(intrinsics, projection[:, 3])
         elif "k" in fields:
             intrinsics = _matrix("K of the CameraInfo", fields["k"], 3, 3)
@@ -291,12 +293,12 @@ class Calibration:
         """Read a TOML file.
 
         Args:
-            path: file of `intrinsics` (3 rows of 3), `extrinsics` (4 of 4) or, where the points
-                are in the camera's frame, `points_in = "camera"`, and optionally `size` ([height,
-                width]), `lens` with `distortion`, and `body_from_lidar` (4 of 4).
+            path: the file. It has `intrinsics` (3 rows of 3) and `extrinsics` (4 rows of 4) or, if
+                the points are in the camera's frame, `points_in = "camera"`. It may have `size`
+                ([height, width]), `lens` with `distortion`, and `body_from_lidar` (4 rows of 4).
 
         Raises:
-            InputError: if the file cannot be read, and for unknown and missing keys.
+            InputError: if the file cannot be read, or if a key is unknown or missing.
         """
         keys = read_toml(Path(path))
         in_camera = keys.get("points_in") == "camera"

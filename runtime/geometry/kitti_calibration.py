@@ -12,12 +12,13 @@ from runtime.base.errors import InputError
 from runtime.files.read_input import read_text
 from runtime.geometry.projection import check_intrinsics
 
-#: Names by one of which a file of object or odometry data is known.
+#: Names by which a file of object or odometry data is recognised; it has at least one of them.
 _NAMES = ("P0", "P1", "P2", "P3", "R0_rect", "Tr_velo_to_cam", "Tr")
 
 
-#: fx, cx and cy [px] of KITTI's rectified cameras, and the (height, width) of their images, by the
-#: day of recording; object and odometry files do not state the size.
+#: (height, width) of the images of KITTI's rectified cameras for each fx, cx and cy [px], by the
+#: day
+#: of recording; object and odometry files do not state the size.
 _SIZES = {
     (721.5377, 609.5593, 172.854): (375, 1242),  # 2011_09_26
     (707.0493, 604.0814, 180.5066): (370, 1224),  # 2011_09_28
@@ -29,7 +30,7 @@ _SAME_PX = 0.1
 
 
 def size_of_kitti(intrinsics: NDArray[np.floating[Any]]) -> tuple[int, int] | None:
-    """The (height, width) of KITTI's images with these intrinsics; None for another camera."""
+    """The (height, width) of KITTI's images with these intrinsics; None for any other camera."""
     numbers = intrinsics[[0, 0, 1], [0, 2, 2]]
     for known, size in _SIZES.items():
         if np.abs(numbers - known).max() < _SAME_PX:
@@ -58,7 +59,7 @@ class NumbersFile:
     def matrix(self, name: str, rows: int, columns: int) -> NDArray[np.float64]:
         """The numbers under a name, float64 (rows, columns).
 
-        Raises InputError if they are missing, of another count, or not finite.
+        Raises InputError if they are missing or not finite, or if their count is wrong.
         """
         count = rows * columns
         if name not in self:
@@ -78,7 +79,7 @@ class NumbersFile:
 
 
 def is_kitti(numbers: NumbersFile) -> bool:
-    """Whether a file has a name of KITTI's, or is nine numbers."""
+    """Whether a file has a name that KITTI uses, or consists of nine numbers."""
     with contextlib.suppress(InputError):
         return numbers.matrix("", 3, 3).size == 9
     return any(name in numbers for name in _NAMES)
@@ -92,12 +93,12 @@ def chain(
     """Return the camera's intrinsics (3, 3) and the extrinsics (4, 4) from the LiDAR to it.
 
     The arguments are P_rect (3, 4), R_rect (3, 3) and the LiDAR's R and T (3, 4). Raises InputError
-    for a projection that is not a rectified camera's.
+    if the projection is not that of a rectified camera.
     """
     intrinsics = projection[:, :3]
     check_intrinsics(intrinsics, "P of KITTI's calibration, without its last column,")
     beside, rectified = np.eye(4), np.eye(4)
-    # P = K [I | t]: t is the offset from the camera that the LiDAR is calibrated to.
+    # P = K [I | t], where t is the offset from the camera to which the LiDAR is calibrated.
     beside[:3, 3] = np.linalg.solve(intrinsics, projection[:, 3])
     rectified[:3, :3] = rectify
     return intrinsics, beside @ rectified @ np.vstack([to_camera, np.eye(4)[3]])

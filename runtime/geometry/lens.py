@@ -18,26 +18,26 @@ from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume
 
 PLUMB_BOB, RATIONAL_POLYNOMIAL, EQUIDISTANT = "plumb_bob", "rational_polynomial", "equidistant"
-#: Other names of these models: Kalibr's, OpenCV's, librealsense's.
+#: Names that Kalibr, OpenCV and librealsense use for these models.
 _ALIASES = {"radtan": PLUMB_BOB} | dict.fromkeys(
     ("equi", "fisheye", "kannala_brandt4"), EQUIDISTANT
 )
-#: Model -> the accepted numbers of coefficients, and their names.
+#: Accepted numbers of coefficients, and the names of the coefficients, for each model.
 _COEFFICIENTS = {
     PLUMB_BOB: ((4, 5), "k1, k2, p1, p2[, k3]"),
     RATIONAL_POLYNOMIAL: ((8,), "k1, k2, p1, p2, k3, k4, k5, k6"),
     EQUIDISTANT: ((4,), "k1, k2, k3, k4"),
 }
-_WIDEST = np.deg2rad(89.9)  # from the optical axis: depth along this axis is positive
-_KNOTS = 65_537  # of the table of angles: linear between them, the error is below 1e-8 rad
-_ROUNDS, _CLOSE = 20, 1e-7  # of the tangential part's inversion
+_WIDEST = np.deg2rad(89.9)  # from the optical axis; depth along this axis must be positive
+_KNOTS = 65_537  # of the table of angles: with linear interpolation the error is below 1e-8 rad
+_ROUNDS, _CLOSE = 20, 1e-7  # for the inversion of the tangential part
 
 Key = tuple[float, ...]
 Floats = TypeVar("Floats", NDArray[np.float32], NDArray[np.float64])
 
 
 class RayBounds(NamedTuple):
-    """Bounds of the rays that can meet an image, float32; `radius_2` of x * x + y * y."""
+    """Bounds of the rays that can meet an image, float32; `radius_2` bounds x * x + y * y."""
 
     left: Any
     right: Any
@@ -89,7 +89,7 @@ class Lens:
                 f"distortion must be the lens's coefficients, got {shown(coefficients)}"
             ) from error
         (*_, most), _ = _COEFFICIENTS.get(str(model), ((0,), ""))
-        if not any(numbers[most:]):  # OpenCV has 14 for all its models
+        if not any(numbers[most:]):  # OpenCV uses 14 for all its models
             numbers = numbers[:most]
         return cls(str(model), numbers)
 
@@ -113,7 +113,7 @@ class Lens:
     def undistort(
         self, x: NDArray[np.float64], y: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the ray of each point (x, y) of the image plane; NaN where there is no ray."""
+        """Return the ray of each point (x, y) of the image plane; NaN if there is no such ray."""
         angles, radii = _field(self)
         ray_x, ray_y = x, y
         with np.errstate(all="ignore"):
@@ -140,7 +140,7 @@ class Lens:
         return self.model != EQUIDISTANT and any(self.coefficients[2:4])
 
     def _scale(self, radius_2: Any) -> Any:
-        """The radius in the image over that of the ray."""
+        """Ratio of the radius in the image to the radius of the ray."""
         if self.model == EQUIDISTANT:
             k1, k2, k3, k4 = self.coefficients
             radius = np.sqrt(radius_2)
@@ -171,7 +171,7 @@ def to_plane(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return where pixels lie on the image plane at focal length 1, (x, y).
 
-    Of a rectified image that is their ray.
+    In a rectified image this is the ray of the pixel.
     """
     for_x, for_y, _ = np.linalg.inv(intrinsics.astype(np.float64))
     return (
@@ -181,13 +181,13 @@ def to_plane(
 
 
 def as_key(intrinsics: NDArray[np.floating[Any]]) -> Key:
-    """Return the numbers of a matrix (3, 3), by which tables of a camera are kept."""
+    """Return the numbers of a matrix (3, 3), a key for the cached tables of a camera."""
     return tuple(intrinsics.astype(np.float64).ravel().tolist())
 
 
 @lru_cache(maxsize=16)
 def _field(lens: Lens) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Angles from the optical axis, as far as the radius in the image grows, and this radius."""
+    """Angles from the optical axis, while the radius in the image grows, and these radii."""
     angles = np.linspace(0, _WIDEST, _KNOTS)
     radius = np.tan(angles)
     with np.errstate(all="ignore"):
@@ -199,9 +199,9 @@ def _field(lens: Lens) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 @lru_cache(maxsize=4)
 def rays(lens: Lens, intrinsics: Key, size: tuple[int, int]) -> Any:
-    """Return the ray (x, y) of each pixel, float32 (height, width, 2); NaN where it has none.
+    """Return the ray (x, y) of each pixel, float32 (height, width, 2); NaN where there is none.
 
-    The array is read-only, and kept for the next call.
+    The array is read-only, and is kept for the next call.
     """
     height, width = size
     row, column = np.mgrid[:height, :width].astype(np.float64)
@@ -234,9 +234,10 @@ def ray_bounds(lens: Lens, intrinsics: Key, size: tuple[int, int]) -> RayBounds:
 def rectifying_maps(
     lens: Lens, intrinsics: Key, size: tuple[int, int]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return where each pixel of the rectified image is in the distorted one, for `cv2.remap`.
+    """Return where each pixel of the rectified image lies in the distorted one, for `cv2.remap`.
 
-    Columns and rows, float32 (height, width), -1 where nothing was seen; kept for the next call.
+    The columns and rows are float32 (height, width), -1 where nothing was seen, and are kept for
+    the next call.
     """
     height, width = size
     matrix = np.reshape(intrinsics, (3, 3))

@@ -1,4 +1,4 @@
-"""Motion compensation: the returns of a scan, moved to the time of an image."""
+"""Motion compensation: the returns of a scan are moved to the time of an image."""
 
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple, cast
@@ -18,16 +18,17 @@ from runtime.geometry.returns import axes_of, check_points, is_return
 DepthMotion = Literal["each", "scan", "none"]
 #: The instant of a scan that its stamp marks.
 ScanStamp = Literal["start", "middle", "end"]
-#: Instant of the stamp -> time from the stamp to the middle of the scan, in scan durations.
+#: Time from the stamp to the middle of the scan, in scan durations, for each instant of the stamp.
 MIDDLE_AFTER: dict[ScanStamp, float] = {"start": 0.5, "middle": 0.0, "end": -0.5}
-#: Duration of a scan until the LiDAR's period is known: that of 10 Hz.
+#: Duration of a scan until the LiDAR's period is known: the period at 10 Hz.
 FIRST_SCAN_NS = 100 * NS_PER_MS
 _LONGEST_SCAN_S = 1.0
-#: Times of a scan at which its pose is computed. Between two of them, 1.6 ms in a scan of 100 ms,
-#: matrices are interpolated linearly: off by 0.01 mm at 100 m in a turn of 0.5 rad/s.
+#: Number of times of a scan at which its pose is computed. Between two of them, which are 1.6 ms
+#: apart in a scan of 100 ms, matrices are interpolated linearly. The error is 0.01 mm at 100 m in a
+#: turn of 0.5 rad/s.
 _KNOTS = 65
-#: Steps between two of these times. The time of a point is rounded to a step: 24 µs in a scan of
-#: 100 ms, in which a car of 40 m/s drives 1 mm.
+#: Steps between two of these times. The time of a point is rounded to a step, which is 24 µs in a
+#: scan of 100 ms; a car of 40 m/s drives 1 mm in a step.
 _STEPS = 64
 
 
@@ -36,9 +37,9 @@ class Scan(NamedTuple):
 
     Attributes:
         points: float32 (N, 3) or wider, metres, LiDAR frame.
-        times: nanoseconds: int64 (N,), one time for all, or None = not known yet.
+        times: nanoseconds: int64 (N,), or one time for all; None if the times are not known yet.
         lost: number of points that were left out.
-        untimed: whether returns were left out, because their times are not those of the scan.
+        untimed: whether returns were left out because their times do not belong to the scan.
     """
 
     points: NDArray[np.float32]
@@ -50,22 +51,23 @@ class Scan(NamedTuple):
     def of(
         cls, points: Any, after_s: NDArray[np.float64] | None = None, stamp_ns: int = 0
     ) -> "Scan":
-        """Leave out points that are no return, and returns whose time is not the scan's.
+        """Make a scan without points that are no returns and without returns whose time is wrong.
 
         Args:
-            points: float32 (N, 3) or wider, see `is_return`; kept as they are if all are returns.
-            after_s: (N,), seconds after the stamp, see `point_times`; None = not known.
-            stamp_ns: of the scan.
+            points: float32 (N, 3) or wider, see `is_return`; they are not copied if all are
+                returns.
+            after_s: (N,), seconds after the stamp, see `point_times`; None if they are not known.
+            stamp_ns: time stamp of the scan.
 
         Raises:
-            InputError: for an array of another type or shape, points that are none, and if half of
-                the returns are more than 1 s from the stamp.
+            InputError: if the array has another type or shape, if its points cannot be metres, or
+                if half of the returns are more than 1 s from the stamp.
         """
         check_points(points)
         returns, times = is_return(points), None
         kept = returns
         if after_s is not None:
-            kept = returns & (np.abs(after_s) <= _LONGEST_SCAN_S)  # nor NaN
+            kept = returns & (np.abs(after_s) <= _LONGEST_SCAN_S)  # false for NaN
             if 2 * np.count_nonzero(kept) < np.count_nonzero(returns):
                 raise InputError(
                     f"times must be within {_LONGEST_SCAN_S:g} s of the stamp, got "
@@ -78,7 +80,7 @@ class Scan(NamedTuple):
 
 
 def _check_clock(after_s: NDArray[np.float64]) -> None:
-    """Warn if the times of points, in seconds after the stamp of their scan, are far from it.
+    """Warn if the times of points, in seconds after their scan's stamp, are far from the stamp.
 
     A stamp lies between the start and the end of its scan, or at most one scan duration from it.
     """
@@ -99,10 +101,10 @@ class DepthInTime(NamedTuple):
 
     Attributes:
         sparse_depth: float32 (H, W), metres, 0 = no return.
-        motion: "each" where each return was moved by its own time, "scan" where the scan was moved
-            as one, "none" where it is as it was measured.
+        motion: "each" if each return was moved by its own time, "scan" if the scan was moved as a
+            whole, "none" if it was not moved.
         degraded: reasons as in `Prediction.degraded`.
-        lost_points: as in `Cleaned`.
+        lost_points: see `Cleaned`.
     """
 
     sparse_depth: NDArray[np.float32]
@@ -148,27 +150,28 @@ def project_in_time(
 
 
 def assume_middle(remedy: str) -> None:
-    """Warn that the stamp of a scan without times of points is taken as that of its middle."""
+    """Warn that the stamp of a scan whose points have no times is assumed to mark its middle."""
     assume("the stamps of scans mark their middle", f"scan_stamp= {remedy}".rstrip())
 
 
 def check_scan_stamp(value: Any) -> ScanStamp:
-    """Return the instant of a scan that its stamp is; InputError for another word."""
+    """Return the instant of a scan that its stamp marks. Raises InputError for another word."""
     if value not in MIDDLE_AFTER:
         raise InputError(f"scan_stamp must be one of {', '.join(MIDDLE_AFTER)}, got {shown(value)}")
     return cast(ScanStamp, value)
 
 
 def point_times(times: Any, count: int, stamp_ns: int) -> NDArray[np.float64]:
-    """Return when the points of a scan were measured, float64 (N,), seconds after the stamp.
+    """Return when the points of a scan were measured, float64 (N,), in seconds after the stamp.
 
     Args:
-        times: (N,), seconds after the stamp as floats, or nanoseconds of its clock as integers.
+        times: (N,), seconds after the stamp as floats, or nanoseconds of the stamp's clock as
+            integers.
         count: N.
-        stamp_ns: of the scan.
+        stamp_ns: time stamp of the scan.
 
     Raises:
-        InputError: for another type or shape.
+        InputError: if the type or shape is another one.
     """
     kind = times.dtype.kind if isinstance(times, np.ndarray) else None
     if kind not in ("f", "i", "u") or times.shape != (count,):
@@ -185,19 +188,19 @@ def point_times(times: Any, count: int, stamp_ns: int) -> NDArray[np.float64]:
 def move_points(
     points: NDArray[np.float32], times: NDArray[np.int64] | int, poses: PoseTrack, to: int
 ) -> NDArray[np.float32]:
-    """Move each return from where the LiDAR was at its own time to where it is at another one.
+    """Move each return from where the LiDAR was at its own time to where it is at another time.
 
     An object that stands still is then where the LiDAR would have measured it at the time `to`.
 
     Args:
         points: float32 (N, 3) or wider, x, y, z first, metres, in the LiDAR's frame.
-        times: int64 (N,), nanoseconds, when each was measured; or one time for all.
-        poses: of the LiDAR, by the same clock.
-        to: nanoseconds, the time to move to, as that of an image.
+        times: int64 (N,), nanoseconds, when each point was measured; or one time for all.
+        poses: poses of the LiDAR, by the same clock.
+        to: the time to move to, such as that of an image, in nanoseconds.
 
     Returns:
-        float32 as `points`, a new array; the other columns as they are; NaN where a point is no
-        return, see `is_return`.
+        A new array, float32, of the shape of `points`. Columns after the third are unchanged. NaN
+        where a point is no return, see `is_return`.
 
     Raises:
         NoPoseError: if there is no pose for one of the times.
@@ -222,19 +225,19 @@ def project_moved(
     """Project a scan into an image of the time `to`, see `move_points` and `project_points`.
 
     Args:
-        calibration: of camera and LiDAR.
+        calibration: calibration of camera and LiDAR.
         points: see `move_points`.
         times: see `move_points`.
         poses: see `move_points`.
-        to: nanoseconds, the time of the image.
-        size: its (height, width).
+        to: time of the image in nanoseconds.
+        size: (height, width) of the image.
 
     Returns:
         float32 (height, width), metres along the optical axis, 0 where there is no return.
 
     Raises:
         NoPoseError: if there is no pose for one of the times.
-        InputError: if the size is not the calibration's, and for invalid arrays.
+        InputError: if the size is not the calibration's, or an array is invalid.
     """
     check_points(points)
     calibration.require_size(size)
@@ -251,7 +254,7 @@ def project_moved(
 
 
 class _Table(NamedTuple):
-    """The 12 entries of matrices to one time, float32 (12, M), at even steps from `first_ns` on."""
+    """The 12 entries of matrices to one time, float32 (12, M), in even steps from `first_ns`."""
 
     entries: NDArray[np.float32]
     first_ns: int
@@ -284,7 +287,7 @@ def _move(
     place += np.float32(0.5)
     index = place.astype(np.intp)
     total, factor = np.empty_like(xyz[0]), np.empty_like(xyz[0])
-    with np.errstate(invalid="ignore"):  # NaN stays so
+    with np.errstate(invalid="ignore"):  # NaN remains NaN
         for row in range(3):
             *of_axes, shift = table.entries[4 * row : 4 * row + 4]
             shift.take(index, out=total, mode="clip")
@@ -310,14 +313,14 @@ def _in_front(
     for axis, along in zip(xyz[1:], middle[1:3], strict=True):
         np.multiply(axis, np.float32(along), out=factor)
         depth += factor
-    return np.flatnonzero(depth >= np.float32(nearest))  # not of NaN
+    return np.flatnonzero(depth >= np.float32(nearest))  # false for NaN
 
 
 def lidar_mount(pose_frame: PoseFrame | str, calibration: Calibration) -> NDArray[np.float64]:
     """Return the matrix, float64 (4, 4), from the LiDAR to the frame whose poses are given.
 
     Raises:
-        InputError: for an unknown frame, and if the calibration does not have it.
+        InputError: if the frame is unknown, or if the calibration does not contain it.
     """
     frame = check_pose_frame(pose_frame)
     if frame is PoseFrame.LIDAR:
@@ -335,13 +338,16 @@ def lidar_mount(pose_frame: PoseFrame | str, calibration: Calibration) -> NDArra
 def relative_poses(
     poses: PoseTrack, times_ns: NDArray[np.int64], to_ns: int
 ) -> NDArray[np.float64]:
-    """Matrices float64 (M, 4, 4) from the frame at each of the times to the frame at `to_ns`.
+    """Return matrices from the frame at each of the times to the frame at `to_ns`.
+
+    Returns:
+        float64 (M, 4, 4).
 
     Raises:
         NoPoseError: if there is no pose for one of the times.
     """
     all_poses = poses.at(np.append(times_ns, np.int64(to_ns)))
-    # Subtracted before the rotation: positions may be far from the origin.
+    # The subtraction comes before the rotation, because positions may be far from the origin.
     to, others = all_poses[-1], all_poses[:-1]
     matrices = np.zeros_like(others)
     matrices[:, :3, :3] = to[:3, :3].T @ others[:, :3, :3]

@@ -21,12 +21,12 @@ class PointCloud:
 
     Attributes:
         points: float32 (N, 3), metres.
-        rgb: uint8 (N, 3), colours of the image; None without an image.
-        semantic: uint8 (N,), class ids; None without that head.
-        uncertainty: float32 (N,), metres, as `Prediction.depth_uncertainty`; None without that
-            head.
-        rows: int32 (N,), the pixel's row of each point.
-        columns: int32 (N,), the pixel's column of each point.
+        rgb: uint8 (N, 3), colours of the image; None if no image was given.
+        semantic: uint8 (N,), class ids; None if the model has no such head.
+        uncertainty: float32 (N,), metres, see `Prediction.depth_uncertainty`; None if the model has
+            no such head.
+        rows: int32 (N,), row of each point's pixel.
+        columns: int32 (N,), column of each point's pixel.
     """
 
     points: NDArray[np.float32]
@@ -65,22 +65,22 @@ def to_points(
     """Return a point for each pixel that has depth, row after row.
 
     Args:
-        depth: float32 (H, W), metres; 0, negative, NaN and Inf have no point.
+        depth: float32 (H, W), metres; pixels of 0, negative depth, NaN and Inf have no point.
         intrinsics: float (3, 3), in pixels of this depth map; integers are pixel centres.
-        lens: the distortion of the image; None = it is rectified. Pixels outside the lens's field
-            have no point.
+        lens: the distortion of the image; None if the image is rectified. Pixels outside the lens's
+            field of view have no point.
         rgb: uint8 (H, W, 3), colours of the points.
         semantic: uint8 (H, W), class ids.
         boundary: float32 (H, W), probability; pixels above `edge_boundary` have no point.
         uncertainty: float32 (H, W), metres.
-        edge_boundary: "auto" = 0.25 with `semantic`, 0.5 without, because the boundary of a model
-            without classes is never halved; None = all are kept.
+        edge_boundary: "auto" is 0.25 if `semantic` is given and 0.5 if not, because the boundary of
+            a model without classes is never halved. None keeps all pixels.
         max_uncertainty: pixels whose uncertainty is a larger share of their depth have no point;
-            None = all are kept.
-        sky: class id whose pixels have no point; None = there is none.
+            None keeps all pixels.
+        sky: class id whose pixels have no point; None if there is no such class.
 
     Raises:
-        InputError: for arrays that do not fit.
+        InputError: if the shapes or types of the arrays do not fit each other.
     """
     check_intrinsics(intrinsics)
     if rgb is not None and rgb.dtype != np.uint8:
@@ -127,23 +127,23 @@ def to_points(
 
 
 def thin_to_voxels(cloud: PointCloud, side_m: float) -> PointCloud:
-    """Keep one point of each cube of space, in the order of the pixels.
+    """Keep one point in each cube of space, in the order of the pixels.
 
-    The point of the smallest uncertainty is kept, or the first one if there is no uncertainty.
+    The point with the smallest uncertainty is kept, or the first one if there is no uncertainty.
 
     Args:
-        cloud: its points.
-        side_m: side of the cubes, metres, which are aligned with the axes of the camera.
+        cloud: the points.
+        side_m: side of the cubes, metres; they are aligned with the axes of the camera.
 
     Raises:
         InputError: if the side is out of range.
     """
     side_m = check_number("voxel_m", side_m, _LEAST_VOXEL_M, 1e6, "metres", error=InputError)
-    # 21 bits an axis: cubes of a centimetre up to 10 km.
+    # With 21 bits per axis, cubes of a centimetre reach to 10 km.
     cubes = np.clip(np.floor(cloud.points / side_m).astype(np.int64), -(2**20), 2**20 - 1)
     x, y, z = (cubes + 2**20).T
     keys = (x << 42) | (y << 21) | z
-    order = np.argsort(keys, kind="stable")  # in a cube the points stay in the order of the pixels
+    order = np.argsort(keys, kind="stable")  # within a cube the points keep the order of the pixels
     cube = np.cumsum(np.diff(keys[order], prepend=keys[order[:1]]) > 0)
     if cloud.uncertainty is not None and len(order):
         doubt = cloud.uncertainty[order]

@@ -21,18 +21,18 @@ from runtime.contract.degraded import NO_POSE, POSE_CLOCK, POSE_GAP, POSE_JUMP
 from runtime.geometry.rigid import read_rigid
 
 MAX_EXTRAPOLATION_MS = 100.0
-#: Longest time between two poses to interpolate over: at 10 m/s² a car leaves the straight line by
-#: 8 cm in it.
+#: Longest time between two poses over which they are interpolated. A car with 10 m/s² leaves the
+#: straight line by 8 cm in this time.
 MAX_GAP_MS = 250.0
-#: Poses that a `PoseBuffer` holds: 80 s at 100 Hz.
+#: Number of poses in a `PoseBuffer`: 80 s at 100 Hz.
 CAPACITY = 8192
-_OTHER_CLOCK_NS = 10_000 * NS_PER_MS  # no pose within this time of a picture
-_MOST_NS = 2**62  # largest stamp: differences of two stamps fit into int64
+_OTHER_CLOCK_NS = 10_000 * NS_PER_MS  # a picture and poses this far apart have different clocks
+_MOST_NS = 2**62  # largest stamp, so that the difference of two stamps fits into int64
 _MAX_GAP_NS = round(MAX_GAP_MS * NS_PER_MS)
 _REACH_NS = round(MAX_EXTRAPOLATION_MS * NS_PER_MS)
 _VELOCITY_NS = 100 * NS_PER_MS  # velocities are averaged over this time
 _stamp_ns = attrgetter("stamp_ns")
-# What a car can do between two poses; beyond it, the odometry jumped.
+# What a car can do between two poses; beyond these limits, the odometry jumped.
 _SPEED_M_S, _ACCELERATION_M_S2, _JUMP_M = 100.0, 10.0, 0.5
 _TURN_DEG_S, _TURN_DEG_S2, _JUMP_DEG = 180.0, 400.0, 5.0
 
@@ -46,7 +46,7 @@ class PoseFrame(StrEnum):
 
 
 def check_pose_frame(value: Any) -> PoseFrame:
-    """Return the frame of poses, also from its name as text; InputError for another word."""
+    """Return the frame of poses, also from its name as text. Raises InputError for another word."""
     try:
         return PoseFrame(value)
     except ValueError as error:
@@ -68,13 +68,13 @@ class NoPoseError(InputError):
 
 @dataclass(frozen=True, eq=False)
 class PoseTrack:
-    """Poses over a stretch of time; made by `PoseBuffer.between` or `PoseTrack.of`.
+    """Poses over a period of time, made by `PoseBuffer.between` or `PoseTrack.of`.
 
     Attributes:
         stamps_ns: int64 (N,), rising.
         quaternions: float64 (N, 4), w, x, y, z.
         positions: float64 (N, 3), metres.
-        jumped: bool (N,): whether the pose does not continue the motion of the one before it.
+        jumped: bool (N,), whether the pose does not continue the motion of the one before it.
         mount: float64 (4, 4) from the frame to be moved to the frame of the poses.
     """
 
@@ -86,15 +86,15 @@ class PoseTrack:
 
     @classmethod
     def of(cls, poses: Any, stamps_ns: Any) -> "PoseTrack":
-        """Make a track of a whole recording.
+        """Make a track from the poses of a whole recording.
 
         Args:
             poses: float (N, 4, 4), rigid, from the moving frame to a fixed one [m].
             stamps_ns: N integers, rising.
 
         Raises:
-            InputError: if a pose is not rigid, the stamps are no whole numbers or do not rise, or
-                their number differs from that of the poses.
+            InputError: if a pose is not rigid, if the stamps are not whole numbers or do not rise,
+                or if their number differs from that of the poses.
         """
         counts = [len(each) if hasattr(each, "__len__") else None for each in (poses, stamps_ns)]
         if counts[0] is None or counts[0] != counts[1]:
@@ -138,7 +138,8 @@ class PoseTrack:
                 f"{beyond_ns / NS_PER_MS:g} ms beyond the poses and the "
                 f"{MAX_EXTRAPOLATION_MS:g} ms for which they are extrapolated",
             )
-        # The segment that ends at pose `end`. A time equal to that of a pose needs this pose only.
+        # The segment that ends at pose `end`. A time that equals a pose's stamp needs only this
+        # pose.
         end = np.searchsorted(stamps_ns, times_ns, side="left")
         on_pose = stamps_ns[end] == times_ns
         start = np.where(on_pose, end, end - 1)
@@ -170,7 +171,7 @@ class _Pose(NamedTuple):
 
 
 class PoseBuffer:
-    """Keeps the newest poses of one moving frame, at least `capacity`.
+    """Keeps the newest poses of one moving frame, at least `capacity` of them.
 
     A pose that is older than the newest one is ignored. If stamps go back by more than a second,
     the clock was reset, and all older poses are removed.
@@ -186,7 +187,7 @@ class PoseBuffer:
         return self._poses[-1].stamp_ns if self._poses else None
 
     def add(self, pose: NDArray[np.float64], stamp_ns: int) -> bool:
-        """Add a pose as `read_rigid` returns it; return False if it is ignored as not newer."""
+        """Add a pose that `read_rigid` returned; return False if it is ignored as not newer."""
         newest_ns = self.newest_ns
         if newest_ns is not None and stamp_ns <= newest_ns:
             if stamp_ns >= newest_ns - JUMP_BACK_NS:
@@ -229,9 +230,9 @@ class PoseBuffer:
         )
 
     def _base(self, end: int, step: int) -> int | None:
-        """The pose from which the velocity at pose `end` is taken; None = there is none.
+        """The pose from which the velocity at pose `end` is computed; None if there is none.
 
-        step: -1 = a pose before it, 1 = one after it.
+        With a `step` of -1 it is a pose before `end`, with 1 a pose after it.
         """
         poses, base = self._poses, end
 
@@ -245,7 +246,7 @@ class PoseBuffer:
         return base if 0 < apart_ns(base) <= _MAX_GAP_NS else None
 
     def _extrapolated(self, end: int, step: int, stamp_ns: int) -> list[_Pose]:
-        """The pose at a time beyond pose `end`, at most `_REACH_NS`; none without a velocity."""
+        """The pose at a time at most `_REACH_NS` beyond pose `end`; empty without a velocity."""
         base = self._base(end, step)
         if base is None:
             return []
@@ -298,12 +299,12 @@ def quaternion_of(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
 def _slerp(
     first: NDArray[np.float64], second: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Unit quaternions (M, 4) between two, on the shorter way; weights beyond 0..1 go further."""
+    """Unit quaternions (M, 4) between two, on the shorter way; weights outside 0..1 extrapolate."""
     cosine = np.einsum("ij,ij->i", first, second)
     second = np.where(cosine[:, None] < 0, -second, second)
     angle = np.arccos(np.minimum(np.abs(cosine), 1.0))
     sine = np.sin(angle)
-    even = sine < 1e-6  # sin(x) = x to the last bit
+    even = sine < 1e-6  # here sin(x) = x to the last bit
     sine = np.where(even, 1.0, sine)
     of_first = np.where(even, 1 - weights, np.sin((1 - weights) * angle) / sine)
     of_second = np.where(even, weights, np.sin(weights * angle) / sine)

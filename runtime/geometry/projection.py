@@ -21,11 +21,11 @@ _INDEX_BITS = 32
 
 
 class ProjectedPoints(NamedTuple):
-    """A sparse depth map and where its returns come from.
+    """A sparse depth map and the points from which its returns come.
 
     Attributes:
         sparse_depth: float32 (H, W), metres, 0 = no return.
-        rows: int32 (H, W), index of each pixel's return in the points, -1 = none.
+        rows: int32 (H, W), index of each pixel's return in the points, -1 if it has none.
     """
 
     sparse_depth: NDArray[np.float32]
@@ -51,15 +51,15 @@ def project_points(
         intrinsics: float (3, 3), pixels.
         extrinsics: float (4, 4), LiDAR to camera (x right, y down, z ahead), metres.
         size: (height, width) of the image.
-        lens: the distortion of the image; None = it is rectified. Returns outside the lens's field
-            are dropped.
+        lens: the distortion of the image; None if the image is rectified. Returns outside the
+            lens's field of view are dropped.
 
     Returns:
         float32 (height, width), metres along the optical axis, 0 = no return.
 
     Raises:
-        InputError: if points, matrices or size have another type or shape, the matrices are not
-            those of a camera, or the points cannot be metres, see `is_return`.
+        InputError: if points, matrices or size have another type or shape, if the matrices are not
+            those of a camera, or if the points cannot be metres, see `is_return`.
     """
     return project_with_rows(points, intrinsics, extrinsics, size, lens=lens).sparse_depth
 
@@ -72,7 +72,7 @@ def project_with_rows(
     *,
     lens: Lens | None = None,
 ) -> ProjectedPoints:
-    """Project as `project_points`, and also return the point of each pixel; ties keep the first."""
+    """Project like `project_points`, and return the point of each pixel; ties keep the first."""
     check_points(points)
     check_intrinsics(intrinsics)
     extrinsics = read_rigid("extrinsics", extrinsics)
@@ -83,8 +83,8 @@ def project_with_rows(
         matrix = product.astype(np.float32)
         if not np.isfinite(matrix).all():
             raise InputError("intrinsics times extrinsics is beyond float32: check the calibration")
-        # Comparing before dividing saves most divisions. All comparisons together are true only
-        # for z > 0, and false for NaN.
+        # Comparing before dividing saves most divisions. The comparisons together are true only for
+        # z > 0, and false for NaN.
         if lens is None:
             u_z, v_z, z = _transform(axes, matrix)
             row = np.flatnonzero((u_z > -z) & (u_z < width * z) & (v_z > -z) & (v_z < height * z))
@@ -109,7 +109,8 @@ def project_with_rows(
     z, row = z[inside], row[inside]
     pixel = v[inside].astype(np.int64) * width + u[inside].astype(np.int64)
 
-    # Positive floats sort like their bits. Far returns are written first, so the nearest remain.
+    # Positive floats are ordered like their bits. Far returns are written first, so that the
+    # nearest remain.
     key = (z.view(np.int32).astype(np.int64) << _INDEX_BITS) | np.arange(len(z))
     key.sort()
     order = key[::-1] & ((1 << _INDEX_BITS) - 1)
@@ -122,9 +123,9 @@ def project_with_rows(
 
 
 def _transform(axes: NDArray[np.float32], matrix: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-    """Each row of ``matrix``, float32 (3, 4), times (x, y, z, 1) of every point, float32 (3, N).
+    """Multiply `matrix`, float32 (3, 4), with (x, y, z, 1) of every point, float32 (3, N).
 
-    Not by a matrix product: it uses the threads of a BLAS, which compete with inference.
+    A matrix product would use the threads of a BLAS, which compete with inference.
     """
     x, y, z = axes
     products = []
@@ -142,10 +143,10 @@ def check_intrinsics(matrix: Any, name: str = "intrinsics") -> None:
 
     Args:
         matrix: float (3, 3), pixels, with positive fx and fy and the last row 0, 0, 1.
-        name: for the message.
+        name: name of the matrix in the message.
 
     Raises:
-        InputError: for anything else, and for masked arrays and `numpy.matrix`.
+        InputError: for anything else, including masked arrays and `numpy.matrix`.
     """
     check_matrix(name, matrix, 3)
     usable = (matrix[[0, 1], [0, 1]] > 0).all() and np.linalg.det(matrix.astype(np.float64)) > 0

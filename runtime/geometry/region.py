@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from runtime.geometry.assumptions import assume
 
-# Offset of a principal point from the middle, in shares of the sides, up to which it is in it.
+# Largest offset of a principal point that lies in the middle, in shares of the sides.
 _CENTRED = 0.05
 
 
@@ -26,7 +26,7 @@ def region_of_images(
     Args:
         fields: fields of the CameraInfo: "height", "width", "binning_x", "binning_y", and "roi".
         intrinsics: its K or P, (3, 3).
-        size: (height, width) of the images; None = not known.
+        size: (height, width) of the images; None if unknown.
     """
     roi = fields.get("roi") or {}
     step = np.array([int(fields.get(f"binning_{axis}") or 1) for axis in "xy"])
@@ -35,7 +35,7 @@ def region_of_images(
         np.array([int(of.get(side) or 0) for side in ("width", "height")]) for of in (fields, roi)
     )
     crop = np.diag([*(1 / step), 1.0])
-    crop[:2, 2] = -(offset + (step - 1) / 2) / step  # of `step` pixels the centre is in the middle
+    crop[:2, 2] = -(offset + (step - 1) / 2) / step  # `step` pixels have their centre in the middle
     sides = np.where(part > 0, part, whole) // step
     contradict = bool((offset + part > whole).any())
     if size is not None and all(size):

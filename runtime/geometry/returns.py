@@ -9,23 +9,23 @@ from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_DEPTH_RANGE_M
 from runtime.geometry.assumptions import assume
 
-_NEAREST_M = 0.01  # nearer points are a rounded (0, 0, 0), which Ouster, Livox and SICK use
+_NEAREST_M = 0.01  # nearer points are a rounded (0, 0, 0), which Ouster, Livox and SICK send
 _LEAST_JUDGED, _MOST_IMPLAUSIBLE = 50, 0.25
-# Marks of misses: rounding of their range, the neighbourhood in which returns would be, both in
-# shares of the range; their least number and share of the scan; how many more they are than their
-# neighbours; and their extent in shares of the range.
+# What marks a miss: the rounding of its range and the range beside it in which returns would be,
+# both in shares of the range; the least number of misses and their least share of the scan; how
+# many times more they are than their neighbours; and their extent in shares of the range.
 _EDGE, _BESIDE = 1e-5, 1e-2
 _LEAST_MISSES, _LEAST_MISS_SHARE, _MISSES, _LEAST_WIDTH = 50, 0.01, 2, 0.1
-_WIDEST_POINT = 16  # numbers per point; a longer row of a few is an axis of (3, N)
-_SATURATED = 65535  # of 16-bit depth: no measurement
-#: The same value in metres, if the unit is KITTI's, millimetres or centimetres.
+_WIDEST_POINT = 16  # numbers per point; a longer row belongs to an array (3, N)
+_SATURATED = 65535  # 16-bit depth without a measurement
+#: The same value in metres if the unit is KITTI's, millimetres or centimetres.
 _SATURATED_M = tuple(np.float32(_SATURATED / units) for units in (256, 1000, 100))
 
 
 def to_metres(depth: NDArray[Any], units_a_metre: float) -> NDArray[np.float32]:
     """Return a depth map in metres, float32; NaN where a 16-bit value is saturated."""
     scale = np.float32(units_a_metre)
-    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is no measurement
+    with np.errstate(over="ignore", invalid="ignore"):  # values beyond float32 are no measurement
         metres: NDArray[np.float32] = np.divide(depth, scale, dtype=np.float32, casting="same_kind")
     if depth.dtype.kind == "u":
         metres[depth == _SATURATED] = np.nan
@@ -35,8 +35,8 @@ def to_metres(depth: NDArray[Any], units_a_metre: float) -> NDArray[np.float32]:
 def drop_saturated(metres: NDArray[np.float32], farthest: float) -> NDArray[np.float32]:
     """Return a depth map with NaN where it was converted from saturated 16-bit values.
 
-    `metres` is float32 (H, W), and is returned itself if nothing changes. `farthest` is the largest
-    value to look at.
+    `metres` is float32 (H, W), and is returned itself if nothing changes. Values beyond `farthest`
+    are not examined.
     """
     for mark in _SATURATED_M:
         if mark <= farthest and (is_mark := metres == mark).any():
@@ -45,12 +45,12 @@ def drop_saturated(metres: NDArray[np.float32], farthest: float) -> NDArray[np.f
 
 
 def is_measured(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return where depth is measured: not 0, negative, NaN, Inf or the largest float."""
+    """Return where depth is measured, that is not 0, negative, NaN, Inf or the largest float."""
     return (depth > 0) & (depth < np.finfo(np.float32).max)
 
 
 def check_farthest(depth: NDArray[np.float32]) -> None:
-    """Warn if many pixels of a depth map have exactly the farthest depth, like at a far plane.
+    """Warn if many pixels of a depth map have exactly its farthest depth, as at a far plane.
 
     These pixels are kept, because a wall across the whole view looks the same.
     """
@@ -69,7 +69,7 @@ def check_farthest(depth: NDArray[np.float32]) -> None:
 
 
 def check_points(points: Any) -> None:
-    """Raise InputError if `points` is no scan, float32 (N, 3) or wider."""
+    """Raise InputError if `points` is not a scan, float32 (N, 3) or wider."""
     if (kind := kind_of(points)) != np.float32:
         hint = "use points.astype(np.float32)"
         raise InputError(f"points must be a plain float32 array [m], got {kind}: {hint}")
@@ -79,7 +79,7 @@ def check_points(points: Any) -> None:
 
 
 def is_transposed(shape: tuple[int, ...]) -> bool:
-    """Whether an array of points is (3, N) or, with other columns, (4, N) and so on."""
+    """Whether an array of points has the shape (3, N) or, with other columns, (4, N) and so on."""
     return len(shape) == 2 and 3 <= shape[0] < shape[1] > _WIDEST_POINT
 
 
@@ -99,7 +99,7 @@ def is_return(points: NDArray[np.float32], *, name: str = "a scan") -> NDArray[n
         InputError: if the array holds no points: a quarter of them is beyond 10 km, or they are
             integers that were read as floats.
     """
-    extent = np.maximum.reduce([np.abs(points[:, axis]) for axis in range(3)])  # NaN if one is
+    extent = np.maximum.reduce([np.abs(points[:, axis]) for axis in range(3)])  # may be NaN
     returns: NDArray[np.bool_] = (extent >= _NEAREST_M) & (extent <= MAX_DEPTH_RANGE_M)
     count = int(np.count_nonzero(returns))
     if count == len(points):
@@ -119,7 +119,7 @@ def is_return(points: NDArray[np.float32], *, name: str = "a scan") -> NDArray[n
 def _without_misses(
     points: NDArray[np.float32], returns: NDArray[np.bool_], count: int
 ) -> NDArray[np.bool_]:
-    """Return `returns` without points at the nearest or farthest range that are marks.
+    """Return `returns` without the points at the nearest or farthest range that mark misses.
 
     Surfaces are not spheres around the LiDAR, so far fewer returns lie at the very edge of the
     range than in the hundredth of the range beside it.
@@ -138,7 +138,7 @@ def _without_misses(
         if at < least or at < _MISSES * (np.count_nonzero(compare(inside, wide)) - at):
             continue
         marks = returns & compare(square, near)
-        # Copies of one point are not a dome.
+        # Copies of a single point are not a dome.
         if marks.any() and np.ptp(points[marks, :3], axis=0).max() ** 2 > _LEAST_WIDTH**2 * edge:
             returns = returns & ~marks
     return returns

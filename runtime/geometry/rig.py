@@ -1,4 +1,4 @@
-"""The sensors of a car: where they are, what their stamps mean, and which of them belong together.
+"""The sensors of a car: where they are, what their stamps mean, and which stamps belong together.
 
 One `Rig` describes a car to a live stream, to a replay and to the sources of recordings.
 """
@@ -24,19 +24,19 @@ class Rig:
             `Calibration.from_file`. Scans cannot be projected without it. Its focal length is used
             if the predictor has none. None: unknown; a source of recordings then looks for the
             recording's own calibration.
-        pose_frame: the frame whose poses are given, "lidar", "camera" or "body" (the calibration's
-            `body_from_lidar`): scans are moved to the time of their image. None: no poses are
-            given.
+        pose_frame: the frame whose poses are given, "lidar", "camera" or "body" (see
+            `Calibration.body_from_lidar`); scans are moved to the time of their image. None: no
+            poses are given.
         scan_stamp: whether the stamp of a scan marks its "start", "middle" or "end". A scan whose
             points have no times is moved as if all of them were measured in its middle. None:
-            "middle", with an `AssumptionWarning` where scans are moved by it.
+            "middle", with an `AssumptionWarning` if scans are moved by it.
         max_skew_ms: largest difference between the stamps of an image and its depth.
-        reuse_depth_ms: largest age of an older depth that is reused for an image without depth of
-            its own; 0: depth is never reused. None: 150, except in folders of files without times,
+        reuse_depth_ms: largest age of older depth that is reused for an image without depth of its
+            own; 0: depth is never reused. None: 150, except in folders of files without times,
             where depth is never reused.
 
     Raises:
-        InputError: if a value is out of range or of another type.
+        InputError: if a value is out of range or has another type.
     """
 
     calibration: Calibration | Path | str | None = None
@@ -73,7 +73,7 @@ class Rig:
         return MIDDLE_AFTER[self.scan_stamp or "middle"]
 
     def read_calibration(self, **of_file: Any) -> Calibration | None:
-        """Return the calibration; `of_file` are options of `Calibration.from_file` for a file."""
+        """Return the calibration; `of_file` are the options with which a file is read."""
         if isinstance(self.calibration, Path | str):
             return Calibration.from_file(self.calibration, **of_file)
         return self.calibration

@@ -9,9 +9,9 @@ from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume
 from runtime.geometry.returns import kind_of
 
-_EXACT = 1e-3  # error of float32, and of files with four digits
+_EXACT = 1e-3  # covers the error of float32, and of files with four digits
 _LARGEST_M = 1e7
-_NEAR = 0.02  # DAIR-V2X's calibrations are within it; a lost sign or a scale is not
+_NEAR = 0.02  # DAIR-V2X's calibrations are within it, but not a lost sign or a scale
 
 
 def read_rotation(name: str, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -39,8 +39,8 @@ def read_rigid(name: str, matrix: Any) -> NDArray[np.float64]:
     """Return a rigid transform as a new array, float64 (4, 4), see `read_rotation`.
 
     Raises:
-        InputError: as for `read_rotation`, and if the shape or type is wrong, a number is not
-            finite, the position is beyond 10,000 km, or the last row is not 0, 0, 0, 1.
+        InputError: in the cases of `read_rotation`, and if the shape or type is wrong, a number is
+            not finite, the position is beyond 10,000 km, or the last row is not 0, 0, 0, 1.
     """
     check_matrix(name, matrix, 4)
     if not np.array_equal(matrix[3], (0, 0, 0, 1)):

@@ -1,7 +1,8 @@
 """Warnings about numbers that are possible, but unlikely in the expected unit.
 
-The limits: a lens of 150 degrees seen as a pinhole has its edges stretched 15 times, and even a
-fisheye of 190 degrees has a focal length of 0.3 image widths, by which a pinhole sees 118.
+The limits come from wide lenses. A lens of 150 degrees, treated as a pinhole, stretches the edges
+15 times. Even a fisheye of 190 degrees has a focal length of 0.3 image widths, with which a pinhole
+sees 118 degrees.
 """
 
 import math
@@ -35,7 +36,7 @@ def check_mount(
 
     Args:
         extrinsics: (4, 4), from the LiDAR to the camera.
-        body: (4, 4), from the LiDAR to the body; None = unknown.
+        body: (4, 4), from the LiDAR to the body; None if unknown.
     """
     mounts = ("camera", extrinsics, _FARTHEST_SENSOR_M), ("body", body, _FARTHEST_BODY_M)
     for name, matrix, farthest_m in mounts:
