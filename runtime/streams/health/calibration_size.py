@@ -1,9 +1,9 @@
 """Detects a calibration that was made for images of another size, or before they were cut.
 
 Such a calibration puts the principal point far from the middle of the image. Images that were cut
-together with their calibration look the same. So the calibration is reported only if scaling or
-shifting it to these images moves the returns to where they fit better to the depth that the model
-predicts from the image alone.
+together with their calibration look the same. Therefore the calibration is reported only if the
+returns, scaled or shifted for these images, fit the depth that the model predicts from the image
+alone better than before.
 """
 
 from collections import defaultdict
@@ -18,18 +18,20 @@ from runtime.geometry.calibration import Calibration
 from runtime.geometry.returns import is_measured
 from runtime.streams.health.depth_plausibility import BANDS, correlations, log_depth
 
-# Offset of the principal point / side of the image; KITTI, PandaSet, View-of-Delft: at most 0.04
+# Offset of the principal point, as a share of the image's side. KITTI, PandaSet and View-of-Delft
+# have at most 0.04.
 _FAR = 0.08
 _LEAST_RETURNS = 200
-# Gain in correlation, median of up to five frames, of KITTI and PandaSet at 0.5, 0.67, 0.8 and 2
-# times the size of their calibration: 0.18 to 1.1; cut at the left or right: -0.3 and less.
+# Least gain in correlation, the median of up to five frames. KITTI and PandaSet at 0.5, 0.67, 0.8
+# and 2 times the size of their calibration gain 0.18 to 1.1; images cut at the left or right gain
+# -0.3 or less.
 _LEAST_GAIN = 0.1
 
 _Index = NDArray[np.intp]
 
 
 class _Change(NamedTuple):
-    """What the calibration may need: a scale, then a shift of the principal point [px]."""
+    """A possible correction: a scale, then a shift of the principal point [px]."""
 
     scale: float
     left: float
@@ -57,7 +59,7 @@ class CalibrationSize:
     """Compares the returns of the first frames of a stream with the camera-only prediction."""
 
     def __init__(self) -> None:
-        #: What the calibration may need -> gains, and the advice.
+        # Gains of each correction that the calibration may need, and the advice that belongs to it.
         self._gains: dict[str, list[float]] = defaultdict(list)
         self._advice: dict[str, str] = {}
 
@@ -67,13 +69,13 @@ class CalibrationSize:
         sparse_depth: NDArray[np.float32],
         calibration: Calibration | None,
     ) -> None:
-        """Add a frame; ignored where there is nothing to compare.
+        """Add a frame; it is ignored if there is nothing to compare.
 
         Args:
-            camera_only: prediction from the image of the frame without any return; None: not
-                needed, since no point of the scan fell into the image.
+            camera_only: prediction from the image of the frame without any return; None if it was
+                not needed, because no point of the scan fell into the image.
             sparse_depth: float32 (H, W), metres, projected with the calibration.
-            calibration: of the frame.
+            calibration: calibration of the frame.
         """
         if calibration is None:
             return
@@ -84,27 +86,27 @@ class CalibrationSize:
         for name, change in _changes(middle_x, middle_y, sparse_depth.shape).items():
             if camera_only is not None:
                 gain = _gain(camera_only, sparse_depth, change)
-            else:  # no return falls into the image as it is
+            else:  # with the given calibration no return falls into the image
                 gain = 1.0 if middle_x > width else None
             if gain is not None:
                 self._gains[name].append(gain)
                 self._advice[name] = change.advice((height, width), (middle_x, middle_y))
 
     def finding(self) -> str | None:
-        """What is wrong by the frames so far, and what to do; None: nothing was found."""
+        """Return the fault of the frames so far, and its remedy; None: nothing was found."""
         gains = {name: float(np.median(gains)) for name, gains in self._gains.items()}
         best = max(gains, key=lambda name: gains[name], default="")
         return self._advice[best] if best and gains[best] >= _LEAST_GAIN else None
 
 
 def _changes(middle_x: float, middle_y: float, shape: tuple[int, ...]) -> dict[str, _Change]:
-    """What may put the principal point into the middle of images of this shape, by name."""
+    """The changes that put the principal point into the middle of images of this shape, by name."""
     height, width = shape
     found: dict[str, _Change] = {}
     if abs(middle_x / width - 0.5) >= _FAR:
         found["scale"] = _Change(width / (2 * middle_x), 0, 0)
     cut_x, cut_y = max(2 * middle_x - width, 0), max(2 * middle_y - height, 0)
-    if cut_y >= 2 * _FAR * height:  # at the top, as KITTI's images for depth completion
+    if cut_y >= 2 * _FAR * height:  # cut at the top, like KITTI's images for depth completion
         found["top"] = _Change(1, cut_x / 2, cut_y)
         found["around"] = _Change(1, cut_x / 2, cut_y / 2)
     return found
@@ -113,7 +115,7 @@ def _changes(middle_x: float, middle_y: float, shape: tuple[int, ...]) -> dict[s
 def _gain(
     camera_only: Prediction, sparse_depth: NDArray[np.float32], change: _Change
 ) -> float | None:
-    """Correlation gained by moving the returns as the changed calibration does; None: unknown."""
+    """Correlation gained by moving the returns as the changed calibration does; None if unknown."""
     if camera_only.depth is None or not camera_only.valid:
         return None
     height, width = sparse_depth.shape

@@ -1,10 +1,10 @@
-"""Whether camera and LiDAR are still calibrated and in sync: figures of a stream, off by default.
+"""Figures that show whether camera and LiDAR are still calibrated and in sync; off by default.
 
 Which figure changes depends on the fault (measured in docs/results.md): edge agreement and hold-out
-error with a rotated calibration or shifted stamps, the scale error with wrong depths. Returns are
-held out in squares, because between the remaining returns the network interpolates them, whatever
-is in the image. There are no limits: the usual values depend on model, sensors and roads, so each
-figure stands beside its change against the stream's own first minute.
+error change with a rotated calibration or shifted stamps, the scale error with wrong depths.
+Returns are held out in squares, because between nearby returns the network interpolates, whatever
+the image shows. There are no limits: the usual values depend on model, sensors and roads, so each
+figure is accompanied by its change since the first minute of the stream.
 """
 
 from dataclasses import dataclass
@@ -19,10 +19,10 @@ from runtime.engine.prediction import Prediction
 from runtime.geometry.returns import is_measured
 
 _SHARE = "consistency, the share of the returns that is held out,"
-_WEIGHT = 0.1  # of a new frame in the running means
-_SCALE_EVERY = 10  # frames between two scale errors, which need a second prediction
+_WEIGHT = 0.1  # weight of a new frame in the running means
+_SCALE_EVERY = 10  # frames from one scale error, which needs a second prediction, to the next
 _SQUARES = 8  # squares per image height; whole squares are held out
-_NEIGHBOUR_PX = 8  # largest distance of two returns that are compared, in a line or column
+_NEIGHBOUR_PX = 8  # largest distance of two returns of a row or column that are compared
 _JUMP = 1.25  # ratio of the depths of two neighbouring returns at an object edge
 _NEAR_M = 30.0  # farther returns are too sparse to be compared with their neighbours
 _LEAST_DEPTH_M = 0.1
@@ -31,19 +31,19 @@ _FIRST_NS = 60_000_000_000  # the first minute, with which later frames are comp
 
 @dataclass(frozen=True)
 class Consistency:
-    """Running means over the frames of a stream; None until the first frame that has the figure.
+    """Running means over the frames of a stream; None before the first frame that has the figure.
 
     Attributes:
         holdout_error: mean |log(depth / return)| over the returns that were held out.
         edge_agreement: mean boundary probability where the depth of neighbouring returns jumps,
-            minus that where it does not; it falls when returns no longer fit the image.
+            minus the mean where it does not; it falls when returns no longer fit the image.
         scale_error: median log(depth / return) where depth is predicted from the camera alone,
             every 10th frame; it shifts with the LiDAR's scale, and is not near 0 for a model
             without the camera's focal length.
         holdout_change: `holdout_error` minus its mean over the first minute of the stream, by the
             stamps; None during that minute.
-        edge_change: the same of `edge_agreement`.
-        scale_change: the same of `scale_error`.
+        edge_change: the change of `edge_agreement`.
+        scale_change: the change of `scale_error`.
     """
 
     holdout_error: float | None = None
@@ -55,10 +55,10 @@ class Consistency:
 
 
 class ConsistencyCheck:
-    """Holds a share of each frame's returns out and compares the prediction with them.
+    """Holds out a share of each frame's returns and compares the prediction with them.
 
     Args:
-        share: of the returns, 1e-6 to 0.5.
+        share: share of the returns, 1e-6 to 0.5.
 
     Raises:
         InputError: if the share is out of range.
@@ -79,7 +79,7 @@ class ConsistencyCheck:
     def hold_out(
         self, sparse_depth: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Return the remaining returns in a new array, and the mask of those held out."""
+        """Return the remaining returns in a new array, and the mask of the held-out returns."""
         height, width = sparse_depth.shape
         side = max(height // _SQUARES, 1)
         squares = self._random.random((-(-height // side), -(-width // side))) < self._share
@@ -99,11 +99,11 @@ class ConsistencyCheck:
         """Add a frame and return the running means.
 
         Args:
-            prediction: from the remaining returns.
+            prediction: prediction from the remaining returns.
             camera_only: prediction without any return; None unless `scale_is_due`.
             sparse_depth: float32 (H, W), metres, all returns.
-            held_out: bool (H, W), as in `hold_out`.
-            stamp_ns: of the image.
+            held_out: bool (H, W), the mask that `hold_out` returned.
+            stamp_ns: time stamp of the image.
         """
         self._frames += 1
         returns = is_measured(sparse_depth)
@@ -142,7 +142,7 @@ class _Figure:
         return self.mean - self._first if self.mean is not None and self._frames else None
 
     def add(self, value: float | None, *, first: bool) -> None:
-        """Add the figure of a frame; None = the frame has none."""
+        """Add the figure of a frame; None if the frame has none."""
         if value is None:
             return
         self.mean = value if self.mean is None else self.mean + self._weight * (value - self.mean)
@@ -161,11 +161,11 @@ def _log_ratio(
 def _edge_agreement(
     boundary: NDArray[np.float32], sparse_depth: NDArray[np.float32]
 ) -> float | None:
-    """Mean boundary probability at neighbouring returns with a depth jump, minus without one."""
+    """Mean boundary probability at returns with a depth jump beside them, minus the others'."""
     around = cv2.dilate(boundary, np.ones((3, 3), np.uint8))
     at_jumps, elsewhere = [], []
     for depth, values in ((sparse_depth, around), (sparse_depth.T, around.T)):
-        row, column = np.nonzero(depth)  # line after line
+        row, column = np.nonzero(depth)  # row after row
         z = depth[row, column]
         beside = (row[1:] == row[:-1]) & (column[1:] - column[:-1] < _NEIGHBOUR_PX)
         nearer, farther = np.minimum(z[1:], z[:-1]), np.maximum(z[1:], z[:-1])

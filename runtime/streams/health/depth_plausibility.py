@@ -1,6 +1,6 @@
-"""Whether the returns can be metres of what the camera sees.
+"""Whether the returns can be depths, in metres, of the scene in the image.
 
-Found are a wrong unit, inverse depth, mirrored maps, and returns that fit the image nowhere.
+The check finds a wrong unit, inverse depth, mirrored maps, and returns that fit the image nowhere.
 
 The returns of some frames are compared with the depth that the model predicts from the image alone.
 The logarithms of both correlate if the returns show the same scene, also in a wrong unit; the ratio
@@ -20,34 +20,36 @@ from runtime.contract.degraded import IMAGE_CONSTANT
 from runtime.engine.prediction import Prediction
 from runtime.geometry.returns import is_measured
 
-FIRST_FRAMES = 5  # checked when a stream starts; the median of the last 5 counts
+FIRST_FRAMES = 5  # frames checked when a stream starts; later the median of the last 5 counts
 _LEAST_RETURNS, _MOST_RETURNS = 200, 50_000  # denser maps are subsampled
-BANDS = 48  # over the height of the image
+BANDS = 48  # bands of rows over the height of the image
 _LEAST_DEPTH_M = 0.1
-_ALIKE = 0.5  # correlation from which two depth maps show the same scene
-# Correlations below which they show different ones: as they are, and without the mean of each band
-# of rows, in at least _KNOWN frames. Right returns have medians of 0.5 and of 0.28 also with dark,
-# blurred or noisy images; swapped bytes and shuffled returns 0.1 and less. In a band both must
-# spread by _LEAST_SPREAD: by night the model guesses a road that does not (0.02 to 0.1).
+_ALIKE = 0.5  # least correlation of two depth maps of the same scene
+# Correlations of depth maps of different scenes are below these, as they are and without the mean
+# of each band of rows, in at least _KNOWN frames. Correct returns have medians of at least 0.5 and
+# 0.28, even with dark, blurred or noisy images; swapped bytes and shuffled returns have 0.1 or
+# less. Within a band both maps must spread by _LEAST_SPREAD: by night the model guesses a road with
+# less (0.02 to 0.1).
 _UNALIKE, _UNALIKE_IN_BANDS, _KNOWN, _LEAST_SPREAD = 0.3, 0.2, 3, 0.15
-_MIRRORED_MARGIN = 0.2  # by which the mirrored map must correlate better
-_NEAREST, _FARTHEST = 0.25, 2.5  # return / camera-only depth; correct frames: 0.66 to 1.14
+_MIRRORED_MARGIN = 0.2  # the mirrored map must correlate better by this much
+_NEAREST, _FARTHEST = 0.25, 2.5  # return / camera-only depth; 0.66 to 1.14 for correct frames
 _FOCAL_RATIO = 10  # a wrong focal length explains at most this ratio
-_DEPTH_SCALES = (1, 100, 256, 1000)  # of metres, centimetres, KITTI and millimetres
+_DEPTH_SCALES = (1, 100, 256, 1000)  # for metres, centimetres, KITTI's units and millimetres
 
 
 class Implausible(NamedTuple):
     """What is wrong with the returns of a stream."""
 
     cause: str
-    ratio: float | None = None  # return / camera-only depth, where only the scale is wrong
+    ratio: float | None = None  # return / camera-only depth, if only the scale is wrong
 
     def advice(self, *, depth_scale: float | None, focal_length_px: float | None) -> str:
         """Return the cause, and what to try.
 
         Args:
-            depth_scale: units per metre that the returns were read with; None = they were metres.
-            focal_length_px: that the model used; None = none, and it is no cause.
+            depth_scale: units per metre with which the returns were read; None if they were metres.
+            focal_length_px: focal length that the model used; None if it used none, so that the
+                focal length is not the cause.
         """
         if self.ratio is None:
             return self.cause
@@ -64,7 +66,7 @@ class Implausible(NamedTuple):
 
 
 class _Figures(NamedTuple):
-    """Of a frame: log of return / camera-only depth, correlations, smaller spread in a band."""
+    """Log of return / camera-only depth, correlations, and the smaller spread within a band."""
 
     log_ratio: float
     overall: float
@@ -74,16 +76,17 @@ class _Figures(NamedTuple):
 
 
 class DepthPlausibility:
-    """Compares the returns of frames of a stream with the camera-only prediction.
+    """Compares the returns of a stream's frames with the camera-only prediction.
 
-    The last FIRST_FRAMES count, so that a unit that changes is found and an early alarm is cleared.
+    The last FIRST_FRAMES frames count, so that a unit that changes is found, and an early alarm is
+    cleared.
     """
 
     def __init__(self) -> None:
         self._figures: deque[_Figures] = deque(maxlen=FIRST_FRAMES)
 
     def add(self, camera_only: Prediction, sparse_depth: NDArray[np.float32]) -> None:
-        """Add a frame; ignored with few returns, or without camera-only depth.
+        """Add a frame; it is ignored if it has few returns or no camera-only depth.
 
         Args:
             camera_only: prediction from the image of the frame without any return.
@@ -106,7 +109,7 @@ class DepthPlausibility:
         self._figures.append(_Figures(log_ratio, overall, alike, alike_mirrored, spread))
 
     def finding(self) -> Implausible | None:
-        """What is wrong with the last frames; None = nothing, or nothing certain."""
+        """Return the fault of the last frames; None if there is none, or none that is certain."""
         if not self._figures:
             return None
         log_ratio, overall, alike, mirrored, spread = np.median(self._figures, axis=0)
@@ -147,20 +150,20 @@ def _rounded(value: float) -> str:
 def log_depth(
     depth: NDArray[np.float32], row: NDArray[np.intp], column: NDArray[np.intp]
 ) -> NDArray[np.float64]:
-    """Logarithms of a predicted depth at some pixels."""
+    """Logarithms of a predicted depth at these pixels."""
     return np.log(np.maximum(depth[row, column], _LEAST_DEPTH_M, dtype=np.float64))
 
 
 def correlations(
     band: NDArray[np.intp], measured: NDArray[np.float64], seen: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """Correlation of two log depths: as they are, and without the mean of each band of rows."""
+    """Correlation of two log depths, as they are and without the mean of each band of rows."""
     first, second = _in_bands(band, measured), _in_bands(band, seen)
     return correlation(measured, seen), correlation(first, second)
 
 
 def _in_bands(band: NDArray[np.intp], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values without the mean of their band of rows."""
+    """The values minus the mean of their band of rows."""
     count = np.maximum(np.bincount(band, minlength=BANDS), 1)
     return np.asarray(values - (np.bincount(band, values, BANDS) / count)[band])
 

@@ -1,12 +1,12 @@
-"""Checks of the sensors' data of a frame, against the frames before it.
+"""Checks of the sensor data of a frame, compared with the frames before it.
 
 Image: frozen, black, overexposed. LiDAR: missing, empty, frozen, a lost sector (dirt), lost scan
 lines (failed lasers). The usual returns depend on the LiDAR and its mounting, so a stream is
-compared with itself: the returns in 16 columns and in 8 rows of the image, against their running
-means over the frames without a fault, and against how far they usually are from these means, which
-is far for a LiDAR with another pattern in every scan. Scenes change them less than a failure: none
-of 60 frames of KITTI's drive 2011_09_26 is flagged. A part that is missing from the first frame on
-is not detected.
+compared with itself. The returns in 16 columns and 8 rows of the image are compared with their
+running means over the frames without a fault, and with their usual deviation from these means,
+which is large for a LiDAR with a different pattern in every scan. Scenes change the returns less
+than a failure: none of 60 frames of KITTI's drive 2011_09_26 is flagged. A part that is missing
+from the first frame on is not detected.
 """
 
 from typing import Any
@@ -17,34 +17,34 @@ from numpy.typing import NDArray
 
 from runtime.contract.contract import MAX_RETURN_M, farthest_return
 
-IMAGE_FROZEN = "image_frozen"  # the same bytes as the image before
+IMAGE_FROZEN = "image_frozen"  # the same bytes as in the image before
 IMAGE_BLACK = "image_black"  # nearly every pixel is dark
 IMAGE_OVEREXPOSED = "image_overexposed"  # half of the pixels are saturated
-LIDAR_MISSING = "lidar_missing"  # no scan or depth map for the image, although there is a LiDAR
-LIDAR_EMPTY = "lidar_empty"  # its scan or depth map has no return in the image
+LIDAR_MISSING = "lidar_missing"  # no scan or depth map for the image, although the car has a LiDAR
+LIDAR_EMPTY = "lidar_empty"  # the scan or depth map has no return in the image
 LIDAR_FROZEN = "lidar_frozen"  # the same scan at least three times, while the images change
 LIDAR_SECTOR_LOST = "lidar_sector_lost"
 LIDAR_LINES_LOST = "lidar_lines_lost"
 
-_MOST_FIELDS = 32  # a wider array is a depth map
+_MOST_FIELDS = 32  # a wider array is a depth map, not points
 _GLANCE = 16  # every 16th row and column are compared first
 _STEP = 4  # every 4th row and column are checked for brightness
 _DARK, _DARK_SHARE = 12, 0.99  # brightest channel, of 255
 _BRIGHT, _BRIGHT_SHARE = 250, 0.5  # darkest channel
 
 _COLUMNS, _ROWS = 16, 8
-_LEARNED_FROM = 5  # frames before the first check
+_LEARNED_FROM = 5  # frames to learn from before the first check
 _MEMORY = 0.1  # weight of a new frame in the running mean
-# A cell is checked if its mean has so many returns, and this share of all.
+# A cell is checked if its mean has at least so many returns, and this share of all returns.
 _LEAST_RETURNS, _LEAST_SHARE = 30, 0.03
-_CELL_LOST = 0.25  # share of its mean below which a cell is lost
-_TOTAL_LOST = 0.7  # the same of all returns: scan lines that are lost all over the image
-_DEVIATIONS = 3.0  # by so many usual deviations a loss is below the mean
+_CELL_LOST = 0.25  # a cell below this share of its mean is lost
+_TOTAL_LOST = 0.7  # the same for all returns: scan lines that are lost all over the image
+_DEVIATIONS = 3.0  # a loss is below the mean by at least so many usual deviations
 
-_FROZEN_SCANS = 3  # of the same points: a driver may send each scan twice on purpose
+_FROZEN_SCANS = 3  # scans with the same points; a driver may send each scan twice on purpose
 _THUMB = (64, 24)  # width and height of the images that are compared while a scan repeats
-# Mean change of their channels, of 255. A simulator that stands still repeats scans, too; the
-# images of its camera then change by noise alone.
+# Least mean change of their channels, of 255. A simulator that stands still repeats scans, too, but
+# then its images change by noise alone.
 _CHANGED = 2.0
 
 
@@ -52,17 +52,18 @@ class FrameHealth:
     """Check one frame of a stream after another. Not thread-safe.
 
     Args:
-        has_lidar: whether there is one; False: from the first frame with depth on.
+        has_lidar: whether the car has a LiDAR; False: this is assumed from the first frame with
+            depth on.
     """
 
     def __init__(self, *, has_lidar: bool = False) -> None:
         self._has_lidar = has_lidar
         self._before: NDArray[np.uint8] | None = None
-        #: Returns in each column and in each row of cells, and in all.
+        # Returns in each column of cells, in each row of cells, and in all cells.
         self._columns, self._rows, self._total = _Usual(), _Usual(), _Usual()
         self._learned = 0  # frames in the means
-        self._scan: NDArray[np.float32] | None = None  # the last one
-        self._scans = 0  # so many were like it, and the image of the first of them:
+        self._scan: NDArray[np.float32] | None = None  # the last scan
+        self._scans = 0  # number of scans that equal it, and the image of the first of them:
         self._first_image: NDArray[np.uint8] | None = None
 
     def check(
@@ -79,14 +80,15 @@ class FrameHealth:
         Args:
             rgb: uint8 (H, W, 3); it is kept until the next frame and must not be written to.
             sparse_depth: float32 (H, W), metres, 0 = no return.
-            scan: what the LiDAR sent for this image, kept as the image is: the points, float32
-                (N, 3) or wider, or the depth map. None: nothing.
+            scan: the LiDAR's message for this image: points, float32 (N, 3) or wider, or a depth
+                map. It is kept like the image. None: there is no message.
             reused: whether the depth is that of an older image.
             range_m: depth range of the frame; farther depths than `farthest_return` are no returns.
 
         Returns:
-            Of "image_frozen", "image_black", "image_overexposed", "lidar_missing", "lidar_empty",
-            "lidar_frozen", "lidar_sector_lost" and "lidar_lines_lost"; () if nothing is wrong.
+            Some of "image_frozen", "image_black", "image_overexposed", "lidar_missing",
+            "lidar_empty", "lidar_frozen", "lidar_sector_lost" and "lidar_lines_lost"; () if nothing
+            is wrong.
         """
         is_return = (sparse_depth > 0) & (sparse_depth <= farthest_return(range_m))
         before = self._before
@@ -108,10 +110,10 @@ class FrameHealth:
         rgb: NDArray[np.uint8],
         before: NDArray[np.uint8] | None,
     ) -> bool:
-        """Whether the LiDAR sends one scan again and again, while the image changes."""
+        """Whether the LiDAR sends the same scan again and again while the image changes."""
         last, self._scan = self._scan, scan
         is_same = last is not None and last.shape == scan.shape and scan.size > 0
-        # Times and so on in further columns of points may be new.
+        # Further columns of the points, such as times, may differ.
         width = 3 if scan.ndim == 2 and scan.shape[1] < _MOST_FIELDS else None
         if not (
             is_same
@@ -167,21 +169,21 @@ class FrameHealth:
 
 
 class _Usual:
-    """Running means of counts, and their mean squared distance from them."""
+    """Running means of counts, and the mean squared distances of the counts from them."""
 
     def __init__(self) -> None:
         self._mean: NDArray[np.float64] | float = 0.0
         self._square: NDArray[np.float64] | float = 0.0
 
     def learn(self, counts: NDArray[np.float64], weight: float) -> None:
-        """Take the counts of one more frame without a fault."""
+        """Learn from the counts of a frame without a fault."""
         apart = counts - self._mean
         self._mean = self._mean + weight * apart
         if weight < 1:
             self._square = (1 - weight) * (self._square + weight * apart**2)
 
     def lost(self, now: NDArray[np.float64], share: float) -> bool:
-        """Whether a count that is usually high is below this share, and farther off than usual."""
+        """Whether a usually high count is below this share, and unusually far from its mean."""
         mean = np.asarray(self._mean)
         checked = (mean >= _LEAST_RETURNS) & (mean >= _LEAST_SHARE * mean.sum())
         below = mean - now > _DEVIATIONS * np.sqrt(self._square)
@@ -193,6 +195,6 @@ def _thumb(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _cells(counts: NDArray[Any], cells: int) -> NDArray[np.float64]:
-    """Sum the counts of rows or columns over `cells` parts of about the same width."""
+    """Sum the counts of rows or columns in `cells` parts of about the same width."""
     edges = np.arange(cells) * counts.size // cells
     return np.add.reduceat(counts.ravel(), edges).astype(np.float64)

@@ -1,11 +1,11 @@
 """Whether poses describe the motion of the scans that they move.
 
-Two tests, and what each needs to say something. Scans: what stands still must lie closer to the
-scan before when both are moved to one time than when they are not. Tracks: a car drives along one
-axis of its own, also in a turn. Poses are doubted where they fail a test that another reading of
-them passes clearly: quaternions with w first, the inverse, another unit of length; or where scans
-that are moved by them are far worse than scans that are not. A constant shift in time, as between
-the start and the middle of a scan, changes neither, and is not found.
+There are two tests. Scans: successive scans of objects that stand still must fit each other better
+if both are moved to one time. Tracks: a car drives along one of its own axes, even in a turn. Poses
+are reported if they fail a test that another reading of them clearly passes: quaternions with w
+first, the inverse, or another unit of length. They are also reported if scans that they move fit
+far worse than scans that are not moved. A constant shift in time, such as that between the start
+and the middle of a scan, changes neither test, and is not found.
 """
 
 from collections.abc import Callable
@@ -20,15 +20,15 @@ from runtime.geometry.poses import NoPoseError, PoseTrack, rotations
 from runtime.geometry.returns import is_return
 from runtime.streams.frame import Frame
 
-_POINTS = 6000  # of a scan that are compared
-_CELL_RAD = np.radians(0.5)  # in which two returns are of one direction
-_LEAST_SHARED = 300  # returns
+_POINTS = 6000  # points of a scan that are compared
+_CELL_RAD = np.radians(0.5)  # two returns within a cell have the same direction
+_LEAST_SHARED = 300  # least number of returns with a shared direction
 _APART_M, _APART_NS = 2.0, 500_000_000  # motion or time between two scans that are compared
-_KNOWN, _ENOUGH = 3, 12  # comparisons that a verdict needs, and after which no more are made
-# Ratios of medians of |log range ratio|. Drive 0009 of KITTI, 3 m apart: right 0.010, not moved
-# 0.018 to 0.048, inverse 0.056 to 0.074.
+_KNOWN, _ENOUGH = 3, 12  # comparisons before a verdict, and before no more are made
+# Ratios of medians of |log range ratio|. In drive 0009 of KITTI, with scans 3 m apart, the median
+# is 0.010 with the right poses, 0.018 to 0.048 without moving, and 0.056 to 0.074 with the inverse.
 _BETTER, _FAR_WORSE, _SAME = 0.7, 3.0, 1.1
-_MOST_POSES = 2000  # that are kept of a live stream
+_MOST_POSES = 2000  # poses of a live stream that are kept
 _STEPS, _LEAST_TRAVEL_M = 30, 2.0
 _TURNED_RAD, _ALIKE = np.radians(3.0), 1 / 3  # spread of the direction of travel
 
@@ -49,7 +49,7 @@ def _inverse(track: PoseTrack) -> PoseTrack:
     return replace(track, quaternions=track.quaternions * (1, -1, -1, -1), positions=positions)
 
 
-#: Another reading of poses, in words -> the poses read so.
+#: Other readings of poses, in words, and the functions that read poses so.
 READINGS: dict[str, Reading] = {
     "as their inverse": _inverse,
     "with w as the first number of the quaternions": _w_first,
@@ -64,14 +64,15 @@ class PosePlausibility:
 
     def __init__(self) -> None:
         self._before: Frame | None = None
-        #: Log of the error of each reading; "" is that of the poses as they are.
+        # Logarithms of the errors of each reading; "" stands for the poses as they are.
         self._errors: list[dict[str, float]] = []
-        self._track: PoseTrack | None = None  # of all frames so far
+        self._track: PoseTrack | None = None  # poses of all frames so far
 
     def add(self, frame: Frame) -> bool:
         """Add a frame, and return whether `finding` may have changed.
 
-        A frame without a scan of its own or poses is ignored, and so are all after enough of them.
+        A frame without poses or a scan of its own is ignored, and so is each frame after enough
+        frames were compared.
         """
         own = frame.own_depth
         if len(self._errors) >= _ENOUGH or own is None or frame.poses is None:
@@ -92,7 +93,7 @@ class PosePlausibility:
         return True
 
     def finding(self) -> str | None:
-        """Why the poses cannot be right, and what may be; None = nothing was found."""
+        """Return why the poses cannot be right, and the likely cause; None = nothing was found."""
         return self._by_scans() or self._by_track()
 
     def _by_scans(self) -> str | None:
@@ -102,7 +103,7 @@ class PosePlausibility:
             name: float(np.median([e[name] for e in self._errors])) for name in self._errors[0]
         }
         given, still = error.pop(""), error.pop("still")
-        # On a straight way some readings are the same: the first.
+        # On a straight road some readings give the same result; the first of them counts.
         best = next(name for name in error if error[name] <= _SAME * min(error.values()))
         figures = f"{given:.1%} of the range apart, not moved {still:.1%}"
         if error[best] < _BETTER * min(given, still):
@@ -133,7 +134,7 @@ class PosePlausibility:
 
 
 def _joined(first: PoseTrack, second: PoseTrack) -> PoseTrack:
-    """Both tracks as one, the poses that both have once; at most `_MOST_POSES` are kept."""
+    """Both tracks as one, without duplicates; at most `_MOST_POSES` poses are kept."""
     new = ~np.isin(second.stamps_ns, first.stamps_ns)
     stamps = np.concatenate([first.stamps_ns, second.stamps_ns[new]])
     order = np.argsort(stamps, kind="stable")[-_MOST_POSES:]
@@ -146,7 +147,7 @@ def _joined(first: PoseTrack, second: PoseTrack) -> PoseTrack:
 
 
 def _compare(before: Frame, frame: Frame, track: PoseTrack) -> dict[str, float] | None:
-    """Error of each reading between two scans; None where they are too near, or not to compare."""
+    """Return the error of each reading; None if the scans are too near or cannot be compared."""
     to = frame.image.stamp_ns
     from_ns = before.image.stamp_ns
     scans = [_sampled(each.depth.data) for each in (before, frame) if each.depth is not None]
@@ -177,7 +178,7 @@ def _sampled(scan: Scan) -> tuple[NDArray[np.float32], NDArray[np.int64] | int]:
 
 
 def _error(first: NDArray[np.float32], second: NDArray[np.float32]) -> float | None:
-    """Median of |log(range / range)| of returns in one direction; None of too few."""
+    """Return the median of |log(range / range)| over shared directions; None if too few."""
     keys, ranges = zip(
         *(_directions(each[is_return(each)]) for each in (first, second)), strict=True
     )
@@ -191,7 +192,7 @@ def _error(first: NDArray[np.float32], second: NDArray[np.float32]) -> float | N
 
 
 def _directions(points: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The cell of the direction of each return, and its range."""
+    """The cell of each return's direction, and its range."""
     x, y, z = points.T.astype(np.float64)
     ranges = np.sqrt(x * x + y * y + z * z)
     turn = np.rint(np.arctan2(y, x) / _CELL_RAD).astype(np.int64)
@@ -200,7 +201,7 @@ def _directions(points: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray
 
 
 def _spread(track: PoseTrack) -> float | None:
-    """How far the direction of travel turns in the moving frame, RMS [rad]; None: unknown."""
+    """RMS deviation of the direction of travel in the moving frame [rad]; None if unknown."""
     moved = np.linalg.norm(np.diff(track.positions, axis=0), axis=1)
     way = np.concatenate([[0.0], np.cumsum(moved)])
     if len(way) < 3 or way[-1] < _LEAST_TRAVEL_M:

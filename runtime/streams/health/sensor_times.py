@@ -1,4 +1,4 @@
-"""What the stamps of two sensors show by themselves: a sensor that was silent, two clocks."""
+"""Faults that the stamps of two sensors show: a silent sensor, or two different clocks."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,27 +8,27 @@ from numpy.typing import NDArray
 
 from runtime.base.stamp import NS_PER_MS
 
-#: A sensor is silent from so long without a message on, and not before _PERIODS of its periods.
+#: A sensor is silent after so long without a message, but not before `_PERIODS` of its periods.
 SILENT_NS = 500 * NS_PER_MS
 _PERIODS = 3.0
-_LEAST_OFFSETS = 3  # of a sensor
+_LEAST_OFFSETS = 3  # least number of messages of each sensor
 
 
 def find_silences(
     stamps_ns: NDArray[np.int64] | Sequence[int], first_ns: int, last_ns: int
 ) -> list[tuple[int, int]]:
-    """Return when a sensor sent nothing, as (from, to) [ns].
+    """Return the times in which a sensor sent nothing, as (from, to) [ns].
 
     Args:
-        stamps_ns: of its messages, in any order.
-        first_ns: start of the recording, also of its other sensors.
-        last_ns: its end.
+        stamps_ns: stamps of its messages, in any order.
+        first_ns: start of the recording, over all sensors.
+        last_ns: end of the recording, over all sensors.
     """
     stamps = np.unique(np.asarray(stamps_ns, np.int64))
     if not stamps.size:
         return []
     intervals = np.diff(stamps)
-    # Of a quarter that may be gaps themselves.
+    # Up to a quarter of the intervals may be gaps themselves.
     period_ns = float(np.percentile(intervals, 75, method="lower")) if intervals.size else 0.0
     longest_ns = max(SILENT_NS, _PERIODS * period_ns)
     edges = np.concatenate([[min(first_ns, stamps[0])], stamps, [max(last_ns, stamps[-1])]])
@@ -44,13 +44,13 @@ def clocks_apart_s(
 
     Args:
         image_ns: stamp - time of recording of each image [ns].
-        depth_ns: the same of the depth.
-        period_ns: of the depth.
-        is_scan: whether it comes from scans: they are recorded when they end, so up to a period
-            after a stamp that marks their start.
+        depth_ns: the same for the depth.
+        period_ns: period of the depth.
+        is_scan: whether the depth comes from scans. A scan is recorded when it ends, so up to a
+            period after a stamp that marks its start.
 
     Returns:
-        None where the difference is at most half a period: the time that drivers take.
+        Seconds, or None if the difference is at most half a period, which drivers may take.
     """
     if min(len(image_ns), len(depth_ns)) < _LEAST_OFFSETS:
         return None
@@ -61,6 +61,6 @@ def clocks_apart_s(
 
 
 def period_ns_of(stamps_ns: Any, default_ns: float) -> float:
-    """The median interval of stamps in any order."""
+    """Return the median interval of stamps in any order."""
     intervals = np.diff(np.unique(np.asarray(stamps_ns, np.int64)))
     return float(np.median(intervals)) if intervals.size else default_ns
