@@ -1,4 +1,4 @@
-"""`calibrate`: whether the rotation of a calibration is right, and by how much it is off."""
+"""`calibrate`: whether the rotation of a calibration is right, and how far it is off."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -24,21 +24,22 @@ from runtime.streams.frame import Frame
 
 _HEADS = ("boundary", "depth")
 _LEAST_FRAMES = 3
-_LEAST_EDGE = 0.02  # edge figure, median; right calibrations have 0.07 to 0.16
-_THUMBNAIL = 64, 24  # columns and rows of the predicted boundary that tell scenes apart
-_FAR_M = 3.0  # a position beyond it may be of another unit
-# What standard errors do not hold, yaw, pitch and roll [degrees], 95 %, from rigs whose calibration
-# is known (benchmarks/calibration.py): a deviation of the network that is the same on all frames,
-# and one that is the same on frames of one scene, and averages out over several. That of pitch
-# follows from how far apart the two figures put it: in a queue of trucks up to 1.3 degrees.
+_LEAST_EDGE = 0.02  # least median of the edge figure; correct calibrations have 0.07 to 0.16
+_THUMBNAIL = 64, 24  # columns and rows of the boundary by which scenes are told apart
+_FAR_M = 3.0  # a position beyond this may have another unit
+# What standard errors do not contain, for yaw, pitch and roll [degrees], 95 %, from rigs whose
+# calibration is known (benchmarks/calibration.py). One part is a deviation of the network that is
+# the same in all frames. The other is the same in the frames of one scene and averages out over
+# several scenes. For pitch it follows from the distance between the pitch angles of the two
+# figures, which is up to 1.3 degrees in a queue of trucks.
 _FLOOR_DEGREES = np.array([0.25, 0.4, 0.6])
 _SCENE_YAW, _SCENE_ROLL, _SCENE_PITCH_APART = 0.5, 2.9, 2.0
-# An axis is seen if 95 % of the answers lie within this.
+# An axis counts as seen if 95 % of the answers lie within this.
 _SEEN_DEGREES = np.array([1.0, 1.2, 2.0])
 
 
 class Verdict(StrEnum):
-    """What the frames of a recording show of its calibration."""
+    """What the frames of a recording show about its calibration."""
 
     RIGHT = "right"
     OFF = "off"
@@ -48,27 +49,27 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class CalibrationResult:
-    """What `calibrate` found, for the position and the intrinsics that the calibration states.
+    """What `calibrate` found, given the position and the intrinsics of the calibration.
 
     Attributes:
-        verdict: in a word.
-        reason: the same in a sentence.
+        verdict: the result in one word.
+        reason: the result in a sentence.
         given: the calibration of the recording.
-        refined: the calibration to use: `given` if it is right, the corrected one if it is off,
-            None if the frames do not show it.
+        refined: the calibration to use: `given` if it is right, a corrected one if it is off, None
+            if the frames do not show it.
         off_degrees: float64 (3,), yaw, pitch and roll by which the returns lie too far to the
-            right, too high, and too far clockwise in the image; None without evidence. After a
-            mistake that has a name, what remains without it.
-        within_degrees: float64 (3,), uncertainty of each, 95 %; infinite for an axis that these
-            frames do not show.
-        mistake: one of the usual mistakes, in words, that seems to have been made; None: none.
-        before: edge and depth figure of the given calibration, medians over the frames.
-        after: the same of the refined one.
+            right, too high, and too far clockwise in the image; None without evidence. If a usual
+            mistake was found, these are the angles that remain without it.
+        within_degrees: float64 (3,), uncertainty of each angle, 95 %; infinite for an axis that
+            these frames do not show.
+        mistake: a usual mistake, in words, that seems to have been made; None if there is none.
+        before: edge and depth figure with the given calibration, medians over the frames.
+        after: edge and depth figure with the refined calibration.
         range_m: distance at which an error of position looks like one of rotation, see
             `alternatives`.
-        frames: names of the frames that counted.
+        frames: names of the frames that were compared.
         scenes: effective number of scenes among them, see `count_scenes`.
-        example: one of them, to be drawn.
+        example: one of the frames, to be drawn.
     """
 
     verdict: Verdict
@@ -113,18 +114,21 @@ def calibrate(
 ) -> CalibrationResult:
     """Check and refine the rotation between the LiDAR and the camera of a recording.
 
-    The model answers each image alone. Returns where the scan jumps to something farther must lie
-    on boundaries that it sees, and its depth must correlate with that of the returns. The images
-    must first be paired with their own scans. Position and intrinsics are taken as they are.
+    The model predicts from each image alone. Returns where the scan jumps to something farther must
+    lie on boundaries that the model sees, and the predicted depth must correlate with that of the
+    returns. First, the images must be paired with their own scans. Position and intrinsics are
+    assumed to be right.
 
     Args:
-        source: with scans and a calibration.
-        predictor: of a model with boundary and depth that was not adapted with this calibration.
-        frames: how many to look at, 3 to 1000; more make the answer surer.
-        on_frame: called when one of them is done.
+        source: a recording with scans and a calibration.
+        predictor: predictor of a model with boundary and depth, which was not adapted with this
+            calibration.
+        frames: number of frames to compare, 3 to 1000; more frames give a smaller uncertainty.
+        on_frame: called after each frame.
 
     Raises:
-        InputError: for a model without these heads, and a recording without scans or calibration.
+        InputError: if the model lacks one of these heads, or the recording lacks scans or a
+            calibration.
     """
     check_integer("frames", frames, _LEAST_FRAMES, 1000, error=InputError)
     if missing := [head for head in _HEADS if head not in predictor.heads]:
@@ -159,12 +163,12 @@ def judge(
     given: Calibration,
     example: Frame,
 ) -> CalibrationResult:
-    """Return the verdict: the pairing first, then usual mistakes, then the rotation.
+    """Return the verdict: the pairing is judged first, then usual mistakes, then the rotation.
 
     Args:
-        views: of frames in order.
-        scans: their points, float32 (N, 3) or wider, LiDAR frame.
-        neighbours: points of the scans before and after each.
+        views: views of the frames, in order.
+        scans: the frames' points, float32 (N, 3) or wider, LiDAR frame.
+        neighbours: points of the scans before and after each frame.
         given: calibration of the recording.
         example: one of the frames.
     """
@@ -212,7 +216,7 @@ def judge(
 def _decide(
     found: CalibrationResult, best: Optimum | None, start: Calibration
 ) -> CalibrationResult:
-    """Add the verdict on the rotation. start: the calibration that `best` turns."""
+    """Add the verdict on the rotation; `start` is the calibration that `best` turns."""
     count = len(found.frames)
     if best is None:
         reason = f"not visible: {count} frames have structure, at least {_LEAST_FRAMES} are needed"
@@ -258,9 +262,10 @@ def _decide(
 def uncertainty_of(
     best: Optimum, frames: int, scenes: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the two parts of the uncertainty, yaw, pitch and roll, 95 %, degrees.
+    """Return the two parts of the uncertainty of yaw, pitch and roll, 95 %, degrees.
 
-    The first follows from how the frames differ, the second is the floor: what they have in common.
+    The first part follows from the differences between the frames. The second is the floor, which
+    all frames have in common.
     """
     freedom = frames - 1
     errors = 1.96 + 2.4 / freedom + 4.5 / freedom**2  # Student's, 95 %
@@ -271,8 +276,8 @@ def uncertainty_of(
 def count_scenes(views: Sequence[View]) -> float:
     """Return the effective number of scenes, 1 to the number of views.
 
-    It is n^2 / sum(r), with r the correlation of the predicted boundaries of each two frames
-    after the mean of each row, which is similar on all roads, is subtracted.
+    It is n^2 / sum(r), where r are the correlations of the predicted boundaries of all pairs of
+    frames. Before that the mean of each row, which is similar on all roads, is subtracted.
     """
     if not views:
         return 1.0
@@ -290,6 +295,6 @@ def _median(views: list[View], angles: NDArray[np.float64]) -> Figures:
 
 
 def _shift_range(views: list[View]) -> float:
-    """Where a shift moves the jumps, on average, as a turn does: the harmonic mean of depths."""
+    """Depth at which a shift moves the jumps like a turn: the harmonic mean of their depths."""
     depths = [view.jumps[:, 2] for view in views if len(view.jumps)]
     return float(1 / np.mean(1 / np.maximum(np.concatenate(depths), 1))) if depths else np.inf

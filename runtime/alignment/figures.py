@@ -1,8 +1,8 @@
-"""How well returns fit the image under a trial rotation: two figures, from the image alone.
+"""Two figures for how well returns fit the image under a trial rotation.
 
-The edge figure is the mean boundary probability at the jumps of the scan minus that at all returns.
-The depth figure is the correlation of the logarithms of the returns' depth and of the depth that
-the network predicts from the image alone. Both are largest where the rotation is right.
+The edge figure is the mean boundary probability at the jumps of the scan, minus the mean at all
+returns. The depth figure is the correlation of the logarithms of the returns' depths and of the
+depths that the network predicts from the image alone. Both are largest at the right rotation.
 """
 
 from collections.abc import Iterable, Sequence
@@ -16,15 +16,15 @@ from runtime.geometry.lens import as_key, ray_bounds
 from runtime.streams.health.depth_plausibility import correlation
 
 AXES = ("yaw", "pitch", "roll")
-BLUR = 2 / 375  # of the boundary, in heights of the image, where figures are compared
-_LEAST = 30  # returns, or jumps, inside the image
+BLUR = 2 / 375  # blur of the boundary for the comparison of figures, in image heights
+_LEAST = 30  # least number of returns, or jumps, inside the image
 _NEAREST_M = 0.1
 
 Angles = Sequence[float] | NDArray[np.float64]
 
 
 class Figures(NamedTuple):
-    """The edge and the depth figure of a view; 0 where too few returns are inside the image."""
+    """The edge and the depth figure of a view; 0 if too few returns are inside the image."""
 
     edge: float
     alike: float

@@ -1,4 +1,4 @@
-"""The usual mistakes of extrinsics by name: which of them makes the returns fit the image."""
+"""The usual mistakes in extrinsics, by name, and which of them makes the returns fit the image."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from runtime.alignment.figures import figures_of
 from runtime.alignment.view import View
 
-ALIKE = 0.5  # depth figure, median, from which returns fit: right 0.57 and more, wrong up to 0.07
-_LEAST_GAIN = 0.1  # of the sum of both figures over that as given
+ALIKE = 0.5  # least median depth figure of returns that fit; right 0.57 and more, wrong up to 0.07
+_LEAST_GAIN = 0.1  # least gain of the sum of both figures over the given calibration
 _FRAMES = 5
-#: From axes of a LiDAR or vehicle (x ahead, y left, z up) to those of a camera.
+#: From the axes of a LiDAR or vehicle (x ahead, y left, z up) to those of a camera.
 _TO_CAMERA = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 
 _Matrix = NDArray[np.float64]
@@ -24,7 +24,7 @@ class Mistake(NamedTuple):
 
     Attributes:
         text: what seems to be wrong.
-        extrinsics: without the mistake, of the calibration that was given.
+        extrinsics: the given extrinsics without the mistake.
     """
 
     text: str
@@ -54,13 +54,13 @@ def usual_mistakes(given: _Matrix) -> Iterator[Mistake]:
 
 
 def find_mistake(views: Sequence[View], scans: Sequence[NDArray[np.float32]]) -> int | None:
-    """Return which of `usual_mistakes` seems to have been made, by its place; None: none of them.
+    """Return the index in `usual_mistakes` of the mistake that seems to have been made, or None.
 
-    Without it the returns fit the images clearly better.
+    Without this mistake the returns fit the images clearly better.
 
     Args:
-        views: of some frames, also with no return in the image.
-        scans: the points of each, float32 (N, 3) or wider.
+        views: views of some frames, which may have no return in the image.
+        scans: the points of each frame, float32 (N, 3) or wider.
     """
     step = -(-len(views) // _FRAMES)
     views, scans = views[::step], scans[::step]
@@ -79,14 +79,14 @@ def find_mistake(views: Sequence[View], scans: Sequence[NDArray[np.float32]]) ->
 
 
 def _fit(views: Sequence[View]) -> tuple[float, float]:
-    """The sum of both figures, and the depth figure, medians; 0 where returns miss the image."""
+    """Medians of the sum of both figures and of the depth figure; 0 if returns miss the image."""
     figures = [figures_of(view) if view.has_structure else (0.0, 0.0) for view in views]
     edges, alike = np.array(figures).T
     return float(np.median(edges + alike)), float(np.median(alike))
 
 
 def _quarters(axis: int, count: int) -> _Matrix:
-    """A turn by so many quarters about an axis of the LiDAR."""
+    """A rotation by so many quarter turns about an axis of the LiDAR."""
     first, second = (each for each in range(3) if each != axis)
     sine, cosine = (0, 1, 0, -1)[count], (1, 0, -1, 0)[count]
     turn = np.eye(4)

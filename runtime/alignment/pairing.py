@@ -1,4 +1,4 @@
-"""Whether images have their own scans: a neighbouring scan must not fit them better."""
+"""Whether images are paired with their own scans: a neighbouring scan must not fit them better."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ from runtime.alignment.search import find_coarse
 from runtime.alignment.view import View
 
 _LEAST_FRAMES, _MOST_FRAMES = 3, 10
-_LEAST_GAIN, _ERRORS = 0.02, 2.0  # of the sum of both figures; in its standard errors
+_LEAST_GAIN, _ERRORS = 0.02, 2.0  # of the sum of both figures, and in its standard errors
 
 Neighbours = tuple[NDArray[np.float32] | None, NDArray[np.float32] | None]
 
@@ -18,13 +18,13 @@ Neighbours = tuple[NDArray[np.float32] | None, NDArray[np.float32] | None]
 def find_pairing_fault(
     views: Sequence[View], neighbours: Sequence[Neighbours], angles: NDArray[np.float64]
 ) -> str | None:
-    """Return why the scans seem to be those of other images; None: they seem to be their own.
+    """Return why the scans seem to belong to other images; None if they seem to be the images' own.
 
     Args:
-        views: of frames in order.
-        neighbours: points of the scans before and after each.
-        angles: where the frames' own scans fit best, see `find_coarse`: the scans beside them are
-            turned, too, to where they fit best.
+        views: views of the frames, in order.
+        neighbours: points of the scans before and after each frame.
+        angles: the rotation at which the frames' own scans fit best, see `find_coarse`. Each
+            neighbouring scan is turned to where it fits best, too.
     """
     step = -(-len(views) // _MOST_FRAMES)
     for beside, word in enumerate(("before", "after")):

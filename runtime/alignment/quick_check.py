@@ -1,4 +1,4 @@
-"""The cheap check of a calibration in a run: its first frames as given, and turned by a degree."""
+"""The cheap check of a calibration in a run: the first frames as given, and turned by a degree."""
 
 from enum import StrEnum
 from typing import NamedTuple
@@ -13,9 +13,9 @@ from runtime.engine.prediction import Prediction
 from runtime.streams.frame import Frame
 
 _TURN_DEGREES = 1.0
-# Of the sum of both figures, median of up to five frames. On KITTI, PandaSet and View-of-Delft a
-# degree lowers it by 0.01 to 0.08 in yaw and pitch; in roll, which is not judged, by 0 to 0.02.
-# A single scene may gain up to 0.02 although its calibration is right.
+# Least difference of the sum of both figures, the median of up to five frames. On KITTI, PandaSet
+# and View-of-Delft a degree lowers the sum by 0.01 to 0.08 in yaw and pitch, and by 0 to 0.02 in
+# roll, which is not judged. A single scene may gain up to 0.02 although its calibration is right.
 _LEAST_LOSS, _LEAST_GAIN = 0.005, 0.03
 _JUDGED = AXES[:2]
 
@@ -29,13 +29,13 @@ class Fit(StrEnum):
 
 
 class QuickFinding(NamedTuple):
-    """How the returns of the first frames fit the image.
+    """How well the returns of the first frames fit the image.
 
     Attributes:
-        fit: what they show.
-        frames: how many counted.
+        fit: what the frames show.
+        frames: number of frames that were compared.
         figure: sum of the edge and the depth figure as given, median.
-        turned: axis -> the same, turned by -1 and by +1 degree.
+        turned: for each axis, the same sum after a turn by -1 and by +1 degree.
         text: the finding in a sentence.
     """
 
@@ -54,7 +54,7 @@ class QuickCheck:
         self._scanned: list[tuple[View, NDArray[np.float32]]] = []
 
     def add(self, frame: Frame, camera_only: Prediction) -> None:
-        """Add a frame; ignored without a scan or a calibration."""
+        """Add a frame; it is ignored if it has no scan or no calibration."""
         view, points = view_of(frame, camera_only), points_in_time(frame)
         if view is None or points is None:
             return
@@ -63,7 +63,7 @@ class QuickCheck:
             self._views.append(view)
 
     def mistake(self) -> str | None:
-        """The usual mistake without which the returns would fit the images; None: none of them."""
+        """The usual mistake without which the returns would fit the images, or None."""
         if not self._scanned:
             return None
         views, scans = (list(each) for each in zip(*self._scanned, strict=True))
@@ -73,7 +73,7 @@ class QuickCheck:
         return list(usual_mistakes(views[0].calibration.extrinsics))[place].text
 
     def finding(self) -> QuickFinding | None:
-        """What the frames show; None if none could be judged."""
+        """What the frames show; None if none of them could be judged."""
         if not self._views:
             return None
         given = totals(self._views, (0, 0, 0))

@@ -1,4 +1,4 @@
-"""The rotation at which returns fit the image best, and how surely these frames show it."""
+"""The rotation at which returns fit the image best, and its uncertainty."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 from runtime.alignment.figures import figures_of, totals
 from runtime.alignment.view import View
 
-#: Blur of the boundaries, in heights of the image; step of yaw and pitch [degrees]; most moves.
+#: Blur of the boundaries in image heights, step of yaw and pitch [degrees], largest number of
+#: moves.
 _COARSE = ((8 / 375, 1.5, 4), (5 / 375, 0.75, 4))
 _FINE = ((3 / 375, 0.5, 3), (2 / 375, 0.3, 3))
-_ROLL_STEP = 2.5  # steps of roll, which moves returns less, are so many times as large
+_ROLL_STEP = 2.5  # steps of roll are so many times as large, because it moves returns less
 _LONGEST_MOVE, _ARRIVED = 1.5, 0.3  # in steps
-# Where the sum is computed around a place, in steps: it, the sides and the corners of a cube.
+# Places around the current one at which the sum is computed, in steps: the place itself, and the
+# sides and corners of a cube.
 _CUBE = np.array(
     [(0, 0, 0)]
     + [way * side for side in np.eye(3) for way in (-1, 1)]
@@ -27,19 +29,19 @@ _TERMS = np.column_stack(
 )
 _FIT = np.linalg.pinv(_TERMS)
 _RESAMPLES, _BLOCKS = 200, 10  # of the bootstrap; frames are drawn in at most so many blocks
-_FARTHEST_STEPS = 15.0  # where the parabola of a resample has no maximum near
+_FARTHEST_STEPS = 15.0  # used if the parabola of a resample has no maximum nearby
 
 _Floats = NDArray[np.float64]
 
 
 class Optimum(NamedTuple):
-    """Where the mean of both figures is largest.
+    """The rotation at which the mean of both figures is largest.
 
     Attributes:
         angles: float64 (3,), yaw, pitch and roll [degrees] by which returns are turned.
-        error: float64 (3,), standard error [degrees] by a bootstrap over blocks of frames; large
-            where there is no maximum.
-        apart: float64 (3,), distance [degrees] of the maxima of the two figures, each alone.
+        error: float64 (3,), standard error [degrees] from a bootstrap over blocks of frames; large
+            if there is no maximum.
+        apart: float64 (3,), distance [degrees] between the maxima of the two figures.
     """
 
     angles: _Floats
@@ -56,8 +58,8 @@ def find_rotation(views: Sequence[View], start: _Floats | None = None) -> Optimu
     """Return the best rotation near the given one, and its standard error.
 
     Args:
-        views: of the frames, in order.
-        start: angles (3,) of `find_coarse`; None: found first.
+        views: views of the frames, in order.
+        start: angles (3,) that `find_coarse` returned; None: they are found first.
     """
     angles = _climb(views, find_coarse(views) if start is None else start, _FINE)
     blur, step, _ = _FINE[-1]
@@ -75,7 +77,7 @@ def find_rotation(views: Sequence[View], start: _Floats | None = None) -> Optimu
 def _climb(
     views: Sequence[View], angles: _Floats, levels: Sequence[tuple[float, float, int]]
 ) -> _Floats:
-    """Move to the maximum of a parabola through the sums around, again and again."""
+    """Move repeatedly to the maximum of a parabola through the sums around the current place."""
     for blur, step, moves in levels:
         for _ in range(moves):
             move = _best_of(_FIT @ _around(views, angles, blur, step).mean(axis=0))
@@ -97,7 +99,7 @@ def _around(views: Sequence[View], angles: _Floats, blur: float, step: float) ->
 
 
 def _best_of(terms: _Floats) -> _Floats:
-    """Where the parabola of these ten terms is largest, in steps; uphill if it has no maximum."""
+    """Where the parabola with these ten terms is largest, in steps; uphill if it has no maximum."""
     slope, bend = terms[1:4], np.zeros((3, 3))
     for (row, column), term in zip(_PAIRS, terms[4:], strict=True):
         bend[row, column] += term
@@ -119,7 +121,8 @@ def _bootstrap(sums: _Floats) -> _Floats:
     random = np.random.default_rng(0)
     drawn = random.integers(len(blocks), size=(_RESAMPLES, len(blocks)))
     places = np.stack([_best_of(terms[each].sum(axis=0)) for each in drawn])
-    # Quantiles, since a few resamples have no maximum; a normal distribution has 2 between them.
+    # Quantiles are used because a few resamples have no maximum. In a normal distribution two
+    # standard errors lie between them.
     low, high = np.quantile(places, [0.16, 0.84], axis=0)
     few = np.sqrt(len(blocks) / (len(blocks) - 1))
     return np.asarray((high - low) / 2 * few)

@@ -1,4 +1,4 @@
-"""Which frames of a recording are looked at: spread over it, those with structure preferred."""
+"""Choice of the frames that are compared: spread over a recording, with structure preferred."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,18 +11,18 @@ from runtime.base.errors import InputError
 from runtime.recordings.source import ListedFrame, Source
 from runtime.streams.frame import Frame
 
-_CANDIDATES = 2  # frames that are read for each that is taken
+_CANDIDATES = 2  # frames that are read for each chosen one
 _Points = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """A frame, its scan, and those before and after it.
+    """A frame, its scan, and the scans before and after it.
 
     Attributes:
-        frame: with image, scan and calibration.
-        points: of its scan, at the time of the image.
-        neighbours: points of the scan before and of the one after; None: there is none.
+        frame: the frame, with image, scan and calibration.
+        points: points of its scan, at the time of the image.
+        neighbours: points of the scan before and of the one after; None if there is no such scan.
     """
 
     frame: Frame
@@ -31,11 +31,11 @@ class Chosen:
 
 
 def choose_frames(source: Source, count: int) -> Iterator[Chosen]:
-    """Yield frames that are spread over a recording, each the best of some in its part.
+    """Yield frames that are spread over a recording, each the best of several in its part.
 
     Args:
-        source: with scans and a calibration.
-        count: of frames.
+        source: a recording with scans and a calibration.
+        count: number of frames.
 
     Raises:
         InputError: if the recording has no scans, or no calibration.
@@ -66,7 +66,7 @@ def _read(
         return None
     try:
         frame = source.read(listed[place])
-    except InputError:  # damaged; the others count
+    except InputError:  # the frame is damaged; others can be used
         return None
     if (points := points_in_time(frame)) is None or frame.calibration is None:
         raise InputError(
@@ -78,7 +78,7 @@ def _read(
 
 def _structure(frame: Frame, points: _Points) -> float:
     """Return how much structure a frame has: its jumps, times the spread of the log ranges."""
-    assert frame.calibration is not None  # checked when it was read
+    assert frame.calibration is not None  # checked when the frame was read
     returns, jumps = find_structure(points, frame.calibration, frame.size)
     spread = np.log(np.linalg.norm(returns, axis=1)).std() if len(returns) else 0.0
     return len(jumps) * float(spread)

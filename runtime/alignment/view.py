@@ -1,7 +1,7 @@
 """A frame as the check of a calibration sees it: returns, jumps of the scan, camera-only answers.
 
-A jump is a return beside which, on the same scan line, another return lies clearly farther: there
-an object ends, and the network sees a boundary in the image. Ranges are those of the LiDAR.
+A jump is a return with a clearly farther return beside it on the same scan line. An object ends
+there, and the network sees a boundary in the image. Ranges are measured from the LiDAR.
 """
 
 from dataclasses import dataclass, field, replace
@@ -20,12 +20,12 @@ from runtime.geometry.poses import NoPoseError
 from runtime.geometry.returns import is_return
 from runtime.streams.frame import Frame
 
-LEAST_JUMPS, LEAST_RETURNS = 60, 500  # of a view; with fewer nothing is computed
+LEAST_JUMPS, LEAST_RETURNS = 60, 500  # with fewer in a view, nothing is computed
 _MOST_JUMPS, _MOST_RETURNS = 2500, 4000  # more are subsampled
 _NEAREST_M, _LEAST_DEPTH_M = 1.0, 0.1
-_ROWS = 375  # answers with twice as many rows are shrunk: the network sees no finer boundary
-_MARGIN = 0.12  # of the rays beyond the image, about 7 degrees: a trial rotation moves them into it
-_LINE_RAD, _ACROSS = 0.02, 8  # neighbours lie so near along a scan line, and an eighth across it
+_ROWS = 375  # answers with twice as many rows are shrunk; the network sees no finer boundary
+_MARGIN = 0.12  # of rays beside the image, about 7 degrees: trials move them into it
+_LINE_RAD, _ACROSS = 0.02, 8  # how near neighbours are along a scan line; across it an eighth
 _JUMP_M, _JUMP_SHARE = 0.5, 0.05  # a neighbour is farther by this, or by this share of the range
 _STEPS = (1, 2, 3)  # neighbours on a line that are compared
 
@@ -37,13 +37,15 @@ class View:
     """The returns of a frame near its image, and what the network sees in the image alone.
 
     Attributes:
-        name: of the frame.
-        returns: float32 (N, 3), metres, axes of the camera, origin of the LiDAR; a sample.
-        jumps: the same of the returns that are jumps.
-        calibration: as given.
+        name: name of the frame.
+        returns: a sample of the returns, float32 (N, 3), metres, axes of the camera, origin of the
+            LiDAR.
+        jumps: a sample of the returns that are jumps, like `returns`.
+        calibration: the given calibration.
         size: (height, width) of the image.
-        boundary: float32 (H, W), probability; one for each `shrink` x `shrink` pixels of the image.
-        log_depth: float32 (H, W), logarithm of metres.
+        boundary: float32 (H, W), probability; one value for each `shrink` x `shrink` pixels of the
+            image.
+        log_depth: float32 (H, W), logarithm of the depth in metres.
     """
 
     name: str
@@ -57,7 +59,7 @@ class View:
 
     @property
     def shrink(self) -> int:
-        """Pixels of the image, along a side, for each of `boundary`."""
+        """Side, in pixels of the image, of the square that one value of `boundary` covers."""
         return shrink_of(self.size)
 
     @property
@@ -66,7 +68,7 @@ class View:
         return len(self.jumps) >= LEAST_JUMPS and len(self.returns) >= LEAST_RETURNS
 
     def with_scan(self, points: _Points, calibration: Calibration | None = None) -> Self:
-        """The view with another scan, float32 (N, 3) or wider, or with another calibration."""
+        """The view with another scan, float32 (N, 3) or wider, or another calibration."""
         calibration = calibration or self.calibration
         returns, jumps = find_structure(points, calibration, self.size)
         return replace(self, returns=returns, jumps=jumps, calibration=calibration)
@@ -83,11 +85,12 @@ def view_of(frame: Frame, camera_only: Prediction) -> View | None:
     """Return the view of a frame.
 
     Args:
-        frame: with a scan and a calibration.
+        frame: a frame with a scan and a calibration.
         camera_only: prediction from its image without any return.
 
     Returns:
-        The view; None without a scan, and if the prediction lacks depth or boundary or is invalid.
+        The view; None if there is no scan, or if the prediction lacks depth or boundary or is
+        invalid.
     """
     calibration, boundary, depth = frame.calibration, camera_only.boundary, camera_only.depth
     if calibration is None or boundary is None or depth is None:
@@ -103,14 +106,14 @@ def view_of(frame: Frame, camera_only: Prediction) -> View | None:
 
 
 def shrink_of(size: tuple[int, int]) -> int:
-    """By how much the answers to an image of this size are shrunk."""
+    """Factor by which the answers to an image of this size are shrunk."""
     return max(1, size[0] // _ROWS)
 
 
 def find_structure(
     points: _Points, calibration: Calibration, size: tuple[int, int]
 ) -> tuple[_Points, _Points]:
-    """Return samples of the returns near an image and of the jumps, as `View` has them."""
+    """Return samples of the returns near an image and of the jumps, see `View`."""
     turned = points[is_return(points), :3] @ calibration.extrinsics[:3, :3].T.astype(np.float32)
     x, y, z = (turned + calibration.extrinsics[:3, 3].astype(np.float32)).T
     left, right, top, bottom = _image_bounds(calibration, size)
@@ -124,13 +127,14 @@ def find_structure(
 def find_jumps(points: _Points) -> NDArray[np.bool_]:
     """Return where a neighbour on the same scan line is clearly farther, bool (N,).
 
-    points: float32 (N, 3), x to the right, y down, as seen from the LiDAR; in any order.
+    `points` are float32 (N, 3), x to the right, y down, as seen from the LiDAR, in any order.
     """
     x, y, z = points.astype(np.float64).T
     across, up = np.arctan2(x, z), np.arctan2(y, np.hypot(x, z)) * _ACROSS
     ranges = np.linalg.norm(points, axis=1)
     farther = np.zeros_like(ranges)
-    # Two sets of bands, the second moved by half a band: near points share a band of one of them.
+    # There are two sets of bands, the second moved by half a band, so that near points share a band
+    # in one of them.
     for shift in (0.0, 0.5):
         band = np.floor(up / (2 * _LINE_RAD) + shift)
         order = np.lexsort((across, band))
@@ -144,7 +148,7 @@ def find_jumps(points: _Points) -> NDArray[np.bool_]:
 
 
 def points_in_time(frame: Frame) -> _Points | None:
-    """The points of the frame's scan, moved to the time of its image where there are poses."""
+    """The points of the frame's scan, moved to the time of its image if there are poses."""
     if frame.depth is None or not isinstance(scan := frame.depth.data, Scan):
         return None
     if frame.poses is None or scan.times is None:
