@@ -128,9 +128,10 @@ class Prediction:
             rgb: uint8 (H, W, 3), the frame's image, RGB; None = draw only the answers.
 
         Returns:
-            uint8 (H', W', 3), RGB: panels of image and heads above a legend. Large frames are
-            shrunk by a whole number, see `runtime.app.drawing.overlay.Overlay`. Answers whose
-            `valid` is False are drawn, too.
+            uint8 (H', W', 3), RGB: a grid of panels of image and heads with a legend beside them.
+            Large frames are shrunk by a whole number to fit a screen of 1920 x 1080 pixels, see
+            `runtime.app.drawing.overlay.Overlay.draw_grid`. Answers whose `valid` is False are
+            drawn, too.
 
         Raises:
             InputError: if the image does not have the frame's size, or `contract` is None.

@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.alignment.view import find_jumps
-from runtime.app.drawing.color_scale import ColorScale
+from runtime.app.drawing.color_scale import DEPTH_COLORS, ColorScale
 from runtime.app.drawing.picture_text import write_text
 from runtime.geometry.calibration import Calibration
 
 _WIDTH = 1280  # of the picture; larger images are shrunk to it
 _INSETS = 3
 _INSET_SHARE, _ZOOM_DOT = 0.12, 5  # height of an inset's part of the image; pixels of a dot in it
-_DEPTH = ColorScale("depth", "m", 3.0, 80.0, cv2.COLORMAP_TURBO, bright_low=True)
+_DEPTH = ColorScale("depth", "m", 3.0, 80.0, DEPTH_COLORS, bright_low=True)
 _GAP, _BAR = 4, 22
 _WHITE = (255, 255, 255)
 

@@ -1,6 +1,8 @@
 """One picture of a frame and its answers."""
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -8,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.app.drawing.color_scale import NO_VALUE_COLOR, ColorScale
+from runtime.app.drawing.color_scale import DEPTH_COLORS, NO_VALUE_COLOR, ColorScale
 from runtime.app.drawing.picture_text import text_width, write_text
 from runtime.contract.contract import ClassInfo, find_sky
 from runtime.contract.heads import HEADS, Panel
@@ -17,6 +19,9 @@ from runtime.contract.heads import HEADS, Panel
 _PANEL_WIDTH, _PANEL_HEIGHT = 640, 4096
 _STACK_ASPECT = 2.0  # wider panels are stacked
 _STACKED_WIDTH = 960
+_SCREEN = (1080, 1920)  # rows, columns that a grid of panels keeps to, with its legend
+_LEGEND_WIDTH = 200  # beside a grid without a free cell
+_DOT_SHARE = 180  # a return is a dot of this part of the panel's shorter side
 _CLASS_OPACITY = 0.7
 _LEGEND_LINE = 22  # pixels
 _NO_DEPTH = ClassInfo("no depth", NO_VALUE_COLOR)  # in the legend
@@ -32,8 +37,25 @@ class Drawable(Protocol):
         """Head -> answer at the picture's size."""
 
 
+@dataclass(frozen=True)
+class _Grid:
+    """A grid of panels with its legend: the picture's size, and where the legend stands."""
+
+    columns: int
+    height: int
+    width: int
+    in_cell: bool = False
+
+    def fits(self) -> bool:
+        return self.height <= _SCREEN[0] and self.width <= _SCREEN[1]
+
+    def distance_to_screen(self) -> float:
+        """How far the shape is from that of a screen."""
+        return abs(math.log(self.width / self.height * _SCREEN[0] / _SCREEN[1]))
+
+
 class Overlay:
-    """Draws a frame and its heads as panels over a legend, by the `panel` of each head.
+    """Draws a frame and its heads as panels with a legend, by the `panel` of each head.
 
     The colours of the depth are the same for every frame: logarithmic, from bright (near) to dark,
     so that they are readable without hue. The uncertainty is drawn as a share of the depth,
@@ -50,7 +72,7 @@ class Overlay:
         self._sky = find_sky(classes)
         nearest_m = min(_NEAREST_M, max_depth_m / 10)
         self._depth_scale = ColorScale(
-            "depth", "m", nearest_m, max_depth_m, cv2.COLORMAP_MAGMA, bright_low=True
+            "depth", "m", nearest_m, max_depth_m, DEPTH_COLORS, bright_low=True
         )
         self._share_scale = ColorScale(
             "uncertainty", "%", *_UNCERTAINTY_PERCENT, cv2.COLORMAP_VIRIDIS
@@ -65,7 +87,7 @@ class Overlay:
         *,
         widest: int | None = None,
     ) -> NDArray[np.uint8]:
-        """Draw one frame.
+        """Draw one frame: its panels in one row, or stacked if they are wide, over the legend.
 
         Args:
             rgb: uint8 (H, W, 3), RGB; None = the answers alone.
@@ -87,6 +109,66 @@ class Overlay:
         scales = {Panel.DEPTH: self._depth_scale, Panel.SHARE_OF_DEPTH: self._share_scale}
         bars = tuple(scale for kind, scale in scales.items() if kind in kinds)
         return cv2.vconcat([strip, self._legend(strip.shape[1], bars)])  # type: ignore[return-value]
+
+    def draw_grid(
+        self,
+        rgb: NDArray[np.uint8] | None,
+        prediction: Drawable,
+        returns: NDArray[np.float32] | None = None,
+        *,
+        widest: int | None = None,
+    ) -> NDArray[np.uint8]:
+        """Draw one frame for a screen: its panels in a grid, the legend beside them.
+
+        The panels are as large as a screen of 1920 x 1080 pixels permits; the legend stands in a
+        free cell of the grid if it fits there.
+
+        Args:
+            rgb: see `draw`.
+            prediction: see `draw`.
+            returns: see `draw`.
+            widest: largest width of a panel, whether or not the grid fits the screen; None = the
+                screen decides.
+
+        Returns:
+            uint8 (H', W', 3), BGR.
+        """
+        height, width = _size(rgb, prediction)
+        heads = prediction.heads
+        kinds = [HEADS[head].panel for head in heads]
+        count = (rgb is not None) + sum(kind is not None for kind in kinds)
+        scales = {Panel.DEPTH: self._depth_scale, Panel.SHARE_OF_DEPTH: self._share_scale}
+        bars = tuple(scale for kind, scale in scales.items() if kind in kinds)
+        step = 1 if widest is None else _step(height, width, widest)
+        while True:
+            size = height // step, width // step
+            grids = [self._grid(count, columns, size, bars) for columns in range(1, count + 1)]
+            fitting = [grid for grid in grids if grid.fits()]
+            if fitting or widest is not None or 2 * step > min(height, width):
+                break
+            step += 1
+        best = min(fitting or grids, key=_Grid.distance_to_screen)
+        panels = self.panels(rgb, prediction, returns, widest=size[1])
+        for title, panel in panels.items():
+            write_text(panel, title, (6, 16))
+        picture = np.zeros((best.height, best.width, 3), np.uint8)
+        for index, panel in enumerate(panels.values()):
+            _place(picture, panel, divmod(index, best.columns), size)
+        legend = self._legend(size[1] if best.in_cell else _LEGEND_WIDTH, bars)
+        cell = divmod(count, best.columns) if best.in_cell else (0, best.columns)
+        _place(picture, legend, cell, size)
+        return picture
+
+    def _grid(
+        self, count: int, columns: int, size: tuple[int, int], bars: tuple[ColorScale, ...]
+    ) -> "_Grid":
+        rows = -(-count // columns)
+        height, width = rows * size[0], columns * size[1]
+        in_cell = count < rows * columns and size[1] >= _LEGEND_WIDTH
+        if in_cell and len(self._legend(size[1], bars)) <= size[0]:
+            return _Grid(columns, height, width, in_cell=True)
+        beside = len(self._legend(_LEGEND_WIDTH, bars))
+        return _Grid(columns, max(height, beside), width + _LEGEND_WIDTH * (beside > 0))
 
     def panels(
         self,
@@ -152,8 +234,12 @@ class Overlay:
         rows, columns = rows[order], columns[order]
         colors = self._depth_scale.paint(returns[rows, columns][:, np.newaxis])[:, 0]
         painted = image.copy()
-        rows, columns = np.minimum(rows // step, len(image) - 1), columns // step
-        painted[rows, np.minimum(columns, image.shape[1] - 1)] = colors
+        side = max(1, round(min(image.shape[:2]) / _DOT_SHARE))
+        # All pixels of a dot in turn, so that a nearer dot covers a farther one wholly.
+        rows = rows[:, None] // step + np.repeat(np.arange(side), side) - side // 2
+        columns = columns[:, None] // step + np.tile(np.arange(side), side) - side // 2
+        rows, columns = rows.clip(0, len(image) - 1), columns.clip(0, image.shape[1] - 1)
+        painted[rows.ravel(), columns.ravel()] = np.repeat(colors, side * side, axis=0)
         return painted
 
     def _paint_classes(self, ids: NDArray[np.uint8], image: NDArray[Any] | None) -> NDArray[Any]:
@@ -190,6 +276,14 @@ def _step(height: int, width: int, widest: int | None) -> int:
         widest = _STACKED_WIDTH if width >= _STACK_ASPECT * height else _PANEL_WIDTH
     step = max(-(-width // widest), -(-height // _PANEL_HEIGHT))
     return min(step, height, width)  # a very long frame keeps a line
+
+
+def _place(
+    picture: NDArray[Any], part: NDArray[Any], cell: tuple[int, int], size: tuple[int, int]
+) -> None:
+    """Copy a panel or the legend into a cell (row, column) of a grid of cells of `size`."""
+    y, x = cell[0] * size[0], cell[1] * size[1]
+    picture[y : y + len(part), x : x + part.shape[1]] = part
 
 
 def _class_lines(swatches: Sequence[ClassInfo], width: int) -> list[NDArray[np.uint8]]:

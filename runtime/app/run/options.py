@@ -167,8 +167,8 @@ class RunOptions:
         metavar="KIND,...",
     )
     overlay_width: int | None = _outputs(
-        "Largest width in pixels of a panel of the overlays and the video. [default: 640, panels "
-        "one above the other 960; of the video the frame's width]",
+        "Largest width in pixels of a panel of the overlays and the video. [default: the grid of "
+        "panels fits 1920 x 1080; of the video the frame's width]",
         min=16,
         max=MAX_OVERLAY_WIDTH,
     )

@@ -29,7 +29,7 @@ def change(prediction, *, without=(), **changes):
 def test_the_picture_is_the_overlay_red_first(contract, answered):
     rgb, prediction = answered
     drawn = prediction.draw(rgb)
-    expected = Overlay(contract.classes, contract.max_depth_m).draw(rgb, prediction)
+    expected = Overlay(contract.classes, contract.max_depth_m).draw_grid(rgb, prediction)
     np.testing.assert_array_equal(drawn[..., ::-1], expected)
     np.testing.assert_array_equal(drawn[24:48, :64], rgb[24:48])  # its first panel
     alone = prediction.draw()
@@ -44,7 +44,8 @@ def test_an_answer_that_cannot_be_used_is_drawn(answered):
     depth[30:] = np.nan
     broken = change(prediction, heads={**prediction.heads, "depth": depth}, valid=False)
     drawn = broken.draw(rgb)
-    assert (drawn[30:48, 2 * 64 : 3 * 64] == 110).all(), "no depth there"
+    depth_panel = drawn[48:96, :64]  # two panels in a row
+    assert (depth_panel[30:] == 110).all(), "no depth there"
 
 
 @pytest.mark.parametrize("rgb", [np.zeros((48, 63, 3), np.uint8), np.zeros((48, 64, 3)), "x"])

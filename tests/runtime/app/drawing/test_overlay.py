@@ -149,3 +149,44 @@ def test_a_second_head_of_depth_has_a_panel_of_its_own(overlay, answered, monkey
     alone = overlay.panels(rgb, change(prediction, semantic=None, depth=far))
     np.testing.assert_array_equal(panels["depth_2"], alone["depth"])
     assert (panels["depth"] != panels["depth_2"]).any()
+
+
+@pytest.mark.parametrize("size", [(1080, 1920), (375, 1242), (2160, 3840), (1600, 900)])
+def test_a_grid_fits_a_screen_and_its_panels_stay_large(overlay, answered, size):
+    heads = {name: cv2.resize(values, size[::-1]) for name, values in answered[1].heads.items()}
+    prediction = change(answered[1], **heads)
+    rgb = np.full((*size, 3), 90, np.uint8)
+    grid = overlay.draw_grid(rgb, prediction)
+    assert grid.shape[0] <= 1080
+    assert grid.shape[1] <= 1920
+    image = (grid == 90).all(axis=-1)
+    assert np.count_nonzero(image) > 0.05 * 1080 * 1920
+    for info in overlay._classes:
+        swatch = (grid == info.color[::-1]).all(axis=-1)
+        assert np.count_nonzero(swatch) >= 13 * 13, info.name
+
+
+def test_the_legend_of_a_grid_of_small_frames_stands_beside_it(contract, overlay, answered):
+    rgb, prediction = answered
+    grid = overlay.draw_grid(rgb, prediction)
+    panels = overlay.panels(rgb, prediction)
+    np.testing.assert_array_equal(grid[30:60, :80], panels["image"][30:60])
+    one = change(prediction, depth=None, boundary=None, depth_uncertainty=None)
+    alone = overlay.draw_grid(None, one)
+    assert alone.shape[1] == 80 + 200
+    for info in contract.classes:
+        swatch = (alone[:, 80:] == info.color[::-1]).all(axis=-1)
+        assert np.count_nonzero(swatch) == 13 * 13, info.name
+
+
+def test_dots_of_returns_grow_with_the_picture_and_the_nearest_is_in_front(overlay, answered):
+    rgb = np.full((360, 640, 3), 128, np.uint8)
+    returns, depth = np.zeros((2, 360, 640), np.float32)
+    returns[100, 100], returns[100, 101], depth[:] = 60, 2, 2
+    only = change(answered[1], semantic=None, depth=depth, boundary=None, depth_uncertainty=None)
+    panels = overlay.panels(rgb, only, returns)
+    dots = panels["image with returns"]
+    rows, columns = np.nonzero((dots != 128).any(axis=-1))
+    assert {*zip(rows, columns, strict=True)} == {(y, x) for y in (99, 100) for x in (99, 100, 101)}
+    near = (dots == panels["depth"][0, 0]).all(axis=-1)
+    assert np.count_nonzero(near) == 4

@@ -35,7 +35,7 @@ def test_it_shows_the_overlays_in_their_order(tmp_path, contract, answered, open
         for brightness in (40, 120, 200):
             frame = Frame(Message(data=np.full_like(frame.rgb, brightness)))
             video.write(frame, result)
-            expected.append(overlay.draw(frame.rgb, result.prediction))
+            expected.append(overlay.draw_grid(frame.rgb, result.prediction))
         assert not (tmp_path / "deep" / "a.mp4").exists()
     rate_hz, pictures = read_video(tmp_path / "deep" / "a.mp4")
     assert rate_hz == 10
@@ -44,7 +44,7 @@ def test_it_shows_the_overlays_in_their_order(tmp_path, contract, answered, open
         height, width = drawn.shape[:2]
         assert picture.shape == (height + height % 2, width + width % 2, 3)
         assert mean_difference(picture[:height, :width], drawn) < 12, "noise is hard to encode"
-    assert mean_difference(pictures[0], pictures[1]) > 10
+    assert mean_difference(pictures[0], pictures[1]) > 5
 
 
 def test_frames_of_other_sizes_get_that_of_the_first(tmp_path, answered, open_run):
