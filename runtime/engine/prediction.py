@@ -130,7 +130,7 @@ class Prediction:
         Returns:
             uint8 (H', W', 3), RGB: a grid of panels of image and heads with a legend beside them.
             Large frames are shrunk by a whole number to fit a screen of 1920 x 1080 pixels, see
-            `runtime.app.drawing.overlay.Overlay.draw_grid`. Answers whose `valid` is False are
+            `runtime.app.drawing.overlay.Overlay.draw`. Answers whose `valid` is False are
             drawn, too.
 
         Raises:

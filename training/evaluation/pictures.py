@@ -90,11 +90,14 @@ def draw_batch(batch: Batch, overlay: Overlay, *, count: int) -> NDArray[np.uint
     (input_panel,) = overlay.panels(rgb // 3 + 85, HeadMaps()).values()
     (colors,) = overlay.panels(None, HeadMaps(depth=dots)).values()
     np.copyto(input_panel, colors, where=(colors != NO_VALUE_COLOR).any(axis=-1, keepdims=True))
-    write_text(input_panel, "LiDAR input", (6, 16))
-    picture = _side_by_side([overlay.draw(rgb, targets), input_panel])
+    panels = {**overlay.panels(rgb, targets), "LiDAR input": input_panel}
+    for title, panel in panels.items():
+        write_text(panel, title, (6, 16))
+    strip = cv2.hconcat(list(panels.values()))
+    picture = cv2.vconcat([strip, overlay.draw_legend(strip.shape[1], targets.heads)])
     for index, name in enumerate(names, start=1):
         write_text(picture, name, (6, input_panel.shape[0] * index // len(names) - 6))
-    return picture
+    return picture  # type: ignore[return-value]
 
 
 def _side_by_side(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:

@@ -78,7 +78,7 @@ def _draw(prediction: Prediction, rgb: NDArray[np.uint8] | None) -> NDArray[np.u
         raise InputError(
             f"rgb must be the frame's image, uint8 {expected}, got {kind_of(rgb)} {np.shape(rgb)}"
         )
-    return _overlay(contract.classes, contract.max_depth_m).draw_grid(rgb, prediction)
+    return _overlay(contract.classes, contract.max_depth_m).draw(rgb, prediction)
 
 
 @lru_cache(maxsize=8)

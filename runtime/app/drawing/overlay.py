@@ -1,7 +1,7 @@
 """One picture of a frame and its answers."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
@@ -16,9 +16,7 @@ from runtime.contract.contract import ClassInfo, find_sky
 from runtime.contract.heads import HEADS, Panel
 
 # Larger frames are shrunk by a whole number until they fit: a JPEG side has at most 65500 pixels.
-_PANEL_WIDTH, _PANEL_HEIGHT = 640, 4096
-_STACK_ASPECT = 2.0  # wider panels are stacked
-_STACKED_WIDTH = 960
+_PANEL_WIDTH, _PANEL_HEIGHT = 960, 4096
 _SCREEN = (1080, 1920)  # rows, columns that a grid of panels keeps to, with its legend
 _LEGEND_WIDTH = 200  # beside a grid without a free cell
 _DOT_SHARE = 180  # a return is a dot of this part of the panel's shorter side
@@ -87,62 +85,29 @@ class Overlay:
         *,
         widest: int | None = None,
     ) -> NDArray[np.uint8]:
-        """Draw one frame: its panels in one row, or stacked if they are wide, over the legend.
-
-        Args:
-            rgb: uint8 (H, W, 3), RGB; None = the answers alone.
-            prediction: answers at the image's size.
-            returns: float32 (H, W) [m], not above 0 = none: drawn on the image, to see whether
-                the LiDAR is where it should be.
-            widest: largest width of a panel; None = 640, of stacked ones 960.
-
-        Returns:
-            uint8 (H', W', 3), BGR, as OpenCV writes it.
-        """
-        panels = self.panels(rgb, prediction, returns, widest=widest)
-        height, width = _size(rgb, prediction)
-        stacked = width >= _STACK_ASPECT * height
-        for title, panel in panels.items():
-            write_text(panel, title, (6, 16))
-        strip = (cv2.vconcat if stacked else cv2.hconcat)(list(panels.values()))
-        kinds = {HEADS[head].panel for head in prediction.heads}
-        scales = {Panel.DEPTH: self._depth_scale, Panel.SHARE_OF_DEPTH: self._share_scale}
-        bars = tuple(scale for kind, scale in scales.items() if kind in kinds)
-        return cv2.vconcat([strip, self._legend(strip.shape[1], bars)])  # type: ignore[return-value]
-
-    def draw_grid(
-        self,
-        rgb: NDArray[np.uint8] | None,
-        prediction: Drawable,
-        returns: NDArray[np.float32] | None = None,
-        *,
-        widest: int | None = None,
-    ) -> NDArray[np.uint8]:
         """Draw one frame for a screen: its panels in a grid, the legend beside them.
 
         The panels are as large as a screen of 1920 x 1080 pixels permits; the legend stands in a
         free cell of the grid if it fits there.
 
         Args:
-            rgb: see `draw`.
-            prediction: see `draw`.
-            returns: see `draw`.
+            rgb: uint8 (H, W, 3), RGB; None = the answers alone.
+            prediction: answers at the image's size.
+            returns: float32 (H, W) [m], not above 0 = none: drawn on the image, to see whether
+                the LiDAR is where it should be.
             widest: largest width of a panel, whether or not the grid fits the screen; None = the
                 screen decides.
 
         Returns:
-            uint8 (H', W', 3), BGR.
+            uint8 (H', W', 3), BGR, as OpenCV writes it.
         """
         height, width = _size(rgb, prediction)
         heads = prediction.heads
-        kinds = [HEADS[head].panel for head in heads]
-        count = (rgb is not None) + sum(kind is not None for kind in kinds)
-        scales = {Panel.DEPTH: self._depth_scale, Panel.SHARE_OF_DEPTH: self._share_scale}
-        bars = tuple(scale for kind, scale in scales.items() if kind in kinds)
+        count = (rgb is not None) + sum(HEADS[head].panel is not None for head in heads)
         step = 1 if widest is None else _step(height, width, widest)
         while True:
             size = height // step, width // step
-            grids = [self._grid(count, columns, size, bars) for columns in range(1, count + 1)]
+            grids = [self._grid(count, columns, size, heads) for columns in range(1, count + 1)]
             fitting = [grid for grid in grids if grid.fits()]
             if fitting or widest is not None or 2 * step > min(height, width):
                 break
@@ -154,20 +119,21 @@ class Overlay:
         picture = np.zeros((best.height, best.width, 3), np.uint8)
         for index, panel in enumerate(panels.values()):
             _place(picture, panel, divmod(index, best.columns), size)
-        legend = self._legend(size[1] if best.in_cell else _LEGEND_WIDTH, bars)
+        legend = self.draw_legend(size[1] if best.in_cell else _LEGEND_WIDTH, heads)
         cell = divmod(count, best.columns) if best.in_cell else (0, best.columns)
-        _place(picture, legend, cell, size)
+        if len(legend):
+            _place(picture, legend, cell, size)
         return picture
 
     def _grid(
-        self, count: int, columns: int, size: tuple[int, int], bars: tuple[ColorScale, ...]
+        self, count: int, columns: int, size: tuple[int, int], heads: Iterable[str]
     ) -> "_Grid":
         rows = -(-count // columns)
         height, width = rows * size[0], columns * size[1]
         in_cell = count < rows * columns and size[1] >= _LEGEND_WIDTH
-        if in_cell and len(self._legend(size[1], bars)) <= size[0]:
+        if in_cell and len(self.draw_legend(size[1], heads)) <= size[0]:
             return _Grid(columns, height, width, in_cell=True)
-        beside = len(self._legend(_LEGEND_WIDTH, bars))
+        beside = len(self.draw_legend(_LEGEND_WIDTH, heads))
         return _Grid(columns, max(height, beside), width + _LEGEND_WIDTH * (beside > 0))
 
     def panels(
@@ -184,7 +150,7 @@ class Overlay:
             rgb: uint8 (H, W, 3), RGB; None = the answers alone.
             prediction: answers at the image's size.
             returns: see `draw`.
-            widest: largest width of a panel; None = that of `draw`.
+            widest: largest width of a panel; None = 960 pixels.
         """
         step = _step(*_size(rgb, prediction), widest)
         image = None if rgb is None else cv2.cvtColor(_shrink(rgb, step), cv2.COLOR_RGB2BGR)
@@ -254,7 +220,11 @@ class Overlay:
         colors[: len(self._classes), 0] = [info.color[::-1] for info in self._classes]
         return colors
 
-    def _legend(self, width: int, scales: tuple[ColorScale, ...]) -> NDArray[np.uint8]:
+    def draw_legend(self, width: int, heads: Iterable[str]) -> NDArray[np.uint8]:
+        """Draw the classes and the colour bars of these heads: uint8 (H', width, 3), BGR."""
+        kinds = {HEADS[head].panel for head in heads}
+        bars = {Panel.DEPTH: self._depth_scale, Panel.SHARE_OF_DEPTH: self._share_scale}
+        scales = tuple(scale for kind, scale in bars.items() if kind in kinds)
         key = width, scales
         if key not in self._legends:
             swatches = (*self._classes, _NO_DEPTH) if scales else self._classes
@@ -272,9 +242,7 @@ def _size(rgb: NDArray[np.uint8] | None, prediction: Drawable) -> tuple[int, int
 
 def _step(height: int, width: int, widest: int | None) -> int:
     """The whole number by which a frame is shrunk, so that its panels are at most `widest` wide."""
-    if widest is None:
-        widest = _STACKED_WIDTH if width >= _STACK_ASPECT * height else _PANEL_WIDTH
-    step = max(-(-width // widest), -(-height // _PANEL_HEIGHT))
+    step = max(-(-width // (widest or _PANEL_WIDTH)), -(-height // _PANEL_HEIGHT))
     return min(step, height, width)  # a very long frame keeps a line
 
 

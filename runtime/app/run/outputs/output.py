@@ -47,9 +47,7 @@ class OpenRun:
     ) -> NDArray[np.uint8]:
         """Draw a frame and its answers, by default as wide as --overlay-width says."""
         widest = self.options.overlay_width or widest
-        return self._overlay.draw_grid(
-            frame.rgb, result.prediction, frame.sparse_depth, widest=widest
-        )
+        return self._overlay.draw(frame.rgb, result.prediction, frame.sparse_depth, widest=widest)
 
     def cloud(
         self, frame: Frame, prediction: Prediction, *, voxel_m: float | None = None

@@ -29,7 +29,7 @@ def change(prediction, *, without=(), **changes):
 def test_the_picture_is_the_overlay_red_first(contract, answered):
     rgb, prediction = answered
     drawn = prediction.draw(rgb)
-    expected = Overlay(contract.classes, contract.max_depth_m).draw_grid(rgb, prediction)
+    expected = Overlay(contract.classes, contract.max_depth_m).draw(rgb, prediction)
     np.testing.assert_array_equal(drawn[..., ::-1], expected)
     np.testing.assert_array_equal(drawn[24:48, :64], rgb[24:48])  # its first panel
     alone = prediction.draw()

@@ -69,7 +69,7 @@ def test_the_answers_are_read_back_with_the_stamps_of_the_camera(
         assert number == 2
     assert not {"/ssdnet/points", "/ssdnet/camera_info", "/tf_static"} & topics.keys()
     (_, overlay), *_ = topics["/ssdnet/overlay/compressed"]
-    drawn = Overlay(contract.classes, contract.max_depth_m).draw_grid(frame.rgb, prediction)
+    drawn = Overlay(contract.classes, contract.max_depth_m).draw(frame.rgb, prediction)
     assert overlay.format == "jpeg"
     assert abs(cv2.imdecode(overlay.data, cv2.IMREAD_COLOR).astype(int) - drawn).mean() < 12
     ((_, classes),) = topics["/ssdnet/classes"]

@@ -35,7 +35,7 @@ def test_it_shows_the_overlays_in_their_order(tmp_path, contract, answered, open
         for brightness in (40, 120, 200):
             frame = Frame(Message(data=np.full_like(frame.rgb, brightness)))
             video.write(frame, result)
-            expected.append(overlay.draw_grid(frame.rgb, result.prediction))
+            expected.append(overlay.draw(frame.rgb, result.prediction))
         assert not (tmp_path / "deep" / "a.mp4").exists()
     rate_hz, pictures = read_video(tmp_path / "deep" / "a.mp4")
     assert rate_hz == 10
