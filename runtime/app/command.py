@@ -1,4 +1,7 @@
-"""What all commands share: reporting of errors, and Ctrl-C. Light, since it is loaded first."""
+"""What all commands share: reporting errors, and handling Ctrl-C.
+
+It is loaded first, and therefore imports little.
+"""
 
 import contextlib
 import errno
@@ -15,9 +18,9 @@ from typing import Any
 from runtime.base.errors import OutputError, SSDNetError, import_remedy
 
 ERROR, INTERRUPTED = 1, 130  # exit codes
-#: Ctrl-C, a request to end, and a terminal or SSH session that closed.
+#: Ctrl-C, a request to end, and the closing of a terminal or SSH session.
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_CLOSED = (errno.EPIPE, errno.EIO)  # what a pipe without a reader, and a closed terminal report
+_CLOSED = (errno.EPIPE, errno.EIO)  # reported by a pipe without a reader, and by a closed terminal
 _SAME_S = 0.2  # parents such as timeout(1) send a signal twice
 
 
@@ -29,7 +32,7 @@ class Provider(StrEnum):
 
 
 def begin_command() -> None:
-    """The first call of every command: until `stop_requested`, a signal ends the process at once.
+    """Let a signal end the process at once; called first by every command, until `stop_requested`.
 
     During imports a KeyboardInterrupt would end as a traceback, or as another error.
     """
@@ -37,7 +40,7 @@ def begin_command() -> None:
 
 
 def leave_signals_to_parent() -> None:
-    """Ignore the signals in a worker process: the parent gets the same signals and ends it."""
+    """Ignore the signals in a worker process: its parent gets the same signals and ends it."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 
@@ -48,14 +51,15 @@ def stop_requested(
 ) -> Iterator[Callable[[], bool]]:
     """Yield a function that returns whether Ctrl-C, SIGTERM or SIGHUP was received in the block.
 
-    The first has no other effect there: an exception could be raised between the writing of a frame
-    and its row in the table. A second one ends the process. A thread waits for it, since Python
-    handles no signal while the block hangs in a library.
+    The first signal has no other effect, because an exception could be raised between writing a
+    frame and adding its row to the table. A second signal ends the process. A thread waits for it,
+    since Python does not handle signals while the block hangs in a library.
 
     Args:
-        notice: printed on stderr at the first one.
-        second_ends: whether a second one ends the process.
-        interrupts: whether the first one raises KeyboardInterrupt, for a block that saves nothing.
+        notice: text that is printed on stderr at the first signal.
+        second_ends: whether a second signal ends the process.
+        interrupts: whether the first signal raises KeyboardInterrupt, for a block that saves
+            nothing.
     """
     received: list[int] = []
     arrived, wakeup = os.pipe()
@@ -66,7 +70,8 @@ def stop_requested(
         if len(received) > 1:
             return
         with contextlib.suppress(OSError):
-            # Not through the buffer of sys.stderr: a write to it may have been interrupted.
+            # This bypasses the buffer of sys.stderr, because a write to it may have been
+            # interrupted.
             os.write(2, notice.encode())
         if interrupts:
             raise KeyboardInterrupt
@@ -74,7 +79,7 @@ def stop_requested(
     def watch() -> None:
         first_s = float("inf")
         with open(arrived, "rb", buffering=0) as numbers:
-            while some := numbers.read(64):  # none once the block has ended
+            while some := numbers.read(64):  # empty once the block has ended
                 if not set(some).isdisjoint(SIGNALS):
                     first_s = min(first_s, now_s := time.monotonic())
                     if second_ends and now_s - first_s > _SAME_S:
@@ -104,8 +109,8 @@ def _handle(handler: Callable[[int, FrameType | None], None]) -> dict[signal.Sig
 def reported_errors(extras: str) -> Iterator[None]:
     """Turn an exception of the block into a line on stderr and an exit code.
 
-    SSDNetError, ImportError, with `import_remedy` of `extras`, and any OSError in a working folder
-    that was deleted are exit code 1. KeyboardInterrupt is exit code 130 without a line.
+    SSDNetError, ImportError (with `import_remedy` for `extras`) and any OSError in a working folder
+    that was deleted give exit code 1. KeyboardInterrupt gives exit code 130 without a line.
     """
     try:
         yield
@@ -126,7 +131,7 @@ def reported_errors(extras: str) -> Iterator[None]:
 
 
 def _has_folder() -> bool:
-    """Whether the working folder exists; without one no relative path can be used."""
+    """Whether the working folder exists; without it no relative path can be used."""
     try:
         return bool(os.getcwd())
     except OSError:
@@ -137,7 +142,7 @@ def _has_folder() -> bool:
 def progress_bar(length: int, label: str) -> Iterator[Callable[[], None]]:
     """Yield a function that advances a bar on stderr by one; without a terminal there is no bar.
 
-    A terminal that was closed meanwhile ends the bar, not the command.
+    If the terminal is closed, the bar ends, but not the command.
     """
     if not sys.stderr.isatty():
         yield lambda: None
@@ -160,14 +165,14 @@ def progress_bar(length: int, label: str) -> Iterator[Callable[[], None]]:
 
 
 def print_result(text: str) -> None:
-    """Print the result of a command on stdout; it need not be valid Unicode.
+    """Print the result of a command on stdout; the text need not be valid Unicode.
 
-    A closed pipe or terminal is no error. Raises OutputError for other failures.
+    A closed pipe or terminal is not an error. Raises OutputError for other failures.
     """
     try:
         print(_plain(text), flush=True)  # noqa: T201 - sys.stdout may be None
     except OSError as error:
-        # Otherwise Python flushes stdout at exit and fails.
+        # Otherwise Python would flush stdout at exit and fail.
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if error.errno not in _CLOSED:

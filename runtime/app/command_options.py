@@ -1,4 +1,4 @@
-"""Options that several commands have."""
+"""Options that several commands share."""
 
 from typing import Annotated
 
@@ -13,7 +13,7 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-#: Every command's --version.
+#: The option --version of every command.
 Version = Annotated[
     bool,
     typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version."),

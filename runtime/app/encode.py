@@ -1,4 +1,4 @@
-"""Encode heads, pictures and point clouds as the content of PNG, JPEG and PLY files.
+"""Encoding of heads, pictures and point clouds as PNG, JPEG and PLY files.
 
 Encoding shares the processor with inference, so the settings are the cheapest ones. PLY: Greg Turk,
 "The PLY Polygon File Format", 1994; binary, little-endian.
@@ -16,14 +16,14 @@ from runtime.contract.contract import ClassInfo
 from runtime.contract.heads import Unit
 from runtime.geometry.point_cloud import PointCloud
 
-METRES_PNG_SCALE = 256  # units of a 16-bit PNG per metre, as KITTI has it
+METRES_PNG_SCALE = 256  # units of a 16-bit PNG per metre, as in KITTI
 METRES_PNG_MAX_M = 65535 / METRES_PNG_SCALE
 _PNG_STORED = {cv2.IMWRITE_PNG_COMPRESSION: 0, cv2.IMWRITE_PNG_FILTER: cv2.IMWRITE_PNG_FILTER_NONE}
 _PNG_RUNS = _PNG_STORED | {
     cv2.IMWRITE_PNG_COMPRESSION: 1,
     cv2.IMWRITE_PNG_STRATEGY: cv2.IMWRITE_PNG_STRATEGY_RLE,
 }
-#: For files that hold many frames: a third of the size, for five times the time.
+#: For files that hold many frames: a third of the size in five times the time.
 _PNG_SMALL = {
     cv2.IMWRITE_PNG_COMPRESSION: 1,
     cv2.IMWRITE_PNG_FILTER: cv2.IMWRITE_PNG_FILTER_UP,
@@ -37,9 +37,9 @@ def encode_ids(ids: NDArray[np.uint8]) -> memoryview:
 
 
 def count_beyond_png(metres: NDArray[np.float32]) -> int:
-    """How many pixels are beyond the 255.99 m that `encode_metres` holds: they become 65535.
+    """Number of pixels beyond the 255.99 m that `encode_metres` can hold; they become 65535.
 
-    By readers of this format, `to_metres` among them, that is no measurement.
+    Readers of this format, including `to_metres`, treat this value as no measurement.
     """
     return int(np.count_nonzero(metres > METRES_PNG_MAX_M))
 
@@ -57,12 +57,12 @@ def encode_probability(probability: NDArray[np.float32]) -> memoryview:
 
 
 def encode_png(picture: NDArray[np.uint8]) -> memoryview:
-    """Encode a picture (H, W, 3), blue first, as a PNG."""
+    """Encode a picture, (H, W, 3) in BGR, as a PNG."""
     return _encode(".png", picture, {})
 
 
 def encode_jpeg(picture: NDArray[np.uint8], *, quality: int = 85) -> memoryview:
-    """Encode a picture (H, W, 3), blue first, as a JPEG.
+    """Encode a picture, (H, W, 3) in BGR, as a JPEG.
 
     Raises:
         ValueError: if a side is too long for the format.
@@ -74,9 +74,11 @@ def encode_ply(cloud: PointCloud, classes: Sequence[ClassInfo] = ()) -> bytes:
     """Return the content of a PLY file.
 
     Args:
-        cloud: its points have x, y, z in metres in the camera's frame, and, where it has them, red,
-            green, blue, the class id as `label`, and `uncertainty` in metres.
-        classes: in the order of the ids; names and colours are written as comments of the header.
+        cloud: the cloud. Its points are written as x, y, z in metres in the camera's frame, and, if
+            the cloud has them, red, green, blue, the class id as `label`, and `uncertainty` in
+            metres.
+        classes: the classes in the order of their ids; their names and colours become comments in
+            the header.
     """
     columns: list[tuple[str, str, NDArray[Any]]] = [
         (axis, "<f4", cloud.points[:, index]) for index, axis in enumerate("xyz")
@@ -108,7 +110,7 @@ def encode_ply(cloud: PointCloud, classes: Sequence[ClassInfo] = ()) -> bytes:
     return "\n".join(header).encode("ascii") + b"\n" + vertices.tobytes()
 
 
-#: Unit of a head -> function that encodes its array as the content of a file.
+#: Functions that encode a head's array as the content of a file, by the head's unit.
 ENCODERS: dict[Unit, Callable[[NDArray[Any]], memoryview]] = {
     Unit.CLASS_ID: encode_ids,
     Unit.METRES: encode_metres,
@@ -117,9 +119,9 @@ ENCODERS: dict[Unit, Callable[[NDArray[Any]], memoryview]] = {
 
 
 def encode_ros_image(unit: Unit, values: NDArray[Any]) -> tuple[str, memoryview]:
-    """Return `format` and `data` of a sensor_msgs/CompressedImage of a head.
+    """Return `format` and `data` of a sensor_msgs/CompressedImage for a head.
 
-    Ids are a PNG and metres a 16-bit PNG, as `ENCODERS` has them; probabilities x 255 are a JPEG.
+    Ids are a PNG and metres a 16-bit PNG, as in `ENCODERS`; probabilities x 255 are a JPEG.
     """
     if unit is Unit.METRES:
         return "16UC1; png compressed", encode_metres(values, small=True)

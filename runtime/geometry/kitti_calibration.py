@@ -17,8 +17,7 @@ _NAMES = ("P0", "P1", "P2", "P3", "R0_rect", "Tr_velo_to_cam", "Tr")
 
 
 #: (height, width) of the images of KITTI's rectified cameras for each fx, cx and cy [px], by the
-#: day
-#: of recording; object and odometry files do not state the size.
+#: day of recording; object and odometry files do not state the size.
 _SIZES = {
     (721.5377, 609.5593, 172.854): (375, 1242),  # 2011_09_26
     (707.0493, 604.0814, 180.5066): (370, 1224),  # 2011_09_28

@@ -1,1 +1,1 @@
-"""Pictures of answers."""
+"""Pictures of predictions."""

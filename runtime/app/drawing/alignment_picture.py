@@ -13,7 +13,7 @@ from runtime.geometry.calibration import Calibration
 
 _WIDTH = 1280  # of the picture; larger images are shrunk to it
 _INSETS = 3
-_INSET_SHARE, _ZOOM_DOT = 0.12, 5  # height of an inset's part of the image; pixels of a dot in it
+_INSET_SHARE, _ZOOM_DOT = 0.12, 5  # inset height / image height; pixels of a dot in an inset
 _DEPTH = ColorScale("depth", "m", 3.0, 80.0, DEPTH_COLORS, bright_low=True)
 _GAP, _BAR = 4, 22
 _WHITE = (255, 255, 255)
@@ -29,13 +29,13 @@ def draw_alignment(
 ) -> _Picture:
     """Draw the returns of a scan on its image, once for each calibration.
 
-    Below each image are enlarged parts around the objects at which the scan jumps most often, the
-    same parts for all calibrations.
+    Below each image, the parts around the objects with the most jumps of the scan are enlarged. The
+    parts are the same for all calibrations.
 
     Args:
         rgb: uint8 (H, W, 3), RGB.
         points: float32 (N, 3) or wider, metres, LiDAR frame.
-        calibrations: title -> calibration.
+        calibrations: the calibrations by their titles.
 
     Returns:
         uint8 (H', W', 3), BGR.
@@ -80,7 +80,7 @@ def _on_image(
 def _edges(
     cloud: tuple[_Cloud, NDArray[np.bool_]], size: tuple[int, int], side: int
 ) -> list[tuple[int, int]]:
-    """The centres (x, y) of parts of the image, apart, with the most jumps; left to right."""
+    """Centres (x, y) of separate parts of the image with the most jumps, from left to right."""
     pixels, is_jump = cloud
     height, width = size
     counts: NDArray[Any] = np.zeros(size, np.float32)
@@ -100,7 +100,7 @@ def _edges(
 
 
 def _inset(image: _Picture, pixels: _Cloud, centre: tuple[int, int], side: int) -> _Picture:
-    """A part of the image, twice as wide as high, enlarged, with the returns in it."""
+    """An enlarged part of the image, twice as wide as high, with the returns in it."""
     x, y = centre
     left, top = x - side, y - side // 2
     part = image[top : top + side, left : left + 2 * side]
@@ -111,7 +111,7 @@ def _inset(image: _Picture, pixels: _Cloud, centre: tuple[int, int], side: int) 
 
 
 def _dots(picture: _Picture, pixels: _Cloud, dot: int) -> _Picture:
-    """The picture with a dot of the depth's colour for each return."""
+    """The picture with a dot for each return, in the colour of its depth."""
     colors = _DEPTH.paint(pixels[:, 2:].astype(np.float32))[:, 0]
     height, width = picture.shape[:2]
     for (x, y, _), color in zip(pixels, colors.tolist(), strict=True):
@@ -122,7 +122,7 @@ def _dots(picture: _Picture, pixels: _Cloud, dot: int) -> _Picture:
 
 
 def _beside(insets: list[_Picture]) -> _Picture:
-    """The insets in a row of the picture's width."""
+    """The insets in one row, as wide as the picture."""
     row = np.zeros((insets[0].shape[0], _WIDTH, 3), np.uint8)
     for number, inset in enumerate(insets):
         left = number * (inset.shape[1] + _GAP)

@@ -1,4 +1,4 @@
-"""Colours for a map of numbers, and the colour bar."""
+"""Colours for a map of numbers, and the colour bar that explains them."""
 
 import math
 from dataclasses import dataclass
@@ -22,12 +22,12 @@ class ColorScale:
     """A logarithmic colour scale: equal ratios look equally different.
 
     Attributes:
-        title: of the colour bar.
-        unit: of the values.
-        low: value of the first colour, which smaller values also have.
-        high: value of the last colour, which larger values also have.
-        color_map: one of OpenCV's.
-        bright_low: whether the map's last and brightest colour is that of `low`.
+        title: title of the colour bar.
+        unit: unit of the values.
+        low: value of the first colour; smaller values have the same colour.
+        high: value of the last colour; larger values have the same colour.
+        color_map: one of OpenCV's colour maps.
+        bright_low: whether the map's last and brightest colour belongs to `low`.
     """
 
     title: str
@@ -40,7 +40,7 @@ class ColorScale:
     def paint(
         self, values: NDArray[np.float32], *, hidden: NDArray[np.bool_] | None = None
     ) -> NDArray[np.uint8]:
-        """Colour a map (H, W): uint8 (H, W, 3), BGR, NO_VALUE_COLOR where `hidden` (H, W)."""
+        """Colour a map (H, W): uint8 (H, W, 3), BGR, NO_VALUE_COLOR where `hidden` is true."""
         logarithms = cv2.log(np.clip(values, self.low, self.high))
         steps = (_NO_VALUE - 1) / math.log(self.high / self.low)
         index = cv2.convertScaleAbs(logarithms, alpha=steps, beta=-steps * math.log(self.low))
@@ -50,7 +50,7 @@ class ColorScale:
 
     @cached_property
     def _colors(self) -> NDArray[np.uint8]:
-        """From `low` to `high`, then NO_VALUE_COLOR: (256, 1, 3), BGR."""
+        """The colours from `low` to `high`, then NO_VALUE_COLOR: uint8 (256, 1, 3), BGR."""
         ramp = np.linspace(0, 255, _NO_VALUE).astype(np.uint8).reshape(-1, 1)
         colors = cv2.applyColorMap(ramp[::-1] if self.bright_low else ramp, self.color_map)
         return np.concatenate([colors, np.full((1, 1, 3), NO_VALUE_COLOR, dtype=np.uint8)])

@@ -1,4 +1,4 @@
-"""`Prediction.draw` and `Prediction.save`."""
+"""The implementation of `Prediction.draw` and `Prediction.save`."""
 
 import io
 from functools import lru_cache
@@ -67,7 +67,7 @@ def save_prediction(
 
 
 def _draw(prediction: Prediction, rgb: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
-    """The picture, blue first."""
+    """Return the picture in BGR."""
     if (contract := prediction.contract) is None:
         raise InputError(
             "the prediction has no contract, which names the classes and their colours: draw "
@@ -83,5 +83,5 @@ def _draw(prediction: Prediction, rgb: NDArray[np.uint8] | None) -> NDArray[np.u
 
 @lru_cache(maxsize=8)
 def _overlay(classes: tuple[ClassInfo, ...], max_depth_m: float) -> Overlay:
-    """The overlay of a model; it keeps the legend for the next frame."""
+    """The overlay of a model, cached because it keeps the legend for the next frame."""
     return Overlay(classes, max_depth_m)

@@ -1,4 +1,4 @@
-"""One picture of a frame and its answers."""
+"""One picture of a frame and its predictions."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,15 +15,16 @@ from runtime.app.drawing.picture_text import text_width, write_text
 from runtime.contract.contract import ClassInfo, find_sky
 from runtime.contract.heads import HEADS, Panel
 
-# Larger frames are shrunk by a whole number until they fit: a JPEG side has at most 65500 pixels.
+# Larger frames are shrunk by a whole number until they fit. The side of a JPEG has at most 65500
+# pixels.
 _PANEL_WIDTH, _PANEL_HEIGHT = 960, 4096
-_SCREEN = (1080, 1920)  # rows, columns that a grid of panels keeps to, with its legend
+_SCREEN = (1080, 1920)  # rows and columns into which a grid with its legend must fit
 _LEGEND_WIDTH = 200  # beside a grid without a free cell
 _DOT_SHARE = 180  # a return is a dot of this part of the panel's shorter side
 _CLASS_OPACITY = 0.7
 _LEGEND_LINE = 22  # pixels
-_NO_DEPTH = ClassInfo("no depth", NO_VALUE_COLOR)  # in the legend
-_NEAREST_M = 3.0  # near end of the colour scale; only the bonnet is nearer
+_NO_DEPTH = ClassInfo("no depth", NO_VALUE_COLOR)  # entry of the legend
+_NEAREST_M = 3.0  # near end of the colour scale; nothing but the bonnet is nearer
 _UNCERTAINTY_PERCENT = (1.0, 100.0)
 
 
@@ -32,7 +33,7 @@ class Drawable(Protocol):
 
     @property
     def heads(self) -> Mapping[str, NDArray[Any]]:
-        """Head -> answer at the picture's size."""
+        """The predictions by the names of their heads, at the picture's size."""
 
 
 @dataclass(frozen=True)
@@ -55,13 +56,13 @@ class _Grid:
 class Overlay:
     """Draws a frame and its heads as panels with a legend, by the `panel` of each head.
 
-    The colours of the depth are the same for every frame: logarithmic, from bright (near) to dark,
-    so that they are readable without hue. The uncertainty is drawn as a share of the depth,
-    logarithmic, bright = uncertain. Neither is drawn where the class is sky and where a depth is
-    not above 0.
+    The colours of the depth are the same for every frame: logarithmic, from bright (near) to dark
+    (far), so that they are readable without hue. The uncertainty is drawn as a share of the depth,
+    logarithmic, bright if it is large. Neither is drawn where the class is sky or the depth is not
+    above 0.
 
     Args:
-        classes: in the order of the ids.
+        classes: the classes in the order of their ids.
         max_depth_m: depth of the darkest colour.
     """
 
@@ -91,11 +92,11 @@ class Overlay:
         free cell of the grid if it fits there.
 
         Args:
-            rgb: uint8 (H, W, 3), RGB; None = the answers alone.
-            prediction: answers at the image's size.
-            returns: float32 (H, W) [m], not above 0 = none: drawn on the image, to see whether
-                the LiDAR is where it should be.
-            widest: largest width of a panel, whether or not the grid fits the screen; None = the
+            rgb: uint8 (H, W, 3), RGB; None draws the predictions alone.
+            prediction: predictions at the image's size.
+            returns: float32 (H, W) [m], 0 or less where there is no return. They are drawn on the
+                image, to show whether they lie where they should.
+            widest: largest width of a panel, whether or not the grid fits the screen; None: the
                 screen decides.
 
         Returns:
@@ -144,13 +145,16 @@ class Overlay:
         *,
         widest: int | None = None,
     ) -> dict[str, NDArray[np.uint8]]:
-        """Draw the panels of `draw`: title -> uint8 (H', W', 3), BGR, without text, of one size.
+        """Draw the panels of `draw` without text, all of one size.
 
         Args:
-            rgb: uint8 (H, W, 3), RGB; None = the answers alone.
-            prediction: answers at the image's size.
+            rgb: uint8 (H, W, 3), RGB; None draws the predictions alone.
+            prediction: predictions at the image's size.
             returns: see `draw`.
-            widest: largest width of a panel; None = 960 pixels.
+            widest: largest width of a panel; None: 960 pixels.
+
+        Returns:
+            The panels by their titles, uint8 (H', W', 3), BGR.
         """
         step = _step(*_size(rgb, prediction), widest)
         image = None if rgb is None else cv2.cvtColor(_shrink(rgb, step), cv2.COLOR_RGB2BGR)
@@ -194,7 +198,7 @@ class Overlay:
     def _paint_returns(
         self, image: NDArray[Any], returns: NDArray[np.float32], step: int
     ) -> NDArray[Any]:
-        """Draw each return as a dot of the depth's colour; the nearest is in front."""
+        """Draw each return as a dot in the colour of its depth; the nearest are in front."""
         rows, columns = np.nonzero(returns > 0)
         order = np.argsort(-returns[rows, columns])
         rows, columns = rows[order], columns[order]
@@ -241,9 +245,9 @@ def _size(rgb: NDArray[np.uint8] | None, prediction: Drawable) -> tuple[int, int
 
 
 def _step(height: int, width: int, widest: int | None) -> int:
-    """The whole number by which a frame is shrunk, so that its panels are at most `widest` wide."""
+    """The whole number by which a frame is shrunk so that its panels are at most `widest` wide."""
     step = max(-(-width // (widest or _PANEL_WIDTH)), -(-height // _PANEL_HEIGHT))
-    return min(step, height, width)  # a very long frame keeps a line
+    return min(step, height, width)  # a very long frame keeps at least one line
 
 
 def _place(
@@ -255,7 +259,7 @@ def _place(
 
 
 def _class_lines(swatches: Sequence[ClassInfo], width: int) -> list[NDArray[np.uint8]]:
-    """Swatches with names, in as many lines as needed."""
+    """Coloured fields with names, in as many lines as needed."""
     lines: list[NDArray[np.uint8]] = []
     x = width
     for info in swatches:

@@ -1,1 +1,1 @@
-"""All that runs streams of frames around the one `runtime.Predictor`."""
+"""Everything that runs streams of frames around a single `runtime.Predictor`."""

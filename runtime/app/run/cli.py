@@ -36,9 +36,9 @@ class GroupedCommand(TyperCommand):
 def with_run_options(
     command: Callable[..., None], names: Collection[str] | None = None
 ) -> Callable[..., None]:
-    """Let typer see a parameter for each field of `RunOptions`; the command takes **given.
+    """Give typer a parameter for each field of `RunOptions`; the command takes them as **given.
 
-    names: of the fields; None: all.
+    `names` are the names of the fields; None takes all.
     """
     shown = [
         inspect.Parameter(
@@ -94,7 +94,7 @@ def main(
             raise typer.BadParameter(str(error)) from error
 
         def start(about: str, frames: int) -> OnRecord:
-            progress.close()  # the bar of the camera before
+            progress.close()  # closes the bar of the camera before
             print_result(about)
             advance = progress.enter_context(progress_bar(frames, "frames"))
             return lambda record: advance()

@@ -1,4 +1,4 @@
-"""Whether the depth of the first frames can be right; checked before a run."""
+"""Whether the depth of the first frames can be right, checked before a run."""
 
 import contextlib
 from collections.abc import Sequence
@@ -21,11 +21,11 @@ from runtime.streams.frame import Sensor
 from runtime.streams.health.calibration_size import CalibrationSize
 from runtime.streams.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 
-_LEAST_UNSEEN = 0.02  # share of the pixels; the corners of a sound calibration may lie beyond it
+_LEAST_UNSEEN = 0.02  # share of the pixels; the corners of a correct calibration may lie beyond it
 
 
 class NoDepth(StrEnum):
-    """Reason why the first frames have no depth ("no_depth"), although the source has depth."""
+    """Why the first frames have no depth ("no_depth") although the source has depth."""
 
     NO_RETURNS = (
         "no scan or depth map of the first frames has a return in the image: check that scans are "
@@ -38,9 +38,9 @@ class NoDepth(StrEnum):
 
 
 def find_lens_fault(calibration: Calibration | None, size: tuple[int, int] | None) -> str | None:
-    """Return why a lens cannot be that of images of this (height, width); None = nothing found.
+    """Return why a lens cannot belong to images of this (height, width), or None.
 
-    A fisheye may see less than its images hold.
+    A fisheye lens may see less than its images hold.
     """
     lens = calibration.lens_model if calibration else None
     if calibration is None or lens is None or lens.model == EQUIDISTANT or size is None:
@@ -62,9 +62,10 @@ def find_depth_fault(
     read: ReadFrame,
     fit: QuickCheck,
 ) -> str | None:
-    """Return why the depth of a stream cannot be right, and what to try; None = nothing found.
+    """Return why the depth of a stream cannot be right, and what to try; None: nothing was found.
 
-    Done before the stream, since it takes predictions from the camera alone, which `fit` gets, too.
+    This is done before the stream starts, since it needs predictions from the camera alone. `fit`
+    gets these predictions, too.
     """
     has_depth = any(reason.startswith(f"{Sensor.DEPTH}:") for reason in source.left_out)
     if has_depth and all(each.depth is None for each in frames):
@@ -73,9 +74,9 @@ def find_depth_fault(
         return None
     check, size_check = DepthPlausibility(), CalibrationSize()
     depth_scale = source.depth_scale
-    returns: list[int] = []  # of each scan or depth map
+    returns: list[int] = []  # number of returns in each scan or depth map
     for listed in frames[:FIRST_FRAMES]:
-        with contextlib.suppress(SSDNetError):  # the run itself reports it
+        with contextlib.suppress(SSDNetError):  # the run itself will report the error
             frame, _ = read(listed, keep=True)
             check_sparse_depth(frame.sparse_depth, size=frame.size)
             if listed.depth is None:

@@ -1,4 +1,4 @@
-"""What a report states about the model, the provider that runs it, and the machine."""
+"""What a report states about the model, the execution provider, and the machine."""
 
 import os
 import platform
@@ -12,9 +12,9 @@ import runtime
 if TYPE_CHECKING:
     from runtime.engine.predictor import Predictor
 
-_LIBRARIES = ("onnxruntime", "cv2", "numpy")  # that a predictor has loaded
+_LIBRARIES = ("onnxruntime", "cv2", "numpy")  # libraries that a predictor loads
 _CPU_INFO = Path("/proc/cpuinfo")
-#: Instruction sets that decide how fast a network runs -> Linux' flags, of which any counts.
+#: Instruction sets that decide how fast a network runs, and the flags of Linux that indicate each.
 _SETS = {
     "AVX2": {"avx2"},
     "AVX-512": {"avx512f"},
@@ -40,14 +40,15 @@ class MachineFacts:
 
 
 def engine_facts(predictor: "Predictor") -> dict[str, Any]:
-    """What a report states about a predictor and this machine, ready for JSON.
+    """Return what a report states about a predictor and this machine, ready for JSON.
 
     Returns:
-        "ssdnet", the version of this package; "model", the file and how it is run, (height, width)
-        and lengths in pixels; "provider", the one asked for, those of the session with the nodes
-        of the graph that each runs, and the threads of inference; "machine", as `MachineFacts`;
-        "libraries", name of the import -> version; "load_ms", of reading and optimising the model;
-        and "first_inference_ms". None = not known, or there is none.
+        "ssdnet", the version of this package; "model", the file and how it is run, with sizes as
+        (height, width) and lengths in pixels; "provider", the requested provider, the providers of
+        the session with the number of graph nodes that each runs, and the threads of inference;
+        "machine", see `MachineFacts`; "libraries", the versions by import name; "load_ms", the time
+        of reading and optimising the model; and "first_inference_ms". A value is None if it is
+        unknown or does not exist.
     """
     contract, is_free = predictor.contract, predictor.free_size
     return {
@@ -91,7 +92,7 @@ def machine_facts() -> MachineFacts:
 
 
 def _cpu_info() -> dict[str, str]:
-    """The values of the first processor in /proc/cpuinfo; empty where there is none."""
+    """The values of the first processor in /proc/cpuinfo; empty if there is no such file."""
     try:
         first = _CPU_INFO.read_text().partition("\n\n")[0]
     except OSError:

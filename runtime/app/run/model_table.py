@@ -1,16 +1,16 @@
-"""The table of the bundled models that commands print."""
+"""The table of the bundled models, as commands print it."""
 
 from runtime.contract.model_file import load_model_file
 from runtime.engine.bundled_models import assets_folder, find_model, list_bundled_models
 
-#: Column -> key in a row of `Contract.accuracy`, factor, digits.
+#: For each column: key in a row of `Contract.accuracy`, factor, digits.
 _ACCURACY = {"mIoU %": ("miou", 100.0, 1), "MAE mm": ("mae_m", 1000.0, 0)}
 
 
 def describe_bundled_models() -> str:
     """Return a table of the installed models: size, work and accuracy. Raises ContractError."""
     lines = [f"{'model':16}{'MB':>6}{'GMACs':>8}" + "".join(f"{name:>8}" for name in _ACCURACY)]
-    notes: dict[str, None] = {}  # an ordered set
+    notes: dict[str, None] = {}  # used as an ordered set
     for model in list_bundled_models():
         file = load_model_file(find_model(model))
         contract = file.contract

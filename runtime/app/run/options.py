@@ -1,4 +1,4 @@
-"""The options of `ssdnet-run`: written once, and checked before anything is opened."""
+"""The options of `ssdnet-run`, defined once and checked before anything is opened."""
 
 # ruff: noqa: RUF009 - what is called in `RunOptions` returns a field
 
@@ -38,26 +38,26 @@ from runtime.recordings.scan import SCAN_SUFFIXES
 from runtime.recordings.source import Source
 
 OVERLAY, CLOUD = "overlay", "cloud"
-#: Kind of a file that holds one head -> its name and unit.
+#: For each kind of file that holds one head: name and unit of the head.
 SAVED_HEADS = {head.saved_as: (head.name, head.unit) for head in HEADS.values() if head.saved_as}
-#: Kind of a frame's file, also the name of its subfolder -> suffix.
+#: Suffix of each kind of file of a frame; the kind is also the name of its subfolder.
 SUFFIXES = {**dict.fromkeys(SAVED_HEADS, ".png"), OVERLAY: ".jpg", CLOUD: ".ply"}
-#: What is written unless something else is requested; the others are large.
+#: Kinds that are written unless others are requested; the remaining kinds are large.
 KINDS = tuple(kind for kind in SUFFIXES if kind != CLOUD)
-MAX_OVERLAY_WIDTH = 8192  # five panels side by side fit into a JPEG
-#: Option that names a file -> its suffix.
+MAX_OVERLAY_WIDTH = 8192  # five such panels side by side fit into a JPEG
+#: Suffix of the file that an option names.
 FILE_SUFFIXES = {"video": ".mp4", "report": ".html", "mcap": ".mcap"}
 MCAP_VOXEL_M = (
-    0.1  # side of the cubes of which --mcap keeps one point, unless --cloud-voxel is given
+    0.1  # side of the cubes in which --mcap keeps one point, unless --cloud-voxel is given
 )
-DEFAULT_RATE_HZ = 10.0  # of frames without stamps: a LiDAR's
-OPTION = "option"  # of the metadata of a field: the option of the command
+DEFAULT_RATE_HZ = 10.0  # for frames without stamps: the rate of a LiDAR
+OPTION = "option"  # key of a field's metadata that holds the option of the command
 _RIG_OPTIONS = ("calibration", "max_skew_ms", "reuse_depth_ms")  # attributes of the `Rig`
 _OUT = Path("ssdnet-run")
 
 
 def _group(title: str) -> Callable[..., Any]:
-    """Return a function that makes a field of an option of this group of --help."""
+    """Return a function that defines a field as an option in this group of --help."""
 
     def option(text: str, *, default: Any = None, flag: str | None = None, **settings: Any) -> Any:
         names = (flag,) if flag else ()
@@ -81,7 +81,7 @@ _PATH = typer.Argument(
 
 
 class UsageError(InputError):
-    """Options that are wrong by themselves, whatever the files hold."""
+    """Options that are wrong by themselves, whatever the files contain."""
 
 
 @dataclass(frozen=True)
@@ -89,15 +89,16 @@ class RunOptions:
     """The options of `ssdnet-run`, see `ssdnet-run --help`.
 
     Attributes:
-        kinds: the files of a frame that --save names.
-        network_size: --size, as `Predictor` takes it.
+        kinds: the files per frame that --save names.
+        network_size: the size in --size, as `Predictor` takes it.
         part: the frames that --shard names.
-        source_path: the source, its kind and its keys.
+        source_path: the source with its kind and keys.
         open_cameras: opens a source for each camera, see `Source.open_cameras`.
 
     Raises:
         UsageError: if an option is out of range, or options contradict each other.
-        InputError: if `path` is not a source, or `demo` is set and the bundled stream is missing.
+        InputError: if `path` is not a source, or if `demo` is set and the bundled stream is
+            missing.
     """
 
     path: Path | None = dataclasses.field(default=None, metadata={OPTION: _PATH})
@@ -241,7 +242,7 @@ class RunOptions:
         f"{', '.join(REASONS)}. May be repeated. [default: none]",
         metavar="REASON,...",
     )
-    # What follows from the options:
+    # These fields follow from the options:
     failing: tuple[str, ...] = dataclasses.field(init=False)
     kinds: tuple[str, ...] = dataclasses.field(init=False)
     network_size: NetworkSize = dataclasses.field(init=False)
@@ -250,7 +251,7 @@ class RunOptions:
     open_cameras: Callable[[], dict[str, Source]] = dataclasses.field(init=False)
 
     def __post_init__(self) -> None:
-        """Check every option, and read those that are text."""
+        """Check every option, and parse those that are text."""
         given = [source for source in (self.path, self.rgb, self.source) if source is not None]
         if self.demo + len(given) != 1 or (self.demo and (self.depth or self.points)):
             raise UsageError(
@@ -307,21 +308,21 @@ class RunOptions:
 
     @property
     def folder(self) -> Path:
-        """The folder of the results: --out, else ssdnet-run, ssdnet-run-2 and so on, a new one."""
+        """The folder of the results: --out, else a new one: ssdnet-run, ssdnet-run-2 and so on."""
         if self.out is not None or self.overwrite:
             return self.out or _OUT
         numbered = (_OUT.with_name(f"{_OUT}-{number}") for number in itertools.count(2))
         return next(path for path in itertools.chain([_OUT], numbered) if not os.path.lexists(path))
 
     def with_folder(self) -> "RunOptions":
-        """The options with --out; a folder that was not named is made, so that no run shares it."""
+        """The options with --out; if it was not given, a folder is made that no run shares."""
         folder = self.folder
         if self.out is None and not self.overwrite:
             try:
                 folder.mkdir()
             except FileExistsError:  # another run has just made it
                 return self.with_folder()
-            except OSError:  # reported where the folder is used
+            except OSError:  # reported when the folder is used
                 pass
         return dataclasses.replace(self, out=folder)
 
@@ -346,12 +347,12 @@ class RunOptions:
 
     @property
     def named_files(self) -> dict[str, Path]:
-        """Option -> its file, for the options that were given."""
+        """The files that were given, by the options that name them."""
         named = {option: getattr(self, option) for option in FILE_SUFFIXES}
         return {option: path for option, path in named.items() if path is not None}
 
     def of_camera(self, camera: str) -> "RunOptions":
-        """The options of one camera of a rig, with outputs of its own; "" = the only camera."""
+        """The options of one camera of a rig, with its own outputs; "" is the only camera."""
         if not camera:
             return self
         files: dict[str, Any] = {
@@ -363,7 +364,7 @@ class RunOptions:
 
     @property
     def focal_length_px(self) -> float | None:
-        """--focal-length, else that of the camera of --demo; None = that of the calibration."""
+        """--focal-length, else that of the --demo camera; None: that of the calibration."""
         is_known = self.demo and self.focal_length is None
         return BUNDLED_FOCAL_LENGTH_PX if is_known else self.focal_length
 
@@ -379,7 +380,7 @@ class RunOptions:
 
 @contextlib.contextmanager
 def _usage_errors() -> Iterator[None]:
-    """Let an InputError of the block be a UsageError."""
+    """Turn an InputError of the block into a UsageError."""
     try:
         yield
     except InputError as error:

@@ -1,4 +1,4 @@
-"""When a sensor was out, by the time of the recording."""
+"""Times in the recording in which a sensor was out."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -13,7 +13,7 @@ from runtime.streams.frame_result import FrameResult
 from runtime.streams.health.frame_health import LIDAR_EMPTY, LIDAR_FROZEN
 from runtime.streams.health.sensor_times import find_silences
 
-_LONGEST_NS = 3600 * 10**9  # a longer gap is of a clock that was set
+_LONGEST_NS = 3600 * 10**9  # a longer gap shows that the clock was set
 _SILENT = {Sensor.IMAGE: CAMERA_SILENT, Sensor.DEPTH: LIDAR_SILENT}
 _WORDS = {
     CAMERA_SILENT: "camera silent",
@@ -21,20 +21,20 @@ _WORDS = {
     LIDAR_EMPTY: "LiDAR empty",
     LIDAR_FROZEN: "LiDAR repeats itself",
 }
-#: Scans before the first one that is found to be like the others.
+#: Number of scans before the first one that can be found to repeat earlier ones.
 _BEFORE = {LIDAR_EMPTY: 0, LIDAR_FROZEN: 2}
 
 
 @dataclass(frozen=True)
 class Outage:
-    """A stretch of a run without what a sensor should send.
+    """A part of a run in which a sensor did not send what it should.
 
     Attributes:
-        reason: of `REASONS`.
-        start_s, end_s: seconds from the start of the recording; None where its times are not known.
-        scans: that were empty or repeated; None of silence.
+        reason: one of `REASONS`.
+        start_s, end_s: seconds from the start of the recording; None if its times are unknown.
+        scans: number of scans that were empty or repeated; None if the sensor was silent.
         first: name of the first frame of these scans.
-        camera: of a rig of several; "" = the only one.
+        camera: camera of a rig with several; "" stands for the only camera.
     """
 
     reason: str
@@ -66,7 +66,7 @@ class Timeline:
 
     Attributes:
         start_ns: the first stamp of both sensors.
-        times_s: of each frame, seconds after the start, rising.
+        times_s: time of each frame, in seconds after the start, rising.
     """
 
     start_ns: int
@@ -76,9 +76,9 @@ class Timeline:
     def of(
         cls, records: Sequence[FrameResult], stamps_ns: Mapping[Sensor, Sequence[int]]
     ) -> "Timeline | None":
-        """Return the times of frames; None if not known, or not of one clock.
+        """Return the times of frames; None if they are unknown, or come from different clocks.
 
-        A frame without a stamp is between its neighbours.
+        A frame without a stamp is placed between its neighbours.
         """
         known = [at for at, each in enumerate(records) if each.image_stamp is not None]
         stamps = np.array([records[at].image_stamp for at in known], np.int64)
@@ -87,7 +87,7 @@ class Timeline:
             return None
         of_depth = [ns for ns in stamps_ns.get(Sensor.DEPTH, ()) if _near(ns, stamps)]
         start_ns = min(int(stamps[0]), *of_depth) if of_depth else int(stamps[0])
-        if set(stamps.tolist()) <= set(stamps_ns.get(Sensor.IMAGE, ())):  # also of a shard
+        if set(stamps.tolist()) <= set(stamps_ns.get(Sensor.IMAGE, ())):  # also in a shard
             start_ns = min(start_ns, *stamps_ns[Sensor.IMAGE])
         seconds = (stamps - start_ns) / 1e9
         times = np.interp(np.arange(len(records)), known, seconds)
@@ -105,12 +105,12 @@ def find_outages(
     *,
     whole: bool,
 ) -> tuple[Outage, ...]:
-    """Return when the sensors of a run were out, in the order of their start.
+    """Return the times in which the sensors of a run were out, in the order of their start.
 
     Args:
         records: results of the frames.
-        stamps_ns: of all messages of its recording; empty = those of the frames.
-        timeline: of the frames; None = silence is not looked for.
+        stamps_ns: stamps of all messages of the recording; empty: those of the frames are used.
+        timeline: times of the frames; None: silence is not looked for.
         whole: whether the frames reach to the end of the recording.
     """
     found: list[Outage] = [*_in_row(records, timeline, LIDAR_EMPTY)]
@@ -142,7 +142,7 @@ def find_outages(
 def _in_row(
     records: Sequence[FrameResult], timeline: Timeline | None, reason: str
 ) -> Iterator[Outage]:
-    """Stretches of successive frames with a reason of `FrameResult.health`."""
+    """Parts in which successive frames have this reason in `FrameResult.health`."""
     numbered = [(at, each) for at, each in enumerate(records) if not each.depth_reused]
     place = 0
     for is_found, group in groupby(numbered, lambda each: reason in each[1].health):

@@ -1,4 +1,4 @@
-"""Run a stream of frames: read the next and write the last while the present one is answered."""
+"""Running a stream: while a frame is answered, the next is read and the last one written."""
 
 import contextlib
 import ctypes
@@ -24,24 +24,24 @@ from runtime.streams.statistics import Jitter
 
 _READ_AHEAD, _WRITE_BEHIND = 2, 2  # frames held in memory on either side
 _NICENESS = 10
-_STOP_POLL_S = 0.1  # between two looks at `stop` while waiting
-# mallopt's names and numbers (malloc.h of glibc).
+_STOP_POLL_S = 0.1  # interval between two calls of `stop` while waiting
+# Names and numbers of mallopt (malloc.h of glibc).
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
-_KEPT_BUFFER_BYTES = 32 << 20  # the most that glibc takes
+_KEPT_BUFFER_BYTES = 32 << 20  # the largest value that glibc accepts
 _KEPT_FREE_BYTES = 256 << 20
 
 
 def dedicate_process() -> None:
     """Give the cores to inference, and keep freed memory for the next frame.
 
-    Changes OpenCV and the allocator of the whole process: for ssdnet-run and benchmarks, not for a
-    program that embeds a Predictor.
+    This changes OpenCV and the allocator of the whole process. It is meant for ssdnet-run and
+    benchmarks, not for a program that embeds a Predictor.
     """
-    cv2.setNumThreads(1)  # its threads would compete with those of an operator
-    # Files that cannot be decoded are reported as skipped frames: OpenCV prints nothing.
+    cv2.setNumThreads(1)  # more threads would compete with those of an operator
+    # Files that cannot be decoded are reported as skipped frames, so OpenCV prints nothing.
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    # glibc returns the memory of a freed picture, and the kernel clears every page of the next one.
-    # Other C libraries have no mallopt.
+    # glibc would return the memory of a freed picture, and the kernel would clear every page of the
+    # next one. Other C libraries have no mallopt.
     with contextlib.suppress(AttributeError, OSError):
         mallopt = ctypes.CDLL(None).mallopt
         mallopt(_M_MMAP_THRESHOLD, _KEPT_BUFFER_BYTES)
@@ -54,7 +54,7 @@ class StreamResult:
 
     Attributes:
         records: results of the frames, in order, without arrays.
-        wall_s: from the first read to the last write.
+        wall_s: time from the first read to the last write.
         interrupted: whether `stop` ended the stream.
     """
 
@@ -64,14 +64,14 @@ class StreamResult:
 
 
 class ReadFrame(Protocol):
-    """Reads a frame; returns it and the time that reading it took [ms]. Raises InputError."""
+    """Reads a frame; returns it and the time that reading took [ms]. Raises InputError."""
 
     def __call__(self, listed: ListedFrame, *, keep: bool = False) -> tuple[Frame, float]:
-        """Read a frame, unless it is kept. keep: until it is read again, which costs nothing."""
+        """Read a frame unless it is kept; with `keep`, it is kept until it is read again."""
 
 
 def frame_reader(source: Source) -> ReadFrame:
-    """Return a function that reads frames: the first ones once for warm-up, check and run."""
+    """Return a function that reads frames, the first ones only once for warm-up, check and run."""
     kept: dict[int, tuple[Frame, float]] = {}
 
     def read(listed: ListedFrame, *, keep: bool = False) -> tuple[Frame, float]:
@@ -90,12 +90,12 @@ def frame_reader(source: Source) -> ReadFrame:
 class Output(Protocol):
     """Where the answers of a run are written.
 
-    An output is made by a context manager: what it writes gets its name, whole, when the block
-    ends, and is removed after an error there.
+    An output is made by a context manager. What it writes gets its name, complete, when the block
+    ends, and is removed after an error in the block.
     """
 
     def write(self, frame: Frame, result: FrameResult) -> None:
-        """Write the answer to a frame; always called from one thread. Raises OutputError."""
+        """Write the answer to a frame; always called from the same thread. Raises OutputError."""
 
 
 def run_stream(
@@ -111,18 +111,19 @@ def run_stream(
 ) -> StreamResult:
     """Answer every frame, in order.
 
-    One thread reads ahead and one writes behind; each holds at most two frames, so memory does not
+    One thread reads ahead and one writes behind. Each holds at most two frames, so memory does not
     grow. A frame that cannot be read or predicted is skipped.
 
     Args:
         answerer: answers the frames, in the calling thread.
-        frames: to read.
+        frames: the frames to read.
         read: reads them in order, in the reading thread.
-        options: --rate: frames are due at it from the start on, and none is predicted earlier
-            (constant stream of MLPerf), without it each when the one before is done (single
-            stream); --deadline-ms: limit of `FrameResult.latency_ms`.
-        outputs: get each valid answer, in the writing thread.
-        recorders: get each answer, valid or not, in the calling thread, while nothing is predicted.
+        options: with --rate, frames are due at this rate from the start on, and none is predicted
+            earlier (MLPerf's constant stream); without it, each frame is due when the one before is
+            done (single stream). --deadline-ms is the limit of `FrameResult.latency_ms`.
+        outputs: they get each valid answer, in the writing thread.
+        recorders: they get each answer, valid or not, in the calling thread, while nothing is
+            predicted.
         on_record: called with the result of each frame when it is done.
         stop: called before each frame; True ends the stream.
 
@@ -198,7 +199,7 @@ def run_stream(
 
 
 def _wait_until(due: float, stop: Callable[[], bool]) -> bool:
-    """Wait for a time of `perf_counter`. Returns False if `stop` became True before."""
+    """Wait for a time of `perf_counter`. Returns False if `stop` became True before that time."""
     while (left := due - time.perf_counter()) > 0:
         if stop():
             return False
@@ -207,10 +208,10 @@ def _wait_until(due: float, stop: Callable[[], bool]) -> bool:
 
 
 def _lower_priority() -> None:
-    """Let the calling thread run only where inference leaves the processor idle.
+    """Let the calling thread run only while inference leaves the processor idle.
 
-    The threads of an operator wait for the slowest of them, so a millisecond that one of them loses
-    to a decoder is lost to all.
+    The threads of an operator wait for the slowest one, so a millisecond that one of them loses to
+    a decoder is lost to all.
     """
     if sys.platform == "linux":  # on other systems nice() changes the whole process
         os.nice(_NICENESS)

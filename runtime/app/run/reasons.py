@@ -1,4 +1,4 @@
-"""Everything that a run can find wrong with a frame or a sensor, and what it means."""
+"""Everything that a run can find wrong with a frame or a sensor, with its meaning."""
 
 from runtime.contract import degraded
 from runtime.streams.frame_result import INVALID, SKIPPED
@@ -6,7 +6,7 @@ from runtime.streams.health import frame_health as health
 
 LATE = "late"
 CAMERA_SILENT, LIDAR_SILENT = "camera_silent", "lidar_silent"
-#: Reason -> its meaning. --fail-on takes these.
+#: The meaning of each reason. --fail-on takes these reasons.
 REASONS = {
     SKIPPED: "could not be read or predicted",
     INVALID: "the answer cannot be used",

@@ -1,4 +1,4 @@
-"""Run a model over a stream of frames, and write the requested outputs."""
+"""Running a model over a stream of frames, and writing the requested outputs."""
 
 import contextlib
 from collections.abc import Callable, Sequence
@@ -29,7 +29,7 @@ from runtime.recordings.source import ListedFrame, Source
 from runtime.streams.answerer import Answerer, known_focal_length_px
 from runtime.streams.frame_result import FrameResult
 
-_FIRST_FRAMES = 20  # a stream is refused if none of them can be predicted
+_FIRST_FRAMES = 20  # a stream is refused if none of these frames can be predicted
 
 OnRecord = Callable[[FrameResult], None]
 #: Called before the first frame with a text about the run and the number of frames. Returns a
@@ -42,8 +42,8 @@ def run(
 ) -> RunReport:
     """Predict every frame of a stream, and write the answers and a report.
 
-    The cameras of a rig are streams one after the other, each with a folder of its own.
-    Ctrl-C, SIGTERM and SIGHUP end the stream early: what was predicted is written and reported.
+    The cameras of a rig are streams that run one after the other, each with its own folder. Ctrl-C,
+    SIGTERM and SIGHUP end the stream early; what was predicted is written and reported.
 
     Args:
         options: what to run, and what to write.
@@ -51,10 +51,11 @@ def run(
             returns a function that is called with the result of each frame.
 
     Returns:
-        What was also written as report.json.
+        The report, which is also written as report.json.
 
     Raises:
-        SSDNetError: if the source, the model or an output cannot be opened, or there is no room.
+        SSDNetError: if the source, the model or an output cannot be opened, or if there is no
+            space.
     """
     dedicate_process()
     with contextlib.ExitStack() as opened:
@@ -110,16 +111,16 @@ class _Stream:
     """The stream of a camera before its first frame is answered.
 
     Attributes:
-        source: of the frames.
-        frames: to answer.
-        read: reads one; has read the first.
-        predictor: warmed up at their size.
-        kinds: of files to write of each frame.
-        frame_size: (height, width) of the first frame; None = none can be predicted.
-        focal_px: of the camera; None = not known.
-        scale: of the depth; None where no frame can be predicted.
-        fault: why the returns cannot be right; None = nothing was found.
-        fit: how the returns of the first frames fit the image; None = not known.
+        source: source of the frames.
+        frames: the frames to answer.
+        read: reads a frame; it has already read the first ones.
+        predictor: the predictor, warmed up at the size of the frames.
+        kinds: kinds of files to write for each frame.
+        frame_size: (height, width) of the first frame; None if no frame can be predicted.
+        focal_px: focal length of the camera; None if unknown.
+        scale: scale of the depth; None if no frame can be predicted.
+        fault: why the returns cannot be right; None: nothing was found.
+        fit: how well the returns of the first frames fit the image; None if unknown.
     """
 
     source: Source
@@ -144,7 +145,7 @@ class _Stream:
 
 
 def _prepare(options: RunOptions, source: Source, predictor: Predictor) -> _Stream:
-    """List the frames, read the first, and warm up; nothing is written."""
+    """List the frames, read the first ones, and warm up; nothing is written."""
     with source.collecting():
         return _prepared(options, source, predictor)
 
@@ -158,7 +159,7 @@ def _prepared(options: RunOptions, source: Source, predictor: Predictor) -> _Str
     kinds = _answered_kinds(options, predictor, focal_px)
     size = _warm_up(predictor, frames, read, runs=options.warmup)
     scale = predictor.camera_scale(size, focal_length_px=focal_px) if size else None
-    # Of the first frames of all shards, which so have the same finding.
+    # The check uses the first frames of the whole list, so that all shards have the same finding.
     fit = QuickCheck()
     fault = find_depth_fault(predictor, listed, source, read, fit)
     found = None if fault else fit.finding()
@@ -197,7 +198,7 @@ def _answer(
             )
         answers = [each.prediction for each in result.records if each.prediction]
         if fault is NoDepth.NO_RETURNS and any(answer.depth_returns for answer in answers):
-            fault = None  # the LiDAR started later
+            fault = None  # the LiDAR has only started later
         opened.report = replace(
             _report(stream, options, result, fault, answerer.pose_fault),
             beyond_png=opened.beyond_png,
@@ -208,12 +209,12 @@ def _answer(
 def _answered_kinds(
     options: RunOptions, predictor: Predictor, focal_px: float | None
 ) -> tuple[str, ...]:
-    """The kinds of files that the model answers. Raises InputError if one was requested by name."""
+    """The kinds of files that the model answers. Raises InputError if it lacks a requested one."""
     heads = {**{kind: head for kind, (head, _) in SAVED_HEADS.items()}, CLOUD: "depth"}
     missing = [
         kind for kind in options.kinds if kind in heads and heads[kind] not in predictor.heads
     ]
-    are_all = set(KINDS) <= set(options.kinds)  # those that the model has
+    are_all = set(KINDS) <= set(options.kinds)  # "all" stands for those that the model has
     if missing and (CLOUD in missing or not are_all):
         raise InputError(
             f"--save requests {', '.join(missing)}, but the model {predictor.contract.model_name} "
@@ -235,10 +236,10 @@ def _answered_kinds(
 def _warm_up(
     predictor: Predictor, frames: Sequence[ListedFrame], read: ReadFrame, *, runs: int
 ) -> tuple[int, int] | None:
-    """Warm up at the size of the first frame that can be predicted; returns that size.
+    """Warm up at the size of the first frame that can be predicted, and return that size.
 
-    None if no frame of a short stream can: the run itself reports why. Raises InputError if none of
-    the first _FIRST_FRAMES can.
+    The result is None if no frame of a short stream can be predicted; the run itself reports the
+    reason. Raises InputError if none of the first _FIRST_FRAMES frames can be predicted.
     """
     reasons = []
     for listed in frames[:_FIRST_FRAMES]:

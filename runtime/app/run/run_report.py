@@ -29,7 +29,7 @@ REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "2.0"
 FRAMES_FILE, REPORT_FILE = "frames.csv", "report.json"
 FRAMES_SKIPPED, DEADLINE_MISSED, REASON_FOUND = 3, 4, 5  # exit codes
 
-#: Stage -> its time for a frame. "latency" is left out: it equals "age" or "predict".
+#: The time of each stage for a frame. "latency" is left out, because it equals "age" or "predict".
 STAGES = {stage: time_of for stage, time_of in FIGURES.items() if stage != "latency"}
 
 
@@ -38,17 +38,17 @@ class RunReport:
     """The outcome of a run.
 
     Attributes:
-        engine: what `engine_facts` returns.
-        options: of the run.
-        inputs: where the frames came from, as the user gave it; ready for JSON.
-        saved: kinds of files that were written of each frame.
+        engine: the facts that `engine_facts` returned.
+        options: options of the run.
+        inputs: where the frames came from, as the user stated it; ready for JSON.
+        saved: kinds of files that were written for each frame.
         stream: results of the frames.
-        implausible_depth: why the returns cannot be right; None = nothing was found.
-        calibration_fit: how the returns of the first frames fit the image; None = not known.
+        implausible_depth: why the returns cannot be right; None: nothing was found.
+        calibration_fit: how well the returns of the first frames fit the image; None if unknown.
         outages: when a sensor was out.
-        timeline: times of the frames; None = not known, or of several cameras.
-        implausible_poses: why the poses cannot be right; None = nothing was found.
-        beyond_png: kind of file -> pixels that its PNGs cannot hold.
+        timeline: times of the frames; None if they are unknown, or belong to several cameras.
+        implausible_poses: why the poses cannot be right; None: nothing was found.
+        beyond_png: for each kind of file, the number of pixels that its PNGs cannot hold.
     """
 
     engine: Mapping[str, Any]
@@ -67,11 +67,11 @@ class RunReport:
     def of_rig(
         cls, reports: Mapping[str, "RunReport"], options: RunOptions, *, interrupted: bool
     ) -> "RunReport":
-        """Return the reports of several cameras as one; its frames are named CAMERA/FRAME.
+        """Combine the reports of several cameras; frames are named CAMERA/FRAME in the result.
 
         Args:
-            reports: camera -> its report; engine and kinds of files are those of the first.
-            options: of all cameras.
+            reports: the report of each camera; engine and kinds of files are taken from the first.
+            options: options of all cameras.
             interrupted: whether cameras are missing.
         """
         first, *_ = reports.values()
@@ -97,7 +97,7 @@ class RunReport:
             inputs={"cameras": {camera: report.inputs for camera, report in reports.items()}},
             stream=stream,
             implausible_depth="; ".join(found) or None,
-            implausible_poses=first.implausible_poses,  # all cameras have the same
+            implausible_poses=first.implausible_poses,  # the same for all cameras
             outages=tuple(
                 replace(outage, camera=camera)
                 for camera, report in reports.items()
@@ -124,27 +124,27 @@ class RunReport:
 
     @property
     def scenario(self) -> str:
-        """Which of MLPerf's scenarios it was."""
+        """The scenario of MLPerf to which the run belongs."""
         return "single-stream" if self.options.rate is None else "constant-stream"
 
     @property
     def by_status(self) -> Counter[str]:
-        """Status -> frames."""
+        """Number of frames with each status."""
         return Counter(record.status for record in self.records)
 
     @property
     def degraded(self) -> Counter[str]:
-        """Reason of `Prediction.degraded` -> frames."""
+        """Number of frames with each reason of `Prediction.degraded`."""
         return Counter(reason for each in self.predictions for reason in each.degraded)
 
     @property
     def health(self) -> Counter[str]:
-        """Finding of `runtime.streams.health` -> frames."""
+        """Number of frames with each finding of `runtime.streams.health`."""
         return Counter(reason for record in self.records for reason in record.health)
 
     @property
     def depth_sources(self) -> Counter[str]:
-        """Own or reused, and how the returns were moved -> frames with depth."""
+        """Number of frames with depth, by its origin (own or reused) and how returns were moved."""
         return Counter(
             f"{_depth_source(record)}, motion {record.depth_motion}"
             for record in self.records
@@ -153,12 +153,12 @@ class RunReport:
 
     @property
     def by_network_size(self) -> Counter[str]:
-        """Size at which the network ran -> frames."""
+        """Number of frames for each size at which the network ran."""
         return Counter(_size_text(each.network_size) for each in self.predictions)
 
     @property
     def reasons(self) -> Counter[str]:
-        """Reason of `REASONS` -> frames, or outages."""
+        """Number of frames, or of outages, with each of `REASONS`."""
         counts = self.degraded + self.health + self.by_status
         counts[LATE] = sum(record.deadline_met is False for record in self.records)
         if self.implausible_poses is not None:
@@ -177,12 +177,12 @@ class RunReport:
 
     @property
     def not_ok(self) -> list[FrameResult]:
-        """Frames without an answer that can be used."""
+        """The frames without a usable answer."""
         return [record for record in self.records if record.status != OK]
 
     @cached_property
     def statistics(self) -> StreamStatistics:
-        """Statistics over the frames that passed each stage; without stages that none passed."""
+        """Statistics over the frames that passed each stage, without stages that none passed."""
         stages = {}
         for stage, time_of in STAGES.items():
             times_ms = [ms for record in self.records if (ms := time_of(record)) is not None]
@@ -198,14 +198,15 @@ class RunReport:
 
     @property
     def frames_per_second(self) -> float | None:
-        """Rate of predicted frames, reading and writing included; None = none was predicted."""
+        """Rate of predicted frames, with reading and writing; None if none was predicted."""
         return len(self.predictions) / self.stream.wall_s if self.predictions else None
 
     @property
     def exit_code(self) -> int:
-        """0, FRAMES_SKIPPED (also if the depth is implausible), or before these another one.
+        """The first that applies: DEADLINE_MISSED, REASON_FOUND, FRAMES_SKIPPED, or 0.
 
-        DEADLINE_MISSED is before REASON_FOUND.
+        FRAMES_SKIPPED is also returned if the run was interrupted, or depth or poses are
+        implausible.
         """
         missed = self.statistics.missed
         if missed is not None and missed.count:
@@ -264,12 +265,12 @@ class RunReport:
 
 
 def _size_text(size: tuple[int, int] | None) -> str:
-    """A (height, width) in words; None = any."""
+    """A (height, width) in words; None stands for any size."""
     return "any size" if size is None else f"{size[0]} x {size[1]}"
 
 
 def _depth_source(record: FrameResult) -> str:
-    """Depth of the image's "own" scan, "reused" from an older one, or "" without depth."""
+    """Return "own" for depth of the image itself, "reused" for older depth, "" without depth."""
     if record.depth_motion is None:
         return ""
     return "reused" if record.depth_reused else "own"
@@ -280,13 +281,13 @@ def write_report(report: RunReport) -> None:
     # File names need not be valid text.
     table = frames_csv(report).encode(errors="surrogateescape")
     atomic_write(report.out / FRAMES_FILE, table)
-    # Written last: a folder with report.json is complete.
+    # The report is written last, so a folder with report.json is complete.
     document = json.dumps(report.document(), indent=2, allow_nan=False)
     atomic_write(report.out / REPORT_FILE, (document + "\n").encode())
 
 
 def frames_csv(report: RunReport) -> str:
-    """One row per frame; times in ms; cells that do not apply are empty."""
+    """One row per frame, with times in ms; cells that do not apply are empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(
@@ -341,7 +342,7 @@ def running_providers(names: Sequence[str], nodes: Mapping[str, int]) -> list[st
 
 
 def describe_run(report: RunReport) -> str:
-    """The table of stages, and the counts and figures around it."""
+    """The table of stages, with the counts and figures around it."""
     counts = ", ".join(f"{count} {status}" for status, count in report.by_status.items())
     interrupted = ", interrupted" if report.stream.interrupted else ""
     lines = [f"frames: {len(report.records)} ({counts}){interrupted}"]
@@ -373,7 +374,7 @@ def describe_run(report: RunReport) -> str:
 
 
 def group_reasons(frames: Iterable[tuple[str, str]]) -> Iterator[str]:
-    """A line for each reason; reasons that differ only in the name of the frame are merged."""
+    """One line per reason; reasons that differ only in the name of the frame are merged."""
     groups: dict[str, list[tuple[str, str]]] = {}
     for name, reason in frames:
         groups.setdefault(reason.replace(name, ""), []).append((name, reason))

@@ -1,1 +1,1 @@
-"""Commands for integrators: ssdnet-info, ssdnet-doctor, ssdnet-verify, ssdnet-bench."""
+"""Commands for integrators: ssdnet-bench, -calibrate, -doctor, -info and -verify."""

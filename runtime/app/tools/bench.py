@@ -1,8 +1,8 @@
 """`ssdnet-bench`: models side by side on this machine.
 
-Each runs in a process of its own, which gives it its own memory and load time. All take turns, so
-that a disturbance affects all alike. Threads that wait do not spin (`runtime.engine.session`): they
-would take the cores of the model whose turn it is.
+Each model runs in a process of its own, and so has its own memory and load time. The models take
+turns, so that a disturbance affects all alike. Waiting threads do not spin
+(`runtime.engine.session`), because they would take the cores of the model whose turn it is.
 """
 
 import contextlib
@@ -108,18 +108,18 @@ def _size(text: str) -> tuple[int, int]:
 class BenchOptions:
     """What is measured."""
 
-    models: tuple[str, ...]  # bundled names and ONNX files; ratios are to the first that ran
-    sizes: tuple[tuple[int, int], ...]  # (height, width), of models of free size
+    models: tuple[str, ...]  # bundled names and ONNX files; ratios refer to the first that ran
+    sizes: tuple[tuple[int, int], ...]  # (height, width), for models with a free size
     threads: tuple[int, ...]  # within an operator
-    batches: tuple[int, ...] = (1,)  # frames of a run, of models of free batch
+    batches: tuple[int, ...] = (1,)  # frames per run, for models with a free batch
     rounds: int = 100  # measured runs of each model
-    rate_hz: float | None = None  # of frames, for a second in turn; None = one run in turn
+    rate_hz: float | None = None  # of frames; a turn takes a second; None: one run
     provider: str = "cpu"
 
 
 @dataclass
 class BenchRow:
-    """A model at a size, with so many threads and frames a run: times, or why there are none."""
+    """A model at a size, with its threads and frames per run: its times, or why there are none."""
 
     model: str
     size: tuple[int, int]
@@ -127,28 +127,28 @@ class BenchRow:
     batch: int
     opened: Opened | None = None
     error: str | None = None
-    times_ms: list[float] = field(default_factory=list)  # of each run
+    times_ms: list[float] = field(default_factory=list)  # one for each run
 
     @property
     def latency(self) -> LatencyStatistics | None:
-        """Statistics of the runs; None = there were none."""
+        """Statistics of the runs; None if there were none."""
         return latency_statistics(self.times_ms)
 
 
 @dataclass
 class BenchReport:
-    """The outcome: a group of rows, which took turns, for each size, threads and batch."""
+    """The outcome, with a group of rows, which took turns, for each size, threads and batch."""
 
     options: BenchOptions
     machine: MachineFacts
     onnxruntime: str
-    load: float  # of the machine before the start
+    load: float  # load of the machine before the start
     groups: list[list[BenchRow]] = field(default_factory=list)
     interrupted: bool = False
 
 
 def bench(options: BenchOptions) -> BenchReport:
-    """Measure all models; KeyboardInterrupt ends it with what was measured.
+    """Measure all models; KeyboardInterrupt ends the measurement and keeps what was measured.
 
     Raises:
         ProviderError: if ONNX Runtime is not installed.
@@ -188,7 +188,7 @@ def _measure(group: Sequence[BenchRow], options: BenchOptions) -> None:
 
 
 def _answer(row: BenchRow, executor: Executor, call: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function in the process of a row. None after a failure, which is noted in the row."""
+    """Call a function in the process of a row; a failure is noted in the row and gives None."""
     if row.error is not None:
         return None
     try:
@@ -202,7 +202,7 @@ def _answer(row: BenchRow, executor: Executor, call: Callable[..., Any], *argume
 
 
 def to_markdown(report: BenchReport) -> str:
-    """A line on the machine, and a table for each size, threads and batch."""
+    """One line on the machine, and a table for each size, number of threads and batch."""
     options, machine = report.options, report.machine
     how = "runs in turn" if options.rate_hz is None else f"frames at {options.rate_hz:g} Hz"
     parts = [
@@ -225,7 +225,7 @@ def _cells(row: BenchRow, first: BenchRow) -> list[str]:
     opened, latency = row.opened, row.latency
     if opened is None or latency is None:
         return [row.model, *["-"] * 8, row.error or "not measured"]
-    # Ctrl-C can end within a round.
+    # Ctrl-C can end the measurement within a round.
     ratios = [mine / its for mine, its in zip(row.times_ms, first.times_ms, strict=False)]
     low, ratio, high = map(_number, np.quantile(ratios, (0.25, 0.5, 0.75)))
     return [

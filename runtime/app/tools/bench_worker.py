@@ -1,4 +1,4 @@
-"""A model in a process of its own: opened once, and run as often as requested."""
+"""A model in its own process, which is opened once and run as often as requested."""
 
 import contextlib
 import re
@@ -29,16 +29,16 @@ _DTYPES = {
 
 @dataclass(frozen=True)
 class Opened:
-    """Facts of a model that is open; None = not known."""
+    """Facts about an open model; a fact is None if it is unknown."""
 
-    shapes: dict[str, tuple[int, ...]]  # of its inputs
+    shapes: dict[str, tuple[int, ...]]  # shapes of the inputs
     notes: tuple[str, ...]  # differences from the requested shapes
-    load_ms: float  # reading and optimising the file
+    load_ms: float  # time of reading and optimising the file
     first_inference_ms: float
     peak_memory_mb: float | None  # of the process after two runs
 
 
-#: Names of free axes.
+#: Names that free axes may have.
 _NAMES = {"C": "c|.*channels?", "H": "h|rows|.*height", "W": "w|columns|.*width"}
 _process = threading.local()  # holds `run`, a call of the open model
 
@@ -48,7 +48,7 @@ def open_for_timing(
 ) -> Opened:
     """Open a model in this process, for `time_model`. Raises RuntimeError."""
     with _in_words():
-        import_onnxruntime()  # not counted in load_ms
+        import_onnxruntime()  # so that load_ms does not count it
         started = time.perf_counter()
         content, folder = read_onnx(path := find_model(model)), str(path.parent)
         session = open_session(content, provider=provider, threads=threads, weights_folder=folder)
@@ -68,7 +68,7 @@ def time_model(frames: int, period_s: float | None) -> list[float]:
 
 @contextlib.contextmanager
 def _in_words() -> Iterator[None]:
-    """Raise any error of ONNX Runtime as one that every process can read."""
+    """Replace any error of ONNX Runtime by one that every process can read."""
     try:
         yield
     except Exception as error:
@@ -80,7 +80,8 @@ def _in_words() -> Iterator[None]:
 def time_runs(run: Callable[[], object], frames: int, period_s: float | None) -> list[float]:
     """Return the latency of each run [ms].
 
-    With a period a frame's latency counts from when it is due, even if the last one took longer.
+    With a period, the latency of a frame counts from the time at which it is due, even if the run
+    before took longer.
     """
     times_ms = []
     started = time.perf_counter()
@@ -99,8 +100,8 @@ def make_feeds(
 ) -> tuple[Feeds, tuple[str, ...]]:
     """Fill a session's inputs; return them and `Opened.notes`. Raises InputError.
 
-    Free axes are the batch, height, width and 3 channels, see `_free_axes`; others are fixed. A
-    name of an axis means the same in all inputs.
+    Free axes are the batch, height, width and 3 channels, see `_free_axes`; other axes are fixed.
+    The name of an axis has the same meaning in all inputs.
     """
     feeds, takes_size, takes_batch = {}, False, batch == 1
     sides = {"N": batch, "C": 3, "H": size[0], "W": size[1]}
@@ -125,8 +126,8 @@ def make_feeds(
 def _free_axes(shape: Sequence[Any]) -> dict[str, int]:
     """Return the axes N, C, H and W of an input that are free, as far as they are certain.
 
-    H, W and C are known by their names; of others the first is N, and two neighbours of four axes,
-    beside channels that are fixed, are H and W.
+    H, W and C are recognised by their names. If there are no such names, the first axis is N, and H
+    and W are two neighbouring axes of four whose other axis, the channels, is fixed.
     """
     free = [at for at, side in enumerate(shape) if not isinstance(side, int)]
     axes = {
@@ -150,7 +151,7 @@ def make_input(name: str, element: str, shape: Sequence[int]) -> NDArray[Any]:
     which may be indices, are 0; booleans, which may be masks, are True.
 
     Raises:
-        InputError: for anything but a tensor of numbers.
+        InputError: if the input is anything but a tensor of numbers.
     """
     if element not in _DTYPES:
         raise InputError(f"the input {shown(name)} is {element}: expected a tensor of numbers")
@@ -169,6 +170,6 @@ def make_input(name: str, element: str, shape: Sequence[int]) -> NDArray[Any]:
 def _peak_memory_mb() -> float | None:
     try:
         found = re.search(r"VmHWM:\s*(\d+) kB", Path("/proc/self/status").read_text())
-    except OSError:  # not Linux
+    except OSError:  # the system is not Linux
         found = None
     return int(found[1]) * 1024 / 1e6 if found else None

@@ -1,4 +1,4 @@
-"""`ssdnet-calibrate`: whether a calibration is right, without a target; `runtime.calibrate`."""
+"""`ssdnet-calibrate`: whether a calibration is right, without a target; see `runtime.calibrate`."""
 
 import functools
 from pathlib import Path
@@ -23,7 +23,7 @@ from runtime.recordings.source import Source
 _NOT_VISIBLE, _WRONG = 3, 4  # exit codes
 _EXIT_CODES = {Verdict.RIGHT: 0, Verdict.NOT_VISIBLE: _NOT_VISIBLE}
 _PICTURES = (".jpg", ".jpeg", ".png")
-#: The options of `ssdnet-run` that say what is read.
+#: The options of `ssdnet-run` that state what is read.
 _READ = ("path", "rgb", "points", "calibration", "rectify", "poses", "source", "max_skew_ms")
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -87,7 +87,7 @@ def main(
 
 
 def _open_source(options: RunOptions) -> Source:
-    """The only camera. Raises InputError for several."""
+    """Open the only camera. Raises InputError if there are several."""
     cameras = options.open_cameras()
     if len(cameras) > 1:
         for source in cameras.values():
@@ -100,9 +100,9 @@ def _open_source(options: RunOptions) -> Source:
 
 
 def describe_result(result: CalibrationResult, transform: tuple[str, ...] = ()) -> list[str]:
-    """The verdict, what it rests on, and what else would look the same.
+    """The verdict, its evidence, and what else would look the same.
 
-    transform: lines with the command of ROS, printed where the calibration is off.
+    `transform` holds lines with a command of ROS, which are printed if the calibration is off.
     """
     before, after = result.before, result.after
     lines = [
@@ -117,12 +117,12 @@ def describe_result(result: CalibrationResult, transform: tuple[str, ...] = ()) 
 
 
 def _transform(result: CalibrationResult, source: Source) -> tuple[str, ...]:
-    """The command of ROS that publishes the refined calibration; () without one."""
+    """Lines with the command of ROS that publishes the refined calibration, if there is one."""
     if (refined := result.refined) is None:
         return ()
     position = refined.extrinsics[:3, 3]
     if result.mistake is None and source.lidar_position is not None:
-        position = source.lidar_position  # without the baseline of a stereo pair
+        position = source.lidar_position  # the position without the baseline of a stereo pair
     rotation = refined.extrinsics[:3, :3]
     return (format_static_transform(rotation, position, source.transform_frames),)
 
@@ -132,7 +132,7 @@ def _write_picture(result: CalibrationResult, path: Path) -> None:
     if result.verdict is Verdict.OFF and result.refined is not None:
         calibrations["refined"] = result.refined
     points = points_in_time(frame)
-    assert points is not None  # `calibrate` takes frames with scans
+    assert points is not None  # `calibrate` only takes frames with scans
     drawn = draw_alignment(frame.rgb, points, calibrations)
     is_png = path.suffix.lower() == ".png"
     atomic_write(path, encode_png(drawn) if is_png else encode_jpeg(drawn, quality=92))

@@ -24,11 +24,11 @@ def format_toml(calibration: Calibration, *comments: str) -> str:
 def format_static_transform(
     rotation: NDArray[np.float64], position: NDArray[np.float64], frames: tuple[str, str]
 ) -> str:
-    """Return the command of ROS 2 that publishes where the LiDAR is in the camera's frame.
+    """Return the command of ROS 2 that publishes the LiDAR's place in the camera's frame.
 
     Args:
         rotation: float64 (3, 3), from the LiDAR's axes to the camera's.
-        position: float64 (3,), of the LiDAR in the camera's frame, metres.
+        position: float64 (3,), position of the LiDAR in the camera's frame, metres.
         frames: names of the frames of camera and LiDAR.
     """
     values = zip(("x", "y", "z"), position, strict=True)
@@ -42,9 +42,9 @@ def format_static_transform(
 
 
 def quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a rotation (3, 3) as x, y, z, w; w is not negative.
+    """Return a rotation (3, 3) as a quaternion x, y, z, w, whose w is not negative.
 
-    The eigenvector of Bar-Itzhack (2000), which is exact to rounding for every angle.
+    It is the eigenvector of Bar-Itzhack (2000), which is exact to rounding for every angle.
     """
     r = rotation
     matrix = np.array(

@@ -1,4 +1,4 @@
-"""Entry points of the commands; each imports only its own file."""
+"""Entry points of the commands; each imports only its own module."""
 
 from collections.abc import Callable
 from importlib import import_module
@@ -7,7 +7,7 @@ from runtime.app.command import begin_command
 
 
 def _command(module: str) -> Callable[[], None]:
-    """The entry point of the command whose `app` a module holds."""
+    """The entry point of the command whose `app` is in this module."""
 
     def start() -> None:
         begin_command()

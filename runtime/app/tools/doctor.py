@@ -18,13 +18,13 @@ from runtime.app.command_options import Version
 from runtime.app.run.engine_facts import machine_facts
 from runtime.base.errors import SSDNetError
 
-#: "note" is a fact, or something missing that is not needed; only "fault" fails.
+#: A "note" is a fact, or something missing that is not needed; only a "fault" fails.
 Status = Literal["ok", "note", "warning", "fault"]
 
-_ENGINE = {"numpy": "numpy", "cv2": "opencv-python-headless"}  # module -> distribution
+_ENGINE = {"numpy": "numpy", "cv2": "opencv-python-headless"}  # distribution of each module
 _ORT_WHEELS = ("onnxruntime", "onnxruntime-gpu")
-_FRAMES = 10  # of a self-test
-_MOST_DEPTH_ERROR = 0.1  # of a return, at the median: more than the model's error
+_FRAMES = 10  # in a self-test
+_MOST_DEPTH_ERROR = 0.1  # median relative error at returns; more than the model's error
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -59,7 +59,7 @@ class Check:
 
 
 def examine(provider: str) -> Iterator[Check]:
-    """Run all checks, the self-tests on "cpu" or "cuda"; yield each result as it is known."""
+    """Run all checks, with self-tests on "cpu" or "cuda", and yield each result at once."""
     machine = machine_facts()
     yield Check("python", "ok", f"{machine.python} on {machine.system}")
     yield Check("processor", "note", machine.processor)
@@ -87,18 +87,18 @@ def _installed(distribution: str) -> str | None:
 
 
 def _pip(*arguments: str) -> str:
-    """The command line of pip for the running Python."""
+    """A pip command line for the running Python."""
     return shlex.join([sys.executable, "-m", "pip", *arguments])
 
 
 def _package(module: str, remedy: str) -> Check:
-    """Whether a package can be imported; that of ONNX Runtime with its providers."""
+    """Whether a package can be imported; for ONNX Runtime also its providers."""
     try:
         imported = importlib.import_module(module)
         found = str(imported.__version__)
         if module == "onnxruntime":
             found += f": {', '.join(imported.get_available_providers())}"
-    except Exception as error:  # a package can fail in any way
+    except Exception as error:  # a package may fail with any exception
         return Check(module, "fault", f"{type(error).__name__}: {error}", remedy)
     return Check(module, "ok", found)
 

@@ -37,10 +37,10 @@ def info(
 
 
 def describe_model(predictor: Predictor) -> str:
-    """The file, its tensors, and its metadata as a table, a line a fact."""
+    """The file, its tensors, and its metadata as a table with a line for each fact."""
     metadata = asdict(predictor.contract)
     classes = metadata.pop("classes")
-    metadata["training"].pop("recipe", None)  # a page of text
+    metadata["training"].pop("recipe", None)  # it is a page of text
     facts = {
         "file": str(predictor.model.path),
         "megabytes": predictor.model.path.stat().st_size / 1e6,
@@ -61,7 +61,7 @@ def describe_model(predictor: Predictor) -> str:
         for key, entry in entries.items():
             rows = entry if key == "rows" else [entry]
             lines += [(f"  {key}", _plain(row)) for row in rows]
-    # Without line feeds: the text of a file must not look like another line.
+    # Line feeds are removed, so that a text in the file cannot look like another line.
     return "\n".join(f"{name:24}{' '.join(fact.split())}".rstrip() for name, fact in lines)
 
 

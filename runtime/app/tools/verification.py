@@ -1,4 +1,4 @@
-"""The answers to the frames of a recording, compared with the recorded ones."""
+"""Comparison of the answers to the frames of a recording with the recorded answers."""
 
 import math
 import statistics
@@ -25,7 +25,7 @@ from runtime.contract.model_file import load_model_file
 from runtime.engine.predictor import Predictor
 from runtime.recordings.recording import RecordedFrame, Recording
 
-#: Head -> figure of `agreement.compare` -> value or limit.
+#: A value or a limit for each figure of `agreement.compare`, by head.
 Figures = Mapping[str, Mapping[str, float]]
 _ANSWERED_BY_TORCH = "torch"
 
@@ -35,11 +35,11 @@ class Comparison:
     """The answers to one frame, compared with the recorded ones.
 
     Attributes:
-        name: of the frame.
-        figures: head -> how far its answer is from the recorded one.
-        beyond: heads of which a figure is beyond its limit.
+        name: name of the frame.
+        figures: how far the answer of each head is from the recorded one.
+        beyond: heads with a figure beyond its limit.
         faults: what else differs, in words.
-        predict_ms: time of the prediction now; None = there was none.
+        predict_ms: time of the prediction now; None if there was none.
     """
 
     name: str
@@ -56,9 +56,9 @@ class WorstFigure:
     Attributes:
         head: name of the head.
         figure: name of the figure, see `agreement.compare`.
-        worst: its worst value, NaN included; None where no frame has the head.
-        limit: of it.
-        frame: name of the worst frame; None as `worst`.
+        worst: its worst value, which may be NaN; None if no frame has the head.
+        limit: limit of the figure.
+        frame: name of the worst frame; None if `worst` is None.
         frames_beyond: number of frames beyond the limit.
     """
 
@@ -72,7 +72,7 @@ class WorstFigure:
 
 @dataclass(frozen=True)
 class Fault:
-    """What differs beside the values of heads: a text, and the frames of which it is true."""
+    """A difference besides the values of heads: a text, and the frames to which it applies."""
 
     text: str
     frames: int
@@ -84,10 +84,10 @@ class VerifyReport:
     """The comparison of a whole recording.
 
     Attributes:
-        recording: that was compared.
-        limits: head -> limits of its figures.
-        checks: of the frames, in order.
-        max_slowdown: limit of `slowdown`; infinity = times are not compared.
+        recording: the recording that was compared.
+        limits: limits of the figures of each head.
+        checks: comparisons of the frames, in order.
+        max_slowdown: limit of `slowdown`; infinity: times are not compared.
     """
 
     recording: Recording
@@ -102,7 +102,7 @@ class VerifyReport:
 
     @cached_property
     def slowdown(self) -> float | None:
-        """The median time now over the recorded one; None where no times were recorded."""
+        """The median time now divided by the recorded one; None if no times were recorded."""
         now_ms = [each.predict_ms for each in self.checks if each.predict_ms is not None]
         recorded = [each.predict_ms for each in self.recording.frames]
         recorded_ms = [each for each in recorded if each is not None]
@@ -112,12 +112,12 @@ class VerifyReport:
 
     @property
     def slow(self) -> bool:
-        """Whether predictions take more than `max_slowdown` times what was recorded."""
+        """Whether predictions take more than `max_slowdown` times the recorded time."""
         return (self.slowdown or 0) > self.max_slowdown
 
     @property
     def passed(self) -> bool:
-        """Whether there are answers, and all are the recorded ones within `max_slowdown`."""
+        """Whether there are answers, and all agree with the recorded ones within `max_slowdown`."""
         return bool(self.checks) and not self.slow and not self.failed
 
     @property
@@ -134,7 +134,7 @@ class VerifyReport:
                     frame = next(
                         each
                         for each, figures in of_head
-                        # A NaN is not equal to itself.
+                        # A NaN does not equal itself.
                         if figures[name] == worst_value or math.isnan(figures[name])
                     )
                 beyond = sum(not within(figures, {name: limit}) for _, figures in of_head)
@@ -143,7 +143,7 @@ class VerifyReport:
 
     @property
     def faults(self) -> list[Fault]:
-        """What differs beside the values of heads, each text once."""
+        """The differences besides the values of heads, each text once."""
         frames: dict[str, list[str]] = {}
         for check in self.checks:
             for text in check.faults:
@@ -160,21 +160,21 @@ def verify(
 ) -> VerifyReport:
     """Predict each recorded frame, and compare the answers with the recorded ones.
 
-    Classes are compared by their names, whatever their ids. A file of the recorded checkpoint in
-    another precision has the limits of the less exact of the two files. Each new size of frame is
-    predicted once before it is timed.
+    Classes are compared by their names, whatever their ids are. If the predictor's file holds the
+    recorded checkpoint in another precision, the limits are those of the less exact of the two
+    files. Each new frame size is predicted once before it is timed.
 
     Args:
         predictor: answers the frames.
         recording: frames and answers.
-        tolerances: head -> figure of `agreement.figure_name`, or "" for the figure that
-            `Head.tolerance` limits -> limit. Those of a head replace the recorded ones.
-        max_slowdown: limit of the median time over the recorded one.
+        tolerances: limits by head and by figure: `agreement.figure_name`, or "" for the figure that
+            `Head.tolerance` limits. Those of a head replace the recorded limits.
+        max_slowdown: limit of the median time divided by the recorded one.
 
     Raises:
         ContractError: if the recorded model cannot be read.
-        InputError: if the arrays of the recording are damaged, if it lacks a head of `tolerances`,
-            or times for `max_slowdown`, and for a model of other classes.
+        InputError: if the arrays of the recording are damaged, if it lacks a head of `tolerances`
+            or the times for `max_slowdown`, or if the model has other classes.
     """
     if unknown := sorted(tolerances.keys() - recording.limits.keys()):
         raise InputError(
@@ -202,7 +202,7 @@ def verify(
 
 
 def _limits_for(now: Contract, recorded: Contract, recording: Recording) -> dict[str, Any]:
-    """The limits of another file: of the recorded checkpoint, those of the less exact file."""
+    """The limits for another file; for the recorded checkpoint, those of the less exact file."""
     if now.checkpoint_sha256 != recorded.checkpoint_sha256:
         return dict(recording.limits)
     from_torch = recording.settings.provider == _ANSWERED_BY_TORCH
@@ -215,9 +215,9 @@ def _limits_for(now: Contract, recorded: Contract, recording: Recording) -> dict
 def _class_lookup(
     now: Sequence[ClassInfo], recorded: Sequence[ClassInfo]
 ) -> NDArray[np.uint8] | None:
-    """Table (256,) from the ids of a model to the recorded ones; None where there is no class.
+    """Table (256,) from the ids of a model to the recorded ones; None if there are no classes.
 
-    Raises InputError for a model whose classes are others.
+    Raises InputError if the model has other classes.
     """
     names, known = [info.name for info in now], [info.name for info in recorded]
     if not names or not known:
@@ -243,7 +243,7 @@ def _class_lookup(
 def _by_recorded_id(
     head: str, answer: NDArray[Any], lookup: NDArray[np.uint8] | None
 ) -> NDArray[Any]:
-    """Return an answer in the ids of the recorded classes."""
+    """Return an answer with the ids of the recorded classes."""
     row = HEADS[head]
     if lookup is None:
         return answer
@@ -261,7 +261,7 @@ def _check_frame(
     lookup: NDArray[np.uint8] | None,
     warm: set[tuple[int, ...]],
 ) -> Comparison:
-    """Predict a frame again. warm: shapes of pictures that were predicted before."""
+    """Predict a frame again; `warm` holds the shapes of pictures that were predicted before."""
     rgb, sparse_depth = arrays.pop("rgb"), arrays.pop("sparse_depth")
     figures: dict[str, dict[str, float]] = {head: {} for head in limits}
     try:

@@ -110,7 +110,7 @@ def main(
 
 
 def _tolerances(texts: Sequence[str]) -> dict[str, dict[str, float]]:
-    """Head -> figure, "" for the first one -> limit."""
+    """The limits by head and figure; "" stands for the first figure."""
     limits: dict[str, dict[str, float]] = {}
     for text in texts:
         name, _, number = text.partition("=")
@@ -182,7 +182,7 @@ def _table(report: VerifyReport, predictor: Predictor) -> str:
 
 
 def _to_json(report: VerifyReport, predictor: Predictor) -> dict[str, Any]:
-    """What the table says, for a program; null where a value is not finite or there is none."""
+    """The content of the table for a program; null if a value is missing or not finite."""
     recording, contract = report.recording, predictor.contract
     return {
         "passed": report.passed,

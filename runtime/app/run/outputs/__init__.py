@@ -1,1 +1,1 @@
-"""Where the answers of a run go, a file an output."""
+"""The outputs of a run, one file for each."""

@@ -1,4 +1,4 @@
-"""Charts of the page, filled in by chart.html and strip.html; lengths in percent of a chart."""
+"""Charts of the page, filled into chart.html and strip.html; lengths are percent of a chart."""
 
 import math
 from collections import Counter
@@ -12,18 +12,18 @@ from runtime.app.run.reasons import LATE
 from runtime.streams.frame_result import INVALID, OK, SKIPPED, FrameResult
 
 UNANSWERED = (SKIPPED, INVALID)  # frames without a usable answer
-_MOST_SPANS = 490  # of a chart
+_MOST_SPANS = 490  # in one chart
 _MOST_TICKS = 6
-_GAP = 2.5  # periods without a frame
-_MOST_POINTS = 140  # a chart with more spans draws points for late ones only
+_GAP = 2.5  # periods without a frame that count as a gap
+_MOST_POINTS = 140  # with more spans, a chart draws points for late ones only
 _LEAST_BAR = 0.25  # width of a bar in percent of its strip
 
-#: Left, width and height in percent, and opacity 0..1.
+#: Left, width and height in percent, and opacity from 0 to 1.
 Bar = tuple[float, float, float, float]
 
 
 def marks_of(record: FrameResult) -> set[str]:
-    """What is wrong with a frame: status, "late", `Prediction.degraded`, and health."""
+    """What is wrong with a frame: its status, "late", `Prediction.degraded`, and health."""
     marks = {*record.health, *(record.prediction.degraded if record.prediction else ())}
     if record.status != OK:
         marks.add(record.status)
@@ -34,13 +34,13 @@ def marks_of(record: FrameResult) -> set[str]:
 
 @dataclass(frozen=True)
 class Axis:
-    """What the charts have along: seconds from the start of the recording, or frames.
+    """The horizontal axis of the charts: seconds from the start of the recording, or frames.
 
     Attributes:
-        places: of each frame, rising.
-        period: from a frame to the next one, without gaps.
-        start, end: of the charts; the last frame takes a period, too.
-        unit: "s", or "frame" where the times are not known.
+        places: place of each frame on the axis, rising.
+        period: distance from a frame to the next one, without gaps.
+        start, end: limits of the charts; the last frame takes a period, too.
+        unit: "s", or "frame" if the times are unknown.
     """
 
     places: Sequence[float]
@@ -51,9 +51,9 @@ class Axis:
 
     @classmethod
     def of(cls, frames: int, times_s: Sequence[float] | None, end_s: float = 0.0) -> "Axis":
-        """Return the axis of so many frames at these times; None = not known.
+        """Return the axis for so many frames at these times; None if the times are unknown.
 
-        end_s: until which an outage lasts.
+        `end_s` is the end of the last outage.
         """
         if times_s is None or len(times_s) < 2:
             return cls(range(frames), 1.0, 0.0, max(float(frames), 1.0), "frame")
@@ -62,11 +62,11 @@ class Axis:
         return cls(times_s, period, 0.0, max(times_s[-1] + period, end_s), "s")
 
     def share(self, place: float) -> float:
-        """Where a place is, 0 = the start, 1 = the end."""
+        """Position of a place between the start (0) and the end (1)."""
         return (place - self.start) / (self.end - self.start)
 
     def reach(self, at: int) -> float:
-        """Until where a frame lasts: the next one, or a period where there is a gap."""
+        """Place at which a frame ends: that of the next one, or a period later if a gap follows."""
         after = self.places[at + 1] if at + 1 < len(self.places) else self.end
         return after if not self.is_gap(at) else self.places[at] + self.period
 
@@ -83,7 +83,7 @@ class Axis:
         return [(100 * self.share(n * step), n * step) for n in range(first, last + 1)]
 
     def title(self, first: int, last: int, name: str) -> str:
-        """Frames in words, for a tooltip; `name` is that of the first."""
+        """Frames in words, for a tooltip; `name` is the name of the first frame."""
         if self.unit == "s":
             till = "" if first == last else f" to {self.places[last]:.2f}"
             return f"{self.places[first]:.2f}{till} s"
@@ -105,17 +105,17 @@ class Span:
 
     @property
     def start(self) -> float:
-        """Where it starts on the axis."""
+        """Place at which the span starts on the axis."""
         return self.axis.places[self.first]
 
     @property
     def end(self) -> float:
-        """Where it ends on the axis."""
+        """Place at which the span ends on the axis."""
         return self.axis.reach(self.last)
 
     @property
     def middle(self) -> float:
-        """The middle of its frames on the axis."""
+        """Middle of the span's frames on the axis."""
         return (self.start + self.axis.places[self.last]) / 2
 
     @property
@@ -130,28 +130,28 @@ class Span:
 
     @property
     def slowest_ms(self) -> float:
-        """Largest latency of the answered frames, of which there are some."""
+        """Largest latency of the answered frames; there must be at least one."""
         return max(self.times_ms)
 
     @cached_property
     def marks(self) -> Counter[str]:
-        """Mark -> frames that have it."""
+        """Number of frames with each mark."""
         return Counter(mark for record in self.records for mark in marks_of(record))
 
     @cached_property
     def mean_returns(self) -> float | None:
-        """Mean number of returns used; None = no frame was answered."""
+        """Mean number of returns used; None if no frame was answered."""
         returns = [each.prediction.depth_returns for each in self.records if each.prediction]
         return sum(returns) / len(returns) if returns else None
 
 
 def join_frames(records: Sequence[FrameResult], axis: Axis | None = None) -> list[Span]:
-    """The spans of a run: of one frame each, or of several where there are too many frames.
+    """The spans of a run, with one frame each, or with several if there are too many frames.
 
-    No span has a gap inside. axis: None = of frames.
+    No span contains a gap. If `axis` is None, the axis counts frames.
     """
     axis = axis or Axis.of(len(records), None)
-    frames = -(-len(records) // _MOST_SPANS) or 1  # of a span
+    frames = -(-len(records) // _MOST_SPANS) or 1  # in a span
     spans, first = [], 0
     for at in range(len(records)):
         if at + 1 - first == frames or at + 1 == len(records) or axis.is_gap(at):
@@ -163,7 +163,7 @@ def join_frames(records: Sequence[FrameResult], axis: Axis | None = None) -> lis
 def latency_chart(spans: Sequence[Span], *, deadline_ms: float | None) -> dict[str, Any]:
     """Draw the latency of the slowest frame of each span, the deadline, and unanswered frames.
 
-    Returns the values of chart.html; {} if no frame was answered.
+    Returns the values for chart.html, or {} if no frame was answered.
     """
     answered = [span for span in spans if span.times_ms]
     if not answered:
@@ -207,7 +207,7 @@ def latency_chart(spans: Sequence[Span], *, deadline_ms: float | None) -> dict[s
 
 
 def _lines(spans: Sequence[Span]) -> list[list[Span]]:
-    """Answered spans that follow each other without a gap."""
+    """Lists of answered spans that follow each other without a gap."""
     lines: list[list[Span]] = [[]]
     for span in spans:
         if span.times_ms:
@@ -218,18 +218,18 @@ def _lines(spans: Sequence[Span]) -> list[list[Span]]:
 
 
 def outage_strip(axis: Axis, places: Sequence[tuple[float, float]]) -> list[Bar]:
-    """A bar for each stretch of the axis."""
+    """A bar for each of these parts of the axis."""
     return [_bar(axis.share(first), axis.share(last)) for first, last in places]
 
 
 def _distance(least: float) -> float:
-    """The distance of ticks: 1, 2 or 5 of a power of ten, and not below `least`."""
+    """The distance between ticks: 1, 2 or 5 times a power of ten, and at least `least`."""
     steps = (step * 10.0**power for power in range(-6, 10) for step in (1, 2, 5))
     return next(step for step in steps if step >= least)
 
 
 def mark_strip(spans: Sequence[Span], mark: str) -> list[Bar]:
-    """The bars of the spans in which a mark occurs, darker where more frames have it."""
+    """The bars of the spans in which a mark occurs, darker if more frames have it."""
     return [
         _bar(span.axis.share(span.start), span.axis.share(span.end), opacity=0.6 + 0.4 * share)
         for span in spans
@@ -238,7 +238,7 @@ def mark_strip(spans: Sequence[Span], mark: str) -> list[Bar]:
 
 
 def returns_strip(spans: Sequence[Span]) -> list[Bar]:
-    """A bar for each span, as high as its mean number of LiDAR returns."""
+    """A bar for each span, whose height is its mean number of LiDAR returns."""
     most = max(span.mean_returns or 0 for span in spans) or 1
     return [
         _bar(span.axis.share(span.start), span.axis.share(span.end), height=returns / most)

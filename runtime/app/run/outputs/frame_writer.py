@@ -1,4 +1,4 @@
-"""Write the files of each frame of a run: all files of a frame, or none."""
+"""Writing the files of each frame of a run: all files of a frame, or none."""
 
 import contextlib
 from collections.abc import Iterator, Sequence
@@ -16,13 +16,13 @@ from runtime.streams.frame_result import FrameResult
 
 
 class FrameWriter:
-    """Write the answers to each frame, one subfolder a kind; see `open_frame_files`."""
+    """Writes the answers to each frame, with one subfolder per kind; see `open_frame_files`."""
 
     def __init__(self, run: OpenRun) -> None:
         self._run = run
 
     def write(self, frame: Frame, result: FrameResult) -> None:
-        """Write the files of one frame: all of them, or, on an error, none. Raises OutputError."""
+        """Write all files of one frame; after an error none of them remains. Raises OutputError."""
         written: list[Path] = []
         try:
             for kind in self._run.kinds:
@@ -33,7 +33,7 @@ class FrameWriter:
                     written.append(path)
         except BaseException:
             for path in written:
-                with contextlib.suppress(OSError):  # the first error is reported
+                with contextlib.suppress(OSError):  # the first error is reported instead
                     path.unlink(missing_ok=True)
             raise
 
@@ -56,7 +56,7 @@ class FrameWriter:
 def open_frame_files(run: OpenRun) -> Iterator[FrameWriter | None]:
     """Make the folder of --out, with the files of --save and, when the block ends, the report.
 
-    Yields None where no file of a frame is to be written.
+    Yields None if no file of a frame is to be written.
     """
     make_run_folder(run.options, run.kinds, run.names)
     yield FrameWriter(run) if run.kinds else None
@@ -68,7 +68,7 @@ def make_run_folder(options: RunOptions, kinds: Sequence[str], names: Sequence[s
 
     With --overwrite an earlier run in it is replaced. Raises OutputError, see `make_own_folder`.
     """
-    # The report is removed first, since a run with a report is whole.
+    # The report is removed first, because a folder with a report counts as complete.
     files = [Path(REPORT_FILE), Path(FRAMES_FILE)]
     files += [Path(kind, name + SUFFIXES[kind]) for kind in kinds for name in names]
     make_own_folder(options.folder, files, overwrite=options.overwrite)

@@ -1,4 +1,4 @@
-"""The answers of a run as an MCAP file of ROS 2's standard messages (extra `bag`)."""
+"""The answers of a run as an MCAP file with the standard messages of ROS 2 (extra `bag`)."""
 
 import contextlib
 import json
@@ -19,7 +19,7 @@ from runtime.recordings.ros_answers import camera_fields, cloud_fields, status_f
 from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
 
-#: Head that is a picture -> topic of its `sensor_msgs/msg/CompressedImage`.
+#: Topics of the heads that are pictures (`sensor_msgs/msg/CompressedImage`).
 IMAGES = {
     head.name: f"/ssdnet/{head.name}/compressed" for head in HEADS.values() if not head.per_class
 }
@@ -28,11 +28,11 @@ POINTS, CAMERA, DIAGNOSTICS = "/ssdnet/points", "/ssdnet/camera_info", "/diagnos
 STATIC = "/tf_static"
 _SCALES = {Unit.METRES: METRES_PNG_SCALE, Unit.PROBABILITY: 255}
 _S = 1_000_000_000  # nanoseconds
-_LAST_NS = 2**31 * _S  # builtin_interfaces/msg/Time has 32 bits for the seconds
+_LAST_NS = 2**31 * _S  # a builtin_interfaces/msg/Time has 32 bits for the seconds
 
 
 class McapWriter:
-    """Append the messages of each frame; see `open_mcap`."""
+    """Appends the messages of each frame; see `open_mcap`."""
 
     def __init__(self, bag: Any, run: OpenRun) -> None:
         from rosbags.typesys import Stores, get_typestore
@@ -43,7 +43,7 @@ class McapWriter:
         self._frames = 0
 
     def write(self, frame: Frame, result: FrameResult) -> None:
-        """Append the answers to a frame. Raises OutputError for a stamp out of range for ROS."""
+        """Append the answers to a frame. Raises OutputError if ROS cannot hold the stamp."""
         prediction, stamp_ns = result.prediction, frame.image.stamp_ns
         if frame.image.stamp is None:
             stamp_ns = round(self._frames / (self._run.options.rate or DEFAULT_RATE_HZ) * _S)
@@ -82,7 +82,7 @@ class McapWriter:
         self._add(DIAGNOSTICS, of_type, stamp_ns, header, status=[found])
 
     def _write_once(self, stamp_ns: int) -> None:
-        """Append what holds for all frames: classes, scales, and where the sensors are."""
+        """Append what is the same for all frames: classes, scales, and where the sensors are."""
         names = {index: info.name for index, info in enumerate(self._contract.classes)}
         scales = {head: _SCALES[HEADS[head].unit] for head in IMAGES if HEADS[head].unit in _SCALES}
         for topic, facts in ((CLASSES, names), (SCALES, scales)):
@@ -130,7 +130,7 @@ class McapWriter:
 
 
 def _latched() -> Any:
-    """The quality of service of /tf_static: who subscribes later gets the last message."""
+    """The quality of service of /tf_static: later subscribers get the last message."""
     from rosbags.interfaces import (
         Qos,
         QosDurability,
@@ -156,9 +156,9 @@ def _latched() -> Any:
 
 @contextlib.contextmanager
 def open_mcap(run: OpenRun) -> Iterator[McapWriter]:
-    """Make the file of --mcap; frames without stamps are at --rate, the first of them at 0.
+    """Make the file of --mcap; frames without stamps are --rate apart, the first of them at 0.
 
-    A run without a frame leaves no file there.
+    A run without any frame leaves no file.
     """
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 

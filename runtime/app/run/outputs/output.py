@@ -22,16 +22,17 @@ from runtime.streams.frame_result import FrameResult
 
 @dataclass
 class OpenRun:
-    """A run of one camera while it is open: what an output may need.
+    """A run of one camera while it is open, with all that an output may need.
 
     Attributes:
-        options: of the run.
-        predictor: of the run.
-        kinds: of SUFFIXES, the files of a frame to write.
-        names: of the frames.
+        options: options of the run.
+        predictor: predictor of the run.
+        kinds: the files to write for each frame, some of SUFFIXES.
+        names: names of the frames.
         sensors: frames of the camera and the LiDAR, as ROS names them.
-        beyond_png: kind of file -> pixels that its PNGs cannot hold, see `count_beyond_png`.
-        report: set after the last frame, before the outputs are closed.
+        beyond_png: for each kind of file, the number of pixels that its PNGs cannot hold, see
+            `count_beyond_png`.
+        report: the report, set after the last frame, before the outputs are closed.
     """
 
     options: RunOptions
@@ -45,16 +46,17 @@ class OpenRun:
     def draw(
         self, frame: Frame, result: FrameResult, *, widest: int | None = None
     ) -> NDArray[np.uint8]:
-        """Draw a frame and its answers, by default as wide as --overlay-width says."""
+        """Draw a frame and its answers, by default with the width of --overlay-width."""
         widest = self.options.overlay_width or widest
         return self._overlay.draw(frame.rgb, result.prediction, frame.sparse_depth, widest=widest)
 
     def cloud(
         self, frame: Frame, prediction: Prediction, *, voxel_m: float | None = None
     ) -> PointCloud | None:
-        """The cloud of a frame as the options say; None where the camera is not known.
+        """The cloud of a frame according to the options; None if the camera is unknown.
 
-        voxel_m: side of the cubes of which one point is kept, unless --cloud-voxel is given.
+        `voxel_m` is the side of the cubes in which one point is kept, unless --cloud-voxel is
+        given.
         """
         camera = camera_of(frame, self.predictor.focal_length_px)
         if camera is None or prediction.depth is None:
@@ -73,9 +75,9 @@ class OpenRun:
 
 
 def camera_of(frame: Frame, focal_length_px: float | None) -> Calibration | None:
-    """The calibration of a frame, else of a camera with its principal point in the middle.
+    """The calibration of a frame, else that of a camera with its principal point in the middle.
 
-    None where the focal length is not known, either.
+    The result is None if the focal length is unknown, too.
     """
     if frame.calibration is not None or focal_length_px is None:
         return frame.calibration

@@ -26,10 +26,10 @@ from runtime.streams.frame_result import FrameResult
 from runtime.streams.statistics import LatencyStatistics
 
 _WORST_MARKS = (*charts.UNANSWERED, LATE)
-_MOST_OUTAGES = 4  # that are listed of a reason
+_MOST_OUTAGES = 4  # outages that are listed for a reason
 _MOST_PROBLEMS = 200  # frames that are listed
-_EVEN_SAMPLES = 6  # at most, at equal distances
-_MARKED_SAMPLES = 4  # at most, of frames with marks that no earlier sample has
+_EVEN_SAMPLES = 6  # at most so many samples at equal distances
+_MARKED_SAMPLES = 4  # at most so many samples whose marks no earlier sample has
 _SAMPLE_PANELS, _PANEL_WIDTH = 3, 480  # the image and the first two heads
 _JPEG_QUALITY = 82
 _DEPTH_BAR_WIDTH = 640
@@ -37,7 +37,7 @@ _DEPTH_BAR_WIDTH = 640
 
 @dataclass(frozen=True)
 class Sample:
-    """A frame whose pictures the page shows: (title, address of its data) of each panel."""
+    """A frame whose pictures the page shows, with (title, data address) of each panel."""
 
     index: int
     name: str
@@ -55,7 +55,7 @@ class RunPage:
         self._overlay = Overlay(contract.classes, contract.max_depth_m)
         self._started = datetime.now(UTC)
         self._step, self._frames = -(-frames // _EVEN_SAMPLES) or 1, 0
-        self._samples: dict[int, Sample] = {}  # number of the frame -> its sample
+        self._samples: dict[int, Sample] = {}  # by the number of the frame
         self._slowest: Sample | None = None
 
     def write(self, frame: Frame, result: FrameResult) -> None:
@@ -136,8 +136,8 @@ def open_page(run: OpenRun) -> Iterator[RunPage]:
 
 
 def render_template(template: str, values: Mapping[str, Any]) -> str:
-    """Fill in a file of `templates`; values are escaped, a missing value is an error."""
-    import jinja2  # only where a page is made
+    """Fill in a file of `templates`; values are escaped, and a missing value is an error."""
+    import jinja2  # imported here because only a page needs it
 
     templates = jinja2.Environment(
         loader=jinja2.PackageLoader("runtime.app.run.outputs", "templates"),
@@ -156,13 +156,13 @@ def _milliseconds(value: float | None) -> str:
 
 
 def _highest_percentile(times: LatencyStatistics) -> tuple[str, float]:
-    """The highest percentile up to p99 that the number of frames supports, else the maximum."""
+    """The highest percentile, up to p99, that the number of frames supports, else the maximum."""
     values = {"p99": times.p99_ms, "p90": times.p90_ms, "slowest": times.max_ms}
     return next((name, value) for name, value in values.items() if value is not None)
 
 
 def _outage_lanes(outages: Sequence[Outage], axis: charts.Axis) -> list[tuple[Any, ...]]:
-    """A lane, as of `_lanes`, for each reason why a sensor was out."""
+    """A lane, see `_lanes`, for each reason for which a sensor was out."""
     lanes = []
     for reason in dict.fromkeys(each.reason for each in outages):
         those = [each for each in outages if each.reason == reason]
@@ -182,7 +182,7 @@ def _outage_lanes(outages: Sequence[Outage], axis: charts.Axis) -> list[tuple[An
 def _lanes(marks: Counter[str], spans: Sequence[charts.Span]) -> list[tuple[Any, ...]]:
     """Class, name, count, meaning and bars of each lane of "Health over time".
 
-    The worst marks are first, then the most frequent.
+    The worst marks come first, then the most frequent ones.
     """
     lanes: list[tuple[Any, ...]] = []
     frames = sum(len(span.records) for span in spans)

@@ -1,4 +1,4 @@
-"""The outputs of a run. A new one: its file, a row here, and its option in `RunOptions`."""
+"""The outputs of a run. A new one needs a file, a row here, and its option in `RunOptions`."""
 
 import contextlib
 import importlib.util
@@ -38,10 +38,10 @@ class OutputRow(NamedTuple):
     """An output of a run.
 
     Attributes:
-        open: opens it.
-        package: that it needs, by the name of its import; None = none.
-        extra: that installs the package.
-        raw: whether it is a recorder, see `run_stream`.
+        open: opens the output.
+        package: import name of a package that the output needs; None: it needs none.
+        extra: the extra that installs the package.
+        raw: whether the output is a recorder, see `run_stream`.
     """
 
     open: OpenOutput
@@ -50,8 +50,8 @@ class OutputRow(NamedTuple):
     raw: bool = False
 
 
-#: Option -> its output, in the order of opening. Outputs are closed in reverse order, so that
-#: report.json and the page are written after all other files are complete.
+#: The outputs by option, in the order in which they are opened. They are closed in reverse order,
+#: so that report.json and the page are written after all other files are complete.
 OUTPUTS: dict[str, OutputRow] = {
     "report": OutputRow(open_page),
     "out": OutputRow(open_frame_files),
@@ -62,7 +62,7 @@ OUTPUTS: dict[str, OutputRow] = {
 
 
 def _requested(options: RunOptions) -> dict[str, OutputRow]:
-    """The rows of the options that are given."""
+    """The rows of the given options."""
     return {name: row for name, row in OUTPUTS.items() if getattr(options, name) is not None}
 
 
@@ -88,7 +88,7 @@ def require_outputs(options: RunOptions, source: Source) -> None:
 
 
 def _require_free(path: Path, *, overwrite: bool, inputs: Collection[Path]) -> None:
-    """Raise OutputError unless a file can be made that replaces none of `inputs`."""
+    """Raise OutputError unless a file can be made there that replaces none of `inputs`."""
     if os.path.isdir(path) and not os.path.islink(path):
         raise OutputError(f"{path} is a folder: name a file to write")
     if os.path.lexists(path):
@@ -97,13 +97,13 @@ def _require_free(path: Path, *, overwrite: bool, inputs: Collection[Path]) -> N
         target = os.path.realpath(path)
         if {target, os.path.dirname(target)} & {os.path.realpath(read) for read in inputs}:
             raise OutputError(f"{path} is what the run reads: choose another name")
-    with atomic_path(path, overwrite=False):  # whether it could be made
+    with atomic_path(path, overwrite=False):  # only tests whether it could be made
         pass
 
 
 @contextlib.contextmanager
 def open_outputs(run: OpenRun) -> Iterator[tuple[list[Output], list[Output]]]:
-    """Open the requested outputs; yields `outputs` and `recorders` of `run_stream`."""
+    """Open the requested outputs; yields the `outputs` and `recorders` of `run_stream`."""
     opened: dict[bool, list[Output]] = {False: [], True: []}
     with contextlib.ExitStack() as stack:
         for row in _requested(run.options).values():

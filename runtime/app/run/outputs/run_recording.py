@@ -13,7 +13,7 @@ from runtime.streams.frame_result import FrameResult
 
 
 class RunRecording:
-    """Record each frame and its answers, valid or not; see `open_recording`."""
+    """Records each frame and its answers, valid or not; see `open_recording`."""
 
     def __init__(self, recorder: Recorder, predictor: Predictor) -> None:
         self._recorder, self._predictor = recorder, predictor
@@ -33,7 +33,7 @@ class RunRecording:
 
 @contextlib.contextmanager
 def open_recording(run: OpenRun) -> Iterator[RunRecording]:
-    """Make the recording of --record, whole when the block ends, removed after an error there."""
+    """Make the recording of --record, complete when the block ends, removed after an error."""
     options, predictor = run.options, run.predictor
     assert options.record is not None
     focal_length_px, provider = predictor.focal_length_px, str(options.provider)

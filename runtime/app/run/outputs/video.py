@@ -1,4 +1,4 @@
-"""The overlays of a run as a video."""
+"""A video of the overlays of a run."""
 
 import contextlib
 from collections.abc import Iterator
@@ -13,12 +13,12 @@ from runtime.files.atomic_write import atomic_path
 from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
 
-_CODEC = "mp4v"  # MPEG-4 part 2: what OpenCV's wheels encode on every system, without licences
-_LARGEST_SIDE = 4096  # pixels: what players decode
+_CODEC = "mp4v"  # MPEG-4 part 2, which OpenCV's wheels encode on every system without licences
+_LARGEST_SIDE = 4096  # pixels that players decode
 
 
 class VideoWriter:
-    """Append the overlay of each frame to a video; see `open_video`."""
+    """Appends the overlay of each frame to a video; see `open_video`."""
 
     def __init__(self, path: Path, run: OpenRun) -> None:
         self._path, self._run = path, run
@@ -43,7 +43,7 @@ class VideoWriter:
             return
         self._file.release()
         self._file = None
-        # The encoder reports neither faults nor a full disk.
+        # The encoder reports neither errors nor a full disk.
         written = cv2.VideoCapture(str(self._path))
         frames = int(written.get(cv2.CAP_PROP_FRAME_COUNT))
         written.release()
@@ -56,7 +56,7 @@ class VideoWriter:
 
 @contextlib.contextmanager
 def open_video(run: OpenRun) -> Iterator[VideoWriter]:
-    """Make the video of --video at --rate; a run without a frame leaves none there."""
+    """Make the video of --video at --rate; a run without any frame leaves no video."""
     assert run.options.video is not None
     with atomic_path(run.options.video, overwrite=run.options.overwrite) as temporary:
         writer = VideoWriter(temporary, run)
