@@ -1,6 +1,6 @@
-"""Print pip constraints that hold the engine's needs at the lowest versions pyproject.toml allows.
+"""Print pip constraints with the lowest versions of the engine's needs that pyproject.toml allows.
 
-What they need in turn stays as in constraints.txt. Run it in the root of the checkout.
+The needs of these packages stay as in constraints.txt. Run it in the root of the checkout.
 """
 
 import tomllib

@@ -1,10 +1,10 @@
-"""The bundled files in another engine: its answers are compared with those of the installed one.
+"""Compares the answers of the bundled files in another engine with those of the installed one.
 
     python .ci/other_engines.py onnxruntime OTHER/bin/python [FILE.onnx ...]
     python .ci/other_engines.py openvino OTHER/bin/python [FILE.onnx ...]
 
-OTHER is an environment that holds the engine and numpy and nothing of this project. OpenVINO gets
-the files in floating point only: of 8-bit files it ends with a segmentation fault.
+OTHER is an environment with the engine and numpy, and without this project. OpenVINO only gets the
+files in floating point, because it ends with a segmentation fault for 8-bit files.
 """
 
 import subprocess
@@ -14,16 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
-#: Largest difference of float answers between two engines; metres, and probability.
+# Largest difference of float answers between two engines, for metres and for probabilities.
 MOST_FLOAT = {"depth": 1e-3, "depth_uncertainty": 1e-3, "boundary": 1e-4}
-#: Mean difference of 8-bit files: rounding in another order changes some pixels far. In the heads
-#: of metres it is a share of the mean.
+# Largest mean difference of 8-bit files: rounding in another order changes some pixels by much. In
+# the heads of metres it is a share of the mean.
 MOST_INT8 = {"depth": 0.01, "depth_uncertainty": 0.05, "boundary": 0.01}
-#: Share of pixels that may have another class.
+# Largest share of pixels that may have another class.
 MOST_CLASSES = {"float": 1e-4, "int8": 0.01}
 
-# Of the other environment: engine, file of the inputs, model, file for the answers. It prints the
-# version of the engine.
+# Runs in the other environment with these arguments: engine, file of the inputs, model, file for
+# the answers. It prints the version of the engine.
 ANSWER = """
 import sys
 import numpy as np
@@ -48,7 +48,7 @@ print(engine, version)
 
 
 def main() -> None:
-    """Compare each file; ends with an error if an answer differs by more than its limit."""
+    """Compare each file; end with an error if an answer differs by more than its limit."""
     from runtime import Predictor
     from runtime.engine.bundled_models import find_model, list_bundled_models
     from runtime.recordings.bundled_stream import bundled_frames
@@ -84,7 +84,7 @@ def main() -> None:
 def compare(
     head: str, answer: np.ndarray, expected: np.ndarray, *, is_int8: bool
 ) -> tuple[float, float]:
-    """How far an answer is from the expected one, and the limit."""
+    """Return how far an answer is from the expected one, and the limit."""
     if head == "semantic":
         differs = float((answer != expected).mean())
         return differs, MOST_CLASSES["int8" if is_int8 else "float"]
