@@ -1,15 +1,15 @@
-"""Train and score recipes against one another, several seeds each, as a table and a plot.
+"""Trains and scores recipes against one another, with several seeds each, as a table and a plot.
 
     python benchmarks/ablation.py --data DIR --runs RUNS [--seeds 0 1 2] [--rows ssdnet ...] \
         [--test KIND:FOLDER] [--set 'model.name = "ssdnet"'] [--markdown OUT.md] [--plot OUT.png]
     python benchmarks/ablation.py --table docs/results.md --plot OUT.png
 
 A row is one of training/recipes/ablation.py, the name of another recipe of `ssdnet-train --list`,
-or a TOML file; `DIR` holds their data, for the rows of the ablation the rendered scenes `train` and
-`test`. Runs that are finished are not repeated, so more seeds or rows can be added; one that was
-stopped resumes. Runs of other settings are refused: give another `RUNS`. Every row is scored on all
-frames of `--test` with the same LiDAR input, by default 5 % of the depth. `--table` draws the first
-such table of a Markdown file, without any run.
+or a TOML file. `DIR` holds their data; for the rows of the ablation these are the rendered scenes
+`train` and `test`. Finished runs are not repeated, so more seeds or rows can be added, and a run
+that was stopped resumes. A folder with runs of other settings is refused; it needs another `RUNS`.
+Every row is scored on all frames of `--test` with the same LiDAR input, by default 5 % of the
+depth. `--table` draws the first such table of a Markdown file without any run.
 
 The run of docs/results.md:
 
@@ -63,10 +63,10 @@ COLUMNS = {
     "mae_m": Column("MAE 0-100 m [mm]", 1000, 0),
     "rmse_m": Column("RMSE 0-100 m [mm]", 1000, 0),
 }
-#: Row -> figure -> mean and standard deviation, NaN of a single run, in the column's unit.
+# For each row and figure: mean and standard deviation (NaN of a single run) in the column's unit.
 Summary = Mapping[str, Mapping[str, tuple[float, float]]]
-#: A value is drawn at the edge where it is farther from the quartiles of the others than this many
-#: times the distance between the quartiles.
+# A value is drawn at the edge if its distance from the quartiles of the others is more than this
+# many times the distance between the quartiles.
 _OUTLIER = 3.0
 
 
@@ -103,7 +103,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             results[row].append(figures)
             shown = {key: round(figures[key], 4) for key in COLUMNS if key in figures}
             print(row, seed, shown, flush=True)
-            # After each run, so that a stopped program leaves the table so far.
+            # Written after each run, so that a program that is stopped leaves the table so far.
             if arguments.markdown:
                 atomic_write(arguments.markdown, markdown(results).encode())
             if arguments.plot:
@@ -112,7 +112,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 def run(row: str, seed: int, arguments: argparse.Namespace) -> dict[str, float]:
-    """Train one row with one seed, unless that is done, and return its figures."""
+    """Train one row with one seed, unless that was done before, and return its figures."""
     out = arguments.runs / f"{Path(row).stem}-{seed}"
     changes = [f"data.seed = {seed}", *arguments.set]
     stages = read_stages(f"ablation-{row}" if row in ROWS else row, changes)
@@ -124,7 +124,7 @@ def run(row: str, seed: int, arguments: argparse.Namespace) -> dict[str, float]:
         place = out / stages[-1].folder / RECIPE
         trained = json.loads(place.read_text(encoding="utf-8"))
         before = {**settings, **{key: known.get(key, settings[key]) for key in ("test", "lidar")}}
-        require_same({**before, "recipe": trained["recipe"]}, settings, place)  # no mixed settings
+        require_same({**before, "recipe": trained["recipe"]}, settings, place)  # no mix
         return {key: value for key, value in known.items() if key not in settings}
     checkpoint = train_stages(stages, data=arguments.data, out=out, device=arguments.device)
     network = load_checkpoint(checkpoint).model.to(arguments.device)
@@ -142,7 +142,7 @@ def run(row: str, seed: int, arguments: argparse.Namespace) -> dict[str, float]:
 
 
 def summary(results: Mapping[str, Sequence[Mapping[str, float]]]) -> Summary:
-    """Mean and standard deviation of every row."""
+    """Return mean and standard deviation of every row."""
     rows: dict[str, dict[str, tuple[float, float]]] = {}
     for row, runs in results.items():
         rows[row] = {}
@@ -155,7 +155,7 @@ def summary(results: Mapping[str, Sequence[Mapping[str, float]]]) -> Summary:
 
 
 def markdown(results: Mapping[str, Sequence[Mapping[str, float]]]) -> str:
-    """Mean and standard deviation of every row, as a table."""
+    """Return mean and standard deviation of every row, as a Markdown table."""
     titles = [column.title for column in COLUMNS.values()]
     lines = ["| row | seeds | " + " | ".join(titles) + " |", "|---" * (len(COLUMNS) + 2) + "|"]
     for row, figures in summary(results).items():
@@ -169,7 +169,7 @@ def markdown(results: Mapping[str, Sequence[Mapping[str, float]]]) -> str:
 
 
 def read_table(text: str) -> Summary:
-    """Read the first table of `markdown` in a text."""
+    """Read the first table in a text that `markdown` wrote."""
     titles = {column.title: key for key, column in COLUMNS.items()}
     keys: list[str | None] = []
     rows: dict[str, dict[str, tuple[float, float]]] = {}
@@ -189,9 +189,9 @@ def read_table(text: str) -> Summary:
 
 
 def draw(rows: Summary, path: Path) -> None:
-    """The mean of every row and its standard deviation, a panel a figure.
+    """Draw the mean of every row and its standard deviation, with one panel for each figure.
 
-    The axis spans the rows that are near one another; one far from them is an arrow at the edge
+    The axis spans the rows that are near one another. A row far from them is an arrow at the edge
     with its value.
     """
     figure, panels = plt.subplots(1, len(COLUMNS), figsize=(14, 0.42 * len(rows) + 1.4))
@@ -226,7 +226,7 @@ def draw(rows: Summary, path: Path) -> None:
 
 
 def _limits(values: Sequence[float]) -> tuple[float, float]:
-    """The range outside which a value is an outlier."""
+    """Return the range outside of which a value is an outlier."""
     if not values:
         return 0.0, 1.0
     first, third = np.percentile(values, (25, 75))

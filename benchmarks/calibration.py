@@ -1,21 +1,23 @@
-"""Is the answer of ssdnet-calibrate as sure as it says? Rigs whose calibration is known.
+"""Whether ssdnet-calibrate is as certain as it states, on rigs whose calibration is known.
 
     python benchmarks/calibration.py --data DIR [--model NAME] [--sets N]
 
-DIR holds kitti_streets, kitti_drive_0009, kitti_stream, kitti_object, pandaset_front (its LiDAR
-all around) and view_of_delft; what is missing is left out. Of each rig the sets of 5 successive
-frames and of 20 spread ones are disjoint: starting again on the same frames would be no new trial.
-Each set starts from a rotation that is wrong by up to 2 degrees in each axis.
+DIR holds kitti_streets, kitti_drive_0009, kitti_stream, kitti_object, pandaset_front (the LiDAR
+that sees all around) and view_of_delft; missing ones are left out. The sets of 5 successive frames
+of a rig are disjoint, and so are those of 20 spread frames, because starting again on the same
+frames would be no new trial. Each set starts from a rotation that is wrong by up to 2 degrees in
+each axis.
 
-The floors of the uncertainty were set on these rigs. Whether they hold for another one is estimated
-by leaving rigs out: each axis of the floors is scaled by the least factor with which all trials of
-the other rigs lie within, and the trials of the rig that was left out are counted again.
+The floors of the uncertainty were set on these rigs. Leaving rigs out estimates whether they hold
+for another rig: each axis of the floors is scaled by the smallest factor with which all trials of
+the other rigs lie within it, and the trials of the left-out rig are counted again.
 
-First, for each rig, the verdict with the right calibration, and with the scans of the next frames.
-Then a line for each rig and number of frames: trials; the median and the largest deviation of yaw,
-pitch and roll from the known calibration; trials in which all axes that are seen lie within the
-stated uncertainty; within that of floors from the other recordings; from those of other vehicles;
-medians of the stated uncertainty; trials in which yaw and pitch are not seen. Last the factors.
+First, each rig has a line with the verdicts for the right calibration and for the scans of the next
+frames. Then each rig and number of frames has a line: trials; the median and the largest deviation
+of yaw, pitch and roll from the known calibration; trials in which all axes that are seen lie within
+the stated uncertainty, within that of floors from the other recordings, and within that from other
+vehicles; medians of the stated uncertainty; trials in which yaw and pitch are not seen. The last
+lines are the factors.
 """
 
 import argparse
@@ -44,7 +46,7 @@ KITTI = ("kitti_streets", "kitti_drive_0009", "kitti_stream")
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A frame of a rig, ready for any number of trials."""
+    """A frame of a rig, prepared for any number of trials."""
 
     frame: Frame
     view: View
@@ -53,14 +55,14 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """A set of frames in which yaw and pitch are seen; float64 (3,) of the axes, degrees.
+    """A set of frames in which yaw and pitch are seen; arrays are float64 (3,), degrees per axis.
 
     Attributes:
-        rig: its recording.
-        frames: how many there are.
-        left: the deviation from the known calibration.
+        rig: name of its recording.
+        frames: number of frames.
+        left: deviation from the known calibration that is left.
         within: the stated uncertainty; infinite for an axis that is not seen.
-        scatter: the part of it that follows from how the frames differ.
+        scatter: the part of it that follows from the differences between the frames.
         floor: the part that was set on these rigs.
     """
 
@@ -73,22 +75,22 @@ class Measured:
 
     @property
     def vehicle(self) -> str:
-        """KITTI's recordings are of one vehicle."""
+        """The vehicle; KITTI's recordings share one."""
         return self.rig.split("_", maxsplit=1)[0]
 
     def needed(self) -> NDArray[np.float64]:
-        """The factors of the floor with which the deviation just lies within."""
+        """The factors of the floor with which the deviation is just within the uncertainty."""
         needed = np.sqrt(np.maximum(self.left**2 - self.scatter**2, 0)) / self.floor
         return np.where(np.isfinite(self.within), needed, 0)
 
     def is_within(self, factors: NDArray[np.float64]) -> bool:
-        """Whether the axes that are seen lie within scatter and scaled floor."""
+        """Whether the axes that are seen lie within the scatter and the scaled floor."""
         most = np.hypot(self.scatter, factors * self.floor)
         return bool((np.abs(self.left) <= np.where(np.isfinite(self.within), most, np.inf)).all())
 
 
 def open_rigs(data: Path, scratch: Path) -> Iterator[tuple[str, Source]]:
-    """Yield the recordings that are there."""
+    """Yield the recordings that exist."""
     calibrations = {"kitti_streets": "kitti_streets/calib.txt"}
     for name in KITTI:
         if (root := data / name).is_dir():
@@ -116,7 +118,7 @@ def open_rigs(data: Path, scratch: Path) -> Iterator[tuple[str, Source]]:
 
 
 def read_rig(source: Source, predictor: Predictor) -> list[Trial]:
-    """Answer every frame with a scan."""
+    """Predict every frame that has a scan."""
     trials = []
     for listed in source.list_frames():
         if not listed.complete:
@@ -132,7 +134,7 @@ def read_rig(source: Source, predictor: Predictor) -> list[Trial]:
 
 
 def turned_views(trials: Sequence[Trial], wrong: NDArray[np.float64]) -> list[View]:
-    """The views of some frames with a rotation that is wrong by these angles."""
+    """Return the views of some frames with a rotation that is wrong by these angles."""
     views = []
     for trial in trials:
         extrinsics = trial.view.calibration.extrinsics.copy()
@@ -152,7 +154,7 @@ def judge_set(
 
 
 def measure(rig: str, trials: Sequence[Trial], wrong: NDArray[np.float64]) -> Measured | None:
-    """What is left of a rotation by these angles; None: not seen."""
+    """Return what is left of a rotation by these angles; None if the axes are not seen."""
     views = turned_views(trials, wrong)
     result = judge_set(trials, views)
     if result.off_degrees is None or result.within_degrees is None:
@@ -164,7 +166,7 @@ def measure(rig: str, trials: Sequence[Trial], wrong: NDArray[np.float64]) -> Me
 
 
 def disjoint(trials: Sequence[Trial], size: int, most: int) -> list[Sequence[Trial]]:
-    """Sets of so many frames, each frame in one: 5 successive ones, or 20 spread ones."""
+    """Return sets of so many frames, each frame in one: 5 successive ones, or 20 spread ones."""
     count = max(1, len(trials) // size)
     if size == SIZES[0]:
         step = -(-count // most)
@@ -173,7 +175,7 @@ def disjoint(trials: Sequence[Trial], size: int, most: int) -> list[Sequence[Tri
 
 
 def cell(values: Sequence[NDArray[np.float64]]) -> str:
-    """Median and largest of the sizes of three angles."""
+    """Return the median and the largest absolute value of three angles."""
     sizes = np.abs(values)
     pairs = zip(np.median(sizes, axis=0), sizes.max(axis=0), strict=True)
     return ", ".join(f"{middle:.2f} ({most:.2f})" for middle, most in pairs)
@@ -207,13 +209,13 @@ def main() -> None:
 def floors_without(
     measured: Sequence[Measured], left_out: Callable[[Measured], bool]
 ) -> NDArray[np.float64] | None:
-    """Factors of the floors, (3,), from the other trials; None: there are none."""
+    """Return the factors of the floors, (3,), from the other trials; None if there are none."""
     others = [each.needed() for each in measured if not left_out(each)]
     return np.max(others, axis=0) if others else None
 
 
 def report_coverage(found: dict[tuple[str, int], list[Measured | None]]) -> None:
-    """Print the lines of the rigs and numbers of frames, and the factors of the floors."""
+    """Print the lines for the rigs and numbers of frames, and the factors of the floors."""
     everything = [each for trials in found.values() for each in trials if each is not None]
     factors = {}
     for (name, frames), trials in found.items():

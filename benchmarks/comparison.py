@@ -1,15 +1,16 @@
-"""Our networks beside other people's and classical methods: trained alike, scored, timed.
+"""Trains, scores and times our networks beside those of others and classical methods.
 
     python benchmarks/comparison.py train --data DIR --runs RUNS
     python benchmarks/comparison.py time --runs RUNS [--rounds 10] [--sizes 125x414 512x1024]
     python benchmarks/comparison.py table --runs RUNS
 
-`train` trains, exports and scores the entries of comparison.toml, one after the other, each to the
-budget of its recipe. The same command resumes where it was stopped, and what is finished with the
-same settings is kept. `time` measures all entries as ssdnet-bench does, on a quiet machine;
-networks without a trained model run with random weights. `table` prints a table a task.
+`train` trains, exports and scores the entries of comparison.toml one after the other, each with the
+budget of its recipe. The same command resumes where it was stopped, and keeps what is finished with
+the same settings. `time` measures all entries like ssdnet-bench, on a quiet machine; networks
+without a trained model run with random weights. `table` prints a table for each task.
 
-More time: --set 'schedule.steps = 20000', which needs a RUNS of its own. Some alone: --only NAME.
+For longer trainings use --set 'schedule.steps = 20000' with another RUNS. For single entries use
+--only NAME.
 """
 
 import argparse
@@ -60,9 +61,9 @@ Size = tuple[int, int]  # (height, width)
 Stop = Callable[[], bool]  # whether a signal arrived
 SIZES: list[Size] = [(125, 414), (512, 1024)]
 
-#: Set -> its recipe, whose path is below --data, and the LiDARs it is scored with.
+# Recipe of each set, whose path is below --data, and the LiDARs with which it is scored.
 Sets = Mapping[str, tuple[SourceRecipe, Sequence[str]]]
-#: Head -> the sets that it is scored on.
+# The sets on which each head is scored.
 SETS: Mapping[str, Sets] = {
     "semantic": {"camvid": (CamVidRecipe(path="camvid", split="val"), ["none"])},
     "depth": {
@@ -71,7 +72,7 @@ SETS: Mapping[str, Sets] = {
         "rendered": (RenderedRecipe(path="rendered/val"), ["64"]),
     },
 }
-#: "set lidar" among the scores -> title of the column.
+# Titles of the columns for "set lidar" among the scores.
 DEPTH_COLUMNS = {
     "streets 64": "KITTI streets, 64 lines",
     "streets 16": "16 lines",
@@ -82,42 +83,47 @@ DEPTH_COLUMNS = {
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class Entry:
-    """A row of the tables: trained by a recipe with changes of it, or one of the others."""
+    """A row of the tables: a network trained by a recipe with changes, or one of the other kinds.
+
+    Attributes:
+        name: title of the row.
+        recipe: recipe that replaces the plan's.
+        set: changes of the recipe.
+        onnx: a bundled model or an ONNX file, which is not trained.
+        network: a name in `NETWORKS`, which is timed with random weights and not trained.
+        method: a classical method of depth completion.
+        published_miou: published mIoU on CamVid test, in percent, shown for comparison.
+    """
 
     name: str
-    #: In place of the plan's.
     recipe: str | None = None
     set: tuple[str, ...] = ()
-    #: A bundled model or an ONNX file, not trained.
     onnx: str | None = None
-    #: A name in `NETWORKS` that is timed with random weights, not trained.
     network: str | None = None
-    #: A classical method of depth completion.
     method: str | None = None
-    #: On CamVid test, in percent, shown beside.
     published_miou: float | None = None
 
     @property
     def folder(self) -> str:
-        """Its name as that of a folder."""
+        """The entry's name as the name of a folder."""
         return re.sub(r"[^\w.-]+", "-", self.name)
 
     @property
     def is_trained(self) -> bool:
-        """Whether it needs a recipe."""
+        """Whether the entry needs a recipe."""
         return not (self.onnx or self.network or self.method)
 
 
 @dataclass(frozen=True, config=STRICT)
 class Plan:
-    """The file: the recipe and the changes for all, and the entries."""
+    """The content of the file: the recipe and the changes for all, and the entries."""
 
     recipe: str | None = None
     set: tuple[str, ...] = ()
     entries: tuple[Entry, ...] = ()
 
 
-#: What each entry answers, in the order of the file.
+# The heads of each entry, in the order of the file.
 Heads = Mapping[Entry, Sequence[str]]
 
 
@@ -127,7 +133,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     torch.set_num_threads(arguments.threads)
     try:
         plan = read_plan(arguments.plan, arguments.set, arguments.only)
-        # All can be built, before the first is trained.
+        # Checks that all can be built before the first is trained.
         heads = {entry: heads_of(entry, plan) for entry in plan.entries}
         arguments.run(plan, heads, arguments)
     except SSDNetError as error:
@@ -179,52 +185,52 @@ def _size(text: str) -> Size:
 
 
 def read_plan(path: Path, changes: Sequence[str], only: Sequence[str] | None) -> Plan:
-    """Read the file, with changes for all; each entry gets its recipe. Raises InputError."""
+    """Read the file with changes for all, and give each entry its recipe. Raises InputError."""
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
         entries = [build(Entry, item) for item in table.pop("entry", [])]
         plan = build(Plan, table)
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {error}.") from error
+        raise InputError(f"{path}: cannot be read: {error}") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     folders = [entry.folder for entry in entries]
     twice = sorted({name for name in folders if folders.count(name) > 1})
     if twice:
-        raise InputError(f"{path}: two entries are called {twice[0]!r}; give each its name.")
+        raise InputError(f"{path}: two entries are called {twice[0]!r}; give each its name")
     names = [entry.name for entry in entries]
     unknown = sorted(set(only or ()) - set(names))
     if unknown:
-        raise InputError(f"--only {unknown[0]!r}: no such entry; known: {', '.join(names)}.")
+        raise InputError(f"--only {unknown[0]!r}: no such entry; known: {', '.join(names)}")
     chosen = []
     for entry in entries:
         if only is not None and entry.name not in only:
             continue
         if entry.is_trained and entry.recipe is None:
             if plan.recipe is None:
-                raise InputError(f"{path}: names no recipe to train {entry.name!r} by.")
+                raise InputError(f"{path}: names no recipe to train {entry.name!r} by")
             entry = replace(entry, recipe=plan.recipe)
         chosen.append(entry)
     return Plan(plan.recipe, (*plan.set, *changes), tuple(chosen))
 
 
 def recipe_of(entry: Entry, plan: Plan) -> Recipe:
-    """Return the recipe that an entry is trained by, with all changes. Raises InputError."""
+    """Return the recipe of an entry with all changes. Raises InputError."""
     assert entry.recipe is not None  # read_plan has set it
     first, *others = read_stages(entry.recipe, [*plan.set, *entry.set])
     if others:
-        raise InputError(f"{entry.recipe}: has several stages; expected a recipe of a single run.")
+        raise InputError(f"{entry.recipe}: has several stages; expected a recipe of a single run")
     return first.recipe
 
 
 def heads_of(entry: Entry, plan: Plan) -> tuple[str, ...]:
-    """Return what an entry answers. Raises InputError for what cannot be built."""
+    """Return the heads of an entry. Raises InputError if it cannot be built."""
     if entry.method is not None:
         create_method(entry.method)
         return ("depth",)
     if entry.network is not None:
         if entry.network not in NETWORKS:
-            raise InputError(f"no network {entry.network!r}; known: {', '.join(NETWORKS)}.")
+            raise InputError(f"no network {entry.network!r}; known: {', '.join(NETWORKS)}")
         with torch.device("meta"):
             return create_model(entry.network).heads
     if entry.onnx is not None:
@@ -279,7 +285,7 @@ def finish(
 
 
 def find_sets(heads: Sequence[str], roots: Sequence[Path]) -> Sets:
-    """Return the sets of these heads that are below the folders. Raises InputError if none is."""
+    """Return the sets for these heads that the folders hold. Raises InputError without one."""
     wanted = {name: item for head in heads for name, item in SETS.get(head, {}).items()}
     found = {}
     for name, (recipe, lidars) in wanted.items():
@@ -290,13 +296,13 @@ def find_sets(heads: Sequence[str], roots: Sequence[Path]) -> Sets:
         paths = ", ".join(recipe.path for recipe, _ in wanted.values())
         raise InputError(
             f"below {', '.join(map(str, roots))} is none of {paths}: nothing to score on. Give "
-            "--data that has one."
+            "--data that has one"
         )
     return found
 
 
 def find_or_make(entry: Entry, plan: Plan, arguments: argparse.Namespace, stop: Stop) -> Path:
-    """Return an entry's ONNX file, trained and exported if it is not there, unless stopped."""
+    """Return an entry's ONNX file; train and export it if it is missing, unless stopped."""
     recipe = recipe_of(entry, plan)
     out = arguments.runs / entry.folder
     onnx, checkpoint = out / ONNX, out / FINAL
@@ -315,13 +321,13 @@ def find_or_make(entry: Entry, plan: Plan, arguments: argparse.Namespace, stop: 
 def find_or_score(
     out: Path, sets: Sets, arguments: argparse.Namespace, onnx: Path | None, method: str | None
 ) -> dict[str, dict[str, float]]:
-    """Return "set lidar" -> figures of an ONNX file or a classical method; kept in `out`."""
+    """Return the figures for each "set lidar" of a file or a classical method; kept in `out`."""
     settings = {
         "scored": method if onnx is None else load_model_file(onnx).sha256,
         "sets": {name: [asdict(recipe), list(lidars)] for name, (recipe, lidars) in sets.items()},
         "limit": arguments.limit,
     }
-    settings = json.loads(json.dumps(settings))  # as it is read back
+    settings = json.loads(json.dumps(settings))  # in the form in which they are read back
     known = read_json(out / SCORES)
     if known.get("settings") == settings:
         return dict(known["figures"])
@@ -342,7 +348,7 @@ def find_or_score(
 
 
 def time_all(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
-    """Time all entries and keep the figures beside the runs. Raises InputError if one fails."""
+    """Time all entries and store the figures beside the runs. Raises InputError if one fails."""
     networks = [entry for entry in heads if entry.method is None]
     sizes, threads, rounds = arguments.sizes, arguments.threads, arguments.rounds
     with TemporaryDirectory() as folder:
@@ -377,7 +383,7 @@ def time_all(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
 
 
 def find_file(entry: Entry, plan: Plan, runs: Path, folder: Path) -> str:
-    """Return a bundled name or a file to time: with random weights, in `folder`, if need be."""
+    """Return a bundled name or a file to time; random weights are written to `folder`."""
     path = runs / entry.folder / ONNX
     if entry.onnx is not None:
         return entry.onnx
@@ -411,7 +417,7 @@ def print_tables(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> Non
 
 
 def to_tables(heads: Heads, runs: Path) -> str:
-    """A table a task; a figure that is not there is an empty cell."""
+    """Return a table for each task; a missing figure is an empty cell."""
     times = read_json(runs / TIMES)
     sizes = [f"{part['size'][0]} x {part['size'][1]}" for part in times.get("sizes", [])]
     parts = []
@@ -468,7 +474,7 @@ def _describe_training(entry: Entry, runs: Path) -> str:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Return a document, {} if it is not there."""
+    """Return a JSON document, or {} if it does not exist."""
     return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
 
 

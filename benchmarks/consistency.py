@@ -2,11 +2,11 @@
 
     python benchmarks/consistency.py [--threads 2]
 
-The bundled stream is pushed three times over. From the second pass on, each row of the table has
-one fault: the calibration rotated by 1° about an axis of the camera, depth maps of the frame before
-(100 ms), or depths times a scale. The table has the mean of each figure over the last pass, and its
-distance from the healthy row in standard deviations of the healthy stream's frames; for the scale,
-which is measured twice a pass, its difference.
+The bundled stream is pushed three times. From the second pass on, each row of the table has one
+fault: a calibration that is rotated by 1° about an axis of the camera, depth maps of the frame
+before (100 ms), or depths that are multiplied by a scale. The table has the mean of each figure
+over the last pass, and its distance from the healthy row in standard deviations of the healthy
+stream's frames; for the scale, which is measured twice in a pass, it has the difference.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_f
 from runtime.streams.frame import Frame
 
 FAULTS = ("healthy", "pitch 1°", "yaw 1°", "100 ms late", "scale 1.1")
-#: Fault -> axis of the camera that it turns about.
+# The axis of the camera about which each fault turns.
 AXES = {"pitch 1°": (1.0, 0.0, 0.0), "yaw 1°": (0.0, -1.0, 0.0)}
 FIGURES = ("holdout_error", "edge_agreement", "scale_error")
 PASSES = 3

@@ -1,9 +1,9 @@
-"""Counts the code of each package: files and lines, and the words of each document.
+"""Counts files and lines of code of each package, and the words of each document.
 
     python benchmarks/count_code.py [FOLDER]
 
-A line counts if it holds code: blank lines, comments and docstrings do not. Documents are counted
-as `wc -w` does.
+A line counts if it holds code; blank lines, comments and docstrings do not count. Words are counted
+like `wc -w` does.
 """
 
 import ast
@@ -14,7 +14,7 @@ from pathlib import Path
 
 PACKAGES = ("models", "training", "export", "runtime", "tests", "benchmarks", "examples")
 
-#: Tokens that are no code of their own.
+# Tokens that are not code by themselves.
 _LAYOUT = {
     tokenize.COMMENT,
     tokenize.NL,

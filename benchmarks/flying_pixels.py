@@ -1,11 +1,11 @@
-"""How many points of a cloud fly between objects, and what removes them: boundary, uncertainty.
+"""How many points of a cloud fly between objects, and how many boundary and uncertainty remove.
 
     python benchmarks/flying_pixels.py --data DIR [--limit 8] [--threads 2]
 
-A point flies between a near and a far surface: of the true depths within 3 pixels around it some
-are nearer and some farther, and all by more than 10 % and 0.5 m. Counted are points whose true
-depth is below 80 m, in the rendered scenes of DIR/rendered/val (`ssdnet-render`), of which the
-truth is dense.
+A point flies between a near and a far surface if some true depths within 3 pixels of it are nearer
+and some farther, and all differ by more than 10 % and 0.5 m. Points whose true depth is below 80 m
+are counted, in the rendered scenes of DIR/rendered/val (`ssdnet-render`), whose ground truth is
+dense.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from training.loading.open_dataset import open_dataset
 
 FARTHEST_M = 80.0
 AROUND_PX = 3
-#: Options of `Prediction.points`, the first those of all points.
+# Options of `Prediction.points`; the first entry keeps all points.
 CLOUDS: tuple[dict[str, Any], ...] = (
     {"edge_boundary": None},
     *({"edge_boundary": edge} for edge in (0.5, 0.45, 0.35, 0.25, 0.15)),
@@ -43,7 +43,7 @@ def main() -> None:
     arguments = parser.parse_args()
     source = open_dataset(RenderedRecipe(path="rendered/val"), [arguments.data], classes="camvid")
     indices = np.linspace(0, len(source) - 1, arguments.limit).astype(int).tolist()
-    counts = np.zeros((len(CLOUDS), 2), dtype=np.int64)  # points, flying
+    counts = np.zeros((len(CLOUDS), 2), dtype=np.int64)  # number of points, and of flying ones
     with Predictor(arguments.model, threads=arguments.threads) as predictor:
         for sample, fed, _ in split_frames(source, indices, LidarInput("own")):
             prediction = predictor.predict(sample.rgb, fed, focal_length_px=sample.focal_length_px)
@@ -67,7 +67,7 @@ def main() -> None:
 
 
 def flies(depth: NDArray[np.float32], truth: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return the pixels between the true depths around them, near none; 0 in the truth = sky."""
+    """Return the pixels between the true depths around them, near none; 0 in the truth is sky."""
     height, width = depth.shape
     beyond = np.pad(np.where(truth > 0, truth, np.float32(np.inf)), AROUND_PX, mode="edge")
     tolerance = np.maximum(np.float32(0.5), np.float32(0.1) * depth)

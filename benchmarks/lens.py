@@ -1,11 +1,11 @@
-"""Depth of a camera whose lens distorts: ignored, rectified, and projected through the lens.
+"""Depth of a camera with a distorting lens: ignored, rectified, and projected through the lens.
 
     python benchmarks/lens.py --data DIR [--model ssdnet-lite] [--frames 10]
 
-The frames of DIR/pandaset_front are distorted with k1 = -0.35, enlarged so that they fill the
-image. One LiDAR is fed. The truth are the returns of the other one that the rectified image holds,
-at their true pixels, where no fed return is. Sides: the outer sixths of the rectified image. MAE
-and median of the absolute errors up to 100 m are means over frames.
+The frames of DIR/pandaset_front are distorted with k1 = -0.35 and enlarged so that they fill the
+image. One LiDAR is fed. The truth are the returns of the other LiDAR that the rectified image
+contains, at their true pixels, without pixels of fed returns. The sides are the outer sixths of the
+rectified image. MAE and median of the absolute errors up to 100 m are means over frames.
 """
 
 import argparse
@@ -27,12 +27,12 @@ from training.evaluation.metrics import FARTHEST_M
 
 K1, ENLARGED = -0.35, 1.12
 SIDES = 1 / 6
-#: The LiDAR all around is fed, the one ahead is the truth.
+# The LiDAR that sees all around is fed, and the one that looks ahead is the truth.
 DEVICES = (0, 1)
 
 
 class Way(NamedTuple):
-    """An image, the calibration that its scan is projected with, and its true one."""
+    """An image, the calibration with which its scan is projected, and its true calibration."""
 
     rgb: NDArray[np.uint8]
     calibration: Calibration
@@ -70,7 +70,7 @@ def main() -> None:
 def read_distorted(
     data: Path, frames: int
 ) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.float32], Calibration]]:
-    """The images as the lens would have taken them, float32 (N, 6) points, and the calibration."""
+    """Yield images as the lens would have taken them, float32 (N, 6) points, and calibrations."""
     for rgb, points, matrix in islice(pandaset_frames(data / "pandaset_front"), frames):
         enlarged = matrix * [[ENLARGED, 1, 1], [1, ENLARGED, 1], [1, 1, 1]]
         calibration = Calibration(
@@ -91,7 +91,7 @@ def score(
     fed: NDArray[np.float32],
     truth: NDArray[np.float32],
 ) -> NDArray[np.float64]:
-    """Return MAE and median error [m], of all and of the sides, (4,)."""
+    """Return MAE and median error [m] of all pixels and of the sides, (4,)."""
     size = way.rgb.shape[:2]
     sparse_depth = way.calibration.project(fed, size)
     focal_px = way.calibration.focal_length_px
@@ -111,7 +111,7 @@ def score(
 def _rows(
     points: NDArray[np.float32], calibration: Calibration, size: tuple[int, int]
 ) -> NDArray[np.int32]:
-    """The points that an image holds."""
+    """Return the points that an image contains."""
     rows = project_with_rows(points, calibration.intrinsics, np.eye(4), size).rows
     return rows[rows >= 0]
 

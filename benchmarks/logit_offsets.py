@@ -1,11 +1,11 @@
-"""Fit offsets of a trained network's logits, one a class, on its training frames.
+"""Fits offsets of a trained network's logits, one for each class, on its training frames.
 
     python benchmarks/logit_offsets.py CHECKPOINT --data DIR [--every 6] [--threads 1]
 
-Maximises, class by class in steps of 0.5 and then of 0.25, the sum of the mIoU on CamVid's training
-frames and half of the road's IoU on the training streets of KITTI (64 lines), over every n-th frame
-of both. The validation frames are only scored before and after. The last line is what a recipe
-gives to `training.release.add_offsets`.
+Class by class, in steps of 0.5 and then of 0.25, it maximises the sum of the mIoU on CamVid's
+training frames and half of the road's IoU on KITTI's training streets (64 lines), over every n-th
+frame of both. The validation frames are only scored before and after. A recipe passes the last line
+to `training.release.add_offsets`.
 """
 
 import argparse
@@ -25,18 +25,18 @@ from training.evaluation.metrics import RoadScores, SemanticScores
 from training.lidar.split import LidarInput, frame_generator, split_lidar
 from training.loading.open_dataset import open_dataset
 
-#: The streets that the recipes train on, and the others.
+# The streets on which the recipes train, and the others.
 TRAIN_STREETS, VAL_STREETS = (2, 69), (70, 98)
 ROAD_SHARE = 0.5
 FARTHEST, STEPS = 1.5, (0.5, 0.25)
 LEAST_GAIN = 2e-4
 
-#: Logits (C, H, W), labels (H, W).
+# Logits (C, H, W), labels (H, W).
 Frames = list[tuple[NDArray[np.float16], NDArray[np.uint8]]]
 
 
 def main() -> None:
-    """Parse the command line, climb, print."""
+    """Parse the command line, climb, and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("checkpoint", type=Path)
     parser.add_argument("--data", type=Path, required=True)
@@ -74,7 +74,7 @@ def main() -> None:
 def predict(
     network: Network, recipe: SourceRecipe, data: Path, every: int
 ) -> Iterator[tuple[NDArray[np.float16], NDArray[np.uint8]]]:
-    """Logits and labels of every n-th frame; of streets the labels are the road masks."""
+    """Yield logits and labels of every n-th frame; the labels of streets are the road masks."""
     source = open_dataset(recipe, [data], classes="camvid")
     for index in range(0, len(source), every):
         sample = source[index]
@@ -99,7 +99,7 @@ def predict(
 def rate(
     camvid: Frames, streets: Frames, offsets: NDArray[np.float32], names: Sequence[str]
 ) -> tuple[float, float]:
-    """Return the mIoU and the road's IoU with the offsets added, each 0..1."""
+    """Return the mIoU and the road's IoU with the offsets added, each from 0 to 1."""
     semantic, roads = SemanticScores(len(offsets)), RoadScores(len(offsets))
     for frames, scores in ((camvid, semantic), (streets, roads)):
         for logits, labels in frames:
@@ -110,7 +110,7 @@ def rate(
 def climb(
     score: Callable[[NDArray[np.float32]], float], offsets: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Change one offset after another as long as the score rises."""
+    """Change one offset after another while the score rises."""
     best = score(offsets)
     for step in STEPS:
         for index in range(len(offsets)):

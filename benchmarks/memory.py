@@ -1,9 +1,9 @@
-"""Resident memory over many frames: whether the engine leaks.
+"""Resident memory over many frames, which shows whether the engine leaks.
 
     python benchmarks/memory.py [--frames 2000] [--threads 2]
 
-Predicts the bundled stream repeatedly, by `Predictor.predict` and by the pipeline of `ssdnet-run`,
-and prints the resident size after every tenth of the frames.
+Predicts the bundled stream repeatedly, with `Predictor.predict` and with the pipeline of
+`ssdnet-run`, and prints the resident size after every tenth of the frames.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from runtime.streams.answerer import Answerer
 
 
 def resident_mb() -> float:
-    """Return the memory of this process that is in use."""
+    """Return the memory of this process that is in use, MB."""
     return float(psutil.Process().memory_info().rss / 1e6)
 
 

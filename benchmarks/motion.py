@@ -1,16 +1,17 @@
-"""Returns of an older scan in a picture of a moving car: left as they are, and moved by poses.
+"""Returns of an older scan in a picture of a moving car, left as they are and moved by poses.
 
     python benchmarks/motion.py drops [--data DIR] [--limit 51]
     python benchmarks/motion.py picture --out FILE.jpg
 
-drops  Every second scan of a drive is dropped. Depth of those frames is predicted from the camera
-       alone (a), with the scan before as it is (b), moved by the poses (c), and with the frame's
-       own scan (d). 32 of the 64 lines are fed; scored are the own scan's other lines. With --data,
-       DIR/kitti_drive_0009, whose poses were made from all of its scans, moved to the time of the
-       frame's own scan; without, a rendered street, scored on its dense depth, with exact poses.
-       "moving": car segments whose returns, moved by the poses, lie more than 0.3 m off the frame's
-       own.
-picture  A rendered frame with the returns of the scan before, as they are and moved.
+`drops` leaves out every second scan of a drive. The depth of those frames is predicted from the
+camera alone (a), with the scan before as it is (b) or moved by the poses (c), and with the frame's
+own scan (d). 32 of the 64 lines are fed, and the other lines of the own scan are scored. With
+--data the drive is DIR/kitti_drive_0009; its poses were made from all of its scans, moved to the
+time of the frame's own scan. Otherwise it is a rendered street with exact poses, scored on its
+dense depth. "moving" are segments of cars whose returns, moved by the poses, are more than 0.3 m
+off the frame's own.
+
+`picture` draws a rendered frame with the returns of the scan before, as they are and moved.
 """
 
 import argparse
@@ -48,8 +49,13 @@ RENDERED_SIZE, SEED = (375, 1242), 3
 class DriveFrame:
     """A frame of a drive.
 
-    rgb: uint8 (H, W, 3). points: float32 (N, 4), the scan. target: float32 (H, W) [m], 0 = none,
-    what is scored. cars: bool (H, W). pose: (4, 4) of the LiDAR. calibration: of both sensors.
+    Attributes:
+        rgb: uint8 (H, W, 3).
+        points: the scan, float32 (N, 4).
+        target: the depth that is scored, float32 (H, W) [m], 0 = none.
+        cars: bool (H, W).
+        pose: pose of the LiDAR, (4, 4).
+        calibration: calibration of both sensors.
     """
 
     rgb: NDArray[np.uint8]
@@ -61,7 +67,7 @@ class DriveFrame:
 
 
 def recorded_drive(data: Path) -> Iterator[DriveFrame]:
-    """Frames of KITTI's drive 0009; the target is every second scan line."""
+    """Yield frames of KITTI's drive 0009; the target is every second scan line."""
     drive = data / "kitti_drive_0009"
     calibration = Calibration.from_kitti(drive)
     poses = read_kitti_poses(drive / "poses.txt")
@@ -80,7 +86,7 @@ def recorded_drive(data: Path) -> Iterator[DriveFrame]:
 
 
 def rendered_drive(frames: int) -> Iterator[DriveFrame]:
-    """Frames of a rendered street with traffic; the target is dense."""
+    """Yield frames of a rendered street with traffic; the target is dense."""
     job = SceneJob(SEED, Variant.clone, frames, STEP_NS / 1e9, RENDERED_SIZE)
     for frame in render_frames(job):
         world_from_camera = np.linalg.inv(frame.world_to_camera.astype(np.float64))
@@ -94,7 +100,7 @@ def rendered_drive(frames: int) -> Iterator[DriveFrame]:
 
 
 def moving_cars(frame: DriveFrame, before: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Segments of car pixels where the scan `before`, moved by poses, is off the frame's own."""
+    """Return car segments in which the scan `before`, moved by poses, is off the frame's own."""
     size = frame.rgb.shape[:2]
     own = frame.calibration.project(frame.points, size)
     moved = frame.calibration.project(before, size)
@@ -116,7 +122,7 @@ def moving_cars(frame: DriveFrame, before: NDArray[np.float32]) -> NDArray[np.bo
 
 
 def score_drops(frames: list[DriveFrame], predictor: Predictor) -> dict[str, dict[str, ErrorSums]]:
-    """Return the errors of each way to answer the frames of odd number, in each of `REGIONS`."""
+    """Return the errors of each way to predict every second frame, in each of `REGIONS`."""
     track = PoseTrack.of(
         [frame.pose for frame in frames], [n * STEP_NS for n in range(len(frames))]
     )
@@ -146,7 +152,7 @@ def score_drops(frames: list[DriveFrame], predictor: Predictor) -> dict[str, dic
 
 
 def draw_returns(frames: list[DriveFrame]) -> NDArray[np.uint8]:
-    """The last frame twice, with the returns of the scan before, as they are and moved."""
+    """Draw the last frame twice, with the returns of the scan before, as they are and moved."""
     *_, before, frame = frames
     track = PoseTrack.of([before.pose, frame.pose], [0, STEP_NS])
     panels = []

@@ -1,9 +1,9 @@
-"""Draw the grids of `ssdnet-lite` as its modules compute them: docs/network.png.
+"""Draws the grids of `ssdnet-lite` as its modules compute them: docs/network.png.
 
     python benchmarks/network_figure.py [MODEL] [--out docs/network.png]
 
-A frame runs through the network; every box is a module's output, with its channels, in the row of
-its stride. So the picture shows the network as it is, not as somebody remembers it.
+A frame runs through the network. Every box is the output of a module, with its number of channels,
+in the row of its stride. The picture is drawn from the network itself, so that it stays true.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from models import create_model
 
 SIZE = (64, 96)
 STRIDES = (1, 2, 4, 8, 16, 32)
-#: Column -> its title and the beginnings of the names of its modules.
+# Titles of the columns, and the beginnings of the names of the modules in each.
 COLUMNS = (
     ("returns", ("surface_depth.embed", "surface_depth.geometry")),
     ("encoder", ("encoder", "context")),
@@ -38,7 +38,7 @@ COLUMNS = (
         ),
     ),
 )
-#: Modules that are drawn: whole blocks, not their layers.
+# The modules that are drawn: whole blocks, not their layers.
 _DEPTH = {"encoder": 2, "semantic_decoder": 3, "depth_decoder": 3, "boundary_decoder": 3}
 
 
@@ -47,9 +47,9 @@ class Box(NamedTuple):
 
     Attributes:
         column: number in COLUMNS.
-        stride: of its grid.
-        channels: of the output.
-        name: of the module.
+        stride: stride of its grid.
+        channels: number of channels.
+        name: name of the module.
     """
 
     column: int
@@ -84,7 +84,7 @@ def find_boxes(network: nn.Module) -> list[Box]:
 
 
 def draw(boxes: list[Box], path: Path, title: str) -> None:
-    """Draw the boxes, a column a part of the network, a row a stride."""
+    """Draw the boxes, with a column for each part of the network and a row for each stride."""
     _, axes = plt.subplots(figsize=(9.6, 4.8), dpi=110)
     cells: dict[tuple[int, int], list[Box]] = {}
     for box in boxes:

@@ -2,11 +2,10 @@
 
     python benchmarks/projection.py [--rounds 200] [--keep-memory]
 
-The scan is that of a 64-line sensor on a street of walls, 115,200 returns all around; the picture
-has 1242 x 375 pixels. Plain and filtered projection, projection through each model of a lens, and
-that of returns moved by the poses at their own times (`project_moved`, poses at 100 Hz), run
-interleaved. With --keep-memory freed memory is kept
-for the next scan, as ssdnet-run keeps it.
+The scan is that of a 64-line sensor on a street with walls, 115,200 returns all around; the picture
+has 1242 x 375 pixels. The plain and the filtered projection, the projection through each model of a
+lens, and that of returns moved by the poses at their own times (`project_moved`, poses at 100 Hz)
+run interleaved. With --keep-memory, freed memory is kept for the next scan, as ssdnet-run keeps it.
 """
 
 import argparse
@@ -27,7 +26,7 @@ from runtime.geometry.poses import PoseTrack
 
 SIZE = (375, 1242)
 INTRINSICS = np.array([[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1]])
-#: From x ahead, y left, z up to the camera, which sits 0.27 m before and 0.08 m below the LiDAR.
+# From x ahead, y left, z up to the camera, which is 0.27 m in front of and 0.08 m below the LiDAR.
 EXTRINSICS = np.array([[0.0, -1, 0, 0.06], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1]])
 HEIGHT_M = 1.73
 LENSES = {
@@ -38,13 +37,13 @@ LENSES = {
 
 
 def street_scan(rng: np.random.Generator) -> NDArray[np.float32]:
-    """Returns of 64 lines of 1,800 firings: float32 (115200, 4), road below and walls around."""
+    """Return 64 lines of 1,800 firings, float32 (115200, 4), with a road below and walls around."""
     elevation = np.concatenate([2 - np.arange(32) / 3, -8.83 - np.arange(32) / 2])
     azimuth, elevation = (
         np.deg2rad(angles).ravel()
         for angles in np.meshgrid(np.arange(1800) / 5, elevation, indexing="xy")
     )
-    # Sixty walls of 6 degrees, from 5 m on.
+    # Sixty walls of 6 degrees each, from a distance of 5 m on.
     wall = (5 + rng.gamma(2.0, 8.0, 60))[np.rint(azimuth * 900 / np.pi).astype(int) // 30]
     road = HEIGHT_M / np.maximum(1e-3, -np.sin(elevation))
     distance = np.minimum(wall, road)
@@ -55,7 +54,7 @@ def street_scan(rng: np.random.Generator) -> NDArray[np.float32]:
 
 
 def _pose(stamp_ns: int) -> NDArray[np.float64]:
-    """The LiDAR's pose on a circle, at 15 m/s and 0.5 rad/s."""
+    """Return the LiDAR's pose on a circle, at 15 m/s and 0.5 rad/s."""
     angle = 0.5 * stamp_ns / 1e9
     pose = np.eye(4)
     pose[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]

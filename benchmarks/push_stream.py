@@ -2,8 +2,9 @@
 
     python benchmarks/push_stream.py [--sizes 375x1242 ...] [--threads 2]
 
-Two ways run interleaved: `predict` back to back, and a stream into which a frame is pushed when the
-last one was answered, for the additional latency of a single frame ("overhead").
+Two ways run interleaved: calls of `predict` one after the other, and a stream into which each frame
+is pushed when the one before was answered. Their difference is the additional latency of a single
+frame ("overhead").
 """
 
 import argparse

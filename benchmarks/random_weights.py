@@ -1,10 +1,11 @@
-"""Write networks with random weights, which run as fast as trained ones, as files for ssdnet-bench.
+"""Writes networks with random weights, which are as fast as trained ones, for ssdnet-bench.
 
     python benchmarks/random_weights.py DIR ddrnet-23-slim fast-scnn
 
-Networks of ours answer as `ssdnet-export` has it, those for depth of others in metres; semantic
-networks of others end in scores of 19 classes at full size, as papers time them. Prints the
-parameters of each, and its multiplications with addition at 512 x 1024.
+Our own networks have the outputs that `ssdnet-export` gives them, and depth networks of others
+return metres. Semantic networks of others end in scores of 19 classes at full size, because papers
+time them so. The program prints the parameters of each network, and its multiplications with
+addition at 512 x 1024.
 """
 
 import argparse
@@ -22,20 +23,20 @@ from models.classes import numbered_classes
 from models.registry import NETWORKS
 from runtime.files.atomic_write import atomic_write
 
-#: Classes of Cityscapes, for which the others' networks were published.
+# Number of classes of Cityscapes, for which the others' networks were published.
 NUM_CLASSES = 19
-#: Exported graphs take any size; they are traced at this one.
+# Size at which graphs are traced; exported graphs take any size.
 TRACED_AT = (128, 416)
-#: Size at which multiplications are counted.
+# Size at which multiplications are counted.
 COUNTED_AT = (512, 1024)
 
 
 class LogitsGraph(DeployGraph):
-    """Pixels to scores of every class at full size."""
+    """A graph from pixels to the scores of every class at full size."""
 
     @property
     def heads(self) -> tuple[str, ...]:
-        """The one output."""
+        """The only output."""
         return ("semantic_logits",)
 
     def forward(self, rgb: Tensor, sparse_depth: Tensor) -> tuple[Tensor, ...]:
@@ -63,7 +64,7 @@ def main() -> None:
 
 
 def count_params_m(network: Network) -> float:
-    """Return the parameters, millions."""
+    """Return the number of parameters in millions."""
     return sum(weights.numel() for weights in network.parameters()) / 1e6
 
 

@@ -1,14 +1,14 @@
-"""Try to break a stream by chance: faulty sensors, threads in any order.
+"""Tries to break a stream with random sensor faults and threads in any order.
 
     python benchmarks/soak.py [--minutes 1] [--size 375x1242] [--threads 2]
 
-A camera and a LiDAR thread push for `--minutes` at 1.5 times the rate that the model reaches here.
-Both send faults now and then: bursts of NaN, empty, half and wrongly sized depth maps, black,
-frozen and wrongly sized images, late, double, missing and jumping stamps; readers are killed and
-started again.
+A camera thread and a LiDAR thread push for `--minutes` at 1.5 times the rate that the model reaches
+on this machine. Both send faults now and then: bursts of NaN, empty, halved and wrongly sized depth
+maps, black, frozen and wrongly sized images, and late, double, missing and jumping stamps. Readers
+are killed and started again.
 
-Exits with 1 if a message is not accounted for, or if the process grew by more than 64 MB after the
-first fifth.
+The program exits with 1 if a message is not accounted for, or if the process grew by more than 64
+MB after the first fifth.
 """
 
 import argparse
@@ -36,8 +36,8 @@ from runtime.streams.statistics import StreamStatistics
 from runtime.streams.stream_counter import StreamCounts
 
 _LARGEST_GROWTH_MB = 64
-_FAULTY = 0.1  # share of the messages
-_LOAD = 1.5  # rate over what the model reaches
+_FAULTY = 0.1  # share of the messages that are faulty
+_LOAD = 1.5  # rate divided by the rate that the model reaches
 
 
 class ReaderKilledError(Exception):
@@ -48,8 +48,10 @@ class ReaderKilledError(Exception):
 class Soaked:
     """The result of the live part.
 
-    called: pushes by sensor, counted by the sensors. faults: injected, by kind. resident_mb: of the
-    process, over time.
+    Attributes:
+        called: number of pushes by sensor, counted by the sensors.
+        faults: number of injected faults by kind.
+        resident_mb: memory of the process over time.
     """
 
     called: Counter[str] = field(default_factory=Counter)
@@ -64,7 +66,7 @@ class Soaked:
 
     @property
     def growth_mb(self) -> float:
-        """Of the process between the first fifth and the end."""
+        """Growth of the process between the first fifth and the end."""
         warm = self.resident_mb[len(self.resident_mb) // 5 :]
         return warm[-1] - warm[0] if warm else 0.0
 
@@ -95,7 +97,7 @@ def soak(
 ) -> Soaked:
     """Push frames of a camera and a LiDAR until `go_on(number of the frame)` is False.
 
-    period_s: between frames of a sensor; 0 = as fast as possible
+    `period_s` is the time between frames of a sensor; 0 stands for as fast as possible.
     """
     soaked = Soaked()
     lock = threading.Lock()
@@ -212,7 +214,7 @@ def _depth_fault(
 
 
 def _stamp_fault(kind: str, stamp: float, shift: float) -> tuple[Any, float]:
-    """The stamp that is sent, and by how much the sensor's clock is off from now on."""
+    """Return the stamp that is sent, and by how much the sensor's clock is off from then on."""
     match kind:
         case "late":
             return stamp - 0.35, shift
@@ -226,7 +228,7 @@ def _stamp_fault(kind: str, stamp: float, shift: float) -> tuple[Any, float]:
 
 
 def resized_frames(size: tuple[int, int]) -> list[Frame]:
-    """The bundled stream at another size."""
+    """Return the bundled stream at another size."""
     return [
         Frame(
             Message(data=cv2.resize(frame.rgb, size[::-1])),

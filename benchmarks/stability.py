@@ -1,12 +1,12 @@
-"""How far the depth changes when the image is cut by a few columns.
+"""How much the depth changes when the image is cut by a few columns.
 
     python benchmarks/stability.py MODEL [MODEL ...] --data DIR
 
-MODEL is a bundled name, an exported file or a checkpoint with semantic and depth. On the validation
+MODEL is a bundled name, an exported file or a checkpoint with semantic and depth. In the validation
 frames of DIR/kitti_streets, with all 64 lines and at the frames' own size, 1 to 8 columns are cut
-off the left of image and depth map. Printed is the share of the pixels farther than 6 px from a
-return, without sky, whose depth changes by more than 5 %. The left 32 columns of the cut frame are
-not counted.
+off the left of image and depth map. The program prints the share of pixels whose depth changes by
+more than 5 %. Only pixels farther than 6 px from a return are counted, without sky and without the
+left 32 columns of the cut frame.
 """
 
 import argparse
@@ -51,7 +51,7 @@ def main() -> None:
 
 
 def changed_share(predict: Predict, frames: Iterable[Sample], *, sky: int | None) -> float:
-    """Return the share of the compared pixels whose depth changes, see the file's top."""
+    """Return the share of the compared pixels whose depth changes, see the module's docstring."""
     changed = compared = 0
     for frame in frames:
         assert frame.sparse_depth is not None
