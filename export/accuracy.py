@@ -11,27 +11,27 @@ from runtime.base.errors import InputError
 from training.evaluation.evaluate import evaluate
 from training.evaluation.score_report import Row
 
-#: LiDAR inputs that a file is measured with: all returns of a frame, 16 scan lines, no returns. If
-#: no set has returns besides its ground truth, random samples of the ground truth are added for
-#: int8.
+# LiDAR inputs with which a file is measured: all returns of a frame, 16 scan lines, no returns. If
+# no set has returns besides its ground truth, random samples of the ground truth are added for
+# int8.
 LIDARS, OTHER_LIDAR = ("own", "16", "none"), "random:0.05"
-#: Least numbers of labelled pixels and frames for comparing the IoU of a class.
+# Least numbers of labelled pixels and of frames for comparing the IoU of a class.
 LEAST_CLASS_PIXELS, LEAST_CLASS_FRAMES = 20_000, 10
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Accuracy on one set with one LiDAR; None = not available for the set or the model.
+    """Accuracy on one set with one LiDAR; None if a figure does not exist for the set or the model.
 
     Attributes:
         data: the set, as `ssdnet-eval` names it.
         lidar: the LiDAR input, as `ssdnet-eval` names it.
         frames: number of frames.
-        miou: 0..1.
+        miou: mean IoU of the classes, 0 to 1.
         mae_m: mean absolute error of the depth [m].
-        boundary_f: 0..1.
+        boundary_f: F-score of the boundaries, 0 to 1.
         coverage_1: share of the depth's errors within `depth_uncertainty`.
-        class_iou: class -> IoU, for the classes that are labelled often enough to compare it.
+        class_iou: IoU of each class that is labelled often enough to compare it.
     """
 
     data: str
@@ -50,8 +50,7 @@ def measure_accuracy(
     """Measure a file, named `*.onnx`, on data sets and LiDARs as `ssdnet-eval` takes them.
 
     Raises:
-        DatasetError, InputError: for data that cannot be read, or that hold neither labels nor
-            depth.
+        DatasetError, InputError: if data cannot be read, or hold neither labels nor depth.
     """
     rows = evaluate([path], data, lidars=lidars, leave_out_fed=True).rows
     found = [_accuracy(row) for row in rows]

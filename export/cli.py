@@ -11,7 +11,7 @@ from runtime.app.command import reported_errors, stop_requested
 from runtime.app.command_options import Version
 from runtime.contract.contract import MIN_SIDE, Contract
 
-#: Key in `Contract.accuracy`, name, factor, unit.
+# Key in `Contract.accuracy`, name, factor and unit of each figure.
 _FIGURES = (
     ("miou", "mIoU", 1e2, "%"),
     ("boundary_f", "boundary F", 1e2, "%"),

@@ -25,7 +25,7 @@ class DeployGraph(nn.Module):
 
     @property
     def heads(self) -> tuple[str, ...]:
-        """Names of the outputs, in the order in which `forward` gives them."""
+        """Names of the outputs, in the order in which `forward` returns them."""
         heads: tuple[str, ...] = self.model.heads
         if self.with_logits and "semantic" in heads:
             heads = (*heads, "semantic_logits")

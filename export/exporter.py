@@ -31,8 +31,8 @@ from runtime.contract.model_file import with_contract
 from runtime.files.atomic_write import atomic_file
 from runtime.recordings.recording import RecordedFrame, Recorder, Settings, record
 
-#: (height, width) at which a model of any size is verified: Cityscapes at half size, as in the
-#: paper.
+# (height, width) at which a model of any size is verified: half the size of Cityscapes, as in the
+# paper.
 DEFAULT_SIZE = (512, 1024)
 
 
@@ -45,7 +45,7 @@ class ExportReport:
         size: (height, width) at which it was exported.
         dynamic: whether it takes any size.
         heads: names of its outputs.
-        parity: head -> the worst difference over all frames on which it was verified.
+        parity: the worst difference of each head over all frames on which it was verified.
         num_frames: number of these frames.
         num_bytes: size of the file.
         contract: the file's metadata.
@@ -75,35 +75,35 @@ def export_checkpoint(
     validate: Sequence[str] = (),
     overwrite: bool = False,
 ) -> ExportReport:
-    """Write a checkpoint as one ONNX file, verified before it gets its name.
+    """Write a checkpoint as one ONNX file, which is verified before it gets its name.
 
     After an error nothing new is left on disk, and an older file is kept.
 
     Args:
-        checkpoint_path: written by ssdnet-train.
+        checkpoint_path: a checkpoint written by ssdnet-train.
         onnx_path: the file to write.
-        size: (height, width) of a fixed model; None = any size, with DEFAULT_SIZE as native size.
+        size: (height, width) of a fixed model; None: any size, with DEFAULT_SIZE as native size.
         dynamic: whether the model takes any size, with `size` as native size.
         opset: ONNX operator set.
         with_logits: add the class scores to the outputs.
-        record_dir: folder for a recording of PyTorch's answers to the frames it was verified on,
-            for ssdnet-verify; None = no recording.
-        triton_dir: Triton model repository to which the file is added, under its name; None = no
+        record_dir: folder for a recording of PyTorch's answers to the frames of the verification,
+            for ssdnet-verify; None: no recording.
+        triton_dir: Triton model repository to which the file is added under its name; None: no
             repository.
         precision: precision of the file's trunk; for 8-bit integers also the data and the gate.
-        validate: data sets as `ssdnet-eval` takes them, KIND:FOLDER[,KEY=VALUE...], that the
-            file's accuracy is measured on; int8 needs at least one.
+        validate: data sets on which the file's accuracy is measured, as `ssdnet-eval` takes them,
+            KIND:FOLDER[,KEY=VALUE...]; int8 needs at least one.
         overwrite: replace an older file, recording and Triton model.
 
     Raises:
-        CheckpointError: for a checkpoint that cannot be read.
-        InputError: for an invalid size, and for sets of too few frames or that cannot tell the
-            accuracy.
-        OutputError: for a target that exists (without `overwrite`) or cannot be written.
-        ExportError: for weights that are not finite, a network that does not return what it
-            declares, see `models.answers.check_output`, if the graph cannot be made or differs
-            from PyTorch by more than rounding, and for a gate that is missed.
-        DatasetError: for data that cannot be read.
+        CheckpointError: if the checkpoint cannot be read.
+        InputError: if the size is invalid, or if the sets have too few frames or cannot measure
+            the accuracy.
+        OutputError: if a target exists (without `overwrite`) or cannot be written.
+        ExportError: if weights are not finite, if the network does not return what it declares
+            (see `models.answers.check_output`), if the graph cannot be made or differs from
+            PyTorch by more than rounding, or if the gate is missed.
+        DatasetError: if data cannot be read.
     """
     if isinstance(precision, Int8Options) and not validate:
         raise InputError("int8 needs data: give validate, data sets with ground truth")
@@ -179,7 +179,7 @@ def _check_target(target: Path, checkpoint: Path, *, overwrite: bool) -> None:
 
 
 def _require_finite(model: nn.Module) -> None:
-    """Raise ExportError naming the weights and buffers that hold NaN or Inf."""
+    """Raise ExportError with the names of the weights and buffers that hold NaN or Inf."""
     bad = [
         name
         for name, values in itertools.chain(model.named_parameters(), model.named_buffers())
@@ -239,7 +239,7 @@ def count_giga_macs(model: Network, size: tuple[int, int]) -> float:
     inputs = (torch.empty(1, channels, *size, device="meta") for channels in (3, 1))
     with FlopCounterMode(display=False) as counter, torch.no_grad():
         copy.deepcopy(model).to("meta")(*inputs)
-    return float(counter.get_total_flops()) / 2e9  # a multiplication and an addition
+    return float(counter.get_total_flops()) / 2e9  # a multiplication and an addition count as two
 
 
 def _finish(

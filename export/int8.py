@@ -37,20 +37,20 @@ from training.lidar.split import LidarInput, frame_generator, split_lidar
 from training.loading.open_dataset import count_shared, frame_files, open_dataset
 from training.recipe import parse_data
 
-#: LiDAR inputs of the calibration frames, in turn. Activations beyond the calibrated ranges are
-#: clipped.
+# LiDAR inputs of the calibration frames, used in turn. Activations beyond the calibrated ranges are
+# clipped.
 CALIBRATION_LIDARS = ("own", "none", "16", "4")
-#: Number of frames that ranges are calibrated on, evenly spread over the sets; and of the frames on
-#: which the effect of each convolution is measured.
+# Number of frames, evenly spread over the sets, on which ranges are calibrated; and number of
+# frames on which the effect of each convolution is measured.
 CALIBRATION_FRAMES, _SENSITIVITY_FRAMES = 128, 4
-#: Convolutions that read or write a grid of this stride or less stay in float: they have few
-#: channels on many pixels, where converting to 8 bits takes longer than 8 bits save, and they see
-#: the finest detail.
+# Convolutions that read or write a grid of this stride or less stay in float. They have few
+# channels on many pixels, where converting to 8 bits takes longer than 8 bits save, and they see
+# the finest detail.
 _FINE_STRIDE = 2
-#: Limits without an option: loss of a class's IoU [points], loss of boundary F (0..1), and change
-#: of the share of errors within one scale of the uncertainty [points].
+# Limits without an option: loss of a class's IoU [points], loss of boundary F (0..1), and change of
+# the share of errors within one scale of the uncertainty [points].
 MAX_DROP_CLASS_IOU, MAX_DROP_BOUNDARY_F, MAX_CHANGE_COVERAGE = 3.0, 0.01, 3.0
-#: Head -> its figure in `Accuracy`; scores are those of the classes.
+# The figure of each head in `Accuracy`; "scores" has that of the classes.
 _FIGURES = {
     "semantic": "miou",
     "semantic_logits": "miou",
@@ -58,7 +58,7 @@ _FIGURES = {
     "boundary": "boundary_f",
     "depth_uncertainty": "coverage_1",
 }
-#: Head -> ground truth that a set needs to measure it, and example sets.
+# The ground truth that a set needs to measure each head, and example sets.
 _NEEDED = {
     "semantic": (
         "labels of the model's classes",
@@ -92,7 +92,7 @@ def require_frames(options: Int8Options, validate: Sequence[str], checkpoint: Ch
         checkpoint: checkpoint of the model.
 
     Raises:
-        DatasetError, InputError: for data that cannot be read, have fewer frames or share some.
+        DatasetError, InputError: if data cannot be read, have fewer frames, or share some frames.
     """
     table = trained_classes(checkpoint.model.config.classes, checkpoint.training)
     found = {}
@@ -120,21 +120,21 @@ def quantize_within(
 ) -> Quantized:
     """Quantise a graph; convolutions that cost too much accuracy stay in single precision.
 
-    Convolutions on the finest grids stay in float, see _FINE_STRIDE. As long as the gate is missed,
-    further convolutions stay in float: first the one that, quantised alone, most changes the head
-    that misses its limit most; then each time half as many again.
+    Convolutions on the finest grids stay in float, see _FINE_STRIDE. While the gate is missed,
+    further convolutions stay in float. The first is the one that, quantised alone, most changes the
+    head that exceeds its limit most; after that their number grows by half each time.
 
     Args:
         model: a traced graph.
         options: data and gate.
-        validate: data sets that accuracy is measured on before and after.
+        validate: data sets on which the accuracy is measured before and after.
         classes: names of the model's classes.
         write: writes a graph as a file that the engine runs.
 
     Raises:
-        DatasetError, InputError: for data that cannot be read, or that lack labels although the
-            model has classes, or depth although it has a depth head.
-        ExportError: if the gate is missed with half of the other convolutions in float, too.
+        DatasetError, InputError: if data cannot be read, or lack labels although the model has
+            classes, or depth although it has a depth head.
+        ExportError: if the gate is missed even with half of the other convolutions in float.
     """
     heads = [output.name for output in model.graph.output]
     names = trunk(model)
@@ -228,7 +228,7 @@ def share_frames(sizes: Sequence[int], total: int) -> list[int]:
 def _missed(
     before: Sequence[Accuracy], after: Sequence[Accuracy], options: Int8Options
 ) -> dict[str, str]:
-    """Head -> its largest loss in words, for heads that miss the gate; worst head first."""
+    """Return the largest loss, in words, of each head that misses the gate; worst head first."""
     excess: dict[str, tuple[float, str]] = {}
     for first, second in zip(before, after, strict=True):
         where = f"on {first.data}, LiDAR {first.lidar}"
@@ -242,7 +242,7 @@ def _missed(
 def _losses(
     before: Accuracy, after: Accuracy, options: Int8Options
 ) -> Iterator[tuple[str, float, float, str]]:
-    """Yield head, loss, its limit, and the loss in words, of figures measured in both."""
+    """Yield head, loss, its limit, and the loss in words, for the figures measured in both."""
     if before.miou is not None and after.miou is not None:
         drop = 100 * (before.miou - after.miou)
         yield "semantic", drop, options.max_drop_miou, f"semantic loses {drop:.2f} points of mIoU"

@@ -18,7 +18,7 @@ from runtime import Predictor
 from runtime.contract.agreement import compare, file_limits, within, worst
 from runtime.engine.session import open_session
 
-#: The figure by which half precision is judged instead of the largest difference, and its limit.
+# The figure that is limited instead of the largest difference in half precision, and its limit.
 _BEYOND, _MOST_BEYOND = "share_beyond", 0.03
 
 
@@ -42,7 +42,7 @@ def measure_parity(
 
     The predictor cleans a depth map before the graph sees it, so each frame also goes to the bare
     graph, which must give the same answer. In half precision the choice between two surfaces may
-    differ in single pixels: there the share of the pixels beyond the limit is judged.
+    differ in single pixels; there the share of pixels beyond the limit is judged.
 
     Args:
         model: the network.
@@ -51,7 +51,7 @@ def measure_parity(
         dynamic: whether the file takes any size.
 
     Returns:
-        Head -> its worst difference.
+        The worst difference of each head.
 
     Raises:
         ExportError: if an answer has another shape.
@@ -90,7 +90,7 @@ def measure_parity(
 
 
 def reference(model: Network, frame: ProbeFrame) -> dict[str, NDArray[Any]]:
-    """Return the network's own answers to a frame, head -> array, by its training forward."""
+    """Return the network's own answers to a frame, by head, from its training forward."""
     rgb = torch.from_numpy(frame.rgb).permute(2, 0, 1)[None].float()
     with torch.inference_mode():
         output = model(rgb, torch.from_numpy(frame.sparse_depth)[None, None])

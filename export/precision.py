@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-#: Least number of frames of --calibrate and of --validate for int8.
+# Least number of frames for each of --calibrate and --validate with int8.
 LEAST_FRAMES = 100
 
 
@@ -19,10 +19,10 @@ class Int8Options:
     """What quantisation needs, and the gate that its file must pass.
 
     Attributes:
-        calibrate: data sets as `ssdnet-eval` takes them, KIND:FOLDER[,KEY=VALUE...], that the
-            ranges are measured on.
-        max_drop_miou: the most that the mIoU of a set may fall, in points.
-        max_rise_mae: the most that the MAE of the depth of a set may rise, in percent.
+        calibrate: data sets on which the ranges are measured, as `ssdnet-eval` takes them,
+            KIND:FOLDER[,KEY=VALUE...].
+        max_drop_miou: largest fall of the mIoU of a set, in points.
+        max_rise_mae: largest rise of the MAE of the depth of a set, in percent.
     """
 
     calibrate: tuple[str, ...]

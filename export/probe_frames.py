@@ -1,4 +1,4 @@
-"""Street frames, synthetic and recorded, for the comparison of two implementations."""
+"""Street frames, synthetic and recorded, for comparing two implementations."""
 
 from dataclasses import dataclass
 
@@ -26,7 +26,7 @@ def probe_frames(size: tuple[int, int], *, max_depth_m: float) -> list[ProbeFram
     Args:
         size: (height, width).
         max_depth_m: range of the network. The faulty map has NaN, Inf, negative values and values
-            beyond the range among good ones.
+            beyond the range among valid ones.
     """
     frames = []
     for seed in (0, 1):
@@ -79,7 +79,7 @@ def _street(
 
 
 def _scan_lines(depth: NDArray[np.float32], *, seed: int) -> NDArray[np.float32]:
-    """Sample a dense depth map as a spinning LiDAR does: sloping lines with drop-outs."""
+    """Sample a dense depth map like a spinning LiDAR: sloping lines with drop-outs."""
     rng = np.random.default_rng(seed)
     rows, columns = np.indices(depth.shape)
     on_line = (rows + columns // 64) % 4 == 0

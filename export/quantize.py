@@ -1,4 +1,4 @@
-"""Static quantisation of a traced graph to 8-bit integers (ONNX's QDQ form), by measured ranges."""
+"""Static quantisation of a traced graph to 8-bit integers (ONNX's QDQ form) by measured ranges."""
 
 import tempfile
 from collections.abc import Collection, Sequence
@@ -15,7 +15,7 @@ from export.trace import quiet
 from export.trunk import trunk
 from runtime.engine.session import open_session
 
-#: Input of the graph -> array with a batch of one.
+# The arrays of the graph's inputs, by name, with a batch of one.
 Feed = dict[str, NDArray[Any]]
 
 
@@ -50,7 +50,7 @@ def quantize(
     copy = onnx.ModelProto()
     copy.CopyFrom(model)
     nodes = trunk(model, without=keep_float)
-    with quiet():  # hides the advice to optimise the graph first: a traced graph is optimised
+    with quiet():  # hides the advice to optimise the graph first, since a traced graph is optimised
         quantizer = QDQQuantizer(
             copy,
             per_channel=True,
@@ -70,9 +70,9 @@ def quantize(
 
 
 def strides(model: onnx.ModelProto, feed: Feed) -> dict[str, int]:
-    """Return the ratio of the image to the grid of each tensor that a convolution reads or writes.
+    """Return image size / grid size for each tensor that a convolution reads or writes.
 
-    The graph runs once, on the frame: a Resize may compute the size of its grid.
+    The graph runs once, on the frame, because a Resize may compute the size of its grid.
     """
     copy = onnx.ModelProto()
     copy.CopyFrom(model)

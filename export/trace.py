@@ -13,10 +13,11 @@ from onnx import numpy_helper
 from export.deploy import DeployGraph
 from export.errors import ExportError
 
-#: PyTorch's exporter writes it without a conversion; ONNX Runtime reads it since 1.14.
+# PyTorch's exporter writes this operator set without a conversion; ONNX Runtime reads it since
+# 1.14.
 DEFAULT_OPSET = 18
 INPUTS = ("rgb", "sparse_depth")
-#: The free axes: N always, the others in a dynamic graph.
+# The free axes: N is always free, the others are in a dynamic graph.
 AXES = ("batch", "height", "width")
 
 
@@ -41,8 +42,8 @@ def trace(
     if not DEFAULT_OPSET <= opset <= newest:
         raise ExportError(f"opset must be {DEFAULT_OPSET} to {newest}, got {opset}")
     free = dict.fromkeys(range(3 if dynamic else 1), torch.export.Dim.DYNAMIC)
-    # Two frames, because a batch of 1 would become a constant. Odd sides where they are free,
-    # because sides that fit the stride would leave no padding in the graph.
+    # Two frames are traced, because a batch of 1 would become a constant. Where they are free, the
+    # sides are odd, because sides that fit the stride would leave no padding in the graph.
     height, width = (size[0] | 1, size[1] | 1) if dynamic else size
     try:
         example = torch.zeros(2, height, width, 3, dtype=torch.uint8), torch.zeros(2, height, width)
@@ -76,7 +77,7 @@ def trace(
 
 
 def check_standard(model: onnx.ModelProto, *, opset: int) -> None:
-    """Raise ExportError unless the model is valid and of the standard operators of an opset.
+    """Raise ExportError unless the model is valid and uses only the standard operators of an opset.
 
     Other operators, and functions, would belong to other domains, which `opset_import` names.
     """
@@ -90,7 +91,7 @@ def check_standard(model: onnx.ModelProto, *, opset: int) -> None:
 
 
 def _nodes(graph: onnx.GraphProto) -> Iterator[onnx.NodeProto]:
-    """All nodes, also those of nested graphs."""
+    """Yield all nodes, including those of nested graphs."""
     for node in graph.node:
         yield node
         for attribute in node.attribute:
@@ -120,7 +121,7 @@ def _name_axes(graph: onnx.GraphProto) -> None:
 
 
 def _drop_empty_padding(graph: onnx.GraphProto) -> None:
-    """Remove Pads of zero width, which copy the image; sizes that fit the stride have them."""
+    """Remove Pads of zero width, which copy the image; they occur if the size fits the stride."""
     constants = {weight.name: weight for weight in graph.initializer}
     for pad in [node for node in graph.node if node.op_type == "Pad"]:
         amounts = constants.get(pad.input[1])

@@ -1,7 +1,8 @@
 """A model repository of NVIDIA's Triton Inference Server with an exported file.
 
 DIR/NAME/config.pbtxt names the tensors (`ModelConfig` of Triton's model_config.proto, in protobuf's
-text form), DIR/NAME/1/model.onnx is the file itself: `tritonserver --model-repository=DIR`.
+text form), and DIR/NAME/1/model.onnx is the file itself. The server is started with `tritonserver
+--model-repository=DIR`.
 """
 
 import re
@@ -13,11 +14,11 @@ import onnx
 from export.errors import ExportError
 from runtime.files.own_folder import atomic_folder, require_folder_free
 
-#: Frames that the server may put into one run of a model whose batch axis is free.
+# Number of frames that the server may put into one run of a model whose batch axis is free.
 MAX_BATCH_SIZE = 8
 MODEL_FILE = "model.onnx"
 
-#: The types of the contract's tensors, see `runtime.contract.heads.Head.dtype`.
+# Types of the contract's tensors, see `runtime.contract.heads.Head.dtype`.
 _TYPES = {onnx.TensorProto.UINT8: "TYPE_UINT8", onnx.TensorProto.FLOAT: "TYPE_FP32"}
 _FREE = -1
 _FOLDER_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
@@ -71,15 +72,15 @@ def require_model_folder(folder: Path, *, overwrite: bool) -> None:
     """Check that `write_triton_model` can write a folder.
 
     Raises:
-        ExportError: for a name that cannot be a folder of a repository.
-        OutputError: for a folder that cannot be made or replaced.
+        ExportError: if the name cannot be that of a model in a repository.
+        OutputError: if the folder cannot be made or replaced.
     """
     if not _FOLDER_NAME.fullmatch(folder.name):
         raise ExportError(
             f"{folder.name!r} cannot be a model of a Triton repository, whose name may hold "
             "letters, digits, dots, dashes and underscores: give the file such a name"
         )
-    # The check makes missing parents, and a new repository must not stay if the export fails.
+    # The check creates missing parents, but a new repository must not remain if the export fails.
     new = folder if folder.parent.exists() else folder.parent
     require_folder_free(new, overwrite=overwrite)
 
@@ -92,6 +93,6 @@ def _entries(kind: str, tensors: Iterable[onnx.ValueInfoProto], *, batched: bool
 
 
 def _dims(tensor: onnx.ValueInfoProto) -> list[int]:
-    """The sides of a tensor, -1 = free."""
+    """Return the sides of a tensor; -1 stands for a free side."""
     dims = tensor.type.tensor_type.shape.dim
     return [dim.dim_value if dim.HasField("dim_value") else _FREE for dim in dims]

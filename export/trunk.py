@@ -4,8 +4,8 @@ from collections.abc import Collection, Sequence
 
 import onnx
 
-#: A convolution with fewer input or output channels is outside the trunk, because it reads pixels,
-#: returns or boundary maps, or computes an answer. In single precision it takes little time.
+# A convolution with fewer input or output channels is outside the trunk, because it reads pixels,
+# returns or boundary maps, or computes an answer. In single precision it takes little time.
 _LEAST_CHANNELS = 16
 _BETWEEN = ("Add", "Clip", "Mul", "Relu", "Resize")
 _ACTIVATIONS = ("Clip", "Relu")
@@ -14,10 +14,9 @@ _ACTIVATIONS = ("Clip", "Relu")
 def trunk(model: onnx.ModelProto, *, without: Collection[str] = ()) -> list[str]:
     """Return the names of the nodes of the trunk, in the graph's order.
 
-    These are its wide convolutions, and what lies between them: additions, products with a
-    boundary map (BaConv), activations and upsamplings. The rest, which reads the sensors and
-    computes the answers, is not in it, nor are the nodes named in `without` and what lies
-    between them.
+    These are its wide convolutions and the nodes between them: additions, products with a boundary
+    map (BaConv), activations and upsamplings. The nodes that read the sensors or compute the
+    answers do not belong to it, nor do the nodes named in `without` and the nodes between them.
     """
     graph = model.graph
     shapes = {weight.name: weight.dims for weight in graph.initializer}
@@ -44,7 +43,7 @@ def trunk(model: onnx.ModelProto, *, without: Collection[str] = ()) -> list[str]
 
 
 def _leading_to_a_convolution(nodes: Sequence[onnx.NodeProto]) -> set[str]:
-    """Names of the convolutions and of the nodes before them; activations follow any."""
+    """Names of the convolutions and of the nodes that lead to them through activations only."""
     read: set[str] = set()
     kept: set[str] = set()
     for node in reversed(nodes):
