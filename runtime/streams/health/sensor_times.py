@@ -11,7 +11,8 @@ from runtime.base.stamp import NS_PER_MS
 #: A sensor is silent after so long without a message, but not before `_PERIODS` of its periods.
 SILENT_NS = 500 * NS_PER_MS
 _PERIODS = 3.0
-_LEAST_OFFSETS = 3  # least number of messages of each sensor
+_LEAST_OFFSETS = 3  # least number of messages of each sensor in a part of the recording
+_PARTS = 4
 
 
 def find_silences(
@@ -42,22 +43,27 @@ def clocks_apart_s(
 ) -> float | None:
     """Return by how many seconds the clock of the depth is ahead of that of the images.
 
+    A clock that is set or drifts during the recording differs in one of its parts.
+
     Args:
-        image_ns: stamp - time of recording of each image [ns].
+        image_ns: stamp - time of recording of each image [ns], in the order of time.
         depth_ns: the same for the depth.
         period_ns: period of the depth.
         is_scan: whether the depth comes from scans. A scan is recorded when it ends, so up to a
             period after a stamp that marks its start.
 
     Returns:
-        Seconds, or None if the difference is at most half a period, which drivers may take.
+        Seconds of the largest difference, or None if it is at most half a period, which drivers
+        may take.
     """
-    if min(len(image_ns), len(depth_ns)) < _LEAST_OFFSETS:
+    parts = min(_PARTS, min(len(image_ns), len(depth_ns)) // _LEAST_OFFSETS)
+    if not parts:
         return None
-    ahead_ns = float(np.median(depth_ns) - np.median(image_ns))
-    most_ns = period_ns / 2
-    least_ns = -most_ns - (period_ns if is_scan else 0.0)
-    return None if least_ns <= ahead_ns <= most_ns else ahead_ns / 1e9
+    pairs = zip(np.array_split(image_ns, parts), np.array_split(depth_ns, parts), strict=True)
+    ahead_ns = [float(np.median(depth) - np.median(image)) for image, depth in pairs]
+    middle_ns = -period_ns / 2 if is_scan else 0.0
+    worst_ns = max(ahead_ns, key=lambda ns: abs(ns - middle_ns))
+    return worst_ns / 1e9 if abs(worst_ns - middle_ns) > period_ns / 2 - middle_ns else None
 
 
 def period_ns_of(stamps_ns: Any, default_ns: float) -> float:

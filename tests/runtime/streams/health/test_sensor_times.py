@@ -20,6 +20,11 @@ def test_two_clocks_are_found(ahead_s):
     assert apart(ahead_s) == pytest.approx(ahead_s, abs=0.002)
 
 
+def test_a_clock_that_is_set_during_the_recording_is_found():
+    scans = [0] * 24 + [80_000_000] * 16
+    assert clocks_apart_s([0] * 40, scans, PERIOD, is_scan=True) == pytest.approx(0.08)
+
+
 def test_the_time_that_drivers_take_is_no_other_clock():
     assert apart(0.04) is None
     assert apart(-0.14) is None, "recorded when a scan ends, stamped at its start"
