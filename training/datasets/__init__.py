@@ -1,1 +1,1 @@
-"""Data sets; each item is a `Sample`."""
+"""Data sets, whose items are `Sample` objects."""

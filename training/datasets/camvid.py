@@ -12,18 +12,21 @@ from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
 
-#: Labels by the files' ids; 11 is unlabelled.
+# Names of the labels in the order of the files' ids; 11 is unlabelled.
 LABELS: tuple[str | None, ...] = (*(info.name for info in CLASS_TABLES["camvid"]), None)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class CamVidRecipe(SourceRecipe):
-    """Options of CamVid in a recipe."""
+    """Options of CamVid in a recipe.
+
+    Attributes:
+        split: "train", "val" or "test".
+    """
 
     labelled: ClassVar[str] = "camvid"
 
     kind: Literal["camvid"] = "camvid"
-    #: train, val or test.
     split: str = "train"
 
     def open(self, folder: Path, classes: ClassTable) -> "CamVid":
@@ -34,11 +37,11 @@ class CamVidRecipe(SourceRecipe):
 class CamVid(FrameList):
     """Frames of `root/<split>` with labels of `root/<split>annot` (uint8 PNG, 11 = none).
 
-    It has no depth and no calibration.
+    The set has no depth and no calibration.
 
     Raises:
-        DatasetError: for a missing folder, an image without a label file, and unreadable or wrongly
-            sized files.
+        DatasetError: if a folder or the label file of an image is missing, or if a file is
+            unreadable or has the wrong size.
     """
 
     def __init__(self, root: Path, recipe: CamVidRecipe, classes: ClassTable) -> None:

@@ -17,14 +17,14 @@ from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
 
-#: The classes by their trainIds 0..18.
+# The classes in the order of their trainIds 0..18.
 TRAIN_LABELS: tuple[str | None, ...] = tuple(info.name for info in CLASS_TABLES["cityscapes"])
-#: The labelId of each of them; the others of 0..33 are ignored.
+# The labelId of each class; the other labelIds of 0..33 are ignored.
 _LABEL_IDS = (7, 8, 11, 12, 13, 17, *range(19, 29), 31, 32, 33)
-#: The classes by their labelIds.
+# The classes in the order of their labelIds.
 _LABELS = tuple(dict(zip(_LABEL_IDS, TRAIN_LABELS, strict=True)).get(id_) for id_ in range(34))
 
-#: Folder -> how the names of its files end; stereo is optional.
+# How the names of the files in each folder end; the stereo folders are optional.
 _SUFFIXES = {
     "leftImg8bit": "_leftImg8bit.png",
     "gtFine": "_gtFine_labelIds.png",
@@ -35,12 +35,15 @@ _SUFFIXES = {
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class CityscapesRecipe(SourceRecipe):
-    """Options of Cityscapes in a recipe."""
+    """Options of Cityscapes in a recipe.
+
+    Attributes:
+        split: "train", "val" or "test".
+    """
 
     labelled: ClassVar[str] = "cityscapes"
 
     kind: Literal["cityscapes"] = "cityscapes"
-    #: train, val or test.
     split: str = "train"
 
     def open(self, folder: Path, classes: ClassTable) -> "Cityscapes":
@@ -51,13 +54,13 @@ class CityscapesRecipe(SourceRecipe):
 class Cityscapes(FrameList):
     """Frames of `root/leftImg8bit/<split>/<city>/<frame>_leftImg8bit.png`.
 
-    Labels are those of `gtFine` (`_gtFine_labelIds.png`). With the folders `disparity` and
-    `camera` depth is baseline * fx / d with the disparity d = (p - 1) / 256 px of a 16-bit pixel
-    p > 0; without them it is unknown.
+    The labels are those of `gtFine` (`_gtFine_labelIds.png`). With the folders `disparity` and
+    `camera`, depth is baseline * fx / d, with the disparity d = (p - 1) / 256 px of a 16-bit pixel
+    p > 0. Without them, depth is unknown.
 
     Raises:
-        DatasetError: for missing folders or partners, unknown ids, wrong sizes and incomplete
-            camera files.
+        DatasetError: if a folder or a partner of an image is missing, an id is unknown, a size is
+            wrong, or a camera file is incomplete.
     """
 
     def __init__(self, root: Path, recipe: CityscapesRecipe, classes: ClassTable) -> None:
@@ -105,16 +108,16 @@ class Cityscapes(FrameList):
 def disparity_to_depth(
     stored: NDArray[np.uint16], focal_baseline: float, *, zero: int = 1
 ) -> NDArray[np.float32]:
-    """Convert a disparity image of Cityscapes, or of another `zero`, to depth.
+    """Convert a disparity image of Cityscapes, or one with another `zero`, to depth.
 
     Args:
-        stored: uint16 (H, W); p > 0 means d = (p - zero) / 256 px. A disparity of 0 is at infinity
-            and counts as none.
+        stored: uint16 (H, W); a pixel p > 0 has the disparity d = (p - zero) / 256 px. A disparity
+            of 0 is at infinity and counts as no measurement.
         focal_baseline: fx * baseline [px m].
         zero: the value of a disparity of 0.
 
     Returns:
-        float32 (H, W), metres, 0 = none.
+        float32 (H, W), metres, 0 = no measurement.
     """
     disparity = (stored.astype(np.float32) - zero) / 256.0
     depth = np.zeros(stored.shape, dtype=np.float32)
@@ -124,7 +127,7 @@ def disparity_to_depth(
 
 @dataset_errors()
 def _read_camera(path: Path) -> tuple[NDArray[np.float64], float]:
-    """K (3, 3) and fx * baseline (px m) of a camera file."""
+    """Return K (3, 3) and fx * baseline [px m] of a camera file."""
     try:
         document = json.loads(read_text(path))
         camera, baseline = document["intrinsic"], float(document["extrinsic"]["baseline"])

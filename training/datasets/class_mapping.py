@@ -1,8 +1,8 @@
-"""Mapping of the labels of one data set to the class table of another.
+"""Mapping from the labels of a data set to the class table of another one.
 
-A network has one class table, and the labels of every data set of a mixture become its ids. A pair
-of data set and table that is not here has no mapping (CamVid's car includes trucks and buses, which
-are separate classes of Cityscapes).
+A network has one class table, and the labels of every data set in a mixture become its ids. A pair
+of data set and table that is missing here has no mapping. For example, CamVid's car includes trucks
+and buses, which are separate classes of Cityscapes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,23 +17,23 @@ from runtime.contract.contract import ClassInfo
 from training.datasets.files import read_gray
 from training.datasets.sample import IGNORE
 
-#: A name in `models.CLASS_TABLES`, or a table.
+# A name in `models.CLASS_TABLES`, or a table.
 ClassTable = str | tuple[ClassInfo, ...]
 
 _Names = Mapping[str, str | None]
 
 
 def _joined(classes: Mapping[str | None, Sequence[str]]) -> _Names:
-    """Turn class -> its labels into label -> its class."""
+    """Turn a mapping from classes to their labels into one from labels to classes."""
     return {label: name for name, labels in classes.items() for label in labels}
 
 
-#: (data set, table) -> label of the data set -> class of the table, None = ignored.
+# For each (data set, table): the class of each label of the data set, None if it is ignored.
 _MAPPINGS: Mapping[tuple[str, str], _Names] = {
     ("camvid", "camvid"): {info.name: info.name for info in CLASS_TABLES["camvid"]},
     ("cityscapes", "cityscapes"): {info.name: info.name for info in CLASS_TABLES["cityscapes"]},
-    # Wall joins building as in the SegNet mapping, terrain joins tree (CamVid's VegetationMisc),
-    # rider and two-wheelers are bicyclist.
+    # As in the SegNet mapping, walls join building and terrain joins tree (CamVid's
+    # VegetationMisc); riders and two-wheelers become bicyclist.
     ("cityscapes", "camvid"): _joined(
         {
             "road": ["road"],
@@ -50,7 +50,8 @@ _MAPPINGS: Mapping[tuple[str, str], _Names] = {
         }
     ),
     ("virtual_kitti", "virtual_kitti"): {
-        # Names as in Virtual KITTI's files; ignored classes occur in rendered scenes only.
+        # The names are those in Virtual KITTI's files; the ignored classes occur only in rendered
+        # scenes.
         **{info.name.title().replace(" ", ""): info.name for info in CLASS_TABLES["virtual_kitti"]},
         **dict.fromkeys(("Pavement", "Fence", "Pedestrian", "Cyclist", "Undefined")),
     },
@@ -70,7 +71,7 @@ _MAPPINGS: Mapping[tuple[str, str], _Names] = {
             None: ["Misc", "Undefined"],
         }
     ),
-    # Cityscapes labels a rider apart from the bicycle; here the two are one.
+    # Cityscapes labels the rider and the bicycle separately; here they are one class.
     ("virtual_kitti", "cityscapes"): _joined(
         {
             "sky": ["Sky"],
@@ -103,14 +104,14 @@ def is_mapped(labels: ClassTable, table: ClassTable) -> bool:
 
 
 def class_ids(labels: str, table: ClassTable) -> dict[str, int]:
-    """Return the id in a class table of every label of a data set.
+    """Return the id in a class table for every label of a data set.
 
     Args:
-        labels: "camvid", "cityscapes" or "virtual_kitti" (rendered scenes too).
-        table: the class table; a user's own has no mapping.
+        labels: "camvid", "cityscapes" or "virtual_kitti" (also for rendered scenes).
+        table: the class table; a user's own table has no mapping.
 
     Returns:
-        label -> id; 255 = ignored.
+        The ids by label; 255 = ignored.
 
     Raises:
         DatasetError: if the labels are not mapped to the table.
@@ -128,9 +129,9 @@ def class_ids(labels: str, table: ClassTable) -> dict[str, int]:
 
 
 def id_lookup(labels: str, table: ClassTable, order: Sequence[str | None]) -> NDArray[np.uint8]:
-    """Look-up table (256,) from a file's ids to those of the class table.
+    """Return a look-up table (256,) from a file's ids to those of the class table.
 
-    `order` has the labels of the file's ids from 0.
+    `order` holds the labels in the order of the file's ids, from 0.
     """
     ids = class_ids(labels, table)
     lookup = np.full(256, IGNORE, dtype=np.uint8)
@@ -143,8 +144,8 @@ def id_lookup(labels: str, table: ClassTable, order: Sequence[str | None]) -> ND
 class LabelFiles:
     """Reads a data set's label files, uint8 PNG, as ids of a class table, 255 = ignored.
 
-    `order` has the labels of the files' ids from 0, None = ignored. Raises DatasetError for a
-    table that the labels are not mapped to.
+    `order` holds the labels in the order of the files' ids, from 0, None = ignored. Raises
+    DatasetError if the labels are not mapped to the table.
     """
 
     def __init__(self, labels: str, classes: ClassTable, order: Sequence[str | None]) -> None:

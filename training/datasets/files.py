@@ -1,4 +1,4 @@
-"""Files of data sets as arrays; what the engine's readers find wrong is a DatasetError."""
+"""Files of data sets as arrays. Errors of the engine's readers become a DatasetError."""
 
 import io
 import os
@@ -20,14 +20,14 @@ from runtime.recordings import images, scan
 
 @contextmanager
 def dataset_errors() -> Iterator[None]:
-    """Raise an InputError of the block or function as a DatasetError."""
+    """Turn an InputError of the block or function into a DatasetError."""
     try:
         yield
     except InputError as error:
         raise DatasetError(str(error)) from error
 
 
-#: The engine's readers, see there.
+# The readers of the engine with such errors.
 read_rgb = dataset_errors()(images.read_rgb)
 read_points = dataset_errors()(scan.read_scan)
 
@@ -36,14 +36,15 @@ read_points = dataset_errors()(scan.read_scan)
 def read_gray(
     path: Path, dtype: type[np.uint8] | type[np.uint16], size: tuple[int, int]
 ) -> NDArray[Any]:
-    """Read the numbers that a PNG of (height, width) stores: gray, or the indices of a palette.
+    """Read the numbers that a PNG of this (height, width) stores: gray, or indices of a palette.
 
-    A picture decoder stretches those of 1, 2 and 4 bits to 0..255 and replaces indices by colours.
-    For uint8, numbers of 16 bits may be up to 255. Raises DatasetError for another kind of file or
-    size, more than one channel, and a palette of grays that are not its indices.
+    A picture decoder would stretch numbers of 1, 2 and 4 bits to 0..255 and replace indices by
+    colours. For uint8, a file with 16 bits may hold numbers up to 255. Raises DatasetError for
+    another kind of file, another size, several channels, or a palette of grays that are not its
+    indices.
     """
     content = read_input(path)
-    # Of the header IHDR: the bits of a number, and 0 = gray, 3 = palette.
+    # From the header IHDR: the bits of a number, and the type, where 0 = gray and 3 = palette.
     bits, kind = content[24:26] if content[:4] == b"\x89PNG" and len(content) > 25 else (0, -1)
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
     image = images.decode(content, flags, name=str(path))  # finds damage
@@ -63,7 +64,7 @@ def read_gray(
 
 
 def _indices(content: bytes, path: Path) -> NDArray[np.uint8]:
-    """The indices of a PNG with a palette."""
+    """Return the indices in a PNG with a palette."""
     picture = Image.open(io.BytesIO(content))
     indices = np.array(picture, np.uint8)
     colors = np.array(picture.getpalette("RGB")).reshape(-1, 3)
@@ -77,9 +78,9 @@ def _indices(content: bytes, path: Path) -> NDArray[np.uint8]:
 
 @dataset_errors()
 def read_depth(path: Path, size: tuple[int, int], *, depth_scale: float) -> NDArray[np.float32]:
-    """Read a 16-bit PNG of `depth_scale` units a metre: float32 (height, width) [m], 0 = none.
+    """Read a 16-bit PNG with `depth_scale` units per metre: float32 (height, width) [m], 0 = none.
 
-    65535 is none, too. Raises DatasetError.
+    65535 is no measurement, too. Raises DatasetError.
     """
     depth = images.read_sparse_depth(path, depth_scale=depth_scale)
     depth = np.where(np.isfinite(depth), depth, np.float32(0))
@@ -88,7 +89,7 @@ def read_depth(path: Path, size: tuple[int, int], *, depth_scale: float) -> NDAr
 
 
 def require_size(path: Path, size: tuple[int, ...], expected: tuple[int, int]) -> None:
-    """Raise a DatasetError unless the file's (height, width) is the expected one."""
+    """Raise a DatasetError unless the file has the expected (height, width)."""
     if size[:2] != expected:
         raise DatasetError(
             f"{path}: its size {size[0]}x{size[1]} differs from the frame's "
@@ -97,7 +98,7 @@ def require_size(path: Path, size: tuple[int, ...], expected: tuple[int, int]) -
 
 
 def require_folder(path: Path, purpose: str, *, files: Sequence[str] = ()) -> Path:
-    """Return `path`; raise a DatasetError if it is no folder or lacks a file of these names."""
+    """Return `path`; raise a DatasetError if it is not a folder or lacks one of these files."""
     if not os.path.isdir(path):
         beside = [item.name for item in path.parent.glob("[!.]*/")]
         raise DatasetError(
@@ -113,7 +114,7 @@ def require_folder(path: Path, purpose: str, *, files: Sequence[str] = ()) -> Pa
 
 
 def list_images(folder: Path, purpose: str) -> list[Path]:
-    """Return the PNG and JPEG images of a folder in natural order; DatasetError without any."""
+    """Return a folder's PNG and JPEG images in natural order; DatasetError if there are none."""
     there = require_folder(folder, purpose).iterdir()
     listed = [path for path in there if path.suffix.lower() in images.RGB_SUFFIXES]
     if not listed:
@@ -123,7 +124,7 @@ def list_images(folder: Path, purpose: str) -> list[Path]:
 
 
 def find_orientations(paths: Sequence[Path]) -> dict[Path, int]:
-    """Return the EXIF orientation, 2 to 8, of the photos that viewers turn or mirror."""
+    """Return the EXIF orientation, 2 to 8, of each photo that viewers turn or mirror."""
     found = {}
     for path in paths:
         with suppress(OSError, SyntaxError, ValueError), Image.open(path) as picture:

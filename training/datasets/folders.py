@@ -1,4 +1,4 @@
-"""A user's images, depth and labels: a folder each, files paired by their stem."""
+"""A user's images, depth and labels in one folder each; files are paired by their stem."""
 
 import json
 import sys
@@ -33,9 +33,9 @@ from training.datasets.source_recipe import RangeRecipe
 from training.lidar.scan import elevation_bands
 from training.limits import STRICT, Positive, Share
 
-#: Photos whose EXIF orientation is looked at, about.
+# Approximate number of photos whose EXIF orientation is examined.
 _ORIENTED = 20
-#: Warnings of this process, which opens one folder several times.
+# Warnings that this process has already given, because it opens a folder several times.
 _reported: set[str] = set()
 
 _Folder = Annotated[str, Field(min_length=1)]
@@ -43,35 +43,40 @@ _Folder = Annotated[str, Field(min_length=1)]
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class FoldersRecipe(RangeRecipe):
-    """Options of a user's data in a recipe; folders are relative to `path`."""
+    """Options of a user's data in a recipe; folders are relative to `path`.
+
+    Attributes:
+        rgb: folder of 8-bit PNG or JPEG images.
+        depth: folder of 16-bit PNGs, the depth target.
+        sparse_depth: folder of 16-bit PNGs, an input that was recorded in addition to the target.
+        scan: whether the depth is a LiDAR's: a part of its returns is the input, the others are the
+            target.
+        labels: folder of PNGs with ids in `model.classes` or in `label_classes`, see `read_gray`.
+        label_classes: "cityscapes": the ids are trainIds, which are mapped to `model.classes`.
+        label_ids: name in `model.classes` of each id, or "ignore"; replaces the order of the
+            classes.
+        missing: with "skip-target", a frame whose depth or labels are missing has no such target,
+            and a frame without sparse depth has no LiDAR. Otherwise a missing file is an error.
+        depth_scale: units of the 16-bit PNGs per metre; 0 = no measurement.
+        ignore: id of pixels without a class.
+        intrinsics: fx, fy, cx, cy of every image [px]; without them no LiDAR lines are simulated.
+        semantic_weight: weight of the labels; below 1 for labels that a network made.
+    """
 
     unit_key: ClassVar[str] = "depth_scale"
 
     kind: Literal["folders"] = "folders"
-    #: 8-bit PNG or JPEG images.
     rgb: _Folder = "images"
-    #: 16-bit PNGs, the depth target.
     depth: _Folder | None = None
-    #: 16-bit PNGs, a recorded input in addition to that target.
     sparse_depth: _Folder | None = None
-    #: The depth is a LiDAR's: a part of the returns is the input, the others are the target.
     scan: bool = False
-    #: PNGs of ids in `model.classes`, or of `label_classes`, see `read_gray`.
     labels: _Folder | None = None
-    #: "cityscapes": trainIds, which are mapped to `model.classes`.
     label_classes: Literal["cityscapes"] | None = None
-    #: Name in `model.classes` of each id, or "ignore"; instead of the order of the classes.
     label_ids: Mapping[Annotated[int, Field(ge=0, le=255)], str] | None = None
-    #: "skip-target": a frame without its depth or labels has no such target, one without its
-    #: sparse depth no LiDAR. Otherwise it is an error.
     missing: Literal["error", "skip-target"] = "error"
-    #: Units of the 16-bit PNGs per metre; 0 = no measurement.
     depth_scale: Positive = KITTI_DEPTH_SCALE
-    #: The id of pixels without a class.
     ignore: Annotated[int, Field(ge=0, le=255)] = IGNORE
-    #: fx, fy, cx, cy of every image [px]; without them no LiDAR lines are simulated.
     intrinsics: tuple[Positive, Positive, float, float] | None = None
-    #: Weight of the labels, below 1 for those made by a network.
     semantic_weight: Share = 1.0
 
     def __post_init__(self) -> None:
@@ -102,12 +107,12 @@ class FoldersRecipe(RangeRecipe):
 class Folders(FrameList):
     """The images of `root/<recipe.rgb>` with depth and labels, in natural order: 9 before 10.
 
-    An image a.jpg has its depth in a.png of the depth folder, and so on; every folder that the
-    recipe names must have a file for every image, with `missing = "skip-target"` for one.
+    An image a.jpg has its depth in a.png of the depth folder, and so on. Every folder in the recipe
+    must have a file for every image or, with `missing = "skip-target"`, for at least one image.
 
     Raises:
-        DatasetError: for missing folders or partners, files of another kind or size, and ids that
-            the class table does not have.
+        DatasetError: if a folder or a partner of an image is missing, if a file has another kind or
+            size, or if the class table lacks an id.
     """
 
     @dataset_errors()
@@ -132,7 +137,7 @@ class Folders(FrameList):
             self._require_files(depth, [frame.name for frame in self._frames if not frame.depth])
         every = {frame.name for frame in listed if frame.image is not None}
         unpaired = {"depth": {frame.name for frame in listed} - every}
-        #: Key of the recipe -> stem -> file of that name, whatever the case of its suffix.
+        # For each key of the recipe: the files by stem, whatever the case of their suffix.
         self._files: dict[str, dict[str, Path]] = {}
         for key, below in (("sparse_depth", recipe.sparse_depth), ("labels", recipe.labels)):
             if below is None:
@@ -148,7 +153,7 @@ class Folders(FrameList):
     def _report_unread(self, unpaired: Mapping[str, Collection[str]]) -> None:
         """Warn about images of other types, files without an image, and turned photos.
 
-        Sets of one folder that differ in `first` and `last` say it once.
+        Sets in the same folder that only differ in `first` and `last` give the warning once.
         """
         recipe = self._recipe
         folder = self._root / recipe.rgb
@@ -188,9 +193,9 @@ class Folders(FrameList):
                 tqdm.write(f"warning: {text}", file=sys.stderr)
 
     def _require_files(self, folder: Path, lacking: Sequence[str]) -> None:
-        """Raise DatasetError for images without a file, or say how many there are if they may be.
+        """Raise DatasetError for images without a file; report their number if that is allowed.
 
-        A folder without the file of any image is an error.
+        A folder without a file for any image is an error.
         """
         if not lacking:
             return
@@ -243,7 +248,7 @@ class Folders(FrameList):
             if self._recipe.label_classes is None:
                 names = dict(enumerate(self._names))
                 known = {id_: names.get(index, "ignore") for id_, index in self._ids.items()}
-                # Ids that no key names may still be those of the order.
+                # Ids that no key names may still follow the order of the classes.
                 known |= {id_: names.get(id_, "ignore") for id_ in unknown}
                 pairs = ", ".join(f"{id_} = {json.dumps(name)}" for id_, name in known.items())
                 advice = f"name the ids in the recipe: label_ids = {{ {pairs} }}"
@@ -256,7 +261,7 @@ class Folders(FrameList):
 
 
 def _label_ids(recipe: FoldersRecipe, classes: ClassTable) -> dict[int, int]:
-    """Return id in the files -> id in the class table, `IGNORE` for none."""
+    """Return the id in the class table for each id in the files, `IGNORE` for none."""
     names = [info.name for info in list_classes(classes)]
     if recipe.label_ids:
         ids = {"ignore": IGNORE, **{name: index for index, name in enumerate(names)}}

@@ -23,11 +23,14 @@ from training.limits import STRICT
 
 @checked_dataclass(frozen=True, kw_only=True, config=STRICT)
 class KittiDepthRecipe(SourceRecipe):
-    """Options of KITTI's depth completion benchmark in a recipe."""
+    """Options of KITTI's depth completion benchmark in a recipe.
+
+    Attributes:
+        cameras: numbers of the cameras: 2 = left, 3 = right.
+    """
 
     kind: Literal["kitti-depth"] = "kitti-depth"
     split: Literal["train", "val", "selection"] = "train"
-    #: 2 = left, 3 = right.
     cameras: Annotated[tuple[Literal[2, 3], ...], Field(min_length=1, max_length=2)] = (2,)
 
     def open(self, folder: Path, classes: ClassTable) -> "KittiDepth":
@@ -45,16 +48,17 @@ class _Frame:
 
 
 class KittiDepth(FrameList):
-    """LiDAR scans with semi-dense ground truth from eleven of them; no classes.
+    """LiDAR scans with semi-dense ground truth from eleven scans each; there are no classes.
 
-    Splits "train" and "val": ``root/<split>/<drive>/proj_depth/{velodyne_raw,groundtruth}/
-    image_0<c>/<number>.png``, with the images of the raw data, at
-    `root/raw/<date>/<drive>/image_0<c>/data`; the benchmark leaves out each drive's first and
-    last five frames. "selection": the selected validation set,
+    The splits "train" and "val" are in
+    `root/<split>/<drive>/proj_depth/{velodyne_raw,groundtruth}/image_0<c>/<number>.png`, with the
+    images of the raw data in `root/raw/<date>/<drive>/image_0<c>/data`. The benchmark leaves out
+    the first and last five frames of each drive. "selection" is the selected validation set, in
     `root/val_selection_cropped/{image,velodyne_raw,groundtruth_depth,intrinsics}`.
 
     Raises:
-        DatasetError: for missing folders or partners, files of another kind and wrong sizes.
+        DatasetError: if a folder or a partner of an image is missing, or if a file has another kind
+            or size.
     """
 
     @dataset_errors()
@@ -123,7 +127,7 @@ def _list_selection(root: Path) -> list[_Frame]:
         ("groundtruth_depth", "groundtruth_depth", ".png"),
         ("intrinsics", "image", ".txt"),
     ):
-        # The drive's name holds no "_image_", so the first one is the kind of the file.
+        # The drive's name does not contain "_image_", so the first one marks the kind of the file.
         names = [stem.replace("_image_", f"_{word}_", 1) + suffix for stem in stems]
         other = require_folder(folder / kind, f"the selection's {kind}", files=names)
         partners.append([other / name for name in names])

@@ -1,4 +1,4 @@
-"""KITTI raw data (Geiger et al. 2013): synced drives whose LiDAR is projected here."""
+"""KITTI raw data (Geiger et al. 2013): synced drives, whose scans are projected here."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -24,7 +24,7 @@ from training.datasets.source_recipe import Names, SourceRecipe
 from training.lidar.scan import project_lines
 from training.limits import STRICT
 
-#: Images that were published without their scans.
+# Images that were published without their scans.
 _WITHOUT_SCAN: Mapping[str, frozenset[str]] = {
     "2011_09_26_drive_0009_sync": frozenset(f"{number:010d}" for number in range(177, 181))
 }
@@ -32,12 +32,15 @@ _WITHOUT_SCAN: Mapping[str, frozenset[str]] = {
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class KittiRawRecipe(SourceRecipe):
-    """Options of KITTI raw data in a recipe."""
+    """Options of KITTI raw data in a recipe.
+
+    Attributes:
+        drives: names like "2011_09_26_drive_0001_sync"; empty: all drives.
+        cameras: numbers of the cameras: 2 = left, 3 = right.
+    """
 
     kind: Literal["kitti-raw"] = "kitti-raw"
-    #: Names like "2011_09_26_drive_0001_sync"; all by default.
     drives: Names | None = None
-    #: 2 = left, 3 = right.
     cameras: Annotated[tuple[Literal[2, 3], ...], Field(min_length=1, max_length=2)] = (2,)
 
     def open(self, folder: Path, classes: ClassTable) -> "KittiRaw":
@@ -48,13 +51,13 @@ class KittiRawRecipe(SourceRecipe):
 class KittiRaw(FrameList):
     """Frames of `root/<date>/<drive>/image_0<camera>/data/<number>.png` with their scans.
 
-    The scan of a frame is `<drive>/velodyne_points/data/<number>.bin`, the calibration
-    `<date>/calib_cam_to_cam.txt` and `calib_velo_to_cam.txt`. The depth is every return in view
-    (the nearest of those in one pixel), with its scan line; there are no classes.
+    The scan of a frame is `<drive>/velodyne_points/data/<number>.bin`, and the calibration is
+    `<date>/calib_cam_to_cam.txt` and `calib_velo_to_cam.txt`. The depth is every return in view,
+    with its scan line; of several returns in a pixel it is the nearest. There are no classes.
 
     Raises:
-        DatasetError: for missing folders, frames without a scan, truncated scans, incomplete
-            calibrations and images of another size than the calibration's.
+        DatasetError: if a folder or the scan of a frame is missing, if a scan is truncated, if a
+            calibration is incomplete, or if an image does not have the calibration's size.
     """
 
     def __init__(self, root: Path, recipe: KittiRawRecipe) -> None:

@@ -1,4 +1,4 @@
-"""Recorded KITTI frames: left colour camera, LiDAR returns with their scan lines."""
+"""Recorded KITTI frames: the left colour camera, and LiDAR returns with their scan lines."""
 
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -26,12 +26,15 @@ from training.limits import STRICT, Share
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class KittiStreamRecipe(RangeRecipe):
-    """Options of a recorded KITTI stream in a recipe."""
+    """Options of a recorded KITTI stream in a recipe.
+
+    Attributes:
+        semantic_weight: weight of the labels, which a network made.
+    """
 
     labelled: ClassVar[str] = "cityscapes"
 
     kind: Literal["kitti-stream"] = "kitti-stream"
-    #: Weight of the labels, which were made by a network.
     semantic_weight: Share = 1.0
 
     def open(self, folder: Path, classes: ClassTable) -> "KittiStream":
@@ -42,21 +45,20 @@ class KittiStreamRecipe(RangeRecipe):
 class KittiStream(FrameList):
     """Frames of a stream folder.
 
-    It has `image_02` (PNG or JPEG), `velodyne_fov`, `calib_cam_to_cam.txt` and
-    `calib_velo_to_cam.txt` as in KITTI raw and, optionally, `pseudo_semantic` (Cityscapes
-    trainIds made by a network). A folder with `calib` is in the layout of KITTI's object data:
-    `image_2`, one calibration per frame, and returns for some of the frames. The depth target is
-    every return in view, with its scan line, so that some lines can be the input and the others the
-    target.
+    The folder has `image_02` (PNG or JPEG), `velodyne_fov`, `calib_cam_to_cam.txt` and
+    `calib_velo_to_cam.txt` as in KITTI raw and, optionally, `pseudo_semantic` (Cityscapes trainIds
+    that a network made). A folder with `calib` has the layout of KITTI's object data: `image_2`,
+    one calibration per frame, and returns for some of the frames. The depth target is every return
+    in view, with its scan line, so that some lines can be the input and the others the target.
 
     Raises:
-        DatasetError: for missing folders or files, and damaged ones.
+        DatasetError: if a folder or file is missing or damaged.
     """
 
     def __init__(self, root: Path, recipe: KittiStreamRecipe, classes: ClassTable) -> None:
         self._lookup = id_lookup("cityscapes", classes, TRAIN_LABELS)
         self._root = root
-        self._calibration = None  # one file per frame
+        self._calibration = None  # there is one file per frame
         if not (self._root / "calib").is_dir():
             require_folder(self._root / "velodyne_fov", "the stream's .bin LiDAR returns")
             self._calibration = _read_calibration(self._root)

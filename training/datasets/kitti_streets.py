@@ -28,7 +28,7 @@ from training.datasets.source_recipe import RangeRecipe
 from training.lidar.scan import project_lines
 from training.limits import STRICT
 
-#: Validation frames by place: the first number of each, up to the next one.
+# Places of the validation frames: each begins with one of these numbers and ends before the next.
 _PLACES = (70, 71, 72, 83, 84, 85, 88, 89, 99)
 
 
@@ -36,14 +36,17 @@ _PLACES = (70, 71, 72, 83, 84, 85, 88, 89, 99)
 class KittiStreetsRecipe(RangeRecipe):
     """Options of KITTI's streets in a recipe; `first` and `last` are numbers of frames.
 
-    Neighbours often show one place: validate on another block of numbers than the one trained on.
+    Neighbouring frames often show the same place, so train and validate on different blocks of
+    numbers.
+
+    Attributes:
+        truth: the depth target: seven accumulated scans with models of cars, or the frame's own
+            returns, a part of which is then the input.
     """
 
     labelled: ClassVar[str] = "camvid"
 
     kind: Literal["kitti-streets"] = "kitti-streets"
-    #: The depth target: seven accumulated scans with models of cars, or the frame's own returns,
-    #: of which a part is then the input.
     truth: Literal["accumulated", "scan"] = "accumulated"
 
     def open(self, folder: Path, classes: ClassTable) -> "KittiStreets":
@@ -54,18 +57,18 @@ class KittiStreetsRecipe(RangeRecipe):
 class KittiStreets(FrameList):
     """Frames `root/image_02/<number>.jpg` or .png.
 
-    The input is the scan of the frame, `velodyne_fov/<number>.bin`, with its scan lines. The
-    target is `disp_occ_0/<number>.png`: a stereo disparity of d = p / 256 px for a 16-bit pixel
-    p > 0, measured by seven scans and by models fitted to moving cars; depth is `fb_disp` / d.
+    The input is the scan of the frame, `velodyne_fov/<number>.bin`, with its scan lines. The target
+    is `disp_occ_0/<number>.png`, a stereo disparity of d = p / 256 px for a 16-bit pixel p > 0,
+    measured by seven scans and by models that were fitted to moving cars; depth is `fb_disp` / d.
     `calib.txt` has P2, R0_rect, Tr_velo_to_cam and fb_disp (focal length times baseline, px m) of
-    all frames. Two folders of `<number>.png` are optional: `road_mask`, for all frames, 0 = not
-    road, 1 = road, 255 = unknown, and `semantic`, for some of them, with hand-made labels in
-    CamVid's ids, 11 = unknown, which a table that they are not mapped to leaves unread.
+    all frames. Two folders of `<number>.png` are optional. `road_mask`, for all frames, holds 0 =
+    not road, 1 = road, 255 = unknown. `semantic`, for some frames, holds hand-made labels in
+    CamVid's ids, 11 = unknown; they are not read if the class table has no mapping of them.
 
     Raises:
-        DatasetError: for missing folders, files or calibrations, no frame of these numbers, files
-            of another kind or size, other values in a mask or in labels, and a folder of labels
-            without any.
+        DatasetError: if a folder, file or calibration is missing, if no frame has these numbers, if
+            a file has another kind or size, if a mask or labels have other values, or if the folder
+            of labels is empty.
     """
 
     def __init__(self, root: Path, recipe: KittiStreetsRecipe, classes: ClassTable) -> None:
@@ -84,7 +87,7 @@ class KittiStreets(FrameList):
         self._labels: LabelFiles | None = None
         if (root / "semantic").is_dir():
             list_images(root / "semantic", "labels")
-            with contextlib.suppress(DatasetError):  # another table: depth and road remain
+            with contextlib.suppress(DatasetError):  # with another table, depth and road remain
                 self._labels = LabelFiles("camvid", classes, LABELS)
         self._calibration, self._focal_baseline = _read_calibration(self._root / "calib.txt")
 
@@ -117,7 +120,7 @@ class KittiStreets(FrameList):
 
 
 def _read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """0 = not road, 1 = road, 255 = unknown."""
+    """Read a mask: 0 = not road, 1 = road, 255 = unknown."""
     mask: NDArray[np.uint8] = read_gray(path, np.uint8, size)
     other = np.setdiff1d(mask, (0, 1, IGNORE))
     if other.size:
@@ -135,7 +138,7 @@ def _place(number: int) -> str | None:
 
 @dataset_errors()
 def _read_calibration(path: Path) -> tuple[Calibration, float]:
-    """The calibration, and the focal length times the baseline [px m]."""
+    """Return the calibration, and the focal length times the baseline [px m]."""
     focal_baseline = float(NumbersFile(path).matrix("fb_disp", 1, 1)[0, 0])
     if not focal_baseline > 0:
         raise DatasetError(f"{path}: fb_disp is {focal_baseline}, expected a positive number.")

@@ -1,6 +1,6 @@
-"""The kinds of data sets that recipes know.
+"""The kinds of data sets that recipes can name.
 
-A new one is its file and a line here, or an entry point of another package.
+A new kind needs its file and a line here, or an entry point of another package.
 """
 
 from models.entry_points import find_entry
@@ -26,14 +26,14 @@ DATASETS: dict[str, type[SourceRecipe]] = {
     "virtual-kitti": VirtualKittiRecipe,
     "virtual-kitti-1": VirtualKitti1Recipe,
 }
-#: The entry points of data sets in other packages.
+# Group of the entry points with which other packages add data sets.
 GROUP = "ssdnet.datasets"
 
 
 def find_dataset(kind: str) -> type[SourceRecipe] | None:
-    """Return the options of a kind of data set; None for an unknown one.
+    """Return the options of a kind of data set; None if the kind is unknown.
 
-    Raises ValueError if what a package registers is no subclass of `SourceRecipe`.
+    Raises ValueError if what a package registers is not a subclass of `SourceRecipe`.
     """
     if kind in DATASETS:
         return DATASETS[kind]

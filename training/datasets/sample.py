@@ -1,4 +1,4 @@
-"""An item of a data set: one frame with all that is known about it."""
+"""An item of a data set: one frame with everything that is known about it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,27 +15,30 @@ IGNORE = 255
 
 
 class TargetKind(NamedTuple):
-    """How a map of labels is stored."""
+    """How a map of labels is stored.
 
-    #: Of its values.
+    Attributes:
+        dtype: type of its values.
+        unlabelled: value of a pixel without a label.
+        resize: rule by which it is resized, see `runtime.contract.heads`.
+    """
+
     dtype: np.dtype[Any]
-    #: The value of a pixel without a label.
     unlabelled: float
-    #: Rule where it is resized, see `runtime.contract.heads`.
     resize: ResizeRule
 
 
-#: Auxiliary targets, which no head predicts. road_mask: 0 = not road, 1 = road, drawn by hand.
+# Auxiliary targets, which no head predicts. road_mask is drawn by hand: 0 = not road, 1 = road.
 AUXILIARY: Mapping[str, TargetKind] = {
     "road_mask": TargetKind(np.dtype(np.uint8), IGNORE, "nearest")
 }
 
 
 def target_kind(name: str) -> TargetKind:
-    """Return how a target is stored: a head's by its row in `HEADS`, or an auxiliary one.
+    """Return how a target is stored: a head's according to `HEADS`, or an auxiliary one's.
 
     Raises:
-        ValueError: for another name.
+        ValueError: if the name is unknown.
     """
     if name in AUXILIARY:
         return AUXILIARY[name]
@@ -47,34 +50,38 @@ def target_kind(name: str) -> TargetKind:
 
 @dataclass(frozen=True)
 class Sample:
-    """One frame; H and W are the image's."""
+    """One frame; H and W are the sides of its image.
 
-    #: uint8 (H, W, 3), RGB.
+    Attributes:
+        rgb: uint8 (H, W, 3), RGB.
+        targets: ground truth (H, W) by head or auxiliary target, see `target_kind`; "semantic"
+            holds class ids, "depth" metres. Targets that the set lacks are missing.
+        intrinsics: float64 (3, 3), pixels; None if unknown.
+        name: name of the set and the frame, for messages.
+        sparse_depth: input of the network, float32 (H, W), metres along the optical axis, 0 = no
+            measurement. A data set fills it with an input that was recorded in addition to the
+            depth, which can be thinned; None: the input is sampled from the depth.
+        scan_line: int16 (H, W), the LiDAR scan line that measured each pixel of `sparse_depth` or,
+            if that is None, of the depth; -1 = none. None if no lines are known.
+        weights: weight of each target in the loss, below 1 for labels that a network made; 1 if it
+            is not here.
+        focal_baseline_px_m: focal length times stereo baseline [px m] if depth was measured as
+            disparity; d = this / depth, in pixels of the data set's images at their original size.
+        place: which of the set's places the frame shows; None if the set does not know.
+    """
+
     rgb: NDArray[np.uint8]
-    #: Ground truth: head or auxiliary target -> labels (H, W), see `target_kind`. "semantic"
-    #: holds class ids, "depth" metres. A target that a set lacks is not there.
     targets: Mapping[str, NDArray[Any]]
-    #: float64 (3, 3), pixels; None if unknown.
     intrinsics: NDArray[np.float64] | None
-    #: Set and frame, for messages.
     name: str
-    #: float32 (H, W), metres along the optical axis, the network's input; 0 = no measurement. From
-    #: a data set it is an input recorded in addition to the depth, which can be thinned; None: the
-    #: input is sampled from the depth.
     sparse_depth: NDArray[np.float32] | None = None
-    #: int16 (H, W), the LiDAR scan line that measured each pixel, -1 = none: of `sparse_depth`,
-    #: or, where that is None, of the depth. None where no lines are known.
     scan_line: NDArray[np.int16] | None = None
-    #: Target -> its weight in the loss, below 1 for labels made by a network; 1 where none is here.
     weights: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
-    #: Focal length times stereo baseline [px m] if depth was measured as disparity: d = this /
-    #: depth, in pixels of the data set's images at their original size.
     focal_baseline_px_m: float | None = None
-    #: Which of the set's places the frame shows; None where the set does not know.
     place: str | None = None
 
     def target(self, name: str) -> NDArray[Any]:
-        """Return the labels of a target, (H, W), unlabelled everywhere if the set lacks them."""
+        """Return the labels of a target, (H, W); if the set lacks them, all are unlabelled."""
         if name in self.targets:
             return self.targets[name]
         kind = target_kind(name)
@@ -86,27 +93,27 @@ class Sample:
 
     @property
     def depth(self) -> NDArray[np.float32]:
-        """float32 (H, W), metres, from which LiDAR inputs are drawn; 0 = unknown (sky too)."""
+        """The depth from which LiDAR inputs are drawn, float32 (H, W), metres; 0 = unknown."""
         return self.target("depth")
 
     @property
     def semantic(self) -> NDArray[np.uint8]:
-        """uint8 (H, W), class ids; 255 = unknown."""
+        """The class ids, uint8 (H, W); 255 = unknown."""
         return self.target("semantic")
 
     @property
     def size(self) -> tuple[int, int]:
-        """(height, width)."""
+        """(height, width) of the image."""
         return self.rgb.shape[0], self.rgb.shape[1]
 
     @property
     def focal_length_px(self) -> float | None:
-        """Focal length fx [px]; None without intrinsics."""
+        """Focal length fx [px]; None if the intrinsics are unknown."""
         return None if self.intrinsics is None else float(self.intrinsics[0, 0])
 
 
 class SampleSource(Protocol):
-    """A data set: a length and samples by index."""
+    """A data set: a length, and samples by index."""
 
     def __len__(self) -> int: ...
 
@@ -117,7 +124,7 @@ class FrameList:
     """The length of a data set that lists its frames.
 
     Attributes:
-        images: the file of each frame's image, which tells whether two sets share frames.
+        images: the image file of each frame, which shows whether two sets share frames.
     """
 
     _frames: Sequence[Any]

@@ -1,4 +1,4 @@
-"""Options of a data set in a recipe: the keys of every kind."""
+"""Options of a data set in a recipe: the keys that every kind has."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -16,7 +16,7 @@ from training.limits import STRICT, FactorRange, Index, Positive, Side
 T = TypeVar("T")
 
 SetName = Annotated[str, Field(min_length=1, max_length=MAX_NAME_LENGTH)]
-#: Names of scenes, variants or drives.
+# Names of scenes, variants or drives.
 Names = Annotated[tuple[str, ...], Field(min_length=1, max_length=10_000)]
 
 
@@ -24,38 +24,42 @@ Names = Annotated[tuple[str, ...], Field(min_length=1, max_length=10_000)]
 class SourceRecipe:
     """One data set of the mixture, or one of the validation sets.
 
-    Each kind is a subclass in its reader's file, listed in `training.datasets.registry`: it has its
+    Each kind is a subclass in its reader's file, listed in `training.datasets.registry`. It has its
     name as the default of `kind`, a Literal, its own keys, and `open`.
+
+    Attributes:
+        labelled: name in `models.CLASS_TABLES` of the classes for which the kind has labels; "" if
+            it has none.
+        unit_key: key with which the user states the unit of the depth; "" if the format has one
+            unit.
+        path: folder, relative to one of the `--data` folders.
+        weight: how often the set is sampled, relative to the others.
+        size: (height, width) to which every frame is resized first, or a number of rows, with which
+            the aspect is kept; None: its own size.
+        scale: range of the random magnification; None: the common range.
+        name: name in scores, curves and files; "": the path.
     """
 
-    #: Name in `models.CLASS_TABLES` of the classes that the kind has labels of; "" of none.
     labelled: ClassVar[str] = ""
-    #: The key with which the user states the unit of the depth; "" where the format has one.
     unit_key: ClassVar[str] = ""
 
     kind: str
-    #: Folder, relative to one of the `--data` folders.
     path: Annotated[str, Field(min_length=1)]
-    #: How often it is sampled, relative to the others.
     weight: Positive = 1.0
-    #: (height, width) that every frame is resized to first, or rows, at which it keeps its aspect;
-    #: its own size by default.
     size: tuple[Side, Side] | Side | None = None
-    #: Range of the random magnification; the common one by default.
     scale: FactorRange | None = None
-    #: Name in scores, curves and files; the path by default.
     name: SetName | None = None
 
     @property
     def title(self) -> str:
-        """What it is called."""
+        """Name of the set in scores, curves and files."""
         return self.name or self.path
 
     @property
     def label_table(self) -> ClassTable | None:
-        """The classes of the labels: a name in `models.CLASS_TABLES`, or a table; () of no labels.
+        """The classes of the labels: a name in `models.CLASS_TABLES` or a table, () without labels.
 
-        None: the labels are ids of the table that the set is opened with.
+        None means that the labels are ids of the table with which the set is opened.
         """
         return self.labelled or ()
 
@@ -63,30 +67,33 @@ class SourceRecipe:
         """Open the data set.
 
         Args:
-            folder: where it is.
+            folder: folder of the set.
             classes: table of the class ids.
 
         Raises:
-            DatasetError: if the folder does not have its layout.
+            DatasetError: if the folder does not have the layout of this kind.
         """
         raise NotImplementedError
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class RangeRecipe(SourceRecipe):
-    """A set of which a range of frames may be taken."""
+    """A set of which a range of frames may be taken.
 
-    #: First and last frame, from 0, inclusive.
+    Attributes:
+        first: first and last frame, from 0, inclusive.
+    """
+
     first: Index = 0
     last: Index | None = None
 
     def take(
         self, frames: Sequence[T], folder: Path, number: Callable[[T], int] | None = None
     ) -> list[T]:
-        """Return the frames of the range, by their place or by `number`.
+        """Return the frames of the range, by their place in the list or by `number`.
 
         Raises:
-            DatasetError: if there is none.
+            DatasetError: if the range has no frame.
         """
         last = float("inf") if self.last is None else self.last
         taken = [

@@ -34,7 +34,7 @@ from training.lidar.scan import project_lines
 from training.limits import STRICT
 
 _RGB_1, _DEPTH_1, _CLASSES_1 = (f"vkitti_1.3.1_{kind}" for kind in ("rgb", "depthgt", "scenegt"))
-#: Of every frame of edition 1.3.1, from the set's description.
+# Intrinsics of every frame of edition 1.3.1, from the set's description.
 _INTRINSICS_1 = np.array([[725.0, 0.0, 620.5], [0.0, 725.0, 187.0], [0.0, 0.0, 1.0]])
 _UNITS_A_METRE = 100.0
 _INTRINSICS_ROW = "'frame cameraID fx fy cx cy'"
@@ -42,22 +42,28 @@ _INTRINSICS_ROW = "'frame cameraID fx fy cx cy'"
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class _SelectionRecipe(SourceRecipe):
-    """The keys that choose frames."""
+    """The keys that choose frames.
+
+    Attributes:
+        scenes: names of scenes and variants; None: all, or those of the split.
+    """
 
     labelled: ClassVar[str] = "virtual_kitti"
 
-    #: All by default, or those of the split.
     scenes: Names | None = None
     variants: Names | None = None
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class VirtualKittiRecipe(_SelectionRecipe):
-    """Options of Virtual KITTI 2 in a recipe."""
+    """Options of Virtual KITTI 2 in a recipe.
+
+    Attributes:
+        cameras: numbers of the cameras: 0 = left, 1 = right.
+    """
 
     kind: Literal["virtual-kitti"] = "virtual-kitti"
     split: Split = "train"
-    #: 0 = left, 1 = right.
     cameras: Annotated[tuple[Literal[0, 1], ...], Field(min_length=1, max_length=2)] = (0,)
 
     def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti":
@@ -68,11 +74,14 @@ class VirtualKittiRecipe(_SelectionRecipe):
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class RenderedRecipe(_SelectionRecipe):
-    """Options of scenes that `ssdnet-render` wrote; the folder is the split."""
+    """Options of scenes that `ssdnet-render` wrote; the folder is the split.
+
+    Attributes:
+        scans: feed the scans of the rendered LiDAR, with parallax and panes, instead of lines
+            simulated from the camera's depth.
+    """
 
     kind: Literal["rendered"] = "rendered"
-    #: Feed the scans of the rendered LiDAR, with parallax and panes, instead of lines simulated
-    #: from the camera's depth.
     scans: bool = False
 
     def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti":
@@ -96,7 +105,7 @@ class VirtualKitti1Recipe(_SelectionRecipe):
 
 @dataclasses.dataclass(frozen=True)
 class _Frame:
-    """The files of a frame; `scan` is a rendered LiDAR's, with its matrix to the camera."""
+    """The files of a frame; `scan` is that of a rendered LiDAR, with its matrix to the camera."""
 
     name: str
     rgb: Path
@@ -111,7 +120,7 @@ class VirtualKitti(FrameList):
     """Frames of either edition.
 
     Raises:
-        DatasetError: for unreadable files, unknown colours and wrong sizes.
+        DatasetError: if a file is unreadable, a colour is unknown, or a size is wrong.
     """
 
     def __init__(self, frames: Sequence[_Frame], classes: ClassTable) -> None:
@@ -148,7 +157,8 @@ def _list_second_edition(
 ) -> list[_Frame]:
     """List `root/<scene>/<variant>/frames/{rgb,depth,classSegmentation}/Camera_<n>`.
 
-    With `scans` also `frames/lidar/Camera_<n>` and `calib.txt`, which ssdnet-render writes.
+    With `scans`, `frames/lidar/Camera_<n>` and `calib.txt`, which ssdnet-render writes, are listed,
+    too.
     """
     require_folder(root, "scenes in the Virtual KITTI 2 layout")
     frames: list[_Frame] = []
@@ -222,12 +232,12 @@ def _list_first_edition(root: Path, selection: Selection) -> list[_Frame]:
 
 
 def _folders(path: Path) -> list[Path]:
-    """Sorted folders, without hidden folders, which are still being rendered."""
+    """Return the folders in order, without hidden ones, which are still being rendered."""
     return sorted(p for p in path.iterdir() if p.is_dir() and not p.name.startswith("."))
 
 
 def _read_intrinsics(path: Path, camera: int) -> dict[int, NDArray[np.float64]]:
-    """Frame -> K, from rows 'frame cameraID fx fy cx cy' under a header."""
+    """Return K of each frame, from rows 'frame cameraID fx fy cx cy' under a header."""
     try:
         rows = np.loadtxt(io.StringIO(read_text(path)), skiprows=1, ndmin=2)
         number, cameras, fx, fy, cx, cy = rows.T
@@ -243,7 +253,13 @@ def _read_intrinsics(path: Path, camera: int) -> dict[int, NDArray[np.float64]]:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Colors:
-    """Colours of a file, int32 (n,), ascending, r << 16 | g << 8 | b, and their ids, uint8 (n,)."""
+    """Colours of a file and their ids.
+
+    Attributes:
+        path: the file.
+        colors: int32 (n,), ascending, r << 16 | g << 8 | b.
+        ids: uint8 (n,).
+    """
 
     path: Path
     colors: NDArray[np.int32]
@@ -254,7 +270,7 @@ class _Colors:
 def _read_colors(path: Path, classes: ClassTable) -> _Colors:
     """Read the colours of a file and their ids in a class table.
 
-    Rows are 'Category r g b', as in Virtual KITTI 2, or 'Category:instance r g b', as in 1.3.1.
+    The rows are 'Category r g b' in Virtual KITTI 2, and 'Category:instance r g b' in 1.3.1.
     """
     known = class_ids("virtual_kitti", classes)
     found: dict[int, int] = {}
@@ -276,14 +292,15 @@ def _read_colors(path: Path, classes: ClassTable) -> _Colors:
 
 
 def _read_classes(path: Path, table: _Colors, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Class ids uint8 (H, W) of a colour image; an unlisted colour is a DatasetError."""
+    """Return the class ids, uint8 (H, W), of a colour image; DatasetError for other colours."""
     label = read_rgb(path)
     require_size(path, label.shape, size)
-    # Bytes blue, green, red and 0: r << 16 | g << 8 | b as a little-endian integer.
+    # The bytes blue, green, red and 0 are r << 16 | g << 8 | b as a little-endian integer.
     packed = cv2.cvtColor(label, cv2.COLOR_RGB2BGRA)
     packed[..., 3] = 0
     color = packed.view("<i4").ravel()
-    # Neighbouring pixels mostly have one colour: look up each run of equal pixels once.
+    # Neighbouring pixels mostly have the same colour, so each run of equal pixels is looked up
+    # once.
     starts = np.flatnonzero(np.diff(color, prepend=-1))
     run = color[starts]
     index = np.searchsorted(table.colors, run).clip(max=len(table.colors) - 1)

@@ -10,8 +10,8 @@ from training.datasets.files import list_names
 
 Split = Literal["train", "val", "test", "all"]
 
-#: The paper uses eight of the ten variants without naming them. Here they are the variants whose
-#: camera angle is closest to the recorded camera.
+# The paper uses eight of the ten variants without naming them. These are the variants whose camera
+# angle is closest to the recorded camera.
 PAPER_VARIANTS = (
     "15-deg-left",
     "15-deg-right",
@@ -22,8 +22,8 @@ PAPER_VARIANTS = (
     "rain",
     "sunset",
 )
-_TEST_SCENE = 1  # 447 frames a variant, the paper's 3,576 in all
-_VAL_SCENE, _VAL_FIRST = 20, 547  # the last 290 of its 837 frames: the paper's 2,320 in all
+_TEST_SCENE = 1  # 447 frames per variant; 3,576 in all, as in the paper
+_VAL_SCENE, _VAL_FIRST = 20, 547  # the last 290 of its 837 frames; 2,320 in all, as in the paper
 
 
 @dataclass(frozen=True)
@@ -31,11 +31,11 @@ class Selection:
     """Which frames of a set to take.
 
     Attributes:
-        split: "train", "val" and "test" have the paper's sizes (11,112 / 2,320 / 3,576): Scene01 is
-            the test, the last 290 frames of Scene20 are for validation, and all others, the start
-            of that street included, are for training; "all" is every frame.
-        scenes: by name, in place of the split's.
-        variants: by name, in place of the split's.
+        split: "train", "val" and "test" have the paper's sizes (11,112 / 2,320 / 3,576). Scene01 is
+            the test set, the last 290 frames of Scene20 are the validation set, and all others,
+            including the start of Scene20, are the training set. "all" is every frame.
+        scenes: names of scenes that replace those of the split.
+        variants: names of variants that replace those of the split.
     """
 
     split: Split = "all"

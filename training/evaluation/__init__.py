@@ -1,1 +1,1 @@
-"""Metrics, scores of models on whole sets, and the classical methods of depth completion."""
+"""Metrics, scores of models on whole sets, and classical methods of depth completion."""

@@ -1,6 +1,6 @@
-"""What `ssdnet-eval` must know of a network of others: a TOML file beside its ONNX file.
+"""How `ssdnet-eval` reads a network of others: a TOML file beside its ONNX file.
 
-The keys are the fields of `Adapter`; those that are left out are read from the ONNX file.
+The keys are the fields of `Adapter`. Keys that are left out are read from the ONNX file.
 """
 
 import ast
@@ -24,7 +24,7 @@ from training.limits import STRICT, Positive, Side
 from training.recipe import build
 
 Channels = tuple[float, float, float]
-#: Name -> mean and standard deviation of RGB in 0..255.
+# Mean and standard deviation of RGB in 0..255, by name.
 NORMALIZATIONS: Mapping[str, tuple[Channels, Channels]] = {
     "none": ((0, 0, 0), (1, 1, 1)),
     "0..1": ((0, 0, 0), (255, 255, 255)),
@@ -32,13 +32,13 @@ NORMALIZATIONS: Mapping[str, tuple[Channels, Channels]] = {
     "imagenet": ((123.675, 116.28, 103.53), (58.395, 57.12, 57.375)),
 }
 _Name = Annotated[str, Field(min_length=1, max_length=MAX_NAME_LENGTH)]
-#: Size at which free axes are filled to see what a network gives [px].
+# Size of free axes when a network is run to see its outputs [px].
 _PROBED = (256, 512)
 _PLANES = 4  # axes of an image or of scores: batch, channels, rows, columns
 
 
 class MissingAdapterError(InputError):
-    """A network of others has no adapter; `text` is one that is filled in from its file."""
+    """A network of others has no adapter; `text` is one that was filled in from its file."""
 
     def __init__(self, message: str, text: str) -> None:
         super().__init__(message)
@@ -55,53 +55,58 @@ class Normalize:
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class Adapter:
-    """What goes into a network of others, and what its outputs mean."""
+    """What the inputs and outputs of a network of others mean.
 
-    #: Name of the image's input; the only one, or the one with three channels, by default.
+    Attributes:
+        rgb: name of the image's input; None: the only input, or the one with three channels.
+        layout: order of the image's axes; None: read from the axis with three channels.
+        channels: order of the channels.
+        normalize: how the pixels are scaled; "none" leaves 0..255.
+        size: (height, width) or rows to which frames are resized; None: the size of the file's
+            input, or --size.
+        fit: how a frame is fitted to a fixed size: resized on both sides, or in its own aspect with
+            grey around it.
+        stride: multiple to which frames of a free size are padded at the bottom and right.
+        sparse_depth: name of the input of LiDAR depth, 0 = none; None: there is no such input.
+        sparse_depth_scale: units per metre of that input.
+        semantic: name of the output of the classes; None: there is none.
+        semantic_is: "scores", with a plane for each class, or "ids"; None: its shape decides.
+        classes: names of the classes in the order of their ids, or the name of a table in
+            `models.CLASS_TABLES`.
+        class_stride: stride of the grid on which classes are decided and then repeated; None:
+            scores are interpolated to the frame's pixels.
+        depth: name of the output of the depth; None: there is none.
+        depth_is: whether it is depth along the optical axis, or its inverse.
+        depth_scale: its units per metre, or per 1/m if it is inverse depth.
+        max_depth_m: range to which returns are clipped [m].
+        canonical_focal_px: focal length [px] of the camera in whose metres the network works, see
+            `runtime.contract.canonical_focal`; None: plain metres.
+    """
+
     rgb: _Name | None = None
-    #: Axes of the image; by default where the file has three channels.
     layout: Literal["NCHW", "NHWC"] | None = None
-    #: Order of the channels.
     channels: Literal["RGB", "BGR"] = "RGB"
-    #: What the pixels are: "none" is 0..255.
     normalize: Literal["none", "0..1", "-1..1", "imagenet"] | Normalize = "none"
-    #: (height, width) or rows that frames are resized to; by default that of the file's input, or
-    #: that of --size.
     size: tuple[Side, Side] | Side | None = None
-    #: How a frame fits a fixed size: resized on both sides, or in its own aspect with grey around.
     fit: Literal["stretch", "pad"] = "stretch"
-    #: Multiple to which frames of a free size are padded at the bottom and right.
     stride: Annotated[int, Field(ge=1, le=1024)] = 1
-    #: Name of the input of LiDAR depth, 0 = none; None = there is no such input.
     sparse_depth: _Name | None = None
-    #: Its units per metre.
     sparse_depth_scale: Positive = 1.0
-    #: Name of the output of the classes; None = there is none.
     semantic: _Name | None = None
-    #: "scores", a plane a class, or "ids"; by default what its shape says.
     semantic_is: Literal["scores", "ids"] | None = None
-    #: Names of the classes in the order of ids, or of a table in `models.CLASS_TABLES`.
     classes: (
         Literal["camvid", "cityscapes", "virtual_kitti"]
         | Annotated[tuple[_Name, ...], Field(max_length=MAX_CLASSES)]
     ) = ()
-    #: Stride of the grid on which classes are decided, then repeated. None = the frame's pixels, to
-    #: which scores are interpolated.
     class_stride: Annotated[int, Field(ge=1, le=64)] | None = None
-    #: Name of the output of the depth; None = there is none.
     depth: _Name | None = None
-    #: Along the optical axis, or its inverse.
     depth_is: Literal["depth", "inverse"] = "depth"
-    #: Its units per metre; of an inverse depth, its units per 1/m.
     depth_scale: Positive = 1.0
-    #: The range to which returns are clipped [m].
     max_depth_m: Positive = FARTHEST_M
-    #: Focal length [px] of the camera in whose metres the network works, see
-    #: `runtime.contract.canonical_focal`; None = plain metres.
     canonical_focal_px: Annotated[float, Field(ge=MIN_FOCAL_PX, le=MAX_FOCAL_PX)] | None = None
 
     def __post_init__(self) -> None:
-        """Check that there is an output, and that its classes are named."""
+        """Check that there is an output, and that its classes have names."""
         if self.semantic is None and self.depth is None:
             raise ValueError("semantic and depth: name the output of one of them, or of both")
         if self.semantic is not None and not self.classes:
@@ -123,7 +128,7 @@ class Adapter:
 
 
 def read_adapter(path: Path) -> Adapter:
-    """Read an adapter. Raises InputError for another file, key or value."""
+    """Read an adapter. Raises InputError for another kind of file, and a wrong key or value."""
     try:
         return build(Adapter, tomllib.loads(read_text(path)))
     except tomllib.TOMLDecodeError as error:
@@ -133,24 +138,24 @@ def read_adapter(path: Path) -> Adapter:
 
 
 def channel_axis(shape: Sequence[Any]) -> int | None:
-    """Return the axis of an image's three channels, 1 or 3; None = not certain."""
+    """Return the axis of an image's three channels, 1 or 3; None if it is not certain."""
     axes = [at for at in (1, 3) if len(shape) == _PLANES and shape[at] == 3]
     return axes[0] if len(axes) == 1 else None
 
 
 def find_rgb(session: Any) -> Any:
-    """Return the input of the image: the only one, or the first with three channels."""
+    """Return the input of the image: the only input, or the first with three channels."""
     inputs = session.get_inputs()
     found = [item for item in inputs if channel_axis(item.shape) is not None]
     return found[0] if found and len(inputs) > 1 else inputs[0]
 
 
 def describe_network(path: Path, session: Any) -> str:
-    """Return an adapter as TOML, filled in as far as the ONNX file tells; its guesses say so.
+    """Return an adapter as TOML, filled in from the ONNX file as far as possible; guesses say so.
 
     Args:
-        path: of the file.
-        session: of ONNX Runtime.
+        path: path of the file.
+        session: session of ONNX Runtime.
     """
     return "\n".join((*_describe(path, session), ""))
 
@@ -215,7 +220,7 @@ def _describe_outputs(session: Any, facts: Mapping[str, str]) -> Iterator[str]:
 
 
 def _class_names(facts: Mapping[str, str]) -> list[str]:
-    """Return the names that exporters of YOLO keep, "{0: 'road', ...}"; [] without any."""
+    """Return the names that exporters of YOLO store, "{0: 'road', ...}"; [] if there are none."""
     try:
         names = ast.literal_eval(facts.get("names", ""))
     except (ValueError, SyntaxError):
@@ -226,11 +231,11 @@ def _class_names(facts: Mapping[str, str]) -> list[str]:
 
 
 def _probe(session: Any) -> list[np.ndarray | None]:
-    """Return what the network gives for noise; None for each output if it refuses this."""
+    """Return what the network returns for noise; if it refuses the noise, None for each output."""
     try:
         feeds, _ = make_feeds(session.get_inputs(), size=_PROBED, batch=1)
         return list(session.run(None, feeds))
-    except Exception:  # of any type: an input that cannot be made, or a size that it does not take
+    except Exception:  # an input cannot be made, or the network refuses its size
         return [None] * len(session.get_outputs())
 
 

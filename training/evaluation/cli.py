@@ -1,4 +1,4 @@
-"""`ssdnet-eval`: models, predictions and methods on the same frames: scores and differences."""
+"""`ssdnet-eval`: scores of models, predictions and methods on the same frames, and differences."""
 
 import shutil
 from pathlib import Path
@@ -11,7 +11,7 @@ from runtime.app.command_options import Version
 from runtime.base.errors import InputError
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
-#: Characters of a line where the output is no terminal.
+# Characters of a line if the output is not a terminal.
 _WIDTH = 120
 
 
@@ -115,7 +115,7 @@ def evaluate(
     if not models and not predictions:
         raise typer.BadParameter("name a model, the folder of a run, or --predictions DIR")
     with reported_errors("cpu,train"):
-        # Heavy imports here, so that --help answers at once.
+        # Heavy imports are here, so that --help answers at once.
         from runtime.contract.network_size import parse_network_size
         from runtime.files.atomic_write import require_writable
         from training.evaluation.adapter import MissingAdapterError

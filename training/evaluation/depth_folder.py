@@ -1,4 +1,4 @@
-"""The folder of `ssdnet-eval --save`: the depth of every answer."""
+"""The folder of `ssdnet-eval --save`, with the depth of every answer."""
 
 import re
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ class DepthFolder:
     """Where depth is written: `folder/MODEL/SET/LIDAR/FRAME.png`, 16-bit, metres x 256.
 
     Attributes:
-        folder: is made with the first depth.
+        folder: the folder, which is made with the first depth.
         overwrite: whether depth of the same names is replaced.
     """
 
@@ -27,7 +27,7 @@ class DepthFolder:
     overwrite: bool = False
 
     def require_free(self) -> None:
-        """Raise an OutputError for a folder with other files or that cannot be written."""
+        """Raise an OutputError if the folder holds other files or cannot be written."""
         if not self.folder.is_dir():
             require_folder_free(self.folder, overwrite=self.overwrite)
         elif any(self.folder.iterdir()) and not self.overwrite:
@@ -41,7 +41,7 @@ class DepthFolder:
     def write(self, parts: Sequence[str], depth: NDArray[np.float32] | None) -> None:
         """Write a depth, float32 (H, W) [m], to the file of these folders and this name.
 
-        Raises InputError if there is no depth, OutputError if the file cannot be written.
+        Raises InputError if there is no depth, and OutputError if the file cannot be written.
         """
         if depth is None:
             raise InputError(

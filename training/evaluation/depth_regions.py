@@ -1,16 +1,17 @@
 """Depth errors by region: by distance to the nearest return, and by depth edges.
 
-`RETURN_DISTANCES` are regions of every frame. Only for dense ground truth, as of rendered scenes:
+`RETURN_DISTANCES` are regions of every frame. The others need dense ground truth, such as that of
+rendered scenes:
 
-- depth edge: a pixel with true depths in the 3 x 3 pixels around it of which the farthest is more
+- A depth edge is a pixel for which the farthest true depth in the 3 x 3 pixels around it is more
   than `EDGE_RATIO` times the nearest. Pixels of unknown depth (sky), and those that are not scored,
   make no edge.
-- "interior": at most `RETURN_REACH_PX` from a return that was fed and farther than `EDGE_REACH_PX`
-  from every depth edge.
-- "edge": as near to a return, and at most `EDGE_REACH_PX` from a depth edge.
-- "uncovered": the rest, where only the image can tell.
+- "interior" is at most `RETURN_REACH_PX` from a return that was fed, and farther than
+  `EDGE_REACH_PX` from every depth edge.
+- "edge" is as near to a return, and at most `EDGE_REACH_PX` from a depth edge.
+- "uncovered" is the rest, where only the image can help.
 
-Distances are Euclidean between centres of pixels, at the size of the frame.
+Distances are Euclidean between the centres of pixels, at the size of the frame.
 """
 
 import math
@@ -27,7 +28,7 @@ EDGE_REACH_PX = 3
 EDGE_RATIO = 1.1
 
 REGIONS = ("interior", "edge", "uncovered")
-#: Region -> its largest distance [px] to the nearest return that was fed.
+# Largest distance [px] of each region to the nearest return that was fed.
 RETURN_DISTANCES: Mapping[str, float] = {
     "return_0_px": 0,
     "return_1_2_px": 2,
@@ -35,8 +36,8 @@ RETURN_DISTANCES: Mapping[str, float] = {
     "return_over_6_px": math.inf,
 }
 
-#: Share of known pixels around the known pixels of a dense true depth. Rendered depth has 0.99, the
-#: accumulated scans of KITTI's streets 0.5.
+# Least share of known pixels around the known pixels of a dense true depth. Rendered depth has
+# 0.99, the accumulated scans of KITTI's streets have 0.5.
 _DENSE_SHARE = 0.9
 _AROUND = (3, 3)
 _BEYOND_M = 1e6  # replaces unknown depth in minima
@@ -82,7 +83,7 @@ class DepthRegionScores(Accumulator):
 
 
 def is_dense(depth: NDArray[np.floating]) -> bool:
-    """Whether a true depth (H, W) [m] is dense where it is known; not if nothing is known."""
+    """Return whether a true depth (H, W) [m] is dense where it is known; False if none is known."""
     known = scored(depth)
     if not known.any():
         return False
@@ -93,7 +94,7 @@ def is_dense(depth: NDArray[np.floating]) -> bool:
 def split_distances(to_return_px: NDArray[np.float32]) -> dict[str, NDArray[np.bool_]]:
     """Return the mask, bool (H, W), of each of `RETURN_DISTANCES`; they do not overlap.
 
-    to_return_px: (H, W), distance to the nearest return that was fed.
+    `to_return_px`, (H, W), is the distance to the nearest return that was fed.
     """
     masks, above = {}, -1.0
     for region, limit in RETURN_DISTANCES.items():
@@ -107,7 +108,7 @@ def split_regions(
 ) -> dict[str, NDArray[np.bool_]]:
     """Return the mask, bool (H, W), of each of the `REGIONS`; every pixel is in one of them.
 
-    depth: the dense true depth. to_return_px: as in `split_distances`.
+    `depth` is the dense true depth, and `to_return_px` is that of `split_distances`.
     """
     covered = to_return_px <= RETURN_REACH_PX
     at_edge = distance_px(depth_edges(depth)) <= EDGE_REACH_PX
@@ -125,8 +126,8 @@ def depth_edges(depth: NDArray[np.floating]) -> NDArray[np.bool_]:
 
 
 def distance_px(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the distance of every pixel to the nearest of the mask; infinite to an empty mask."""
-    if not mask.any():  # OpenCV's distance to nothing is finite
+    """Return the distance of every pixel to the nearest of the mask; infinite if it is empty."""
+    if not mask.any():  # OpenCV's distance would be finite
         return np.full(mask.shape, np.inf, np.float32)
     return np.asarray(
         cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)

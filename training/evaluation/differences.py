@@ -1,9 +1,9 @@
 """Whether two models differ on the same frames: paired differences with a 95 % interval.
 
-The bootstrap (Efron and Tibshirani 1993) draws the frames again and again with replacement, the
-same ones for both models, and takes the 2.5th and the 97.5th percentile of the difference. Where
-places or drives are known, it draws whole ones: neighbouring frames are alike, and as single frames
-they would make the interval too narrow.
+The bootstrap (Efron and Tibshirani 1993) draws the frames repeatedly with replacement, the same
+ones for both models, and takes the 2.5th and the 97.5th percentile of the difference. If places or
+drives are known, whole places or drives are drawn: neighbouring frames are alike, and drawing
+single frames would make the interval too narrow.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 from training.evaluation.metrics import class_iou
 from training.evaluation.score_set import FrameScore, Result
 
-#: Draws, and their seed.
+# Number of draws, and their seed.
 _DRAWS, _SEED = 2000, 0
-#: Places or drives from which they are drawn instead of frames.
+# Least number of places or drives to be drawn instead of frames.
 LEAST_GROUPS = 5
-#: Draws that are computed at once.
+# Number of draws that are computed at once.
 _CHUNK = 100
 
 
 class Interval(NamedTuple):
-    """A difference with its 95 % interval, a share or metres."""
+    """A difference with its 95 % interval, as a share or in metres."""
 
     value: float
     low: float
@@ -34,18 +34,18 @@ class Interval(NamedTuple):
 
 @dataclass(frozen=True)
 class Difference:
-    """A model against another on the frames of one set with one input.
+    """A model compared with another on the frames of one set with one input.
 
     Attributes:
-        model: that is judged.
-        against: what it is compared with.
+        model: the model that is judged.
+        against: the model with which it is compared.
         data: the set.
-        lidar: the input.
-        fault: of the input.
+        lidar: the LiDAR input.
+        fault: fault of the input.
         frames: number of frames.
-        groups: number of places or drives that were drawn; 0 = single frames were.
-        figures: "miou", "mae_m" and "rmse_m" -> value of the model minus that of the other, for
-            those that both have.
+        groups: number of places or drives that were drawn; 0 if single frames were drawn.
+        figures: for "miou", "mae_m" and "rmse_m", the value of the model minus that of the other,
+            if both have it.
     """
 
     model: str
@@ -66,7 +66,7 @@ class Difference:
 
     @property
     def sample(self) -> str:
-        """What the verdict rests on, in words."""
+        """The basis of the verdict, in words."""
         frames = f"{self.frames} frame{'s' * (self.frames != 1)}"
         return f"{frames} of {self.groups} places" if self.groups else frames
 
@@ -75,7 +75,7 @@ def compare(results: Sequence[Result]) -> list[Difference]:
     """Compare every other model with the first one, on each set with each input.
 
     Args:
-        results: of `evaluate`, models in their order.
+        results: results of `evaluate`, with the models in their order.
     """
     firsts: dict[tuple[str, str, str], Result] = {}
     found = []
@@ -128,7 +128,7 @@ def _differences(first: Result, second: Result) -> Iterator[tuple[str, Interval]
 
 
 def _by_group(values: NDArray[np.float64], group: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Add up values (frames, ...) of each group: (groups, ...)."""
+    """Return the sums (groups, ...) of values (frames, ...) in each group."""
     sums = np.zeros((group.max() + 1, *values.shape[1:]))
     np.add.at(sums, group, values)
     return sums
@@ -143,7 +143,7 @@ def _depths(frames: Sequence[FrameScore]) -> NDArray[np.float64]:
 
 
 def _mean_iou(confusion: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean over the classes that occur, (draws, 1); NaN where none does."""
+    """Return the mean over the classes that occur, (draws, 1); NaN if none occurs."""
     iou = class_iou(confusion)
     known = ~np.isnan(iou)
     with np.errstate(invalid="ignore"):
@@ -152,7 +152,7 @@ def _mean_iou(confusion: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _errors(depth: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return MAE and RMSE [m], (draws, 2); NaN where no pixel was drawn."""
+    """Return MAE and RMSE [m], (draws, 2); NaN if no pixel was drawn."""
     with np.errstate(invalid="ignore", divide="ignore"):
         means = depth[:, 1:] / depth[:, :1]
     return np.stack([means[:, 0], np.sqrt(means[:, 1])], axis=-1)

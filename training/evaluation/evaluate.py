@@ -1,4 +1,4 @@
-"""Every model on every set with every LiDAR and fault, and how the models differ."""
+"""Scores of every model on every set with every LiDAR and fault, and how the models differ."""
 
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -35,12 +35,12 @@ from training.recipe import parse_data
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What `evaluate` found.
+    """The result of `evaluate`.
 
     Attributes:
-        results: a result per model, set, LiDAR and fault, sets in their order and in each the
-            models in theirs.
-        differences: of every model to the first, on each set with each input.
+        results: a result for each model, set, LiDAR and fault. The sets are in their order, and in
+            each set the models are in theirs.
+        differences: differences of every model to the first, on each set with each input.
         worst: pictures of the frames with the largest errors.
     """
 
@@ -78,45 +78,46 @@ def evaluate(
     """Score models, predictions and classical methods of depth completion on data sets.
 
     Every model gets the same inputs, and is scored in the same classes, see `share_classes`. A set
-    that cannot give a LiDAR has no row with it, see `training.lidar.split`. Where nothing was fed
-    in any frame of a set there is one row, with the LiDAR "none" and no fault.
+    that cannot give a LiDAR has no row with it, see `training.lidar.split`. If nothing was fed in
+    any frame of a set, there is one row, with the LiDAR "none" and no fault.
 
     Args:
         models: checkpoints (*.pt), exported models (*.onnx), networks of others (*.onnx, with an
             adapter), folders of runs, names of bundled models and of `METHODS`.
         data: sets as on the command line, KIND:FOLDER[,KEY=VALUE...], or as in a recipe, with
-            absolute paths or paths relative to the working directory. () = the validation sets of
+            absolute paths or paths relative to the working directory. Empty: the validation sets of
             the first run among the models.
-        lidars: inputs that each set is scored with, see `LidarInput.parse`. None = that of the
+        lidars: inputs with which each set is scored, see `LidarInput.parse`. None: that of the
             run's validation, or "own".
-        faults: of these inputs; "none" for the input as it is.
+        faults: faults of these inputs; "none" for the input as it is.
         predictions: folders of answers, DIR[,KEY=VALUE...], scored after the models, see
             `training.evaluation.predictions`.
-        adapters: TOML files of the networks of others, in the order of these; one without has its
-            own beside it, NAME.toml. See `training.evaluation.adapter`.
-        join: class -> the classes that count as it, of sets and of models, such as
+        adapters: TOML files of the networks of others, in the order of these; a network without one
+            here uses its own file beside it, NAME.toml. See `training.evaluation.adapter`.
+        join: for each joint class, the classes of sets and models that count as it, such as
             `{"vehicle": ["car", "truck"]}`.
         device: "cpu", "cuda" or "cuda:N".
-        threads: of the processor.
-        size: at which models of a free size run, as `Predictor` takes it.
-        limit: number of frames of each set, evenly spread; None = all.
-        pictures: number of the worst frames to draw of each model, set and head, with the first
+        threads: threads of the processor.
+        size: size at which models with a free size run, as `Predictor` takes it.
+        limit: number of frames of each set, evenly spread; None: all.
+        pictures: number of the worst frames to draw for each model, set and head, with the first
             input.
-        save: where the depth of every answer is written; None = nowhere.
-        leave_out_fed: no row, instead of an error, for a LiDAR that feeds the depth to score.
+        save: where the depth of every answer is written; None: nowhere.
+        leave_out_fed: a LiDAR that feeds the depth to score has no row, instead of raising an
+            error.
 
     Returns:
-        A row per model, set, LiDAR and fault, without figures where a set has no ground truth, and
-        the differences of the models to the first.
+        A row for each model, set, LiDAR and fault, without figures if a set has no ground truth,
+        and the differences of the models to the first.
 
     Raises:
-        DatasetError, CheckpointError, ContractError, ProviderError: for what cannot be opened.
-        MissingAdapterError: for a network of others without an adapter.
-        InputError: for an invalid argument, a LiDAR that feeds the depth to score, labels without
-            names where the models' classes differ, or if no set can give any of the LiDARs.
-        OutputError: for depth that cannot be written.
+        DatasetError, CheckpointError, ContractError, ProviderError: if something cannot be opened.
+        MissingAdapterError: if a network of others has no adapter.
+        InputError: if an argument is invalid, if a LiDAR feeds the depth to score, if labels have
+            no names where the models' classes differ, or if no set can give any of the LiDARs.
+        OutputError: if depth cannot be written.
     """
-    parse_device(device)  # of methods, too, which have none
+    parse_device(device)  # also for methods, which have no device
     known = {*METHODS, *list_bundled_models()}
     runs = {
         str(name): read_run(Path(name))
@@ -186,8 +187,8 @@ def open_sets(
     """Open sets with the classes that they share with the models, see `evaluate`.
 
     Args:
-        recipes: of the sets.
-        models: by name.
+        recipes: recipes of the sets.
+        models: the models by name.
         ids: see `share_classes`.
         join: see `evaluate`.
         limit: see `evaluate`.
@@ -208,7 +209,7 @@ def open_sets(
 
 
 def read_groups(path: Path) -> dict[str, list[str]]:
-    """Read a TOML file of joined classes, `vehicle = ["car", "truck"]`. Raises InputError."""
+    """Read a TOML file of joint classes, `vehicle = ["car", "truck"]`. Raises InputError."""
     try:
         groups = tomllib.loads(read_text(path))
     except tomllib.TOMLDecodeError as error:
@@ -222,7 +223,7 @@ def read_groups(path: Path) -> dict[str, list[str]]:
 
 
 def short_names(paths: Sequence[Path]) -> list[str]:
-    """Name paths by their last parts, as few as make the names unique."""
+    """Name paths by as few of their last parts as make the names unique."""
     longest = max((len(path.parts) for path in paths), default=1)
     for parts in range(1, 1 + max(1, longest)):
         names = [str(Path(*path.parts[-parts:])) for path in paths]
@@ -242,7 +243,7 @@ def _open_all(
     threads: int,
     size: NetworkSize,
 ) -> dict[str, ScoredModel]:
-    """Return title -> model, in the order of the arguments; the stack closes them."""
+    """Return the models by title, in the order of the arguments; the stack closes them."""
     names = list(dict.fromkeys(map(str, models)))
     paths = {
         name: runs[name].model if name in runs else _find_file(name)
@@ -274,7 +275,7 @@ def _open_all(
 
 
 def _find_file(name: str) -> Path:
-    """Return the file of a model. Raises ContractError, which lists the methods, too."""
+    """Return the file of a model. Raises ContractError, which also lists the methods."""
     try:
         return Path(name) if name.endswith(".pt") else find_model(name)
     except ContractError as error:
@@ -282,7 +283,7 @@ def _find_file(name: str) -> Path:
 
 
 def _changed_keys(recipe: SourceRecipe) -> list[str]:
-    """What makes this set another than the same folder without options."""
+    """Return the keys in which this set differs from the same folder without options."""
     return [
         f"{item.name}={getattr(recipe, item.name)}"
         for item in fields(recipe)

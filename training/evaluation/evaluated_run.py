@@ -1,4 +1,4 @@
-"""The folder of a training as something that can be scored: its model on its validation sets."""
+"""The folder of a training, whose model can be scored on its validation sets."""
 
 import json
 from collections.abc import Sequence
@@ -14,12 +14,12 @@ from training.run_folder import BEST, DATA_FOLDERS, FINAL, RECIPE
 
 @dataclass(frozen=True)
 class EvaluatedRun:
-    """What a run's folder says.
+    """The content of a run's folder.
 
     Attributes:
-        model: its checkpoint: model.pt, or best.pt of a run that is not finished.
+        model: its checkpoint, model.pt, or best.pt if the run is not finished.
         sets: its validation sets, with absolute paths.
-        lidar: the input of its validation.
+        lidar: the LiDAR input of its validation.
         table: the classes of its labels.
     """
 
@@ -30,10 +30,10 @@ class EvaluatedRun:
 
 
 def read_run(folder: Path) -> EvaluatedRun:
-    """Read a run's folder; of several stages, the recipe of the last.
+    """Read a run's folder; of several stages, the recipe of the last one counts.
 
     Raises:
-        InputError: for a folder that is no run, or that has no model yet.
+        InputError: if the folder is not that of a run, or has no model yet.
     """
     recipes = [folder / RECIPE, folder / "training" / RECIPE, *sorted(folder.glob(f"*-*/{RECIPE}"))]
     path = next((path for path in reversed(recipes) if path.is_file()), None)
@@ -59,7 +59,7 @@ def read_run(folder: Path) -> EvaluatedRun:
 
 
 def _find(source: SourceRecipe, roots: Sequence[Path], folder: Path) -> SourceRecipe:
-    """Return a set with its path; one that is not there keeps its own, to be named when opened."""
+    """Return a set with its absolute path; a missing one keeps its path for the error."""
     for root in (*roots, folder, folder.parent):
         if (root / source.path).is_dir():
             return replace(source, path=str(root / source.path), name=source.title)

@@ -1,4 +1,4 @@
-"""A network of others as something that can be scored."""
+"""A network of others, wrapped so that it can be scored."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -32,9 +32,9 @@ from training.evaluation.adapter import (
 )
 from training.evaluation.scoring import HeadMaps
 
-#: Grey of the pixels around a frame that is padded.
+# Grey value of the pixels around a padded frame.
 _PADDED = 114
-#: Least inverse depth [1/m]: a smaller one is 10 km.
+# Least inverse depth [1/m]; smaller ones become 10 km.
 _LEAST_INVERSE = 1e-4
 _TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(uint8)": np.uint8}
 
@@ -44,10 +44,10 @@ class ForeignNetwork:
     """A session of ONNX Runtime with an adapter; calls answer a frame, see `Predict`.
 
     Attributes:
-        path: of the file, for messages.
-        session: of ONNX Runtime.
-        adapter: what inputs and outputs mean.
-        size: that frames are resized to where neither file nor adapter fix it.
+        path: path of the file, for messages.
+        session: session of ONNX Runtime.
+        adapter: the meaning of inputs and outputs.
+        size: size to which frames are resized if neither the file nor the adapter fixes it.
     """
 
     path: Path
@@ -75,7 +75,7 @@ class ForeignNetwork:
 
     @property
     def table(self) -> ClassTable:
-        """The classes; () without any."""
+        """The classes; () if there are none."""
         if self.adapter.semantic is None:
             return ()
         if isinstance(self.adapter.classes, str):
@@ -95,7 +95,7 @@ class ForeignNetwork:
             size_for=self._size_for,
             scale_for=lambda size: self._scale_for(size, focal_length_px),
         )
-        # What the engine does with returns after the network is no merit of this one.
+        # The engine's treatment of returns after the network does not belong to this network.
         frame = replace(frame, full_size_returns=None)
         canvas, corner = self._canvas(frame.network_size)
         feeds = {self._rgb.name: self._image(frame, canvas, corner)}
@@ -141,7 +141,7 @@ class ForeignNetwork:
 
     @property
     def _fixed(self) -> Size | None:
-        """(height, width) of the input; None = free."""
+        """(height, width) of the input; None if it is free."""
         sides = self._rgb.shape[1:3] if self._is_last else self._rgb.shape[2:4]
         if all(isinstance(side, int) for side in sides):
             return sides[0], sides[1]
@@ -165,7 +165,7 @@ class ForeignNetwork:
         )
 
     def _canvas(self, size: Size) -> tuple[Size, Size]:
-        """Return the size of the image that is fed, and where the frame begins in it."""
+        """Return the size of the image that is fed, and the corner of the frame in it."""
         if self._fixed is None:
             stride = self.adapter.stride
             return (-(-size[0] // stride) * stride, -(-size[1] // stride) * stride), (0, 0)
@@ -195,7 +195,7 @@ class ForeignNetwork:
         return values.ndim == 4 and min(values.shape[1], values.shape[3]) > 1
 
     def _scores(self, values: NDArray[Any]) -> NDArray[np.float32]:
-        """Return the scores (C, h, w)."""
+        """Return the scores as (C, h, w)."""
         count = len(self.adapter.names)
         if values.ndim == 4 and values.shape[1] != count and values.shape[3] == count:
             values = values.transpose(0, 3, 1, 2)
@@ -224,7 +224,7 @@ class ForeignNetwork:
         return ids if ids.shape == canvas else np.asarray(resize_nearest(ids, canvas))
 
     def _plane(self, values: NDArray[Any], name: str | None) -> NDArray[np.float32]:
-        """Return an output of one plane as (h, w)."""
+        """Return an output that has one plane as (h, w)."""
         plane = values.reshape([side for side in values.shape if side != 1])
         if plane.ndim != 2:
             raise InputError(f"{self.path}: its output {name!r} is {values.shape}; expected a map")
@@ -264,16 +264,16 @@ def open_foreign(
 
     Args:
         path: an ONNX file; weights in files beside it are read, too.
-        adapter: its description; None = the TOML file of its name beside it.
-        provider: as of `open_session`, like device_id and threads.
+        adapter: its description; None: the TOML file of the same name beside it.
+        provider: see `open_session`, also for device_id and threads.
         device_id: index of the GPU.
-        threads: of the processor.
+        threads: threads of the processor.
         size: see `ForeignNetwork`.
 
     Raises:
-        MissingAdapterError: without a description, after one to edit was written to `adapter`.
-        InputError: for a description that does not fit.
-        ContractError, ProviderError: for what cannot be opened.
+        MissingAdapterError: if there is no description; one to be edited was written to `adapter`.
+        InputError: if the description does not fit.
+        ContractError, ProviderError: if the file cannot be opened.
     """
     session = open_session(
         read_onnx(path),
@@ -301,7 +301,7 @@ def open_foreign(
 
 
 def _pad(values: NDArray[Any], canvas: Size, corner: Size, value: int) -> NDArray[Any]:
-    """Place a map in a larger one of a constant value."""
+    """Place a map in a larger one with a constant value."""
     height, width = values.shape[:2]
     if (height, width) == canvas:
         return values
@@ -319,7 +319,7 @@ def _enlarge(plane: NDArray[np.float32], size: Size) -> NDArray[np.float32]:
 
 
 def _decide(planes: Sequence[NDArray[np.float32]]) -> NDArray[np.uint8]:
-    """Return the class with the largest score; of equal ones the first."""
+    """Return the class with the largest score; ties keep the first class."""
     ids = np.zeros(planes[0].shape, np.uint8)
     best = planes[0].copy()
     for index, plane in enumerate(planes[1:], start=1):

@@ -1,9 +1,9 @@
 """The metrics of Table 1, KITTI's inverse-depth errors, boundary precision and recall, road IoU.
 
-Each `...Scores` accumulates over frames with `update`, adds another's sums with `merge`, and
-`figures` returns the metrics of all frames together by name: shares 0..1, metres, 1/km, pixels.
-Everything is counted over pixels, not averaged over frames. What nothing was measured for is left
-out.
+Each `...Scores` accumulates over frames with `update` and adds the sums of another one with
+`merge`. `figures` returns the metrics of all frames together by name: shares in 0..1, metres, 1/km,
+pixels. Everything is counted over pixels, not averaged over frames. Figures for which nothing was
+measured are left out.
 """
 
 import math
@@ -19,22 +19,22 @@ from models.classes import CATEGORIES
 from training.losses.boundary import boundary_target
 from training.losses.semantic import IGNORE
 
-#: The widest range of Table 1 [m]: pixels whose true depth is beyond it are not scored.
+# End of the widest range of Table 1 [m]; pixels with a farther true depth are not scored.
 FARTHEST_M = 100.0
-#: Ranges of true depth [m]: the two others of Table 1, and four that do not overlap.
+# Ranges of true depth [m]: the two others of Table 1, and four that do not overlap.
 RANGES_M = ((0.0, 20.0), (0.0, 50.0), (0.0, 10.0), (10.0, 20.0), (20.0, 40.0), (40.0, 100.0))
-#: Bins of the errors' histogram, equal in the logarithm [m]: neighbours differ by 0.3 %. The first
-#: is of smaller errors, of which the median is 0.
+# Bins of the errors' histogram, equal in the logarithm [m]; neighbours differ by 0.3 %. The first
+# bin holds smaller errors, whose median is reported as 0.
 _ERROR_BINS_M = np.concatenate([[0], np.geomspace(1e-3, 1e3, 4097)])
-#: The boundary's F-score is reported at the best of these thresholds over the whole set.
+# The boundary's F-score is reported at the best of these thresholds over the whole set.
 BOUNDARY_THRESHOLDS = tuple(threshold / 20 for threshold in range(6, 20))
-#: Largest distance between predicted and true boundary pixels that match, and the pixels within it.
+# Largest distance between predicted and true boundary pixels that match, and the pixels within it.
 TOLERANCE_PX = 2
 _REACH = np.arange(-TOLERANCE_PX, TOLERANCE_PX + 1)
 _DISK = (_REACH[:, None] ** 2 + _REACH[None, :] ** 2 <= TOLERANCE_PX**2).astype(np.uint8)
-#: Name, in lower case, of the class that is scored against masks of the road.
+# Name, in lower case, of the class that is scored against masks of the road.
 ROAD = "road"
-#: Smaller predictions are clipped to this value before depth is inverted [m].
+# Smaller predictions are clipped to this value before depth is inverted [m].
 _NEAREST_M = 0.1
 
 
@@ -42,7 +42,7 @@ class Accumulator:
     """Sums over frames: arrays, counts, sets, and accumulators by name or in a dictionary."""
 
     def merge(self, other: Self) -> None:
-        """Add another's sums."""
+        """Add the sums of another accumulator."""
         for name, ours in vars(self).items():
             theirs = vars(other)[name]
             match ours:
@@ -60,14 +60,14 @@ class Accumulator:
 class SemanticScores(Accumulator):
     """Acc, mAcc, mIoU and fwIoU from one confusion matrix.
 
-    A class that is neither in the ground truth nor predicted is left out of mIoU, and its own IoU
-    is NaN; one that is only predicted counts with IoU 0. mAcc is over the classes in the ground
-    truth. An answer of the id `num_classes` is a class that is none of these: wrong, whatever the
-    label.
+    A class that occurs neither in the ground truth nor in the predictions is left out of mIoU, and
+    its own IoU is NaN. A class that is only predicted counts with IoU 0. mAcc is over the classes
+    in the ground truth. The prediction `num_classes` stands for a class that is none of these,
+    which is wrong for every label.
 
     Attributes:
         confusion: int64 (C, C + 1), pixels by label (row) and prediction (column).
-        frames: int64 (C,), frames in which a class is labelled.
+        frames: int64 (C,), number of frames in which a class is labelled.
         unscored: int64 (2,), pixels without a class, and all pixels.
     """
 
@@ -95,7 +95,7 @@ class SemanticScores(Accumulator):
         """Return the metrics of all frames so far.
 
         Args:
-            class_names: of the ids; without them there is no IoU of single classes.
+            class_names: names of the classes; without them there is no IoU of single classes.
         """
         if not self.confusion.any():
             return {}
@@ -110,16 +110,16 @@ class SemanticScores(Accumulator):
         if class_names:
             named = zip(class_names, iou.tolist(), strict=True)
             figures |= {f"iou_{name}": value for name, value in named}
-            if not self.confusion[:, -1].any():  # of another class the category is not known
+            if not self.confusion[:, -1].any():  # the category of another class is unknown
                 figures |= self._category_figures(class_names)
         return figures
 
     def _category_figures(self, class_names: Sequence[str]) -> dict[str, float]:
         """Return the IoU of each of `CATEGORIES`, and their mean (Cityscapes' IoU_cat).
 
-        A pixel labelled as a class of no category does not count; one that is only predicted so is
-        wrong for the category it is labelled as. A category
-        without any of the classes is left out.
+        A pixel whose label belongs to no category does not count. A pixel for which only the
+        prediction belongs to none is wrong for the category of its label. A category without any of
+        the classes is left out.
         """
         groups = {name: group for name, group in CATEGORIES.items() if group & set(class_names)}
         if not groups:
@@ -177,7 +177,7 @@ class RoadScores(Accumulator):
 
 
 class ErrorSums(Accumulator):
-    """Mean absolute and root mean square error from sums over frames."""
+    """Mean absolute and root mean square error, from sums over frames."""
 
     def __init__(self) -> None:
         self._sums = np.zeros(3)  # pixels, sum |e|, sum e^2
@@ -188,7 +188,7 @@ class ErrorSums(Accumulator):
 
     @property
     def sums(self) -> NDArray[np.float64]:
-        """Their number, the sum of their absolute values and of their squares: float64 (3,)."""
+        """Number of errors, sum of their absolute values and sum of their squares: float64 (3,)."""
         return self._sums.copy()
 
     def figures(self, name: str) -> dict[str, float]:
@@ -202,12 +202,12 @@ class ErrorSums(Accumulator):
 class DepthScores(Accumulator):
     """MAE, RMSE, median, iMAE and iRMSE over the same pixels, and MAE and RMSE within ranges.
 
-    A range is the true depths above its first and up to its last [m]. Pixels whose true depth
-    is beyond `FARTHEST_M` are not scored. The median is that of a histogram, to 0.3 %. Inverse
-    depth is scored as KITTI scores depth completion [1/km].
+    A range contains the true depths above its first and up to its last value [m]. Pixels whose true
+    depth is beyond `FARTHEST_M` are not scored. The median comes from a histogram and is exact to
+    0.3 %. Inverse depth is scored like KITTI scores depth completion [1/km].
 
     Attributes:
-        unscored: int64 (2,), pixels of these depths, and all with a true depth.
+        unscored: int64 (2,), pixels with such depths, and all pixels with a true depth.
     """
 
     def __init__(self) -> None:
@@ -220,8 +220,8 @@ class DepthScores(Accumulator):
         """Count a frame.
 
         Args:
-            prediction: float (H, W) [m]; 0, "no answer", is scored as a depth. Where depth is
-                inverted, below 0.1 m counts as 0.1 m.
+            prediction: float (H, W) [m]; 0, "no answer", is scored as a depth. Before depth is
+                inverted, values below 0.1 m become 0.1 m.
             depth: the true depth, float (H, W) [m]; 0, negative or not finite = unknown.
         """
         known = scored(depth)
@@ -240,7 +240,7 @@ class DepthScores(Accumulator):
 
     @property
     def sums(self) -> NDArray[np.float64]:
-        """Number of scored pixels, sum of their |error| [m] and of its square: float64 (3,)."""
+        """Number of scored pixels, sum of |error| [m] and sum of its square: float64 (3,)."""
         return self._metres.sums
 
     def figures(self) -> dict[str, float]:
@@ -260,7 +260,7 @@ class DepthScores(Accumulator):
 class DisparityScores(ErrorSums):
     """MAE and RMSE of disparity, as the paper scores depth on Cityscapes: d = f * b / depth.
 
-    Over the same pixels as `DepthScores`, in pixels of the data set's images.
+    They are over the same pixels as `DepthScores`, in pixels of the data set's images.
     """
 
     def update(
@@ -282,25 +282,25 @@ class DisparityScores(ErrorSums):
 
 
 class BoundaryScores(Accumulator):
-    """Boundary precision, recall and F-score at a pixel tolerance.
+    """Boundary precision, recall and F-score at a tolerance in pixels.
 
-    Predicted boundary is where the probability exceeds a threshold; true boundary where the label
-    changes, see `training.losses.boundary.boundary_target`. A predicted pixel is right if a true
-    pixel lies within `TOLERANCE_PX` of it (Euclidean), and the reverse is a found pixel; that is
-    dilation, not one-to-one matching. Predictions are not thinned: a line that is thick, but within
-    the tolerance of the truth, is right. Pixels whose truth is unknown are left out. Of several
-    thresholds `figures` takes that of the best F-score over the whole set (ODS).
+    Predicted boundary is where the probability exceeds a threshold. True boundary is where the
+    label changes, see `training.losses.boundary.boundary_target`. A predicted pixel is right if a
+    true pixel lies within `TOLERANCE_PX` of it (Euclidean), and a true pixel is found if a
+    predicted one lies so near; this is dilation, not one-to-one matching. Predictions are not
+    thinned: a thick line within the tolerance of the truth is right. Pixels whose truth is unknown
+    are left out. `figures` takes the threshold with the best F-score over the whole set (ODS).
     """
 
     def __init__(self) -> None:
-        # A row a threshold: predicted, right, true, found pixels.
+        # There is one row for each threshold: predicted, right, true and found pixels.
         self._counts = np.zeros((len(BOUNDARY_THRESHOLDS), 4), dtype=np.int64)
 
     def update(self, probability: NDArray[np.floating], semantic: NDArray[np.integer]) -> None:
         """Count a frame.
 
         Args:
-            probability: of a boundary, float (H, W), 0..1.
+            probability: probability of a boundary, float (H, W), 0..1.
             semantic: the labels, class ids (H, W); 255 = ignore.
         """
         target, valid = boundary_target(torch.from_numpy(semantic.astype(np.int64))[None])
@@ -318,9 +318,9 @@ class BoundaryScores(Accumulator):
             )
 
     def figures(self, threshold: float | None = None) -> dict[str, float]:
-        """Return the metrics of all frames so far at a threshold; None = the best.
+        """Return the metrics of all frames so far at a threshold; None: at the best one.
 
-        Precision is NaN where nothing was predicted; the F-score is then 0.
+        If nothing was predicted, precision is NaN and the F-score is 0.
         """
         predicted, right, true, found = self._counts.T
         if not true.any():
@@ -352,12 +352,12 @@ def frame_errors(
 ) -> tuple[float, float, float]:
     """Return MAE, RMSE and median of the absolute errors [m] of a frame with truth.
 
-    A depth beyond `FARTHEST_M` counts as that: otherwise a method that does not know the limit
-    would be behind.
+    A depth beyond `FARTHEST_M` counts as that value; otherwise a method that does not know the
+    limit would be at a disadvantage.
 
     Args:
         depth: (H, W), metres.
-        truth: (H, W), metres, 0 = none; not scored beyond `FARTHEST_M`.
+        truth: (H, W), metres, 0 = none; depths beyond `FARTHEST_M` are not scored.
     """
     known = scored(truth)
     error = np.abs(np.minimum(depth[known], FARTHEST_M) - truth[known])

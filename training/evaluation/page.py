@@ -1,4 +1,4 @@
-"""The page of `ssdnet-eval --page`: figures, differences and the worst frames, in one HTML file."""
+"""The page of `ssdnet-eval --page`: figures, differences and the worst frames in one HTML file."""
 
 import base64
 import math
@@ -19,13 +19,13 @@ from training.evaluation.score_report import COLUMNS, difference_rows, table_not
 from training.evaluation.score_set import Result
 from training.evaluation.worst_frames import WRONG_SHARE, WorstFrame
 
-#: Frames that are drawn of each model, set and head.
+# Number of frames that are drawn for each model, set and head.
 WORST = 10
 _TICKS = 5
-_LEAST = 0.005  # share of a label that is written in the confusion
+_LEAST = 0.005  # least share of a label that is written in the confusion
 
 _TITLES = {column.key: column.title.removesuffix(" mm") for column in COLUMNS}
-#: Title, what a line is of, and the figures.
+# Title, the meaning of a line, and the figures of each chart.
 _BARS = (
     ("Error of the depth by distance", "distance", [f"mae_m_{a:g}_{b:g}" for a, b in RANGES_M[2:]]),
     ("Error by distance to the returns", "place", [f"mae_m_{name}" for name in RETURN_DISTANCES]),
@@ -42,11 +42,11 @@ def write_page(
     """Write the page, HTML in UTF-8 without external resources.
 
     Args:
-        found: with pictures of the worst frames, or without.
-        path: of the file.
+        found: the evaluation, with pictures of the worst frames or without.
+        path: path of the file.
         overwrite: whether an existing file is replaced.
-        title: of the page; "" = the names of the models.
-        command: that made it; "" = this one.
+        title: title of the page; "": the names of the models.
+        command: command that made it; "": that of this process.
 
     Raises:
         OutputError: if the file cannot be written.
@@ -76,7 +76,7 @@ def _kind(verdict: str) -> str:
 
 
 def _groups(results: Sequence[Result]) -> Iterator[dict[str, Any]]:
-    """Yield what the page shows of each set with each input."""
+    """Yield what the page shows for each set with each input."""
 
     def key(result: Result) -> tuple[str, str, str]:
         return result.row.key[1:]
@@ -231,7 +231,7 @@ def _axes(
 
 
 def _linear(most: float) -> tuple[Callable[[float], float], float]:
-    """Return the place in percent of a value on an axis from 0, and the axis' end."""
+    """Return the place in percent of a value on an axis from 0, and the end of the axis."""
     power = 10.0 ** math.floor(math.log10(most or 1))
     end = next(step * power for step in (1, 2, 2.5, 5, 10) if step * power >= most)
     return lambda value: 100 * value / end, end
@@ -242,7 +242,7 @@ def _ticks(end: float) -> list[float]:
 
 
 def _worst(frames: Sequence[WorstFrame]) -> Iterator[tuple[str, list[Any], list[dict[str, Any]]]]:
-    """Yield heading, legend and frames of each model, set and head."""
+    """Yield heading, legend and frames for each model, set and head."""
     marks = dict(_MARKS)
     for (model, data, lidar, head), group in groupby(
         frames, lambda frame: (frame.model, frame.data, frame.lidar, frame.head)

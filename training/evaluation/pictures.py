@@ -1,4 +1,4 @@
-"""Pictures of what a network is trained on, and of its answers beside the ground truth."""
+"""Pictures of training inputs, and of a network's answers beside the ground truth."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -18,30 +18,30 @@ from training.lidar.split import LidarInput
 from training.loading.mixture import Batch
 from training.loading.open_dataset import spread_indices
 
-#: Largest width of a panel of a validation [px]: a long run has hundreds of them.
+# Largest width of a panel in the pictures of a validation [px]; a long run has hundreds of them.
 _WIDEST = 320
-#: Side of the dot of a return [px].
+# Side of the dot of a return [px].
 _DOT_PX = 3
 
 
 def draw_pictures(
     predict: Predict, source: SampleSource, network: Network, *, lidar: LidarInput, count: int
 ) -> Iterator[tuple[str, NDArray[np.uint8]]]:
-    """Draw frames spread evenly over a set, as `runtime.app.drawing.overlay` draws them.
+    """Draw frames spread evenly over a set, like `runtime.app.drawing.overlay` draws them.
 
     Args:
         predict: the network's predictor.
         source: the set.
-        network: whose heads, classes and range the pictures have.
-        lidar: what is fed.
+        network: the network, whose heads, classes and range the pictures have.
+        lidar: the input that is fed.
         count: number of frames.
 
     Yields:
-        Name of the frame and picture, uint8 (H', W', 3), RGB: left the prediction, right the labels
-        and the depth where they are known; unknown classes are black.
+        Name of the frame and picture, uint8 (H', W', 3), RGB. On the left is the prediction, on the
+        right are the labels and the depth where they are known; unknown classes are black.
 
     Raises:
-        InputError: for a LiDAR that the set cannot give.
+        InputError: if the set cannot give the LiDAR.
     """
     overlay = Overlay(network.config.classes, network.config.max_depth_m)
     for frame in split_frames(source, spread_indices(source, count), lidar):
@@ -57,19 +57,19 @@ def draw_pictures(
 
 
 def draw_batch(batch: Batch, overlay: Overlay, *, count: int) -> NDArray[np.uint8]:
-    """Draw a batch of a `Mixture`, a sample with its name a row.
+    """Draw a batch of a `Mixture`, with a row for each sample and its name.
 
     Args:
-        batch: frames with one view each or two.
-        overlay: of the classes and the range of the depth.
+        batch: frames with one or two views each.
+        overlay: overlay with the classes and the range of the depth.
         count: largest number of frames.
 
     Returns:
-        uint8 (H, W, 3), BGR: image, labels and depth target as `Overlay` draws them, where the
-        batch has any, and the LiDAR input as dots over the faded image.
+        uint8 (H, W, 3), BGR: image, labels and depth target as `Overlay` draws them, if the batch
+        has any, and the LiDAR input as dots over the faded image.
     """
     names, width = batch.names[:count], batch.rgb.shape[-1]
-    # Views of one frame one above the other.
+    # The views of a frame are drawn one above the other.
     shown = [i for row in range(len(names)) for i in range(row, len(batch.rgb), len(batch.names))]
 
     def column(values: Tensor) -> NDArray[Any]:
@@ -83,7 +83,7 @@ def draw_batch(batch: Batch, overlay: Overlay, *, count: int) -> NDArray[np.uint
         if name in ("semantic", "depth") and (labels != target_kind(name).unlabelled).any()
     }
     targets = HeadMaps(**known)
-    # Draw far returns first: near dots cover them.
+    # Far returns are drawn first, so that near dots cover them.
     nearness = np.divide(1, fed, out=np.zeros_like(fed), where=fed > 0)
     nearness = cv2.dilate(nearness, np.ones((_DOT_PX, _DOT_PX), np.uint8))
     dots = np.divide(1, nearness, out=np.zeros_like(fed), where=nearness > 0)

@@ -1,4 +1,4 @@
-"""Answers that were written by others: scored by the names of the frames, without their network."""
+"""Answers written by others, scored by the names of the frames without the network."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,32 +22,35 @@ from training.limits import STRICT, Positive
 from training.recipe import build, parse_pairs
 
 _SUFFIXES = (".png", ".npy")
-#: Folders of a kind, as `ssdnet-run` writes them; without them the files tell what they are.
+# Folders of a kind, as `ssdnet-run` writes them; without them the files show their kind.
 _HEADS = ("semantic", "depth")
 
 
 @checked(frozen=True, kw_only=True, config=STRICT)
 class PredictionOptions:
-    """Keys of `--predictions DIR,KEY=VALUE`."""
+    """Keys of `--predictions DIR,KEY=VALUE`.
 
-    #: What the ids are: a name in `models.CLASS_TABLES`, or the names in their order; those of the
-    #: set by default.
+    Attributes:
+        classes: the meaning of the ids: a name in `models.CLASS_TABLES`, or the names in the order
+            of the ids; None: those of the set.
+        depth_scale: units of 16-bit PNGs and integers per metre.
+    """
+
     classes: (
         Literal["camvid", "cityscapes", "virtual_kitti"]
         | Annotated[tuple[str, ...], Field(min_length=1, max_length=255)]
         | None
     ) = None
-    #: Units of 16-bit PNGs and integers per metre.
     depth_scale: Positive = KITTI_DEPTH_SCALE
 
 
 @dataclass(frozen=True)
 class Predictions:
-    """A folder of answers, a file a frame: PNGs of 8 bits are ids, of 16 bits depth, or `.npy`.
+    """A folder of answers, a file per frame: PNGs of 8 bits (ids) or 16 bits (depth), or .npy.
 
     Attributes:
-        folder: with the files, or with the folders "semantic" and "depth" of them.
-        options: what ids and depth mean.
+        folder: folder of the files, or of the folders "semantic" and "depth" with the files.
+        options: the meaning of ids and depth.
     """
 
     folder: Path
@@ -55,7 +58,7 @@ class Predictions:
 
     @classmethod
     def parse(cls, text: str) -> "Predictions":
-        """Read DIR[,KEY=VALUE...]. Raises InputError, DatasetError for what is no folder."""
+        """Read DIR[,KEY=VALUE...]. Raises InputError, or DatasetError without such a folder."""
         folder, table = parse_pairs("--predictions", text, lambda _: PredictionOptions)
         try:
             options = build(PredictionOptions, table)
@@ -65,21 +68,21 @@ class Predictions:
 
     @property
     def table(self) -> ClassTable:
-        """The classes of the ids; () = those of the set."""
+        """The classes of the ids; () stands for those of the set."""
         classes = self.options.classes or ()
         if isinstance(classes, str):
             return classes
         return tuple(ClassInfo(name, (0, 0, 0)) for name in classes)
 
     def read(self, sample: Sample, image_name: str | None) -> HeadMaps:
-        """Return the answers of a frame.
+        """Return the answers to a frame.
 
         Args:
             sample: the frame.
-            image_name: stem of its image; None = not known.
+            image_name: stem of its image; None if unknown.
 
         Raises:
-            DatasetError: if there is no file of its name, or one of another kind or size.
+            DatasetError: if there is no file of its name, or the file has another kind or size.
         """
         found = {}
         for head, files in self._files.items():
@@ -107,7 +110,7 @@ class Predictions:
 
     @cached_property
     def _files(self) -> Mapping[str, Mapping[str, Path]]:
-        """Head, or "" for files that tell themselves, -> name without suffix -> file."""
+        """For each head, or "" for files that show their kind: the files by name without suffix."""
         below = [head for head in _HEADS if (self.folder / head).is_dir()]
         found = {head: _list_files(self.folder / head) for head in below or [""]}
         if empty := [self.folder / head for head, files in found.items() if not files]:
@@ -116,7 +119,7 @@ class Predictions:
 
     @cached_property
     def _frames(self) -> dict[Path, str]:
-        """File -> the frame that it was read for."""
+        """The frame for which each file was read."""
         return {}
 
     def _read(self, path: Path, sample: Sample) -> NDArray[np.uint8] | NDArray[np.float32]:
@@ -135,7 +138,7 @@ def _list_files(folder: Path) -> dict[str, Path]:
 
 
 def _find(files: Mapping[str, Path], frame: str, image_name: str | None) -> Path | None:
-    """Return the file of a frame: of its whole name, else of its last parts, else of its image."""
+    """Return the file with a frame's whole name, else its last parts, else its image's name."""
     parts = frame.split("/")
     names = ["/".join(parts[first:]) for first in range(len(parts))]
     names += [] if image_name is None else [image_name]

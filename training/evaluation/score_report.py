@@ -1,4 +1,4 @@
-"""Evaluation rows as a table and JSON."""
+"""The rows of an evaluation as a table and as JSON."""
 
 import json
 import math
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Column(NamedTuple):
-    """A figure, shown times `factor`; without --all only if it is a main one."""
+    """A figure, multiplied by `factor` and, without --all, shown only if it is a main one."""
 
     key: str
     title: str
@@ -26,7 +26,7 @@ class Column(NamedTuple):
     main: bool = False
 
     def show(self, figures: Mapping[str, float | None]) -> str:
-        """Return its value; "" where it was not measured."""
+        """Return its value, or "" if it was not measured."""
         value = figures.get(self.key)
         return "" if value is None else f"{value * self.factor:.{self.digits}f}"
 
@@ -39,7 +39,7 @@ def _metres(key: str, title: str, *, main: bool = False) -> Column:
     return Column(key, f"{title} mm", 1000.0, 1, main)
 
 
-#: Columns in order; those without a value are left out. Errors of depth are all in millimetres.
+# Columns in order; those without a value are left out. Errors of depth are in millimetres.
 COLUMNS = (
     _share("miou", "mIoU", main=True),
     _share("category_miou", "mIoU cat"),
@@ -80,9 +80,10 @@ COLUMNS = (
     _share("boundary_f", "boundary F", main=True),
     Column("latency_ms", "an answer ms", 1.0, 1),
 )
-#: Head -> a figure of every set with its ground truth, and the key of that truth in `folders`.
+# For each head: a figure that every set with its ground truth has, and the key of that truth in
+# `folders`.
 _TRUTH = {"semantic": ("miou", "labels"), "depth": ("mae_m", "depth")}
-#: Of that truth, what is not scored.
+# For each such truth: the part of it that is not scored.
 _UNSCORED = {
     "labels": "the labelled images has no class and is not scored",
     "depth": f"the depth is beyond {FARTHEST_M:g} m and not scored; check its unit (depth_scale)",
@@ -91,18 +92,20 @@ _UNSCORED = {
 
 @dataclass(frozen=True)
 class Row:
-    """What one model scored on one set with one LiDAR and one fault.
+    """The score of one model on one set with one LiDAR and one fault.
 
     Attributes:
-        figures: over the pixels of all frames, in SI units and shares; empty without ground truth.
-        places: figures by place, where the set knows the places of its frames and has several.
+        figures: figures over the pixels of all frames, in SI units and shares; empty without ground
+            truth.
+        places: figures by place, if the set knows the places of its frames and has several.
         figures_over_places: the mean over these places, see `scoring.figures_over_places`.
-        heads: what the model answered.
-        labelled: class -> its labelled pixels, and the frames that show it.
-        left_out: classes that are not scored, in words; empty without any.
-        unscored: "labels" or "depth" -> the share of its pixels that is not scored.
-        latency_ms: median time of an answer on this machine, without reading; None = not run.
-        without_focal: frames without a focal length, where the model's distances depend on it.
+        heads: heads that the model answered.
+        labelled: for each class, its labelled pixels, and the number of frames that show it.
+        left_out: classes that are not scored, in words; empty if there are none.
+        unscored: for "labels" or "depth", the share of its pixels that is not scored.
+        latency_ms: median time of an answer on this machine, without reading; None if nothing ran.
+        without_focal: number of frames without a focal length, if the model's distances depend on
+            it.
     """
 
     model: str
@@ -136,15 +139,15 @@ class Row:
 def format_table(
     rows: Sequence[Row], *, all_columns: bool = False, width: int | None = None
 ) -> str:
-    """Lay rows out as Markdown tables, with what could not be scored below them.
+    """Lay out rows as Markdown tables, followed by what could not be scored.
 
-    Figures that no row has are left out. A row with places has a second one, the mean over them.
+    Figures that no row has are left out. A row with places has a second line, the mean over them.
 
     Args:
-        rows: what was scored.
-        all_columns: show every figure, a line a figure and a column a model, not the main ones
-            alone with a line a model.
-        width: characters of the longest line, unless one figure alone takes more; None = any.
+        rows: the scores.
+        all_columns: show every figure, with a line for each figure and a column for each model;
+            otherwise only the main ones are shown, with a line for each model.
+        width: characters of the longest line, unless a single figure needs more; None: any.
     """
     scored = [row for row in rows if row.figures]
     known = [column for column in COLUMNS if any(column.key in row.shown for row in scored)]
@@ -159,7 +162,7 @@ def format_table(
 
 
 def format_differences(differences: "Sequence[Difference]", *, width: int | None = None) -> str:
-    """Lay the differences between models out as a Markdown table, with a verdict in words each."""
+    """Lay out the differences between models as a Markdown table with verdicts in words."""
     lines = []
     for against in dict.fromkeys(item.against for item in differences):
         found = [item for item in differences if item.against == against]
@@ -209,7 +212,7 @@ def table_notes(rows: Sequence[Row]) -> list[str]:
 
 
 def _by_model(rows: Sequence[Row], columns: Sequence[Column], width: int | None) -> list[str]:
-    """Return the lines of a table with a line a row."""
+    """Return a table with a line for each row."""
     titles = ["model", "data", "frames", "LiDAR"]
     titles += ["fault"] if any(row.fault != "none" for row in rows) else []
     cells = [[*titles, *(column.title for column in columns)]]
@@ -223,7 +226,7 @@ def _by_model(rows: Sequence[Row], columns: Sequence[Column], width: int | None)
 
 
 def _by_figure(rows: Sequence[Row], columns: Sequence[Column], width: int | None) -> list[str]:
-    """Return the lines of a table a set and input, with a line a figure."""
+    """Return a table for each set and input, with a line for each figure."""
     lines: list[str] = []
     for key in dict.fromkeys((row.data, row.lidar, row.fault) for row in rows):
         found = [row for row in rows if (row.data, row.lidar, row.fault) == key]
@@ -241,7 +244,7 @@ def _by_figure(rows: Sequence[Row], columns: Sequence[Column], width: int | None
 
 
 def _lines(row: Row) -> list[tuple[str, Mapping[str, float | None]]]:
-    """Return the frames in words and the figures of each line of a row."""
+    """Return the number of frames in words, and the figures, for each line of a row."""
     lines: list[tuple[str, Mapping[str, float | None]]] = [(str(row.frames), row.shown)]
     if row.places:
         lines.append((f"mean over {len(row.places)} places", row.figures_over_places))
@@ -249,7 +252,7 @@ def _lines(row: Row) -> list[tuple[str, Mapping[str, float | None]]]:
 
 
 def _markdown(cells: Sequence[Sequence[str]], keys: int, width: int | None) -> list[str]:
-    """Return a table as lines; one that is too wide is several, each with the first columns."""
+    """Return a table as lines; if it is too wide, several tables that repeat the first columns."""
     widths = [max(len(line[index]) for line in cells) for index in range(len(cells[0]))]
     blocks: list[list[int]] = [[]]
     free = least = (width or 10**9) - 1 - sum(3 + widths[index] for index in range(keys))
@@ -272,10 +275,10 @@ def _markdown(cells: Sequence[Sequence[str]], keys: int, width: int | None) -> l
 
 
 def write_json(rows: Sequence[Row], path: Path, differences: "Sequence[Difference]" = ()) -> None:
-    """Write every figure of every row; one that nothing was measured for is null.
+    """Write every figure of every row; a figure for which nothing was measured is null.
 
-    A row of a model that was compared has "differences": figure -> value, low, high and verdict,
-    and "against", the model that it was compared with.
+    A row whose model was compared has "differences", with value, low, high and verdict of each
+    figure, and "against", the model with which it was compared.
 
     Raises:
         OutputError: if the file cannot be written.

@@ -20,13 +20,13 @@ from training.evaluation.shared_classes import ScoredClasses
 from training.lidar.faults import Fault, add_fault
 from training.lidar.split import LidarInput, LidarSplit, frame_generator, split_lidar
 
-#: A LiDAR input and its fault.
+# A LiDAR input and its fault.
 Feed = tuple[LidarInput, Fault]
 
 
 @dataclass(frozen=True)
 class EvaluatedSet:
-    """A data set that is open, the frames of it that are scored, and their classes."""
+    """An open data set, the frames of it that are scored, and their classes."""
 
     title: str
     source: SampleSource
@@ -64,12 +64,12 @@ class EvaluatedSet:
         return answer._replace(semantic=lookup[answer.semantic])
 
     def image_name(self, index: int) -> str | None:
-        """Return the stem of a frame's image; None where the set does not know its files."""
+        """Return the stem of a frame's image; None if the set does not know its files."""
         images = getattr(self.source, "images", ())
         return images[index].stem if images else None
 
     def group(self, sample: Sample, index: int) -> str:
-        """Return the place or the drive of a frame: frames of one are alike."""
+        """Return the place or the drive of a frame; frames in one group are alike."""
         images = getattr(self.source, "images", ())
         return sample.place or (str(images[index].parent) if images else "")
 
@@ -79,9 +79,9 @@ class FrameScore:
     """What a frame adds to the sums, for differences between models and for the worst frames.
 
     Attributes:
-        index: in the set.
-        name: of the frame.
-        group: its place or drive; "" where none is known.
+        index: index in the set.
+        name: name of the frame.
+        group: its place or drive; "" if unknown.
         confusion: int64 (C, C + 1), see `SemanticScores`.
         depth: float64 (3,), scored pixels, sum of |error| [m] and of its square.
     """
@@ -93,7 +93,7 @@ class FrameScore:
     depth: NDArray[np.float64]
 
     def error(self, head: str) -> float | None:
-        """Return the share of wrong pixels, or the MAE [m]; None where nothing is scored."""
+        """Return the share of wrong pixels, or the MAE [m]; None if nothing is scored."""
         if head == "semantic":
             pixels = self.confusion.sum()
             return float(1 - np.trace(self.confusion) / pixels) if pixels else None
@@ -102,7 +102,7 @@ class FrameScore:
 
 @dataclass(frozen=True)
 class Result:
-    """What one model scored on one set with one input.
+    """The score of one model on one set with one input.
 
     Attributes:
         row: its figures.
@@ -121,7 +121,7 @@ class Result:
 
 @dataclass
 class _Tally:
-    """What one input has scored so far."""
+    """The score of one input so far."""
 
     classes: int
     places: dict[str | None, Scores] = field(default_factory=dict)
@@ -156,18 +156,18 @@ def score_set(
     save: DepthFolder | None = None,
     leave_out_fed: bool = False,
 ) -> list[Result]:
-    """Score a model on a set, see `evaluate`, which describes the arguments.
+    """Score a model on a set; see `evaluate` for the arguments.
 
     Returns:
         A result for each input that the set can give.
 
     Raises:
-        InputError: for a LiDAR that feeds the depth to score, unless it is to be left out.
+        InputError: if a LiDAR feeds the depth to score and is not to be left out.
     """
     tallies = {feed: _Tally(len(data.classes.names)) for feed in feeds}
     labelled, times_ms, without_focal = False, list[float](), 0
     for index in tqdm(data.indices, desc=f"{name}, {data.title}", disable=None):
-        sample, has_labels = data.read(index)  # once: reading it may cost more than an answer
+        sample, has_labels = data.read(index)  # once: it may take longer than an answer
         labelled |= has_labels
         without_focal += sample.focal_length_px is None
         answers: dict[str, HeadMaps] = {}  # all inputs without returns share one answer
@@ -208,7 +208,7 @@ def score_set(
 def split_feeds(
     sample: Sample, index: int, feeds: Sequence[Feed], *, leave_out_fed: bool
 ) -> Iterator[tuple[Feed, str, LidarSplit, NDArray[np.float32]]]:
-    """Yield the inputs that a frame gives: what it is called, the split, and what is fed."""
+    """Yield the inputs that a frame gives: the feed, its name, the split, and what is fed."""
     for feed in feeds:
         lidar, fault = feed
         rng = frame_generator(index)  # the same for every model, whatever the limit
@@ -233,9 +233,9 @@ def split_feeds(
 def _figures(
     total: Scores, places: Mapping[str | None, Scores], names: Sequence[str]
 ) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
-    """Return the figures of a whole set, and those by place where all frames have one."""
+    """Return the figures of a whole set, and those by place if all frames have one."""
     figures = total.figures(names)
-    # One threshold for the whole set, not the best threshold of each place.
+    # The whole set has one threshold; each place would have another best one.
     threshold = figures.get("boundary_threshold")
     by_place = {
         place: part.figures(names, boundary_threshold=threshold)

@@ -1,4 +1,4 @@
-"""A checkpoint, an exported file or a classical method as something that can be scored."""
+"""A checkpoint, an exported file or a classical method, opened so that it can be scored."""
 
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
@@ -30,14 +30,14 @@ from training.evaluation.scoring import HeadMaps, Predict, torch_predict
 
 @dataclass(frozen=True)
 class ScoredModel:
-    """What is ready to predict, and what its file records about it.
+    """A model that is ready to predict, and the facts that its file records.
 
     Attributes:
         predict: answers one frame.
         engine: how it runs: "torch on cpu", "onnxruntime on cpu", "no network".
-        table: the classes whose ids or boundaries it answers, see `trained_classes`; () of neither.
+        table: the classes whose ids or boundaries it answers, see `trained_classes`; () if neither.
         is_canonical: whether its distances depend on the focal length of the frame.
-        recorded: the answers themselves, where there is no network to run.
+        recorded: the answers themselves, if there is no network to run.
     """
 
     predict: Predict
@@ -53,8 +53,8 @@ class ScoredModel:
 
         Args:
             sample: the frame.
-            fed: float32 (H, W) [m], its LiDAR input.
-            image_name: stem of its image, by which recorded answers are found; None = not known.
+            fed: its LiDAR input, float32 (H, W) [m].
+            image_name: stem of its image, by which recorded answers are found; None if unknown.
         """
         if self.recorded is not None:
             return self.recorded.read(sample, image_name)
@@ -62,18 +62,18 @@ class ScoredModel:
 
 
 def trained_classes(classes: tuple[ClassInfo, ...], training: Mapping[str, Any]) -> ClassTable:
-    """The classes a file was trained with: a name in `models.CLASS_TABLES`, or its own table.
+    """Return the classes of a file's training: a name in `models.CLASS_TABLES`, or its own table.
 
-    A network without a semantic head learned the boundaries of these classes, too. CamVid's where
-    the file does not name them.
+    A network without a semantic head learned the boundaries of these classes, too. If the file does
+    not name the classes, they are CamVid's.
 
     Args:
-        classes: of the file's semantic head.
-        training: as the file records it.
+        classes: classes of the file's semantic head.
+        training: facts about the training, as the file records them.
     """
     if not classes:
         return TrainingFacts.from_dict(training).classes
-    names = [info.name for info in classes]  # compare names only: files may have other colours
+    names = [info.name for info in classes]  # files may have other colours
     for name, table in CLASS_TABLES.items():
         if [info.name for info in table] == names:
             return name
@@ -95,23 +95,23 @@ def open_scored_model(
     size: NetworkSize = None,
     adapters: list[Path] | None = None,
 ) -> Iterator[ScoredModel]:
-    """Open `*.pt` through PyTorch, `*.onnx` through the engine that ships.
+    """Open `*.pt` with PyTorch, and `*.onnx` with the engine.
 
-    An `*.onnx` of others runs in ONNX Runtime as its adapter says, see `open_foreign`.
+    An `*.onnx` of others runs in ONNX Runtime according to its adapter, see `open_foreign`.
 
     Args:
         path: a checkpoint or an exported model.
         device: "cpu", "cuda" or "cuda:N".
-        threads: of the processor.
-        size: at which it runs, as `Predictor` takes it.
-        adapters: those of networks of others; the first is taken out if this is one.
+        threads: threads of the processor.
+        size: size at which it runs, as `Predictor` takes it.
+        adapters: adapters of networks of others; if this is such a network, the first is removed.
 
     Yields:
         The model; an exported one is closed at the end.
 
     Raises:
-        InputError: for another kind of file, a missing device or an invalid size.
-        CheckpointError, ContractError, ProviderError: for what cannot be opened.
+        InputError: if the file has another kind, the device is missing, or the size is invalid.
+        CheckpointError, ContractError, ProviderError: if the file cannot be opened.
     """
     if path.suffix == ".pt":
         torch.set_num_threads(threads)
@@ -162,7 +162,7 @@ def open_method(name: str) -> ScoredModel:
     """Open a classical method of depth completion by its name in `METHODS`.
 
     Raises:
-        InputError: for an unknown name.
+        InputError: if the name is unknown.
     """
     return ScoredModel(method_predict(create_method(name)), "no network")
 
@@ -171,7 +171,7 @@ def open_predictions(text: str) -> ScoredModel:
     """Open a folder of answers, DIR[,KEY=VALUE...], see `Predictions`.
 
     Raises:
-        InputError, DatasetError: for other keys, and what is no folder.
+        InputError, DatasetError: if a key is unknown, or there is no such folder.
     """
     recorded = Predictions.parse(text)
 
@@ -184,8 +184,8 @@ def open_predictions(text: str) -> ScoredModel:
 def method_predict(method: CompletionMethod) -> Predict:
     """Return a classical method as a predictor.
 
-    What is negative, not finite or beyond `FARTHEST_M` is no measurement. A depth of 0, no answer,
-    is scored as a depth.
+    Negative, not finite and farther values than `FARTHEST_M` are no measurement. A depth of 0, no
+    answer, is scored as a depth.
     """
 
     def predict(

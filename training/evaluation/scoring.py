@@ -49,23 +49,23 @@ class HeadMaps(NamedTuple):
 
     @property
     def heads(self) -> dict[str, NDArray[Any]]:
-        """Head -> answer, for heads with an answer."""
+        """The answers by head, for heads with an answer."""
         return {head: values for head, values in self._asdict().items() if values is not None}
 
 
-#: (rgb uint8 (H, W, 3), sparse_depth float32 (H, W) [m], focal length [px of this image] or None =
-#: unknown) -> answer at the same size.
+# Arguments: rgb uint8 (H, W, 3), sparse_depth float32 (H, W) [m], and the focal length [px of this
+# image] or None if it is unknown. Returns the answer at the same size.
 Predict = Callable[[NDArray[np.uint8], NDArray[np.float32], float | None], HeadMaps]
 
 
 def torch_predict(
     network: Network, *, size_for: Callable[[Size], Size] = lambda size: size
 ) -> Predict:
-    """Return the PyTorch network as a predictor that treats a frame as the engine does.
+    """Return the PyTorch network as a predictor that treats a frame like the engine does.
 
     Args:
-        network: is put into evaluation mode.
-        size_for: frame size -> size at which the network runs, both (height, width).
+        network: the network, which is put into evaluation mode.
+        size_for: size at which the network runs for a frame size, both (height, width).
     """
     network.eval()
     config = network.config
@@ -105,7 +105,7 @@ def torch_predict(
 
 
 class Scores(Accumulator):
-    """Counts of a whole set, a part each head; a part without any target stays empty."""
+    """Counts of a whole set, with a part for each head; a part without any target stays empty."""
 
     def __init__(self, num_classes: int) -> None:
         self.frames = 0
@@ -139,7 +139,7 @@ class Scores(Accumulator):
             self.boundary.update(answer.boundary, sample.semantic)
 
     def labelled(self, class_names: Sequence[str]) -> dict[str, tuple[int, int]]:
-        """Return class -> labelled pixels, and frames that show it, of those that are labelled."""
+        """Return labelled pixels, and frames that show it, for each class that is labelled."""
         pixels, frames = self.semantic.confusion.sum(axis=1), self.semantic.frames
         counts = zip(class_names, pixels.tolist(), frames.tolist(), strict=True)
         return {name: (n, shown) for name, n, shown in counts if n}
@@ -152,11 +152,11 @@ class Scores(Accumulator):
     def figures(
         self, class_names: Sequence[str] = (), *, boundary_threshold: float | None = None
     ) -> dict[str, float]:
-        """Return the scores as named numbers: shares 0..1, metres, 1/km, pixels.
+        """Return the scores as named numbers: shares in 0..1, metres, 1/km, pixels.
 
         Args:
-            class_names: of the ids; without them there is no IoU of single classes.
-            boundary_threshold: one of `BOUNDARY_THRESHOLDS`; None = that of the best F-score.
+            class_names: names of the classes; without them there is no IoU of single classes.
+            boundary_threshold: one of `BOUNDARY_THRESHOLDS`; None: that of the best F-score.
         """
         return {
             **self.semantic.figures(class_names),
@@ -170,7 +170,7 @@ class Scores(Accumulator):
 
 
 def scored_classes(figures: Mapping[str, float]) -> str:
-    """Return over how many classes the mIoU of `Scores.figures` is, in words; "" for all."""
+    """Return, in words, the classes over which `Scores.figures` has the mIoU; "" for all."""
     ious = [value for key, value in figures.items() if key.startswith("iou_")]
     known = sum(not math.isnan(value) for value in ious)
     return f" over {known} of {len(ious)} classes" if known < len(ious) else ""
@@ -179,7 +179,7 @@ def scored_classes(figures: Mapping[str, float]) -> str:
 def figures_over_places(places: Iterable[Mapping[str, float]]) -> dict[str, float]:
     """Return the mean of each figure over the places that have it.
 
-    All places have the same weight, however many of the frames show them.
+    All places have the same weight, however many frames show them.
     """
     values: dict[str, list[float]] = {}
     for place in places:
@@ -204,7 +204,7 @@ def split_frames(
     """Split frames of a set, each with its own random numbers, see `split_lidar`.
 
     Raises:
-        InputError: for a LiDAR that the set cannot give.
+        InputError: if the set cannot give the LiDAR.
     """
     for index in indices:
         sample = source[index]
@@ -222,10 +222,10 @@ def split_frames(
 def figure_names(
     network: Network, source: SampleSource, indices: Iterable[int], lidar: LidarInput
 ) -> list[str]:
-    """Return the names of the figures that a network gets on frames of a set; it does not run.
+    """Return the names of the figures that a network gets on frames of a set, without running it.
 
     Raises:
-        InputError: for a LiDAR that a frame cannot give.
+        InputError: if a frame cannot give the LiDAR.
     """
 
     def answer(rgb: NDArray[np.uint8], _: object, __: object) -> HeadMaps:
@@ -249,16 +249,16 @@ def score_sources(
     Every process scores its share of the frames and gets the figures of all.
 
     Args:
-        network: is put into evaluation mode.
-        sources: sets by name.
-        processes: of this training.
-        lidar: what is fed.
+        network: the network, which is put into evaluation mode.
+        sources: the sets by name.
+        processes: processes of this training.
+        lidar: the input that is fed.
 
     Returns:
         The figures of each set, see `Scores.figures`.
 
     Raises:
-        InputError: for a LiDAR that a set cannot give.
+        InputError: if a set cannot give the LiDAR.
     """
     predict = torch_predict(network)
     names = [info.name for info in network.config.classes]

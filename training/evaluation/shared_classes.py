@@ -13,13 +13,13 @@ from training.datasets.source_recipe import SourceRecipe
 
 @dataclass(frozen=True)
 class ScoredClasses:
-    """The classes that all models are scored in on a set, by their names.
+    """The classes in which all models are scored on a set, by their names.
 
     Attributes:
-        table: that the set is opened with.
-        names: of the classes that it and every model with classes have.
-        left_out: the other classes in words; empty without any.
-        joined: class in lower case -> the class that it counts as.
+        table: the table with which the set is opened.
+        names: names of the classes that the set and every model with classes have.
+        left_out: the other classes in words; empty if there are none.
+        joined: for each class, in lower case, the class that it counts as.
     """
 
     table: ClassTable
@@ -44,17 +44,17 @@ def share_classes(
     ids: ClassTable | None = None,
     joined: Mapping[str, str] | None = None,
 ) -> ScoredClasses:
-    """Return the classes of a set that models are scored in.
+    """Return the classes of a set in which models are scored.
 
-    Those of the models' table if all have the same and the labels are mapped to it, else those that
-    the set and every model have by name, in any case.
+    If all models have the same table and the labels are mapped to it, these are its classes.
+    Otherwise they are the classes whose names, in any case of letters, the set and every model
+    have.
 
     Args:
-        recipe: of the set.
-        title: of the set.
-        tables: model -> its class table, of the models that have one.
-        ids: what the labels of a set are if its recipe names no classes; None = those of the
-            models.
+        recipe: recipe of the set.
+        title: title of the set.
+        tables: class tables of the models that have one.
+        ids: the classes of labels whose recipe names none; None: those of the models.
         joined: see `join_names`.
 
     Raises:
@@ -94,14 +94,15 @@ def share_classes(
 
 
 def join_names(groups: Mapping[str, Sequence[str]], tables: Iterable[ClassTable]) -> dict[str, str]:
-    """Return class in lower case -> the class of `groups` that it counts as.
+    """Return, for each class in lower case, the class of `groups` that it counts as.
 
     Args:
-        groups: class -> the classes that count as it, such as `vehicle = ["car", "truck"]`.
-        tables: of the sets and models, to find names that none of them has.
+        groups: for each joint class, the classes that count as it, such as `vehicle = ["car",
+            "truck"]`.
+        tables: tables of the sets and models, to find names that none of them has.
 
     Raises:
-        InputError: for a class in two groups, or one that no set and no model has.
+        InputError: if a class is in two groups, or if no set and no model has it.
     """
     known = {info.name.lower() for table in tables for info in list_classes(table)}
     joined: dict[str, str] = {}

@@ -5,26 +5,26 @@ from numpy.typing import NDArray
 
 from training.evaluation.metrics import Accumulator, scored
 
-#: Shares of a Laplace distribution within one and two of its scales b: 1 - exp(-1), 1 - exp(-2).
+# Shares of a Laplace distribution within one and two of its scales b: 1 - exp(-1), 1 - exp(-2).
 LAPLACE_COVERAGE = (0.632, 0.865)
 
-#: Shares of the pixels, the most confident, whose error is reported.
+# Shares of the pixels, the most confident ones, whose error is reported.
 SHARES = (0.5, 0.8, 1.0)
 
-# Bins of the uncertainty, equal in its logarithm: neighbours differ by 0.3 %.
+# Bins of the uncertainty, equal in its logarithm; neighbours differ by 0.3 %.
 _LOWEST_M, _HIGHEST_M, _BINS = 1e-3, 1e3, 4096
 
 
 class UncertaintyScores(Accumulator):
     """Error of the most confident shares of the pixels of all frames together, and coverage.
 
-    Over the same pixels as `DepthScores`. The pixels of all frames are ranked together by a
-    histogram of `_BINS` bins over the logarithm of the uncertainty, so that memory is bounded. Of
-    the bin in which a share ends, a part is taken, as if its pixels had equal errors.
+    The pixels are those of `DepthScores`. The pixels of all frames are ranked together with a
+    histogram of `_BINS` bins over the logarithm of the uncertainty, so that memory is bounded. If a
+    share ends within a bin, a part of the bin is taken, as if its pixels had equal errors.
     """
 
     def __init__(self) -> None:
-        # Columns: pixels, sum |e|.
+        # The columns are number of pixels and sum |e|.
         self._bins = np.zeros((_BINS, 2))
         self._within = np.zeros(2)  # pixels whose error is at most one and two scales
 
@@ -67,9 +67,9 @@ class UncertaintyScores(Accumulator):
         return list(zip(scale.tolist(), error.tolist(), strict=True))
 
     def figures(self) -> dict[str, float]:
-        """Return the errors [m] of the confident pixels, and shares of the errors by their scale.
+        """Return the errors [m] of the confident pixels, and the coverage of the errors.
 
-        coverage_1 and coverage_2: within one and two scales, see `LAPLACE_COVERAGE`.
+        coverage_1 and coverage_2 are the shares within one and two scales, see `LAPLACE_COVERAGE`.
         """
         pixels = self._bins[:, 0].sum()
         if not pixels:

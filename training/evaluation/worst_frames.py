@@ -20,10 +20,10 @@ from training.evaluation.scoring import HeadMaps
 from training.evaluation.shared_classes import ScoredClasses
 
 _WIDEST, _QUALITY = 420, 80  # of a panel
-#: Depth is wrong from this share of the true depth on.
+# Depth is wrong from this share of the true depth on.
 WRONG_SHARE = 0.1
 _GOLDEN = 0.618  # of a turn of the hue, between two classes without a colour
-#: BGR of what is right, and of what the model, the other and both have wrong.
+# BGR colours of right pixels, and of those that the model, the other and both have wrong.
 _RIGHT, _WRONG, _OTHER_WRONG, _BOTH_WRONG = (
     (90, 90, 90),
     (60, 60, 235),
@@ -37,15 +37,15 @@ class WorstFrame:
     """A frame with a large error of a model.
 
     Attributes:
-        model: whose error it is.
-        other: the model that is drawn beside; "" = none.
+        model: the model with the error.
+        other: the model that is drawn beside it; "" if there is none.
         data: the set.
-        lidar: the input.
+        lidar: the LiDAR input.
         head: "semantic" or "depth".
-        name: of the frame.
+        name: name of the frame.
         error: share of wrong pixels, or MAE [m].
-        other_error: of the other model; None = there is none.
-        panels: title -> picture, JPEG.
+        other_error: error of the other model; None if there is none.
+        panels: JPEG pictures by title.
         legend: name and colour (red, green, blue) of the classes; () for the depth.
     """
 
@@ -70,13 +70,13 @@ def draw_worst(
 ) -> Iterator[WorstFrame]:
     """Draw the frames with the largest errors of each model, set and head, with the first input.
 
-    Beside each model the first one is drawn, beside the first the second.
+    The first model is drawn beside each other model, and the second beside the first.
 
     Args:
         results: see `compare`.
-        models: title -> model, open.
-        sets: open.
-        count: of frames.
+        models: the open models by title.
+        sets: the open sets.
+        count: number of frames.
     """
     for data in sets:
         found = [result for result in results if result.row.data == data.title]
@@ -174,7 +174,7 @@ def _dots(depth: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def class_colors(classes: ScoredClasses) -> tuple[ClassInfo, ...]:
-    """Return the scored classes with the colours of the set, or with colours of their own."""
+    """Return the scored classes with the colours of the set, or with generated ones."""
     known = {info.name.lower(): info.color for info in list_classes(classes.table)}
     found = []
     for at, name in enumerate(classes.names):

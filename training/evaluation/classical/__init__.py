@@ -1,6 +1,6 @@
-"""Classical depth completion, without training: what a network has to beat.
+"""Classical depth completion without training: what a network has to beat.
 
-Each method is a file with a frozen dataclass of its settings; `METHODS` names all of them.
+Each method is a file with a frozen dataclass of its settings. `METHODS` names all of them.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from training.evaluation.classical.tgv import TGV
 
 __all__ = ["METHODS", "CompletionMethod", "create_method"]
 
-#: Name -> what makes the method with its default settings; a new method is a line here.
+# What makes each method with its default settings; a new method is a line here.
 METHODS: dict[str, Callable[[], CompletionMethod]] = {
     "nearest": Nearest,
     "linear": Linear,
@@ -33,7 +33,7 @@ def create_method(name: str) -> CompletionMethod:
     """Make a method of `METHODS` with its default settings.
 
     Raises:
-        InputError: for an unknown name.
+        InputError: if the name is unknown.
     """
     if name not in METHODS:
         raise InputError(f"unknown method {shown(name)}; known: {', '.join(METHODS)}")

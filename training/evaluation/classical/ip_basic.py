@@ -1,10 +1,11 @@
-"""IP-Basic: depth completion by morphology alone.
+"""IP-Basic: depth completion with morphology alone.
 
 Ku, Harakeh and Waslander, "In Defense of Classical Image Processing: Fast Depth Completion on the
-CPU", Conference on Computer and Robot Vision 2018, with its kernels, chosen for KITTI's 64 lines.
+CPU", Conference on Computer and Robot Vision 2018. The kernels are those of the paper, chosen for
+KITTI's 64 lines.
 
-Depth is inverted first (100 m minus depth), so that near surfaces win over far ones in a
-dilation, which is a local maximum. "Inverted" below is that depth; 0 in it is unknown.
+Depth is inverted first (100 m minus depth), so that near surfaces win over far ones in a dilation,
+which is a local maximum. "Inverted" below means this depth; 0 in it is unknown.
 """
 
 from dataclasses import dataclass
@@ -16,10 +17,10 @@ from numpy.typing import NDArray
 
 from training.evaluation.classical.method import Depth
 
-#: Nearer, and at the other and beyond it, is no measurement; an inverted depth below the first is
-#: unknown (Ku et al.).
+# Nearest and farthest measurement; nearer depths, and depths from the second on, are none. An
+# inverted depth below the first is unknown (Ku et al.).
 _MEASURED_M, _FARTHEST_M = 0.1, 100.0
-#: Where "near" and "medium" depths end, which are dilated apart [m].
+# Ends of the ranges "near" and "medium" [m], which are dilated separately.
 _NEAR_M, _MEDIUM_M = 15.0, 30.0
 _BILATERAL_SIGMA_M, _BILATERAL_SIGMA_PX = 1.5, 2.0
 
@@ -28,10 +29,11 @@ _BILATERAL_SIGMA_M, _BILATERAL_SIGMA_PX = 1.5, 2.0
 class IPBasic:
     """The fast variant, which gives the paper's result: about a dozen OpenCV filters.
 
-    Dilation by a diamond, closing of small holes, filling of larger ones, continuation of every
-    column up to the top of the image, filling of the largest, median, blur. There is depth in reach
-    of the kernels (20 px from a return along rows and columns), and in all of a column above that,
-    0 elsewhere. The blur is Gaussian, for the lowest RMSE. The image is not used.
+    The steps are: dilation with a diamond, closing of small holes, filling of larger ones,
+    continuation of every column up to the top of the image, filling of the largest holes, median,
+    blur. Depth is filled within reach of the kernels (20 px from a return along rows and columns)
+    and in the whole column above that; it is 0 elsewhere. The blur is Gaussian, for the lowest
+    RMSE. The image is not used.
     """
 
     def complete(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:
@@ -46,13 +48,13 @@ class IPBasic:
         return depth.astype(np.float32)
 
     def _fill(self, start: Depth) -> MatLike:
-        """Fill what is unknown of an inverted depth."""
+        """Fill the unknown pixels of an inverted depth."""
         inverted = cv2.dilate(start, cv2.getStructuringElement(cv2.MORPH_DIAMOND, (5, 5)))
         inverted = cv2.morphologyEx(inverted, cv2.MORPH_CLOSE, _full(5))
         inverted = _fill_unknown(inverted, _full(7))
         inverted = _fill_unknown(_extend_to_top(inverted), _full(31))
-        # As published, median and blur include the zeros of unknown pixels: the two outermost known
-        # pixels get too large depths.
+        # As published, median and blur include the zeros of unknown pixels, so the depths of the
+        # two outermost known pixels become too large.
         return cv2.medianBlur(inverted, 5)
 
     def _blur(self, inverted: MatLike) -> MatLike:
@@ -61,17 +63,17 @@ class IPBasic:
 
 @dataclass(frozen=True)
 class IPBasicMultiscale(IPBasic):
-    """A slower variant with a dilation a range of depths and removal of noise.
+    """A slower variant that dilates each range of depths separately and removes noise.
 
-    It follows the variant that the authors' code offers beside the paper's, with two differences:
+    It follows the variant that the authors' code offers besides the paper's, with two differences:
     the bilateral blur has a sigma of 1.5 m of depth (0.5 m there), and a column without any depth
-    stays without.
+    stays empty.
 
-    Near things, whose returns lie far apart, are dilated by a larger cross than far ones, so that
-    thin far things keep their width: 7 px to 15 m, 5 px to 30 m, 3 px beyond. The median that
-    follows drops a return far from all others as noise; a frame of such returns has no depth. Then
-    holes are filled, step by step, by up to 16 px. A column is continued to the top. The blur keeps
-    edges.
+    Near things, whose returns are far apart, are dilated with a larger cross than far ones, so that
+    thin far things keep their width: 7 px up to 15 m, 5 px up to 30 m, 3 px beyond. The median that
+    follows removes a return far from all others as noise; a frame with only such returns has no
+    depth. Then holes are filled, step by step, by up to 16 px. Columns are continued to the top.
+    The blur keeps edges.
     """
 
     def _fill(self, start: Depth) -> MatLike:
@@ -91,7 +93,7 @@ class IPBasicMultiscale(IPBasic):
 
 
 def _dilate_by_range(inverted: Depth) -> MatLike:
-    """Dilate far, medium and near depths apart; near ones replace medium ones and far ones."""
+    """Dilate far, medium and near depths separately; near ones replace medium and far ones."""
     depth = _FARTHEST_M - inverted
     combined: MatLike = np.zeros_like(inverted)
     for size, chosen in (
@@ -123,9 +125,9 @@ def _where_known(inverted: MatLike, changed: MatLike) -> MatLike:
 
 
 def _extend_to_top(inverted: MatLike) -> MatLike:
-    """Continue every column upwards from its topmost value; LiDAR sees nothing above it."""
+    """Continue every column upwards from its topmost value, because LiDAR sees nothing above it."""
     known = inverted > _MEASURED_M
-    top = np.argmax(known, axis=0)  # 0 in a column without any value: nothing to continue there
+    top = np.argmax(known, axis=0)  # 0 in a column without any value, where nothing is continued
     top_value = inverted[top, np.arange(inverted.shape[1])]
     above = np.arange(inverted.shape[0])[:, None] < top
     return np.where(above, top_value, inverted)

@@ -1,4 +1,4 @@
-"""Linear interpolation of inverse depth: exact on planes, the reference of what is learned."""
+"""Linear interpolation of inverse depth: exact on planes, the reference for learned methods."""
 
 from dataclasses import dataclass
 
@@ -8,16 +8,16 @@ from numpy.typing import NDArray
 from training.evaluation.classical.method import Depth, is_measured
 from training.evaluation.classical.nearest import Nearest
 
-#: Returns that span a triangle.
+# Number of returns that span a triangle.
 _FEWEST = 3
 
 
 @dataclass(frozen=True)
 class Linear:
-    """Inverse depth is interpolated linearly on Delaunay's triangulation of the returns, by SciPy.
+    """Inverse depth interpolated linearly on SciPy's Delaunay triangulation of the returns.
 
-    A plane is an affine function of the pixel in inverse depth, so planes are exact. Outside of
-    the triangles, and where all returns lie on one line, `Nearest` fills. The image is not used.
+    In inverse depth a plane is an affine function of the pixel, so planes are exact. Outside the
+    triangles, and if all returns lie on one line, `Nearest` fills. The image is not used.
     """
 
     def complete(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:

@@ -15,20 +15,21 @@ from numpy.typing import NDArray
 
 from training.evaluation.classical.method import Depth, is_measured
 
-#: Least weight of neighbours: with exp() of very different colours a region would be isolated.
+# Least weight of neighbours; with exp() of very different colours a region would be isolated.
 _LEAST_WEIGHT = 1e-4
 
 
 @dataclass(frozen=True)
 class MRF:
-    """The Markov random field, by one direct solution of its sparse linear system with SciPy.
+    """The Markov random field, solved directly as a sparse linear system with SciPy.
 
     The paper iterates by conjugate gradients; the direct solution is the same minimum without a
-    tolerance. It takes seconds and about 1.3 GB a megapixel. Each depth is a weighted mean of
-    returns, so it lies between the smallest and the largest. One return fills the frame.
+    tolerance. It takes seconds and about 1.3 GB per megapixel. Each depth is a weighted mean of
+    returns, so it lies between the smallest and the largest return. A single return fills the
+    frame.
 
     Attributes:
-        data_weight: k of the paper, against weights of at most 1.
+        data_weight: k of the paper; the weights of neighbours are at most 1.
         edge_sharpness: c of the paper; 1000 halves a weight at 7 grey values of one colour.
     """
 

@@ -13,11 +13,11 @@ _MASK_SIZE = 5
 
 @dataclass(frozen=True)
 class Nearest:
-    """Each pixel takes the depth of the nearest return, by OpenCV's distance transform with labels.
+    """Each pixel takes the depth of the nearest return, with OpenCV's labelled distance transform.
 
-    The distance is Euclidean, approximated by a chamfer mask of 5 x 5 (Borgefors 1986): the return
-    taken is at most 5 % farther away than the nearest one. One return fills the frame. The image is
-    not used.
+    The distance is Euclidean, approximated by a chamfer mask of 5 x 5 (Borgefors 1986), so the
+    return may be at most 5 % farther away than the nearest one. A single return fills the frame.
+    The image is not used.
     """
 
     def complete(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:

@@ -1,4 +1,4 @@
-"""Planes fitted to the returns around each cell: what the returns alone tell of depth."""
+"""Planes fitted to the returns around each cell: the depth that follows from returns alone."""
 
 from dataclasses import dataclass
 
@@ -10,10 +10,10 @@ from training.evaluation.classical.method import Depth, is_measured
 
 @dataclass(frozen=True)
 class Planes:
-    """Planes that pass through the returns on them, see `models.planes`: ssdnet's base.
+    """Planes through the returns that lie on them, see `models.planes`: the base of ssdnet.
 
-    Exact on planes, whatever the pattern of the returns, and between the returns around. Each
-    return keeps its depth. The image is not used; a pixel without any return within 190 px has no
+    They are exact on planes, whatever the pattern of the returns, in between the returns. Each
+    return keeps its depth. The image is not used. A pixel without any return within 190 px has no
     depth.
     """
 
@@ -29,14 +29,14 @@ class Planes:
         if not measured.any():
             return np.zeros(sparse_depth.shape, dtype=np.float32)
         known = np.where(measured, sparse_depth, np.float32(np.inf))
-        farthest = sparse_depth[measured].max()  # as the unit: inverse depths are at least 1
+        farthest = sparse_depth[measured].max()  # the unit; inverse depths are at least 1
         inverse = torch.from_numpy(farthest / known)[None, None]
         mask = torch.from_numpy(measured.astype(np.float32))[None, None]
         with torch.inference_mode():
             inverse, mask = (pad_to_multiple(x, CELL * 2**LEVELS) for x in (inverse, mask))
             both = torch.cat([inverse, mask / inverse.clamp(min=1.0)], dim=1)
             plane, base, _ = fit_base(inverse, mask, cell_maxima(both, CELL))
-            # Cells without a plane have no share in the mean.
+            # Cells without a plane do not contribute to the mean.
             reached = upsample((plane > 0).to(plane.dtype), factor=CELL // BASE_CELL)
             maps = upsample(torch.cat([base, reached.clamp(min=1e-6)], dim=1), factor=BASE_CELL)
             height, width = sparse_depth.shape

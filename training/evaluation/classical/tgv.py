@@ -22,28 +22,28 @@ from runtime.contract.resize import move_returns, resize_image
 from training.evaluation.classical.method import Depth, is_measured
 from training.evaluation.classical.nearest import Nearest
 
-_COARSEST_SIDE = 24  # of the pyramid that the iterations start on
-# |a| + |c| of the symmetric tensor [[a, c], [c, b]] is at most (1 + sqrt 2) / 2.
+_COARSEST_SIDE = 24  # of the pyramid on which the iterations start
+# For the symmetric tensor [[a, c], [c, b]], |a| + |c| is at most (1 + sqrt 2) / 2.
 _TENSOR_NORM = 1.21
 
 
 @dataclass(frozen=True)
 class TGV:
-    """Anisotropic total generalised variation by primal-dual iterations.
+    """Anisotropic total generalised variation with primal-dual iterations.
 
     The iterations are those of Chambolle and Pock 2011 with the step sizes of Pock and Chambolle
-    2011, in float32. They start at the bottom of a pyramid with the nearest filling, and on each
-    level with the result of the level below: a gap of many pixels would need thousands of
-    iterations on the finest level alone. The depth lies between the smallest and the largest
-    return. One return fills the frame.
+    2011, in float32. They start at the coarsest level of a pyramid with the nearest filling, and on
+    each other level with the result of the coarser one, because a gap of many pixels would need
+    thousands of iterations on the finest level alone. The depth lies between the smallest and the
+    largest return. A single return fills the frame.
 
     Attributes:
         smoothness: cost of a step of the depth [1/m], alpha_1 of the paper.
         slope_smoothness: cost of a change of its slope [1/m], alpha_0.
-        data_weight: of the squared error at returns [1/m^2]; all returns count alike.
-        edge_sharpness: beta, of grey values 0..1.
-        edge_exponent: gamma, of the same.
-        iterations: on each level of the pyramid.
+        data_weight: weight of the squared error at returns [1/m^2]; all returns have the same.
+        edge_sharpness: beta, for grey values in 0..1.
+        edge_exponent: gamma, for the same values.
+        iterations: number of iterations on each level of the pyramid.
     """
 
     smoothness: float = 0.1
@@ -107,17 +107,17 @@ class TGV:
 
 
 def edge_tensor(rgb: NDArray[np.uint8], method: TGV) -> NDArray[np.float32]:
-    """T^(1/2) of each pixel, symmetric: its entries xx, yy and xy as float32 (3, H, W)."""
+    """Return T^(1/2) of each pixel, symmetric: its entries xx, yy and xy as float32 (3, H, W)."""
     grey = np.divide(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), 255, dtype=np.float32)
     gradient = _gradient(grey)
     length = np.sqrt(np.square(gradient).sum(axis=0))
-    x, y = gradient / np.maximum(length, 1e-6)  # (0, 0) for a flat pixel: isotropic
+    x, y = gradient / np.maximum(length, 1e-6)  # (0, 0), which is isotropic, for a flat pixel
     across = 1 - np.exp(-method.edge_sharpness * length**method.edge_exponent)
     return np.stack([1 - across * x * x, 1 - across * y * y, -across * x * y])
 
 
 def _gradient(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Forward differences along x and y, (2, ..., H, W), 0 at the last column or row."""
+    """Return forward differences along x and y, (2, ..., H, W), 0 at the last column or row."""
     gradient = np.zeros((2, *values.shape), dtype=np.float32)
     np.subtract(values[..., 1:], values[..., :-1], out=gradient[0][..., :-1])
     np.subtract(values[..., 1:, :], values[..., :-1, :], out=gradient[1][..., :-1, :])
@@ -125,7 +125,7 @@ def _gradient(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _gradient_adjoint(field: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The adjoint of `_gradient`: (2, ..., H, W) to (..., H, W); minus the divergence."""
+    """Return the adjoint of `_gradient`, the negative divergence, (2, ..., H, W) to (..., H, W)."""
     sums = np.zeros(field.shape[1:], dtype=np.float32)
     sums[..., 1:] += field[0][..., :-1]
     sums[..., :-1] -= field[0][..., :-1]
@@ -135,13 +135,13 @@ def _gradient_adjoint(field: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _multiply(tensor: NDArray[np.float32], field: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The symmetric tensor (3, H, W) times a vector field (2, H, W)."""
+    """Multiply the symmetric tensor (3, H, W) with a vector field (2, H, W)."""
     xx, yy, xy = tensor
     return np.stack([xx * field[0] + xy * field[1], xy * field[0] + yy * field[1]])
 
 
 def _has_successor(shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """1 where `_gradient` has a difference, else 0, (2, H, W): beyond the border v is free."""
+    """Return 1 where `_gradient` has a difference, else 0, as v is free there: (2, H, W)."""
     inside = np.ones((2, *shape), dtype=np.float32)
     inside[0][:, -1] = 0
     inside[1][-1] = 0
