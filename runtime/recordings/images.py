@@ -21,6 +21,16 @@ from runtime.recordings.orientation import check_exif
 RGB_SUFFIXES = (".png", ".jpg", ".jpeg")
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")
 KITTI_DEPTH_SCALE = 256.0  # units per metre; Virtual KITTI uses 100
+# Words in the names of topics and folders whose pictures are not in colour, and whose 16 bits or
+# floats are not depth: of infrared cameras, unless "depth" is a word, too, and of what is measured
+# or computed beside depth.
+_INFRARED = re.compile(
+    r"(?<![a-z])((|n|sw|mw|lw)ir|(infra|therm|nearir|flir|lepton|boson)[a-z]*)(?![a-z])"
+)
+_NOT_DEPTH = re.compile(
+    r"(?<![a-z])(amplitude|intensity|confidence|signal|uncertainty|variance|flow|"
+    r"(reflec|disparity|semantic|segment|label|instance)[a-z]*)(?![a-z])"
+)
 _PNG_START = b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR"
 _JPEG_START = b"\xff\xd8"
 # Codes of JPEG markers (ITU-T T.81, table B.1). A marker is the byte 0xFF followed by its code.
@@ -28,6 +38,14 @@ _MARKER = re.compile(rb"\xff([^\x00\xff])")
 _START_OF_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _NO_SEGMENT = frozenset({0x01, *range(0xD0, 0xD8)})
 _MAX_SEGMENTS = 1000  # segments before the one with the size; a colour profile takes up to 255
+
+
+def may_be_depth(name: str) -> bool:
+    """Return whether the images of a topic or folder may be depth or a colour image, by name."""
+    name = name.lower()
+    if _NOT_DEPTH.search(name):
+        return False
+    return "depth" in re.split("[^a-z]", name) or not _INFRARED.search(name)
 
 
 def read_rgb(path: Path) -> NDArray[np.uint8]:

@@ -10,7 +10,7 @@ from runtime.base.errors import InputError
 from runtime.geometry.calibration import find_raw_calibration
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.folders import FolderSource, list_entries
-from runtime.recordings.images import DEPTH_SUFFIXES, RGB_SUFFIXES, list_files
+from runtime.recordings.images import DEPTH_SUFFIXES, RGB_SUFFIXES, list_files, may_be_depth
 from runtime.recordings.scan import SCAN_SUFFIXES
 
 # How the names of the folders begin:
@@ -115,7 +115,9 @@ class OneFolderSource(FolderSource):
                 rig = replace(rig, calibration=_find_calibration(path, of_scans=scans))
         super().__init__(rgb, rig, **options)
         for folder in unread:
-            self._note(f"guessed: {folder.name}/ is not the depth, nor read; --points names it")
+            self._note(
+                f"guessed: {folder.name}/ is not read; --rgb, --depth and --points name folders"
+            )
 
     @staticmethod
     def accepts(path: Path) -> bool:
@@ -132,11 +134,11 @@ class OneFolderSource(FolderSource):
         depths = super()._list_depths(folder)
         if not self._is_beside or self._has_scans or _holds(folder, _JPEG):
             return depths
-        return {stem: path for stem, path in depths.items() if _MAP in stem.lower()}
+        return {s: path for s, path in depths.items() if _MAP in s.lower() and may_be_depth(s)}
 
 
 def _find_folders(path: Path) -> list[Path] | None:
-    """Folders of [images, depth maps or scans, scans that are not read]; None if one is missing.
+    """Folders of [images, depth maps or scans, others that are not read]; None if one is missing.
 
     Raises InputError if the choice is ambiguous.
     """
@@ -145,13 +147,16 @@ def _find_folders(path: Path) -> list[Path] | None:
         [folder for folder in folders if folder.name.lower().startswith(kind)]
         for kind in (_IMAGES, _MAPS, _SCANS)
     )
+    unlike = [folder for folder in images + maps + scans if not may_be_depth(folder.name)]
+    maps, scans = ([each for each in found if each not in unlike] for found in (maps, scans))
+    images = [folder for folder in images if folder not in unlike] or images
     others = maps or scans
     if len(images) + len(others) > 2 and images and others:
         names = ", ".join(folder.name for folder in images + others)
         raise InputError(
             f"{path} holds {names}: choose two folders by --rgb and --depth or --points"
         )
-    unread = scans if maps else []
+    unread = [*(scans if maps else []), *(each for each in unlike if each not in images)]
     return [images[0], others[0], *unread] if images and others else None
 
 

@@ -1,11 +1,11 @@
 """The topics of a bag by content: images, depth, or neither unless an option names them."""
 
 import contextlib
-import re
 from enum import StrEnum
 
 from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume
+from runtime.recordings.images import may_be_depth
 from runtime.recordings.ros_bag import RosBag
 from runtime.recordings.ros_camera import CAMERA_INFO
 from runtime.recordings.ros_messages import DEPTHS, MONO16
@@ -16,30 +16,15 @@ COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 # Value of depth_topic that selects the camera alone, and of pose_topic if scans are not moved.
 NO_TOPIC = "none"
-# Words in topic names (between / and _, without digits at the end) whose 16-bit or float images are
-# not depth, or whose pictures are not in colour. Those in the second line are beginnings of words.
-_OTHER = frozenset(
-    [
-        "ir",
-        "nir",
-        "swir",
-        "mwir",
-        "lwir",
-        "amplitude",
-        "intensity",
-        "confidence",
-        "signal",
-        "reflec",
-    ]
-)
-_OTHERS = ("infra", "therm", "nearir", "flir", "lepton", "boson", "reflectiv", "disparity")
 
 
 class Role(StrEnum):
     """What the images of a topic show."""
 
     PICTURE = "picture"
-    OTHER_PICTURE = "other picture"  # infrared; the camera only if there is no other picture
+    OTHER_PICTURE = (
+        "other picture"  # such as infrared; the camera only if there is no other picture
+    )
     DEPTH = "depth"
     MAYBE_DEPTH = "maybe depth"  # used only if depth_topic= names it
 
@@ -50,9 +35,7 @@ def role_of(topic: str, encoding: str) -> Role:
     The encoding alone does not decide: the counts of a thermal camera are 16UC1 like depth, and
     mono16 is either an infrared picture or depth.
     """
-    words = [word.rstrip("0123456789") for word in re.split("[/_]", topic.lower())]
-    is_other = any(word in _OTHER or word.startswith(_OTHERS) for word in words)
-    is_other &= "depth" not in words
+    is_other = not may_be_depth(topic)
     if encoding not in DEPTHS:
         return Role.OTHER_PICTURE if is_other else Role.PICTURE
     return Role.MAYBE_DEPTH if is_other or encoding == MONO16 else Role.DEPTH

@@ -124,13 +124,13 @@ def test_a_folder_is_read_as_it_is(write, make_frame, make_scan, kind, files):
         assert not has_calibration or source.calibration.focal_length_px == 60
 
 
-def test_scans_beside_depth_maps_are_reported_as_not_read(write, make_frame):
-    scans = {"lidar/{}.bin": SCAN, "velodyne/{}.bin": SCAN}
-    with open_path(write({"image/{}.png": IMAGE, "depth/{}.png": DEPTH, **scans})) as source:
+def test_folders_that_are_neither_the_images_nor_the_depth_are_reported(write, make_frame):
+    others = {"lidar/{}.bin": SCAN, "image_thermal/{}.png": IMAGE, "depth_confidence/{}.png": DEPTH}
+    with open_path(write({"image/{}.png": IMAGE, "depth/{}.png": DEPTH, **others})) as source:
         depth = source.read(source.list_frames()[0]).sparse_depth
         assert abs(depth - make_frame(*SIZE, seed=0)[1]).max() < 0.01
-        for name in ("lidar", "velodyne"):
-            assert any(f"{name}/ is not the depth, nor read" in note for note in source.notes)
+        for name in others:
+            assert any(f"{name.partition('/')[0]}/ is not read" in note for note in source.notes)
 
 
 def test_several_folders_of_images_are_an_error(write):
