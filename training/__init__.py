@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from training.api import train as train
     from training.evaluation.evaluate import evaluate as evaluate
 
-#: Name -> the module that has it.
+# The module that holds each name.
 _HOMES = {
     **dict.fromkeys(("adapt", "finetune", "train"), "training.api"),
     "evaluate": "training.evaluation.evaluate",

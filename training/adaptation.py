@@ -1,4 +1,4 @@
-"""The depth of a network adapted to a camera and a LiDAR by a recording of them, without labels.
+"""Adaptation of a network's depth to a camera and a LiDAR, from a recording of them without labels.
 
 A part of the returns is the input, the others are the target. Only layers that the depth alone
 reads are trained, so that classes and boundaries do not change. The models before and after the
@@ -46,20 +46,20 @@ from training.stop_signal import StopRequested
 
 Depth = NDArray[np.float32]
 
-#: Folders inside the folder of a run: the frames of the recording, and the training.
+# Folders inside the folder of a run: the frames of the recording, and the training.
 FRAMES, TRAINING = "recording", "training"
-#: Frames that are read at most, and the least number of them.
+# Largest number of frames that are read, and their least number.
 MOST_FRAMES, LEAST_FRAMES = 600, 5
-#: Least number of returns within the range of scores of a frame that is used.
+# Least number of returns within the range of scores of a frame that is used.
 LEAST_RETURNS = 20
 _KINDS = ("images", "lidar")
-#: Share of the time of the frames with returns, at its end, that is kept apart.
+# Share of the time of the frames with returns, at its end, that is kept apart.
 KEPT_APART = 0.1
 _STEPS, _WARMUP = 200, 20
-#: Share of the trained weights in the mean of the old and the trained model.
+# Share of the trained weights in the mean of the old and the trained model.
 _BETWEEN = 0.5
-#: Largest relative change of the depth on the bundled recording: what changes more has forgotten
-#: other rigs.
+# Largest relative change of the depth on the bundled recording; a model that changes more has
+# forgotten other rigs.
 MOST_CHANGE = 0.04
 
 
@@ -89,8 +89,8 @@ def adapt(
 ) -> Adapted:
     """Adapt the depth of a network to the rig of a recording.
 
-    Writes to `out`: recording/ (the chosen frames as PNGs), training/ (the run, see `train`) and
-    model.pt. The same call resumes what was stopped.
+    The function writes to `out`: recording/ (the chosen frames as PNGs), training/ (the run, see
+    `train`) and model.pt. The same call resumes what was stopped.
 
     Args:
         source: the recording, with images and returns.
@@ -101,8 +101,9 @@ def adapt(
         stop: called between two steps; True stops.
 
     Raises:
-        InputError: for a network without layers that the depth alone reads, too few frames with
-            returns, frames of different sizes or focal lengths, and as `train`.
+        InputError: if the network has no layers that the depth alone reads, if there are too few
+            frames with returns, if the frames have different sizes or focal lengths, and in the
+            cases of `train`.
     """
     network = init.network
     if not network.depth_layers:
@@ -134,7 +135,7 @@ def _adapt(
     recipe = make_recipe(init, frames, focal_px, changes)
     kept_apart = open_dataset(_frames_of("kept_apart", frames, focal_px), [out], classes=())
     samples = [kept_apart[index] for index in range(len(kept_apart))]
-    # Before the long training: check that these frames can tell the models apart.
+    # Before the long training, check that these frames can tell the models apart.
     linear = score(method_predict(create_method("linear")), samples, stop)
     if linear.keys() != FEEDS.keys():
         raise InputError(
@@ -341,7 +342,7 @@ def make_recipe(
 def score(
     predict: Predict, samples: Sequence[Sample], stop: Callable[[], bool] = lambda: False
 ) -> dict[str, NDArray[np.float64]]:
-    """Feed -> MAE, RMSE and median error [m] of the withheld returns, means over frames, (3,).
+    """Return MAE, RMSE and median error [m] of the withheld returns, means over frames, per feed.
 
     Raises StopRequested once `stop` is True.
     """

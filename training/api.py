@@ -39,17 +39,17 @@ def train(
     dry_run: bool = False,
     report: Callable[[str], None] = print,
 ) -> Path:
-    """Train a network by a recipe; an `out` of the same recipe is resumed.
+    """Train a network with a recipe; an `out` of the same recipe is resumed.
 
     `training.loop.train` and `training.stages.train_stages` describe what is written to `out`.
 
     Args:
         recipe: the name of a recipe of the package, or the path of a TOML file.
-        data: folder with the recipe's data sets, or several.
+        data: folder with the recipe's data sets, or several such folders.
         out: folder of the run.
-        init: weights to start from. What a TOML file leaves out comes from their training.
+        init: weights to start from. Settings that a TOML file leaves out come from their training.
         teacher: weights whose answers are learned beside the labels.
-        changes: of the recipe, in all of its stages.
+        changes: changes of the recipe, in all of its stages.
         device: "cpu", "cuda" or "cuda:N".
         stop_after: stop at this step, counted over all stages.
         stop: called between two steps; True stops the run, which can be resumed.
@@ -58,11 +58,12 @@ def train(
         report: called with each line of the description of a dry run.
 
     Returns:
-        The checkpoint `out`/model.pt; the last.pt of a run that was stopped; the picture
-        batch.png of a dry run.
+        The checkpoint `out`/model.pt; the last.pt of a run that was stopped; the picture batch.png
+        of a dry run.
 
     Raises:
-        InputError: for an unknown recipe, wrong keys or values, or an `out` of another recipe.
+        InputError: if the recipe is unknown, a key or value is wrong, or `out` belongs to another
+            recipe.
         DatasetError: if a data set is missing or damaged.
         CheckpointError: if weights cannot be read or do not fit.
         NonFiniteLossError: if the loss or its gradient is NaN or infinite.

@@ -1,6 +1,6 @@
 """The recipe that a command names: a recipe of the package, or a TOML file.
 
-What a file leaves out comes from the training of the weights that it begins with.
+Settings that a file leaves out come from the training of the weights with which it begins.
 """
 
 import sys
@@ -31,13 +31,13 @@ def read_stages(
     """Return the stages of a recipe; a TOML file has a single one.
 
     Args:
-        text: a path if it ends in .toml or holds a slash, else the name of a recipe.
-        changes: of every stage, see `build_recipe`.
-        init: a checkpoint that the first stage starts from. What a TOML file leaves out comes from
-            its training, see `training.chosen_recipe`, and is reported on stderr.
+        text: a path if it ends in .toml or contains a slash, else the name of a recipe.
+        changes: changes of every stage, see `build_recipe`.
+        init: a checkpoint from which the first stage starts. Settings that a TOML file leaves out
+            come from its training and are reported on stderr.
 
     Raises:
-        InputError: for an unknown name, and as in `build_recipe`.
+        InputError: if the name is unknown, and in the cases of `build_recipe`.
     """
     if text.endswith(".toml") or "/" in text or "\\" in text:
         return (Stage("", build_recipe(fine_tune(read_toml(Path(text)), changes, init), text)),)
@@ -58,17 +58,17 @@ def read_stages(
     )
 
 
-#: Learning rates, as a share of those of the earlier training.
+# Learning rates as a share of those of the earlier training.
 RATE_SHARE = 0.25
-#: The warm-up takes at most this share of the steps.
+# The warm-up takes at most this share of the steps.
 _WARMUP_SHARE = 0.1
-#: The keys that are taken, by table.
+# The keys that are taken over, by table.
 _TAKEN: Mapping[str, tuple[str, ...]] = {
     "loss": tuple(LossConfig.__dataclass_fields__),
     "optimizer": ("name", "learning_rate", "encoder_rate", "weight_decay", "momentum", "frozen"),
     "loop": ("clip_norm",),
 }
-#: Settings of the network that `training.network` takes itself.
+# Settings of the network that `training.network` takes itself.
 _COLORS = ("rgb_mean", "rgb_std")
 _DEFAULTS = {
     "loss": asdict(LossConfig()),
@@ -130,13 +130,13 @@ def _settings(
 
 
 def _below(table: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    """Return a table of a table; an empty one where there is none."""
+    """Return a table inside a table, or an empty one if it does not exist."""
     value = table.get(key)
     return value if isinstance(value, Mapping) else {}
 
 
 def config_changes(config: NetworkConfig) -> dict[str, Any]:
-    """Return what differs from the configuration of the network's name."""
+    """Return the settings that differ from the configuration of the network's name."""
     values, default = config.to_dict(), find_network(config.name).config.to_dict()
     own = {key: value for key, value in values.items() if value != default.get(key)}
     return {key: value for key, value in own.items() if key not in ("classes", *_COLORS)}

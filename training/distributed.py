@@ -90,14 +90,14 @@ def open_device(text: str) -> torch.device:
 def join_processes(device: str) -> Iterator[Processes]:
     """Join the processes that torchrun started, or be the only one.
 
-    A nested block joins no new group: runs that follow one another share the group.
+    A nested block does not join a new group: runs that follow one another share the group.
 
     Args:
         device: "cpu" (gloo), "cuda" (nccl; each process of a machine takes its own GPU), or
             "cuda:N" for a single process.
 
     Raises:
-        InputError: as `open_device`.
+        InputError: in the cases of `open_device`.
     """
     count = int(os.environ.get("WORLD_SIZE", "1"))
     place = open_device(device)

@@ -19,9 +19,9 @@ from training.recipe import Recipe
 from training.run_folder import BATCH, folder_errors
 from training.task import Task, open_task
 
-#: Samples of the batch that are drawn, and frames of each set that are described.
+# Samples of the batch that are drawn, and frames of each set that are described.
 _DRAWN, _DESCRIBED = 8, 50
-#: Percentiles of the depth that are described.
+# Percentiles of the depth that are described.
 _PERCENTILES = (1, 50, 99)
 
 

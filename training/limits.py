@@ -1,7 +1,7 @@
 """The limits of a recipe's values, in one place.
 
-They are far beyond useful values: a value outside is a typing error, refused before it takes memory
-or days.
+They are far beyond useful values. A value outside them is a typing error, which is refused before
+it takes memory or days.
 """
 
 from typing import Annotated
@@ -10,7 +10,7 @@ from pydantic import AfterValidator, ConfigDict, Field
 
 from runtime.contract.contract import MAX_SIDE, MIN_SIDE
 
-#: Configuration of all tables of a recipe: no conversions ("3", true), unknown keys, NaN or Inf.
+# Configuration of all tables of a recipe: no conversions ("3", true), unknown keys, NaN or Inf.
 STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 
 Index = Annotated[int, Field(ge=0, le=10**9)]
@@ -19,13 +19,13 @@ Steps = Annotated[int, Field(ge=1, le=10**8)]
 Count = Annotated[int, Field(ge=1, le=10**6)]
 Workers = Annotated[int, Field(ge=0, le=1024)]
 BatchSize = Annotated[int, Field(ge=1, le=65536)]
-#: Pixels of a frame's height or width, as networks take it.
+# Pixels of a frame's height or width, as networks take it.
 Side = Annotated[int, Field(ge=MIN_SIDE, le=MAX_SIDE)]
 CropSide = Annotated[int, Field(ge=1, le=MAX_SIDE)]
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Positive = Annotated[float, Field(gt=0, le=1e9)]
-#: Limits of a relative change of colours.
+# Limits of a relative change of colours.
 Strength = Annotated[float, Field(ge=0, le=10)]
 Degrees = Annotated[float, Field(ge=0, le=180)]
 NotNegative = Annotated[float, Field(ge=0, le=1e9)]
@@ -39,11 +39,12 @@ def _require_order(limits: tuple[float, float]) -> tuple[float, float]:
 
 _PositiveShare = Annotated[float, Field(gt=0, le=1)]
 _Factor = Annotated[float, Field(ge=0.01, le=100)]
-#: Pixels at the border of each of two views that are not compared: padding changes answers there.
+# Width of the border [px] of each of two views that is not compared, because padding changes
+# answers there.
 PAIR_BORDER_PX = 32
-#: Least step [px] of the shift between two views; the stride of the semantic logits, if larger.
+# Least step [px] of the shift between two views; the stride of the semantic logits, if larger.
 PAIR_STEP_PX = 4
 PairShift = Annotated[int, Field(ge=0, le=128, multiple_of=PAIR_STEP_PX)]
-#: (low, high) of a value that is drawn at random.
+# (low, high) of a value that is drawn at random.
 ShareRange = Annotated[tuple[_PositiveShare, _PositiveShare], AfterValidator(_require_order)]
 FactorRange = Annotated[tuple[_Factor, _Factor], AfterValidator(_require_order)]

@@ -24,20 +24,20 @@ from training.datasets.folders import Folders, FoldersRecipe
 from training.initial_weights import Weights
 from training.run_folder import folder_errors
 
-#: The file of the recipe in a run's folder.
+# The file of the recipe in a run's folder.
 RECIPE_TEXT = "recipe.toml"
 _BATCH = 4
-#: Epochs, if the number of steps is within its limits.
+# Epochs, if the number of steps is within its limits.
 _PASSES, _MIN_STEPS, _MAX_STEPS = 40, 200, 10_000
-#: The depth reads the features of the classes: trained on, they made it a third worse in 150 steps.
-#: The rate is that of layers which begin at random.
+# The depth reads the features of the classes: trained on, they made it a third worse in 150 steps.
+# The rate is that of layers which begin at random.
 _CLASSES_ALONE = (
     "[optimizer]  # only the last layers of the classes: the depth stays that of --init",
     'only = ["semantic_"]',
     'frozen = ["semantic_decoder"]',
     "learning_rate = 2e-3",
 )
-#: One frame in this number is for validation; it is also the least number of frames.
+# One frame in this number is for validation; this is also the least number of frames.
 _VALIDATION = 10
 
 
@@ -50,8 +50,9 @@ class OwnFolders:
         labels: 8-bit PNGs of class ids, 255 = none.
         depth: 16-bit PNGs of a LiDAR's depth.
         classes: text file with one class name per line, starting at id 0; required with labels.
-        depth_scale: units of the depth per metre; None = 256.
-        focal_length_px: of the images as they are; the principal point is then in their middle.
+        depth_scale: units of the depth per metre; None: 256.
+        focal_length_px: focal length of the images as they are; the principal point is then in
+            their middle.
         intrinsics: fx, fy, cx, cy [px] of the images as they are, in place of the focal length.
     """
 

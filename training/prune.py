@@ -15,9 +15,9 @@ from models.blocks import pad_to_multiple
 from models.efficientnet_lite import WIDTHS, EfficientNetLite, InvertedResidual, SameConv
 from runtime.base.errors import CheckpointError
 
-#: Sampled pixels of each picture.
+# Sampled pixels of each picture.
 _PIXELS = 6000
-#: Ridge, as a share of the mean variance, that makes the covariance invertible.
+# Ridge, as a share of the mean variance, that makes the covariance invertible.
 _DAMPING = 1e-3
 
 

@@ -1,4 +1,4 @@
-"""Recipes: what describes a training, in a TOML file or in Python; unknown keys are errors."""
+"""Recipes, which describe a training in a TOML file or in Python; unknown keys are errors."""
 
 import contextlib
 import json
@@ -47,7 +47,7 @@ from training.losses.terms import PAIR_TERMS
 T = TypeVar("T")
 
 
-#: The tag of data sets of other packages.
+# The tag of data sets of other packages.
 _REGISTERED = "(registered)"
 
 
@@ -74,7 +74,7 @@ def _read_registered(value: Any) -> SourceRecipe:
 if TYPE_CHECKING:
     AnySource = SourceRecipe
 else:
-    #: A data set of any kind, by its key `kind`.
+    # A data set of any kind, by its key `kind`.
     AnySource = Annotated[
         Union[
             *(Annotated[kind, Tag(name)] for name, kind in DATASETS.items()),
@@ -89,7 +89,7 @@ else:
     ]
 
 
-#: Tags of the two forms of `model.classes`.
+# Tags of the two forms of `model.classes`.
 _NAMED, _OWN = "(named)", "(own)"
 _Channel = Annotated[int, Field(ge=0, le=255)]
 
@@ -102,16 +102,26 @@ class ClassRecipe:
     color: tuple[_Channel, _Channel, _Channel]
 
 
-#: Tags that pydantic adds to the location of an error: the member of a union that it tried.
+# Tags that pydantic adds to the location of an error: the member of a union that it tried.
 _TAGS: Mapping[str, type] = {**DATASETS, _REGISTERED: SourceRecipe, _NAMED: str, _OWN: ClassRecipe}
 
 
 @dataclass(frozen=True, config=STRICT)
 class ModelRecipe:
-    """Which network, by its name in `models.list_models()`."""
+    """Which network, by its name in `models.list_models()`.
+
+    Attributes:
+        classes: table of the class ids: a name in `models.CLASS_TABLES`, or a custom table.
+        trained_height: height [px] of the training images after magnification, stored in the
+            exported file: images of a much higher camera are resized to it. None: unknown, so every
+            frame runs at its own size.
+        pretrained: "imagenet": the encoder starts from weights of ImageNet, see
+            `training.imagenet_weights`, and the images are normalised for them.
+        config: what differs from the named network's configuration, for example `max_depth_m` and
+            `canonical_focal_px`, see `models.NetworkConfig`.
+    """
 
     name: str
-    #: The table of the class ids: a name in `models.CLASS_TABLES`, or a custom table.
     classes: Annotated[
         Annotated[Literal["camvid", "cityscapes", "virtual_kitti"], Tag(_NAMED)]
         | Annotated[
@@ -119,14 +129,8 @@ class ModelRecipe:
         ],
         Discriminator(lambda value: _OWN if isinstance(value, list | tuple) else _NAMED),
     ] = "camvid"
-    #: Height [px] of the training images after magnification, stored in the exported file: images
-    #: of a much higher camera are resized to it. None = unknown: every frame runs at its own size.
     trained_height: Side | None = None
-    #: "imagenet": the encoder starts from weights of ImageNet, see `training.imagenet_weights`; the
-    #: images are then normalised as these want.
     pretrained: Literal["none", "imagenet"] = "none"
-    #: What differs from the named network's configuration, for example `max_depth_m` and
-    #: `canonical_focal_px`, see `models.NetworkConfig`.
     config: Annotated[dict[str, Any], Field(max_length=100)] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -182,20 +186,24 @@ class ModelRecipe:
 
 @dataclass(frozen=True, config=STRICT)
 class DataRecipe:
-    """The data sets, their augmentation and batches."""
+    """The data sets, their augmentation and batches.
+
+    Attributes:
+        batch_size: batch size of each process; `workers` is the number of workers of each process.
+        cache_gib: memory for decoded frames, of all workers of a process together [GiB]; 0: no
+            cache.
+        sky_depth_m: depth target [m] of unmeasured pixels of the class "sky", canonical if the
+            network's depth is; 0: none.
+        rare_classes: classes for which `augment.rare_crops` of the crops are chosen.
+    """
 
     source: Annotated[tuple[AnySource, ...], Field(min_length=1, max_length=100)]
     augment: AugmentConfig = field(default_factory=AugmentConfig)
-    #: Batch size and number of workers, both for each process.
     batch_size: BatchSize = 8
     workers: Workers = 1
-    #: Memory for decoded frames, all workers of a process together [GiB]; 0 = no cache.
     cache_gib: NotNegative = 0.0
     seed: Seed = 0
-    #: Depth target of unmeasured pixels of the class "sky", canonical where the network's depth is
-    #: [m]; 0 = none.
     sky_depth_m: NotNegative = 0.0
-    #: Classes that `augment.rare_crops` of the crops are chosen for.
     rare_classes: Annotated[tuple[str, ...], Field(max_length=MAX_CLASSES)] = ()
 
     def __post_init__(self) -> None:
@@ -209,25 +217,28 @@ class DataRecipe:
 
 @dataclass(frozen=True, config=STRICT)
 class OptimizerRecipe:
-    """AdamW, or the paper's SGD (momentum 0 is the paper's)."""
+    """AdamW, or the paper's SGD (momentum 0 is the paper's).
+
+    Attributes:
+        encoder_rate: rate of the encoder; one schedule scales both. None: `learning_rate`.
+        only: parts of the network that are trained, by the beginning of their names ("depth_"); the
+            others are frozen with their batch statistics. Empty: all.
+        frozen: layers that are not trained, by the beginning of their names ("encoder.stem"); their
+            batch statistics are constant, too.
+    """
 
     name: Literal["adamw", "sgd"] = "adamw"
     learning_rate: NotNegative = 2e-3
-    #: Rate of the encoder; one schedule scales both. None = `learning_rate`.
     encoder_rate: NotNegative | None = None
     weight_decay: NotNegative = 1e-2
     momentum: Share = 0.9
-    #: Parts of the network that are trained, by the beginning of their names ("depth_"); the others
-    #: are frozen with their batch statistics. () = all.
     only: Annotated[tuple[str, ...], Field(max_length=100)] = ()
-    #: Layers that are not trained, by the beginning of their names ("encoder.stem"); their
-    #: batch statistics are constant, too.
     frozen: Annotated[tuple[str, ...], Field(max_length=100)] = ()
 
 
 @dataclass(frozen=True, config=STRICT)
 class ScheduleRecipe:
-    """Linear warm-up, then cosine to 0, or constant."""
+    """Linear warm-up, then a cosine to 0 or a constant rate."""
 
     steps: Steps
     warmup_steps: Annotated[int, Field(ge=0, le=10**8)] = 0
@@ -243,28 +254,36 @@ class ScheduleRecipe:
 
 @dataclass(frozen=True, config=STRICT)
 class LoopRecipe:
-    """Arithmetic, averaging and output of the training loop."""
+    """Arithmetic, averaging and output of the training loop.
 
-    #: Type of the network's arithmetic; "none" is float32.
+    Attributes:
+        autocast: type of the network's arithmetic; "none" is float32.
+        ema_decay: decay of the averaged weights in model.pt; 0: no averaging.
+        clip_norm: largest norm of the gradient; 0: no clipping.
+        accumulate: batches per process whose gradients are averaged for one step; batch
+            normalisation is over each batch.
+        checkpoint_every: steps between two checkpoints; `log_every` is that between two entries of
+            the curves; None: see `Recipe`.
+    """
+
     autocast: Literal["none", "bf16"] = "none"
-    #: Decay of the averaged weights in model.pt; 0 = no averaging.
     ema_decay: Share = 0.999
-    #: Largest norm of the gradient; 0 = no clipping.
     clip_norm: NotNegative = 0.0
-    #: Batches per process whose gradients are averaged for one step; batch normalisation is over
-    #: each batch.
     accumulate: BatchSize = 1
-    #: Steps between two checkpoints and two entries of the curves; None = see `Recipe`.
     checkpoint_every: Steps | None = None
     log_every: Steps | None = None
 
 
 @dataclass(frozen=True, config=STRICT)
 class ReleaseRecipe:
-    """How the weights in model.pt and best.pt differ from the averaged ones."""
+    """How the weights in model.pt and best.pt differ from the averaged ones.
 
-    #: Share of the log class weights that is subtracted from the semantic bias (Menon et al. 2021):
-    #: training with class weights predicts rare classes too often. 0 = none, 1 = all.
+    Attributes:
+        logit_adjustment: share of the log class weights that is subtracted from the semantic bias
+            (Menon et al. 2021), because training with class weights predicts rare classes too
+            often. 0: nothing, 1: all.
+    """
+
     logit_adjustment: Share = 0.0
 
 
@@ -278,17 +297,22 @@ def _require_lidar(text: str) -> str:
 
 @dataclass(frozen=True, config=STRICT)
 class ValidationRecipe:
-    """Data sets on which the averaged weights are scored during training."""
+    """Data sets on which the averaged weights are scored during training.
 
-    #: Steps between two validations; None = see `Recipe`.
+    Attributes:
+        every: steps between two validations; None: see `Recipe`.
+        lidar: the LiDAR input of the validation, see `training.lidar.split.LidarInput`.
+        pictures: number of frames of each set, at equal distances, that TensorBoard shows as
+            pictures.
+        best: score by which best.pt is chosen, "SET/SCORE", for example "camvid/miou"; scores are
+            the columns of scores.csv. "": that of the first set, miou, or mae_m if it has no
+            labels.
+    """
+
     every: Steps | None = None
-    #: The LiDAR input, see `training.lidar.split.LidarInput`: the one that it is trained with.
     lidar: Annotated[str, AfterValidator(_require_lidar)] = "own"
     source: Annotated[tuple[AnySource, ...], Field(max_length=100)] = ()
-    #: Number of frames of each set, at equal distances, that TensorBoard shows as pictures.
     pictures: Annotated[int, Field(ge=0, le=1000)] = 2
-    #: The score by which best.pt is chosen, "SET/SCORE", for example "camvid/miou"; scores are the
-    #: columns of scores.csv. "" = of the first set: miou, or mae_m where it has no labels.
     best: str = ""
 
     def __post_init__(self) -> None:
@@ -311,7 +335,10 @@ class ValidationRecipe:
 class Recipe:
     """A training: the tables of a recipe.
 
-    What it does not say about the loop's output follows from the number of steps.
+    How often the loop writes, if the recipe does not say it, follows from the number of steps.
+
+    Attributes:
+        terms: data and terms that a model card and an exported file must state.
     """
 
     model: ModelRecipe
@@ -322,7 +349,6 @@ class Recipe:
     loop: LoopRecipe = field(default_factory=LoopRecipe)
     release: ReleaseRecipe = field(default_factory=ReleaseRecipe)
     validation: ValidationRecipe = field(default_factory=ValidationRecipe)
-    #: Data and terms that a model card and an exported file must state.
     terms: Annotated[str, Field(max_length=10_000)] = ""
 
     def __post_init__(self) -> None:
@@ -351,17 +377,17 @@ class Recipe:
 
     @property
     def log_every(self) -> int:
-        """Steps between two entries of the curves: by default a hundredth, at most 20."""
+        """Steps between two entries of the curves; by default a hundredth of all, at most 20."""
         return self.loop.log_every or self._share_of_steps(100, 20)
 
     @property
     def checkpoint_every(self) -> int:
-        """Steps between two checkpoints: by default a tenth, at most 500."""
+        """Steps between two checkpoints; by default a tenth of all, at most 500."""
         return self.loop.checkpoint_every or self._share_of_steps(10, 500)
 
     @property
     def validate_every(self) -> int:
-        """Steps between two validations: by default a fifth, at most 1000."""
+        """Steps between two validations; by default a fifth of all, at most 1000."""
         return self.validation.every or self._share_of_steps(5, 1000)
 
     def _share_of_steps(self, parts: int, most: int) -> int:
@@ -440,8 +466,8 @@ def build(kind: type[T], table: object) -> T:
 def parse_data(text: str) -> SourceRecipe:
     """Read the --data of a command, KIND:FOLDER[,KEY=VALUE...].
 
-    A text needs no quotes, also where it looks like a number or a date. Raises InputError for
-    another form, an unknown kind or key, a key that is given twice, or a value of the wrong type.
+    A text needs no quotes, even if it looks like a number or a date. Raises InputError if the form
+    is another one, a kind or key is unknown, a key is given twice, or a value has the wrong type.
     """
     head, table = parse_pairs(
         "--data", text, lambda head: find_dataset(head.partition(":")[0]) or SourceRecipe
@@ -479,7 +505,7 @@ def parse_pairs(option: str, text: str, kind: Callable[[str], type]) -> tuple[st
 
 
 def _read_value(text: str, kind: Any) -> Any:
-    """Return a value of --data: text where its key takes text, else as TOML has it."""
+    """Return a value of --data: text if its key takes text, else as TOML reads it."""
     with contextlib.suppress(ValidationError):
         return TypeAdapter(kind).validate_python(text.strip("\"'"))
     with contextlib.suppress(tomllib.TOMLDecodeError):

@@ -1,4 +1,4 @@
-"""What is made of trained weights before they are used: each function returns another network."""
+"""Changes of trained weights before they are used; each function returns another network."""
 
 import copy
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ from models import Network
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
 
-#: The bias of the classes' logits.
+# The bias of the classes' logits.
 _BIAS = "semantic_head.bias"
 
 
@@ -32,9 +32,9 @@ def mix_weights(before: Network | None, after: Network, share: float) -> Network
     A little training on new data then keeps what the old weights knew.
 
     Args:
-        before: the network that the training began with.
-        after: the trained one, of the same configuration.
-        share: of the trained weights, 0..1.
+        before: the network with which the training began.
+        after: the trained network, with the same configuration.
+        share: share of the trained weights, 0..1.
 
     Raises:
         ValueError: if there is no network before, or its configuration is another one.

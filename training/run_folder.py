@@ -28,13 +28,13 @@ SCORES = "scores.csv"
 PAGE = "validation.html"
 TENSORBOARD = "tensorboard"
 BATCH = "batch.png"
-#: What a run writes and replaces.
+# Files that a run writes and replaces.
 _FILES = [Path(name) for name in (RECIPE, LAST, FINAL, BEST, SCORES, PAGE, TENSORBOARD)]
-#: Keys of recipe.json: the data's files at the first start, and the folders that held them at the
-#: last, by which `ssdnet-eval RUN` finds the validation sets.
+# Keys of recipe.json: the data's files at the first start, and the folders that held them at the
+# last start, in which `ssdnet-eval RUN` finds the validation sets.
 _DATA, DATA_FOLDERS = "data_files", "data_folders"
-#: Keys that may change when a run is resumed: they affect neither the weights nor the choice of
-#: best.pt.
+# Keys that may change when a run is resumed: they affect neither the weights nor the choice of
+# best.pt.
 _WITHOUT_EFFECT = (
     "recipe.data.workers",
     "recipe.data.cache_gib",
@@ -91,7 +91,8 @@ def _difference(was: Mapping[str, Any], now: Mapping[str, Any]) -> str:
 def list_data(roots: Sequence[Path], paths: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Describe the files of each path, in the first root that has it.
 
-    The answer is their number, their bytes and the SHA-256 of their names, wherever the folder is.
+    The description is their number, their bytes and the SHA-256 of their names, wherever the folder
+    is.
     """
     described = {}
     for path in paths:

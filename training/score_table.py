@@ -8,11 +8,11 @@ from pathlib import Path
 
 from runtime.files.atomic_write import atomic_write
 
-#: Scores of a set that the progress line and TensorBoard show.
+# Scores of a set that the progress line and TensorBoard show.
 SHOWN = ("miou", "mae_m", "rmse_m", "boundary_f")
-#: Prefixes of scores that are errors: the smaller the better.
+# Prefixes of scores that are errors, for which smaller is better.
 _ERRORS = ("mae", "rmse", "imae", "irmse")
-#: Relative change for the worse from which `ScoreTable.compare` warns.
+# Relative change for the worse from which `ScoreTable.compare` warns.
 _TOLERANCE = 0.05
 
 

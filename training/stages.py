@@ -17,7 +17,7 @@ from training.loop import train
 from training.recipe import Recipe
 from training.run_folder import FINAL, RECIPE, folder_errors
 
-#: The file in a stage's folder with the result of its call on the trained weights.
+# The file in a stage's folder with the result of its call on the trained weights.
 RESULT = "result.pt"
 
 

@@ -20,13 +20,13 @@ from training.loading.mixture import Batch
 from training.recipe import Recipe, ScheduleRecipe
 from training.task import Task
 
-#: `Network.forward`, or its distributed wrapper.
+# `Network.forward`, or its distributed wrapper.
 Forward = Callable[..., NetworkOutput]
 
 _NON_FINITE = "non_finite.json"
 
 
-#: Arguments of AveragedModel's update rule.
+# Arguments of AveragedModel's update rule.
 Tensors = tuple[Tensor, ...] | list[Tensor]
 
 

@@ -43,7 +43,7 @@ from training.optimizer import build_optimizer
 from training.recipe import DataRecipe, OptimizerRecipe, Recipe
 from training.stop_signal import Watched
 
-#: Frames of a validation set that are scored ahead of the training, to know its scores.
+# Frames of a validation set that are scored ahead of the training, to know its scores.
 _SCORED = 20
 
 

@@ -27,7 +27,7 @@ from training.state import Step
 from training.stop_signal import StopRequested, Watched
 from training.task import Task
 
-#: Frames of a set on the page of the validation, evenly spread.
+# Frames of a set on the page of the validation, evenly spread.
 _PAGE_FRAMES = 500
 
 

@@ -1,4 +1,4 @@
-"""Options that the commands which train have in common, and how they end."""
+"""Options that the training commands share, and how these commands end."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -8,7 +8,7 @@ import typer
 
 from runtime.app.command import INTERRUPTED
 
-#: How each of these commands ends, for its help.
+# How each of these commands ends, for its help.
 EXIT_CODES = (
     "Exit codes: 0 done; 1 error; 2 usage; 130 stopped by Ctrl-C or SIGTERM, after which the same "
     "command resumes."
@@ -17,7 +17,7 @@ Out = Annotated[
     Path,
     typer.Option(help="Folder of the run. A run that was stopped is resumed by the same command."),
 ]
-#: The weights that a network of the user's begins with; they are never random.
+# The weights with which a network of the user's begins; they are never random.
 Begin = Annotated[
     str,
     typer.Option(

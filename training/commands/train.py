@@ -25,7 +25,7 @@ from training.stop_signal import stop_signal
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
-#: Options of earlier releases -> the command that took their place. Its argument is their value.
+# Options of earlier releases, and the command that replaces each. Its argument is their value.
 _MOVED = {"--adapt": "ssdnet-adapt", "--images": "ssdnet-finetune"}
 _USAGE = 2
 

@@ -12,22 +12,22 @@ from runtime.geometry.projection import project_points
 Depth = NDArray[np.float32]
 Fault = Literal["none", "nan", "shift", "dropout"]
 
-#: Share of the measurements that the fault "nan" makes NaN, infinite or negative.
+# Share of the measurements that the fault "nan" makes NaN, infinite or negative.
 NAN_SHARE = 0.3
-#: Shift of the whole scan by the fault "shift": right and down [share of the width].
+# Shift of the whole scan by the fault "shift": right and down [share of the width].
 SHIFT = (0.01, 0.004)
-#: Share of the width, in the middle, without measurements by the fault "dropout".
+# Share of the width, in the middle, without measurements by the fault "dropout".
 DROPOUT_SHARE = 1 / 3
-#: Largest share of the image that an object may cover in `absorb`.
+# Largest share of the image that an object may cover in `absorb`.
 THING_SHARE = 0.25
 
 
 def add_fault(fed: Depth, fault: Fault, rng: Generator) -> Depth:
-    """Return a damaged copy of a sparse depth map float32 (H, W) [m], 0 = none.
+    """Return a damaged copy of a sparse depth map, float32 (H, W) [m], 0 = no return.
 
-    "nan": `NAN_SHARE` of the measurements are NaN, infinite or negative, a third each. "shift":
-    the scan is shifted by `SHIFT`, as after a knock on the sensor. "dropout": the middle
-    `DROPOUT_SHARE` of the image has no measurement. "none": no fault.
+    With "nan", `NAN_SHARE` of the measurements become NaN, infinite or negative, a third each. With
+    "shift", the scan is shifted by `SHIFT`, as after a knock on the sensor. With "dropout", the
+    middle `DROPOUT_SHARE` of the image has no measurement. "none" changes nothing.
     """
     damaged = fed.copy()
     width = fed.shape[1]
@@ -54,10 +54,16 @@ def misalign(
     rotation_deg: float,
     shift_m: float,
 ) -> Depth:
-    """Return the scan as projected with a wrong LiDAR extrinsics matrix.
+    """Return the scan as it is projected with a wrong LiDAR extrinsics matrix.
 
-    fed: float32 (H, W) [m], 0 = none. intrinsics: (3, 3). rotation_deg, shift_m: the largest error
-    about and along each axis. Of two returns on one pixel the nearer is kept.
+    Of two returns on one pixel the nearer is kept.
+
+    Args:
+        fed: float32 (H, W) [m], 0 = no return.
+        intrinsics: (3, 3).
+        rng: source of random numbers.
+        rotation_deg: the largest error about each axis.
+        shift_m: the largest error along each axis.
     """
     row, column = np.nonzero(fed)
     z = fed[row, column].astype(np.float64)
@@ -71,9 +77,9 @@ def misalign(
 
 
 def drop_sectors(fed: Depth, share: tuple[float, float], rng: Generator) -> Depth:
-    """Return a copy without the returns of one to three sectors: dirt, water, or lost packets.
+    """Return a copy without the returns of one to three sectors: dirt, water, lost packets.
 
-    share: (low, high) of the image's width of each.
+    `share` is the (low, high) share of the image's width of each sector.
     """
     kept = fed.copy()
     width = fed.shape[1]
@@ -87,8 +93,9 @@ def drop_sectors(fed: Depth, share: tuple[float, float], rng: Generator) -> Dept
 def absorb(fed: Depth, semantic: NDArray[np.uint8], rng: Generator, *, ignore: int) -> Depth:
     """Return a copy without the returns of one thing, or of its upper part: dark paint, glass.
 
-    The thing is the region of one class around a random return; one of more than `THING_SHARE` of
-    the image, as the road, keeps its returns. semantic: (H, W), `ignore` belongs to no thing.
+    The thing is the region of one class around a random return. A region of more than `THING_SHARE`
+    of the image, such as the road, keeps its returns. In `semantic`, (H, W), `ignore` belongs to no
+    thing.
     """
     kept = fed.copy()
     rows, columns = np.nonzero((fed > 0) & (semantic != ignore))
@@ -111,8 +118,8 @@ def absorb(fed: Depth, semantic: NDArray[np.uint8], rng: Generator, *, ignore: i
 def add_false_returns(fed: Depth, rng: Generator) -> Depth:
     """Return a copy with returns that show no surface of the image: float32 (H, W) [m].
 
-    About one in 10,000 pixels: half are close, as of rain or dust, 1.5 to 10 m away, half are
-    returns that see past a near edge, 1.3 to 4 times as far as a measurement.
+    About one in 10,000 pixels gets such a return. Half of them are close, like rain or dust, 1.5 to
+    10 m away; the others see past a near edge and are 1.3 to 4 times as far as a measurement.
     """
     count = 1 + int(rng.poisson(fed.size / 1e4))
     damaged = fed.copy()

@@ -16,36 +16,37 @@ from training.datasets.sample import Sample, nothing_known
 
 Depth = NDArray[np.float32]
 
-#: Elevations of the 64 beams of a Velodyne HDL-64E (deg, highest first): an upper block a third
-#: of a degree apart and a lower block half a degree apart (data sheet; Geiger et al. 2013).
+# Elevations of the 64 beams of a Velodyne HDL-64E (deg, highest first): an upper block a third
+# of a degree apart and a lower block half a degree apart (data sheet; Geiger et al. 2013).
 HDL64_ELEVATIONS_DEG: NDArray[np.float64] = np.concatenate(
     [2.0 - np.arange(32) / 3.0, -8.83 - np.arange(32) / 2.0]
 )
 
 SENSOR_LINES = len(HDL64_ELEVATIONS_DEG)
-#: The line of a sensor with a single line.
+# The line of a sensor with a single line.
 _HORIZON_LINE = 8
-#: Of the simulated LiDAR: the longest range [m], the standard deviations of a range [m] and of the
-#: tilt of a scan [degrees], and the angle between two firings of an HDL-64E at 10 Hz [degrees].
+# For the simulated LiDAR: the longest range [m], the standard deviations of a range [m] and of the
+# tilt of a scan [degrees], and the angle between two firings of an HDL-64E at 10 Hz [degrees].
 _RANGE_M, _NOISE_M, _TILT_DEG, _STEP_DEG = 85.0, 0.02, 0.4, 0.17
-#: Share of its returns that is lost at any range, and the share that is lost in addition at the
-#: longest range; that one grows with the square of the range.
+# Share of its returns that is lost at any range, and share that is also lost at the longest range;
+# the latter grows with the square of the range.
 _LOST_SHARE, _LOST_FAR_SHARE = 0.08, 0.35
 
 
 def random_share(depth: Depth, share: float, rng: Generator) -> Depth:
     """Keep a random share of the measured pixels (the paper trains with 0.05).
 
-    depth: (H, W) float32 metres, 0 = none. share: 0..1. Returns (H, W) float32.
+    `depth` is float32 (H, W), metres, 0 = none, and `share` is 0 to 1. Returns float32 (H, W).
     """
     kept = rng.random(depth.shape) < share
     return np.where(kept, depth, np.float32(0))
 
 
 def beam_elevations(lines: int) -> NDArray[np.float64]:
-    """Elevation of every beam in rad, highest first; fewer than 64 lines are a thinned HDL-64E.
+    """Return the elevation of every beam in rad, highest first.
 
-    128 have one more beam between every two, and one below.
+    Fewer than 64 lines are a thinned HDL-64E; 128 lines have one more beam between every two, and
+    one below.
     """
     if lines == 2 * SENSOR_LINES:
         last = 2 * HDL64_ELEVATIONS_DEG[-1] - HDL64_ELEVATIONS_DEG[-2]
@@ -57,9 +58,9 @@ def beam_elevations(lines: int) -> NDArray[np.float64]:
 
 
 def is_kept(scan_line: NDArray[np.integer], lines: int) -> NDArray[np.bool_]:
-    """Whether a sensor of so many lines has each of these of the 64, bool of the same shape.
+    """Return whether a sensor with so many lines has each of these of the 64 lines.
 
-    The lines are at equal distances over the field of view, those of a sensor with fewer lines are
+    The lines are at equal distances over the field of view. Those of a sensor with fewer lines are
     a subset of those with more, and a single line is 0.7 degrees below the horizon.
     """
     return np.asarray((scan_line - _HORIZON_LINE) % (SENSOR_LINES // lines) == 0)
@@ -73,14 +74,20 @@ def scan_line_index(
     pitch_deg: float = 0.0,
     phase: float = 0.0,
 ) -> NDArray[np.int16]:
-    """Index of the beam that looks through each pixel, -1 where none does.
+    """Return the index of the beam that looks through each pixel, -1 if there is none.
 
-    The LiDAR is at the camera's position, so a beam keeps its elevation angle and its trace in the
+    The LiDAR is at the camera's position, so a beam keeps its elevation angle, and its trace in the
     image is a slightly bent line: v = cy - fy tan(elevation) / cos(azimuth).
 
-    size: (height, width). intrinsics: (3, 3). lines: a divisor of 64, or 128. pitch_deg: tilt of
-    the LiDAR, up is positive. phase: 0..1 of a step, the azimuth of the first firing. Returns
-    (H, W) int16.
+    Args:
+        size: (height, width).
+        intrinsics: (3, 3).
+        lines: a divisor of 64, or 128.
+        pitch_deg: tilt of the LiDAR, up is positive.
+        phase: azimuth of the first firing, 0 to 1 of a step.
+
+    Returns:
+        int16 (H, W).
     """
     height, width = size
     fx, fy = intrinsics[0, 0], intrinsics[1, 1]
@@ -103,12 +110,18 @@ def scan_line_index(
 def scan_lines(depth: Depth, intrinsics: NDArray[np.float64], lines: int, rng: Generator) -> Depth:
     """Simulate a LiDAR with this number of lines, a divisor of 64 or 128, on dense depth.
 
-    Ranges have noise, some returns are lost, the more the farther they are, and the whole scan is
+    Ranges have noise, some returns are lost (more at larger distances), and the whole scan is
     tilted at random, so that lines do not fall on the same rows in every frame. At 375 x 1242 and
     64 lines about 4 % of the pixels have a return, as in KITTI.
 
-    depth: (H, W) float32 metres along the optical axis, 0 = no surface (sky: no return).
-    intrinsics: (3, 3). Returns (H, W) float32, 0 = no return.
+    Args:
+        depth: float32 (H, W), metres along the optical axis, 0 = no surface (sky gives no return).
+        intrinsics: (3, 3).
+        lines: number of lines.
+        rng: source of random numbers.
+
+    Returns:
+        float32 (H, W), 0 = no return.
     """
     height, width = depth.shape
     pitch_deg = _TILT_DEG * float(rng.standard_normal())
@@ -167,12 +180,16 @@ class OcclusionFilter:
 
 @dataclass(frozen=True)
 class LidarInput:
-    """The LiDAR input: the set's own, scan lines, a random share of the measurements, or none."""
+    """The LiDAR input: the set's own, scan lines, a random share of the measurements, or none.
+
+    Attributes:
+        lines: a divisor of 64, for "lines".
+        share: 0 to 1, for "random": of the pixels of dense depth, or of the returns of recorded
+            depth.
+    """
 
     kind: Literal["own", "lines", "random", "none"] = "own"
-    #: A divisor of 64, for "lines".
     lines: int = 0
-    #: 0..1, for "random": of the pixels of dense depth, of the returns of recorded depth.
     share: float = 0.0
 
     @classmethod

@@ -37,43 +37,64 @@ from training.limits import (
 
 Depth = NDArray[np.float32]
 
-#: A depth map with more than this share of known pixels is dense, and a LiDAR is simulated from it.
-#: Accumulated scans know 20 % of the pixels, rendered streets at least 33 %.
+# A depth map with more than this share of known pixels is dense, and a LiDAR is simulated from it.
+# Accumulated scans know 20 % of the pixels, rendered streets at least 33 %.
 _DENSE_SHARE = 0.3
-#: Sky pixels this close to another class have no depth target. The second margin is for labels that
-#: a network made.
+# Sky pixels this close to another class have no depth target. The second margin is for labels that
+# a network made.
 SKY_MARGIN_PX, PSEUDO_SKY_MARGIN_PX = 2, 10
-#: As `AugmentConfig.random_share`, of recorded returns instead of pixels.
+# Like `AugmentConfig.random_share`, but for recorded returns instead of pixels.
 _RECORDED_SHARE = (0.05, 0.8)
-#: Largest rotation [degrees] about each axis and shift [m] along it of a misaligned LiDAR.
+# Largest rotation [degrees] about each axis and shift [m] along it of a misaligned LiDAR.
 MISALIGNMENT_DEG, MISALIGNMENT_M = 0.5, 0.05
-#: Range of the share of the image's width of a missing sector.
+# Range of the share of the image's width that a missing sector has.
 SECTOR_SHARE = (0.05, 0.3)
-#: Default crop. Smaller data has a smaller crop, see `training.loading.augment`.
+# Default crop. Smaller data has a smaller crop, see `training.loading.augment`.
 LARGEST_CROP = (320, 480)
-#: RGB of padding: the mean colour by which networks normalise.
+# RGB of padding: the mean colour by which networks normalise.
 _FILL_RGB = (124, 116, 104)
 
 
-#: A crop's rows are a multiple of this: the stride of most networks.
+# A crop's rows are a multiple of this: the stride of most networks.
 _CROP_STEP = 32
 
 
 @dataclass(frozen=True, config=STRICT)
 class AugmentConfig:
-    """Ranges and probabilities of the random changes."""
+    """Ranges and probabilities of the random changes.
 
-    #: (height, width) of the result; None = by the height of the data, see
-    #: `training.loading.augment`.
+    Attributes:
+        crop: (height, width) of the result; None: from the height of the data, see `with_crop`.
+        scale: range of the random magnification of the image.
+        rare_crops: share of the crops that are chosen for rare classes: of `crop_candidates` random
+            crops, the crop with the most pixels of `data.rare_classes`.
+        brightness: largest relative change of brightness, contrast and saturation, and largest hue
+            shift [degrees].
+        lidar_missing: probability that the LiDAR is missing.
+        lidar_random: probability that the input is a random share of the measurements instead of
+            scan lines.
+        random_share: range of the random share, log-uniform. For dense depth it is a share of the
+            pixels; for recorded returns see `_RECORDED_SHARE`.
+        lines: numbers of scan lines to choose from. A recorded scan keeps every 64/n-th line. 128
+            lines need dense depth, otherwise 64 are used.
+        lidar_misaligned: probability of an error of the LiDAR's extrinsics; ignored without
+            intrinsics.
+        lidar_dropout: probability that one to three sectors of the LiDAR are missing.
+        lidar_absorbed: probability that one labelled object, such as a car, or its upper part has
+            no returns.
+        world_scale: range of a random factor of all depth in frames with LiDAR input, so that the
+            network takes the scale from the returns instead of the image. (1, 1) changes nothing.
+        pair_shift: largest shift [px] of a second view of each frame, for the consistency losses.
+            Shifts are multiples of the stride of the semantic head. 0: there is one view.
+        pair_lidar_missing: probabilities that the second view has no LiDAR, and that it has false
+            returns.
+    """
+
     crop: tuple[CropSide, CropSide] | None = None
-    #: Range of the random magnification of the image.
     scale: FactorRange = (0.7, 1.8)
-    #: Share of the crops that are chosen for rare classes: of `crop_candidates` random crops the
-    #: crop with the most pixels of `data.rare_classes`.
     rare_crops: Share = 0.0
     crop_candidates: Annotated[int, Field(ge=1, le=100)] = 4
     flip: Share = 0.5
-    #: Largest relative change of brightness, contrast and saturation; largest hue shift [degrees].
     brightness: Strength = 0.3
     contrast: Strength = 0.3
     saturation: Strength = 0.3
@@ -81,31 +102,17 @@ class AugmentConfig:
     gray: Share = 0.02
     blur: Share = 0.1
     noise: Share = 0.1
-    #: Probability that the LiDAR is missing.
     lidar_missing: Share = 0.1
-    #: Probability that the input is a random share of the measurements instead of scan lines.
     lidar_random: Share = 0.3
-    #: Range of the random share, log-uniform. Of dense depth it is a share of the pixels; for
-    #: recorded returns see `_RECORDED_SHARE`.
     random_share: ShareRange = (0.01, 0.08)
-    #: Numbers of scan lines to choose from. A recorded scan keeps every 64/n-th line. 128 lines
-    #: need dense depth, otherwise 64 are used.
     lines: Annotated[
         tuple[Literal[1, 2, 4, 8, 16, 32, 64, 128], ...], Field(min_length=1, max_length=100)
     ] = (64, 32, 16)
-    #: Probability of an error of the LiDAR's extrinsics; ignored without intrinsics.
     lidar_misaligned: Share = 0.0
-    #: Probability that one to three sectors of the LiDAR are missing.
     lidar_dropout: Share = 0.0
-    #: Probability that one labelled object, such as a car, or its upper part has no returns.
     lidar_absorbed: Share = 0.0
-    #: Range of a random factor of all depth in frames with LiDAR input, so that the network takes
-    #: the scale from the returns instead of the image. (1, 1) = none.
     world_scale: FactorRange = (1.0, 1.0)
-    #: Largest shift [px] of a second view of each frame, for the consistency losses. Shifts are
-    #: multiples of the stride of the semantic head. 0 = one view.
     pair_shift: PairShift = 0
-    #: Probabilities that the second view has no LiDAR, and that it has false returns.
     pair_lidar_missing: Share = 0.0
     pair_lidar_false: Share = 0.0
 

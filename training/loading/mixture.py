@@ -55,40 +55,50 @@ def _bytes_of(sample: Sample) -> int:
 
 
 class Pair(NamedTuple):
-    """How the second view of each frame differs from the first."""
+    """How the second view of each frame differs from the first.
 
-    #: int64 (N, 2): row and column of the second view's upper left corner in the first view.
+    Attributes:
+        offset: row and column of the second view's upper left corner in the first view, int64 (N,
+            2).
+        first_lidar: liDAR input of the views, float32 (N, 1, H, W), metres, 0 = no return.
+    """
+
     offset: Tensor
-    #: float32 (N, 1, H, W), metres: LiDAR input of the views, 0 = no return.
     first_lidar: Tensor
     second_lidar: Tensor
 
 
 class Drawn(NamedTuple):
-    """A frame that was drawn from the mixture of data sets, as one view or as two shifted views."""
+    """A frame that was drawn from the mixture of data sets, as one view or as two shifted views.
+
+    Attributes:
+        offset: (row, column) of the second view's upper left corner in the first view.
+    """
 
     views: tuple[Sample, ...]
-    #: (row, column) of the second view's upper left corner in the first view.
     offset: tuple[int, int] = (0, 0)
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Frames of one size; with two views, the first views of all frames, then the second views."""
+    """Frames of one size; with two views, the first views of all frames, then the second views.
 
-    #: uint8 (N, 3, H, W), RGB.
+    Attributes:
+        rgb: uint8 (N, 3, H, W), RGB.
+        sparse_depth: float32 (N, 1, H, W), metres; 0 = no measurement.
+        targets: labels (N, H, W) of each target, see `training.datasets.sample.target_kind`.
+        weights: weight of each frame's labels in the loss, float32 (N,), by target.
+        names: data set and name of each frame, for messages.
+        pair: how second views differ; None: no frame has two views.
+        teacher: output of the teacher; None: there is no teacher.
+    """
+
     rgb: Tensor
-    #: float32 (N, 1, H, W), metres; 0 = no measurement.
     sparse_depth: Tensor
-    #: Target -> (N, H, W), see `training.datasets.sample.target_kind`.
     targets: Mapping[str, Tensor]
-    #: Target -> float32 (N,), weight of each frame's labels in the loss.
     weights: Mapping[str, Tensor]
-    #: Data set and name of each frame, for messages.
     names: Sequence[str]
-    #: None = no frame has two views.
     pair: Pair | None = None
-    #: Output of the teacher, None = no teacher.
     teacher: NetworkOutput | None = None
 
     @classmethod
@@ -150,13 +160,16 @@ class MixturePart:
 
 @dataclass(frozen=True)
 class DepthTarget:
-    """The unit of the depth target, see `models.NetworkConfig`, and the depth of the sky."""
+    """The unit of the depth target, see `models.NetworkConfig`, and the depth of the sky.
+
+    Attributes:
+        sky: class whose unmeasured pixels get the depth `sky_depth_m`; None: no class.
+        max_depth_m: range of the network.
+    """
 
     canonical_focal_px: float | None = None
-    #: Class whose unmeasured pixels get the depth `sky_depth_m`; None = no class.
     sky: int | None = None
     sky_depth_m: float = 100.0
-    #: The network's range.
     max_depth_m: float = MAX_RETURN_M
 
 

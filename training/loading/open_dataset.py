@@ -20,26 +20,25 @@ from training.datasets.sample import Sample, SampleSource, target_kind
 from training.datasets.source_recipe import SourceRecipe
 from training.loading.augment import resize
 
-#: Number of frames from which the class frequencies of the loss are counted.
+# Number of frames from which the class frequencies of the loss are counted.
 FREQUENCY_SAMPLES = 400
-#: Frames of the training that pruning is based on, at least.
+# Least number of frames of the training on which pruning is based.
 _PICTURES = 32
-#: Share of a set's depth beyond the network's range from which it is reported.
+# A share of a set's depth beyond the network's range that is at least this large is reported.
 _FAR_SHARE = 0.1
 
 
 class CheckedSource:
     """A data set whose targets have their type and size.
 
-    The frames are resized to `size`, see `SourceRecipe.size`, by `augment.resize` if given.
-
-    DatasetError names the reader and the frame of another.
+    The frames are resized to `size` with `augment.resize`, if a size is given, see
+    `SourceRecipe.size`. A DatasetError about a frame names the reader and the frame.
     """
 
     def __init__(self, source: SampleSource, size: tuple[int, int] | int | None) -> None:
         self._source = source
         self._size = size
-        #: See `FrameList.images`; a set of another kind may have none.
+        # See `FrameList.images`; a set of another kind may have none.
         self.images: Sequence[Path] = getattr(source, "images", ())
 
     def __len__(self) -> int:
@@ -64,7 +63,8 @@ def open_dataset(
 ) -> SampleSource:
     """Open a data set in the first of `roots` that has its folder.
 
-    `classes` is the table of the class ids. DatasetError if there is none, or it cannot be read.
+    `classes` is the table of the class ids. Raises DatasetError if there is no such folder, or if
+    it cannot be read.
     """
     source = recipe.open(_find_folder(recipe, roots), classes)
     return CheckedSource(source, recipe.size)
@@ -135,18 +135,21 @@ def spread_pictures(sources: Sequence[SampleSource]) -> Iterator[Tensor]:
 
 
 class Survey(NamedTuple):
-    """Counts of about `FREQUENCY_SAMPLES` frames without augmentation, by the sets' weights."""
+    """Counts of about `FREQUENCY_SAMPLES` frames without augmentation, by the sets' weights.
 
-    #: Number of frames that were read.
+    Attributes:
+        frames: number of frames that were read.
+        smallest: the least height and the least width of the frames.
+        classes: pixels of each class, in millionths of a frame; labels that a network made count by
+            their weight.
+        targets: targets for which a frame has labels that are trained.
+        notes: for each target, the labels that are not trained, in words.
+    """
+
     frames: int
-    #: The least height and the least width of the frames.
     smallest: tuple[int, int]
-    #: Pixels of each class, in millionths of a frame; labels made by a network count by their
-    #: weight.
     classes: NDArray[np.float64]
-    #: Targets of which a frame has labels that are trained.
     targets: Collection[str]
-    #: Of a target, what of its labels is not trained, in words.
     notes: Sequence[tuple[str, str]]
 
 

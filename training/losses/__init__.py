@@ -1,4 +1,4 @@
-"""The losses of the paper, Eq. 2-12, soft IoU and Lovász; a file a family, in `SSDNetLoss`."""
+"""The losses of the paper, Eq. 2-12, soft IoU and Lovász; `SSDNetLoss` combines them."""
 
 from training.losses.semantic import class_weights
 from training.losses.total import LossConfig, SSDNetLoss

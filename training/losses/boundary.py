@@ -12,12 +12,12 @@ from training.losses.semantic import IGNORE, labelled_mean
 
 
 def boundary_target(semantic: Tensor) -> tuple[Tensor, Tensor]:
-    """Boundary of a label map and where it is known: two bool (N, 1, H, W).
+    """Return the boundary of a label map and where it is known: two bool (N, 1, H, W).
 
-    `semantic` int (N, H, W), 255 = ignore. A pixel is boundary if its label differs from its left
-    (u - 1) or upper (v - 1) neighbour's, Eq. 7 on the ground truth, so a line is one pixel wide.
-    An ignored pixel is unknown, and so is a pixel beside an ignored one, unless its other neighbour
-    makes it boundary.
+    `semantic` is int (N, H, W), 255 = ignore. A pixel is boundary if its label differs from its
+    left (u - 1) or upper (v - 1) neighbour's (Eq. 7 on the ground truth), so a line is one pixel
+    wide. An ignored pixel is unknown, and so is a pixel beside an ignored one, unless its other
+    neighbour makes it boundary.
     """
     known = semantic != IGNORE
     target = torch.zeros_like(known)
@@ -34,9 +34,9 @@ def boundary_target(semantic: Tensor) -> tuple[Tensor, Tensor]:
 def boundary_at_scale(
     target: Tensor, valid: Tensor, grid: tuple[int, int]
 ) -> tuple[Tensor, Tensor]:
-    """Boundary on a coarser grid: a cell is boundary if any pixel in it is, and known likewise.
+    """Return the boundary on a coarser grid: a cell is boundary, or known, if any pixel in it is.
 
-    `target`, `valid` bool (N, 1, H, W), see `boundary_target`; returns bool (N, 1, *grid).
+    `target` and `valid` are bool (N, 1, H, W), see `boundary_target`; returns bool (N, 1, *grid).
     """
     if target.shape[-2:] == grid:
         return target, valid
@@ -48,12 +48,12 @@ def boundary_at_scale(
 def balanced_cross_entropy(
     logits: Tensor, target: Tensor, valid: Tensor, sample_weight: Tensor
 ) -> Tensor:
-    """Eq. 6 as a mean over the known pixels: -(beta g log p + (1 - beta)(1 - g) log(1 - p)), ().
+    """Return Eq. 6 as a mean over the known pixels: -(beta g log p + (1 - beta)(1 - g) log(1 - p)).
 
-    `logits` float (N, 1, H, W), p is their sigmoid; `target` g and `valid` bool of that shape;
-    `sample_weight` float (N,), see `labelled_mean`. Our reading: beta is the share of non-boundary
-    pixels among the known ones of the whole batch, of all processes, so that the few boundary
-    pixels weigh as much as all the others.
+    `logits` are float (N, 1, H, W), and p is their sigmoid; `target` g and `valid` are bool of that
+    shape; `sample_weight` is float (N,), see `labelled_mean`. In our reading, beta is the share of
+    non-boundary pixels among the known ones of the whole batch, over all processes, so that the few
+    boundary pixels weigh as much as all the others.
     """
     known = valid.to(logits.dtype)
     boundary = (target & valid).to(logits.dtype)
@@ -65,18 +65,22 @@ def balanced_cross_entropy(
 
 
 class NeighbourMaps(NamedTuple):
-    """Comparison of every pixel with its left (u - 1) and upper (v - 1) neighbour."""
+    """Comparison of every pixel with its left (u - 1) and upper (v - 1) neighbour.
 
-    #: float (N, H, W - 1), horizontal; column i belongs to pixel i + 1.
+    Attributes:
+        across: float (N, H, W - 1), horizontal; column i belongs to pixel i + 1.
+        down: float (N, H - 1, W), vertical; row i belongs to pixel i + 1.
+    """
+
     across: Tensor
-    #: float (N, H - 1, W), vertical; row i belongs to pixel i + 1.
     down: Tensor
 
 
 class _Agreement(torch.autograd.Function):
-    """sum_k p_k(u) p_k(u - 1), both ways.
+    """sum_k p_k(u) p_k(u - 1) in both directions.
 
-    With its own derivative, because autograd's would allocate the class maps for every slice.
+    It has its own derivative, because that of autograd would allocate the class maps for every
+    slice.
     """
 
     @staticmethod
@@ -120,12 +124,12 @@ def hard_disagreement(labels: Tensor) -> NeighbourMaps:
 
 
 def semantic_boundary_loss(disagreement: NeighbourMaps, boundary: Tensor, *, side: int) -> Tensor:
-    """Eq. 8: where neighbours differ in class the boundary should be high, ().
+    """Return Eq. 8: where neighbours differ in class, the boundary should be high, ().
 
-    `boundary` P_b, float (N, 1, H, W) in 0..1. (1/N) sum f_u e^-P_b + f_v e^-P_b over all N
-    pixels; the first column and row have no neighbour and f = 0. Without ground truth, so that
-    unlabelled images count as well. `side` is the side of a cell of the maps in pixels, the
-    number of pixels along which two cells meet.
+    `boundary` is P_b, float (N, 1, H, W) in 0..1. The loss is (1/N) sum f_u e^-P_b + f_v e^-P_b
+    over all N pixels; the first column and row have no neighbour, and f = 0. It needs no ground
+    truth, so unlabelled images count as well. `side` is the side of a cell of the maps in pixels,
+    the number of pixels along which two cells meet.
     """
     doubt = torch.exp(-boundary.squeeze(1))
     across = disagreement.across * doubt[..., 1:]
@@ -134,11 +138,11 @@ def semantic_boundary_loss(disagreement: NeighbourMaps, boundary: Tensor, *, sid
 
 
 def semantic_depth_loss(disagreement: NeighbourMaps, depth: Tensor, *, side: int) -> Tensor:
-    """Eq. 9-11: where neighbours differ in class the depth should step, ().
+    """Return Eq. 9-11: where neighbours differ in class, the depth should step, ().
 
-    `depth` P_d, float (N, 1, H, W). (1/N) sum f_u e^-|du P_d| + f_v e^-|dv P_d|: the printed loss
-    depends on the unit of depth; `SSDNetLoss` takes the normalised one, 0..1. `side` as in
-    `semantic_boundary_loss`.
+    `depth` is P_d, float (N, 1, H, W). The loss is (1/N) sum f_u e^-|du P_d| + f_v e^-|dv P_d|. As
+    printed it depends on the unit of depth; `SSDNetLoss` takes the normalised depth, 0..1. For
+    `side` see `semantic_boundary_loss`.
     """
     depth = depth.squeeze(1)
     step_across = (depth[..., 1:] - depth[..., :-1]).abs()

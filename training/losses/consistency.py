@@ -10,12 +10,12 @@ from training.limits import PAIR_BORDER_PX
 from training.loading.mixture import Pair
 from training.losses.depth import log_ratio
 
-#: Weights of the depth's log ratio at pixels farther than NEAR_PX from a return, and nearer.
+# Weights of the depth's log ratio at pixels farther than NEAR_PX from a return, and nearer.
 FAR_WEIGHT, NEAR_WEIGHT = 1.2, 0.2
 NEAR_PX = 6
-#: The upper edge of the scan is the highest return within this many columns.
+# The upper edge of the scan is the highest return within this many columns.
 EDGE_COLUMNS = 17
-#: Distance in rows over which a jump of the depth is measured.
+# Distance in rows over which a jump of the depth is measured.
 STEP_ROWS = 8
 
 
@@ -24,8 +24,12 @@ def overlap(
 ) -> tuple[Tensor, Tensor]:
     """Crop two maps to the area that both views show, without PAIR_BORDER_PX: two (C, h', w').
 
-    first, second: (C, h, w), maps of cells of `side` pixels. offset: rows and columns [px] of the
-    second view's upper left corner in the first view, multiples of `side`.
+    Args:
+        first: (C, h, w), a map of cells of `side` pixels.
+        second: a map of the same shape for the second view.
+        offset: rows and columns [px] of the second view's upper left corner in the first view,
+            multiples of `side`.
+        side: side of a cell in pixels.
     """
     border = -(-PAIR_BORDER_PX // side)
     rows, columns = (part // side for part in offset)

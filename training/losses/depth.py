@@ -8,10 +8,11 @@ from torch import Tensor
 
 from training.losses.masked import grid_of, masked_mean, split_into_blocks
 
-#: Smaller normalised depths are clipped to this value before a ratio is taken.
+# Smaller normalised depths are clipped to this value before a ratio is taken.
 _NEAREST = 1e-3
 
-#: (prediction, target, valid), all (N, 1, h, w), depth normalised to 0..1 -> loss ().
+# Arguments: prediction, target and valid, all (N, 1, h, w), depth normalised to 0..1. Returns the
+# loss, ().
 DepthCriterion = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
@@ -28,9 +29,9 @@ def normalise_depth(
 
 
 def depth_at_scale(target: Tensor, valid: Tensor, grid: tuple[int, int]) -> tuple[Tensor, Tensor]:
-    """Ground truth on a coarser grid: the mean of the valid pixels under each cell, and a mask.
+    """Return the mean of the valid pixels under each cell of a coarser grid, and a mask.
 
-    `target` float (N, 1, H, W), 0 where not `valid`; a cell without a valid pixel is invalid.
+    `target` is float (N, 1, H, W), 0 where not `valid`; a cell without a valid pixel is invalid.
     """
     if target.shape[-2:] == grid:
         return target, valid
@@ -88,10 +89,10 @@ def log_ratio(depth: Tensor, other: Tensor) -> Tensor:
 def multi_scale_depth_loss(
     predictions: tuple[Tensor, ...], target: Tensor, valid: Tensor, criterion: DepthCriterion
 ) -> Tensor:
-    """Mean of a criterion over the scales of the prediction, each against its own ground truth.
+    """Return the mean of a criterion over the scales of the prediction, each with its ground truth.
 
-    `predictions` float (N, 1, h_i, w_i), normalised; `target`, `valid` (N, 1, H, W), see
-    `normalise_depth`. The paper gives no weights for the scales; here they are equal.
+    `predictions` are float (N, 1, h_i, w_i), normalised; for `target` and `valid`, (N, 1, H, W),
+    see `normalise_depth`. The paper gives no weights for the scales; here they are equal.
     """
     losses = [
         criterion(prediction, *depth_at_scale(target, valid, grid_of(prediction)))
@@ -141,16 +142,16 @@ def ssim(a: Tensor, b: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def ssim_loss(prediction: Tensor, target: Tensor, valid: Tensor) -> Tensor:
-    """Eq. 2 as a loss: 1 - mean SSIM over the windows that hold ground truth, ().
+    """Return Eq. 2 as a loss: 1 - mean SSIM over the windows that hold ground truth, ().
 
-    Shapes as `ssim`, depth normalised to 0..1. The paper adds the mean SSIM itself, which training
-    would minimise; the loss is 1 - SSIM. 0 without ground truth.
+    The shapes are those of `ssim`, with depth normalised to 0..1. The paper adds the mean SSIM
+    itself, which training would minimise; the loss is 1 - SSIM. It is 0 without ground truth.
     """
     similarity, known = ssim(prediction, target, valid)
     return masked_mean(1 - similarity, known)
 
 
-#: Smallest scale b [m]: the precision of a LiDAR.
+# Smallest scale b [m]: the precision of a LiDAR.
 _LEAST_SCALE_M = 0.01
 
 

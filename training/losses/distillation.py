@@ -10,7 +10,7 @@ from torch.nn import functional as F
 from training.losses.depth import log_ratio
 from training.losses.masked import grid_of, masked_mean, on_grid
 
-#: Scale of the teacher's error, as a share of its depth, at which a pixel counts half.
+# Scale of the teacher's error, as a share of its depth, at which a pixel counts half.
 HALF_CERTAIN = 0.05
 
 

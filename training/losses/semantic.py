@@ -142,7 +142,7 @@ def picture_mean(losses: Tensor, known: Tensor, sample_weight: Tensor) -> Tensor
     )
 
 
-#: Values of a mask, see `training.datasets.sample.Sample`; any other is unknown.
+# Values of a mask, see `training.datasets.sample.Sample`; any other is unknown.
 NO_ROAD, ROAD = 0, 1
 
 

@@ -56,11 +56,11 @@ if TYPE_CHECKING:
 
 
 class Compared:
-    """A network's output beside the batch that it answers, and what several terms share.
+    """A network's output beside its batch, with values that several terms share.
 
     Attributes:
-        heads: head -> float32 (N, C, h, w), see `models.answers.head_maps`.
-        depths: of all scales, the finest first.
+        heads: float32 (N, C, h, w) of each head, see `models.answers.head_maps`.
+        depths: depth at all scales, the finest first.
     """
 
     def __init__(self, loss: "SSDNetLoss", output: NetworkOutput, batch: Batch) -> None:
@@ -80,12 +80,12 @@ class Compared:
 
     @cached_property
     def log_probabilities(self) -> Tensor:
-        """Of the classes, (N, C, h, w)."""
+        """Log probabilities of the classes, (N, C, h, w)."""
         return F.log_softmax(self.heads["semantic"], dim=1)
 
     @cached_property
     def probabilities(self) -> Tensor:
-        """Of the classes, (N, C, h, w)."""
+        """Probabilities of the classes, (N, C, h, w)."""
         return self.log_probabilities.exp()
 
     @cached_property
@@ -224,9 +224,9 @@ class Term(NamedTuple):
 
     Attributes:
         heads: heads that the network must have.
-        target: the target in `Sample.targets` that it compares with; "" = none.
-        loss: computes it, a mean (), not yet weighted.
-        weight: where the recipe has none in `loss.weights`; a term of weight 0 is not computed.
+        target: the target in `Sample.targets` with which it compares; "" if there is none.
+        loss: computes the term, a mean (), before weighting.
+        weight: weight if the recipe has none in `loss.weights`; a term of weight 0 is not computed.
     """
 
     heads: frozenset[str]
@@ -235,15 +235,16 @@ class Term(NamedTuple):
     weight: float = 1.0
 
 
-#: (answer of the network (N, 1, H, W), labels (N, H, W), weight of each frame's labels (N,)) ->
-#: loss (), a mean over the labelled pixels of all processes, see `training.losses.semantic`.
+# Arguments: answer of the network (N, 1, H, W), labels (N, H, W), weight of each frame's labels
+# (N,). Returns the loss (), a mean over the labelled pixels of all processes, see
+# `training.losses.semantic`.
 HeadLoss = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
 def head_term(head: str, loss: HeadLoss, weight: float = 1.0) -> Term:
-    """Return the term of a head of one's own, a name in `NetworkOutput.others` and of the target.
+    """Return the term of a head of your own, a name in `NetworkOutput.others` and of the target.
 
-    It belongs into `TERMS` under the name of the head, or into the entry points of `GROUP`.
+    It belongs in `TERMS` under the name of the head, or in the entry points of `GROUP`.
     """
 
     def compare(c: Compared) -> Tensor:
@@ -252,9 +253,9 @@ def head_term(head: str, loss: HeadLoss, weight: float = 1.0) -> Term:
     return Term(frozenset({head}), head, compare, weight)
 
 
-#: Name -> heads, target, loss, weight. The first five and their weights are Eq. 12, Eq. 4, 5, 6, 8
-#: and 11; with the soft form of Eq. 8 and 11 training at weight 1 often collapses to one class, and
-#: 0.03 is used instead (docs/results.md).
+# Heads, target, loss and weight of each term. The first five and their weights are Eq. 12, Eq. 4,
+# 5, 6, 8 and 11; with the soft form of Eq. 8 and 11, training at weight 1 often collapses to one
+# class, and 0.03 is used instead (docs/results.md).
 TERMS: dict[str, Term] = {
     name: Term(frozenset(heads.split()), target, loss, weight)
     for name, heads, target, loss, weight in (
@@ -281,11 +282,11 @@ TERMS: dict[str, Term] = {
         ("distilled_boundary", "boundary", "", _distilled_boundary, 0.0),
     )
 }
-#: Terms that compare two views of each frame.
+# Terms that compare two views of each frame.
 PAIR_TERMS = frozenset({"depth_consistency", "depth_seam", "semantic_consistency"})
-#: Weights that leave the terms of depth alone.
+# Weights that leave only the terms of depth.
 DEPTH_ALONE = {name: 0.0 for name in TERMS if not name.startswith("depth")}
-#: The entry points of terms in other packages.
+# Group of the entry points with which other packages add terms.
 GROUP = "ssdnet.losses"
 
 

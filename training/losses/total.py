@@ -20,8 +20,8 @@ from training.losses.terms import TERMS, Compared, Term, find_term, list_terms
 def gather_weights(table: Mapping[str, Any]) -> dict[str, Any]:
     """Return a table of `LossConfig` whose weights are all in `weights`.
 
-    Recipes and checkpoints of earlier releases have them as `NAME_weight`, those of other heads
-    in `head_weights`.
+    Recipes and checkpoints of earlier releases name them `NAME_weight`, and those of other heads
+    `head_weights`.
     """
     earlier = {f"{name}_weight": name for name in TERMS}
     gathered = {k: v for k, v in table.items() if k not in earlier and k != "head_weights"}
@@ -43,39 +43,43 @@ def _complete(weights: Mapping[str, float]) -> dict[str, float]:
 class LossConfig:
     """The options of the loss. The defaults are our reading of the paper.
 
+    Attributes:
+        weights: weight of each term, see `training.losses.terms`; a term that is missing here has
+            the weight of the table there. A term of weight 0 is not computed: for SSDNet_ind,
+            semantic_boundary and semantic_depth are 0.
+        weighting: "fixed": the weights above, as in the paper. "uncertainty": each weight except
+            that of "depth_uncertainty" is multiplied by a learned factor (Kendall et al. 2018, the
+            paper's reference 35).
+        semantic_grid: where the semantic loss is computed: at the image's size, or on the head's
+            own grid against the share of each class among the pixels of a cell, which is faster.
+            Both are the same for a head at the image's size.
+        class_weighting: how the class frequencies give Eq. 5's beta; "paper" is literal.
+        depth_form: "paper": Eq. 4 on normalised depth. "metric": L1 + metric_l2 * L2 in metres, and
+            ratios.
+        metric_log: weight of the mean |log(prediction / target)| beside them [m].
+        depth_scales: whether the loss is the mean over all scales, or that of the finest scale.
+        disagreement: whether Eq. 7 is on probabilities, or as printed on arg-max labels (no
+            gradient to the semantic head).
+
     Raises:
         ValueError: for a negative number, or for the weight of an unknown term.
     """
 
-    #: Term -> its weight, see `training.losses.terms`; that of a term which is not here is in the
-    #: table there. A term of weight 0 is not computed: SSDNet_ind is semantic_boundary and
-    #: semantic_depth 0.
     weights: Annotated[Mapping[str, NotNegative], AfterValidator(_complete)] = field(
         default_factory=lambda: _complete({})
     )
 
-    #: "fixed": the weights above, as in the paper. "uncertainty": each but that of
-    #: "depth_uncertainty" is multiplied by a learned factor (Kendall et al. 2018, the paper's
-    #: reference 35).
     weighting: Literal["fixed", "uncertainty"] = "fixed"
 
-    #: Where the semantic loss is computed: at the image's size, or on the head's own grid against
-    #: the share of each class among the pixels of a cell, which is faster. The same for a head at
-    #: the image's size.
     semantic_grid: Literal["image", "head"] = "image"
 
-    #: How Eq. 5's beta comes from the class frequencies; "paper" is literal.
     class_weighting: ClassWeighting = "median"
 
-    #: "paper": Eq. 4 on normalised depth. "metric": L1 + metric_l2 * L2 in metres, and ratios.
     depth_form: Literal["paper", "metric"] = "paper"
     metric_l2: NotNegative = 0.02
-    #: Weight of the mean |log(prediction / target)| beside them [m].
     metric_log: NotNegative = 0.0
-    #: Mean over all scales, or the finest alone.
     depth_scales: Literal["mean", "finest"] = "mean"
 
-    #: Eq. 7 on probabilities, or as printed on arg-max labels (no gradient to the semantic head).
     disagreement: Literal["soft", "hard"] = "soft"
 
     @model_validator(mode="before")
@@ -119,10 +123,12 @@ class SSDNetLoss(nn.Module):
         max_depth_m: depth [m] of the network's normalised output 1.0.
         target_depth_m: see `models.NetworkConfig`; None = `max_depth_m`.
         road: id of the class of the road masks; None = no such class.
+
+    Attributes:
+        log_variances: log sigma^2 of each term, learned if the weighting is "uncertainty".
     """
 
     class_weights: Tensor
-    #: log sigma^2 of each term, learned if the weighting is "uncertainty".
     log_variances: nn.ParameterDict
 
     def __init__(
@@ -139,7 +145,7 @@ class SSDNetLoss(nn.Module):
         self.road = road
         self.max_depth_m = max_depth_m
         self.target_depth_m = target_depth_m or max_depth_m
-        #: Normalised depth of the sky.
+        # Normalised depth of the sky.
         self.farthest = self.target_depth_m / max_depth_m
         weights = torch.ones(()) if class_weights is None else class_weights
         self.register_buffer("class_weights", weights, persistent=False)

@@ -48,7 +48,7 @@ def _joint_weights(weight: float) -> Recipe:
     return derive(SSDNET, loss={"weights": {"semantic_boundary": weight, "semantic_depth": weight}})
 
 
-#: Row -> its description and recipe.
+# Row -> its description and recipe.
 ROWS = {
     "joint-weights-1": (
         "Eq. 8 and 11 with the weight of the other terms, Eq. 12 as printed.",

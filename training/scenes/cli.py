@@ -15,7 +15,7 @@ from training.scenes.names import CameraName, StreetKind, Variant
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
-#: Frames of the drive in a second, and seconds until the ego car reaches the end of the street.
+# Frames of the drive in a second, and seconds until the ego car reaches the end of the street.
 _FRAMES_PER_S, _LONGEST_S = 10.0, 16.0
 
 

@@ -8,7 +8,7 @@ from enum import IntEnum, StrEnum
 from typing import Self
 
 StreetKind = StrEnum("StreetKind", "town residential avenue highway square")
-#: Light and weather of a scene.
+# Light and weather of a scene.
 Variant = StrEnum("Variant", "clone morning sunset overcast fog rain")
 CameraName = StrEnum("CameraName", "kitti varied")
 

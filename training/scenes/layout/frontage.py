@@ -25,14 +25,14 @@ class _Nursery:
         return pick(self._near if s < 75 else self._far, self._rng)
 
 
-#: Edges of gardens, each up to a share of all; others are open.
+# Edges of gardens, each up to a share of all; others are open.
 _EDGES = (
     (0.3, plants.make_hedge),
     (0.55, furniture.make_board_fence),
     (0.75, furniture.make_wall),
     (0.9, furniture.make_railing),
 )
-#: Share of the plots with trees instead of a building.
+# Share of the plots with trees instead of a building.
 _GREEN = {"town": 0.1, "residential": 0.35, "avenue": 0.55, "highway": 0.85, "square": 0.45}
 
 

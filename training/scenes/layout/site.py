@@ -9,7 +9,7 @@ from training.scenes.arrays import Floats
 from training.scenes.names import StreetKind
 from training.scenes.things.mesh import Mesh
 
-#: Height of the kerbs, and where streets start and end.
+# Height of the kerbs, and where streets start and end.
 KERB_M = 0.12
 START_M = -40.0
 END_M = 330.0

@@ -7,7 +7,7 @@ import numpy as np
 from training.scenes.arrays import Floats
 from training.scenes.names import CameraName
 
-#: Sizes (height, width) of varied cameras.
+# Sizes (height, width) of varied cameras.
 _SIZES = ((375, 1242), (375, 1242), (480, 960), (400, 720), (360, 480))
 
 

@@ -12,25 +12,25 @@ from training.scenes.rendering.camera import Camera
 from training.scenes.rendering.raycast import RayCaster
 from training.scenes.textures.surface import SurfaceKind
 
-#: Of an HDL-64E at 10 Hz, and the range of other LiDARs [degrees].
+# Of an HDL-64E at 10 Hz, and the range of other LiDARs [degrees].
 _HDL64_AZIMUTH_STEP_DEG, _AZIMUTH_STEPS_DEG = 0.17, (0.1, 0.35)
-#: Scan lines of other LiDARs, and the ranges of their highest and lowest elevations [degrees].
+# Scan lines of other LiDARs, and the ranges of their highest and lowest elevations [degrees].
 _LINES, _HIGHEST_DEG, _LOWEST_DEG = (32, 40, 64, 128), (2.0, 15.0), (-30.0, -15.0)
-#: LiDAR axes (x forward, y left, z up) in those of a camera (x right, y down, z forward).
+# LiDAR axes (x forward, y left, z up) in those of a camera (x right, y down, z forward).
 _LIDAR_TO_CAMERA = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 _RANGE_NOISE_M = 0.02
 _LONGEST_RANGE_M = 120.0
 _MOST_SURFACES = 4  # that a pulse meets
-#: Kind -> gloss from which its surface is a pane of glass (see the textures of these kinds).
+# Kind -> gloss from which its surface is a pane of glass (see the textures of these kinds).
 _PANES = {
     SurfaceKind.CAR_GLASS: 0.0,
     SurfaceKind.CAR_SIDE_WINDOW: 0.07,
     SurfaceKind.BUS_SIDE: 0.065,
     SurfaceKind.FACADE: 0.03,
 }
-#: Shares of the pulses on a vehicle's pane that pass through it, and that are lost.
+# Shares of the pulses on a vehicle's pane that pass through it, and that are lost.
 _PANE_PASSES, _PANE_LOSES = 0.6, 0.3
-#: Share of the pulses on a window of a house that are lost; most others return from the room.
+# Share of the pulses on a window of a house that are lost; most others return from the room.
 _WINDOW_LOSES, _WINDOW_ROOM, _ROOM_M = 0.5, 0.4, 3.0
 
 

@@ -12,7 +12,7 @@ from training.scenes.textures.surface import SurfaceKind
 
 _GROUND = (SurfaceKind.ASPHALT, SurfaceKind.PAVING)
 _LIFT = 2e-3
-#: Reach of the rays of contact shading.
+# Reach of the rays of contact shading.
 _CONTACT_M = 2.5
 
 

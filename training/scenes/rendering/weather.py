@@ -30,7 +30,7 @@ class Weather:
 
 
 _DARK = (0.0, 0.0, 0.0)
-#: Of each variant: sun, zenith, horizon, range of cloud, haze.
+# Of each variant: sun, zenith, horizon, range of cloud, haze.
 _LIGHT = {
     "clone": ((3.4, 3.15, 2.8), (0.22, 0.42, 0.85), (0.75, 0.9, 1.1), (0.1, 0.7), 0.0009),
     "morning": ((2.7, 2.2, 1.6), (0.25, 0.4, 0.7), (0.95, 0.9, 0.85), (0.1, 0.6), 0.0012),

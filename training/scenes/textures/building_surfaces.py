@@ -7,7 +7,7 @@ from training.scenes.textures.noise import fractal_noise, hash01
 from training.scenes.textures.paint import band
 from training.scenes.textures.surface import Points, Surface, matt, mix
 
-#: Height and width of a brick with its mortar [m].
+# Height and width of a brick with its mortar [m].
 _TALL, _WIDE = 0.075, 0.225
 
 

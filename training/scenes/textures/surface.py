@@ -8,7 +8,7 @@ import numpy as np
 
 from training.scenes.arrays import Floats, Rows
 
-#: `surfaces` has one function for each kind.
+# `surfaces` has one function for each kind.
 SurfaceKind = IntEnum(
     "SurfaceKind",
     "PLAIN ASPHALT PAVING GRASS FACADE ROOF FOLIAGE BARK METAL CAR_BODY CAR_SIDE_WINDOW CAR_GLASS "

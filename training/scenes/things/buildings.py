@@ -21,7 +21,7 @@ _AWNING = rows("0.4 0.05 0.04, 0.05 0.2 0.1, 0.08 0.12 0.3, 0.55 0.5 0.4")
 _TRIM, _SHEET = rows("0.55 0.53 0.48"), rows("0.5 0.52 0.54")
 _OFFICE = rows("0.5 0.49 0.46, 0.33 0.34 0.35, 0.6 0.58 0.52, 0.36 0.22 0.16")
 
-#: Façade styles the shader knows.
+# Façade styles the shader knows.
 PLASTER, BRICK, OFFICE, SHED = 0.0, 1.0, 2.0, 3.0
 
 

@@ -15,7 +15,7 @@ _RAILINGS = rows("0.03 0.04 0.04, 0.3 0.31 0.31, 0.03 0.1 0.06")
 _BINS = rows("0.03 0.08 0.04, 0.03 0.03 0.03, 0.08 0.09 0.1, 0.05 0.08 0.2")
 _SIGNALS = rows("0.9 0.03 0.02, 0.9 0.4 0.02, 0.03 0.8 0.35")
 _BOARD, _SQUARE = 5, 6  # kinds of sign
-#: Outlines of signs that are no discs, -1..1, by kind.
+# Outlines of signs that are no discs, -1..1, by kind.
 _TRIANGLE = np.array([[-1, -0.8], [1, -0.8], [0, 0.95]])
 _QUAD = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
 _OUTLINES = {

@@ -16,7 +16,7 @@ from training.scenes.textures.surface import SurfaceKind
 
 T = TypeVar("T")
 Lattice = ArrayLike | None
-#: Linear RGB, 0..1.
+# Linear RGB, 0..1.
 Color = tuple[float, ...]
 
 

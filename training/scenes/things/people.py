@@ -24,7 +24,7 @@ _BOTTOMS = rows("0.02 0.02 0.03, 0.04 0.06 0.14, 0.12 0.1 0.07, 0.08 0.08 0.09")
 
 _REFLECTIVE = (0.5, 0.6, 0.02)
 
-#: Radii [m] of thigh, shin, upper arm and forearm, each from its upper to its lower end.
+# Radii [m] of thigh, shin, upper arm and forearm, each from its upper to its lower end.
 _WALKING = np.array(rows("0.095 0.065, 0.064 0.05, 0.062 0.05, 0.048 0.04"))
 _RIDING = np.array(rows("0.095 0.065, 0.064 0.048, 0.06 0.05, 0.048 0.04"))
 

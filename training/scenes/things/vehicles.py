@@ -16,7 +16,7 @@ _PAINTS = rows(
     "0.5 0.47 0.38, 0.06 0.2 0.42, 0.6 0.35 0.03, 0.18 0.19 0.2, 0.82 0.82 0.82"
 )
 
-#: Lamps and tyres of lorries and buses.
+# Lamps and tyres of lorries and buses.
 _RED = Look(SurfaceKind.GLOW, (0.5, 0.02, 0.02), SceneClass.TRUCK, (0.4,))
 _WHITE = Look(SurfaceKind.GLOW, (0.7, 0.7, 0.65), SceneClass.TRUCK, (0.3,))
 _TYRE = Look(SurfaceKind.WHEEL, (0.3, 0.3, 0.31), SceneClass.TRUCK, (0.48, 0.2))
