@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
     __version__: str
 
-#: Module -> its public names.
+# Module -> its public names.
 _MODULES = {
     "alignment.calibrate": "CalibrationResult calibrate",
     "engine.bundled_models": "list_bundled_models",

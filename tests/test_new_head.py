@@ -51,7 +51,7 @@ ROW = Head(
     saved_as="free-space",
     panel=Panel.GRAY,
 )
-#: Runs ssdnet-run with the row.
+# Runs ssdnet-run with the row.
 COMMAND = f"""
 import pickle
 from runtime.contract.heads import HEADS

@@ -13,7 +13,7 @@ from runtime.alignment.view import View
 ALIKE = 0.5  # least median depth figure of returns that fit; right 0.57 and more, wrong up to 0.07
 _LEAST_GAIN = 0.1  # least gain of the sum of both figures over the given calibration
 _FRAMES = 5
-#: From the axes of a LiDAR or vehicle (x ahead, y left, z up) to those of a camera.
+# From the axes of a LiDAR or vehicle (x ahead, y left, z up) to those of a camera.
 _TO_CAMERA = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 
 _Matrix = NDArray[np.float64]

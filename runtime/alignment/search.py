@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from runtime.alignment.figures import figures_of, totals
 from runtime.alignment.view import View
 
-#: Blur of the boundaries in image heights, step of yaw and pitch [degrees], largest number of
-#: moves.
+# Blur of the boundaries in image heights, step of yaw and pitch [degrees], largest number of
+# moves.
 _COARSE = ((8 / 375, 1.5, 4), (5 / 375, 0.75, 4))
 _FINE = ((3 / 375, 0.5, 3), (2 / 375, 0.3, 3))
 _ROLL_STEP = 2.5  # steps of roll are so many times as large, because it moves returns less

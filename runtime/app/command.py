@@ -18,7 +18,7 @@ from typing import Any
 from runtime.base.errors import OutputError, SSDNetError, import_remedy
 
 ERROR, INTERRUPTED = 1, 130  # exit codes
-#: Ctrl-C, a request to end, and the closing of a terminal or SSH session.
+# Ctrl-C, a request to end, and the closing of a terminal or SSH session.
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _CLOSED = (errno.EPIPE, errno.EIO)  # reported by a pipe without a reader, and by a closed terminal
 _SAME_S = 0.2  # parents such as timeout(1) send a signal twice

@@ -13,7 +13,7 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-#: The option --version of every command.
+# The option --version of every command.
 Version = Annotated[
     bool,
     typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version."),

@@ -23,7 +23,7 @@ _PNG_RUNS = _PNG_STORED | {
     cv2.IMWRITE_PNG_COMPRESSION: 1,
     cv2.IMWRITE_PNG_STRATEGY: cv2.IMWRITE_PNG_STRATEGY_RLE,
 }
-#: For files that hold many frames: a third of the size in five times the time.
+# For files that hold many frames: a third of the size in five times the time.
 _PNG_SMALL = {
     cv2.IMWRITE_PNG_COMPRESSION: 1,
     cv2.IMWRITE_PNG_FILTER: cv2.IMWRITE_PNG_FILTER_UP,
@@ -110,7 +110,7 @@ def encode_ply(cloud: PointCloud, classes: Sequence[ClassInfo] = ()) -> bytes:
     return "\n".join(header).encode("ascii") + b"\n" + vertices.tobytes()
 
 
-#: Functions that encode a head's array as the content of a file, by the head's unit.
+# Functions that encode a head's array as the content of a file, by the head's unit.
 ENCODERS: dict[Unit, Callable[[NDArray[Any]], memoryview]] = {
     Unit.CLASS_ID: encode_ids,
     Unit.METRES: encode_metres,

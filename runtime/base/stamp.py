@@ -10,17 +10,17 @@ import numpy as np
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
 
-#: Seconds as a float or nanoseconds as an int.
+# Seconds as a float or nanoseconds as an int.
 Stamp = float | int
 
 NS_PER_MS = 1_000_000
-#: Default of the largest difference between the stamps of an image and its depth map. It is half
-#: the period of a LiDAR of 10 Hz, so that each scan has its image.
+# Default of the largest difference between the stamps of an image and its depth map. It is half
+# the period of a LiDAR of 10 Hz, so that each scan has its image.
 DEFAULT_MAX_SKEW_MS = 50.0
-#: Default of the largest age of depth that is reused for an image without depth of its own. A LiDAR
-#: of 10 Hz may lose one scan.
+# Default of the largest age of depth that is reused for an image without depth of its own. A LiDAR
+# of 10 Hz may lose one scan.
 DEFAULT_REUSE_DEPTH_MS = 150.0
-#: If the stamps of a sensor go back by more than this, its clock was reset.
+# If the stamps of a sensor go back by more than this, its clock was reset.
 JUMP_BACK_NS = 1_000 * NS_PER_MS
 _COARSEST_S = 1e-3  # float64 resolves the time since 1970 to 2.4e-7 s, float32 to 128 s
 _DATE = "2011-09-26 13:02:25.964389445"

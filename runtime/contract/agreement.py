@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from runtime.contract.contract import Contract
 from runtime.contract.heads import HEADS, Difference, Head, Unit
 
-#: Factors by which half precision may differ more than single precision: one for the share of
-#: pixels that differ, and one for values.
+# Factors by which half precision may differ more than single precision: one for the share of
+# pixels that differ, and one for values.
 HALF_SHARE, HALF_VALUE = 10, 100
 
 _SHARE = Difference.EQUAL_SHARE.value  # the only figure whose limit is a minimum
-#: Kind of difference -> a figure that is not sensitive to large differences in single pixels.
+# Kind of difference -> a figure that is not sensitive to large differences in single pixels.
 _MEANS = {
     Difference.EQUAL_SHARE: _SHARE,
     Difference.MEAN: Difference.MEAN.value,
@@ -28,7 +28,7 @@ _MEANS = {
 }
 _LEAST_MEAN = 1e-9
 _PERCENTILE = re.compile(r"p(100|[0-9]{1,2}(?:\.[0-9]{1,3})?)")
-#: The precisions of files; the least exact one comes last.
+# The precisions of files; the least exact one comes last.
 _EXACTNESS = ("fp32", "fp16", "int8")
 
 

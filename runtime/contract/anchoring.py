@@ -16,16 +16,16 @@ from runtime.contract.resize import is_one_surface
 
 Floats = NDArray[Any]  # float32
 
-#: A return and the predicted depth agree up to this log ratio.
+# A return and the predicted depth agree up to this log ratio.
 AGREE = 0.03
-#: Surrounding predicted depths are on one surface with a pixel up to this root mean square of their
-#: log ratios to the pixel's own depth.
+# Surrounding predicted depths are on one surface with a pixel up to this root mean square of their
+# log ratios to the pixel's own depth.
 ONE_SURFACE = 0.06
-#: The sums have cells of this side, in pixels of the network; their grid is halved so many times.
+# The sums have cells of this side, in pixels of the network; their grid is halved so many times.
 CELL, LEVELS = 2, 2
-#: Effective number of cells in a window of 3 x 3 with the weights 1, 2, 1: (16 / 6) ** 2.
+# Effective number of cells in a window of 3 x 3 with the weights 1, 2, 1: (16 / 6) ** 2.
 _CELLS = 7.1
-#: Largest share by which agreeing returns reduce the uncertainty.
+# Largest share by which agreeing returns reduce the uncertainty.
 REDUCTION = 0.4
 _LEAST_DEPTH_M = np.float32(1e-3)
 _TENT = np.array([0.25, 0.5, 0.25], np.float32)
@@ -52,11 +52,14 @@ def move_to_returns(
 
 
 class Anchored(NamedTuple):
-    """Maps on the grid of the network, each float32 (h, w)."""
+    """Maps on the grid of the network, each float32 (h, w).
 
-    #: Factor for the predicted depth, exp(-AGREE)..exp(AGREE).
+    Attributes:
+        ratio: factor for the predicted depth, exp(-AGREE)..exp(AGREE).
+        uncertainty: factor for the uncertainty, 1 - REDUCTION..1.
+    """
+
     ratio: Floats
-    #: Factor for the uncertainty, 1 - REDUCTION..1.
     uncertainty: Floats
 
 

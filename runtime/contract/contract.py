@@ -23,14 +23,14 @@ MAX_CLASSES = 255  # ids are uint8, and one of them is NO_CLASS
 MAX_NAME_LENGTH = 64
 MIN_DEPTH_RANGE_M = 1.0  # bounds of max_depth_m
 MAX_DEPTH_RANGE_M = 10_000.0
-#: Longest range of automotive LiDARs [m]. A value is no measurement if it is larger and also beyond
-#: the model's range: 65535 in a 16-bit PNG (256 m) marks pixels without a return.
+# Longest range of automotive LiDARs [m]. A value is no measurement if it is larger and also beyond
+# the model's range: 65535 in a 16-bit PNG (256 m) marks pixels without a return.
 MAX_RETURN_M = 250.0
 MIN_FOCAL_PX = 1.0  # bounds of a focal length: from tiny pictures to long telephoto lenses
 MAX_FOCAL_PX = 1_000_000.0
 MAX_GIGA_MACS = 1_000_000.0
 
-#: This is written for other engines; this engine does not read it.
+# This is written for other engines; this engine does not read it.
 _RESIZE = {"rgb": "bilinear", "sparse_depth": "nearest"} | {
     head.name: head.resize for head in HEADS.values()
 }

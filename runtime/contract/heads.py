@@ -10,7 +10,7 @@ from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 from typing import Literal
 
-#: How a map is resized, see `runtime.contract.resize`.
+# How a map is resized, see `runtime.contract.resize`.
 ResizeRule = Literal["nearest", "bilinear", "surface"]
 
 
@@ -96,12 +96,12 @@ class Head:
         return self.tolerance * (min(max_depth_m, 100.0) if is_metres else 1.0)
 
 
-#: Pixels for which the boundary decoder gives a larger probability are object edges. At an edge,
-#: predicted depth passes from the near to the far surface through empty space. In a model with
-#: classes, `boundary` is half of this probability inside regions of one class.
+# Pixels for which the boundary decoder gives a larger probability are object edges. At an edge,
+# predicted depth passes from the near to the far surface through empty space. In a model with
+# classes, `boundary` is half of this probability inside regions of one class.
 EDGE_BOUNDARY = 0.5
 
-#: Name -> head, in the order of the contract.
+# Name -> head, in the order of the contract.
 HEADS: dict[str, Head] = {
     head.name: head
     for head in (

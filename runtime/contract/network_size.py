@@ -6,11 +6,11 @@ from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_PIXELS, MAX_SIDE, MIN_SIDE, check_side, check_size
 
-#: None = about the trained height, "frame" = the frame's own size, a number of rows, or (height,
-#: width).
+# None = about the trained height, "frame" = the frame's own size, a number of rows, or (height,
+# width).
 NetworkSize = Literal["frame"] | int | tuple[int, int] | None
 
-#: Frames of up to this multiple of the trained height run at their own size.
+# Frames of up to this multiple of the trained height run at their own size.
 LARGEST_RATIO = 1.25
 
 

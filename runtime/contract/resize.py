@@ -16,9 +16,9 @@ from runtime.contract.heads import ResizeRule
 
 Size = tuple[int, int]  # (height, width)
 
-#: The pixel and its eight neighbours.
+# The pixel and its eight neighbours.
 _AROUND = np.ones((3, 3), np.uint8)
-#: Neighbouring depths are one surface if the farthest is at most this multiple of the nearest.
+# Neighbouring depths are one surface if the farthest is at most this multiple of the nearest.
 SAME_SURFACE = 1.15
 
 
@@ -68,7 +68,7 @@ def is_one_surface(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
     return (nearest > 0) & (farthest <= SAME_SURFACE * nearest)
 
 
-#: Rule of `HEADS` -> its function, which takes an array (H, W) and the new size.
+# Rule of `HEADS` -> its function, which takes an array (H, W) and the new size.
 RESIZE: dict[ResizeRule, Callable[[NDArray[Any], Size], NDArray[Any]]] = {
     "nearest": resize_nearest,
     "bilinear": resize_image,

@@ -8,7 +8,7 @@ from pathlib import Path
 from runtime.base.checks import shown
 from runtime.base.errors import ContractError, InputError
 
-#: The model that runs by default.
+# The model that runs by default.
 DEFAULT_MODEL = "ssdnet-lite"
 
 _SUFFIX = ".onnx"

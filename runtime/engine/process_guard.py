@@ -5,7 +5,7 @@ import os
 from runtime.base.errors import InferenceError, SSDNetError
 
 _THREADS = "threads do not survive a fork"
-#: Reason for an object that holds files open.
+# Reason for an object that holds files open.
 SHARED_FILES = "after a fork both processes would read from one position in its files"
 
 

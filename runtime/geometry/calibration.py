@@ -22,7 +22,7 @@ from runtime.geometry.rigid import read_rigid
 from runtime.geometry.units import check_mount
 
 RAW_CAMERAS, RAW_SCANNER = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
-#: Example of a file, which is filled in for another camera.
+# Example of a file, which is filled in for another camera.
 _EXAMPLE = """\
 intrinsics = [[721.5, 0.0, 609.6], [0.0, 721.5, 172.9], [0.0, 0.0, 1.0]]  # pixels
 # From the LiDAR's frame to the camera's, metres; points_in = "camera" where they are the same.

@@ -12,12 +12,12 @@ from runtime.base.errors import InputError
 from runtime.files.read_input import read_text
 from runtime.geometry.projection import check_intrinsics
 
-#: Names by which a file of object or odometry data is recognised; it has at least one of them.
+# Names by which a file of object or odometry data is recognised; it has at least one of them.
 _NAMES = ("P0", "P1", "P2", "P3", "R0_rect", "Tr_velo_to_cam", "Tr")
 
 
-#: (height, width) of the images of KITTI's rectified cameras for each fx, cx and cy [px], by the
-#: day of recording; object and odometry files do not state the size.
+# (height, width) of the images of KITTI's rectified cameras for each fx, cx and cy [px], by the
+# day of recording; object and odometry files do not state the size.
 _SIZES = {
     (721.5377, 609.5593, 172.854): (375, 1242),  # 2011_09_26
     (707.0493, 604.0814, 180.5066): (370, 1224),  # 2011_09_28

@@ -18,11 +18,11 @@ from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume
 
 PLUMB_BOB, RATIONAL_POLYNOMIAL, EQUIDISTANT = "plumb_bob", "rational_polynomial", "equidistant"
-#: Names that Kalibr, OpenCV and librealsense use for these models.
+# Names that Kalibr, OpenCV and librealsense use for these models.
 _ALIASES = {"radtan": PLUMB_BOB} | dict.fromkeys(
     ("equi", "fisheye", "kannala_brandt4"), EQUIDISTANT
 )
-#: Accepted numbers of coefficients, and the names of the coefficients, for each model.
+# Accepted numbers of coefficients, and the names of the coefficients, for each model.
 _COEFFICIENTS = {
     PLUMB_BOB: ((4, 5), "k1, k2, p1, p2[, k3]"),
     RATIONAL_POLYNOMIAL: ((8,), "k1, k2, p1, p2, k3, k4, k5, k6"),

@@ -16,19 +16,19 @@ from runtime.geometry.poses import NoPoseError, PoseFrame, PoseTrack, check_pose
 from runtime.geometry.returns import axes_of, check_points, is_return
 
 DepthMotion = Literal["each", "scan", "none"]
-#: The instant of a scan that its stamp marks.
+# The instant of a scan that its stamp marks.
 ScanStamp = Literal["start", "middle", "end"]
-#: Time from the stamp to the middle of the scan, in scan durations, for each instant of the stamp.
+# Time from the stamp to the middle of the scan, in scan durations, for each instant of the stamp.
 MIDDLE_AFTER: dict[ScanStamp, float] = {"start": 0.5, "middle": 0.0, "end": -0.5}
-#: Duration of a scan until the LiDAR's period is known: the period at 10 Hz.
+# Duration of a scan until the LiDAR's period is known: the period at 10 Hz.
 FIRST_SCAN_NS = 100 * NS_PER_MS
 _LONGEST_SCAN_S = 1.0
-#: Number of times of a scan at which its pose is computed. Between two of them, which are 1.6 ms
-#: apart in a scan of 100 ms, matrices are interpolated linearly. The error is 0.01 mm at 100 m in a
-#: turn of 0.5 rad/s.
+# Number of times of a scan at which its pose is computed. Between two of them, which are 1.6 ms
+# apart in a scan of 100 ms, matrices are interpolated linearly. The error is 0.01 mm at 100 m in a
+# turn of 0.5 rad/s.
 _KNOTS = 65
-#: Steps between two of these times. The time of a point is rounded to a step, which is 24 µs in a
-#: scan of 100 ms; a car of 40 m/s drives 1 mm in a step.
+# Steps between two of these times. The time of a point is rounded to a step, which is 24 µs in a
+# scan of 100 ms; a car of 40 m/s drives 1 mm in a step.
 _STEPS = 64
 
 

@@ -21,10 +21,10 @@ from runtime.contract.degraded import NO_POSE, POSE_CLOCK, POSE_GAP, POSE_JUMP
 from runtime.geometry.rigid import read_rigid
 
 MAX_EXTRAPOLATION_MS = 100.0
-#: Longest time between two poses over which they are interpolated. A car with 10 m/s² leaves the
-#: straight line by 8 cm in this time.
+# Longest time between two poses over which they are interpolated. A car with 10 m/s² leaves the
+# straight line by 8 cm in this time.
 MAX_GAP_MS = 250.0
-#: Number of poses in a `PoseBuffer`: 80 s at 100 Hz.
+# Number of poses in a `PoseBuffer`: 80 s at 100 Hz.
 CAPACITY = 8192
 _OTHER_CLOCK_NS = 10_000 * NS_PER_MS  # a picture and poses this far apart have different clocks
 _MOST_NS = 2**62  # largest stamp, so that the difference of two stamps fits into int64

@@ -18,7 +18,7 @@ _EDGE, _BESIDE = 1e-5, 1e-2
 _LEAST_MISSES, _LEAST_MISS_SHARE, _MISSES, _LEAST_WIDTH = 50, 0.01, 2, 0.1
 _WIDEST_POINT = 16  # numbers per point; a longer row belongs to an array (3, N)
 _SATURATED = 65535  # 16-bit depth without a measurement
-#: The same value in metres if the unit is KITTI's, millimetres or centimetres.
+# The same value in metres if the unit is KITTI's, millimetres or centimetres.
 _SATURATED_M = tuple(np.float32(_SATURATED / units) for units in (256, 1000, 100))
 
 

@@ -84,5 +84,5 @@ class Rig:
         return tuple(each.name for each in fields(self) if getattr(self, each.name) != each.default)
 
 
-#: The rig of a car about which nothing is known.
+# The rig of a car about which nothing is known.
 DEFAULT_RIG: Final = Rig()

@@ -7,7 +7,7 @@ from runtime.base.errors import InputError
 from runtime.recordings.folders import FolderSource
 from runtime.streams.frame import Frame
 
-#: Focal length [px] of the stream's camera: KITTI's 721.54 px at 1242 columns, rendered with 832.
+# Focal length [px] of the stream's camera: KITTI's 721.54 px at 1242 columns, rendered with 832.
 BUNDLED_FOCAL_LENGTH_PX = 721.54 * 832 / 1242
 
 

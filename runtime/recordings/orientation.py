@@ -6,7 +6,7 @@ import struct
 from runtime.geometry.assumptions import assume
 
 _ORIENTATION = 0x0112  # tag of EXIF (CIPA DC-008)
-#: How viewers turn the picture for each EXIF orientation; 1 does not turn it.
+# How viewers turn the picture for each EXIF orientation; 1 does not turn it.
 _TURNS = {
     2: "mirrors them",
     3: "turns them by 180 degrees",

@@ -14,9 +14,9 @@ from runtime.geometry.poses import quaternion_of
 from runtime.streams.frame_result import FrameResult
 from runtime.streams.stream_counter import Level, WatchdogState
 
-#: Datatypes of sensor_msgs/PointField for NumPy's types.
+# Datatypes of sensor_msgs/PointField for NumPy's types.
 _DATATYPES = {"|u1": 2, "<u4": 6, "<f4": 7}
-#: Levels of diagnostic_msgs/DiagnosticStatus for the states of a stream.
+# Levels of diagnostic_msgs/DiagnosticStatus for the states of a stream.
 _LEVELS = {Level.OK: 0, Level.WARN: 1, Level.ERROR: 2, Level.NOT_YET: 3}
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
     from rosbags.typesys.store import Typestore
 
-#: Largest size of a chunk of a bag after decompression, as declared by the bag's index.
+# Largest size of a chunk of a bag after decompression, as declared by the bag's index.
 MAX_CHUNK_BYTES = 2**28
 
 _BAG_SUFFIXES = (".yaml", ".db3", ".mcap", ".zstd")

@@ -22,7 +22,7 @@ from runtime.recordings.ros_bag import RosBag
 from runtime.recordings.ros_poses import TransformTree, frame_name
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-#: Words (between / and _) in the names of topics whose images are, or are not, rectified.
+# Words (between / and _) in the names of topics whose images are, or are not, rectified.
 _RECTIFIED, _RAW = {"rect", "rectified"}, {"raw", "unrectified", "distorted"}
 # If the principal point is farther from the middle, in shares of the sides, the CameraInfo is for
 # images of another size.

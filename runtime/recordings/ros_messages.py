@@ -17,7 +17,7 @@ from runtime.base.errors import InputError
 from runtime.geometry.returns import to_metres
 from runtime.recordings.images import decode_rgb, require_pixels
 
-#: Number of channels and conversion to RGB for each encoding of an image.
+# Number of channels and conversion to RGB for each encoding of an image.
 _PICTURES: dict[str, tuple[int, int | None]] = {
     "rgb8": (3, None),
     "bgr8": (3, cv2.COLOR_BGR2RGB),
@@ -30,13 +30,13 @@ _PICTURES: dict[str, tuple[int, int | None]] = {
     "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2RGB),
 }
 MONO16 = "mono16"
-#: Type and units per metre for each encoding of a depth map (REP 118); some drivers write mono16.
+# Type and units per metre for each encoding of a depth map (REP 118); some drivers write mono16.
 DEPTHS: dict[str, tuple[str, float]] = {
     "16UC1": ("u2", 1000.0),
     "32FC1": ("f4", 1.0),
     MONO16: ("u2", 1000.0),
 }
-#: Datatypes of a PointField that a coordinate may have.
+# Datatypes of a PointField that a coordinate may have.
 _FLOATS = {7: "f4", 8: "f8"}
 
 

@@ -15,14 +15,14 @@ from runtime.recordings.poses import pose_of
 from runtime.recordings.ros_answers import FixedTransform
 from runtime.recordings.ros_messages import view_fields
 
-#: Names that drivers give to the field with the time of each point; the first one present counts.
+# Names that drivers give to the field with the time of each point; the first one present counts.
 TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")
-#: NumPy's types for the datatypes of such a field.
+# NumPy's types for the datatypes of such a field.
 _TIMES = {6: "u4", 5: "i4", 7: "f4", 8: "f8"}
 _LONGEST_SCAN_S = 1.0
-#: Least value of nanoseconds since 1970 (a time in 1973), and least span of a scan in microseconds.
+# Least value of nanoseconds since 1970 (a time in 1973), and least span of a scan in microseconds.
 _LEAST_EPOCH_NS, _LEAST_SPAN_US, _LEAST_SPAN_NS = 1e17, 1e3, 1e6
-#: Fixed frames of REP 105, and the names that SLAM programs use for them.
+# Fixed frames of REP 105, and the names that SLAM programs use for them.
 _FIXED = ("odom", "map", "earth", "world", "camera_init")
 
 

@@ -25,13 +25,13 @@ _MAX_HEADER_BYTES = 100_000
 _LAST_LINE = re.compile(rb"^(DATA\s|end_header)[^\n]*\n", re.MULTILINE)
 _CODES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
 _WORDS = ("char", "uchar", "short", "ushort", "int", "uint", "float", "double")
-#: NumPy's types for the types of a field in a PLY or PCD file.
+# NumPy's types for the types of a field in a PLY or PCD file.
 _TYPES = {np.dtype(code).name: code for code in _CODES} | dict(zip(_WORDS, _CODES, strict=True))
 _TYPES |= {code: code for code in (*_CODES, "i8", "u8")}
-#: What the C library of Windows prints for NaN and infinity; neither is a return.
+# What the C library of Windows prints for NaN and infinity; neither is a return.
 _WORD_OF_WINDOWS = re.compile(rb"-?(?:nan\([a-z]*\)|1\.#[a-z]+[0-9]*)", re.IGNORECASE)
 _ASCII, _COMPRESSED = "ascii", "binary_compressed"
-#: Byte order for each encoding of the points.
+# Byte order for each encoding of the points.
 _OF_PCD = {_ASCII: "", "binary": "<", _COMPRESSED: "<"}
 _OF_PLY = {_ASCII: "", "binary_little_endian": "<", "binary_big_endian": ">"}
 # A raw file does not state how many columns a point has. They are judged by the angle between

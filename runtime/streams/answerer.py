@@ -68,7 +68,7 @@ class Answerer:
         self._is_implausible = is_implausible
         self._poses = PosePlausibility()
         self._posed: Frame | None = None  # not compared with its poses yet
-        #: Why the poses cannot be right; None = nothing was found.
+        # Why the poses cannot be right; None = nothing was found.
         self.pose_fault: str | None = None
         self._check_depth = check_depth
         self._last: Frame | None = None  # of the next check

@@ -22,7 +22,7 @@ class Sensor(StrEnum):
     POSE = "pose"
 
 
-#: The sensors whose messages are matched with each other.
+# The sensors whose messages are matched with each other.
 MATCHED = (Sensor.IMAGE, Sensor.DEPTH)
 
 

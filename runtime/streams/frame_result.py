@@ -96,9 +96,9 @@ class FrameResult:
         return replace(self, sequence=sequence, rgb=_NONE, prediction=prediction, age_ms=_NONE)
 
 
-#: Figure [ms] -> the function that returns its value for a frame. "predict" is the whole time of
-#: `Predictor.predict`. "skew" is absolute, and only for images with depth of their own. "depth_age"
-#: is 0 if the depth is newer than the image.
+# Figure [ms] -> the function that returns its value for a frame. "predict" is the whole time of
+# `Predictor.predict`. "skew" is absolute, and only for images with depth of their own. "depth_age"
+# is 0 if the depth is newer than the image.
 FIGURES: dict[str, Callable[[FrameResult], float | None]] = {
     "read": lambda done: done.read_ms,
     "preprocess": lambda done: done.prediction.latency.preprocess_ms if done.prediction else None,

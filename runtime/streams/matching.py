@@ -141,7 +141,7 @@ class Matching(ABC):
 
     # --- the rules of a live stream and of a recording -------------------------------------------
 
-    #: Whether the next message of a sensor comes no sooner than after its shortest interval.
+    # Whether the next message of a sensor comes no sooner than after its shortest interval.
     _is_regular = False
 
     @abstractmethod

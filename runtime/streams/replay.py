@@ -24,7 +24,7 @@ from runtime.streams.stream_counter import StreamCounter
 
 _WAITING = 16  # messages of a sensor that wait for their partner, and frames that wait for poses
 
-#: (kind, array, stamp): array and stamp are the arguments of the kind's `PushStream.push_` method.
+# (kind, array, stamp): array and stamp are the arguments of the kind's `PushStream.push_` method.
 ReplayMessage = (
     tuple[Kind, NDArray[Any], Stamp]
     | tuple[Literal["points"], NDArray[Any], Stamp, NDArray[Any] | None]

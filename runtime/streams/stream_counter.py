@@ -161,7 +161,7 @@ class StreamCounter:
         self._histograms = {name: DurationHistogram() for name in FIGURES if name not in _OF_A_RUN}
         self._faults = {name: MissCounter() for name in _FAULTS}
         self._is_started = False  # a message was accepted, or a frame answered
-        #: Limit on silence -> since when: the last answer or message, or else the first message.
+        # Limit on silence -> since when: the last answer or message, or else the first message.
         self._since_ns: dict[str, int] = {}
 
     def push(self, sensor: Sensor, outcome: Outcome | None = None) -> None:

@@ -10,7 +10,7 @@ import comparison
 from layouts import camvid, kitti_streets, virtual_kitti
 from runtime.engine.bundled_models import find_model
 
-#: A network that is quickly trained, a bundled one, one that is only timed, and a method.
+# A network that is quickly trained, a bundled one, one that is only timed, and a method.
 PLAN = """
 recipe = "comparison-semantics"
 set = ["data.batch_size = 2", "data.augment.crop = [32, 64]", "schedule.warmup_steps = 0"]

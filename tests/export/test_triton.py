@@ -7,7 +7,7 @@ from export.errors import ExportError
 from export.triton import require_model_folder, triton_config, write_triton_model
 from runtime import OutputError
 
-#: Read by protobuf with Triton's model_config.proto.
+# Read by protobuf with Triton's model_config.proto.
 CONFIG = """\
 name: "lite"
 backend: "onnxruntime"

@@ -28,8 +28,8 @@ from models.classes import numbered_classes
 from models.registry import NETWORKS
 
 SMALL, THIRD = (128, 416), (125, 414)
-#: Parameters and multiply-accumulates at a size (height, width), with 19 classes. Some are known to
-#: two digits alone, and for some nothing but the parameters.
+# Parameters and multiply-accumulates at a size (height, width), with 19 classes. Some are known to
+# two digits alone, and for some nothing but the parameters.
 KNOWN = {
     "bacnn": (149.1e6, 38.6e9, THIRD),
     "ddrnet-23-slim": (5.70e6, 0.92e9, SMALL),
@@ -44,7 +44,7 @@ KNOWN = {
     "sparse-conv": (25.6e3, None, SMALL),
     "sparse-to-dense": (11.7e6, 2.04e9, SMALL),
 }
-#: What makes their exports quick: fewer layers and channels, of the same kinds.
+# What makes their exports quick: fewer layers and channels, of the same kinds.
 VGG = ((16, 1), (16, 1), (256, 1), (512, 1), (512, 1))
 SMALLER = (
     *((module, "VGG16_BLOCKS", VGG) for module in (vgg16, bacnn, deeplab_largefov)),
@@ -106,7 +106,7 @@ def shorten(network):
         network.set_submodule(names[block], nn.Identity())
 
 
-#: Exported for any size, which takes longer to trace: each has another way down and up again.
+# Exported for any size, which takes longer to trace: each has another way down and up again.
 ANY_SIZE = ("enet", "fast-scnn", "fcn8s", "nconv")
 
 

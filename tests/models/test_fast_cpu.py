@@ -12,7 +12,7 @@ def interpolate(x, factor):
     return F.interpolate(x, scale_factor=float(factor), mode="bilinear", align_corners=False)
 
 
-#: Operation, the same in PyTorch, and sides, windows or factors.
+# Operation, the same in PyTorch, and sides, windows or factors.
 CASES = [
     (pooling.cell_means, F.avg_pool2d, (1, 2, 4, 8)),
     (pooling.cell_maxima, F.max_pool2d, (1, 2, 4, 8)),

@@ -43,7 +43,7 @@ from models.surfaces import (
 
 SIZE, GRID = (128, 192), (32, 48)
 RANGE_M = 200.0
-#: Logits of the head in their order, and those that leave the guess as it is.
+# Logits of the head in their order, and those that leave the guess as it is.
 NO_CHOICE = {"plane": -30.0, "farthest": -30.0, "nearest": -30.0}
 CHANNELS = (*NO_CHOICE, "correction", "scale", "before", "behind", "reduction")
 
@@ -63,7 +63,7 @@ def measured(returns=None):
 
 
 def scanned(lines, value=0.2):
-    """A depth at every second column of every ``lines``-th row."""
+    """A depth at every second column of every `lines`-th row."""
     depth = torch.zeros(1, 1, *SIZE)
     depth[..., ::lines, ::2] = value
     return depth
@@ -93,7 +93,7 @@ def grid_of(value):
 
 
 TWO = {(40, 40): 0.05, (41, 41): 0.8}
-#: The cell of these two.
+# The cell of these two.
 CELL_OF_TWO = (0, 0, 10, 10)
 
 

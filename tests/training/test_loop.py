@@ -44,7 +44,7 @@ INDEPENDENT = LossConfig(weights={"semantic_boundary": 0.0, "semantic_depth": 0.
 
 
 def recipe(steps=6, **tables):
-    """A short training; ``tables`` as of `derive`."""
+    """A short training; `tables` as of `derive`."""
     run = Recipe(
         model=ModelRecipe("ssdnet-lite"),
         data=DataRecipe(
@@ -249,7 +249,7 @@ def right_share(path, data):
     return (output.semantic_logits.argmax(1)[0].numpy() == label).mean()
 
 
-#: Its statistics follow 30 steps; those of the lite encoder, which begins pretrained, do not.
+# Its statistics follow 30 steps; those of the lite encoder, which begins pretrained, do not.
 QUICK = ModelRecipe(
     "ssdnet-small",
     config={

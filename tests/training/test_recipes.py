@@ -28,7 +28,7 @@ from training.network import build_network
 from training.recipes.registry import RECIPES
 from training.stages import Trained
 
-#: What a set of each kind can be scored on.
+# What a set of each kind can be scored on.
 SCORES = {
     "camvid": {"miou", "boundary_f"},
     "cityscapes": {"miou", "boundary_f", "mae_m", "rmse_m"},

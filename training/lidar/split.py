@@ -146,8 +146,8 @@ class OcclusionFilter:
     """Removes returns that the camera cannot see because something nearer is in front of them.
 
     A LiDAR above or beside the camera looks past near objects, so far returns show through them in
-    the projection. A return at depth d is removed if one nearer than ``d * (1 - relative_gap) -
-    gap_m`` lies in the window around it. Background seen right beside an object's edge goes too;
+    the projection. A return at depth d is removed if one nearer than `d * (1 - relative_gap) -
+    gap_m` lies in the window around it. Background seen right beside an object's edge goes too;
     surfaces at a grazing angle stay.
 
     Attributes:

@@ -19,10 +19,10 @@ from training.lidar.split import scan_lines
 
 
 def write_lidar_stream(variant: Path, out: Path) -> int:
-    """Write ``out/rgb/*.jpg`` and ``out/depth/*.png``.
+    """Write `out/rgb/*.jpg` and `out/depth/*.png`.
 
     Args:
-        variant: ``<root>/<scene>/<variant>`` in the Virtual KITTI 2 layout. Its images are copied;
+        variant: `<root>/<scene>/<variant>` in the Virtual KITTI 2 layout. Its images are copied;
             its dense depth is sampled by a simulated LiDAR of 64 lines (uint16, metres x 256, 0 =
             no return).
         out: folder for the two folders.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from runtime.app.drawing.picture_text import text_width, write_text
 
-#: Colour map of every depth in a picture, bright where it is near.
+# Colour map of every depth in a picture, bright where it is near.
 DEPTH_COLORS = cv2.COLORMAP_MAGMA
 NO_VALUE_COLOR = (110, 110, 110)
 _NO_VALUE = 255  # index of "no value" in the colour map

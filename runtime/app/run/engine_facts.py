@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 _LIBRARIES = ("onnxruntime", "cv2", "numpy")  # libraries that a predictor loads
 _CPU_INFO = Path("/proc/cpuinfo")
-#: Instruction sets that decide how fast a network runs, and the flags of Linux that indicate each.
+# Instruction sets that decide how fast a network runs, and the flags of Linux that indicate each.
 _SETS = {
     "AVX2": {"avx2"},
     "AVX-512": {"avx512f"},

@@ -3,7 +3,7 @@
 from runtime.contract.model_file import load_model_file
 from runtime.engine.bundled_models import assets_folder, find_model, list_bundled_models
 
-#: For each column: key in a row of `Contract.accuracy`, factor, digits.
+# For each column: key in a row of `Contract.accuracy`, factor, digits.
 _ACCURACY = {"mIoU %": ("miou", 100.0, 1), "MAE mm": ("mae_m", 1000.0, 0)}
 
 

@@ -38,14 +38,14 @@ from runtime.recordings.scan import SCAN_SUFFIXES
 from runtime.recordings.source import Source
 
 OVERLAY, CLOUD = "overlay", "cloud"
-#: For each kind of file that holds one head: name and unit of the head.
+# For each kind of file that holds one head: name and unit of the head.
 SAVED_HEADS = {head.saved_as: (head.name, head.unit) for head in HEADS.values() if head.saved_as}
-#: Suffix of each kind of file of a frame; the kind is also the name of its subfolder.
+# Suffix of each kind of file of a frame; the kind is also the name of its subfolder.
 SUFFIXES = {**dict.fromkeys(SAVED_HEADS, ".png"), OVERLAY: ".jpg", CLOUD: ".ply"}
-#: Kinds that are written unless others are requested; the remaining kinds are large.
+# Kinds that are written unless others are requested; the remaining kinds are large.
 KINDS = tuple(kind for kind in SUFFIXES if kind != CLOUD)
 MAX_OVERLAY_WIDTH = 8192  # five such panels side by side fit into a JPEG
-#: Suffix of the file that an option names.
+# Suffix of the file that an option names.
 FILE_SUFFIXES = {"video": ".mp4", "report": ".html", "mcap": ".mcap"}
 MCAP_VOXEL_M = (
     0.1  # side of the cubes in which --mcap keeps one point, unless --cloud-voxel is given

@@ -21,7 +21,7 @@ _WORDS = {
     LIDAR_EMPTY: "LiDAR empty",
     LIDAR_FROZEN: "LiDAR repeats itself",
 }
-#: Number of scans before the first one that can be found to repeat earlier ones.
+# Number of scans before the first one that can be found to repeat earlier ones.
 _BEFORE = {LIDAR_EMPTY: 0, LIDAR_FROZEN: 2}
 
 

@@ -6,7 +6,7 @@ from runtime.streams.health import frame_health as health
 
 LATE = "late"
 CAMERA_SILENT, LIDAR_SILENT = "camera_silent", "lidar_silent"
-#: The meaning of each reason. --fail-on takes these reasons.
+# The meaning of each reason. --fail-on takes these reasons.
 REASONS = {
     SKIPPED: "could not be read or predicted",
     INVALID: "the answer cannot be used",

@@ -32,8 +32,8 @@ from runtime.streams.frame_result import FrameResult
 _FIRST_FRAMES = 20  # a stream is refused if none of these frames can be predicted
 
 OnRecord = Callable[[FrameResult], None]
-#: Called before the first frame with a text about the run and the number of frames. Returns a
-#: function that is called with the result of each frame.
+# Called before the first frame with a text about the run and the number of frames. Returns a
+# function that is called with the result of each frame.
 OnStart = Callable[[str, int], OnRecord]
 
 

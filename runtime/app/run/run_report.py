@@ -29,7 +29,7 @@ REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "2.0"
 FRAMES_FILE, REPORT_FILE = "frames.csv", "report.json"
 FRAMES_SKIPPED, DEADLINE_MISSED, REASON_FOUND = 3, 4, 5  # exit codes
 
-#: The time of each stage for a frame. "latency" is left out, because it equals "age" or "predict".
+# The time of each stage for a frame. "latency" is left out, because it equals "age" or "predict".
 STAGES = {stage: time_of for stage, time_of in FIGURES.items() if stage != "latency"}
 
 

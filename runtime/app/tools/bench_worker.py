@@ -38,7 +38,7 @@ class Opened:
     peak_memory_mb: float | None  # of the process after two runs
 
 
-#: Names that free axes may have.
+# Names that free axes may have.
 _NAMES = {"C": "c|.*channels?", "H": "h|rows|.*height", "W": "w|columns|.*width"}
 _process = threading.local()  # holds `run`, a call of the open model
 

@@ -23,7 +23,7 @@ from runtime.recordings.source import Source
 _NOT_VISIBLE, _WRONG = 3, 4  # exit codes
 _EXIT_CODES = {Verdict.RIGHT: 0, Verdict.NOT_VISIBLE: _NOT_VISIBLE}
 _PICTURES = (".jpg", ".jpeg", ".png")
-#: The options of `ssdnet-run` that state what is read.
+# The options of `ssdnet-run` that state what is read.
 _READ = ("path", "rgb", "points", "calibration", "rectify", "poses", "source", "max_skew_ms")
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)

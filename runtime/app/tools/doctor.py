@@ -18,7 +18,7 @@ from runtime.app.command_options import Version
 from runtime.app.run.engine_facts import machine_facts
 from runtime.base.errors import SSDNetError
 
-#: A "note" is a fact, or something missing that is not needed; only a "fault" fails.
+# A "note" is a fact, or something missing that is not needed; only a "fault" fails.
 Status = Literal["ok", "note", "warning", "fault"]
 
 _ENGINE = {"numpy": "numpy", "cv2": "opencv-python-headless"}  # distribution of each module

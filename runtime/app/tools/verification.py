@@ -25,7 +25,7 @@ from runtime.contract.model_file import load_model_file
 from runtime.engine.predictor import Predictor
 from runtime.recordings.recording import RecordedFrame, Recording
 
-#: A value or a limit for each figure of `agreement.compare`, by head.
+# A value or a limit for each figure of `agreement.compare`, by head.
 Figures = Mapping[str, Mapping[str, float]]
 _ANSWERED_BY_TORCH = "torch"
 

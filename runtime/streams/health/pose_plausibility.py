@@ -49,7 +49,7 @@ def _inverse(track: PoseTrack) -> PoseTrack:
     return replace(track, quaternions=track.quaternions * (1, -1, -1, -1), positions=positions)
 
 
-#: Other readings of poses, in words, and the functions that read poses so.
+# Other readings of poses, in words, and the functions that read poses so.
 READINGS: dict[str, Reading] = {
     "as their inverse": _inverse,
     "with w as the first number of the quaternions": _w_first,

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from runtime.base.stamp import NS_PER_MS
 
-#: A sensor is silent after so long without a message, but not before `_PERIODS` of its periods.
+# A sensor is silent after so long without a message, but not before `_PERIODS` of its periods.
 SILENT_NS = 500 * NS_PER_MS
 _PERIODS = 3.0
 _LEAST_OFFSETS = 3  # least number of messages of each sensor in a part of the recording

@@ -13,7 +13,7 @@ from runtime.geometry.motion import Scan
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 from runtime.streams.frame import Frame, Message
 
-#: From a LiDAR (x ahead, z up), 0.3 m beside the camera, to the camera.
+# From a LiDAR (x ahead, z up), 0.3 m beside the camera, to the camera.
 EXTRINSICS = np.array([[0, -1, 0, 0.3], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 
 

@@ -10,7 +10,7 @@ from runtime.alignment.calibrate import Verdict, judge
 from runtime.alignment.figures import rotation
 from runtime.alignment.view import points_in_time, view_of
 
-#: Of the recording of `frames`.
+# Of the recording of `frames`.
 EXTRINSICS = np.array([[0, -1, 0, 0.3], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 
 

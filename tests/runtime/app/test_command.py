@@ -107,7 +107,7 @@ def test_a_closed_terminal_ends_no_command(tmp_path):
     assert process.returncode == 7
 
 
-#: Computes for minutes in a library, where Python handles no signal.
+# Computes for minutes in a library, where Python handles no signal.
 HANGS = """
 import hashlib
 from runtime.app.command import stop_requested
@@ -148,7 +148,7 @@ def test_one_signal_is_a_request_to_stop(start_process, options, numbers, apart_
 
 PYPROJECT = Path(__file__).parents[3] / "pyproject.toml"
 SCRIPTS = tomllib.loads(PYPROJECT.read_text())["project"]["scripts"]
-#: They start as ssdnet-run does.
+# They start as ssdnet-run does.
 TOOLS = ("ssdnet-bench", "ssdnet-doctor", "ssdnet-info", "ssdnet-verify")
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from runtime.base.natural_order import hold_decimals, in_natural_order, numbers_in
 
-#: Names in the right order, and whether they prove their decimals.
+# Names in the right order, and whether they prove their decimals.
 ORDERED = {
     "counters": (["image_1", "image_2", "image_10"], None),
     "str(time.time())": ([str(1700000000 + 0.05 * i) for i in range(9)], True),

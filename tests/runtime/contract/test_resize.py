@@ -14,7 +14,7 @@ from runtime.contract.resize import (
 )
 
 SIZE = (30, 47)
-#: Shrinking, growing, whole, odd and half factors, and one side each way.
+# Shrinking, growing, whole, odd and half factors, and one side each way.
 SIZES = [(10, 20), (15, 94), (29, 46), (30, 48), (45, 71), (60, 94), (90, 20), (13, 141), (7, 200)]
 
 

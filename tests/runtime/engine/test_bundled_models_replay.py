@@ -18,9 +18,9 @@ from runtime import Prediction, Predictor, list_bundled_models
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 
 REFERENCES = Path(__file__).parent / "replay"
-#: Every so many rows and columns of a head.
+# Every so many rows and columns of a head.
 STEPS = {"semantic": 4, "depth": 8, "boundary": 8, "depth_uncertainty": 8}
-#: Units of a head's PNG a metre and of a probability of 1.
+# Units of a head's PNG a metre and of a probability of 1.
 SCALES = {"depth": 256, "boundary": 255, "depth_uncertainty": 256}
 # Room for the rounding of other processors and ONNX Runtimes, and no more.
 SAME_CLASS = 0.999

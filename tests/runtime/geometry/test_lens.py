@@ -14,7 +14,7 @@ from runtime.geometry.poses import PoseTrack
 
 K = np.array([[420.0, 0.4, 318.3], [0, 418, 243.6], [0, 0, 1]])
 SIZE = (480, 640)
-#: Of 160 degrees from left to right: 320 pixels are 80 degrees.
+# Of 160 degrees from left to right: 320 pixels are 80 degrees.
 FISHEYE = np.array([[229.0, 0, 319.5], [0, 229, 239.5], [0, 0, 1]])
 LENSES = [
     pytest.param(K, "plumb_bob", (-0.28, 0.074, 2e-3, -1e-3), id="plumb_bob 4"),

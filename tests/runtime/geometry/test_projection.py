@@ -8,7 +8,7 @@ from runtime.geometry.projection import project_with_rows
 
 SIZE = (24, 60)
 K = np.array([[30.0, 0, 29.5], [0, 30.0, 11.5], [0, 0, 1]])
-#: Of a LiDAR (x ahead, y left, z up) 0.3 m behind and 0.1 m above the camera.
+# Of a LiDAR (x ahead, y left, z up) 0.3 m behind and 0.1 m above the camera.
 LIDAR_TO_CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, -0.1], [1, 0, 0, -0.3], [0, 0, 0, 1]])
 
 

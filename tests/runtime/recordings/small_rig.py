@@ -6,7 +6,7 @@ MS = 1_000_000
 START_NS = 1_700_000_000_000_000_000
 SIZE = (48, 64)
 INTRINSICS = [[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]
-#: A camera looks along z with x to the right; its body along x with y to the left (REP 103).
+# A camera looks along z with x to the right; its body along x with y to the left (REP 103).
 OPTICAL = (-0.5, 0.5, -0.5, 0.5)
 
 

@@ -11,7 +11,7 @@ pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
 
 TOPICS = {"front-image_rect": "/front/image_rect", "rear-image_rect": "/rear/image_rect"}
 FOCAL_PX = {"front-image_rect": 60.0, "rear-image_rect": 90.0}
-#: Cameras look along z with x to the right, bodies along x with y to the left (REP 103).
+# Cameras look along z with x to the right, bodies along x with y to the left (REP 103).
 AHEAD, BACK = (-0.5, 0.5, -0.5, 0.5), (0.5, 0.5, -0.5, -0.5)
 N = 4
 

@@ -41,7 +41,7 @@ extrinsics = [[0, -1.0, 0, 0], [0, 0, -1, -0.3], [1, 0, 0, 0], [0, 0, 0, 1]]
 """
 OF_DEPTH = "2011_09_26_drive_0002_sync_{}_{{:010d}}_image_02"
 
-#: (kind, what the files hold); a name with a place for a number is several files.
+# (kind, what the files hold); a name with a place for a number is several files.
 LAYOUTS = [
     ("kitti-raw", {
         **dict.fromkeys(["image_02/data/{:010d}.png", "image_03/data/{:010d}.png"], IMAGE),

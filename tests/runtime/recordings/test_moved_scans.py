@@ -18,7 +18,7 @@ DATA = os.environ.get("SSDNET_DATA")
 N = 6
 SPEED = 15.0
 
-#: LiDAR (x ahead, y left, z up) to camera: 0.5 m ahead of the LiDAR and 0.3 m below it.
+# LiDAR (x ahead, y left, z up) to camera: 0.5 m ahead of the LiDAR and 0.3 m below it.
 EXTRINSICS = np.array([[0.0, -1, 0, 0], [0, 0, -1, -0.3], [1, 0, 0, -0.5], [0, 0, 0, 1]])
 REUSED = [(), ("depth_reused",)] * N
 

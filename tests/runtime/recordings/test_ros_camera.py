@@ -56,7 +56,7 @@ BINNED = {"binning_x": 2, "binning_y": 2}
 RAW, RECT = "/cam/image_raw", "/cam/image_rect"
 BASELINE = {"shift_px": -6.0}  # 0.1 m
 OFF = scaled(1.3, 1.3, 3, 5)  # as of a larger image
-#: Case -> what the bag holds, and options.
+# Case -> what the bag holds, and options.
 RIGHT = {
     "a pinhole": (camera(RAW, {}), {}),
     "rectified by its name": (

@@ -8,7 +8,7 @@ from runtime.geometry.calibration import Calibration
 
 MS = 1_000_000
 INTRINSICS = np.array([[30.0, 0, 20], [0, 30, 16], [0, 0, 1]])
-#: The LiDAR looks ahead along x, its camera sits at the same place.
+# The LiDAR looks ahead along x, its camera sits at the same place.
 TO_CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 CALIBRATION = Calibration(INTRINSICS, TO_CAMERA, (32, 40))
 WALL_M, POINTS = 40.0, 135

@@ -99,7 +99,7 @@ def test_a_dry_run_draws_the_first_batch_and_writes_nothing_else(run, tmp_path, 
     assert "r.toml: cannot be written" in run("--dry-run", out="r.toml", code=1).output
 
 
-#: A training with settings of its own, for the fine-tuning of its weights.
+# A training with settings of its own, for the fine-tuning of its weights.
 EARLIER = (
     RECIPE.replace("crop = [32, 32]", "crop = [96, 96], pair_shift = 16")
     + """
@@ -113,7 +113,7 @@ learning_rate = 4e-3
 frozen = ["encoder.stem"]
 """
 )
-#: Data and steps alone.
+# Data and steps alone.
 SHORT = "[data]" + RECIPE.split("[data]")[1]
 
 

@@ -12,7 +12,7 @@ from training.datasets.class_mapping import id_lookup
 
 Cityscapes = partial(open_set, "cityscapes")
 
-#: Train id of each of the labelIds 0..33.
+# Train id of each of the labelIds 0..33.
 TRAIN_IDS = [
     *([255] * 7),
     *(0, 1, 255, 255, 2, 3, 4, 255, 255, 255, 5, 255, 6, 7, 8, 9, 10, 11, 12),

@@ -25,7 +25,7 @@ from training.datasets.registry import DATASETS
 from training.loading.open_dataset import open_dataset
 from training.recipe import AnySource, build
 
-#: A reader and its options in one file, as docs/training.md shows it.
+# A reader and its options in one file, as docs/training.md shows it.
 ONE_FILE = '''
 """Grey pictures with a line of text each that says how far away they are."""
 
@@ -117,7 +117,7 @@ def write_folders(root):
     write(root / "labels" / "a.png", np.zeros((12, 16), np.uint8))
 
 
-#: Kind -> what writes a small folder of it, and keys.
+# Kind -> what writes a small folder of it, and keys.
 LAYOUTS = {
     "camvid": (
         lambda root: camvid.write_frame(
@@ -152,7 +152,7 @@ def test_every_kind_goes_to_a_worker_process_even_after_it_was_read(kind, tmp_pa
     assert len(source) == len(source._source.images)  # which tell whether sets share frames
 
 
-#: In place of a file's content: the file is cut short.
+# In place of a file's content: the file is cut short.
 CUT = object()
 BAD_DEPTH = np.zeros((8, 14), np.uint16)
 DRIVE = f"{kitti_depth.DATE}/{kitti_depth.DRIVE}"

@@ -16,7 +16,7 @@ from runtime.base.errors import DatasetError
 from training.datasets.class_mapping import class_ids
 from training.datasets.virtual_kitti_split import PAPER_VARIANTS, Selection
 
-#: Frames of each scene, the same in all of its ten variants.
+# Frames of each scene, the same in all of its ten variants.
 LENGTHS = {1: 447, 2: 233, 6: 270, 18: 339, 20: 837}
 VARIANTS = (
     *("15-deg-left", "15-deg-right", "30-deg-left", "30-deg-right"),

@@ -18,7 +18,7 @@ from training.evaluation.classical import METHODS
 from training.evaluation.cli import app
 from training.evaluation.scored_model import open_method
 
-#: Few layers: tracing one for every size takes long.
+# Few layers: tracing one for every size takes long.
 SMALL = {
     "encoder_channels": (8,),
     "encoder_blocks": (1,),

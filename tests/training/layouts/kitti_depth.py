@@ -7,7 +7,7 @@ from layouts.pictures import write
 SIZE = (5, 8)
 DATE = "2011_09_26"
 DRIVE = f"{DATE}_drive_0001_sync"
-#: The benchmark leaves out the first five frames of a drive.
+# The benchmark leaves out the first five frames of a drive.
 NUMBERS = ("0000000005", "0000000006")
 CALIBRATION = """\
 calib_time: 09-Jan-2012 13:57:47

@@ -7,7 +7,7 @@ from layouts.pictures import write
 DATE = "2011_09_26"
 DRIVE = f"{DATE}_drive_0001_sync"
 HEIGHT, WIDTH = 24, 48
-#: A focal length of 10 px, the principal point at (24, 12), camera 3 two metres to the right.
+# A focal length of 10 px, the principal point at (24, 12), camera 3 two metres to the right.
 CAM_TO_CAM = """\
 calib_time: 09-Jan-2012 13:57:47
 corner_dist: 9.950000e-02
@@ -17,7 +17,7 @@ P_rect_02: 10 0 24 0 0 10 12 0 0 0 1 0
 S_rect_03: 4.800000e+01 2.400000e+01
 P_rect_03: 10 0 24 -20 0 10 12 0 0 0 1 0
 """
-#: The camera sits half a metre before the LiDAR and looks along its x.
+# The camera sits half a metre before the LiDAR and looks along its x.
 VELO_TO_CAM = """\
 calib_time: 15-Mar-2012 11:37:16
 R: 0 -1 0 0 0 -1 1 0 0
@@ -31,7 +31,7 @@ def seen_at(u, v, depth):
     return depth + 0.5, (24 - u) * depth / 10, (12 - v) * depth / 10, 0.3
 
 
-#: Two lines, each from straight ahead to the left and round to the right. Left is a small azimuth.
+# Two lines, each from straight ahead to the left and round to the right. Left is a small azimuth.
 UPPER = [seen_at(20, 5, 10.0), seen_at(10, 5, 12.0), seen_at(40, 5, 8.0), seen_at(30, 5, 20.0)]
 LOWER = [seen_at(20, 9, 6.0), seen_at(10, 5, 11.0), seen_at(40, 5, 9.0)]
 

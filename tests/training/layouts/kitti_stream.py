@@ -4,8 +4,8 @@ import numpy as np
 
 from layouts.pictures import write
 
-#: In the middles of pixels (4, 1) and (12, 1), a line at 10 m; then one at 5 m, in (4, 6) and,
-#: nearer, in (12, 1) again.
+# In the middles of pixels (4, 1) and (12, 1), a line at 10 m; then one at 5 m, in (4, 6) and,
+# nearer, in (12, 1) again.
 POINTS = [(10, 4, 3, 0), (10, -4, 3, 0), (5, 2, -1, 0), (5, -2, 1.5, 0)]
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from layouts.pictures import write
 
 HEIGHT, WIDTH = 8, 16
-#: A camera of 10 px focal length, its centre at (8, 4), that looks along the LiDAR's x.
+# A camera of 10 px focal length, its centre at (8, 4), that looks along the LiDAR's x.
 CALIBRATION = """\
 P2: 10 0 8 0 0 10 4 0 0 0 1 0
 R0_rect: 1 0 0 0 1 0 0 0 1
@@ -19,14 +19,14 @@ def seen_at(u, v, depth):
     return depth, (8 - u) * depth / 10, (4 - v) * depth / 10, 0.3
 
 
-#: Four lines, each from the left to the right of the view.
+# Four lines, each from the left to the right of the view.
 LINES = [[seen_at(6, v, 10.0), seen_at(2, v, 10.0), seen_at(12, v, 10.0)] for v in (1, 3, 5, 7)]
 
 
 def write_streets(root, numbers=(2, 3, 7), *, suffix=".jpg", magnify=1, road=False):
     """Frames with four lines at 10 m, and a truth of 10 m in the left half, unknown in the right.
 
-    The picture of the first one is red, as JPEG or as PNG. With ``road`` the right half is masked
+    The picture of the first one is red, as JPEG or as PNG. With `road` the right half is masked
     as road.
     """
     disparity = np.zeros((HEIGHT, WIDTH), np.uint16)

@@ -6,7 +6,7 @@ import numpy as np
 
 from layouts.pictures import write
 
-#: colors.txt of the second edition: name and RGB.
+# colors.txt of the second edition: name and RGB.
 COLORS = {
     "Terrain": (210, 0, 200),
     "Sky": (90, 200, 255),

@@ -8,7 +8,7 @@ from training.datasets.sample import Sample
 from training.loading.mixture import CachedSource
 from training.loading.open_dataset import CheckedSource
 
-#: rgb, depth and classes of 10 x 10 pixels.
+# rgb, depth and classes of 10 x 10 pixels.
 BYTES = 100 * (3 + 4 + 1)
 
 

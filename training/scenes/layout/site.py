@@ -43,7 +43,7 @@ class Plan:
         return self.kerb + self.verge + self.pavement
 
     def blocks(self, end: float, margin: float = 0.0) -> list[tuple[float, float]]:
-        """Start and end of each block between side roads, from `START_M` to ``end``."""
+        """Start and end of each block between side roads, from `START_M` to `end`."""
         starts = [START_M, *(c + self.crossing_half + margin for c in self.crossings)]
         ends = [*(c - self.crossing_half - margin for c in self.crossings), end]
         return list(zip(starts, ends, strict=True))

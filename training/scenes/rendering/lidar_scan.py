@@ -63,7 +63,7 @@ class LidarScan:
 def draw_mount(camera: Camera, rng: Generator, *, varied: bool = False) -> LidarMount:
     """Return an HDL-64E on the roof, about as in KITTI: behind and above the camera, level.
 
-    ``varied``: a LiDAR of 32 to 128 lines with random elevations, evenly spaced or denser at the
+    `varied`: a LiDAR of 32 to 128 lines with random elevations, evenly spaced or denser at the
     horizon, up to 1.5 m behind the camera and 0.6 m beside it.
     """
     tilt = np.deg2rad(rng.normal(0.0, 0.4, 3) - [camera.pitch_deg, 0.0, 0.0])

@@ -51,13 +51,13 @@ class RayCaster:
         return np.asarray(np.not_equal(self._scene.run(*rays, limit, query="OCCLUDED"), -1))
 
     def normals(self, hits: Hits, view: Floats) -> Floats:
-        """Normals (n, 3) of the faces that were hit, turned against the direction ``view``."""
+        """Normals (n, 3) of the faces that were hit, turned against the direction `view`."""
         flat = face_normals(self.mesh.positions[hits.face])
         toward = (flat * view).sum(1, keepdims=True)
         return np.asarray(flat * np.where(toward > 0, np.float32(-1), np.float32(1)))
 
     def surfaces(self, hits: Hits, view: Floats, footprint: Floats) -> tuple[Points, Surface]:
-        """Return what rays along unit vectors ``view`` (n, 3), none of which misses, hit.
+        """Return what rays along unit vectors `view` (n, 3), none of which misses, hit.
 
         footprint: (n,) m that a ray covers there.
         """

@@ -18,7 +18,7 @@ _GAP = 2.5  # periods without a frame that count as a gap
 _MOST_POINTS = 140  # with more spans, a chart draws points for late ones only
 _LEAST_BAR = 0.25  # width of a bar in percent of its strip
 
-#: Left, width and height in percent, and opacity from 0 to 1.
+# Left, width and height in percent, and opacity from 0 to 1.
 Bar = tuple[float, float, float, float]
 
 

@@ -19,7 +19,7 @@ from runtime.recordings.ros_answers import camera_fields, cloud_fields, status_f
 from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
 
-#: Topics of the heads that are pictures (`sensor_msgs/msg/CompressedImage`).
+# Topics of the heads that are pictures (`sensor_msgs/msg/CompressedImage`).
 IMAGES = {
     head.name: f"/ssdnet/{head.name}/compressed" for head in HEADS.values() if not head.per_class
 }

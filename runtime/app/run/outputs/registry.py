@@ -21,16 +21,16 @@ from runtime.files.atomic_write import atomic_path
 from runtime.files.own_folder import require_folder_free
 from runtime.recordings.source import Source
 
-#: Opens an output.
-#:
-#: Args:
-#:     run: the options, and what the outputs share; its report is set before they are closed.
-#:
-#: Yields:
-#:     The output; None if it takes no frames.
-#:
-#: Raises:
-#:     OutputError: if it cannot be opened, and, when the block ends, if it is not whole.
+# Opens an output.
+#
+# Args:
+#     run: the options, and what the outputs share; its report is set before they are closed.
+#
+# Yields:
+#     The output; None if it takes no frames.
+#
+# Raises:
+#     OutputError: if it cannot be opened, and, when the block ends, if it is not whole.
 OpenOutput = Callable[[OpenRun], AbstractContextManager[Output | None]]
 
 
@@ -50,8 +50,8 @@ class OutputRow(NamedTuple):
     raw: bool = False
 
 
-#: The outputs by option, in the order in which they are opened. They are closed in reverse order,
-#: so that report.json and the page are written after all other files are complete.
+# The outputs by option, in the order in which they are opened. They are closed in reverse order,
+# so that report.json and the page are written after all other files are complete.
 OUTPUTS: dict[str, OutputRow] = {
     "report": OutputRow(open_page),
     "out": OutputRow(open_frame_files),

@@ -4,7 +4,7 @@ import csv
 from pathlib import Path
 
 N = 12
-#: The command as a program.
+# The command as a program.
 COMMAND = "from runtime.app.tools.commands import run; run()"
 
 

@@ -36,7 +36,7 @@ def frames_of_mcap(path):
         return overlays.msgcount
 
 
-#: Name or suffix of an output -> the frames that it holds; fails where it is damaged.
+# Name or suffix of an output -> the frames that it holds; fails where it is damaged.
 FRAMES = {
     "run.mp4": frames_of_video,
     "run.mcap": frames_of_mcap,

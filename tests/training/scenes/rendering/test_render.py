@@ -29,7 +29,7 @@ WHITE = Look(SurfaceKind.PLAIN, (0.8, 0.8, 0.8), SceneClass.BUILDING)
 GLASS = Look(SurfaceKind.CAR_GLASS, (0.02, 0.02, 0.02), SceneClass.CAR)
 LARGE = make_camera("kitti", (188, 621))
 MOUNT = draw_mount(CAMERA, np.random.default_rng(0))
-#: sway 0 leaves the camera level at time 0.
+# sway 0 leaves the camera level at time 0.
 LEVEL = {"time": 0.0, "sway": 0.0}
 
 

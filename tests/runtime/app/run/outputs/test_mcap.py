@@ -18,7 +18,7 @@ rosbags = pytest.importorskip("rosbags", reason="the extra bag is not installed"
 from rosbags.highlevel import AnyReader  # noqa: E402
 
 STAMP_NS = 1_317_046_451_072_943_872
-#: Head -> format of its images, and largest difference after them.
+# Head -> format of its images, and largest difference after them.
 HEADS = {
     "semantic": ("mono8; png compressed", 0),
     "depth": ("16UC1; png compressed", 0.5 / 256),
