@@ -31,8 +31,8 @@ def write_lidar_stream(variant: Path, out: Path) -> int:
         The number of frames.
 
     Raises:
-        DatasetError: for files that cannot be read.
-        OutputError: for files that cannot be written.
+        DatasetError: if a file cannot be read.
+        OutputError: if a file cannot be written.
     """
     variant = variant.resolve()
     root, scenes, variants = variant.parent.parent, (variant.parent.name,), (variant.name,)

@@ -66,7 +66,7 @@ def render(
         pool = None if workers == 1 else get_context("spawn").Pool(workers, leave_signals_to_parent)
         run = map if pool is None else stack.enter_context(pool).imap_unordered
         counts = run(partial(run_job, out=out, overwrite=overwrite), jobs)
-        # None: no bar without a terminal.
+        # None shows no bar without a terminal.
         total = sum(tqdm(counts, total=len(jobs), unit="scene", disable=None))
     typer.echo(f"{total} frames of {scenes} scenes in {out}")
 

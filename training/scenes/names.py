@@ -45,5 +45,5 @@ class SceneClass(IntEnum):
 
     @property
     def category(self) -> str:
-        """Name in files, as "TrafficSign"."""
+        """Name in files, such as "TrafficSign"."""
         return self.name.title().replace("_", "")

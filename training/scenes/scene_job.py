@@ -23,13 +23,13 @@ class SceneJob:
     """The parameters of a scene.
 
     Attributes:
-        seed: of layout, light, camera and noise.
-        variant: its light and weather.
-        frames: their number.
+        seed: seed of layout, light, camera and noise.
+        variant: light and weather.
+        frames: number of frames.
         step_s: seconds between two frames.
-        size: (height, width) of KITTI's camera; varied cameras have sizes of their own.
-        camera: KITTI's, or random by the seed.
-        kind: of the street; None is random by the seed.
+        size: (height, width) of KITTI's camera; varied cameras have their own sizes.
+        camera: KITTI's camera, or a random one from the seed.
+        kind: kind of the street; None: the seed chooses it.
     """
 
     seed: int

@@ -23,15 +23,15 @@ def write_variant(out: Path, frames: Iterable[RenderedFrame], *, overwrite: bool
     """Write the frames of one variant of a scene; the folder appears when it is complete.
 
     It has frames/{rgb,depth,classSegmentation}/Camera_0, colors.txt, intrinsic.txt and
-    extrinsic.txt. Depth is uint16 centimetres, 65535 the sky; extrinsics map world to camera.
-    Beyond that layout, frames/lidar/Camera_0/lidar_<number>.bin has the LiDAR's returns in KITTI's
-    format (float32 x, y, z [m], reflectance, ring after ring), and calib.txt the matrix
-    Tr_velo_to_cam (3 x 4) from the LiDAR to the camera.
+    extrinsic.txt. Depth is uint16 in centimetres, with 65535 for the sky; extrinsics map world to
+    camera. In addition to that layout, frames/lidar/Camera_0/lidar_<number>.bin has the LiDAR's
+    returns in KITTI's format (float32 x, y, z [m], reflectance, ring after ring), and calib.txt has
+    the matrix Tr_velo_to_cam (3 x 4) from the LiDAR to the camera.
 
     Args:
         out: folder of the variant, <root>/<scene>/<variant>.
         frames: the rendered frames in order.
-        overwrite: replace an older variant; a folder with any other file never is.
+        overwrite: replace an older variant; a folder with any other file is never replaced.
 
     Returns:
         The folder `out`.
@@ -78,7 +78,7 @@ def _centimetres(depth: Floats) -> NDArray[np.uint16]:
 
 
 def _write_image(path: Path, image: NDArray[Any]) -> None:
-    """Encode, then write: OpenCV's own writing only returns False if the disk is full."""
+    """Encode and then write; OpenCV's own writing only returns False if the disk is full."""
     pixels = np.ascontiguousarray(image[..., ::-1] if image.ndim == 3 else image)
     is_jpeg = path.suffix == ".jpg"
     path.write_bytes(encode_jpeg(pixels, quality=_JPEG_QUALITY) if is_jpeg else encode_png(pixels))

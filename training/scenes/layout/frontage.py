@@ -25,19 +25,19 @@ class _Nursery:
         return pick(self._near if s < 75 else self._far, self._rng)
 
 
-# Edges of gardens, each up to a share of all; others are open.
+# Kinds of garden edges, each up to a cumulative share of all; the remaining gardens are open.
 _EDGES = (
     (0.3, plants.make_hedge),
     (0.55, furniture.make_board_fence),
     (0.75, furniture.make_wall),
     (0.9, furniture.make_railing),
 )
-# Share of the plots with trees instead of a building.
+# Share of the plots that have trees instead of a building.
 _GREEN = {"town": 0.1, "residential": 0.35, "avenue": 0.55, "highway": 0.85, "square": 0.45}
 
 
 def make_frontage(site: Site) -> list[Mesh]:
-    """Buildings, gardens and trees behind the pavement on both sides."""
+    """Make buildings, gardens and trees behind the pavement on both sides."""
     rng, plan = site.rng, site.plan
     parts: list[Mesh] = []
     nursery, half = _Nursery(rng), plan.crossing_half
@@ -75,7 +75,7 @@ def make_frontage(site: Site) -> list[Mesh]:
 
 
 def _make_building(rng: Generator, kind: StreetKind, length: float) -> Mesh:
-    """A building as it stands in a kind of street."""
+    """Make a building that suits a kind of street."""
     draw = rng.random()
     shop = kind != "residential" and (kind != "town" or draw < 0.55)
     if kind == "town":
@@ -140,7 +140,7 @@ def _grove(site: Site, s: float, length: float, sign: float, nursery: _Nursery) 
 
 
 def _side_road(site: Site, c: float, sign: float, nursery: _Nursery) -> list[Mesh]:
-    """Buildings or trees that close the view into a side road."""
+    """Make buildings or trees that close the view into a side road."""
     rng, plan = site.rng, site.plan
     parts = []
     make = buildings.make_house if plan.kind == "residential" else buildings.make_town_house
@@ -161,7 +161,7 @@ def _side_road(site: Site, c: float, sign: float, nursery: _Nursery) -> list[Mes
 
 
 def make_backdrop(site: Site) -> list[Mesh]:
-    """Distant blocks and rows of trees on the horizon."""
+    """Make distant blocks and rows of trees on the horizon."""
     rng, line = site.rng, site.line
     parts = []
     stock = [plants.make_tree(rng, leaf_count=300) for _ in range(2)]

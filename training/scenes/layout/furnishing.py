@@ -9,7 +9,7 @@ from training.scenes.things.mesh import Mesh
 
 
 def make_furniture(site: Site) -> list[Mesh]:
-    """Lamps, signs, lights, bollards and the rest, near the kerbs."""
+    """Make lamps, signs, lights, bollards and other things near the kerbs."""
     rng, plan = site.rng, site.plan
     parts: list[Mesh] = []
     up = KERB_M if plan.pavement else 0.0
@@ -56,7 +56,7 @@ def _clutter(site: Site, near: float, up: float) -> list[Mesh]:
     if not plan.free(s, 7):
         return []
     draw, turns = rng.random(), [facing(sign)]
-    apart = 0.0  # of several in a row
+    apart = 0.0  # distance between several in a row
     if draw < 0.3:
         mesh, d, apart = furniture.make_bollard(rng), near, 1.5
         turns = [0.0] * int(rng.integers(2, 8))
@@ -80,7 +80,7 @@ def _clutter(site: Site, near: float, up: float) -> list[Mesh]:
 
 
 def park_cars(site: Site) -> list[Mesh]:
-    """Cars along the kerbs."""
+    """Make cars along the kerbs."""
     rng, plan = site.rng, site.plan
     parts: list[Mesh] = []
     if plan.parking < 2 and plan.kind != "residential":

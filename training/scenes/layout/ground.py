@@ -12,7 +12,7 @@ Edges = list[tuple[float, float]]
 
 
 def _ribbon(line: Centreline, s: Floats, edges: Edges, look: Look, *, sign: float = 1.0) -> Mesh:
-    """A strip along the street through edges (d, up) from right to left; sign -1 mirrors them."""
+    """Make a strip along the street through edges (d, up), from right to left; sign -1 mirrors."""
     d, up = np.array(edges if sign > 0 else edges[::-1]).T
     d = sign * d
     points = line.at(s[:, None], d[None], up[None])

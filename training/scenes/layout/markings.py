@@ -7,13 +7,13 @@ from training.scenes.textures.paint import Stripe
 
 
 def _pair(d: float, wide: float, a: float, b: float, *dashes: float) -> list[Stripe]:
-    """A stripe from a to b along the street on both sides of its centre line."""
+    """Return a stripe from a to b along the street on both sides of its centre line."""
     period, share = dashes or (0.0, 1.0)
     return [Stripe("s", sign * d, wide, a, b, period, share) for sign in (-1, 1)]
 
 
 def draw_stripes(rng: Generator, plan: Plan) -> list[Stripe]:
-    """Centre and lane lines, edge lines, stop lines, zebra crossings."""
+    """Draw centre and lane lines, edge lines, stop lines and zebra crossings."""
     stripes = []
     center_solid = rng.random() < 0.25
     edge_line = plan.kind in ("highway", "avenue") or rng.random() < 0.3

@@ -17,9 +17,9 @@ END_M = 330.0
 
 @dataclass(frozen=True)
 class Plan:
-    """Cross-section of the street; everything in metres from the centre line.
+    """Cross-section of the street, in metres from the centre line.
 
-    side: +1 traffic keeps right, -1 keeps left. Own lanes are at -side * d.
+    With `side` +1 traffic keeps right, with -1 it keeps left. Own lanes are at -side * d.
     """
 
     kind: StreetKind
@@ -49,7 +49,7 @@ class Plan:
         return list(zip(starts, ends, strict=True))
 
     def lane_centre(self, lane: int) -> float:
-        """Centre of an own lane; lane 0 is next to the centre line, -d is the oncoming one."""
+        """Centre of an own lane. Lane 0 is next to the centre line; the oncoming one is at -d."""
         return -self.side * self.lane * (lane + 0.5)
 
     def free(self, s: float, margin: float = 0.0) -> bool:
@@ -82,7 +82,10 @@ def draw_plan(rng: Generator, kind: StreetKind, side: float) -> Plan:
 class Centreline:
     """Centre of a street sampled every metre; s is the way along it, d the distance to its left.
 
-    All arrays (n,): s [m], x, y, z [m], heading [rad].
+    Attributes:
+        s: way along the street [m], (n,), like the others.
+        x, y, z: position [m].
+        heading: direction [rad].
     """
 
     s: Floats
@@ -92,7 +95,7 @@ class Centreline:
     heading: Floats
 
     def at(self, s: float | Floats, d: float | Floats, up: float | Floats = 0.0) -> Floats:
-        """World points (..., 3) of street coordinates; up is metres above the road."""
+        """World points (..., 3) of street coordinates; `up` is in metres above the road."""
         along = np.asarray(s, dtype=np.float64)
         heading = self.heading_at(along)
         x, y, z = (np.interp(along, self.s, values) for values in (self.x, self.y, self.z))
@@ -100,12 +103,12 @@ class Centreline:
         return np.stack(np.broadcast_arrays(*moved), axis=-1)
 
     def heading_at(self, s: float | Floats) -> Floats:
-        """Direction of the street in rad, anticlockwise from the x axis."""
+        """Direction of the street [rad], anticlockwise from the x axis."""
         return np.asarray(np.interp(np.asarray(s), self.s, self.heading))
 
 
 def draw_centreline(rng: Generator, *, start: float, end: float, bend: float) -> Centreline:
-    """A gently curving, gently rolling street; bend 0 is straight, 1 curves with radii of 150 m."""
+    """Draw a gently curving and rolling street; bend 0 is straight, 1 has radii of 150 m."""
     s = np.arange(start, end + 1.0)
     curvature = np.zeros_like(s)
     for period in (140.0, 260.0):

@@ -30,11 +30,11 @@ class Street:
 def build_street(seed: int, *, kind: StreetKind | None = None) -> Street:
     """Lay out a street; the same seed gives the same street.
 
-    Every fifth seed has traffic on the left. The kind is random by the seed unless given.
+    Every fifth seed has traffic on the left. If the kind is not given, the seed chooses it.
     """
     rng = np.random.default_rng([seed, 1])
     drawn = list(StreetKind)[rng.choice(5, p=[0.36, 0.22, 0.18, 0.1, 0.14])]
-    rng.random()  # is not used, but all later numbers, so the scenes of all seeds, depend on it
+    rng.random()  # not used, but all later numbers, and so the scenes of all seeds, depend on it
     kind = drawn if kind is None else kind
     side = -1.0 if seed % 5 == 0 else 1.0
     bend = float(rng.choice([0.0, 0.3, 1.0]) if kind != "highway" else rng.uniform(0, 1))

@@ -16,8 +16,14 @@ from training.scenes.things.mesh import Mesh
 class Actor:
     """A moving object: its mesh by the phase of its motion, and its position by time.
 
-    s, d: street coordinates [m] at time 0. speed: m/s along s. across: m/s along d. turned: heading
-    relative to the street [rad]. cycle: seconds of one step or pedal turn, 0 for rigid things.
+    Attributes:
+        pose: returns the mesh for a phase of the motion.
+        s, d: street coordinates [m] at time 0.
+        speed: speed along s [m/s].
+        across: speed along d [m/s].
+        up: height above the road [m].
+        turned: heading relative to the street [rad].
+        cycle: seconds of one step or pedal turn; 0 for rigid things.
     """
 
     pose: Callable[[float], Mesh]
@@ -38,7 +44,7 @@ class Actor:
 
 
 def _draw_vehicle(rng: Generator, heavy: float) -> tuple[Callable[[float], Mesh], float]:
-    """Return a vehicle's rigid pose and its length [m]; heavy: probability of a lorry or bus."""
+    """Return a vehicle's rigid pose and length [m]; `heavy`: probability of a lorry or bus."""
     draw = rng.random()
     make = vehicles.make_van if draw < heavy + 0.1 else vehicles.make_car
     if draw < heavy:
@@ -62,7 +68,7 @@ def draw_traffic(
             s += length + rng.uniform(*gap)
 
     for lane in range(plan.lanes):
-        # Own direction: everything in the ego lane keeps the ego car's pace.
+        # In the own direction, everything in the ego lane keeps the ego car's pace.
         speed = ego_speed if lane == ego_lane else ego_speed * rng.uniform(0.6, 1.2)
         s = rng.uniform(8, 14) if queue else rng.uniform(12, 45)
         if lane != ego_lane:
@@ -74,7 +80,7 @@ def draw_traffic(
         for sign in (-1.0, 1.0):
             if rng.random() < 0.5:
                 pose, length = _draw_vehicle(rng, 0.05)
-                # Waiting at the mouth of the side road, on its own lane.
+                # It waits at the mouth of the side road, in its own lane.
                 lane_s = c + sign * plan.side * plan.crossing_half / 2
                 d = sign * (plan.back + length / 2 + rng.uniform(0, 6))
                 actors.append(Actor(pose, lane_s, d, 0.0, -sign * np.pi / 2))

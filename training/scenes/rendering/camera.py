@@ -15,7 +15,7 @@ _SIZES = ((375, 1242), (375, 1242), (480, 960), (400, 720), (360, 480))
 class Camera:
     """A pinhole camera fixed to the ego car, its principal point in pixels.
 
-    mount_height_m: above the road. pitch_deg: tilt, up is positive.
+    `mount_height_m` is its height above the road; for `pitch_deg`, its tilt, up is positive.
     """
 
     size: tuple[int, int]
@@ -37,10 +37,11 @@ class Camera:
 
 
 def make_camera(name: CameraName, size: tuple[int, int], seed: int = 0) -> Camera:
-    """A camera with KITTI's field of view, at any (height, width).
+    """Make a camera with KITTI's field of view, at any (height, width).
 
-    "varied" is a random camera for every seed: field of view 45 to 105 degrees, 1.2 to 2.2 m above
-    the road, tilted by up to 4 degrees, its size one of `_SIZES` whatever `size` is.
+    "varied" is a random camera for every seed. Its field of view is 45 to 105 degrees, it is 1.2 to
+    2.2 m above the road and tilted by up to 4 degrees, and its size is one of `_SIZES`, whatever
+    `size` is.
     """
     if name == CameraName.kitti:
         # KITTI 2011_09_26, camera 2: 1242 x 375 pixels, focal length 721.54.
@@ -56,7 +57,10 @@ def make_camera(name: CameraName, size: tuple[int, int], seed: int = 0) -> Camer
 
 
 def look_along(heading: float, pitch: float, roll: float) -> Floats:
-    """Rotation (3, 3) from camera (x right, y down, z forward) to world (x, y, z up); rad."""
+    """Return the rotation (3, 3) from camera (x right, y down, z forward) to world (x, y, z up).
+
+    All angles are in rad.
+    """
     flat = np.cos(pitch)
     forward = np.array([np.cos(heading) * flat, np.sin(heading) * flat, np.sin(pitch)])
     right = np.array([np.sin(heading), -np.cos(heading), 0.0])

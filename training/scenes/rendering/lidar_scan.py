@@ -12,16 +12,17 @@ from training.scenes.rendering.camera import Camera
 from training.scenes.rendering.raycast import RayCaster
 from training.scenes.textures.surface import SurfaceKind
 
-# Of an HDL-64E at 10 Hz, and the range of other LiDARs [degrees].
+# Angles of an HDL-64E at 10 Hz, and their range for other LiDARs [degrees].
 _HDL64_AZIMUTH_STEP_DEG, _AZIMUTH_STEPS_DEG = 0.17, (0.1, 0.35)
 # Scan lines of other LiDARs, and the ranges of their highest and lowest elevations [degrees].
 _LINES, _HIGHEST_DEG, _LOWEST_DEG = (32, 40, 64, 128), (2.0, 15.0), (-30.0, -15.0)
-# LiDAR axes (x forward, y left, z up) in those of a camera (x right, y down, z forward).
+# The axes of a LiDAR (x forward, y left, z up) in those of a camera (x right, y down, z forward).
 _LIDAR_TO_CAMERA = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 _RANGE_NOISE_M = 0.02
 _LONGEST_RANGE_M = 120.0
-_MOST_SURFACES = 4  # that a pulse meets
-# Kind -> gloss from which its surface is a pane of glass (see the textures of these kinds).
+_MOST_SURFACES = 4  # surfaces that a pulse may meet
+# For each kind: the gloss from which its surface is a pane of glass (see the textures of these
+# kinds).
 _PANES = {
     SurfaceKind.CAR_GLASS: 0.0,
     SurfaceKind.CAR_SIDE_WINDOW: 0.07,
@@ -30,7 +31,7 @@ _PANES = {
 }
 # Shares of the pulses on a vehicle's pane that pass through it, and that are lost.
 _PANE_PASSES, _PANE_LOSES = 0.6, 0.3
-# Share of the pulses on a window of a house that are lost; most others return from the room.
+# Share of the pulses on a window of a house that is lost; most others return from the room.
 _WINDOW_LOSES, _WINDOW_ROOM, _ROOM_M = 0.5, 0.4, 3.0
 
 
@@ -38,8 +39,10 @@ _WINDOW_LOSES, _WINDOW_ROOM, _ROOM_M = 0.5, 0.4, 3.0
 class LidarMount:
     """A spinning LiDAR and its pose.
 
-    to_camera: float64 (4, 4), from its frame [m] to the camera's. elevations_deg: (lines,), from
-    the top. azimuth_step_deg: between two pulses of a line.
+    Attributes:
+        to_camera: float64 (4, 4), from its frame [m] to the camera's.
+        elevations_deg: elevation of each line, (lines,), from the top.
+        azimuth_step_deg: angle between two pulses of a line.
     """
 
     to_camera: NDArray[np.float64]
@@ -51,9 +54,10 @@ class LidarMount:
 class LidarScan:
     """One turn of the LiDAR.
 
-    points: float32 (N, 4), x, y, z [m] in its own frame, reflectance 0..1; in KITTI's order, ring
-    after ring from the top, each counter-clockwise from straight ahead. to_camera: float64 (4, 4),
-    from that frame to the camera's.
+    Attributes:
+        points: float32 (N, 4), x, y, z [m] in its own frame and reflectance 0..1. They are in
+            KITTI's order, ring after ring from the top, each counter-clockwise from straight ahead.
+        to_camera: float64 (4, 4), from that frame to the camera's.
     """
 
     points: NDArray[np.float32]
@@ -63,8 +67,8 @@ class LidarScan:
 def draw_mount(camera: Camera, rng: Generator, *, varied: bool = False) -> LidarMount:
     """Return an HDL-64E on the roof, about as in KITTI: behind and above the camera, level.
 
-    `varied`: a LiDAR of 32 to 128 lines with random elevations, evenly spaced or denser at the
-    horizon, up to 1.5 m behind the camera and 0.6 m beside it.
+    With `varied` it is a LiDAR of 32 to 128 lines with random elevations, evenly spaced or denser
+    at the horizon, up to 1.5 m behind the camera and 0.6 m beside it.
     """
     tilt = np.deg2rad(rng.normal(0.0, 0.4, 3) - [camera.pitch_deg, 0.0, 0.0])
     to_camera = np.eye(4)
@@ -94,9 +98,15 @@ def scan_street(
 ) -> LidarScan:
     """Return the returns of one turn that are visible in the image.
 
-    caster: its mesh is around the camera at the origin, in world axes. rotation: (3, 3), camera to
-    world. A pulse passes through a vehicle's pane, or is lost at
-    it, more often than it returns; dark, slanted and far surfaces lose pulses, too.
+    A pulse passes through a vehicle's pane, or is lost at it, more often than it returns; dark,
+    slanted and far surfaces lose pulses, too.
+
+    Args:
+        caster: its mesh is around the camera at the origin, in world axes.
+        camera: the camera.
+        rotation: (3, 3), camera to world.
+        mount: the LiDAR.
+        rng: source of random numbers.
     """
     step, lines = np.deg2rad(mount.azimuth_step_deg), len(mount.elevations_deg)
     wide = np.arctan2(camera.size[1] * 0.75, camera.focal_px)
@@ -126,7 +136,7 @@ def scan_street(
 def _ranges(
     caster: RayCaster, start: Floats, directions: Floats, rng: Generator
 ) -> tuple[Floats, Floats]:
-    """Range [m] (n,), NaN without a return, and reflectance 0..1 of each pulse."""
+    """Return the range [m], (n,), NaN without a return, and the reflectance 0..1 of each pulse."""
     count = len(directions)
     distance, under_way = np.full(count, np.nan, dtype=np.float32), np.arange(count)
     reflectance, travelled = np.zeros((2, count), dtype=np.float32)
@@ -168,7 +178,7 @@ def _ranges(
 
 
 def _rotation(pitch: float, yaw: float, roll: float) -> NDArray[np.float64]:
-    """Rotation about the camera's x, y and z axes [rad]."""
+    """Return the rotation about the camera's x, y and z axes [rad]."""
     (cx, sx), (cy, sy), (cz, sz) = ((np.cos(a), np.sin(a)) for a in (pitch, yaw, roll))
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])

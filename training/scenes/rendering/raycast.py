@@ -18,8 +18,10 @@ from training.scenes.things.mesh import Mesh, face_normals
 class Hits(Rows):
     """First hits of rays.
 
-    distance: (n,), in multiples of the direction. face: int32 (n,), -1 = none. u, v: (n,),
-    barycentric weights of the second and third corner.
+    Attributes:
+        distance: (n,), in multiples of the direction.
+        face: int32 (n,), -1 = none.
+        u, v: (n,), barycentric weights of the second and third corner.
     """
 
     distance: Floats
@@ -29,12 +31,12 @@ class Hits(Rows):
 
 
 class RayCaster:
-    """Rays against a mesh with paint on its road."""
+    """Casts rays against a mesh with paint on its road."""
 
     def __init__(self, mesh: Mesh, stripes: tuple[Stripe, ...] = ()) -> None:
         self.mesh, self._stripes, self._scene = mesh, stripes, EmbreeScene()
         positions = np.ascontiguousarray(mesh.positions, dtype=np.float32)
-        self._triangles = TriangleMesh(self._scene, positions)  # lives as long as the scene
+        self._triangles = TriangleMesh(self._scene, positions)  # must live as long as the scene
 
     def first_hit(self, origins: Floats, directions: Floats) -> Hits:
         """Return the first hits of rays (n, 3)."""
@@ -51,15 +53,15 @@ class RayCaster:
         return np.asarray(np.not_equal(self._scene.run(*rays, limit, query="OCCLUDED"), -1))
 
     def normals(self, hits: Hits, view: Floats) -> Floats:
-        """Normals (n, 3) of the faces that were hit, turned against the direction `view`."""
+        """Return normals (n, 3) of the faces that were hit, turned against the direction `view`."""
         flat = face_normals(self.mesh.positions[hits.face])
         toward = (flat * view).sum(1, keepdims=True)
         return np.asarray(flat * np.where(toward > 0, np.float32(-1), np.float32(1)))
 
     def surfaces(self, hits: Hits, view: Floats, footprint: Floats) -> tuple[Points, Surface]:
-        """Return what rays along unit vectors `view` (n, 3), none of which misses, hit.
+        """Return what rays along unit vectors `view` (n, 3) hit; none of them may miss.
 
-        footprint: (n,) m that a ray covers there.
+        `footprint`, (n,), is the width [m] that a ray covers there.
         """
         mesh, face = self.mesh, hits.face
         u, v = hits.u[:, None], hits.v[:, None]

@@ -27,8 +27,13 @@ _JITTER = ((-0.3, -0.3), (0.3, -0.1), (-0.1, 0.3))
 class RenderedFrame:
     """A rendered frame.
 
-    rgb: uint8 (H, W, 3). depth: float32 (H, W), metres along the optical axis, 0 = sky. label:
-    uint8 (H, W) of `SceneClass`. world_to_camera: (4, 4). intrinsics: (3, 3). scan: of its LiDAR.
+    Attributes:
+        rgb: uint8 (H, W, 3).
+        depth: float32 (H, W), metres along the optical axis, 0 = sky.
+        label: uint8 (H, W) of `SceneClass`.
+        world_to_camera: (4, 4).
+        intrinsics: (3, 3).
+        scan: scan of its LiDAR.
     """
 
     rgb: NDArray[np.uint8]
@@ -42,9 +47,9 @@ class RenderedFrame:
 def camera_pose(
     street: Street, camera: Camera, time: float, *, sway: float
 ) -> tuple[Floats, Floats]:
-    """Rotation (camera to world) and position of the ego camera at a time in seconds.
+    """Return rotation (camera to world) and position of the ego camera at a time in seconds.
 
-    sway: 0..1000, a phase that makes pitch, yaw and roll differ between scenes.
+    `sway`, 0 to 1000, is a phase that makes pitch, yaw and roll differ between scenes.
     """
     s = street.ego_speed * time
     d = street.ego_d + 0.12 * np.sin(0.7 * time + sway)
@@ -117,10 +122,10 @@ def render_frame(
 
 
 def _expose(radiance: Floats, weather: Weather, rng: Generator) -> NDArray[np.uint8]:
-    """Picture (H, W, 3) uint8 RGB of linear radiance (H, W, 3).
+    """Return the picture, uint8 (H, W, 3) RGB, of linear radiance (H, W, 3).
 
-    Automatic exposure on the lower part of the picture (what a driver's camera meters), a soft
-    shoulder, vignette, slight blur, shot and read noise, sRGB-like gamma.
+    It has automatic exposure on the lower part of the picture (which a driver's camera meters), a
+    soft shoulder, vignette, slight blur, shot and read noise, and a gamma like sRGB.
     """
     height, width = radiance.shape[:2]
     metered = radiance[height // 3 :: 4, ::4].mean(axis=2)
@@ -147,7 +152,7 @@ def _cast(caster: RayCaster, directions: Floats) -> Hits:
 def _openness(
     caster: RayCaster, hits: Hits, directions: Floats, size: tuple[int, int], rng: Generator
 ) -> Floats:
-    """Contact shading on every second row and column, smoothed, at full size."""
+    """Return contact shading, computed on every second row and column, smoothed, at full size."""
     height, width = size
     pick = np.arange(height * width).reshape(size)[::2, ::2].ravel()
     free = np.ones(len(pick), dtype=np.float32)
@@ -163,7 +168,7 @@ def _openness(
 
 
 def _edges(depth: Floats, radiance: Floats) -> NDArray[np.bool_]:
-    """Pixels (H * W,) next to a jump of depth or brightness: those that need more rays."""
+    """Return the pixels (H * W,) next to a jump of depth or brightness, which need more rays."""
     inverse = 1.0 / np.where(depth > 0, depth, 1e3).astype(np.float32)
     cross = np.ones((3, 3), np.uint8)
     jump = (cv2.dilate(inverse, cross) - cv2.erode(inverse, cross)) > 0.06 * inverse + 2e-4

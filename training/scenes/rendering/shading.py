@@ -26,10 +26,16 @@ def shade(
     weather: Weather,
     rng: Generator,
 ) -> Floats:
-    """Linear RGB radiance (n, 3) of rays from the origin along directions (n, 3).
+    """Return the linear RGB radiance (n, 3) of rays from the origin along directions (n, 3).
 
-    hits: their first hits, at hits.distance times the direction. pixel_angle: radians a pixel
-    covers. openness: (n,) share of the sky that reaches the hit point past near surfaces.
+    Args:
+        caster: casts further rays.
+        hits: the rays' first hits, at hits.distance times the direction.
+        directions: directions of the rays.
+        pixel_angle: angle that a pixel covers [rad].
+        openness: (n,), share of the sky that reaches the hit point past near surfaces.
+        weather: light and weather.
+        rng: source of random numbers.
     """
     length = np.linalg.norm(directions, axis=1)
     view = directions / length[:, None]
@@ -98,7 +104,7 @@ def shade(
 def _surroundings(
     weather: Weather, mirror: Floats, caster: RayCaster, start: Floats, ground: NDArray[np.bool_]
 ) -> Floats:
-    """Radiance in a mirror: sky, dark houses where the ray is blocked, or street."""
+    """Return the radiance in a mirror: sky, dark houses if the ray is blocked, or street."""
     sky = sky_color(weather, mirror, detail=False)
     dim = 0.16 * np.asarray(weather.horizon, np.float32)
     below = np.clip(0.5 - mirror[:, 2:] * 8, 0, 1)
@@ -114,7 +120,7 @@ def _surroundings(
 def contact_shading(
     caster: RayCaster, points: Floats, normals: Floats, rng: Generator, *, rays: int = 3
 ) -> Floats:
-    """Share (n,) of short rays over the hemisphere that escape: dark under cars and in corners."""
+    """Return the share (n,) of short rays that escape over the hemisphere; dark under cars."""
     free = np.zeros(len(points), dtype=np.float32)
     for _ in range(rays):
         ball = rng.standard_normal((len(points), 3), dtype=np.float32)

@@ -11,10 +11,18 @@ from training.scenes.textures.noise import fractal_noise
 
 @dataclass(frozen=True)
 class Weather:
-    """Light of one variant; colours are linear RGB, directions unit vectors.
+    """Light of one variant; colours are linear RGB, directions are unit vectors.
 
-    sun: light of the sun, zero when it is hidden. zenith, horizon: sky colours. cloud: share of
-    the sky that is covered. haze: extinction a metre. wet: 0 dry .. 1 soaked. exposure: f-stops.
+    Attributes:
+        sun: light of the sun; zero when it is hidden.
+        sun_direction: direction to the sun.
+        zenith, horizon: colours of the sky.
+        cloud: share of the sky that is covered.
+        cloud_seed: seed of the clouds.
+        haze: extinction per metre.
+        wet: 0 (dry) to 1 (soaked).
+        exposure: exposure in f-stops.
+        noise: strength of the sensor's noise.
     """
 
     sun_direction: tuple[float, float, float]
@@ -30,7 +38,7 @@ class Weather:
 
 
 _DARK = (0.0, 0.0, 0.0)
-# Of each variant: sun, zenith, horizon, range of cloud, haze.
+# For each variant: sun, zenith, horizon, range of cloud, haze.
 _LIGHT = {
     "clone": ((3.4, 3.15, 2.8), (0.22, 0.42, 0.85), (0.75, 0.9, 1.1), (0.1, 0.7), 0.0009),
     "morning": ((2.7, 2.2, 1.6), (0.25, 0.4, 0.7), (0.95, 0.9, 0.85), (0.1, 0.6), 0.0012),
@@ -65,7 +73,7 @@ def draw_weather(variant: Variant, seed: int) -> Weather:
 
 
 def sky_color(weather: Weather, direction: Floats, *, detail: bool = True) -> Floats:
-    """Radiance (n, 3) of the sky along unit directions (n, 3); no clouds without `detail`."""
+    """Return the radiance (n, 3) of the sky along unit directions (n, 3); clouds if `detail`."""
     up = np.clip(direction[:, 2], 0, 1)
     blend = np.power(1 - up, 4)[:, None]
     colors = weather.zenith, weather.horizon, weather.sun

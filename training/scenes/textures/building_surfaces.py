@@ -60,7 +60,7 @@ def texture_facade(p: Points) -> Surface:
     albedo = _wall(p, u, v)
     glow = np.zeros_like(albedo)
 
-    # Windows of the upper floors, one a bay and floor.
+    # There is one window for each bay of each upper floor.
     i, j = np.floor(u / bay), np.floor((v - ground) / floor)
     a = (u / bay - i - 0.5) * bay
     b = ((v - ground) / floor - j - 0.47) * floor
@@ -108,7 +108,7 @@ def texture_facade(p: Points) -> Surface:
 def _shop_front(
     u: Floats, v: Floats, wall: Floats, ground: Floats, key: Floats, wide: Floats, tall: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Albedo, gloss and glow of shops; a pixel covers wide x tall metres of the wall."""
+    """Return albedo, gloss and glow of shops; a pixel covers wide x tall metres of the wall."""
     unit = 5.5
     shop = np.floor(u / unit)
     a = (u / unit - shop - 0.5) * unit
@@ -116,7 +116,7 @@ def _shop_front(
     fascia_color = np.concatenate(pick[:3], 1) ** 2 * 0.6 + 0.02
     fascia = band(a, unit / 2 - 0.15, wide) * band(v - (ground - 0.45), 0.36, tall)
     color = mix(wall, fascia_color, fascia)
-    # Lettering: blocks of random width, dark on light or light on dark.
+    # The lettering is blocks of random width, dark on light or light on dark.
     letter = hash01(key, shop, np.floor(a / 0.24), 9) < 0.75
     stroke = band(np.mod(a, 0.24) - 0.12, 0.085, wide) * band(v - (ground - 0.45), 0.17, tall)
     extent = np.abs(a) < 0.6 + 1.4 * pick[3][:, 0]
@@ -147,7 +147,7 @@ def texture_roof(p: Points) -> Surface:
 
 
 def texture_planks(p: Points) -> Surface:
-    """Boards, ribs or awning stripes: params are pitch, contrast, seed."""
+    """Texture boards, ribs or awning stripes; the params are pitch, contrast and seed."""
     u = p.texture[:, 0] + p.texture[:, 1]
     pitch, contrast = p.params[:, 0], p.params[:, 1]
     k = np.floor(u / pitch)

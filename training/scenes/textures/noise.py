@@ -38,10 +38,10 @@ def value_noise(u: Floats, v: Floats) -> Floats:
 def fractal_noise(
     u: Floats, v: Floats, *, wavelength: float, octaves: int, footprint: Floats | None = None
 ) -> Floats:
-    """Sum of octaves of `value_noise`, about -1..1.
+    """Return the sum of octaves of `value_noise`, about -1..1.
 
-    wavelength: metres of the coarsest octave. footprint: metres a pixel covers; octaves finer
-    than it fade out, against aliasing of distant textures.
+    `wavelength` is that of the coarsest octave [m]. `footprint` is the width [m] that a pixel
+    covers; finer octaves fade out, to avoid aliasing in distant textures.
     """
     total = np.zeros(u.shape, dtype=np.float32)
     amplitude, size = 0.55, wavelength
@@ -56,7 +56,7 @@ def fractal_noise(
 
 
 def hash01(*keys: Floats | int) -> Floats:
-    """Uniform 0..1 from whole numbers as keys, the same for the same keys."""
+    """Return uniform numbers 0..1 from whole numbers as keys, the same for the same keys."""
     state: NDArray[np.uint32] = np.array(2166136261, dtype=np.uint32)
     with np.errstate(over="ignore"):
         for key in keys:

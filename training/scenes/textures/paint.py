@@ -11,7 +11,8 @@ from training.scenes.arrays import Floats
 class Stripe:
     """One painted rectangle in street coordinates, possibly broken into dashes.
 
-    along: "s" runs with the street, "d" across it. centre: its position on the other axis [m].
+    With `along` "s" it runs with the street, with "d" across it. `centre` is its position on the
+    other axis [m].
     """
 
     along: str
@@ -27,7 +28,7 @@ class Stripe:
 def paint_cover(
     stripe: Stripe, s: Floats, d: Floats, footprint_s: Floats, footprint_d: Floats
 ) -> Floats:
-    """Share of each point's footprint that the stripe covers, 0..1."""
+    """Return the share, 0..1, of each point's footprint that the stripe covers."""
     run, across, f_run, f_across = s, d, footprint_s, footprint_d
     if stripe.along == "d":
         run, across, f_run, f_across = d, s, footprint_d, footprint_s
@@ -44,7 +45,7 @@ def paint_cover(
 
 
 def band(x: Floats, half_width: float | Floats, footprint: Floats) -> Floats:
-    """Share of a pixel of the given footprint at x that is within -half_width..half_width."""
+    """Return the share of a pixel of this footprint at x that is within -half_width..half_width."""
     width = np.maximum(footprint, 1e-3)
     high = np.minimum(x + width / 2, half_width)
     low = np.maximum(x - width / 2, -half_width)

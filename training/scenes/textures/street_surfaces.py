@@ -67,7 +67,7 @@ def texture_grass(p: Points) -> Surface:
 
 
 def texture_sign(p: Points) -> Surface:
-    """Faces of traffic signs; texture is the face, -1..1 both ways."""
+    """Texture the faces of traffic signs; the texture coordinates are the face, -1..1 both ways."""
     a, b = p.texture[:, 0], p.texture[:, 1]
     kind, lot = np.rint(p.params[:, 0]).astype(int), p.params[:, 1:2]
     reach, f = np.hypot(a, b), p.footprint / 0.38
@@ -81,7 +81,7 @@ def texture_sign(p: Points) -> Surface:
         out[rows] = mix(out[rows], paint[rows], cover[rows])
 
     def triangle(up: Floats) -> Floats:
-        """The inner part of a sign whose tip is at up = 1, its base at 0."""
+        """Return the inner part of a sign whose tip is at up = 1 and its base at 0."""
         rim = np.minimum(up - 0.12, (1 - up) * 0.9 - np.abs(a) - 0.22) / np.maximum(f, 0.02)
         return np.asarray(np.clip(rim + 0.5, 0, 1))
 

@@ -19,11 +19,15 @@ SurfaceKind = IntEnum(
 
 @dataclass(frozen=True)
 class Points(Rows):
-    """Surface points to texture; n rows each.
+    """Surface points to texture, with n rows each.
 
-    texture: (n, 3) the object's own coordinates [m]. normal: (n, 3). color: (n, 3) base colour.
-    params: (n, 8). footprint: (n,) metres a pixel covers across the view ray; slant: (n,) cosine
-    between view ray and normal, 0..1.
+    Attributes:
+        texture: (n, 3), coordinates in the object's own frame [m].
+        normal: (n, 3).
+        color: (n, 3), base colour.
+        params: (n, 8), read by the texture of the kind.
+        footprint: (n,), width [m] that a pixel covers across the view ray.
+        slant: (n,), cosine between view ray and normal, 0..1.
     """
 
     texture: Floats
@@ -38,8 +42,10 @@ class Points(Rows):
 class Surface:
     """A material for the shader.
 
-    albedo: (n, 3), linear. gloss: (n,), mirror share at normal incidence. glow: (n, 3), emitted
-    light.
+    Attributes:
+        albedo: (n, 3), linear.
+        gloss: (n,), share of mirrored light at normal incidence.
+        glow: (n, 3), emitted light.
     """
 
     albedo: Floats

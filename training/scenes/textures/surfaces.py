@@ -22,7 +22,7 @@ def _foliage(p: Points) -> Surface:
 
 
 def _streaked(p: Points, numbers: Sequence[float], octaves: int, gloss: float = 0.0) -> Surface:
-    """Noise along (x + a y) * b and z * c; numbers: a, b, c, wavelength [m], contrast."""
+    """Texture noise along (x + a y) * b and z * c, of a, b, c, wavelength [m] and contrast."""
     x, y, z = p.texture.T
     a, b, c, size, contrast = numbers
     u, v = (x + a * y) * b, z * c
@@ -62,7 +62,7 @@ _SHADERS: dict[SurfaceKind, Callable[[Points], Surface]] = {
 
 
 def texture_surfaces(kind: NDArray[np.uint8], points: Points, stripes: Sequence[Stripe]) -> Surface:
-    """Surface of every point by its kind, (n,) uint8 of `SurfaceKind`."""
+    """Return the surface of every point by its kind, (n,) uint8 of `SurfaceKind`."""
     asphalt = partial(street_surfaces.texture_asphalt, stripes=stripes)
     shaders = _SHADERS | {SurfaceKind.ASPHALT: asphalt}
     albedo, glow = np.zeros((2, len(kind), 3), dtype=np.float32)

@@ -53,7 +53,7 @@ def texture_car_body(p: Points) -> Surface:
 
 
 def texture_car_side_window(p: Points) -> Surface:
-    """Side of the greenhouse; texture is (x, cabin height, 0 belt .. 1 roof edge)."""
+    """Texture the side of a cabin; coordinates are (x, cabin height, 0 belt .. 1 roof edge)."""
     x, cabin, q = p.texture.T
     f = p.footprint
     tall = np.maximum(cabin, 0.05)

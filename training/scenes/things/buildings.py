@@ -28,7 +28,7 @@ PLASTER, BRICK, OFFICE, SHED = 0.0, 1.0, 2.0, 3.0
 def _walls(
     length: float, depth: float, height: float, look: Look, roof: Look | None = None
 ) -> list[Mesh]:
-    """Four walls around (0..length, 0..-depth), texture x along the wall, z up; and a flat roof."""
+    """Make four walls around (0..length, 0..-depth), texture x along the wall, and a flat roof."""
     plan = [(0.0, 0.0), (length, 0.0), (length, -depth), (0.0, -depth), (0.0, 0.0)]
     walls = []
     for k, ((ax, ay), (bx, by)) in enumerate(pairwise(plan)):
@@ -141,17 +141,22 @@ _CHIMNEY = _look(SurfaceKind.BRICKWORK, (0.3, 0.15, 0.1))
 def _facade(
     color: Color, windows: Iterable[float], floor: float, ground: tuple[float, ...], rng: Generator
 ) -> Look:
-    """The wall of a house.
+    """Return the look of the wall of a house.
 
-    windows: width of a bay [m], width and height of its window as shares of bay and floor. floor:
-    its height [m]. ground: façade style, 0 no openings, 1 shops or 2 doors, height [m].
+    Args:
+        color: colour of the wall.
+        windows: width of a bay [m], and width and height of its window as shares of bay and floor.
+        floor: height of a floor [m].
+        ground: façade style of the ground floor (0 no openings, 1 shops or 2 doors), and its height
+            [m].
+        rng: source of random numbers.
     """
     bay, wide, tall = windows
     return _look(SurfaceKind.FACADE, color, bay, floor, wide, tall, *ground, rng.random())
 
 
 def _draw_wall(bricks: float, rng: Generator) -> tuple[float, Color]:
-    """Style and colour of a wall, which is of brick with this probability."""
+    """Draw style and colour of a wall, which is of brick with this probability."""
     is_brick = rng.random() < bricks
     return float(is_brick), _tone(_BRICK if is_brick else _PLASTER, rng)
 

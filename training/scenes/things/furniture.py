@@ -15,7 +15,7 @@ _RAILINGS = rows("0.03 0.04 0.04, 0.3 0.31 0.31, 0.03 0.1 0.06")
 _BINS = rows("0.03 0.08 0.04, 0.03 0.03 0.03, 0.08 0.09 0.1, 0.05 0.08 0.2")
 _SIGNALS = rows("0.9 0.03 0.02, 0.9 0.4 0.02, 0.03 0.8 0.35")
 _BOARD, _SQUARE = 5, 6  # kinds of sign
-# Outlines of signs that are no discs, -1..1, by kind.
+# Outlines of the signs that are not discs, -1..1, by kind.
 _TRIANGLE = np.array([[-1, -0.8], [1, -0.8], [0, 0.95]])
 _QUAD = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
 _OUTLINES = {
@@ -59,10 +59,10 @@ def make_bollard(rng: Generator) -> Mesh:
 
 
 def make_sign(rng: Generator, kind: int | None = None) -> Mesh:
-    """A traffic sign facing -x, on its pole at the origin.
+    """Make a traffic sign that faces -x, on its pole at the origin.
 
-    Kinds: 0 limit, 1 warning triangle, 2 blue disc, 3 no entry, 4 priority, 5 direction board,
-    6 blue square, 7 give way.
+    The kinds are 0 limit, 1 warning triangle, 2 blue disc, 3 no entry, 4 priority, 5 direction
+    board, 6 blue square and 7 give way.
     """
     kind = int(rng.integers(8)) if kind is None else kind
     size, height, wide = rng.uniform(0.32, 0.45), rng.uniform(2.2, 3.0), 1.0
@@ -133,7 +133,7 @@ def make_board_fence(length: float, rng: Generator) -> Mesh:
 
 
 def make_wall(length: float, rng: Generator) -> Mesh:
-    """A low brick wall along x, starting at the origin; Fence, as CamVid labels garden walls."""
+    """Make a low brick wall along x from the origin; a Fence, as CamVid labels garden walls."""
     height, tone = rng.uniform(0.5, 1.6), rng.uniform(0.7, 1.3)
     look = Look(SurfaceKind.BRICKWORK, (0.28 * tone, 0.15 * tone, 0.1 * tone), SceneClass.FENCE)
     cap = Look(SurfaceKind.STONE, (0.4, 0.39, 0.36), SceneClass.FENCE)

@@ -21,7 +21,7 @@ Color = tuple[float, ...]
 
 
 def rows(text: str) -> tuple[tuple[float, ...], ...]:
-    """The rows of a table of numbers: "1 2, 3 4" is ((1, 2), (3, 4))."""
+    """Return the rows of a table of numbers: "1 2, 3 4" is ((1, 2), (3, 4))."""
     return tuple(tuple(float(number) for number in row.split()) for row in text.split(","))
 
 
@@ -33,7 +33,7 @@ def pick(choices: Sequence[T], rng: Generator) -> T:
 def vary(
     colors: Sequence[Color], rng: Generator, *, most: float, tint: float, limits: Sequence[float]
 ) -> Color:
-    """A shade of one of the colours: 0.75 to `most` times as bright, its channels by `tint`."""
+    """Return a shade of a colour, 0.75 to `most` times as bright, whose channels vary by `tint`."""
     bright = np.asarray(pick(colors, rng)) * rng.uniform(0.75, most)
     tinted = bright * rng.uniform(1 - tint, 1 + tint, 3)
     return tuple(tinted.clip(limits[0], limits[1]).tolist())
@@ -53,10 +53,13 @@ class Look:
 class Mesh(Rows):
     """Triangles with their attributes.
 
-    positions, normals, texture: (n, 3, 3) float32, triangle x corner x axis; metres. Texture
-    coordinates are positions in the object's own frame, so patterns move with the object.
-    color: (n, 3) float32; kind, label: (n,) uint8; params: (n, 8) float32, read by the shader of
-    the surface kind.
+    Texture coordinates are positions in the object's own frame, so patterns move with the object.
+
+    Attributes:
+        positions, normals, texture: (n, 3, 3) float32, triangle x corner x axis; metres.
+        color: (n, 3) float32.
+        kind, label: (n,) uint8.
+        params: (n, 8) float32, read by the shader of the surface kind.
     """
 
     positions: Floats
@@ -80,14 +83,14 @@ class Mesh(Rows):
 
 
 def join(*meshes: Mesh) -> Mesh:
-    """One mesh of several."""
+    """Return one mesh made of several."""
     return Mesh(*(np.concatenate([getattr(m, f.name) for m in meshes]) for f in fields(Mesh)))
 
 
 def triangles(
     positions: ArrayLike, look: Look, *, normals: Lattice = None, texture: Lattice = None
 ) -> Mesh:
-    """Mesh of (n, 3, 3) corner positions; flat normals and texture = positions unless given."""
+    """Return a mesh of (n, 3, 3) corners; by default normals are flat and texture = positions."""
     corners = np.asarray(positions, dtype=np.float32).reshape(-1, 3, 3)
     n = len(corners)
     if normals is None:

@@ -45,7 +45,7 @@ class Dress:
 
 
 def draw_dress(rng: Generator, *, cyclist: bool = False) -> Dress:
-    """Choose how a person looks."""
+    """Draw how a person looks."""
     tops = (*_TOPS, _REFLECTIVE, _REFLECTIVE) if cyclist else _TOPS
     return Dress(
         colors=(*(pick(each, rng) for each in (_SKIN, _HAIR, tops, _BOTTOMS)), (0.03, 0.03, 0.03)),
@@ -58,7 +58,7 @@ def draw_dress(rng: Generator, *, cyclist: bool = False) -> Dress:
 
 
 def _limb(joints: Iterable[Floats], radii: Floats, look: Look) -> list[Mesh]:
-    """A leg or an arm, from the hip or shoulder."""
+    """Make a leg or an arm, from the hip or shoulder on."""
     bones = zip(pairwise(joints), radii, strict=True)
     return [tube(*ends, (upper, lower), look, rounded=True) for ends, (upper, lower) in bones]
 
@@ -125,7 +125,7 @@ def make_cyclist(dress: Dress, phase: float) -> Mesh:
 
 
 def _joint(a: Floats, b: Floats, upper: float, lower: float) -> Floats:
-    """Knee of a two-bone leg from a to b, bending forward in the x-z plane."""
+    """Return the knee of a two-bone leg from a to b, which bends forward in the x-z plane."""
     line = b - a
     reach = min(float(np.linalg.norm(line)), upper + lower - 1e-3)
     along = (upper**2 - lower**2 + reach**2) / (2 * reach)

@@ -55,14 +55,14 @@ def _foliage(colors: Sequence[tuple[float, ...]], label: SceneClass, rng: Genera
 def _crown(
     blobs: Floats, look: Look, count: int, size: float, rng: Generator, *, core: float, dark: float
 ) -> list[Mesh]:
-    """A cloud of leaves around cores of a share of the blobs' size and brightness."""
+    """Make a cloud of leaves around cores with a share of the blobs' size and brightness."""
     leaves = _leaf_cloud(blobs, look, count, size, rng)
     inner = replace(look, color=tuple(dark * c for c in look.color))
     return [leaves, *(ellipsoid(b[:3], b[3:] * core, inner) for b in blobs)]
 
 
 def make_tree(rng: Generator, *, leaf_count: int = 3600) -> Mesh:
-    """A broad-leaved tree, 5 to 13 m high, trunk at the origin; far ones need few, large leaves."""
+    """Make a broad-leaved tree, 5 to 13 m high; far trees need few, large leaves."""
     look = _foliage(_LEAVES, SceneClass.TREE, rng)
     height = rng.uniform(5, 13)
     trunk_top, spread = height * rng.uniform(0.25, 0.4), height * rng.uniform(0.2, 0.34)

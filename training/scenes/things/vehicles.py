@@ -27,9 +27,10 @@ class CarShape:
     """Side profile of a car body.
 
     Attributes:
-        sizes: length, width, height of the belt line, radius of the wheels [m].
-        rear_glass, windscreen: from and to; wheels; pillars: fractions of the length from the tail.
-        outline: fractions of the length and heights [m].
+        sizes: length, width, height of the belt line and radius of the wheels [m].
+        rear_glass, windscreen: beginning and end, as fractions of the length from the tail.
+        wheels, pillars: positions, as fractions of the length from the tail.
+        outline: fractions of the length, and heights [m].
     """
 
     sizes: tuple[float, ...]
