@@ -9,6 +9,7 @@ import pytest
 
 from training.chosen_recipe import read_stages
 from training.evaluation.classical import METHODS
+from training.recipes.registry import RECIPES
 
 ROOT = Path(__file__).parents[1]
 CARD = ROOT / "runtime" / "assets" / "MODEL_CARD.md"
@@ -133,3 +134,10 @@ def test_changes_of_recipes_are_taken(recipe, changes):
 def test_the_page_of_comparisons_names_every_method():
     page = (ROOT / "docs" / "comparison.md").read_text()
     assert re.findall(r"^\| `([a-z-]+)` \|", page, flags=re.MULTILINE) == list(METHODS)
+
+
+def test_the_page_of_training_names_every_recipe():
+    page = (ROOT / "docs" / "training.md").read_text().partition("\n## Recipes\n")[2]
+    rows = re.findall(r"^\| (`.*?) \|", page.partition("\n## ")[0], flags=re.MULTILINE)
+    named = re.findall(r"`([a-z-]+)`", " ".join(rows))
+    assert sorted(named) == sorted(name for name in RECIPES if not name.startswith("ablation-"))
