@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import onnx
 import torch
@@ -30,6 +31,9 @@ from runtime.contract.contract import MIN_SIDE, SCHEMA_VERSION, check_size
 from runtime.contract.model_file import with_contract
 from runtime.files.atomic_write import atomic_file
 from runtime.recordings.recording import RecordedFrame, Recorder, Settings, record
+
+if TYPE_CHECKING:  # measuring needs the packages of training
+    from export.accuracy import Accuracy
 
 # (height, width) at which a model of any size is verified: half the size of Cityscapes, as in the
 # paper.
@@ -59,6 +63,17 @@ class ExportReport:
     num_frames: int
     num_bytes: int
     contract: Contract
+
+
+@dataclass(frozen=True)
+class _Draft:
+    """A graph with its metadata, beside the network whose answers it must give."""
+
+    network: Network
+    heads: tuple[str, ...]
+    model: onnx.ModelProto
+    contract: Contract
+    dynamic: bool
 
 
 def export_checkpoint(
@@ -107,23 +122,11 @@ def export_checkpoint(
     """
     if isinstance(precision, Int8Options) and not validate:
         raise InputError("int8 needs data: give validate, data sets with ground truth")
-    dynamic = dynamic or size is None
-    size = size or DEFAULT_SIZE
-    try:
-        check_size(size)
-    except ValueError as error:
-        raise InputError(str(error)) from error
+    dynamic, size = dynamic or size is None, _native_size(size)
     target = Path(onnx_path)
-    _check_target(target, Path(checkpoint_path), overwrite=overwrite)
     triton_folder = None if triton_dir is None else Path(triton_dir) / target.stem
-    if triton_folder is not None:
-        require_model_folder(triton_folder, overwrite=overwrite)
-    checkpoint = load_checkpoint(checkpoint_path)
-    _require_finite(checkpoint.model)
-    try:
-        check_output(checkpoint.model)
-    except ValueError as error:
-        raise ExportError(f"{checkpoint_path}: {error}") from error
+    _check_targets(target, triton_folder, Path(checkpoint_path), overwrite=overwrite)
+    checkpoint = _read(checkpoint_path)
     if isinstance(precision, Int8Options):
         from export.int8 import require_frames  # needs the packages of training
 
@@ -131,7 +134,7 @@ def export_checkpoint(
     graph = DeployGraph(checkpoint.model, with_logits=with_logits)
     model = trace(graph, size=size, dynamic=dynamic, opset=opset)
     contract = _contract(checkpoint, _digest(checkpoint_path), size=size, opset=opset)
-    frames = _frames(size, dynamic=dynamic, max_depth_m=contract.max_depth_m)
+    draft = _Draft(checkpoint.model, graph.heads, model, contract, dynamic)
     settings = Settings("ssdnet-export", "frame" if dynamic else None, provider="torch")
     with contextlib.ExitStack() as written:
         temporary = written.enter_context(atomic_file(target, overwrite=overwrite, durable=True))
@@ -141,33 +144,32 @@ def export_checkpoint(
             recorder = written.enter_context(
                 record(Path(record_dir), settings, overwrite=overwrite)
             )
-        _write(model, file, contract)
-        measure = partial(measure_parity, checkpoint.model, file, dynamic=dynamic)
-        parity = measure(frames)
-        _require_parity(parity)
-        if precision is not Precision.FP32 or validate:
-            model, contract = _finish(model, contract, precision, validate)
-            _write(model, file, contract)
-            # On synthetic frames half precision rounds too much, so recorded frames are used.
-            if precision is Precision.FP16:
-                frames = recorded_frames(size)
-            parity = measure(frames)
-        if precision is Precision.FP16:
-            _require_parity(parity, "; leave out --precision fp16")
-        figures = {head: dict(measured.figures) for head, measured in parity.items()}
-        contract = replace(contract, parity=figures)
-        num_bytes = _write(model, file, contract)
+        draft, parity, frames = _verify(draft, file, precision, validate)
+        num_bytes = _write(draft.model, file, draft.contract)
         if recorder is not None:
-            _record(checkpoint.model, graph.heads, frames, recorder)
+            _record(draft, frames, recorder)
             recorder.finish(file)
         if triton_folder is not None:
-            write_triton_model(triton_folder, model, file.read_bytes(), overwrite=overwrite)
+            write_triton_model(triton_folder, draft.model, file.read_bytes(), overwrite=overwrite)
     return ExportReport(
-        target, size, dynamic, graph.heads, parity, len(frames), num_bytes, contract
+        target, size, dynamic, draft.heads, parity, len(frames), num_bytes, draft.contract
     )
 
 
-def _check_target(target: Path, checkpoint: Path, *, overwrite: bool) -> None:
+def _native_size(size: tuple[int, int] | None) -> tuple[int, int]:
+    """Return (height, width) at which the graph is traced."""
+    size = size or DEFAULT_SIZE
+    try:
+        check_size(size)
+    except ValueError as error:
+        raise InputError(str(error)) from error
+    return size
+
+
+def _check_targets(
+    target: Path, triton_folder: Path | None, checkpoint: Path, *, overwrite: bool
+) -> None:
+    """Raise OutputError if the file or the folder cannot be written."""
     if target.is_dir():
         raise OutputError(f"{target} is a folder: give the name of a file")
     if target.exists() and checkpoint.exists() and target.samefile(checkpoint):
@@ -176,6 +178,19 @@ def _check_target(target: Path, checkpoint: Path, *, overwrite: bool) -> None:
         raise OutputError(f"{target} exists: choose another name, or replace it with --overwrite")
     if not target.parent.is_dir():
         raise OutputError(f"{target.parent} is not a folder: create it first")
+    if triton_folder is not None:
+        require_model_folder(triton_folder, overwrite=overwrite)
+
+
+def _read(path: Path | str) -> Checkpoint:
+    """Return a checkpoint whose weights are finite and whose network returns what it declares."""
+    checkpoint = load_checkpoint(path)
+    _require_finite(checkpoint.model)
+    try:
+        check_output(checkpoint.model)
+    except ValueError as error:
+        raise ExportError(f"{path}: {error}") from error
+    return checkpoint
 
 
 def _require_finite(model: nn.Module) -> None:
@@ -242,53 +257,83 @@ def count_giga_macs(model: Network, size: tuple[int, int]) -> float:
     return float(counter.get_total_flops()) / 2e9  # a multiplication and an addition count as two
 
 
-def _finish(
-    model: onnx.ModelProto,
-    contract: Contract,
-    precision: Precision | Int8Options,
-    validate: Sequence[str],
-) -> tuple[onnx.ModelProto, Contract]:
-    """Return the graph in the requested precision, and its contract with accuracy."""
-    if precision is Precision.FP16:
-        model = to_half(model)
-    contract = replace(
-        contract, precision="int8" if isinstance(precision, Int8Options) else precision.value
-    )
-    if not validate:
-        return model, contract
-    from export.accuracy import measure_accuracy, repeat_command  # needs the packages of training
+def _verify(
+    draft: _Draft, file: Path, precision: Precision | Int8Options, validate: Sequence[str]
+) -> tuple[_Draft, dict[str, HeadParity], list[ProbeFrame]]:
+    """Verify the graph against PyTorch, first as traced, then in the requested precision.
 
+    Args:
+        draft: the traced graph.
+        file: the file to which the graph is written, so that the engine can run it.
+        precision: the requested precision.
+        validate: data sets that the accuracy is measured on, if any.
+
+    Returns:
+        The graph in this precision with all of its metadata, head -> the worst difference, and the
+        frames of this comparison.
+
+    Raises:
+        ExportError: if the answers differ from PyTorch's, or int8 misses its gate.
+    """
+    native_size = draft.contract.native_size
+    measure = partial(measure_parity, draft.network, file, dynamic=draft.dynamic)
+    frames = _frames(native_size, dynamic=draft.dynamic, max_depth_m=draft.contract.max_depth_m)
+    _write(draft.model, file, draft.contract)
+    parity = measure(frames)
+    _require_parity(parity)
     if isinstance(precision, Int8Options):
-        from export.int8 import quantize_within
+        draft = _quantize(draft, precision, validate)
+    elif precision is Precision.FP16:
+        contract = replace(draft.contract, precision=precision.value)
+        draft = replace(draft, model=to_half(draft.model), contract=contract)
+        # On synthetic frames half precision rounds too much, so recorded frames are used.
+        frames = recorded_frames(native_size)
+    if precision is not Precision.FP32:
+        _write(draft.model, file, draft.contract)
+        parity = measure(frames)
+    if precision is Precision.FP16:
+        _require_parity(parity, "; leave out --precision fp16")
+    if validate and not isinstance(precision, Int8Options):
+        from export.accuracy import measure_accuracy  # needs the packages of training
 
-        names = [info.name for info in contract.classes]
-        write = partial(_write, contract=contract)
-        quantized = quantize_within(model, precision, validate=validate, classes=names, write=write)
-        model, accuracy = quantized.model, quantized.accuracy
-        contract = replace(contract, quantization=quantized.facts)
-    else:
-        with tempfile.TemporaryDirectory() as folder:
+        with tempfile.TemporaryDirectory() as folder:  # the name of a measured file ends in .onnx
             path = Path(folder) / "model.onnx"
-            _write(model, path, contract)
-            accuracy = measure_accuracy(path, validate)
-    measured = {
-        "repeat": repeat_command(validate, accuracy),
-        "rows": [asdict(row) for row in accuracy],
-    }
-    return model, replace(contract, accuracy=measured)
+            path.write_bytes(file.read_bytes())
+            draft = _with_accuracy(draft, validate, measure_accuracy(path, validate))
+    figures = {head: dict(measured.figures) for head, measured in parity.items()}
+    return replace(draft, contract=replace(draft.contract, parity=figures)), parity, frames
 
 
-def _record(
-    model: Network, heads: Sequence[str], frames: Sequence[ProbeFrame], recorder: Recorder
-) -> None:
+def _quantize(draft: _Draft, options: Int8Options, validate: Sequence[str]) -> _Draft:
+    """Return the graph in 8-bit integers, which passed the gate on its accuracy."""
+    from export.int8 import quantize_within  # needs the packages of training
+
+    contract = replace(draft.contract, precision="int8")
+    names = [info.name for info in contract.classes]
+    write = partial(_write, contract=contract)
+    found = quantize_within(draft.model, options, validate=validate, classes=names, write=write)
+    contract = replace(contract, quantization=found.facts)
+    return _with_accuracy(
+        replace(draft, model=found.model, contract=contract), validate, found.accuracy
+    )
+
+
+def _with_accuracy(draft: _Draft, validate: Sequence[str], rows: Sequence["Accuracy"]) -> _Draft:
+    from export.accuracy import repeat_command  # needs the packages of training
+
+    measured = {"repeat": repeat_command(validate, rows), "rows": [asdict(row) for row in rows]}
+    return replace(draft, contract=replace(draft.contract, accuracy=measured))
+
+
+def _record(draft: _Draft, frames: Sequence[ProbeFrame], recorder: Recorder) -> None:
     """Record PyTorch's answers to each frame for the heads of the file."""
     for frame in frames:
-        answers = reference(model, frame)
+        answers = reference(draft.network, frame)
         recorder.add(
             RecordedFrame(f"{frame.name}, {frame.rgb.shape[0]} x {frame.rgb.shape[1]}"),
             frame.rgb,
             frame.sparse_depth,
-            {head: answers[head] for head in heads},
+            {head: answers[head] for head in draft.heads},
         )
 
 
