@@ -154,21 +154,48 @@ def test_an_int8_file_states_how_it_was_made(export_int8, tmp_path, exported):
 @pytest.mark.usefixtures("few")
 def test_a_missed_gate_writes_nothing_and_names_the_head(export_int8, tmp_path, monkeypatch):
     """Whatever is left in float, the classes are worse than before."""
-    files = []
+    measured = []
 
     def measure(path, *options):
-        files.append(path)
-        rows = accuracy.measure_accuracy(path, *options)
-        in_float = len(files) <= 2  # the second time with the LiDAR that the frames lack
-        return rows if in_float else [replace(row, miou=row.miou / 2) for row in rows]
+        if len(measured) < 2:  # in float, the second time with the LiDAR that the frames lack
+            measured.append(accuracy.measure_accuracy(path, *options))
+            return measured[-1]
+        return [replace(row, miou=row.miou / 2) for row in measured[-1]]
 
     monkeypatch.setattr(int8, "measure_accuracy", measure)
+    monkeypatch.setattr(int8, "quantize", lambda model, *_, **__: model)
+    monkeypatch.setattr(int8, "_rank", lambda model, alone, names, *_: list(names))
     result = export_int8("--max-rise-mae", "1000")
     assert result.exit_code == 1
     assert "semantic loses" in result.output
     assert "of mIoU on street" in result.output
     assert "convolutions were left in float" in " ".join(result.output.split())
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("head", ["depth", "semantic"])
+def test_convolutions_are_ranked_by_what_each_alone_changes(monkeypatch, head):
+    """8 bits add 1, 5 and 0.1 to the answer: by how much depths change, and how many classes."""
+    errors = {"a": 1.0, "b": 5.0, "c": 0.1}
+    kind = onnx.TensorProto.UINT8 if head == "semantic" else onnx.TensorProto.FLOAT
+    x = onnx.helper.make_tensor_value_info("x", onnx.TensorProto.FLOAT, [4])
+
+    def sum_of(keep_float):
+        added = np.array([errors[n] for n in errors if n not in keep_float], np.float32).sum()
+        nodes = [
+            onnx.helper.make_node("Add", ["x", "added"], ["sum"]),
+            onnx.helper.make_node("Cast", ["sum"], [head], to=kind),
+        ]
+        answer = onnx.helper.make_tensor_value_info(head, kind, [4])
+        weight = onnx.numpy_helper.from_array(np.float32(added), "added")
+        graph = onnx.helper.make_graph(nodes, "graph", [x], [answer], [weight])
+        opset = onnx.helper.make_opsetid("", 18)
+        return onnx.helper.make_model(graph, opset_imports=[opset], ir_version=8)
+
+    monkeypatch.setattr(int8, "trunk", lambda model: list(errors))
+    feeds = [{"x": np.array([0, 0.95, 2.5, 3], np.float32)}]
+    ranked = int8._rank(sum_of(errors), sum_of, ["c", "a", "b"], feeds, head)
+    assert ranked == (["b", "a", "c"] if head == "depth" else ["a", "b", "c"])
 
 
 def test_convolutions_on_fine_grids_are_left_in_float_before_any_is_ranked(monkeypatch, tmp_path):
@@ -250,22 +277,6 @@ def test_a_file_in_single_precision_states_its_accuracy_and_its_work(
     assert contract.giga_macs == fp32.giga_macs
 
 
-@pytest.mark.parametrize(
-    ("target", "message"),
-    [
-        ("depth=depth", "no set has labels of the model's classes, so the loss of the semantic"),
-        ("labels=labels", "no set has depth, so the loss of the depth"),
-        ("labels=none", "neither labels of the model's classes nor depth"),
-    ],
-)
-@pytest.mark.usefixtures("few")
-def test_each_head_needs_truth_or_int8_is_refused(export_int8, tmp_path, target, message):
-    result = export_int8("--max-drop-miou", "100", "--max-rise-mae", "1000", target=target)
-    assert result.exit_code == 1
-    assert message in result.output
-    assert list(tmp_path.iterdir()) == []
-
-
 ROW = Accuracy("street", "own", 120, 0.7, 0.5, 0.6, 0.63, {"tree": 0.9})
 
 
@@ -290,6 +301,29 @@ def test_the_gate_holds_what_each_head_loses(kept, missed, words):
 def test_the_head_that_misses_most_comes_first():
     after = replace(ROW, miou=0.68, boundary_f=0.58, mae_m=0.6)
     assert list(int8._missed([ROW], [after], Int8Options(()))) == ["depth", "semantic", "boundary"]
+
+
+@pytest.mark.parametrize(
+    ("unknown", "message"),
+    [
+        ({"miou": None}, "no set has labels of the model's classes, so the loss of the semantic"),
+        ({"mae_m": None}, "no set has depth, so the loss of the depth"),
+    ],
+)
+def test_each_head_needs_truth(unknown, message):
+    heads = ("semantic", "depth", "boundary")
+    int8._require_rows(heads, [ROW, replace(ROW, **unknown)])
+    int8._require_rows(("boundary",), [replace(ROW, **unknown)])
+    with pytest.raises(InputError, match=message):
+        int8._require_rows(heads, [replace(ROW, **unknown)])
+
+
+@pytest.mark.usefixtures("few")
+def test_sets_without_any_truth_are_refused_and_nothing_is_written(export_int8, tmp_path):
+    result = export_int8(target="labels=none")
+    assert result.exit_code == 1
+    assert "neither labels of the model's classes nor depth" in result.output
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,10 @@
 """The trunk alone; its features are compared in tests/training/test_imagenet_weights.py."""
 
-from collections import Counter
-
 import pytest
 import torch
 from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
-from export.trace import quiet
 from models.blocks import pad_to_multiple
 from models.efficientnet_lite import CHANNELS, WIDTHS, EfficientNetLite
 
@@ -67,21 +64,3 @@ def test_every_weight_and_what_is_added_at_stride_4_get_a_gradient():
     # The prefixes by which a recipe freezes stages.
     parts = {name.partition(".")[0] for name, _ in trunk.named_parameters()}
     assert parts == {"stem", *(f"stride{stride}" for stride in CHANNELS)}
-
-
-@pytest.mark.slow
-def test_the_exported_trunk_is_convolutions_clips_and_sums(trunk):
-    """The padding of strided convolutions is theirs; only that of the picture remains."""
-    free = torch.export.Dim.DYNAMIC
-    with quiet(), torch.no_grad():
-        program = torch.onnx.export(
-            Features(trunk),
-            (torch.zeros(2, 3, 33, 65),),
-            dynamo=True,
-            opset_version=18,
-            dynamic_shapes=({0: free, 2: free, 3: free},),
-            verbose=False,
-        )
-    counts = Counter(node.op_type for node in program.model_proto.graph.node)
-    expected = {"Conv": 48, "Clip": 32, "Add": 9, "Pad": 1}
-    assert {name: counts[name] for name in expected} == expected

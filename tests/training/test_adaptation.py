@@ -20,7 +20,7 @@ from training.loading.augment import draw_lidar
 from training.loading.open_dataset import open_dataset
 
 SIZE, FOCAL_PX = (96, 160), 120.0
-STEPS = ["schedule.steps = 2", "schedule.warmup_steps = 0", "data.augment.crop = [64, 96]"]
+STEPS = ["schedule.steps = 1", "schedule.warmup_steps = 0", "data.augment.crop = [64, 96]"]
 CALIBRATION = f"""
 intrinsics = [[{FOCAL_PX}, 0, 80], [0, {FOCAL_PX}, 48], [0, 0, 1]]
 extrinsics = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]

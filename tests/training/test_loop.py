@@ -125,18 +125,18 @@ def test_tensorboard_shows_terms_rates_scores_and_pictures(data, tmp_path):
 def test_validation_feeds_the_lidar_of_the_recipe(data, tmp_path):
     write_second_edition(data / "scenes", magnify=8)
     errors = []
-    for number, lidar in enumerate(("none", "random:0.5", "random:0.5")):
+    for number, lidar in enumerate(("none", "random:0.5")):
         validation = ValidationRecipe(source=(RenderedRecipe(path="scenes"),), lidar=lidar)
         out = tmp_path / str(number)
         train(recipe(1, validation=validation), data=[data], out=out)
         errors.append(read_events(out).Scalars("validation/scenes/mae_m")[0].value)
-    assert errors[0] != errors[1] == errors[2]
+    assert errors[0] != errors[1]
     page = (out / "validation.html").read_text()
     assert "scenes, LiDAR random:0.5" in page
     assert "Worst depth of after" in page
     (row,) = evaluate([out]).rows  # of the run's folder: its set, with its input
     assert (row.data, row.lidar) == ("scenes", "random:0.5")
-    assert row.figures["mae_m"] == pytest.approx(errors[2], rel=1e-5)
+    assert row.figures["mae_m"] == pytest.approx(errors[1], rel=1e-5)
 
 
 def test_best_weights_and_scores_survive_an_interruption(data, tmp_path):
@@ -158,14 +158,13 @@ def test_best_weights_and_scores_survive_an_interruption(data, tmp_path):
     assert {"miou", "fwiou", "iou_sky", "boundary_f"} <= set(header.split(","))
 
 
-@pytest.mark.parametrize("part", ["step", "optimizer", "average", "criterion"])
-def test_a_damaged_state_of_the_loop_is_not_resumed(data, tmp_path, part):
+def test_a_damaged_state_of_the_loop_is_not_resumed(data, tmp_path):
     last = train(recipe(), data=[data], out=tmp_path / "run", stop_after=1)
     document = torch.load(last, weights_only=True)
-    trainer = {**document["trainer"], part: None}
-    torch.save({**document, "trainer": trainer}, last)
-    with pytest.raises(CheckpointError, match="cannot be resumed"):
-        train(recipe(), data=[data], out=tmp_path / "run")
+    for part in ("step", "optimizer", "average", "criterion"):
+        torch.save({**document, "trainer": {**document["trainer"], part: None}}, last)
+        with pytest.raises(CheckpointError, match="cannot be resumed"):
+            train(recipe(), data=[data], out=tmp_path / "run")
 
 
 def test_a_damaged_frame_is_named_without_a_traceback(data, tmp_path, monkeypatch):

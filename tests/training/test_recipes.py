@@ -154,13 +154,17 @@ def read_scalars(folder):
     return groups
 
 
+#: The last stages of others, and `ablation-ssdnet` with other weights of two terms.
+LIKE_OTHERS = ("lite-depth", "nano-depth", "ablation-joint-weights-1", "ablation-ssdnet-ind")
+
+
 @pytest.mark.parametrize(
     "name",
     [
         # Several stages take up to 30 seconds.
         pytest.param(name, marks=[pytest.mark.slow] if len(recipe.stages) > 1 else [])
         for name, recipe in RECIPES.items()
-        if name not in ("lite-depth", "nano-depth")  # the last stages of others
+        if name not in LIKE_OTHERS
     ],
 )
 def test_shipped_recipe_trains(name, data, tmp_path):

@@ -42,9 +42,9 @@ def frames():
 
 @pytest.fixture(scope="package")
 def answers(predictor, frames):
-    """The camera alone on each frame."""
+    """The camera alone on the first frames."""
     focal = BUNDLED_FOCAL_LENGTH_PX
-    return [predictor.predict(each.rgb, None, focal_length_px=focal) for each in frames]
+    return [predictor.predict(each.rgb, None, focal_length_px=focal) for each in frames[:5]]
 
 
 @pytest.fixture

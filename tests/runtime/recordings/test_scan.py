@@ -308,7 +308,7 @@ DATA = os.environ.get("SSDNET_DATA")
     ("pandaset_front/points", 6),
 ])  # fmt: skip
 def test_recorded_scans_have_one_number_of_columns(folder, columns):
-    for path in sorted((Path(DATA) / folder).iterdir()):
+    for path in sorted((Path(DATA) / folder).iterdir())[::5]:
         points = read_scan(path, columns=columns)
         assert points.shape[1] == columns
         for other in {4, 5, 6} - {columns}:

@@ -1,10 +1,8 @@
-"""A file and a line add a kind of data set; each goes to a worker and names what is wrong."""
+"""Each kind of data set goes to a worker process and names what is wrong."""
 
 import json
 import pickle
 import re
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -24,82 +22,6 @@ from runtime.base.errors import DatasetError
 from training.datasets.registry import DATASETS
 from training.loading.open_dataset import open_dataset
 from training.recipe import AnySource, build
-
-# A reader and its options in one file, as docs/training.md shows it.
-ONE_FILE = '''
-"""Grey pictures with a line of text each that says how far away they are."""
-
-from pathlib import Path
-from typing import Literal
-
-import numpy as np
-from pydantic.dataclasses import dataclass
-
-from training.datasets.sample import Sample
-from training.datasets.source_recipe import SourceRecipe
-from training.limits import STRICT, Positive
-
-
-@dataclass(frozen=True, kw_only=True, config=STRICT)
-class DistancesRecipe(SourceRecipe):
-    """What a recipe says about it."""
-
-    kind: Literal["distances"] = "distances"
-    unit_m: Positive = 1.0
-
-    def open(self, folder, classes):
-        return Distances(folder, self.unit_m)
-
-
-class Distances:
-    def __init__(self, folder: Path, unit_m: float) -> None:
-        self._files, self._unit_m = sorted(folder.glob("*.txt")), unit_m
-
-    def __len__(self) -> int:
-        return len(self._files)
-
-    def __getitem__(self, index: int) -> Sample:
-        depth = np.full((40, 64), float(self._files[index].read_text()) * self._unit_m, np.float32)
-        return Sample(
-            rgb=np.full((40, 64, 3), 128, np.uint8),
-            targets={"depth": depth},
-            intrinsics=None,
-            name=self._files[index].stem,
-        )
-'''
-
-TRAIN = """
-from distances import DistancesRecipe
-from training.datasets.registry import DATASETS
-DATASETS["distances"] = DistancesRecipe  # as a line there does
-from training.commands.train import app
-from training.recipe import parse_data
-assert parse_data("distances:x,unit_m=2").unit_m == 2
-app()
-"""
-
-
-@pytest.mark.slow
-def test_a_file_and_a_line_add_a_data_set(tmp_path):
-    (tmp_path / "distances.py").write_text(ONE_FILE)
-    (tmp_path / "run.py").write_text(TRAIN)
-    (tmp_path / "far").mkdir()
-    (tmp_path / "far" / "a.txt").write_text("20")
-    changes = (
-        'data.source = [{kind = "distances", path = "far", unit_m = 0.5}]',
-        *("data.batch_size = 2", "data.workers = 1", "data.augment.crop = [32, 32]"),
-        *("schedule.steps = 1", "schedule.warmup_steps = 0", 'model.name = "sparse-conv"'),
-    )
-    options = [word for change in changes for word in ("--set", change)]
-    command = ["comparison-depth", "--data", tmp_path, "--out", tmp_path / "run", *options]
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", tmp_path / "run.py", *map(str, command)],
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr[-3000:]
-    assert (tmp_path / "run" / "model.pt").is_file()
 
 
 def write_rendered(root):

@@ -114,9 +114,10 @@ def test_a_network_without_metadata_scores_as_natively(folder, tmp_path):
             assert plain[key] == pytest.approx(native[key], rel=1e-5), key
             assert inverse[key] == pytest.approx(native[key], rel=1e-5), key
     adapter(folder, "inverse", "depth")  # a wrong adapter shows
-    result = run(*models, "--data", data, "--json", tmp_path / "rows.json")
-    native, plain, wrong = (r["figures"] for r in json.loads((tmp_path / "rows.json").read_text()))
-    assert wrong["mae_m"] > 2 * plain["mae_m"]
+    command = [folder / "inverse.onnx", "--data", data, "--lidar", "64"]
+    assert run(*command, "--json", tmp_path / "rows.json").exit_code == 0
+    (wrong,) = json.loads((tmp_path / "rows.json").read_text())
+    assert wrong["figures"]["mae_m"] > 2 * rows[0]["figures"]["mae_m"]
 
 
 def test_a_missing_adapter_is_filled_in_from_the_file(folder, tmp_path):
@@ -144,7 +145,6 @@ def test_a_missing_adapter_is_filled_in_from_the_file(folder, tmp_path):
         "depth_scale": 1.0,
     }
     assert read_adapter(tmp_path / "mine.toml").names == tuple(info.name for info in CAMVID_CLASSES)
-    run(tmp_path / "pub.onnx", *data, "--adapter", tmp_path / "mine.toml")
 
 
 def by_hand(path, *, shape, output, metadata=()):

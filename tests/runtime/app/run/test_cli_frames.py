@@ -61,24 +61,24 @@ def test_depth_that_contradicts_the_image_is_reported(tmp_path, red_metres, scal
     assert [frame.degraded for frame in recorded] == [(), ()], "what ssdnet-verify predicts again"
 
 
-@pytest.mark.parametrize("parts", [3, N + 2])
+@pytest.mark.parametrize("parts", [3, 5])
 def test_shards_are_disjoint_and_together_the_whole(tmp_path, run, parts):
-    """Byte for byte; a part without a frame is a run of none."""
-    assert run("--out", tmp_path / "whole").exit_code == 0
+    """Of four frames, byte for byte; a part without a frame is a run of none."""
+    assert run("--out", tmp_path / "whole", "--limit", 4).exit_code == 0
     union = {}
     for part in range(1, parts + 1):
         folder = tmp_path / str(part)
-        result = run("--out", folder, "--shard", f"{part}/{parts}")
+        result = run("--out", folder, "--limit", 4, "--shard", f"{part}/{parts}")
         assert result.exit_code == 0, result.output
         files = {file for file in files_in(folder) if Path(file).parent.name in KINDS}
-        assert len(rows_of(folder)) == len(range(part - 1, N, parts))
+        assert len(rows_of(folder)) == len(range(part - 1, 4, parts))
         assert not files & union.keys()
         union |= {file: (folder / file).read_bytes() for file in files}
         report = json.loads((folder / "report.json").read_text())
         assert report["inputs"]["shard"] == f"{part}/{parts}"
     whole = tmp_path / "whole"
     answers = {file for file in files_in(whole) if Path(file).parent.name in KINDS}
-    assert len(answers) == N * len(KINDS)
+    assert len(answers) == 4 * len(KINDS)
     assert union == {file: (whole / file).read_bytes() for file in answers}
     assert run("--limit", 5, "--shard", "2/2").exit_code == 0
     assert [row["name"] for row in rows_of(tmp_path / "out")] == ["f1", "f3"], "of the first five"

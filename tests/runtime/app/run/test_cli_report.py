@@ -15,15 +15,23 @@ from cli_runs import COMMAND, N, arguments, rows_of
 from runtime.app.run.options import KINDS, SUFFIXES
 from runtime.recordings.recording import read_recording
 
+NAMES = [f"f{index}" for index in range(N)]
 
-def test_a_run_from_end_to_end(tmp_path, run):
-    """What is printed, frames.csv and report.json agree."""
+
+@pytest.fixture
+def whole(tmp_path, run):
+    """The result of a run over all frames, the rows of frames.csv, and report.json."""
     result = run("--deadline-ms", 60_000, "--warmup", 2)
     assert result.exit_code == 0, result.output
-    out, names = tmp_path / "out", [f"f{index}" for index in range(N)]
+    out = tmp_path / "out"
+    return result, rows_of(out), json.loads((out / "report.json").read_text())
+
+
+def test_a_run_saves_each_kind_and_prints_the_model_and_the_pictures(tmp_path, whole):
+    result, out = whole[0], tmp_path / "out"
     for kind, suffix in SUFFIXES.items():
         written = [path.name for path in (out / kind).glob("*")]
-        assert sorted(written) == sorted(name + suffix for name in names if kind in KINDS)
+        assert sorted(written) == sorted(name + suffix for name in NAMES if kind in KINDS)
     first_line, *_, last_line = result.stdout.strip().splitlines()
     assert re.match(
         r"by-hand sha256:[0-9a-f]{12} \| CPUExecutionProvider [1-9]\d* nodes \| threads 1 \| "
@@ -34,13 +42,13 @@ def test_a_run_from_end_to_end(tmp_path, run):
     assert "constant stream" not in result.stdout
     assert "missed deadlines of 60000 ms: 0, longest run 0" in result.stdout
 
-    rows = rows_of(out)
-    assert [row["name"] for row in rows] == names, "natural order"
+
+def test_the_rows_and_the_report_of_a_run_hold_its_facts(whole):
+    _, rows, report = whole
+    assert [row["name"] for row in rows] == NAMES, "natural order"
     cells = {"status": "ok", "height": "48", "width": "64", "missed_deadline": "0"}
     cells |= {"age_ms": "", "jitter_ms": ""}
     assert all({name: row[name] for name in cells} == cells for row in rows)
-
-    report = json.loads((out / "report.json").read_text())
     assert (report["format"], report["version"]) == ("ssdnet-run", "2.0")
     assert report["frames"]["by_status"] == {"ok": N}
     assert report["depth_png"] == {
@@ -51,6 +59,10 @@ def test_a_run_from_end_to_end(tmp_path, run):
     assert report["deadline"] == {"deadline_ms": 60_000, "count": 0, "longest_run": 0}
     assert min(report["load_ms"], report["first_inference_ms"]) > 0
     assert report["frames_per_second"] == pytest.approx(N / report["wall_s"])
+
+
+def test_the_times_that_are_printed_are_those_of_the_rows_and_of_the_report(whole):
+    result, rows, report = whole
     stages = ("read", "preprocess", "inference", "postprocess", "predict", "write")
     assert tuple(report["stages"]) == stages
     for stage, statistics in report["stages"].items():
