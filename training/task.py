@@ -244,6 +244,8 @@ def _require_batches(network: Network, data: DataRecipe, processes: Processes) -
     """Raise InputError for batches and crops of which normalisation sees a single value."""
     views = 2 if data.augment.pair_shift else 1
     count, (height, width) = views * data.batch_size * processes.count, data.augment.size
+    if count > 1:  # then it sees a value of each crop
+        return
     batch = [torch.empty(count, channels, height, width, device="meta") for channels in (3, 1)]
     try:
         # A network that reads values, which these tensors lack, is not checked.
