@@ -8,6 +8,7 @@ import numpy as np
 import onnx
 import pytest
 import torch
+from torch.utils.flop_counter import FlopCounterMode
 from typer.testing import CliRunner
 
 from export import exporter
@@ -26,6 +27,12 @@ FIXED = ("--height", "64", "--width", "96")
 
 def run(checkpoint, path, *options):
     return CliRunner().invoke(app, [str(checkpoint), str(path), *options])
+
+
+def test_contract_says_how_much_work_a_frame_is(lite, exported):
+    with FlopCounterMode(display=False) as counter, torch.no_grad():
+        lite(torch.zeros(1, 3, *SIZE), torch.zeros(1, 1, *SIZE))
+    assert exported.contract.giga_macs == pytest.approx(counter.get_total_flops() / 2e9)
 
 
 def test_contract_says_where_the_file_comes_from(exported, lite_checkpoint):

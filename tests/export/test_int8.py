@@ -247,9 +247,7 @@ def test_convolutions_on_fine_grids_are_left_in_float_before_any_is_ranked(monke
 
 
 @pytest.mark.usefixtures("traced")
-def test_a_file_in_single_precision_states_its_accuracy_and_its_work(
-    lite_checkpoint, data, tmp_path, exported
-):
+def test_a_file_in_single_precision_states_its_accuracy(lite_checkpoint, data, tmp_path, exported):
     """A LiDAR that is the depth to score is not fed: an own car has no other depth."""
     path = tmp_path / "lite.onnx"
     words = [str(lite_checkpoint), str(path), "--height", "64", "--width", "96"]
@@ -272,9 +270,7 @@ def test_a_file_in_single_precision_states_its_accuracy_and_its_work(
     assert row["mae_m"] == pytest.approx(np.concatenate(errors).mean(), rel=1e-3)
     assert row["miou"] is None
     assert f"none, 3 frames: MAE {1000 * row['mae_m']:.4g} mm" in result.output
-    fp32 = load_model_file(exported.path).contract
-    assert fp32.accuracy is None
-    assert contract.giga_macs == fp32.giga_macs
+    assert load_model_file(exported.path).contract.accuracy is None
 
 
 ROW = Accuracy("street", "own", 120, 0.7, 0.5, 0.6, 0.63, {"tree": 0.9})
