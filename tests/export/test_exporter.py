@@ -127,11 +127,11 @@ def test_every_variant_exports_with_both_inputs(name, heads, dynamic, small_mode
 )
 @pytest.mark.parametrize("factor", [1.01, float("nan")])
 def test_parity_notices_a_small_change_of_the_weights(lite, exported, part, factor):
-    """Without a change the export has passed on the same frame, or there would be no file."""
+    """Without a change the export has passed on the same frames, or there would be no file."""
     changed = copy.deepcopy(lite)
     with torch.no_grad():
         changed.get_submodule(part).weight.mul_(factor)
-    frames = probe_frames(SIZE, max_depth_m=exported.contract.max_depth_m)[:1]
+    frames = probe_frames(SIZE, max_depth_m=exported.contract.max_depth_m)[:3:2]  # returns, none
     parity = measure_parity(changed, exported.path, frames)
     assert not all(head.passed for head in parity.values())
 
