@@ -17,10 +17,17 @@ JOB = SceneJob(3, Variant.fog, frames=1, step_s=1.0, size=(48, 96))
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    """The folder of a scene, and its frame."""
-    folder = tmp_path_factory.mktemp("rendered")
-    run_job(JOB, out=folder, overwrite=False)
-    return folder, next(render_frames(JOB))
+    """The folder of a scene, and its frame as it was given to be written."""
+    folder, frames = tmp_path_factory.mktemp("rendered"), []
+
+    def render(job):
+        frames.extend(render_frames(job))
+        return iter(frames)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("training.scenes.scene_job.render_frames", render)
+        run_job(JOB, out=folder, overwrite=False)
+    return folder, frames[0]
 
 
 def test_a_frame_is_read_as_it_was_rendered(scene):

@@ -97,9 +97,14 @@ def test_sun_throws_a_shadow_and_an_overcast_sky_does_not():
     assert brightness(replace(overhead, sun=(0.0, 0.0, 0.0))) > 0.85
 
 
-def test_poses_and_depth_of_a_stream_fit_together():
+@pytest.fixture(scope="module")
+def town():
+    return build_street(7, kind="town")
+
+
+def test_poses_and_depth_of_a_stream_fit_together(town):
     """Static points of one frame, moved by the poses, meet the depth of a later frame."""
-    street = replace(build_street(7, kind="town"), actors=())
+    street = replace(town, actors=())
     camera = make_camera("kitti", (94, 310))
     first, second = (rendered(street, camera=camera, time=t, sway=5.0) for t in (0.0, 0.4))
     rows, columns = np.nonzero((first.depth > 4) & (first.depth < 40))
@@ -158,14 +163,14 @@ def test_traffic_keeps_to_its_side():
         assert all(np.sign(a.d) == sign for a in lanes)
 
 
-def test_variants_differ_in_light_only_and_lidars_not_in_the_picture():
-    street, camera = build_street(22, kind="town"), make_camera("kitti", (60, 80))
-    frames = [rendered(street, variant, camera=camera) for variant in Variant]
+def test_variants_differ_in_light_only_and_lidars_not_in_the_picture(town):
+    camera = make_camera("kitti", (60, 80))
+    frames = [rendered(town, variant, camera=camera) for variant in Variant]
     assert all(np.array_equal(frame.depth, frames[0].depth) for frame in frames)
     assert all(np.array_equal(frame.label, frames[0].label) for frame in frames)
     assert len({frame.rgb.tobytes() for frame in frames}) == len(Variant)
     varied = draw_mount(LARGE, np.random.default_rng(1), varied=True)
-    other = rendered(street, next(iter(Variant)), camera=camera, mount=varied)
+    other = rendered(town, next(iter(Variant)), camera=camera, mount=varied)
     assert len(other.scan.points) != len(frames[0].scan.points)
     assert other.rgb.tobytes() == frames[0].rgb.tobytes()
 
