@@ -19,6 +19,9 @@ AXES = ("yaw", "pitch", "roll")
 BLUR = 2 / 375  # blur of the boundary for the comparison of figures, in image heights
 _LEAST = 30  # least number of returns, or jumps, inside the image
 _NEAREST_M = 0.1
+# Least medians of returns that fit. Right calibrations have a depth figure of 0.57 and more and an
+# edge figure of 0.07 to 0.16, wrong ones a depth figure of up to 0.07.
+LEAST_ALIKE, _LEAST_EDGE = 0.5, 0.02
 
 Angles = Sequence[float] | NDArray[np.float64]
 
@@ -28,6 +31,11 @@ class Figures(NamedTuple):
 
     edge: float
     alike: float
+
+    @property
+    def fit(self) -> bool:
+        """Whether returns with these medians fit the images."""
+        return self.alike >= LEAST_ALIKE and self.edge >= _LEAST_EDGE
 
 
 def rotation(angles: Angles) -> NDArray[np.float64]:

@@ -1,16 +1,15 @@
 """The usual mistakes in extrinsics, by name, and which of them makes the returns fit the image."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.alignment.figures import figures_of
+from runtime.alignment.figures import LEAST_ALIKE, figures_of
 from runtime.alignment.view import View
 
-ALIKE = 0.5  # least median depth figure of returns that fit; right 0.57 and more, wrong up to 0.07
 _LEAST_GAIN = 0.1  # least gain of the sum of both figures over the given calibration
 _FRAMES = 5
 # From the axes of a LiDAR or vehicle (x ahead, y left, z up) to those of a camera.
@@ -20,69 +19,27 @@ _Matrix = NDArray[np.float64]
 
 
 class Mistake(NamedTuple):
-    """A mistake in a calibration.
+    """A mistake in extrinsics.
 
     Attributes:
         text: what seems to be wrong.
-        extrinsics: the given extrinsics without the mistake.
+        undo: returns extrinsics without the mistake.
     """
 
     text: str
-    extrinsics: _Matrix
+    undo: Callable[[_Matrix], _Matrix]
 
 
-def usual_mistakes(given: _Matrix) -> Iterator[Mistake]:
-    """Yield the extrinsics that would be right if a usual mistake had been made."""
-    inverse = np.asarray(np.linalg.inv(given), np.float64)
-    yield Mistake("the matrix seems to be camera to LiDAR: take its inverse", inverse)
+def _transposed(given: _Matrix) -> _Matrix:
     mixed = given.copy()
     mixed[:3, :3] = given[:3, :3].T
-    yield Mistake("its rotation seems to be camera to LiDAR: transpose it", mixed)
-    swapped = "the axes of camera (z ahead) and LiDAR (x ahead, z up) seem to be swapped"
-    for turn in (_TO_CAMERA, _TO_CAMERA.T):
-        yield Mistake(f"{swapped}: turn the result of the matrix", turn @ given)
-        yield Mistake(f"{swapped}: turn the points first", given @ turn)
-        yield Mistake(f"{swapped}, and the matrix to be camera to LiDAR", turn @ inverse)
-    for axis, name in enumerate("xyz"):
-        for quarters in (2, 1, 3):
-            text = f"the LiDAR seems to be turned by {90 * quarters} degrees about its {name} axis"
-            yield Mistake(text, given @ _quarters(axis, quarters))
-    for units, name in ((100, "centimetres"), (1000, "millimetres")):
-        scaled = given.copy()
-        scaled[:3, 3] /= units
-        yield Mistake(f"its position seems to be in {name}: divide it by {units}", scaled)
+    return mixed
 
 
-def find_mistake(views: Sequence[View], scans: Sequence[NDArray[np.float32]]) -> int | None:
-    """Return the index in `usual_mistakes` of the mistake that seems to have been made, or None.
-
-    Without this mistake the returns fit the images clearly better.
-
-    Args:
-        views: views of some frames, which may have no return in the image.
-        scans: the points of each frame, float32 (N, 3) or wider.
-    """
-    step = -(-len(views) // _FRAMES)
-    views, scans = views[::step], scans[::step]
-    given, _ = _fit(views)
-    found = []
-    for place, each in enumerate(
-        zip(*(usual_mistakes(v.calibration.extrinsics) for v in views), strict=True)
-    ):
-        changed = [
-            view.with_scan(points, replace(view.calibration, extrinsics=mistake.extrinsics))
-            for view, points, mistake in zip(views, scans, each, strict=True)
-        ]
-        found.append((*_fit(changed), place))
-    total, alike, place = max(found)
-    return place if alike >= ALIKE and total >= given + _LEAST_GAIN else None
-
-
-def _fit(views: Sequence[View]) -> tuple[float, float]:
-    """Medians of the sum of both figures and of the depth figure; 0 if returns miss the image."""
-    figures = [figures_of(view) if view.has_structure else (0.0, 0.0) for view in views]
-    edges, alike = np.array(figures).T
-    return float(np.median(edges + alike)), float(np.median(alike))
+def _in_metres(units: float) -> _Matrix:
+    factors = np.ones((4, 4))
+    factors[:3, 3] /= units
+    return factors
 
 
 def _quarters(axis: int, count: int) -> _Matrix:
@@ -93,3 +50,56 @@ def _quarters(axis: int, count: int) -> _Matrix:
     turn[first, first] = turn[second, second] = cosine
     turn[first, second], turn[second, first] = -sine, sine
     return turn
+
+
+def _usual_mistakes() -> Iterator[Mistake]:
+    inverse = "the matrix seems to be camera to LiDAR"
+    yield Mistake(f"{inverse}: take its inverse", np.linalg.inv)
+    yield Mistake("its rotation seems to be camera to LiDAR: transpose it", _transposed)
+    swapped = "the axes of camera (z ahead) and LiDAR (x ahead, z up) seem to be swapped"
+    for turn in (_TO_CAMERA, _TO_CAMERA.T):
+        yield Mistake(f"{swapped}: turn the result of the matrix", partial(np.matmul, turn))
+        yield Mistake(f"{swapped}: turn the points first", lambda given, turn=turn: given @ turn)
+        yield Mistake(
+            f"{swapped}, and the matrix to be camera to LiDAR",
+            lambda given, turn=turn: turn @ np.linalg.inv(given),
+        )
+    for axis, name in enumerate("xyz"):
+        for count in (2, 1, 3):
+            turn, degrees = _quarters(axis, count), 90 * count
+            text = f"the LiDAR seems to be turned by {degrees} degrees about its {name} axis"
+            yield Mistake(text, lambda given, turn=turn: given @ turn)
+    for units, name in ((100, "centimetres"), (1000, "millimetres")):
+        text = f"its position seems to be in {name}: divide it by {units}"
+        yield Mistake(text, partial(np.multiply, _in_metres(units)))
+
+
+USUAL_MISTAKES = tuple(_usual_mistakes())
+
+
+def find_mistake(views: Sequence[View]) -> Mistake | None:
+    """Return the mistake that seems to have been made; None if there is none.
+
+    Without this mistake the returns fit the images clearly better.
+
+    Args:
+        views: views of some frames, which may have no return in the image.
+    """
+    views = views[:: -(-len(views) // _FRAMES)]
+    given, _ = _fit(views)
+    fits = [_fit(without(views, each)) for each in USUAL_MISTAKES]
+    total, alike = max(fits)
+    is_clear = alike >= LEAST_ALIKE and total >= given + _LEAST_GAIN
+    return USUAL_MISTAKES[fits.index((total, alike))] if is_clear else None
+
+
+def without(views: Sequence[View], mistake: Mistake) -> list[View]:
+    """The views with extrinsics in which a mistake is undone."""
+    return [view.with_extrinsics(mistake.undo(view.calibration.extrinsics)) for view in views]
+
+
+def _fit(views: Sequence[View]) -> tuple[float, float]:
+    """Medians of the sum of both figures and of the depth figure; 0 if returns miss the image."""
+    figures = [figures_of(view) if view.has_structure else (0.0, 0.0) for view in views]
+    edges, alike = np.array(figures).T
+    return float(np.median(edges + alike)), float(np.median(alike))

@@ -12,17 +12,12 @@ from runtime.alignment.view import View
 _LEAST_FRAMES, _MOST_FRAMES = 3, 10
 _LEAST_GAIN, _ERRORS = 0.02, 2.0  # of the sum of both figures, and in its standard errors
 
-Neighbours = tuple[NDArray[np.float32] | None, NDArray[np.float32] | None]
 
-
-def find_pairing_fault(
-    views: Sequence[View], neighbours: Sequence[Neighbours], angles: NDArray[np.float64]
-) -> str | None:
+def find_pairing_fault(views: Sequence[View], angles: NDArray[np.float64]) -> str | None:
     """Return why the scans seem to belong to other images; None if they seem to be the images' own.
 
     Args:
         views: views of the frames, in order.
-        neighbours: points of the scans before and after each frame.
         angles: the rotation at which the frames' own scans fit best, see `find_coarse`. Each
             neighbouring scan is turned to where it fits best, too.
     """
@@ -30,8 +25,8 @@ def find_pairing_fault(
     for beside, word in enumerate(("before", "after")):
         pairs = [
             (view, view.with_scan(points))
-            for view, each in list(zip(views, neighbours, strict=True))[::step]
-            if (points := each[beside]) is not None
+            for view in views[::step]
+            if (points := view.neighbours[beside]) is not None
         ]
         pairs = [(own, other) for own, other in pairs if other.has_structure]
         if len(pairs) < _LEAST_FRAMES:

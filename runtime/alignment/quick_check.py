@@ -4,11 +4,10 @@ from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from runtime.alignment.figures import AXES, totals
-from runtime.alignment.mistakes import find_mistake, usual_mistakes
-from runtime.alignment.view import View, points_in_time, view_of
+from runtime.alignment.mistakes import find_mistake
+from runtime.alignment.view import View, view_of
 from runtime.engine.prediction import Prediction
 from runtime.streams.frame import Frame
 
@@ -51,41 +50,31 @@ class QuickCheck:
 
     def __init__(self) -> None:
         self._views: list[View] = []
-        self._scanned: list[tuple[View, NDArray[np.float32]]] = []
 
     def add(self, frame: Frame, camera_only: Prediction) -> None:
         """Add a frame; it is ignored if it has no scan or no calibration."""
-        view, points = view_of(frame, camera_only), points_in_time(frame)
-        if view is None or points is None:
-            return
-        self._scanned.append((view, points))
-        if view.has_structure:
+        if (view := view_of(frame, camera_only)) is not None:
             self._views.append(view)
 
     def mistake(self) -> str | None:
         """The usual mistake without which the returns would fit the images, or None."""
-        if not self._scanned:
-            return None
-        views, scans = (list(each) for each in zip(*self._scanned, strict=True))
-        place = find_mistake(views, scans)
-        if place is None:
-            return None
-        return list(usual_mistakes(views[0].calibration.extrinsics))[place].text
+        mistake = find_mistake(self._views) if self._views else None
+        return mistake and mistake.text
 
     def finding(self) -> QuickFinding | None:
         """What the frames show; None if none of them could be judged."""
-        if not self._views:
+        views = [view for view in self._views if view.has_structure]
+        if not views:
             return None
-        given = totals(self._views, (0, 0, 0))
-        figure, turned, changes = float(np.median(given)), {}, {}
+        given = totals(views, (0, 0, 0))
+        turned, changes = {}, {}
         for axis, name in enumerate(_JUDGED):
-            ways = [
-                totals(self._views, way * np.eye(3)[axis])
-                for way in (-_TURN_DEGREES, _TURN_DEGREES)
-            ]
-            turned[name] = float(np.median(ways[0])), float(np.median(ways[1]))
-            for sign, way in zip("-+", ways, strict=True):
-                changes[f"{sign}{_TURN_DEGREES:g} degree of {name}"] = float(np.median(way - given))
+            turns = (way * _TURN_DEGREES * np.eye(3)[axis] for way in (-1, 1))
+            minus, plus = (totals(views, turn) for turn in turns)
+            turned[name] = float(np.median(minus)), float(np.median(plus))
+            for sign, figures in (("-", minus), ("+", plus)):
+                change = f"{sign}{_TURN_DEGREES:g} degree of {name}"
+                changes[change] = float(np.median(figures - given))
         best = max(changes, key=lambda change: changes[change])
         if changes[best] > _LEAST_GAIN:
             fit = Fit.BETTER_TURNED
@@ -98,4 +87,6 @@ class QuickCheck:
             text = (
                 "the first frames do not show whether it is right to a degree: run ssdnet-calibrate"
             )
-        return QuickFinding(fit, len(given), figure, turned, f"calibration: {text}")
+        return QuickFinding(
+            fit, len(given), float(np.median(given)), turned, f"calibration: {text}"
+        )

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.alignment.figures import figures_of, totals
+from runtime.alignment.figures import totals
 from runtime.alignment.view import View
 
 # Blur of the boundaries in image heights, step of yaw and pitch [degrees], largest number of
@@ -41,12 +41,10 @@ class Optimum(NamedTuple):
         angles: float64 (3,), yaw, pitch and roll [degrees] by which returns are turned.
         error: float64 (3,), standard error [degrees] from a bootstrap over blocks of frames; large
             if there is no maximum.
-        apart: float64 (3,), distance [degrees] between the maxima of the two figures.
     """
 
     angles: _Floats
     error: _Floats
-    apart: _Floats
 
 
 def find_coarse(views: Sequence[View]) -> _Floats:
@@ -63,15 +61,8 @@ def find_rotation(views: Sequence[View], start: _Floats | None = None) -> Optimu
     """
     angles = _climb(views, find_coarse(views) if start is None else start, _FINE)
     blur, step, _ = _FINE[-1]
-    places = angles + _CUBE * _sides(step)
-    both = np.array([[figures_of(view, place, blur=blur) for place in places] for view in views])
-    edge, alike = (_best_of(_FIT @ both[..., figure].mean(axis=0)) for figure in (0, 1))
-    sums = both.sum(axis=2)
-    return Optimum(
-        angles + _best_of(_FIT @ sums.mean(axis=0)) * _sides(step),
-        _bootstrap(sums) * _sides(step),
-        np.abs(edge - alike) * _sides(step),
-    )
+    sums, sides = _around(views, angles, blur, step), _sides(step)
+    return Optimum(angles + _best_of(_FIT @ sums.mean(axis=0)) * sides, _bootstrap(sums) * sides)
 
 
 def _climb(

@@ -1,37 +1,21 @@
 """Choice of the frames that are compared: spread over a recording, with structure preferred."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from runtime.alignment.view import find_structure, points_in_time
+from runtime.alignment.view import Neighbours, Points, find_structure, points_in_time
 from runtime.base.errors import InputError
 from runtime.recordings.source import ListedFrame, Source
 from runtime.streams.frame import Frame
 
 _CANDIDATES = 2  # frames that are read for each chosen one
-_Points = NDArray[np.float32]
 
 
-@dataclass(frozen=True, eq=False)
-class Chosen:
-    """A frame, its scan, and the scans before and after it.
+def choose_frames(source: Source, count: int) -> Iterator[tuple[Frame, Neighbours]]:
+    """Yield frames that are spread over a recording, and the scans beside their own.
 
-    Attributes:
-        frame: the frame, with image, scan and calibration.
-        points: points of its scan, at the time of the image.
-        neighbours: points of the scan before and of the one after; None if there is no such scan.
-    """
-
-    frame: Frame
-    points: _Points
-    neighbours: tuple[_Points | None, _Points | None]
-
-
-def choose_frames(source: Source, count: int) -> Iterator[Chosen]:
-    """Yield frames that are spread over a recording, each the best of several in its part.
+    Each frame is the best of several in its part of the recording.
 
     Args:
         source: a recording with scans and a calibration.
@@ -52,15 +36,13 @@ def choose_frames(source: Source, count: int) -> Iterator[Chosen]:
         read = ((int(place), _read(source, listed, int(place))) for place in places)
         found = [(place, *each) for place, each in read if each is not None]
         if found:
-            place, frame, points = max(found, key=lambda each: _structure(*each[1:]))
+            place, frame, _ = max(found, key=lambda each: _structure(*each[1:]))
             beside = (_read(source, listed, place + step) for step in (-1, 1))
             before, after = (None if each is None else each[1] for each in beside)
-            yield Chosen(frame, points, (before, after))
+            yield frame, (before, after)
 
 
-def _read(
-    source: Source, listed: Sequence[ListedFrame], place: int
-) -> tuple[Frame, _Points] | None:
+def _read(source: Source, listed: Sequence[ListedFrame], place: int) -> tuple[Frame, Points] | None:
     """Return the frame and its points; None if it cannot be read."""
     if not 0 <= place < len(listed):
         return None
@@ -76,7 +58,7 @@ def _read(
     return frame, points
 
 
-def _structure(frame: Frame, points: _Points) -> float:
+def _structure(frame: Frame, points: Points) -> float:
     """Return how much structure a frame has: its jumps, times the spread of the log ranges."""
     assert frame.calibration is not None  # checked when the frame was read
     returns, jumps = find_structure(points, frame.calibration, frame.size)

@@ -29,7 +29,9 @@ _LINE_RAD, _ACROSS = 0.02, 8  # how near neighbours are along a scan line; acros
 _JUMP_M, _JUMP_SHARE = 0.5, 0.05  # a neighbour is farther by this, or by this share of the range
 _STEPS = (1, 2, 3)  # neighbours on a line that are compared
 
-_Points = NDArray[np.float32]
+Points = NDArray[np.float32]
+#: The points of the scan before and of the one after; None if there is no such scan.
+Neighbours = tuple[Points | None, Points | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +40,7 @@ class View:
 
     Attributes:
         name: name of the frame.
+        points: float32 (N, 3) or wider, metres, LiDAR frame, at the time of the image.
         returns: a sample of the returns, float32 (N, 3), metres, axes of the camera, origin of the
             LiDAR.
         jumps: a sample of the returns that are jumps, like `returns`.
@@ -46,15 +49,18 @@ class View:
         boundary: float32 (H, W), probability; one value for each `shrink` x `shrink` pixels of the
             image.
         log_depth: float32 (H, W), logarithm of the depth in metres.
+        neighbours: the scans beside that of the frame.
     """
 
     name: str
-    returns: _Points
-    jumps: _Points
+    points: Points
+    returns: Points
+    jumps: Points
     calibration: Calibration
     size: tuple[int, int]
     boundary: NDArray[np.float32]
     log_depth: NDArray[np.float32]
+    neighbours: Neighbours = (None, None)
     _blurred: dict[float, NDArray[np.float32]] = field(default_factory=dict)
 
     @property
@@ -67,11 +73,15 @@ class View:
         """Whether there are enough returns and jumps to compute with."""
         return len(self.jumps) >= LEAST_JUMPS and len(self.returns) >= LEAST_RETURNS
 
-    def with_scan(self, points: _Points, calibration: Calibration | None = None) -> Self:
-        """The view with another scan, float32 (N, 3) or wider, or another calibration."""
-        calibration = calibration or self.calibration
-        returns, jumps = find_structure(points, calibration, self.size)
-        return replace(self, returns=returns, jumps=jumps, calibration=calibration)
+    def with_scan(self, points: Points) -> Self:
+        """The view with another scan, float32 (N, 3) or wider."""
+        returns, jumps = find_structure(points, self.calibration, self.size)
+        return replace(self, points=points, returns=returns, jumps=jumps)
+
+    def with_extrinsics(self, extrinsics: NDArray[np.float64]) -> Self:
+        """The view with other extrinsics, float64 (4, 4)."""
+        calibration = replace(self.calibration, extrinsics=extrinsics)
+        return replace(self, calibration=calibration).with_scan(self.points)
 
     def blurred_boundary(self, blur: float) -> NDArray[np.float32]:
         """The boundary, blurred by a share of the image's height."""
@@ -81,12 +91,15 @@ class View:
         return self._blurred[blur]
 
 
-def view_of(frame: Frame, camera_only: Prediction) -> View | None:
+def view_of(
+    frame: Frame, camera_only: Prediction, neighbours: Neighbours = (None, None)
+) -> View | None:
     """Return the view of a frame.
 
     Args:
         frame: a frame with a scan and a calibration.
         camera_only: prediction from its image without any return.
+        neighbours: the scans beside that of the frame.
 
     Returns:
         The view; None if there is no scan, or if the prediction lacks depth or boundary or is
@@ -102,7 +115,9 @@ def view_of(frame: Frame, camera_only: Prediction) -> View | None:
     returns, jumps = find_structure(points, calibration, frame.size)
     logarithms = np.log(np.maximum(depth, np.float32(_LEAST_DEPTH_M)))
     edges, depths = (_shrunk(each, shrink_of(frame.size)) for each in (boundary, logarithms))
-    return View(frame.name, returns, jumps, calibration, frame.size, edges, depths)
+    return View(
+        frame.name, points, returns, jumps, calibration, frame.size, edges, depths, neighbours
+    )
 
 
 def shrink_of(size: tuple[int, int]) -> int:
@@ -111,8 +126,8 @@ def shrink_of(size: tuple[int, int]) -> int:
 
 
 def find_structure(
-    points: _Points, calibration: Calibration, size: tuple[int, int]
-) -> tuple[_Points, _Points]:
+    points: Points, calibration: Calibration, size: tuple[int, int]
+) -> tuple[Points, Points]:
     """Return samples of the returns near an image and of the jumps, see `View`."""
     turned = points[is_return(points), :3] @ calibration.extrinsics[:3, :3].T.astype(np.float32)
     x, y, z = (turned + calibration.extrinsics[:3, 3].astype(np.float32)).T
@@ -124,7 +139,7 @@ def find_structure(
     return _sample(turned, _MOST_RETURNS), _sample(jumps, _MOST_JUMPS)
 
 
-def find_jumps(points: _Points) -> NDArray[np.bool_]:
+def find_jumps(points: Points) -> NDArray[np.bool_]:
     """Return where a neighbour on the same scan line is clearly farther, bool (N,).
 
     `points` are float32 (N, 3), x to the right, y down, as seen from the LiDAR, in any order.
@@ -147,7 +162,7 @@ def find_jumps(points: _Points) -> NDArray[np.bool_]:
     return np.asarray(farther > np.maximum(_JUMP_M, _JUMP_SHARE * ranges))
 
 
-def points_in_time(frame: Frame) -> _Points | None:
+def points_in_time(frame: Frame) -> Points | None:
     """The points of the frame's scan, moved to the time of its image if there are poses."""
     if frame.depth is None or not isinstance(scan := frame.depth.data, Scan):
         return None
@@ -168,7 +183,7 @@ def _image_bounds(calibration: Calibration, size: tuple[int, int]) -> tuple[floa
     return float(x[0]), float(x[1]), float(y[0]), float(y[1])
 
 
-def _sample(points: _Points, most: int) -> _Points:
+def _sample(points: Points, most: int) -> Points:
     return points[:: len(points) // most + 1]
 
 
