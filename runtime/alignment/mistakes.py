@@ -16,6 +16,8 @@ _FRAMES = 5
 _TO_CAMERA = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 
 _Matrix = NDArray[np.float64]
+_Undo = Callable[[_Matrix], _Matrix]
+_SAME = np.eye(4)
 
 
 class Mistake(NamedTuple):
@@ -27,7 +29,7 @@ class Mistake(NamedTuple):
     """
 
     text: str
-    undo: Callable[[_Matrix], _Matrix]
+    undo: _Undo
 
 
 def _transposed(given: _Matrix) -> _Matrix:
@@ -52,23 +54,27 @@ def _quarters(axis: int, count: int) -> _Matrix:
     return turn
 
 
+def _inverse(given: _Matrix) -> _Matrix:
+    return np.asarray(np.linalg.inv(given), np.float64)
+
+
+def _turned(*, then: _Matrix = _SAME, first: _Matrix = _SAME, of: _Undo = np.array) -> _Undo:
+    return lambda given: then @ of(given) @ first
+
+
 def _usual_mistakes() -> Iterator[Mistake]:
-    inverse = "the matrix seems to be camera to LiDAR"
-    yield Mistake(f"{inverse}: take its inverse", np.linalg.inv)
+    yield Mistake("the matrix seems to be camera to LiDAR: take its inverse", _inverse)
     yield Mistake("its rotation seems to be camera to LiDAR: transpose it", _transposed)
     swapped = "the axes of camera (z ahead) and LiDAR (x ahead, z up) seem to be swapped"
     for turn in (_TO_CAMERA, _TO_CAMERA.T):
-        yield Mistake(f"{swapped}: turn the result of the matrix", partial(np.matmul, turn))
-        yield Mistake(f"{swapped}: turn the points first", lambda given, turn=turn: given @ turn)
-        yield Mistake(
-            f"{swapped}, and the matrix to be camera to LiDAR",
-            lambda given, turn=turn: turn @ np.linalg.inv(given),
-        )
+        yield Mistake(f"{swapped}: turn the result of the matrix", _turned(then=turn))
+        yield Mistake(f"{swapped}: turn the points first", _turned(first=turn))
+        both = f"{swapped}, and the matrix to be camera to LiDAR"
+        yield Mistake(both, _turned(then=turn, of=_inverse))
     for axis, name in enumerate("xyz"):
         for count in (2, 1, 3):
-            turn, degrees = _quarters(axis, count), 90 * count
-            text = f"the LiDAR seems to be turned by {degrees} degrees about its {name} axis"
-            yield Mistake(text, lambda given, turn=turn: given @ turn)
+            text = f"the LiDAR seems to be turned by {90 * count} degrees about its {name} axis"
+            yield Mistake(text, _turned(first=_quarters(axis, count)))
     for units, name in ((100, "centimetres"), (1000, "millimetres")):
         text = f"its position seems to be in {name}: divide it by {units}"
         yield Mistake(text, partial(np.multiply, _in_metres(units)))
