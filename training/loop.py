@@ -91,7 +91,7 @@ def train(
             # Made last: a training that cannot start leaves no folder.
             held.enter_context(lock_folder(out))
             sets = (*recipe.data.source, *recipe.validation.source)
-            files = list_data(data, [item.path for item in sets])
+            files = list_data(data, [folder for item in sets for folder in item.folders])
             prepare_folder(out, resolved, files, data)
         processes.wait()
         state = TrainingState(recipe, task, processes, out)

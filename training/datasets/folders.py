@@ -1,6 +1,7 @@
 """A user's images, depth and labels in one folder each; files are paired by their stem."""
 
 import json
+import os
 import sys
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
@@ -23,6 +24,7 @@ from training.datasets.class_mapping import ClassTable, id_lookup, list_classes
 from training.datasets.files import (
     dataset_errors,
     find_orientations,
+    list_names,
     read_depth,
     read_gray,
     require_folder,
@@ -91,6 +93,17 @@ class FoldersRecipe(RangeRecipe):
             )
 
     @property
+    def folders(self) -> tuple[str, ...]:
+        """See `SourceRecipe.folders`."""
+        outside = [name for name in self.named if name.startswith("..") or os.path.isabs(name)]
+        return self.path, *(os.path.normpath(os.path.join(self.path, name)) for name in outside)
+
+    @property
+    def named(self) -> list[str]:
+        """The folders of a frame's files, relative to `path`."""
+        return [n for n in (self.rgb, self.depth, self.sparse_depth, self.labels) if n is not None]
+
+    @property
     def label_table(self) -> ClassTable | None:
         """See `SourceRecipe.label_table`."""
         if self.labels is None:
@@ -157,12 +170,22 @@ class Folders(FrameList):
         """
         recipe = self._recipe
         folder = self._root / recipe.rgb
+        own = [(self._root / name).resolve() for name in recipe.named]
+        below = [
+            path.name
+            for path in list_entries(folder)
+            if path.is_dir()
+            and path.resolve() not in own
+            and any(each.suffix.lower() in RGB_SUFFIXES for each in list_entries(path))
+        ]
         others = Counter(
             path.suffix.lower()
             for path in list_entries(folder)
             if path.suffix.lower() not in RGB_SUFFIXES and path.is_file()
         )
         texts = []
+        if below:
+            texts.append(f"{folder}: images in {list_names(below)} are not read; move them up")
         if others:
             kinds = ", ".join(
                 f"{number} {kind or 'without a suffix'}" for kind, number in others.items()
@@ -179,11 +202,13 @@ class Folders(FrameList):
                 )
         step = max(1, len(self.images) // _ORIENTED)
         if recipe.labels or recipe.depth:
-            turned = find_orientations(self.images[::step])
+            labels = list(self._files.get("labels", {}).values())
+            examined = [*self.images[::step], *labels[::step]]
+            turned = find_orientations(examined)
             for path, orientation in list(turned.items())[:1]:
                 texts.append(
                     f"{path}: has the EXIF orientation {orientation}, like {len(turned)} of "
-                    f"{len(self.images[::step])} images; pixels are used as they are stored, so "
+                    f"{len(examined)} files; pixels are used as they are stored, so "
                     "labels and depth must be stored like them: turn the pixels of photos that "
                     "were labelled upright, or remove the tag"
                 )

@@ -56,6 +56,11 @@ class SourceRecipe:
         return self.name or self.path
 
     @property
+    def folders(self) -> tuple[str, ...]:
+        """The folders that hold the files, relative to one of the `--data` folders."""
+        return (self.path,)
+
+    @property
     def label_table(self) -> ClassTable | None:
         """The classes of the labels: a name in `models.CLASS_TABLES` or a table, () without labels.
 

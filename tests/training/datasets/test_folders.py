@@ -93,11 +93,13 @@ def test_the_case_of_a_suffix_does_not_matter(mine, suffix, capsys):
     (["labels/x9.png", "labels/x10.png"], "are not used, such as x9"),
     (["scans/q.png"], "scans: 1 files have no image"),
     (["depth/q.png"], "depth: 1 files have no image"),
+    (["images/night/c.png", "images/day/c.jpg"], "images in day, night are not read"),
     (["images/.c.webp", "labels/.x.png"], ""),
 ], ids=str)  # fmt: skip
 def test_files_that_are_not_used_are_counted(mine, names, said, capsys):
     for name in names:
         write(mine / "x.png", np.zeros((40, 64), np.uint16 if "depth" in name else np.uint8))
+        (mine / name).parent.mkdir(exist_ok=True)
         (mine / "x.png").rename(mine / name)
     source = opened(mine, depth="depth", sparse_depth="scans", labels="labels")
     assert len(source) == 2
@@ -115,9 +117,11 @@ def test_frames_are_in_natural_order(tmp_path, names):
     assert [path.stem for path in source.images] == names[1:]
 
 
-@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
-def test_pixels_are_read_as_stored_and_the_orientation_of_a_photo_is_said(
-    tmp_path, orientation, capsys
+@pytest.mark.parametrize(("orientation", "tagged"), [
+    (1, ["images", "labels"]), (3, ["images"]), (6, ["images", "labels"]), (8, ["labels"]),
+])  # fmt: skip
+def test_pixels_are_read_as_stored_and_an_orientation_is_said(
+    tmp_path, orientation, tagged, capsys
 ):
     exif = Image.Exif()
     exif[ExifTags.Base.Orientation] = orientation
@@ -128,12 +132,19 @@ def test_pixels_are_read_as_stored_and_the_orientation_of_a_photo_is_said(
     }
     for folder, values in stored.items():
         (tmp_path / folder).mkdir()
-        Image.fromarray(values).save(tmp_path / folder / "a.png", exif=exif)
+        Image.fromarray(values).save(
+            tmp_path / folder / "a.png", exif=exif if folder in tagged else Image.Exif()
+        )
     sample = opened(tmp_path, labels="labels", depth="depth", depth_scale=1)[0]
     np.testing.assert_array_equal(sample.rgb, stored["images"])
     np.testing.assert_array_equal(sample.semantic, stored["labels"])
     np.testing.assert_array_equal(sample.depth, stored["depth"])
     assert (f"EXIF orientation {orientation}" in capsys.readouterr().err) == (orientation > 1)
+
+
+def test_folders_beside_that_of_the_images_are_data_too():
+    beside = FoldersRecipe(path="images", rgb=".", labels="../labels", depth="depth")
+    assert beside.folders == ("images", "labels")
 
 
 def test_a_part_of_the_images_may_be_taken(mine):
