@@ -295,7 +295,7 @@ def find_sets(heads: Sequence[str], roots: Sequence[Path]) -> Sets:
     if not found:
         paths = ", ".join(recipe.path for recipe, _ in wanted.values())
         raise InputError(
-            f"below {', '.join(map(str, roots))} is none of {paths}: nothing to score on. Give "
+            f"below {', '.join(map(str, roots))} is none of {paths}: nothing to score on: give "
             "--data that has one"
         )
     return found

@@ -167,8 +167,8 @@ def quantize_within(
             if 2 * (len(in_float) - len(fine)) >= len(convolutions) - len(fine):
                 raise ExportError(
                     f"int8 loses too much, so nothing was written: {'; '.join(missed.values())}; "
-                    f"{len(in_float)} of {len(convolutions)} convolutions were left in float. "
-                    "Calibrate on data like those of --validate, or raise --max-drop-miou for mIoU "
+                    f"{len(in_float)} of {len(convolutions)} convolutions were left in float: "
+                    "calibrate on data like those of --validate, or raise --max-drop-miou for mIoU "
                     "or --max-rise-mae for MAE; the other limits have no option"
                 )
             head = next(iter(missed))

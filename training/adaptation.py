@@ -108,8 +108,8 @@ def adapt(
     network = init.network
     if not network.depth_layers:
         raise InputError(
-            f"{init.path}: has no layers that the depth alone reads, which could be adapted. Give "
-            "ssdnet-lite, ssdnet-nano, or weights that began with these."
+            f"{init.path}: has no layers that the depth alone reads, which could be adapted: give "
+            "ssdnet-lite, ssdnet-nano, or weights that began with these"
         )
     frames = out / FRAMES
     with contextlib.suppress(StopRequested):
@@ -139,8 +139,8 @@ def _adapt(
     linear = score(method_predict(create_method("linear")), samples, stop)
     if linear.keys() != FEEDS.keys():
         raise InputError(
-            f"{frames}: the {len(samples)} frames kept apart have too few returns to be scored. "
-            "Give a longer recording."
+            f"{frames}: the {len(samples)} frames kept apart have too few returns to be scored: "
+            "give a longer recording"
         )
     path = train(recipe, data=[out], out=out / TRAINING, init=init, device=device, stop=stop)
     if path.name != FINAL:
@@ -199,7 +199,7 @@ def choose_frames(listed: Sequence[ListedFrame]) -> list[tuple[ListedFrame, floa
     if len(found) < LEAST_FRAMES:
         raise InputError(
             f"the recording has {len(found)} frames with a scan or depth; expected at least "
-            f"{LEAST_FRAMES}. For a folder of images give --points and --calibration, or --depth."
+            f"{LEAST_FRAMES}: for a folder of images give --points and --calibration, or --depth"
         )
     stamped = all(frame.image_stamp_ns is not None for frame in found)
     times = np.array([frame.image_stamp_ns if stamped else i for i, frame in enumerate(found)])
@@ -256,12 +256,12 @@ def _write_frames(
         if empty and not written:
             raise InputError(
                 "no frame has returns in the image: check the extrinsics of the calibration, or "
-                "/tf_static of a bag; the camera looks along z."
+                "/tf_static of a bag; the camera looks along z"
             )
         if len(written) < LEAST_FRAMES:
             raise InputError(
                 f"{len(written)} frames could be read and have returns; expected at least "
-                f"{LEAST_FRAMES}. Give a longer recording."
+                f"{LEAST_FRAMES}: give a longer recording"
             )
         begin, end = written[0][1], written[-1][1]
         from_time = end - KEPT_APART * (end - begin)
@@ -272,7 +272,7 @@ def _write_frames(
         if len(sizes) > 1 or (focals and max(focals) > 1.01 * min(focals)):
             raise InputError(
                 f"the frames have {len(sizes)} sizes and {len(focals)} focal lengths; expected one "
-                "camera. Adapt to one camera at a time."
+                "camera: adapt to one camera at a time"
             )
         (made / "focal_length_px.txt").write_text(f"{max(focals, default=0.0)}")
 
@@ -281,7 +281,7 @@ def _frames_of(part: str, frames: Path, focal_px: float | None) -> FoldersRecipe
     """Return the data set of a part of the frames, whose returns are input and target."""
     first = next((frames / part / "images").glob("*.png"), None)
     if first is None:
-        raise InputError(f"{frames / part}: none of the frames could be read.")
+        raise InputError(f"{frames / part}: none of the frames could be read")
     height, width = read_rgb(first).shape[:2]
     intrinsics = (focal_px, focal_px, width / 2, height / 2) if focal_px else None
     return FoldersRecipe(

@@ -43,15 +43,15 @@ def read_stages(
         return (Stage("", build_recipe(fine_tune(read_toml(Path(text)), changes, init), text)),)
     if text not in RECIPES:
         raise InputError(
-            f"unknown recipe {text!r}; known: {', '.join(RECIPES)}. For a recipe of your own give "
-            "a path that ends in .toml or holds a slash."
+            f"unknown recipe {text!r}; known: {', '.join(RECIPES)}: for a recipe of your own give "
+            "a path that ends in .toml or holds a slash"
         )
     stages = RECIPES[text].stages
     for key in _below(_below(change({}, changes), "model"), "config"):
         if len({str(stage.recipe.model.config.get(key)) for stage in stages}) > 1:
             raise InputError(
                 f"{text}: model.config.{key} is not the same in all stages, so that it cannot be "
-                "set. Leave it out, or train by a TOML file."
+                "set: leave it out, or train by a TOML file"
             )
     return tuple(
         replace(stage, recipe=build_recipe(asdict(stage.recipe), text, changes)) for stage in stages

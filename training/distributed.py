@@ -72,7 +72,7 @@ class Processes:
 def parse_device(text: str) -> torch.device:
     """Return the device that a command's --device names; InputError for another form."""
     if not re.fullmatch(r"cpu|cuda(:\d{1,3})?", text, re.ASCII):
-        raise InputError(f"unknown device {text!r}. Give --device cpu, cuda or cuda:N.")
+        raise InputError(f"unknown device {text!r}: give --device cpu, cuda or cuda:N")
     return torch.device(text)
 
 
@@ -82,7 +82,7 @@ def open_device(text: str) -> torch.device:
     try:
         torch.zeros(1, device=device)
     except (RuntimeError, AssertionError) as error:
-        raise InputError(f"device {text!r} is not available: {error}. Try --device cpu.") from error
+        raise InputError(f"device {text!r} is not available: {error}: try --device cpu") from error
     return device
 
 

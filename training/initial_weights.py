@@ -80,8 +80,8 @@ def find_weights(text: str) -> Path:
         return Path(text)
     if text not in list_weights():
         raise InputError(
-            f"unknown weights {text!r}; known: {', '.join(list_weights())}. Give one of these, or "
-            "the path of a .pt file."
+            f"unknown weights {text!r}; known: {', '.join(list_weights())}: give one of these, or "
+            "the path of a .pt file"
         )
     return weights_folder() / f"{text}.pt"
 
@@ -102,8 +102,8 @@ def start_from(network: Network, init: Weights, *, resumed: bool = False) -> Non
         if old != new:
             raise CheckpointError(
                 f"{init.path}: its trunk has other widths than model.config.encoder_widths = "
-                f"{list(new)}. Set that to {list(old)}, or prune the checkpoint first "
-                "(`training.prune.prune_trunk`)."
+                f"{list(new)}: set that to {list(old)}, or prune the checkpoint first "
+                "(`training.prune.prune_trunk`)"
             )
     known = source.state_dict() if type(source) is type(network) else {}
     wanted = {k: v for k, v in network.state_dict().items() if k not in _SETTINGS}
@@ -120,8 +120,8 @@ def start_from(network: Network, init: Weights, *, resumed: bool = False) -> Non
     fresh = sorted({name.rsplit(".", 1)[0] for name in wanted.keys() - taken.keys()})
     if not any(p.ndim > 1 and name in taken for name, p in network.named_parameters()):
         raise CheckpointError(
-            f"{init.path}: none of its layers fits the recipe's '{network.config.name}'. "
-            "Give a checkpoint of the same family."
+            f"{init.path}: none of its layers fits the recipe's '{network.config.name}': "
+            "give a checkpoint of the same family"
         )
     network.load_state_dict({**network.state_dict(), **taken})
     if resumed:
@@ -159,28 +159,28 @@ def prepare_teacher(weights: Weights | None, loss: LossConfig, network: Network)
         if not heads:
             return None
         raise InputError(
-            f"loss.weights.distilled_{heads[0]} compares answers with a teacher's. Give --teacher, "
-            "for example --teacher ssdnet-lite, or set it to 0."
+            f"loss.weights.distilled_{heads[0]} compares answers with a teacher's: give --teacher, "
+            "for example --teacher ssdnet-lite, or set it to 0"
         )
     given = f"--teacher {weights.path.name}"
     if not heads:
         raise InputError(
             f"{given}: no weight loss.weights.distilled_... above 0 applies to the "
             f"heads of {network.config.name!r} ({', '.join(network.heads)}), so that nothing would "
-            "be learned from it. Set one, or leave --teacher out."
+            "be learned from it: set one, or leave --teacher out"
         )
     teacher = weights.network
     if missing := [head for head in heads if head not in teacher.heads]:
         raise InputError(
-            f"{given}: has no head {missing[0]!r}. Set "
-            f"loss.weights.distilled_{missing[0]} = 0, or give a teacher with it."
+            f"{given}: has no head {missing[0]!r}: set "
+            f"loss.weights.distilled_{missing[0]} = 0, or give a teacher with it"
         )
     for key in ("classes", "max_depth_m", "canonical_focal_px"):
         wanted, found = (_meaning(item, key) for item in (network, teacher))
         if wanted != found:
             raise InputError(
-                f"{given}: its {key} is {found}, that of the recipe {wanted}. Give a "
-                "teacher that was trained for the same, or change model.config."
+                f"{given}: its {key} is {found}, that of the recipe {wanted}: give a "
+                "teacher that was trained for the same, or change model.config"
             )
     return teacher.eval().requires_grad_(False)
 

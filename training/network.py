@@ -44,7 +44,7 @@ def build_network(
         network = create_model(recipe.name, **(changes | stated))
     except (ArithmeticError, ValueError) as error:
         text = f"the recipe's model cannot be built with its classes and config: {error}"
-        raise InputError(f"{text}. Change them, or choose another model.name.") from error
+        raise InputError(f"{text}: change them, or choose another model.name") from error
     if recipe.pretrained == "imagenet":
         replaced = resumed or (init is not None and trunk_of(init.network) is not None)
         network = pretrain(network, pictures, load=not replaced)

@@ -26,8 +26,8 @@ def build_optimizer(
     separate = recipe.encoder_rate is not None
     if separate and encoder is None:
         raise InputError(
-            f"optimizer.encoder_rate: '{network.config.name}' has no part called 'encoder'. Leave "
-            "it out, or take ssdnet-lite or ssdnet-nano."
+            f"optimizer.encoder_rate: '{network.config.name}' has no part called 'encoder': leave "
+            "it out, or take ssdnet-lite or ssdnet-nano"
         )
     apart = set(encoder.parameters()) if separate and encoder else set()
     groups: list[dict[str, Any]] = []
@@ -54,7 +54,7 @@ def train_parts(network: Network, only: tuple[str, ...], frozen: tuple[str, ...]
     if unknown:
         raise InputError(
             f"optimizer.only: no part of '{network.config.name}' begins with {unknown[0]!r}; "
-            f"it has {', '.join(parts)}."
+            f"it has {', '.join(parts)}"
         )
     network.train()
     for name, part in parts.items():
@@ -67,7 +67,7 @@ def train_parts(network: Network, only: tuple[str, ...], frozen: tuple[str, ...]
         if not layers:
             raise InputError(
                 f"optimizer.frozen: no layer of '{network.config.name}' begins with {start!r}; its "
-                f"parts are {', '.join(parts)}."
+                f"parts are {', '.join(parts)}"
             )
         for layer in layers:
             layer.requires_grad_(False).eval()

@@ -111,7 +111,7 @@ class OwnFolders:
         if count < _VALIDATION:
             raise InputError(
                 f"{self.images}: {count} images; expected at least {_VALIDATION}, a tenth of which "
-                "is for validation. Add images with their labels or depth."
+                "is for validation: add images with their labels or depth"
             )
         if self.focal_length_px is not None:
             height, width = read_rgb(frames.images[0]).shape[:2]
@@ -123,7 +123,7 @@ class OwnFolders:
             text = f"{self.images}: {len(far)} of {count} images have more than twice or less than "
             text += f"half of the {rows} rows of the others, such as {far[0]}"
             if len(far) > count // _VALIDATION:
-                raise InputError(f"{text}. Train on a folder of each size.")
+                raise InputError(f"{text}: train on a folder of each size")
             tqdm.write(f"warning: {text}; all are resized to the same rows", file=sys.stderr)
         resized, _ = network_size(None, (rows, rows), trained_height=init.facts.trained_height)
         if any(max(height, resized) > LARGEST_RATIO * min(height, resized) for height in heights):
@@ -181,7 +181,7 @@ def _read_height(path: Path) -> int:
 def _read_classes(path: Path) -> tuple[ClassInfo, ...]:
     names = [line.strip() for line in read_text(path).rstrip().splitlines()]
     if not names:
-        raise InputError(f"{path}: is empty; expected the name of a class a line.")
+        raise InputError(f"{path}: is empty; expected the name of a class a line")
     folded = [name.casefold() for name in names]
     for line, name in enumerate(names, 1):
         first = folded.index(name.casefold()) + 1
@@ -189,7 +189,7 @@ def _read_classes(path: Path) -> tuple[ClassInfo, ...]:
             fault = f"{shown(name)}, as line {first} does" if name else "nothing"
             raise InputError(
                 f"{path}: line {line} names {fault}; expected one class a line, whose name differs "
-                "beyond upper and lower case."
+                "beyond upper and lower case"
             )
     return tuple(ClassInfo(name, _color(index + 1)) for index, name in enumerate(names))
 
@@ -201,8 +201,8 @@ def keep_recipe(text: str, out: Path) -> None:
         # Comments may name another place: data that were moved are the same data.
         if path.is_file() and tomllib.loads(read_text(path)) != tomllib.loads(text):
             raise InputError(
-                f"{path}: is not the recipe that these folders give now. Remove it, or train by "
-                f"it: ssdnet-train {path} --data DIR --init NAME --out RUN."
+                f"{path}: is not the recipe that these folders give now: remove it, or train by "
+                f"it: ssdnet-train {path} --data DIR --init NAME --out RUN"
             )
         out.mkdir(parents=True, exist_ok=True)
         atomic_write(path, text.encode())

@@ -79,7 +79,7 @@ def prune_trunk(network: Network, widths: Sequence[int], pictures: Iterable[Tens
     if len(widths) != len(before) or any(a > b for a, b in zip(widths, before, strict=True)):
         raise CheckpointError(
             f"encoder_widths = {list(widths)}: pruning only narrows a trunk, and this one has "
-            f"{list(before)}. Give a network with the wider trunk."
+            f"{list(before)}: give a network with the wider trunk"
         )
     if widths == before:
         return network

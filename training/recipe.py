@@ -291,7 +291,7 @@ def _require_lidar(text: str) -> str:
     try:
         LidarInput.parse(text)
     except InputError as error:
-        raise ValueError(str(error).rstrip(".")) from error
+        raise ValueError(str(error)) from error
     return text
 
 
@@ -432,7 +432,7 @@ def change(table: Mapping[str, Any], changes: Sequence[str]) -> dict[str, Any]:
             changed = merge(changed, tomllib.loads(text))
         except tomllib.TOMLDecodeError as error:
             raise InputError(
-                f"{text!r} is not 'table.key = value' in TOML ({error}); text needs quotes."
+                f"{text!r} is not 'table.key = value' in TOML ({error}); text needs quotes"
             ) from error
     return changed
 
@@ -456,7 +456,7 @@ def build(kind: type[T], table: object) -> T:
         # Through JSON: there a list may be a tuple, and "3" is not 3.
         return TypeAdapter(kind).validate_json(json.dumps(table))
     except TypeError as error:  # dates and times
-        raise InputError(f"{error}; expected text, numbers, true or false.") from error
+        raise InputError(f"{error}; expected text, numbers, true or false") from error
     except ValidationError as error:
         errors = error.errors(include_url=False)
         unknown = [item for item in errors if item["type"] == "unexpected_keyword_argument"]
@@ -474,7 +474,7 @@ def parse_data(text: str) -> SourceRecipe:
     )
     kind, colon, folder = head.partition(":")
     if not colon:
-        raise InputError(f"--data {text!r}; expected KIND:FOLDER[,KEY=VALUE...].")
+        raise InputError(f"--data {text!r}; expected KIND:FOLDER[,KEY=VALUE...]")
     try:
         return build(AnySource, {"kind": kind, "path": folder, **table})
     except InputError as error:
@@ -499,7 +499,7 @@ def parse_pairs(option: str, text: str, kind: Callable[[str], type]) -> tuple[st
     for pair in pairs:
         key, _, value = pair.partition("=")
         if key in table or key in ("kind", "path"):
-            raise InputError(f"{option} {text!r}: {key} is given twice. Leave one out.")
+            raise InputError(f"{option} {text!r}: {key} is given twice: leave one out")
         table[key] = _read_value(value, types.get(key))
     return head, table
 

@@ -60,7 +60,7 @@ def add_offsets(network: Network, offsets: Mapping[str, float]) -> Network:
     if unknown := [name for name in offsets if name not in names]:
         raise InputError(
             f"offsets of logits: {shown(unknown[0])} is not a class of the network; its classes "
-            f"are {', '.join(names) or 'none'}."
+            f"are {', '.join(names) or 'none'}"
         )
     return _with_bias(network, torch.tensor([offsets.get(name, 0.0) for name in names]))
 

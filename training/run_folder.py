@@ -128,7 +128,7 @@ def lock_folder(out: Path) -> Iterator[None]:
             fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except (BlockingIOError, PermissionError):
             raise InputError(
-                f"{out}: another process trains in it. Wait for it, or choose another --out."
+                f"{out}: another process trains in it: wait for it, or choose another --out"
             ) from None
         except OSError:  # no locks
             pass
@@ -142,9 +142,9 @@ def folder_errors(out: Path) -> Iterator[None]:
         yield
     except OSError as error:
         is_full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        remedy = "Free some space and run the command again, or choose" if is_full else "Choose"
+        remedy = "free some space and run the command again, or choose" if is_full else "choose"
         raise InputError(
-            f"{out}: cannot be written: {error.strerror}. {remedy} another --out."
+            f"{out}: cannot be written: {error.strerror}: {remedy} another --out"
         ) from error
 
 
@@ -165,8 +165,8 @@ def require_same(
         recipe = asdict(build(Recipe, before.get("recipe")))
     except InputError as error:
         raise InputError(
-            f"{path}: belongs to a training whose recipe this release does not accept: {error} "
-            "Choose another --out."
+            f"{path}: belongs to a training whose recipe this release does not accept: {error}: "
+            "choose another --out"
         ) from error
     old = _flatten({**{key: before.get(key) for key in now}, "recipe": recipe})
     new = _flatten(now)
@@ -177,8 +177,8 @@ def require_same(
         if old.get(key) != new.get(key) and not key.startswith(_WITHOUT_EFFECT):
             raise InputError(
                 f"{path}: belongs to a training with another recipe: "
-                f"{key.removeprefix('recipe.')} was {old.get(key)!r}, now it is {new.get(key)!r}. "
-                "Choose another --out, or resume with the same recipe."
+                f"{key.removeprefix('recipe.')} was {old.get(key)!r}, now it is {new.get(key)!r}: "
+                "choose another --out, or resume with the same recipe"
             )
 
 

@@ -175,5 +175,5 @@ def _require_same_stages(stages: Sequence[Stage], out: Path) -> None:
     if others := sorted(found - wanted):
         raise InputError(
             f"{out}: holds {others[0]}, but the stages of this recipe are "
-            f"{', '.join(sorted(wanted)) or 'none'}. Choose another --out."
+            f"{', '.join(sorted(wanted)) or 'none'}: choose another --out"
         )

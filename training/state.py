@@ -89,12 +89,12 @@ class TrainingState:
             except Exception as error:  # a damaged state can fail in any way
                 raise CheckpointError(
                     f"{path}: its state of the loop is damaged ({shown(error, 200)}), so it cannot "
-                    "be resumed. Start a new --out with --init and this file."
+                    "be resumed: start a new --out with --init and this file"
                 ) from error
         if len(set(self._processes.gather(self.step))) > 1:
             raise InputError(
-                f"{path.parent}: the processes find different checkpoints in it. Give an --out on "
-                "a file system that all machines share."
+                f"{path.parent}: the processes find different checkpoints in it: give an --out on "
+                "a file system that all machines share"
             )
 
     def save(self, path: Path, training: Mapping[str, Any]) -> None:

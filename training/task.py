@@ -235,8 +235,8 @@ def _require_shift(task: Task) -> None:
     if 0 < shift < task.pair_step:
         raise InputError(
             f"data.augment.pair_shift = {shift}; the classes of {task.network.config.name!r} are "
-            f"on cells of {task.pair_step} px, so that the second view would never be shifted. "
-            f"Set at least {task.pair_step}, or 0 for one view."
+            f"on cells of {task.pair_step} px, so that the second view would never be shifted: "
+            f"set at least {task.pair_step}, or 0 for one view"
         )
 
 
@@ -254,7 +254,7 @@ def _require_batches(network: Network, data: DataRecipe, processes: Processes) -
     except ValueError as error:
         raise InputError(
             f"{network.config.name!r} cannot be trained on batches of {count} crops of "
-            f"{height}x{width} ({error}). Raise data.batch_size or data.augment.crop."
+            f"{height}x{width} ({error}): raise data.batch_size or data.augment.crop"
         ) from error
 
 
@@ -266,23 +266,23 @@ def _require_learning(
     if not terms:
         raise InputError(
             f"no loss term with a weight above 0 applies to the heads of {name!r} "
-            f"({', '.join(network.heads)}). Set the weight of a term for these heads."
+            f"({', '.join(network.heads)}): set the weight of a term for these heads"
         )
     learning = _learning_heads(network, recipe.optimizer)
     targets = {key: term.target for key, term in terms.items() if learning & term.heads}
     if not targets:
         raise InputError(
             f"nothing would learn: no term of the loss depends on a part of {name!r} that is "
-            "trained at a rate above 0. Change optimizer.only, optimizer.frozen or the rates, or "
-            "set the weight of another term."
+            "trained at a rate above 0: change optimizer.only, optimizer.frozen or the rates, or "
+            "set the weight of another term"
         )
     if {"", *labelled}.isdisjoint(targets.values()):
         raise InputError(
             f"no frame of {', '.join(item.title for item in recipe.data.source)} has a target of "
             f"the loss: its terms {', '.join(targets)} need "
             f"{' or '.join(sorted(set(targets.values())))} "
-            f"(depth up to {network.config.target_depth_m:g} m). Add a set that has it, or set the "
-            "weight of another term."
+            f"(depth up to {network.config.target_depth_m:g} m): add a set that has it, or set the "
+            "weight of another term"
         )
 
 
@@ -313,6 +313,6 @@ def _gives_scores(
             return True
     if name == title:
         raise InputError(
-            f"validation.best = {best!r}; {title} gives {', '.join(known)}. Choose one of these."
+            f"validation.best = {best!r}; {title} gives {', '.join(known)}: choose one of these"
         )
     return False

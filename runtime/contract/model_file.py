@@ -129,7 +129,7 @@ def _document(content: bytes) -> str:
     if key < 0:
         raise ContractError(
             f"the ONNX file has no metadata {METADATA_KEY!r}: it was not written by ssdnet-export, "
-            "or is truncated; export a checkpoint with ssdnet-export. Other networks are scored by "
+            "or is truncated; export a checkpoint with ssdnet-export; other networks are scored by "
             "ssdnet-eval and timed by ssdnet-bench"
         )
     length = _LENGTH.match(content, key + len(_KEY + _VALUE))

@@ -48,7 +48,7 @@ def find_model(model: str | PathLike[str] | None) -> Path:
     if name not in known:
         raise ContractError(
             f"no bundled model is called {shown(name, 200)}; there are: "
-            f"{', '.join(known) or 'none, so install ssdnet again'}. Name one of these, or an ONNX "
+            f"{', '.join(known) or 'none, so install ssdnet again'}: name one of these, or an ONNX "
             'file by a path that ends in ".onnx" or holds a folder ("./FILE")'
         )
     return assets_folder() / f"{name}{_SUFFIX}"

@@ -145,7 +145,7 @@ def _require_running(session: Any, provider: str, printed: str) -> None:
         found = ", ".join(sorted(strays) if name in running else running)
         raise ProviderError(
             f"provider {provider!r} was requested, but ONNX Runtime would run {found} {printed}: "
-            f"{_GPU_NEEDS}. If it runs other models, export this one again"
+            f"{_GPU_NEEDS}; if it runs other models, export this one again"
         )
 
 

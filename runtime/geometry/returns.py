@@ -110,7 +110,7 @@ def is_return(points: NDArray[np.float32], *, name: str = "a scan") -> NDArray[n
     if wrong + count >= _LEAST_JUDGED and wrong > _MOST_IMPLAUSIBLE * (wrong + count):
         raise InputError(
             f"{wrong:,} of {wrong + count:,} points of {name} are farther than 10,000 m or no "
-            "normal numbers: expected float32, metres. Are they of another type (float64, "
+            "normal numbers: expected float32, metres; are they of another type (float64, "
             "integers), of records with other fields, or not metres?"
         )
     return _without_misses(points, returns, count)

@@ -189,7 +189,7 @@ class BagSource(Source):
             raise InputError(
                 f"{depth} is of the frame {self._frame(depth)}, not of {self._frame(image)} as the "
                 "images: choose a topic of aligned depth, or state registered=true in --source if "
-                f"it lies on their pixels. It cannot be projected: {error}"
+                f"it lies on their pixels; it cannot be projected: {error}"
             ) from error
 
     def _is_apart(self, depth: str) -> bool:

@@ -69,7 +69,7 @@ def test_a_name_is_neither_a_slash_nor_an_ending():
     assert str(find_weights("ssdnet-lite.pt")) == "ssdnet-lite.pt"
     assert str(find_weights("run/ssdnet-lite")) == "run/ssdnet-lite"
     with pytest.raises(
-        InputError, match=rf"unknown weights 'ssdnet'; known: {', '.join(list_weights())}\."
+        InputError, match=rf"unknown weights 'ssdnet'; known: {', '.join(list_weights())}:"
     ):
         find_weights("ssdnet")
 

@@ -116,7 +116,7 @@ def test_a_dry_run_shows_the_recipe(mine):
         ([70], "size = 48\n"),  # the engine would run it at 48 rows
         ([34], "size = 48\n"),
         ([97, 40, 23], "warning: .* 2 of 20 images .* the 48 rows of the others, such as 97; all"),
-        ([97, 97, 97], "error: .* 3 of 20 images .* such as 97. Train on a folder of each size"),
+        ([97, 97, 97], "error: .* 3 of 20 images .* such as 97: train on a folder of each size"),
     ],
 )
 def test_images_of_other_sizes_keep_their_aspect(mine, rows, found):

@@ -112,7 +112,7 @@ def test_a_part_that_is_trained_must_have_a_rate(start, optimizer, learns):
 def test_batches_too_small_to_normalise_are_refused(start, name, changes):
     model = {"name": name}
     changes = {"augment": {"crop": [64, 96]}, **changes}
-    with pytest.raises(InputError, match=r"batches of 1 crops of .* Raise data\.batch_size"):
+    with pytest.raises(InputError, match=r"batches of 1 crops of .* raise data\.batch_size"):
         start({"model": model, "data": {**changes, "batch_size": 1}})
     start({"model": model, "data": {**changes, "batch_size": 2}})
 

@@ -83,7 +83,7 @@ class Cityscapes(FrameList):
                 paths = {kind: folders[kind] / (stem + _SUFFIXES[kind]) for kind in kinds}
                 self._frames.append((stem, paths))
         if not self._frames:
-            raise DatasetError(f"{images}: no <city>/*{_SUFFIXES['leftImg8bit']} in it.")
+            raise DatasetError(f"{images}: no <city>/*{_SUFFIXES['leftImg8bit']} in it")
         self.images = [paths["leftImg8bit"] for _, paths in self._frames]
 
     def __getitem__(self, index: int) -> Sample:
@@ -135,8 +135,8 @@ def _read_camera(path: Path) -> tuple[NDArray[np.float64], float]:
     except (KeyError, RecursionError, TypeError, ValueError) as error:
         raise DatasetError(
             f"{path}: expected JSON with intrinsic fx, fy, u0, v0 and extrinsic baseline "
-            f"({type(error).__name__}: {error}). Restore the original file."
+            f"({type(error).__name__}: {error}): restore the original file"
         ) from error
     if not (baseline > 0 and fx > 0 and fy > 0):
-        raise DatasetError(f"{path}: baseline {baseline}, fx {fx}, fy {fy}; all must be positive.")
+        raise DatasetError(f"{path}: baseline {baseline}, fx {fx}, fy {fy}; all must be positive")
     return np.array([[fx, 0, u0], [0, fy, v0], [0, 0, 1]], np.float64), fx * baseline

@@ -121,7 +121,7 @@ def class_ids(labels: str, table: ClassTable) -> dict[str, int]:
         name = repr(table) if isinstance(table, str) else "a table of its own"
         raise DatasetError(
             f"the labels of {labels} are not mapped to the classes of {name}; set the recipe's "
-            f"model.classes to one of {', '.join(known)}, or leave the set out."
+            f"model.classes to one of {', '.join(known)}, or leave the set out"
         )
     ids = {info.name: index for index, info in enumerate(CLASS_TABLES[table])}
     mapping = _MAPPINGS[labels, table]
@@ -156,8 +156,8 @@ class LabelFiles:
         label = read_gray(path, np.uint8, size)
         if label.max() >= self._count:
             raise DatasetError(
-                f"{path}: class id {label.max()}, expected 0..{self._count - 1}. Give the "
-                "original files, not those of another numbering."
+                f"{path}: class id {label.max()}, expected 0..{self._count - 1}: give the "
+                "original files, not those of another numbering"
             )
         ids: NDArray[np.uint8] = self._lookup[label]
         return ids

@@ -56,8 +56,8 @@ def read_gray(
         image = image.astype(np.uint8)
     if kind not in (0, 3) or image.dtype != dtype:
         raise DatasetError(
-            f"{path}: expected one channel of {np.dtype(dtype).name}, or a palette, in a PNG. "
-            "Convert it without colours, transparency or JPEG compression."
+            f"{path}: expected one channel of {np.dtype(dtype).name}, or a palette, in a PNG: "
+            "convert it without colours, transparency or JPEG compression"
         )
     require_size(path, image.shape, size)
     return image
@@ -71,7 +71,7 @@ def _indices(content: bytes, path: Path) -> NDArray[np.uint8]:
     if (colors == colors[:, :1]).all() and (colors[:, 0] != np.arange(len(colors))).any():
         raise DatasetError(
             f"{path}: its palette is of grays that are not its indices, so that a pixel has two "
-            "numbers. Convert it to 8-bit gray."
+            "numbers: convert it to 8-bit gray"
         )
     return indices
 
@@ -93,7 +93,7 @@ def require_size(path: Path, size: tuple[int, ...], expected: tuple[int, int]) -
     if size[:2] != expected:
         raise DatasetError(
             f"{path}: its size {size[0]}x{size[1]} differs from the frame's "
-            f"{expected[0]}x{expected[1]} (height x width). Give files of the size of the image."
+            f"{expected[0]}x{expected[1]} (height x width): give files of the size of the image"
         )
 
 
@@ -102,13 +102,13 @@ def require_folder(path: Path, purpose: str, *, files: Sequence[str] = ()) -> Pa
     if not os.path.isdir(path):
         beside = [item.name for item in path.parent.glob("[!.]*/")]
         raise DatasetError(
-            f"{path}: no such folder; expected {purpose}. Folders there: {list_names(beside)}."
+            f"{path}: no such folder; expected {purpose}; folders there: {list_names(beside)}"
         )
     there = {file.name for file in path.iterdir()} if files else set()
     missing = [name for name in files if name not in there]
     if missing:
         raise DatasetError(
-            f"{path / missing[0]}: missing ({len(missing)} of {len(files)} frames lack it)."
+            f"{path / missing[0]}: missing ({len(missing)} of {len(files)} frames lack it)"
         )
     return path
 
@@ -118,7 +118,7 @@ def list_images(folder: Path, purpose: str) -> list[Path]:
     there = require_folder(folder, purpose).iterdir()
     listed = [path for path in there if path.suffix.lower() in images.RGB_SUFFIXES]
     if not listed:
-        raise DatasetError(f"{folder}: no .png or .jpg images in it; expected {purpose}.")
+        raise DatasetError(f"{folder}: no .png or .jpg images in it; expected {purpose}")
     order = {stem: place for place, stem in enumerate(in_natural_order(p.stem for p in listed))}
     return sorted(listed, key=lambda path: (order[path.stem], path.suffix))
 

@@ -229,8 +229,8 @@ class Folders(FrameList):
         text += " lack it)"
         if len(lacking) == count or self._recipe.missing == "error":
             raise DatasetError(
-                f"{text}. Add the files, or leave the folder out. Where single files are missing, "
-                'missing = "skip-target" leaves out the target of their frames.'
+                f"{text}: add the files, or leave the folder out; where single files are missing, "
+                'missing = "skip-target" leaves out the target of their frames'
             )
         tqdm.write(f"warning: {text}: not a target, or no LiDAR, there", file=sys.stderr)
 
@@ -278,8 +278,8 @@ class Folders(FrameList):
                 pairs = ", ".join(f"{id_} = {json.dumps(name)}" for id_, name in known.items())
                 advice = f"name the ids in the recipe: label_ids = {{ {pairs} }}"
             raise DatasetError(
-                f"{path}: class id {unknown[-1]}, expected {', '.join(map(str, self._ids))}. "
-                f"Correct the file, or {advice}."
+                f"{path}: class id {unknown[-1]}, expected {', '.join(map(str, self._ids))}: "
+                f"correct the file, or {advice}"
             )
         classes: NDArray[np.uint8] = self._lookup[label]
         return classes
@@ -294,7 +294,7 @@ def _label_ids(recipe: FoldersRecipe, classes: ClassTable) -> dict[int, int]:
         if unknown:
             raise DatasetError(
                 f"label_ids: {unknown[0]!r} is no class of model.classes; expected one of "
-                f"{', '.join(ids)}."
+                f"{', '.join(ids)}"
             )
         named = {index: ids[name] for index, name in recipe.label_ids.items()}
         return {recipe.ignore: IGNORE, **named}

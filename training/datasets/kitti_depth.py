@@ -110,7 +110,7 @@ def _list_drives(root: Path, split: str, cameras: Sequence[int]) -> list[_Frame]
                 for name in names
             ]
     if not frames:
-        raise DatasetError(f"{folder}: no drive with frames of cameras {list(cameras)} in it.")
+        raise DatasetError(f"{folder}: no drive with frames of cameras {list(cameras)} in it")
     return frames
 
 
@@ -119,7 +119,7 @@ def _list_selection(root: Path) -> list[_Frame]:
     images = require_folder(folder / "image", "the selection's images")
     stems = sorted(path.stem for path in images.glob("*_image_0[23].png"))
     if not stems:
-        raise DatasetError(f"{images}: no *_image_0<camera>.png in it.")
+        raise DatasetError(f"{images}: no *_image_0<camera>.png in it")
 
     partners = []
     for kind, word, suffix in (
@@ -141,4 +141,4 @@ def _read_intrinsics(path: Path) -> NDArray[np.float64]:
     try:
         return np.array(read_text(path).split(), np.float64).reshape(3, 3)
     except ValueError as error:
-        raise DatasetError(f"{path}: expected nine numbers of a 3x3 matrix: {error}.") from error
+        raise DatasetError(f"{path}: expected nine numbers of a 3x3 matrix: {error}") from error

@@ -67,7 +67,7 @@ class KittiRaw(FrameList):
         if unknown or not found:
             raise DatasetError(
                 f"{root}: no drive {unknown[0] if unknown else '<date>/<date>_drive_*_sync'}; "
-                f"found {len(found)} drives."
+                f"found {len(found)} drives"
             )
         for name, drive in found.items():
             if recipe.drives is None or name in recipe.drives:

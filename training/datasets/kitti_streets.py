@@ -125,7 +125,7 @@ def _read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
     other = np.setdiff1d(mask, (0, 1, IGNORE))
     if other.size:
         raise DatasetError(
-            f"{path}: holds the value {other[0]}; expected 0 = not road, 1 = road, 255 = unknown."
+            f"{path}: holds the value {other[0]}; expected 0 = not road, 1 = road, 255 = unknown"
         )
     return mask
 
@@ -141,5 +141,5 @@ def _read_calibration(path: Path) -> tuple[Calibration, float]:
     """Return the calibration, and the focal length times the baseline [px m]."""
     focal_baseline = float(NumbersFile(path).matrix("fb_disp", 1, 1)[0, 0])
     if not focal_baseline > 0:
-        raise DatasetError(f"{path}: fb_disp is {focal_baseline}, expected a positive number.")
+        raise DatasetError(f"{path}: fb_disp is {focal_baseline}, expected a positive number")
     return Calibration.from_kitti(path), focal_baseline

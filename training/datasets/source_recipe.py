@@ -109,6 +109,6 @@ class RangeRecipe(SourceRecipe):
         if not taken:
             raise DatasetError(
                 f"{folder}: {len(frames)} images, none of them in {self.first}.."
-                f"{'' if self.last is None else self.last}. Correct `first` and `last`."
+                f"{'' if self.last is None else self.last}: correct `first` and `last`"
             )
         return taken

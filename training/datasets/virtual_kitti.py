@@ -185,7 +185,7 @@ def _list_second_edition(
                 if int(number) not in intrinsics:
                     raise DatasetError(
                         f"{variant / 'intrinsic.txt'}: no row {_INTRINSICS_ROW} of frame "
-                        f"{int(number)}, camera {camera}. Restore the file."
+                        f"{int(number)}, camera {camera}: restore the file"
                     )
                 frames.append(
                     _Frame(
@@ -242,9 +242,9 @@ def _read_intrinsics(path: Path, camera: int) -> dict[int, NDArray[np.float64]]:
         rows = np.loadtxt(io.StringIO(read_text(path)), skiprows=1, ndmin=2)
         number, cameras, fx, fy, cx, cy = rows.T
     except ValueError as error:
-        raise DatasetError(f"{path}: expected rows {_INTRINSICS_ROW}: {error}.") from error
+        raise DatasetError(f"{path}: expected rows {_INTRINSICS_ROW}: {error}") from error
     if not (np.isfinite(rows).all() and (rows[:, 2:4] > 0).all()):
-        raise DatasetError(f"{path}: expected rows {_INTRINSICS_ROW}, finite, with fx, fy > 0.")
+        raise DatasetError(f"{path}: expected rows {_INTRINSICS_ROW}, finite, with fx, fy > 0")
     matrices = np.tile(np.eye(3), (len(rows), 1, 1))
     matrices[:, 0, 0], matrices[:, 1, 1], matrices[:, 0, 2], matrices[:, 1, 2] = fx, fy, cx, cy
     ours = cameras == camera
@@ -277,15 +277,15 @@ def _read_colors(path: Path, classes: ClassTable) -> _Colors:
     for row in filter(None, map(str.split, read_text(path).splitlines()[1:])):
         name = row[0].split(":")[0]
         if name not in known:
-            raise DatasetError(f"{path}: unknown category {name!r}; known: {', '.join(known)}.")
+            raise DatasetError(f"{path}: unknown category {name!r}; known: {', '.join(known)}")
         try:
             red, green, blue = (int(value) for value in row[-3:])
             color = int.from_bytes((red, green, blue), "big")
         except ValueError as error:
-            raise DatasetError(f"{path}: {' '.join(row)!r} is not 'Category r g b'.") from error
+            raise DatasetError(f"{path}: {' '.join(row)!r} is not 'Category r g b'") from error
         found[color] = known[name]
     if not found:
-        raise DatasetError(f"{path}: no rows under its header.")
+        raise DatasetError(f"{path}: no rows under its header")
     colors = sorted(found)
     ids = np.array([found[color] for color in colors], dtype=np.uint8)
     return _Colors(path, np.array(colors, dtype=np.int32), ids)
@@ -308,8 +308,8 @@ def _read_classes(path: Path, table: _Colors, size: tuple[int, int]) -> NDArray[
     if unlisted.any():
         red, green, blue = label.reshape(-1, 3)[starts[unlisted][0]]
         raise DatasetError(
-            f"{path}: colour ({red}, {green}, {blue}) is not in {table.path.name}. "
-            "Restore the original file (JPEG compression changes colours)."
+            f"{path}: colour ({red}, {green}, {blue}) is not in {table.path.name}: "
+            "restore the original file (JPEG compression changes colours)"
         )
     ids: NDArray[np.uint8] = np.repeat(table.ids[index], np.diff(starts, append=color.size))
     return ids.reshape(size)

@@ -65,7 +65,7 @@ class Selection:
         if not found:
             there = [f"{variant.parent.name}/{variant.name}" for variant in variants]
             raise DatasetError(
-                f"{root}: no frames of the split {self.split!r}. Wanted scenes: "
+                f"{root}: no frames of the split {self.split!r}; wanted scenes: "
                 f"{', '.join(self.scenes or ['those of the split'])}; variants: "
-                f"{', '.join(self.variants or ['those of the split'])}. Found: {list_names(there)}."
+                f"{', '.join(self.variants or ['those of the split'])}; found: {list_names(there)}"
             )

@@ -167,5 +167,5 @@ def _parse_faults(text: str) -> list[Any]:
     names = [name.strip() for name in text.split(",") if name.strip()]
     unknown = [name for name in names if name not in known]
     if unknown:
-        raise InputError(f"--faults {unknown[0]!r}; known: {', '.join(known)}.")
+        raise InputError(f"--faults {unknown[0]!r}; known: {', '.join(known)}")
     return names

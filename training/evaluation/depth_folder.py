@@ -45,7 +45,7 @@ class DepthFolder:
         """
         if depth is None:
             raise InputError(
-                f"{parts[0]} predicts no depth to write with --save; leave that model out."
+                f"{parts[0]} predicts no depth to write with --save; leave that model out"
             )
         names = [re.sub(r"[^\w.-]+", "_", part).lstrip(".") or "_" for part in parts]
         path = self.folder.joinpath(*names[:-1], f"{names[-1]}.png")

@@ -167,9 +167,9 @@ def score_models(
             results += score_set(name, model, data, feeds, save=save, leave_out_fed=leave_out_fed)
     if not results:
         raise InputError(
-            "nothing could be scored: these sets provide none of the requested --lidar inputs. "
-            "Lines need intrinsics, or a recorded scan, every second line of which remains the "
-            "target; use random:0.05 or none, which every set provides."
+            "nothing could be scored: these sets provide none of the requested --lidar inputs: "
+            "lines need intrinsics, or a recorded scan, every second line of which remains the "
+            "target; use random:0.05 or none, which every set provides"
         )
     worst = draw_worst(results, models, sets, count=pictures) if pictures else ()
     return Evaluation(results, compare(results), list(worst))
@@ -279,7 +279,7 @@ def _find_file(name: str) -> Path:
     try:
         return Path(name) if name.endswith(".pt") else find_model(name)
     except ContractError as error:
-        raise ContractError(f"{error}. Classical methods: {', '.join(METHODS)}.") from error
+        raise ContractError(f"{error}; classical methods: {', '.join(METHODS)}") from error
 
 
 def _changed_keys(recipe: SourceRecipe) -> list[str]:

@@ -39,7 +39,7 @@ def read_run(folder: Path) -> EvaluatedRun:
     path = next((path for path in reversed(recipes) if path.is_file()), None)
     if path is None:
         raise InputError(
-            f"{folder}: is a folder, but not of a run of ssdnet-train (no {RECIPE}). Name the file "
+            f"{folder}: is a folder, but not of a run of ssdnet-train (no {RECIPE}): name the file "
             "of a model, or score answers with --predictions"
         )
     places = [folder / FINAL, folder / BEST, path.parent / BEST]

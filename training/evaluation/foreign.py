@@ -107,7 +107,7 @@ class ForeignNetwork:
         except Exception as error:
             shape = feeds[self._rgb.name].shape
             raise SSDNetError(
-                f"{self.path}: fails on an image {shape}: {explain(error)}. Set size or stride in "
+                f"{self.path}: fails on an image {shape}: {explain(error)}: set size or stride in "
                 "its adapter"
             ) from error
         rows = slice(corner[0], corner[0] + frame.network_size[0])
@@ -287,13 +287,13 @@ def open_foreign(
         text = describe_network(path, session)
         if adapter is None:
             raise MissingAdapterError(
-                f"{path}: was not written by ssdnet-export. Save the lines above as {described}, "
+                f"{path}: was not written by ssdnet-export: save the lines above as {described}, "
                 "check them, and run the command again",
                 text,
             )
         atomic_write(described, text.encode())
         raise MissingAdapterError(
-            f"{described}: there was none, and it was written from what {path} says. Check it, and "
+            f"{described}: there was none, and it was written from what {path} says: check it, and "
             "run the command again",
             text,
         )

@@ -90,8 +90,8 @@ class Predictions:
                 continue
             if (frame := self._frames.setdefault(path, sample.name)) != sample.name:
                 raise DatasetError(
-                    f"{path}: is the file of two frames, {frame} and {sample.name}. Put each into "
-                    "a folder of the name before it."
+                    f"{path}: is the file of two frames, {frame} and {sample.name}: put each into "
+                    "a folder of the name before it"
                 )
             found[head] = self._read(path, sample)
         if len(found) < len(self._files):
@@ -99,9 +99,9 @@ class Predictions:
             missing = next(head for head in self._files if head not in found)
             raise DatasetError(
                 f"{self.folder}: has no {missing or 'file'} of the frame {name} "
-                f"({' or '.join(f'{name}{suffix}' for suffix in _SUFFIXES)}). Every frame that is "
+                f"({' or '.join(f'{name}{suffix}' for suffix in _SUFFIXES)}); every frame that is "
                 "scored needs one: add it, or take the frame out of --data with first, last or "
-                "split."
+                "split"
             )
         maps: dict[str, NDArray[np.generic]] = {}
         for head, values in found.items():
@@ -114,7 +114,7 @@ class Predictions:
         below = [head for head in _HEADS if (self.folder / head).is_dir()]
         found = {head: _list_files(self.folder / head) for head in below or [""]}
         if empty := [self.folder / head for head, files in found.items() if not files]:
-            raise DatasetError(f"{empty[0]}: has no .png and no .npy files; expected one a frame.")
+            raise DatasetError(f"{empty[0]}: has no .png and no .npy files; expected one a frame")
         return found
 
     @cached_property
@@ -151,24 +151,22 @@ def _read_array(
     try:
         values: NDArray[Any] = np.squeeze(np.load(path, allow_pickle=False))
     except (OSError, ValueError, EOFError) as error:
-        raise DatasetError(
-            f"{path}: cannot be read ({error}). Write it with numpy.save."
-        ) from error
+        raise DatasetError(f"{path}: cannot be read ({error}): write it with numpy.save") from error
     require_size(path, values.shape, size)
     if values.ndim != 2 or values.dtype.kind not in "fiu":
         raise DatasetError(
             f"{path}: is {values.dtype} {values.shape}; expected a map (height, width) of integers "
-            "(class ids) or of floats (depth in metres)."
+            "(class ids) or of floats (depth in metres)"
         )
     if values.dtype.kind == "f":
         if not np.isfinite(values).all():
-            raise DatasetError(f"{path}: has depth that is not finite; write 0 for no depth.")
+            raise DatasetError(f"{path}: has depth that is not finite; write 0 for no depth")
         return np.asarray(values, np.float32)
     if path.parent.name == "depth":
         return np.asarray(values / depth_scale, np.float32)
     if values.min() < 0 or values.max() > 255:
         raise DatasetError(
-            f"{path}: integers up to {values.max()}; expected class ids from 0 to 255. Write depth "
-            "as floats in metres."
+            f"{path}: integers up to {values.max()}; expected class ids from 0 to 255: write depth "
+            "as floats in metres"
         )
     return np.asarray(values, np.uint8)

@@ -220,8 +220,8 @@ def split_feeds(
                 continue
             raise InputError(
                 f"{sample.name}: with the LiDAR {str(lidar)!r} the input is the depth to "
-                "score, so that an error of 0 would mean nothing. Feed a share with --lidar "
-                "random:0.5, or give denser depth."
+                "score, so that an error of 0 would mean nothing: feed a share with --lidar "
+                "random:0.5, or give denser depth"
             )
         if not frame.fed.any():
             yield feed, "none", frame, frame.fed

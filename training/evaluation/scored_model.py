@@ -155,7 +155,7 @@ def open_scored_model(
                 contract.canonical_focal_px is not None and "depth" in predictor.heads,
             )
     else:
-        raise InputError(f"{path}: expected a checkpoint (*.pt) or an exported model (*.onnx).")
+        raise InputError(f"{path}: expected a checkpoint (*.pt) or an exported model (*.onnx)")
 
 
 def open_method(name: str) -> ScoredModel:
@@ -195,7 +195,7 @@ def method_predict(method: CompletionMethod) -> Predict:
         cleaned, _, _ = clean_sparse_depth(near, max_depth_m=FARTHEST_M)
         depth = method.complete(rgb, cleaned)
         if not np.isfinite(depth).all():
-            raise SSDNetError(f"{type(method).__name__} answered with depths that are not finite.")
+            raise SSDNetError(f"{type(method).__name__} answered with depths that are not finite")
         return HeadMaps(depth=depth)
 
     return predict
@@ -209,7 +209,7 @@ def engine_predict(predictor: Predictor) -> Predict:
     ) -> HeadMaps:
         prediction = predictor.predict(rgb, sparse_depth, focal_length_px=focal_length_px)
         if not prediction.valid:
-            raise SSDNetError(f"the model's answer is invalid: {', '.join(prediction.degraded)}.")
+            raise SSDNetError(f"the model's answer is invalid: {', '.join(prediction.degraded)}")
         return HeadMaps(*(getattr(prediction, head) for head in HeadMaps._fields))
 
     return predict

@@ -96,8 +96,8 @@ def torch_predict(
         for head, values in heads.items():
             if not np.isfinite(values).all() or (head == "semantic" and NO_CLASS in values):
                 raise SSDNetError(
-                    f"the network's {head} is not finite: its training diverged. Take earlier "
-                    "weights, such as best.pt of its run."
+                    f"the network's {head} is not finite: its training diverged: take earlier "
+                    "weights, such as best.pt of its run"
                 )
         return HeadMaps(**to_frame(heads, frame))
 
@@ -213,8 +213,8 @@ def split_frames(
             raise InputError(
                 f"{sample.name} cannot be validated with the LiDAR {str(lidar)!r}: 64 lines of a "
                 "recorded scan leave nothing to score, an input recorded without its scan lines "
-                "has none to choose from, and simulated lines need intrinsics. Set the recipe's "
-                "validation.lidar to another, for example 'random:0.05'."
+                "has none to choose from, and simulated lines need intrinsics: set the recipe's "
+                "validation.lidar to another, for example 'random:0.05'"
             )
         yield frame
 

@@ -70,9 +70,9 @@ def share_classes(
             f"{name}: {', '.join(_names(table, {}))}" for name, table in tables.items()
         )
         raise InputError(
-            f"{title}: its labels are numbers, and the models have different classes ({several}). "
-            'Name the numbers, for example label_ids={0 = "road", 1 = "car"}, or give the folder '
-            "of the run that was trained on them in place of its model."
+            f"{title}: its labels are numbers, and the models have different classes ({several}): "
+            'name the numbers, for example label_ids={0 = "road", 1 = "car"}, or give the folder '
+            "of the run that was trained on them in place of its model"
         )
     table = first if own is None or (same and is_mapped(own, first)) else own
     every = {title: _names(table, joined), **known}

@@ -207,7 +207,7 @@ class LidarInput:
             pass
         raise InputError(
             f"unknown LiDAR {text!r}; expected a number of lines that divides "
-            f"{SENSOR_LINES}, random:SHARE with a share above 0 and up to 1, none, or own."
+            f"{SENSOR_LINES}, random:SHARE with a share above 0 and up to 1, none, or own"
         )
 
     def __str__(self) -> str:

@@ -528,6 +528,6 @@ def with_crop(augment: AugmentConfig, smallest: tuple[int, int]) -> AugmentConfi
     except ValueError as error:
         raise InputError(
             f"data.augment.crop was set to {list(crop)} from the size of the data; with "
-            f"pair_shift = {augment.pair_shift} the two views would not overlap. Set it to a "
-            "larger size."
+            f"pair_shift = {augment.pair_shift} the two views would not overlap: set it to a "
+            "larger size"
         ) from error

@@ -52,7 +52,7 @@ class CheckedSource:
                 raise DatasetError(
                     f"{sample.name}: the reader {type(self._source).__name__} returned {target} = "
                     f"{values.dtype} {values.shape}; expected {kind.dtype} {sample.size}, "
-                    f"{kind.unlabelled:g} = unknown. A set without this target must omit it."
+                    f"{kind.unlabelled:g} = unknown; a set without this target must omit it"
                 )
         size = network_size(self._size or "frame", sample.size, trained_height=None)
         return resize(sample, size)
@@ -78,8 +78,8 @@ def _find_folder(recipe: SourceRecipe, roots: Sequence[Path]) -> Path:
         "" if Path(recipe.path).is_absolute() else f" in {', '.join(map(repr, map(str, roots)))}"
     )
     raise DatasetError(
-        f"no folder {recipe.path!r} ({recipe.kind}){below}. Name the folder that holds it with "
-        "--data."
+        f"no folder {recipe.path!r} ({recipe.kind}){below}: name the folder that holds it with "
+        "--data"
     )
 
 
