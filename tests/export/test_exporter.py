@@ -91,7 +91,11 @@ def test_a_file_takes_any_size_unless_one_is_fixed(
     def trace(*_, dynamic, **__):
         return copy.deepcopy(dynamic_model) if dynamic else onnx.load(exported.path)
 
+    def frame(size, **_):
+        return probe_frames(size, max_depth_m=100.0)[:1]
+
     monkeypatch.setattr(exporter, "trace", trace)
+    monkeypatch.setattr(exporter, "_frames", frame)
     monkeypatch.setattr(exporter, "DEFAULT_SIZE", SIZE)
     path = tmp_path / "m.onnx"
     result = run(lite_checkpoint, path, *arguments)
