@@ -50,7 +50,7 @@ def test_the_rows_and_the_report_of_a_run_hold_its_facts(whole):
     cells |= {"age_ms": "", "jitter_ms": ""}
     assert all({name: row[name] for name in cells} == cells for row in rows)
     assert (report["format"], report["version"]) == ("ssdnet-run", "2.0")
-    assert report["frames"]["by_status"] == {"ok": N}
+    assert (report["frames"]["total"], report["frames"]["by_status"]) == (N, {"ok": N})
     assert report["depth_png"] == {
         "units_per_metre": 256, "max_m": 65535 / 256, "beyond": {"depth": 0, "uncertainty": 0}
     }  # fmt: skip
