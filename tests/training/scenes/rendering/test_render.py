@@ -99,7 +99,7 @@ def test_sun_throws_a_shadow_and_an_overcast_sky_does_not():
 
 @pytest.fixture(scope="module")
 def town():
-    return build_street(7, kind="town")
+    return build_street(22, kind="town")
 
 
 def test_poses_and_depth_of_a_stream_fit_together(town):
