@@ -118,7 +118,7 @@ def finetune(
         depth: 16-bit PNGs of a LiDAR's depth, 0 = none.
         depth_scale: units of the depth per metre; None = 256.
         focal_length_px: focal length of the images as they are. Distances are then scaled if the
-            camera differs from that of the weights, see `runtime.contract.canonical_focal`. None =
+            camera differs from that of the weights, see `runtime.contract.canonical_focal`. None:
             not known.
         intrinsics: fx, fy, cx, cy [px], in place of the focal length.
         init: weights to start from.

@@ -89,7 +89,7 @@ def fine_tune(
     Args:
         table: the recipe's table, as read from TOML.
         changes: changes of the recipe, see `training.recipe.change`.
-        init: the checkpoint that the training begins with; None = there is none.
+        init: the checkpoint that the training begins with; None: there is none.
     """
     table = change(table, changes)
     if init is None:

@@ -167,7 +167,7 @@ class ModelRecipe:
         return replace(config, classes=list_classes(self.class_table)) if config.classes else config
 
     def class_id(self, name: str) -> int | None:
-        """Return the id of the class of this name, ignoring case; None = no such class."""
+        """Return the id of the class of this name, ignoring case; None: no such class."""
         names = [known.lower() for known in self.class_names]
         return names.index(name.lower()) if name.lower() in names else None
 

@@ -26,7 +26,7 @@ class Trained:
     """The argument of a stage's call.
 
     Attributes:
-        before: the network that it began with; None = random weights.
+        before: the network that it began with; None: random weights.
         after: the trained network.
         pictures: images of its data, each float (1, 3, H, W), RGB in 0..255.
     """
@@ -44,7 +44,7 @@ class Stage:
         folder: below --out, NUMBER-NAME; "" = --out itself, of a recipe of one run.
         recipe: of the run.
         then: returns the network that the next stage begins with, or, of the last, the one in
-            RUN/model.pt; None = the trained network.
+            RUN/model.pt; None: the trained network.
     """
 
     folder: str

@@ -63,7 +63,7 @@ class Task:
         depth_target: unit of the depth target, and the depth of the sky.
         known_data: names of the data that the weights were trained on, also in other trainings.
         data_terms: terms of these data.
-        teacher: the network whose answers are learned, on the same device; None = no teacher.
+        teacher: the network whose answers are learned, on the same device; None: no teacher.
     """
 
     data: DataRecipe

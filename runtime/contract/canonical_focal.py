@@ -41,8 +41,8 @@ def camera_scale(
 
     Args:
         max_depth_m: range of the model, canonical metres.
-        canonical_focal_px: canonical focal length of the model; None = it works in plain metres.
-        focal_length_px: focal length of the frame; None = not known.
+        canonical_focal_px: canonical focal length of the model; None: it works in plain metres.
+        focal_length_px: focal length of the frame; None: not known.
         frame_size: (height, width) of the frame.
         network_size: (height, width) at which the network runs.
     """

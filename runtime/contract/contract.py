@@ -72,13 +72,13 @@ class Contract:
         versions: versions of the software that made the file (ssdnet, torch, onnx, opset).
         parity: head -> largest measured difference to PyTorch; {} = not measured.
         checkpoint_sha256: digest of the checkpoint the file was made from.
-        trained_height: rows of the images it was trained on; None = not known.
+        trained_height: rows of the images it was trained on; None: not known.
         canonical_focal_px: focal length [px] of the camera in whose metres the graph works, see
-            `runtime.contract.canonical_focal`; None = plain metres.
-        giga_macs: multiply-accumulate operations for a frame of `native_size`, in billions; None =
+            `runtime.contract.canonical_focal`; None: plain metres.
+        giga_macs: multiply-accumulate operations for a frame of `native_size`, in billions; None:
             not counted.
         accuracy: measured with this file: "repeat", the command, and "rows", each with data, lidar,
-            frames, miou (0..1) and mae_m; None = not measured.
+            frames, miou (0..1) and mae_m; None: not measured.
         quantization: for an "int8" file, the calibration data, the convolutions left in float, and
             the rows of `accuracy` in single precision; else None.
         content: the bytes of the file before this document; `with_contract` fills it in.

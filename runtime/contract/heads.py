@@ -66,7 +66,7 @@ class Head:
             pixels that differ, mean difference, or mean difference as a share of the mean value.
         saved_as: name for `ssdnet-run --save` and of the subfolder; "" = the head is not written.
             The unit decides how its files are encoded, see `runtime.app.encode`.
-        panel: how the head is drawn; None = it is not drawn.
+        panel: how the head is drawn; None: it is not drawn.
     """
 
     name: str

@@ -50,7 +50,7 @@ def load_model_file(path: Path, *, sha256: str | None = None) -> ModelFile:
 
     Args:
         path: the model file.
-        sha256: digest that the file must have, 64 hexadecimal digits; None = any.
+        sha256: digest that the file must have, 64 hexadecimal digits; None: any.
 
     Raises:
         ContractError: if the file is missing, not a regular file, larger than `MAX_MODEL_BYTES`,

@@ -66,12 +66,12 @@ def network_size(
     """Return the (height, width) at which a network runs for a frame.
 
     Args:
-        requested: the size to use. None = `trained_height` rows, with the aspect kept, if the frame
+        requested: the size to use. None: `trained_height` rows, with the aspect kept, if the frame
             has over a quarter more rows; the frame's own size if it has fewer, or if the trained
             height is not known. "frame" = the frame's own size. An int = a number of rows, with the
             aspect kept. (height, width) = this size, also for a network of fixed size.
         frame_size: (height, width) of the frame.
-        trained_height: rows of the images that the network was trained on; None = not known.
+        trained_height: rows of the images that the network was trained on; None: not known.
 
     Raises:
         InputError: if the rows would be too wide with the frame's aspect.

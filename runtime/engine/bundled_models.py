@@ -25,7 +25,7 @@ def find_model(model: str | PathLike[str] | None) -> Path:
     Args:
         model: a path or a name. Any `PathLike`, and text that ends in ".onnx" or contains a folder,
             is a path. Other text is a name from `list_bundled_models`, even if the current folder
-            has a file of that name ("./NAME" is that file). None = `DEFAULT_MODEL`.
+            has a file of that name ("./NAME" is that file). None: `DEFAULT_MODEL`.
 
     Returns:
         The path. This function does not check that the file exists.

@@ -22,7 +22,7 @@ class Model:
         contract: what the file states about itself.
         sha256: digest of the file, hexadecimal.
         heads: names of its heads, in the order of `HEADS`.
-        size: (height, width) of its inputs; None = any size.
+        size: (height, width) of its inputs; None: any size.
         free_batch: True if one run takes any number of frames, False if it takes only one.
     """
 
@@ -43,7 +43,7 @@ def open_model(
 
     Args:
         path: the model file.
-        sha256: digest that the file must have; None = any.
+        sha256: digest that the file must have; None: any.
         provider: see `open_session`.
         device_id: see `open_session`.
         threads: see `open_session`.

@@ -125,7 +125,7 @@ class Prediction:
         """Draw one picture of the frame and its answers.
 
         Args:
-            rgb: uint8 (H, W, 3), the frame's image, RGB; None = draw only the answers.
+            rgb: uint8 (H, W, 3), the frame's image, RGB; None: draw only the answers.
 
         Returns:
             uint8 (H', W', 3), RGB: a grid of panels of image and heads with a legend beside them.
@@ -183,12 +183,12 @@ class Prediction:
             rgb: uint8 (H, W, 3), the frame's image, for the colours of the points.
             edge_boundary: pixels whose `boundary` is larger have no point, because depth passes
                 from one surface to the next there. "auto" = 0.25 with classes, 0.5 without;
-                None = no pixel is left out for this reason.
+                None: no pixel is left out for this reason.
             keep_sky: keep the points of the class "sky", whose depth is meaningless.
             max_uncertainty: pixels whose `depth_uncertainty` is a larger share of their depth have
-                no point; None = no pixel is left out for this reason.
+                no point; None: no pixel is left out for this reason.
             voxel_m: side of cubes in metres; of each cube, only the point of the smallest
-                uncertainty is kept. None = all points are kept.
+                uncertainty is kept. None: all points are kept.
 
         Raises:
             InputError: if an array does not fit, a value is out of range, `valid` is False, the

@@ -42,19 +42,19 @@ class Predictor:
 
     Args:
         model: an ONNX file made by ssdnet-export, or the name of a bundled model, see `find_model`;
-            None = ssdnet-lite.
-        sha256: digest that the file must have, 64 hexadecimal digits; None = any.
+            None: ssdnet-lite.
+        sha256: digest that the file must have, 64 hexadecimal digits; None: any.
         provider: "cpu" or "cuda". The requested provider is used, or an error is raised.
         device_id: index of the GPU.
         size: size at which a model of free size runs; the answers always have the frame's size.
-            None = the height for which the model was trained, with the aspect kept, if the frame
+            None: the height for which the model was trained, with the aspect kept, if the frame
             is higher by more than a quarter; otherwise the frame's own size. "frame" = the frame's
             own size. An int = a number of rows, with the aspect kept. Or (height, width).
         focal_length_px: fx of the camera, in pixels of the frames that are given to `predict`. A
             model with `contract.canonical_focal_px` then scales distances for this camera, see
-            `runtime.contract.canonical_focal`. None = the image is treated as if it came from the
+            `runtime.contract.canonical_focal`. None: the image is treated as if it came from the
             canonical camera.
-        threads: threads within an operator; None = the physical cores this process may use.
+        threads: threads within an operator; None: the physical cores this process may use.
         warmup: number of predictions that the constructor makes at the model's own size, so that
             the first frame is fast.
 
@@ -147,8 +147,8 @@ class Predictor:
             sparse_depth: float32 (H, W), metres along the optical axis; 0 = no measurement. NaN,
                 Inf, negative values, and values beyond both 250 m and the range (`camera_scale`)
                 are no measurement either. Other returns beyond the range are clipped to it.
-                `Prediction.cleaned` counts all these pixels. None = predict from the image alone.
-            focal_length_px: fx of this frame's camera; None = the predictor's.
+                `Prediction.cleaned` counts all these pixels. None: predict from the image alone.
+            focal_length_px: fx of this frame's camera; None: the predictor's.
             stamp: any value; it is returned in the answer.
 
         Returns:
@@ -185,7 +185,7 @@ class Predictor:
             frames: (rgb, sparse_depth) of each camera, as for `predict`, of any sizes.
             focal_lengths_px: focal length of each camera; None for all or for one of them = the
                 predictor's.
-            stamps: any value for each frame, which is returned in its answer; None = no stamps.
+            stamps: any value for each frame, which is returned in its answer; None: no stamps.
 
         Returns:
             The answers in the order of the frames. `latency.inference_ms` is the time of the
@@ -257,7 +257,7 @@ class Predictor:
 
         Args:
             frame_size: (height, width) of the frame.
-            focal_length_px: fx of this frame's camera; None = the predictor's.
+            focal_length_px: fx of this frame's camera; None: the predictor's.
 
         Raises:
             InputError: as for `network_size`, and if the focal length is out of range.

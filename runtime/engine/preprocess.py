@@ -68,7 +68,7 @@ def preprocess(
 
     Args:
         rgb: uint8 (H, W, 3), RGB.
-        sparse_depth: float32 (H, W), metres; None = predict from the image alone.
+        sparse_depth: float32 (H, W), metres; None: predict from the image alone.
         size_for: frame size -> network size, both (height, width).
         scale_for: frame size -> scale of its depth.
 

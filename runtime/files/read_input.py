@@ -26,7 +26,7 @@ def open_input(path: Path, *, max_bytes: int | None) -> Iterator[BinaryIO]:
 
     Args:
         path: the file; links are followed.
-        max_bytes: its largest size; None = any size.
+        max_bytes: its largest size; None: any size.
 
     Yields:
         The file, open for reading.

@@ -42,7 +42,7 @@ class Answerer:
 
     Args:
         predictor: a `Predictor`, or a drop-in replacement.
-        consistency: share of the returns that is held out, see `ConsistencyCheck`; None = no check.
+        consistency: share of the returns that is held out, see `ConsistencyCheck`; None: no check.
         check_depth: whether `check_last` compares returns with a prediction from the image alone.
         has_lidar: whether the car has a LiDAR, so that an image without depth is a fault; False =
             this is assumed from the first frame with depth on.

@@ -61,7 +61,7 @@ class Message:
     """An image, a scan or a depth map.
 
     Attributes:
-        stamp: the stamp that was given, see `Stamp`; nanoseconds in a recording; None = not known.
+        stamp: the stamp that was given, see `Stamp`; nanoseconds in a recording; None: not known.
         stamp_ns: the same in nanoseconds; 0 = not known.
         data: uint8 (H, W, 3), a `Scan`, or float32 (H, W) in metres. While messages of a recording
             are matched, this is the place where the source finds the data.
@@ -80,9 +80,9 @@ class Frame:
 
     Attributes:
         image: message of the image.
-        depth: message of the depth; None = there is no depth.
+        depth: message of the depth; None: there is no depth.
         reused: whether the depth is an older message, whose outcome is counted elsewhere.
-        calibration: calibration of the camera and, for a scan, of the LiDAR; None = not known.
+        calibration: calibration of the camera and, for a scan, of the LiDAR; None: not known.
         poses: poses of the LiDAR over the time of the frame; None if the car has no poses.
         name: name of the frame in its recording.
     """

@@ -55,7 +55,7 @@ class Decided:
 
 @dataclass(eq=False)
 class _Kept:
-    """A depth map that may be reused, and its outcome when dropped; None = already counted."""
+    """A depth map that may be reused, and its outcome when dropped; None: already counted."""
 
     depth: Message
     outcome: Outcome | None
@@ -319,7 +319,7 @@ class Synchronizer(Matching):
         return decided
 
     def due_ns(self) -> int | None:
-        """Return when to call `advance` next; None = only after another message."""
+        """Return when to call `advance` next; None: only after another message."""
         # A depth map near a waiting image is decided together with this image.
         waiting = [*self._images, *(depth for depth in self._depths if not self._near(depth))]
         arrived_ns = min((message.arrived_ns for message in waiting), default=None)

@@ -70,12 +70,12 @@ class PushStream:
         rig: the car's sensors: their calibration, what their stamps and poses mean, and which
             messages belong together. `push_points` needs its calibration, `push_pose` its
             `pose_frame`.
-        deadline_ms: limit for `FrameResult.latency_ms`; None = no limit.
+        deadline_ms: limit for `FrameResult.latency_ms`; None: no limit.
         max_wait_ms: how long an image waits for its depth map, before it is predicted without
             depth, and how long a depth map waits for its image.
         consistency: share of the returns that is held out of each frame to check whether camera
             and LiDAR are still calibrated and in sync (0.05, for example); every 10th frame is then
-            predicted a second time. None = no check.
+            predicted a second time. None: no check.
         check_depth: whether the returns of the first five frames with depth, then of one in a
             hundred when no frame waits, are compared with a prediction from the image alone. Later
             frames then have "implausible_depth" in `Prediction.degraded`. The check runs after the
@@ -183,7 +183,7 @@ class PushStream:
             points: float32 (N, 3) or wider: x, y, z in metres in the LiDAR's frame.
             stamp: see `push_image`.
             times: (N,), when each point was measured: floats are seconds after the stamp, integers
-                nanoseconds of its clock. None = unknown, see `Rig.scan_stamp`.
+                nanoseconds of its clock. None: unknown, see `Rig.scan_stamp`.
 
         Raises:
             InputError: as `push_image`, and if the rig has no `calibration`, the points cannot be
@@ -326,7 +326,7 @@ class PushStream:
         return True
 
     def _idle_ns(self) -> int | None:
-        """Return how long there is no work unless something changes; None = for ever."""
+        """Return how long there is no work unless something changes; None: for ever."""
         now_ns = self._clock.now_ns()
         if self._closed or self._ready is not None:
             return 0

@@ -67,7 +67,7 @@ def replay(
         consistency: share of the returns that is held out, see `PushStream`.
         check_depth: whether returns are compared with a prediction from the image alone.
         on_error: called with the error of each invalid message and each failed frame, which are
-            then left out; None = the first error is raised.
+            then left out; None: the first error is raised.
         counter: counts the messages, their outcomes and the answers.
 
     Returns:

@@ -152,7 +152,7 @@ class StreamStatistics:
 
     Attributes:
         stages: figure of `FIGURES` -> statistics in milliseconds, None without a value.
-        deadline_ms: the deadline; None = there is none.
+        deadline_ms: the deadline; None: there is none.
         missed: late answers; None if there is no deadline.
     """
 

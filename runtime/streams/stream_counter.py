@@ -91,7 +91,7 @@ class WatchdogState:
 
 @dataclass(frozen=True)
 class WatchdogLimits:
-    """Limits as pairs (for WARN, for ERROR); None = never.
+    """Limits as pairs (for WARN, for ERROR); None: never.
 
     Attributes:
         late: results in a row that missed the deadline.
@@ -147,8 +147,8 @@ class StreamCounter:
     Memory is constant. Not thread-safe. Times are by the clock of a live stream [ns].
 
     Args:
-        deadline_ms: deadline of the stream; None = no limit.
-        limits: limits for `state`; None = the default limits.
+        deadline_ms: deadline of the stream; None: no limit.
+        limits: limits for `state`; None: the default limits.
     """
 
     def __init__(
@@ -252,7 +252,7 @@ class StreamCounter:
         return self._limits.state(figures)
 
     def due_ns(self, now_ns: int) -> int | None:
-        """Return when silence changes the state next; None = never."""
+        """Return when silence changes the state next; None: never."""
         limits_ns = [
             since_ns + round(limit * NS_PER_MS)
             for name, since_ns in self._since_ns.items()

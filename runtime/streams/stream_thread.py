@@ -20,7 +20,7 @@ class MonotonicClock:
         return time.monotonic_ns()
 
     def wait(self, changed: threading.Condition, timeout_ns: int | None) -> None:
-        """Wait until `changed`, whose lock is held, is notified; None = without a limit."""
+        """Wait until `changed`, whose lock is held, is notified; None: without a limit."""
         changed.wait(None if timeout_ns is None else max(timeout_ns, 0) / 1e9)
 
 
@@ -30,7 +30,7 @@ class StreamWork:
 
     Attributes:
         step: does the work that is ready; returns False at the end of the stream.
-        idle_ns: returns how long there will be no work unless something changes; None = for ever.
+        idle_ns: returns how long there will be no work unless something changes; None: for ever.
             It is called with the lock held.
         fail: ends the stream after an error of `step`.
         discard: drops all messages and closes the stream. It is called with the lock held.

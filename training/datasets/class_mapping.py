@@ -144,7 +144,7 @@ def id_lookup(labels: str, table: ClassTable, order: Sequence[str | None]) -> ND
 class LabelFiles:
     """Reads a data set's label files, uint8 PNG, as ids of a class table, 255 = ignored.
 
-    `order` holds the labels in the order of the files' ids, from 0, None = ignored. Raises
+    `order` holds the labels in the order of the files' ids, from 0, None: ignored. Raises
     DatasetError if the labels are not mapped to the table.
     """
 

@@ -145,7 +145,7 @@ def augment(
         sample: a frame of a data set.
         config: ranges and probabilities.
         rng: source of all random numbers.
-        canonical_focal_px: makes the depth canonical, see `canonical_depth`; None = metres.
+        canonical_focal_px: makes the depth canonical, see `canonical_depth`; None: metres.
         max_depth_m: the network's range, for canonical depth.
         rare: ids of the rare classes, see `config.rare_crops`.
 
@@ -320,7 +320,7 @@ def resize(sample: Sample, size: tuple[int, int], *, is_dense: bool | None = Non
 
     Labels are resized by the rule of their head, dense depth by nearest neighbour. Recorded returns
     are moved one by one: none is duplicated, and of several on a pixel the nearest is kept.
-    `is_dense`: whether the depth is dense; None = by its share of known pixels.
+    `is_dense`: whether the depth is dense; None: by its share of known pixels.
     """
     if size == sample.size:
         return sample

@@ -28,7 +28,7 @@ def distilled_depth_loss(depth: Tensor, teacher: Tensor, scale: Tensor | None) -
     """Mean |log ratio| to the teacher's depth, less where it is uncertain, ().
 
     depth, teacher: (N, 1, H, W), normalised, at the image's size. scale: of the teacher's error,
-    see `NetworkOutput.depth_uncertainty`; None = all pixels count alike.
+    see `NetworkOutput.depth_uncertainty`; None: all pixels count alike.
     """
     difference = log_ratio(depth, teacher).abs()
     if scale is not None:

@@ -119,10 +119,10 @@ class SSDNetLoss(nn.Module):
 
     Args:
         config: the options.
-        class_weights: float (C,), see `training.losses.class_weights`; None = all 1.
+        class_weights: float (C,), see `training.losses.class_weights`; None: all 1.
         max_depth_m: depth [m] of the network's normalised output 1.0.
-        target_depth_m: see `models.NetworkConfig`; None = `max_depth_m`.
-        road: id of the class of the road masks; None = no such class.
+        target_depth_m: see `models.NetworkConfig`; None: `max_depth_m`.
+        road: id of the class of the road masks; None: no such class.
 
     Attributes:
         log_variances: log sigma^2 of each term, learned if the weighting is "uncertainty".

@@ -93,7 +93,7 @@ class PosePlausibility:
         return True
 
     def finding(self) -> str | None:
-        """Return why the poses cannot be right, and the likely cause; None = nothing was found."""
+        """Return why the poses cannot be right, and the likely cause; None: nothing was found."""
         return self._by_scans() or self._by_track()
 
     def _by_scans(self) -> str | None:
