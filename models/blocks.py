@@ -29,6 +29,14 @@ class ConvBNReLU(nn.Sequential):
         )
 
 
+def separable_conv(in_channels: int, out_channels: int) -> nn.Sequential:
+    """A 3x3 kernel for each channel, then a 1x1 convolution (Chollet 2017), without bias."""
+    return nn.Sequential(
+        nn.Conv2d(in_channels, in_channels, 3, padding=1, groups=in_channels, bias=False),
+        nn.Conv2d(in_channels, out_channels, 1, bias=False),
+    )
+
+
 class BaConv(nn.Module):
     """Boundary-aware convolution, Eq. 1: y(p) = sum_n w(p_n) x(p_n) (1 - B(p_n)).
 
@@ -36,12 +44,14 @@ class BaConv(nn.Module):
     no custom operator, only `Mul` and `Conv`.
 
     Shapes: x (N, C, H, W), boundary (N, 1, H, W) in 0..1, None means 0; returns (N, C', H, W).
-    There is no bias.
+    There is no bias. In a separable one, w is a 3x3 kernel for each channel and then a 1x1
+    convolution.
     """
 
-    def __init__(self, in_channels: int, out_channels: int) -> None:
+    def __init__(self, in_channels: int, out_channels: int, *, separable: bool = False) -> None:
         super().__init__()
-        self.conv = nn.Conv2d(in_channels, out_channels, 3, padding=1, bias=False)
+        dense = nn.Conv2d(in_channels, out_channels, 3, padding=1, bias=False)
+        self.conv = separable_conv(in_channels, out_channels) if separable else dense
 
     def forward(self, x: Tensor, boundary: Tensor | None) -> Tensor:
         """Convolve x * (1 - boundary)."""

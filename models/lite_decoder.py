@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from models.blocks import BaConv, boundary_side, conv_bn, shortcut, upsample
+from models.blocks import BaConv, conv_bn, separable_conv, shortcut, upsample
 
 #: Channels of a side output of the boundary decoder.
 _SIDE_CHANNELS = 16
@@ -17,7 +17,7 @@ class BoundaryDecoder(nn.Module):
 
     def __init__(self, skip_channels: Sequence[int]) -> None:
         super().__init__()
-        self.sides = nn.ModuleList(boundary_side(skip, _SIDE_CHANNELS) for skip in skip_channels)
+        self.sides = nn.ModuleList(_side(skip) for skip in skip_channels)
         self.fuse = nn.Conv2d(len(skip_channels), 1, 1)
 
     def forward(self, skips: Sequence[Tensor]) -> tuple[Tensor, list[Tensor]]:
@@ -27,6 +27,14 @@ class BoundaryDecoder(nn.Module):
         return self.fuse(torch.cat(same_size, dim=1)), sides
 
 
+def _side(channels: int) -> nn.Sequential:
+    """A side output: (N, C, H, W) to the logits (N, 1, H, W)."""
+    features = nn.Sequential(
+        separable_conv(channels, _SIDE_CHANNELS), nn.BatchNorm2d(_SIDE_CHANNELS), nn.ReLU()
+    )
+    return nn.Sequential(features, nn.Conv2d(_SIDE_CHANNELS, 1, 1))
+
+
 class UpBlock(nn.Module):
     """up(x) + 1x1(skip), BaConv 3x3, BN, ReLU; the skip has twice the size of x.
 
@@ -34,11 +42,13 @@ class UpBlock(nn.Module):
     normalised before they are added.
     """
 
-    def __init__(self, in_channels: int, skip_channels: int, channels: int) -> None:
+    def __init__(
+        self, in_channels: int, skip_channels: int, channels: int, *, separable: bool
+    ) -> None:
         super().__init__()
         self.reduce = shortcut(in_channels, channels, stride=1)
         self.project = conv_bn(skip_channels, channels, kernel=1)
-        self.baconv = BaConv(channels, channels)
+        self.baconv = BaConv(channels, channels, separable=separable)
         self.norm = nn.BatchNorm2d(channels)
 
     def forward(self, x: Tensor, skip: Tensor, boundary: Tensor | None = None) -> Tensor:
@@ -49,15 +59,29 @@ class UpBlock(nn.Module):
 
 
 class TaskDecoder(nn.Module):
-    """UpBlocks from the bottom to the finest skip."""
+    """UpBlocks from the bottom to the finest skip.
+
+    Args:
+        bottom_channels: channels of the bottom.
+        skip_channels: channels of each skip, finest first.
+        channels: channels of each block, coarsest first.
+        separable: whether the BaConv of each block is separable, coarsest first; None = none is.
+    """
 
     def __init__(
-        self, bottom_channels: int, skip_channels: Sequence[int], channels: Sequence[int]
+        self,
+        bottom_channels: int,
+        skip_channels: Sequence[int],
+        channels: Sequence[int],
+        separable: Sequence[bool] | None = None,
     ) -> None:
         super().__init__()
         below = (bottom_channels, *channels[:-1])
-        sides = zip(below, reversed(skip_channels), channels, strict=True)
-        self.blocks = nn.ModuleList(UpBlock(*side) for side in sides)
+        separable = separable or [False] * len(channels)
+        sides = zip(below, reversed(skip_channels), channels, separable, strict=True)
+        self.blocks = nn.ModuleList(
+            UpBlock(*side, separable=is_separable) for *side, is_separable in sides
+        )
 
     def forward(
         self, bottom: Tensor, skips: Sequence[Tensor], boundaries: Sequence[Tensor]

@@ -62,8 +62,11 @@ class SSDNetLiteConfig(NetworkConfig):
     #: stride 4. Poles and signs are thinner than a cell of the coarser grid.
     semantic_refine_channels: int = 16
     depth_refine_channels: int = 16
+    #: From this stride on, the BaConvs of the depth's decoder are separable; 0 = none is. Those of
+    #: the classes are at stride 2 alone: thin classes need dense ones before it.
+    depth_separable_from: int = 4
     #: Channels of the convolutions that read the geometry of the returns, at stride 4.
-    geometry_channels: int = 24
+    geometry_channels: int = 16
 
     def __post_init__(self) -> None:
         """Check the values and their combinations."""
@@ -71,7 +74,7 @@ class SSDNetLiteConfig(NetworkConfig):
             raise ValueError("a network needs a semantic head, a depth head or both")
         check_counts("encoder_widths", self.encoder_widths)
         check_counts("decoder_channels", self.decoder_channels)
-        for key in ("semantic_refine_channels", "depth_refine_channels"):
+        for key in ("semantic_refine_channels", "depth_refine_channels", "depth_separable_from"):
             check_counts(key, [getattr(self, key)], least=0)
         check_counts("geometry_channels", [self.geometry_channels])
         super().__post_init__()
@@ -93,7 +96,7 @@ SSDNET_NANO = SSDNetLiteConfig(
     decoder_channels=(32, 16, 16),
     semantic_refine_channels=0,
     depth_refine_channels=0,
-    geometry_channels=16,
+    depth_separable_from=0,
 )
 
 
@@ -127,14 +130,16 @@ class SSDNetLite(Network):
                 # Without the prediction at stride 4 the few channels at stride 2 would hold all of
                 # it, which takes longer to learn.
                 self.semantic_coarse_head = nn.Conv2d(finest, config.num_classes, 1)
-                self.semantic_refine = UpBlock(finest, CHANNELS[2], refined)
+                self.semantic_refine = UpBlock(finest, CHANNELS[2], refined, separable=True)
         if config.depth_head:
-            self.depth_decoder = TaskDecoder(bottom, skips, config.decoder_channels)
+            separable = [stride <= config.depth_separable_from for stride in reversed(_SKIPS)]
+            self.depth_decoder = TaskDecoder(bottom, skips, config.decoder_channels, separable)
             self.surface_depth = SurfaceDepthHead(
                 config.decoder_channels[-1],
                 CHANNELS[2],
                 CHANNELS[4],
                 refine_channels=config.depth_refine_channels,
+                separable=config.depth_separable_from >= 2,
                 geometry_channels=config.geometry_channels,
                 semantics=config.semantic_head,
                 max_depth_m=config.max_depth_m,

@@ -58,8 +58,9 @@ _HEAD_SPLIT = [3, 1, 1, 3]
 HEAD_CHANNELS = sum(_HEAD_SPLIT)
 #: `HeadChannels.surfaces` of a new head.
 _FIRST_CONFIDENCES = (2.5, -4.0, -4.0)
-#: Class-like channels that the geometry's branch reads, and its other channels.
-_CLASS_CHANNELS, _RATIO_CHANNELS = 8, 9
+#: Class-like channels that the geometry's branch reads, and its other channels: 16 together, as
+#: ONNX Runtime computes convolutions in blocks of 8 or 16 channels.
+_CLASS_CHANNELS, _RATIO_CHANNELS = 7, 9
 
 
 class SurfaceDepthHead(nn.Module):
@@ -70,6 +71,7 @@ class SurfaceDepthHead(nn.Module):
         at_2_channels: channels of the encoder's features at stride 2.
         at_4_channels: channels of the encoder's features at stride 4.
         refine_channels: channels at stride 2, where the choice is made; 0 = it is made at stride 4.
+        separable: whether the BaConv at stride 2 is separable.
         geometry_channels: channels of the convolutions that decide close to returns.
         semantics: whether there are features of the semantic decoder.
         max_depth_m: depth [m] of the normalised depth 1.0.
@@ -83,6 +85,7 @@ class SurfaceDepthHead(nn.Module):
         at_4_channels: int,
         *,
         refine_channels: int,
+        separable: bool,
         geometry_channels: int,
         semantics: bool,
         max_depth_m: float,
@@ -97,7 +100,7 @@ class SurfaceDepthHead(nn.Module):
         self.semantics = nn.Conv2d(channels, channels, 1) if semantics else None
         self.refinement = None
         if refine_channels:
-            self.refinement = UpBlock(channels, at_2_channels, refine_channels)
+            self.refinement = UpBlock(channels, at_2_channels, refine_channels, separable=separable)
             self.coarse_head = nn.Conv2d(channels, HEAD_CHANNELS, 1)
         self.head = nn.Conv2d(refine_channels or channels, HEAD_CHANNELS, 1)
         self.cell = CELL // 2 if refine_channels else CELL
@@ -136,41 +139,47 @@ class SurfaceDepthHead(nn.Module):
         """Return the depth, its error's scale and the boundary's logits at the image's size.
 
         Args:
-            candidates: of the frame.
-            features: of the depth decoder, on the grid of CELL.
+            candidates: candidates of the frame.
+            features: features of the depth decoder, on the grid of CELL.
             semantics: features of the semantic decoder, on the same grid.
             at_2: features of the encoder at stride 2.
             boundary_logits: on the grid of CELL; they are upsampled together with the depth.
         """
         guess = self.farthest_guess * torch.sigmoid(self.guess(features))
-        guess = torch.minimum(guess, candidates.guess_limit)
-        geometry = self.geometry(self._geometry(candidates, semantics, boundary_logits)).float()
+        guess = torch.minimum(guess, candidates.guess_limit).float()
+        beside = candidates.beside
+        departures = apart(torch.cat(beside[:2], dim=1))
+        geometry = self._geometry(candidates, departures, semantics, boundary_logits)
+        place, log_scale = self.geometry(geometry).float().split(1, dim=1)
         features = features + self.project(candidates.features)
         if self.semantics is not None:
             features = features + self.semantics(semantics)
-        surfaces = candidates.surfaces
-        if self.refinement is None:
-            found = self.head(features)
-        else:
-            found = self.head(self.refinement(features, at_2)) + upsample(
-                self.coarse_head(features)
-            )
-            # One upsampling for all maps of a grid: ONNX Runtime splits a Resize by channels.
-            maps = upsample(torch.cat([*surfaces, guess, boundary_logits], dim=1))
-            *finer, guess, boundary_logits = maps.split(1, dim=1)
-            surfaces = Surfaces(*finer)
-        head = HeadChannels.split(found.float())
-        guess, boundary_logits = guess.float(), boundary_logits.float()
-        depth, scale = choose_surface(head, guess, surfaces, reach=self.farthest_guess)
-        maps = torch.cat([1.0 / depth, scale, boundary_logits], dim=1)
-        maps = upsample(maps, factor=self.cell // BASE_CELL)
-        inverse, scale, boundary_logits = maps.split(1, dim=1)
-        beside = candidates.beside
+        surfaces, boundary_logits = candidates.surfaces, boundary_logits.float()
+        room = correction_room(beside, surfaces.support)
         if self.training:
             # At random the share is set to 0, kept, or doubled, so that neither choice learns to
             # compensate for the other.
             beside = beside._replace(share=beside.share * torch.randint(3, ()).to(beside.share))
-        inverse, scale = join_base(inverse, scale, geometry, candidates.base.base, beside)
+        # One upsampling for all maps of a grid: ONNX Runtime splits a Resize by channels.
+        base_maps = [
+            depart(position(place), departures),
+            _relative_scale(log_scale),
+            beside.share,
+        ]
+        if self.refinement is None:
+            head = HeadChannels.split(self.head(features).float())
+            chosen = choose_surface(head, guess, surfaces, room, reach=self.farthest_guess)
+            maps = upsample(torch.cat([*chosen, boundary_logits, *base_maps], dim=1))
+            inverse, scale, boundary_logits, *base_maps = maps.split(1, dim=1)
+        else:
+            coarse = [*surfaces, guess, room, boundary_logits, *base_maps]
+            maps = upsample(torch.cat(coarse, dim=1)).split(1, dim=1)
+            surfaces = Surfaces(*maps[: len(surfaces)])
+            guess, room, boundary_logits, *base_maps = maps[len(surfaces) :]
+            refined = self.head(self.refinement(features, at_2))
+            head = HeadChannels.split((refined + upsample(self.coarse_head(features))).float())
+            inverse, scale = choose_surface(head, guess, surfaces, room, reach=self.farthest_guess)
+        inverse, scale = join_base(inverse, scale, candidates.base.base, *base_maps)
         maps = upsample(torch.cat([inverse, scale, boundary_logits], dim=1), factor=BASE_CELL)
         inverse, scale, boundary_logits = maps.split(1, dim=1)
         # One value a cell is enough: the returns give the position of an edge.
@@ -178,19 +187,23 @@ class SurfaceDepthHead(nn.Module):
         in_returns = F.interpolate(in_returns, scale_factor=float(self.cell), mode="nearest")
         returns = dilate_returns(candidates.measured)
         depth, scale = take_returns(
-            1.0 / inverse, scale, returns, in_returns, max_depth_m=self.max_depth_m
+            inverse, scale, returns, in_returns, max_depth_m=self.max_depth_m
         )
         return depth, scale, boundary_logits
 
     def _geometry(
-        self, candidates: Candidates, semantics: Tensor | None, boundary_logits: Tensor
+        self,
+        candidates: Candidates,
+        departures: Tensor,
+        semantics: Tensor | None,
+        boundary_logits: Tensor,
     ) -> Tensor:
         """Return the input of the geometry's branch: nothing that depends on camera or LiDAR."""
         surfaces, beside = candidates.surfaces, candidates.beside
         ratios, density = torch.cat(beside[:2], dim=1), candidates.features[:, -1:]
         maps = [
             ratios,
-            5.0 * apart(ratios),
+            5.0 * departures,
             surfaces.support,
             surfaces.reached,
             beside.share * (1.0 / MOST_BESIDE),
@@ -209,45 +222,41 @@ MAX_LOG_CORRECTION = 0.5
 #: Least and greatest log of the ratio of the error's scale to the depth: 0.25 % to 2.7 times the
 #: depth, so that neither the loss nor its gradient grows without bound. Not tuned.
 LOG_SCALE = (-6.0, 1.0)
-#: Share of the spread of the candidates, see `replace`, that is added to the error's scale.
+#: Share of the spread of the prediction and the closest return that is added to the error's scale.
 SPREAD_SHARE = 0.5
 
 
 def choose_surface(
-    head: HeadChannels, guess: Tensor, surfaces: Surfaces, *, reach: float
+    head: HeadChannels, guess: Tensor, surfaces: Surfaces, room: Tensor, *, reach: float
 ) -> tuple[Tensor, Tensor]:
-    """Choose among the candidates and the guess: the depth, and its error's scale.
+    """Choose among the candidates and the guess: the inverse depth, and its error's scale.
 
     Each candidate replaces what was chosen before, weighted by the confidence in it: the plane the
-    guess, then the farthest surface, then the nearest. The result is corrected. No depth is beyond
+    guess, then the farthest surface, then the nearest. The result is corrected, by at most
+    `room`, a log ratio. No depth is beyond
     `reach`, the limit of the guess, unless the farthest surface is.
 
     Returns:
-        The normalised depth, (N, 1, h, w), NEAREST..1, and the scale of its error's Laplace
-        distribution.
+        Inverse of the normalised depth, (N, 1, h, w), 1..1/NEAREST, and the scale of the depth's
+        error, of a Laplace distribution.
     """
     in_plane, in_farthest, in_nearest = confidence(head.surfaces).split(1, dim=1)
-    farthest, nearest = surfaces.farthest, surfaces.nearest
-    plane = 1.0 / surfaces.plane
-    depth, spread = replace(guess, 0.0, plane - guess, in_plane * surfaces.reached)
-    for candidate, weight in ((farthest, in_farthest), (nearest, in_nearest)):
-        depth, spread = replace(depth, spread, candidate - depth, weight * surfaces.support)
-    depth = correct(depth, surfaces, head.correction).clamp(min=NEAREST)
-    depth = torch.minimum(depth, (farthest * surfaces.support).clamp(min=reach))
-    scale = _relative_scale(head.scale)
-    return depth, depth.detach() * scale + SPREAD_SHARE * spread.detach()
+    farthest, nearest, support = surfaces.farthest, surfaces.nearest, surfaces.support
+    depth = guess + in_plane * surfaces.reached * (1.0 / surfaces.plane - guess)
+    depth = depth + in_farthest * support * (farthest - depth)
+    depth = depth + in_nearest * support * (nearest - depth)
+    depth = (depth * torch.exp(room * torch.tanh(head.correction))).clamp(min=NEAREST)
+    depth = torch.minimum(depth, (farthest * support).clamp(min=reach))
+    return 1.0 / depth, depth.detach() * _relative_scale(head.scale)
 
 
-def correct(depth: Tensor, surfaces: Surfaces, logits: Tensor) -> Tensor:
-    """Scale the depth; close to returns by no more than the two surfaces differ.
+def correction_room(beside: Beside, support: Tensor) -> Tensor:
+    """Return the greatest log of the correction: close to returns what the two surfaces differ by.
 
-    Where the surfaces agree the depth stays as it is. Where there are no returns the limit is
-    MAX_LOG_CORRECTION.
+    Where there are no returns it is MAX_LOG_CORRECTION.
     """
-    disagreement = surfaces.farthest / surfaces.nearest
-    room = torch.log(disagreement).clamp(0.0, MAX_LOG_CORRECTION)
-    room = MAX_LOG_CORRECTION + surfaces.support * (room - MAX_LOG_CORRECTION)
-    return depth * torch.exp(room * torch.tanh(logits))
+    room = beside.far - beside.near + MAX_LOG_CORRECTION * (1.0 - support)
+    return room.clamp(max=MAX_LOG_CORRECTION)
 
 
 def confidence(logits: Tensor) -> Tensor:
@@ -263,18 +272,6 @@ def confidence(logits: Tensor) -> Tensor:
     return _with_gradient_of(slope * share - STRETCH, limited)
 
 
-def replace(
-    depth: Tensor, spread: Tensor | float, step: Tensor, weight: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Replace a share `weight` (0..1) of the depth by a candidate that is `step` farther.
-
-    The spread is half the mean distance of the candidates from the depth. For two candidates it is
-    w (1 - w) |step|; for more candidates the sum of these terms is an upper bound.
-    """
-    taken = weight * step
-    return depth + taken, (1.0 - weight) * (spread + taken.abs())
-
-
 #: Position up to which the answer is the base. A position beyond it is reduced by this value.
 DEAD_ZONE = 0.1
 
@@ -285,30 +282,42 @@ def position(x: Tensor) -> Tensor:
     return _with_gradient_of(x, limited) if torch.is_grad_enabled() else limited
 
 
+def depart(place: Tensor, departures: Tensor) -> Tensor:
+    """Return the log ratio of the depth to the base, (N, 1, h, w).
+
+    Args:
+        place: -1 = nearest surface, 0 = base, 1 = farthest, same shape.
+        departures: log ratios of the nearest and of the farthest surface to the base, (N, 2, h, w).
+    """
+    near, far = departures.split(1, dim=1)
+    return place.clamp(min=0.0) * far - place.clamp(max=0.0) * near
+
+
 def join_base(
-    inverse: Tensor, scale: Tensor, geometry: Tensor, base: Tensor, beside: Beside
+    inverse: Tensor,
+    scale: Tensor,
+    base: Tensor,
+    departure: Tensor,
+    relative_scale: Tensor,
+    share: Tensor,
 ) -> tuple[Tensor, Tensor]:
     """Average the chosen depth with the base, which departs to a surface where there are two.
 
     Args:
-        inverse: inverse of the chosen normalised depth, (N, 1, H, W), on the grid of BASE_CELL.
-        scale: scale of its error, same shape.
-        geometry: position, -1 = nearest surface, 1 = farthest, and scale of the error, before their
-            activations, (N, 2, h, w), on the grid of CELL.
-        base: inverse depth of the base, shape of `inverse`.
-        beside: what decides the depth close to returns, on the grid of CELL.
+        inverse: inverse of the chosen normalised depth, (N, 1, H, W), like all others on the grid
+            of BASE_CELL.
+        scale: scale of its error.
+        base: inverse depth of the base.
+        departure: departure from the base, see `depart`.
+        relative_scale: scale of the error of the base, as a share of the depth.
+        share: share of the base, see `Beside`.
 
     Returns:
         Inverse depth and the scale of its error, both of the shape of `inverse`.
     """
-    place, log_scale = geometry.split(1, dim=1)
-    place = position(place)
-    departure = place.clamp(min=0.0) * apart(beside.far) - place.clamp(max=0.0) * apart(beside.near)
-    maps = torch.cat([departure, _relative_scale(log_scale), beside.share], dim=1)
-    departure, relative, share = upsample(maps, factor=CELL // BASE_CELL).split(1, dim=1)
     measured = (base * torch.exp(-departure)).clamp(1.0, 1.0 / NEAREST)
-    inverse = torch.lerp(inverse, measured, share)
-    return inverse, torch.lerp(scale, relative / inverse.detach(), share)
+    inverse = inverse + share * (measured - inverse)
+    return inverse, scale + share * (relative_scale / inverse.detach() - scale)
 
 
 #: Difference of inverse depths [1/m] up to which a LiDAR beside the camera hardly sees past the
@@ -324,7 +333,7 @@ MAX_SCALE_REDUCTION = 0.9
 
 
 def take_returns(
-    depth: Tensor, scale: Tensor, returns: Returns, confidence: Tensor, *, max_depth_m: float
+    inverse: Tensor, scale: Tensor, returns: Returns, confidence: Tensor, *, max_depth_m: float
 ) -> tuple[Tensor, Tensor]:
     """Replace the predicted depth by the closest return, weighted by the confidence in it.
 
@@ -335,8 +344,8 @@ def take_returns(
     the return is farther by more than a slope explains.
 
     Args:
-        depth: predicted depth, normalised by `max_depth_m`, (N, 1, H, W).
-        scale: scale of its error, same shape.
+        inverse: inverse of the predicted depth, which is normalised by `max_depth_m`, (N, 1, H, W).
+        scale: scale of the depth's error, same shape.
         returns: returns around each pixel.
         confidence: sigmoids of `HeadChannels.returns`, (N, 3, H, W).
         max_depth_m: depth [m] of the normalised depth 1.0.
@@ -345,7 +354,7 @@ def take_returns(
         The depth; and the scale, reduced beside a return, plus the spread of the two depths.
     """
     before, behind, reduction = confidence.split(1, dim=1)
-    inverse = 1.0 / depth
+    depth = 1.0 / inverse
     measured = 1.0 / returns.inverse
     step = measured - depth
     parallax = (inverse - returns.inverse).abs()
@@ -354,9 +363,11 @@ def take_returns(
     beyond = ramp(measured * inverse, 1.0 / SLOPE, -1.0 / SLOPE - 1.0)
     weight = torch.where(step < 0, before, behind)
     weight = torch.maximum(weight, aligned * torch.maximum(returns.here, beyond)) * returns.near
-    depth, spread = replace(depth, 0.0, step, weight)
+    moved = weight * step
+    # The mean distance of both depths from their mean is twice this: w (1 - w) |step|.
+    spread = ((1.0 - weight) * moved).abs()
     scale = scale * ramp(reduction * returns.near, -MAX_SCALE_REDUCTION, 1.0)
-    return depth, scale + SPREAD_SHARE * spread.detach()
+    return depth + moved, scale + SPREAD_SHARE * spread.detach()
 
 
 def _relative_scale(logits: Tensor) -> Tensor:
