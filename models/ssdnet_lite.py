@@ -4,7 +4,7 @@
 |---|---|---|
 | 1 | RGB; depth and mask; the depth with returns at full size | 3; 2; 1 |
 | 2 | `EfficientNetLite.early`; refined features of classes and depth; the base | 16; 16; 1 |
-| 4 | `early`, with planes and surfaces added; decoders; boundary; geometry | 24; 32; 1; 24 |
+| 4 | `early`, with planes and surfaces added; decoders; boundary; geometry | 24; 32; 1; 16 |
 | 8, 16, 32 | `EfficientNetLite.late`; decoders at 8 and 16 | 40, 112, 320; 48, 64 |
 
 `docs/network.png` shows these grids (`benchmarks/network_figure.py` draws it from the modules).

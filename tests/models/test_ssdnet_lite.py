@@ -111,7 +111,7 @@ def test_features_that_no_activation_bounds_do_not_drown_what_they_are_added_to(
     """Ten times the features leave the same batch the same: both are normalised."""
     torch.manual_seed(0)
     below, skip = torch.randn(2, 24, 4, 6), torch.randn(2, 40, 8, 12)
-    block = UpBlock(24, 40, 16).train()
+    block = UpBlock(24, 40, 16, separable=True).train()
     plain = block(below, skip)
     for scaled in (block(below, 10 * skip), block(10 * below, skip)):
         assert torch.allclose(scaled, plain, atol=1e-3)

@@ -17,9 +17,10 @@ from models.surface_depth import (
     HeadChannels,
     choose_surface,
     confidence,
+    correction_room,
+    depart,
     join_base,
     position,
-    replace,
     take_returns,
 )
 from models.surfaces import (
@@ -30,7 +31,6 @@ from models.surfaces import (
     NEAREST,
     RETURN_REACH,
     WINDOWS,
-    Beside,
     Measured,
     apart,
     dilate_returns,
@@ -158,17 +158,23 @@ def test_the_nearest_surface_is_the_nearest_of_a_plain_loop_before_smoothing():
         assert found.nearest[0, 0, row, column] == pytest.approx(expected, rel=1e-4)
 
 
+def chosen_of(head, guess, surfaces, base, *, reach=1.0):
+    """The depth that is chosen, and the scale of its error."""
+    room = correction_room(look_beside(surfaces, base), surfaces.support)
+    inverse, scale = choose_surface(head, grid_of(guess), surfaces, room, reach=reach)
+    return 1 / inverse, scale
+
+
 def test_nothing_measured_changes_nothing():
     nothing = measured()
     found, base, count = propagate_surfaces(nothing)
     assert not surface_features(found, count).any()
     assert not look_beside(found, base).share.any()
     assert torch.equal(limit_guess(found, count), grid_of(1.0))
-    own = grid_of(0.4)
     confident = head_of(plane=30.0, farthest=30.0, nearest=30.0)
-    depth, scale = choose_surface(confident, own, found, reach=1.0)
-    assert torch.allclose(depth, own)
-    assert torch.equal(scale, choose_surface(head_of(), own, found, reach=1.0)[1])
+    depth, scale = chosen_of(confident, 0.4, found, base)
+    assert torch.allclose(depth, grid_of(0.4))
+    assert torch.equal(scale, chosen_of(head_of(), 0.4, found, base)[1])
     taken, kept = taken_of(1.0, 1.0, reduction=1.0)
     assert (taken == 0.5).all()
     assert (kept == 0.04).all()
@@ -205,36 +211,35 @@ def test_what_returns_nothing_is_no_farther_than_the_returns_around():
     ],
 )
 def test_a_candidate_replaces_the_others_by_the_confidence_in_it(returns, logits, guess, expected):
-    found, *_ = propagate_surfaces(
+    found, base, _ = propagate_surfaces(
         measured(returns) if isinstance(returns, dict) else measured_where(returns)
     )
-    depth, _ = choose_surface(head_of(**logits), grid_of(guess), found, reach=1.0)
+    depth, _ = chosen_of(head_of(**logits), guess, found, base)
     assert depth[CELL_OF_TWO] == pytest.approx(expected, rel=1e-3)
 
 
 def test_a_correction_stays_between_both_surfaces():
-    found, *_ = propagate_surfaces(measured_where(scanned(8, 0.3)))
+    found, base, _ = propagate_surfaces(measured_where(scanned(8, 0.3)))
     found = found._replace(farthest=grid_of(0.36))
-    head = head_of(plane=30.0, correction=30.0)
-    corrected, _ = choose_surface(head, grid_of(0.45), found, reach=1.0)
+    corrected, _ = chosen_of(head_of(plane=30.0, correction=30.0), 0.45, found, base)
     assert torch.allclose(corrected, torch.tensor(0.36), rtol=1e-3)
 
 
 def test_beyond_the_reach_of_the_guess_only_returns_are_answered():
-    found, *_ = propagate_surfaces(measured(TWO))
+    found, base, _ = propagate_surfaces(measured(TWO))
     for logits, cell, expected in (
         ({}, (0, 0, 30, 40), 0.5),
         ({"farthest": 30.0}, CELL_OF_TWO, 0.8),
     ):
         head = head_of(correction=30.0, **logits)
-        chosen, _ = choose_surface(head, grid_of(0.45), found, reach=0.5)
+        chosen, _ = chosen_of(head, 0.45, found, base, reach=0.5)
         assert chosen[cell] == pytest.approx(expected, rel=1e-4)
 
 
 def test_a_plane_is_the_answer_of_a_head_without_confidence_in_surfaces():
     inverse, returns = road()
-    found, *_ = propagate_surfaces(returns)
-    chosen = 1 / choose_surface(head_of(plane=30.0), grid_of(0.45), found, reach=1.0)[0]
+    found, base, _ = propagate_surfaces(returns)
+    chosen = 1 / chosen_of(head_of(plane=30.0), 0.45, found, base)[0]
     expected = torch.nn.functional.avg_pool2d(inverse, CELL)
     assert torch.allclose(chosen[..., 3:-3, :], expected[..., 3:-3, :], rtol=1e-3)
 
@@ -287,10 +292,10 @@ def test_surfaces_are_compared_with_the_base():
 def test_at_full_share_the_answer_is_the_base_with_its_detail(place):
     inverse, returns = road()
     surfaces, base, _ = propagate_surfaces(returns)
-    beside = look_beside(surfaces, base)._replace(share=grid_of(1.0))
-    geometry = torch.cat([grid_of(place), grid_of(0.0)], dim=1)
-    chosen = torch.full_like(base.base, 2.0)
-    found, _ = join_base(chosen, 0.1 / chosen, geometry, base.base, beside)
+    ratios = torch.cat(look_beside(surfaces, base)[:2], dim=1)
+    departure = upsample(depart(position(grid_of(place)), apart(ratios)))
+    chosen, whole = torch.full_like(base.base, 2.0), torch.ones_like(base.base)
+    found, _ = join_base(chosen, 0.1 / chosen, base.base, departure, whole, whole)
     inside = (..., slice(12, -12), slice(12, -12))
     assert torch.allclose(upsample(found, factor=BASE_CELL)[inside], inverse[inside], rtol=1e-3)
 
@@ -307,57 +312,48 @@ def test_at_full_share_the_answer_is_the_base_with_its_detail(place):
     ],
 )
 def test_a_departure_is_to_a_surface_and_only_where_there_are_two(place, near, far, log_ratio):
-    base = torch.full((1, 1, SIZE[0] // 2, SIZE[1] // 2), 4.0)
-    beside = Beside(grid_of(near), grid_of(far), grid_of(1.0))
-    geometry = torch.cat([grid_of(place), grid_of(0.0)], dim=1)
-    inverse, _ = join_base(base / 2, 1 / base, geometry, base, beside)
-    assert torch.allclose(-(inverse / base).log(), torch.tensor(log_ratio), atol=1e-5)
+    departures = apart(torch.cat([grid_of(near), grid_of(far)], dim=1))
+    departure = depart(position(grid_of(place)), departures)
+    assert torch.allclose(departure, torch.tensor(log_ratio), atol=1e-5)
+    base, whole = torch.full_like(departure, 4.0), torch.ones_like(departure)
+    inverse, _ = join_base(base / 2, 1 / base, base, departure, whole, whole)
+    assert torch.allclose(-(inverse / base).log(), departure, atol=1e-5)
 
 
 def test_the_image_keeps_its_share_beside_returns_and_all_of_it_farther():
     surfaces, base, _ = propagate_surfaces(measured_where(scanned(8, 0.25)))
     beside = look_beside(surfaces, base)
     chosen = torch.full_like(base.base, 2.0)
-    geometry = torch.zeros(1, 2, *GRID)
-    inverse, scale = join_base(chosen, 0.1 / chosen, geometry, base.base, beside)
-    share = upsample(beside.share)
+    still, share = torch.zeros_like(chosen), upsample(beside.share)
+    relative = float(np.exp(sum(LOG_SCALE) / 2))
+    maps = base.base, still, torch.full_like(chosen, relative)
+    inverse, scale = join_base(chosen, 0.1 / chosen, *maps, share)
     assert 0.9 * MOST_BESIDE < share.max() <= MOST_BESIDE
     inside = (..., slice(12, -12), slice(12, -12))
     assert torch.allclose(inverse[inside], (2.0 + 2.0 * share)[inside], rtol=1e-3)
-    relative = float(np.exp(sum(LOG_SCALE) / 2))
     expected = 0.05 + share * (relative / inverse - 0.05)
     assert torch.allclose(scale[inside], expected[inside], rtol=1e-3)
-    far = beside._replace(share=grid_of(0.0))
-    assert torch.equal(join_base(chosen, 0.1 / chosen, geometry, base.base, far)[0], chosen)
+    assert torch.equal(join_base(chosen, 0.1 / chosen, *maps, still)[0], chosen)
 
 
 @pytest.mark.parametrize(("logit", "log"), [(-99, LOG_SCALE[0]), (0, -2.5), (99, LOG_SCALE[1])])
-def test_the_error_is_a_bounded_share_of_the_depth_and_grows_with_the_spread(logit, log):
+def test_the_error_is_a_bounded_share_of_the_depth(logit, log):
     """Half of 0.8 and half of 0.4; then half of 0.05 and half of what that gave."""
     halves = head_of(farthest=0.0, nearest=0.0, scale=logit)
-    for returns, expected, spread in (({}, 0.4, 0.0), (TWO, 0.325, 0.5 * (0.1 + 0.275))):
-        found, *_ = propagate_surfaces(measured(returns))
-        maps = choose_surface(halves, grid_of(0.4), found._replace(plane=grid_of(2.5)), reach=1.0)
+    for returns, expected in (({}, 0.4), (TWO, 0.325)):
+        found, base, _ = propagate_surfaces(measured(returns))
+        maps = chosen_of(halves, 0.4, found._replace(plane=grid_of(2.5)), base)
         depth, scale = (each[CELL_OF_TWO] for each in maps)
         assert depth == pytest.approx(expected, rel=1e-3)
-        assert scale == pytest.approx(expected * np.exp(log) + SPREAD_SHARE * spread, rel=1e-3)
-
-
-@pytest.mark.parametrize("weight", [0.0, 0.3, 1.0])
-def test_the_spread_of_two_depths_is_half_their_mean_distance_from_their_mean(weight):
-    depth, spread = replace(*(torch.tensor(value) for value in (0.4, 0.0, 0.2, weight)))
-    mean = 0.4 + 0.2 * weight
-    assert depth == pytest.approx(mean)
-    assert spread == pytest.approx(((1 - weight) * abs(0.4 - mean) + weight * abs(0.6 - mean)) / 2)
-    _, spread = replace(*(torch.tensor(value) for value in (0.4, 0.1, 0.0, weight)))
-    assert spread == pytest.approx(0.1 * (1 - weight))
+        assert scale == pytest.approx(expected * np.exp(log), rel=1e-3)
 
 
 def test_the_scale_does_not_train_the_choice():
     own = grid_of(0.4).requires_grad_()
     head = torch.cat(head_of(plane=0.0, farthest=0.0, nearest=0.0), dim=1).requires_grad_()
-    found, *_ = propagate_surfaces(measured(TWO))
-    choose_surface(HeadChannels.split(head), own, found, reach=1.0)[1].sum().backward()
+    found, base, _ = propagate_surfaces(measured(TWO))
+    room = correction_room(look_beside(found, base), found.support)
+    choose_surface(HeadChannels.split(head), own, found, room, reach=1.0)[1].sum().backward()
     trained = head.grad.abs().sum(dim=(0, 2, 3)) > 0
     assert [name for name, is_trained in zip(CHANNELS, trained, strict=True) if is_trained] == [
         "scale"
@@ -388,14 +384,14 @@ def test_the_nearest_return_is_that_of_a_plain_loop():
 def taken_of(before, behind, depth=0.5, reduction=0.0, returns=None, range_m=RANGE_M):
     """What is left of a depth and of a scale of 0.04 around returns."""
     confidence = torch.tensor([before, behind, reduction]).view(1, 3, 1, 1).expand(1, 3, *SIZE)
-    maps = (torch.full((1, 1, *SIZE), value) for value in (depth, 0.04))
+    maps = (torch.full((1, 1, *SIZE), value) for value in (1 / depth, 0.04))
     found = take_returns(*maps, dilate_returns(measured(returns)), confidence, max_depth_m=range_m)
     return found[0][0, 0], found[1][0, 0]
 
 
 @pytest.mark.parametrize("share", [1.0, 0.5, 0.0])
 @pytest.mark.parametrize(("returned", "channel"), [(0.05, 0), (0.9, 1)])
-def test_a_return_of_full_confidence_is_taken_beside_it_and_nowhere_else(returned, channel, share):
+def test_a_return_is_taken_by_its_confidence_beside_it_and_nowhere_else(returned, channel, share):
     """Returns before and behind the predicted depth have a channel of confidence each."""
     confidence = [0.0, 0.0]
     confidence[channel] = share

@@ -29,6 +29,9 @@ _SINGLE = {
 RECIPES: Mapping[str, PackageRecipe] = {
     "lite": _described(lite, lite.STAGES),
     "nano": _described(nano, nano.STAGES),
+    "lite-classes": PackageRecipe(
+        "The classes and boundaries of lite, by a --teacher.", (Stage("", lite.CLASSES),)
+    ),
     "lite-depth": PackageRecipe("The last stage of lite: its depth.", (Stage("", lite.DEPTH),)),
     "nano-depth": PackageRecipe("The last stage of nano: its depth.", (Stage("", nano.DEPTH),)),
     "kitti-depth": _described(kitti_depth, (Stage("", kitti_depth.RECIPE),)),
