@@ -87,7 +87,7 @@ def with_thin_boundary(found: dict[str, Tensor]) -> dict[str, Tensor]:
     return found | {"boundary": found["boundary"] * differences}
 
 
-#: Size of the image of `check_output`: odd sides, which no stride divides.
+# Size of the image of `check_output`: odd sides, which no stride divides.
 _PROBED = (37, 53)
 
 

@@ -24,13 +24,16 @@ _ZIP_START = b"PK\x03\x04"
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """The content of a checkpoint file."""
+    """The content of a checkpoint file.
 
-    #: The network, on the CPU, in evaluation mode.
+    Attributes:
+        model: the network, on the CPU, in evaluation mode.
+        training: training data, terms and the recipe; plain values.
+        trainer: state of the training loop (optimiser, step, ...); empty in a released checkpoint.
+    """
+
     model: Network
-    #: Training data, terms and the recipe; plain values.
     training: Mapping[str, Any]
-    #: State of the training loop (optimiser, step, ...); empty in a released checkpoint.
     trainer: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -143,7 +146,7 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
     return Checkpoint(model.eval(), document["training"], document["trainer"])
 
 
-#: Files of earlier releases hold the name of the Python class -> a registered name of the class.
+# Files of earlier releases hold the name of the Python class -> a registered name of the class.
 _CLASS_NAMES = {entry.network.__name__: name for name, entry in NETWORKS.items()}
 
 

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 
 from runtime.contract.contract import ClassInfo
 
-#: CamVid's eleven classes in the split and order of the SegNet papers (Brostow et al. 2009;
-#: Badrinarayanan et al. 2017); colours are RGB. The colours of pavement, sign, fence and car are
-#: those of Cityscapes, since CamVid's colours look alike over an image.
+# CamVid's eleven classes in the split and order of the SegNet papers (Brostow et al. 2009;
+# Badrinarayanan et al. 2017); colours are RGB. The colours of pavement, sign, fence and car are
+# those of Cityscapes, since CamVid's colours look alike over an image.
 CAMVID_CLASSES: tuple[ClassInfo, ...] = (
     ClassInfo("sky", (128, 128, 128)),
     ClassInfo("building", (128, 0, 0)),
@@ -21,7 +21,7 @@ CAMVID_CLASSES: tuple[ClassInfo, ...] = (
     ClassInfo("bicyclist", (0, 128, 192)),
 )
 
-#: Cityscapes' 19 classes of evaluation, in the order of their trainIds (Cordts et al. 2016).
+# Cityscapes' 19 classes of evaluation, in the order of their trainIds (Cordts et al. 2016).
 CITYSCAPES_CLASSES: tuple[ClassInfo, ...] = (
     ClassInfo("road", (128, 64, 128)),
     ClassInfo("sidewalk", (244, 35, 232)),
@@ -44,7 +44,7 @@ CITYSCAPES_CLASSES: tuple[ClassInfo, ...] = (
     ClassInfo("bicycle", (119, 11, 32)),
 )
 
-#: Virtual KITTI's 14 classes with the colours of its second edition (Cabon et al. 2020).
+# Virtual KITTI's 14 classes with the colours of its second edition (Cabon et al. 2020).
 VIRTUAL_KITTI_CLASSES: tuple[ClassInfo, ...] = (
     ClassInfo("terrain", (210, 0, 200)),
     ClassInfo("sky", (90, 200, 255)),
@@ -62,14 +62,14 @@ VIRTUAL_KITTI_CLASSES: tuple[ClassInfo, ...] = (
     ClassInfo("van", (0, 139, 139)),
 )
 
-#: The tables by their names in recipes.
+# The tables by their names in recipes.
 CLASS_TABLES: Mapping[str, tuple[ClassInfo, ...]] = {
     "camvid": CAMVID_CLASSES,
     "cityscapes": CITYSCAPES_CLASSES,
     "virtual_kitti": VIRTUAL_KITTI_CLASSES,
 }
 
-#: Cityscapes' seven categories, and the classes of every table that belong to each.
+# Cityscapes' seven categories, and the classes of every table that belong to each.
 CATEGORIES: Mapping[str, frozenset[str]] = {
     "flat": frozenset({"road", "sidewalk", "pavement"}),
     "construction": frozenset({"building", "wall", "fence", "guard rail"}),

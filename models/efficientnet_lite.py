@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-#: Mean and standard deviation of RGB in 0..255.
+# Mean and standard deviation of RGB in 0..255.
 RGB_MEAN, RGB_STD = 127.0, 128.0
-#: Channels of the features, by their stride.
+# Channels of the features, by their stride.
 CHANNELS = {2: 16, 4: 24, 8: 40, 16: 112, 32: 320}
-#: Kernel, stride and channels of the blocks, up to each of these strides.
+# Kernel, stride and channels of the blocks, up to each of these strides.
 _STAGES = (
     ((3, 1, 16),),
     ((3, 2, 24), (3, 1, 24)),
@@ -21,8 +21,8 @@ _STAGES = (
     ((3, 2, 80), *((3, 1, 80),) * 2, *((5, 1, 112),) * 3),
     ((5, 2, 192), *((5, 1, 192),) * 3, (3, 1, 320)),
 )
-#: Channels of the stem, then the inner channels of each block after the first: six times the
-#: channels of its input.
+# Channels of the stem, then the inner channels of each block after the first: six times the
+# channels of its input.
 WIDTHS = (32, 96, *[144] * 2, *[240] * 2, *[480] * 3, *[672] * 3, *[1152] * 4)
 
 

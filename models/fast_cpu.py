@@ -16,8 +16,8 @@ from torch.nn import functional as F
 P = ParamSpec("P")
 Operation = Callable[Concatenate[Tensor, P], Tensor]
 
-#: Up to this number of channels the maps are upsampled one by one; from 16 channels on PyTorch is
-#: faster.
+# Up to this number of channels the maps are upsampled one by one; from 16 channels on PyTorch is
+# faster.
 _FEW_CHANNELS = 8
 
 

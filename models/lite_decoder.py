@@ -8,7 +8,7 @@ from torch.nn import functional as F
 
 from models.blocks import BaConv, conv_bn, separable_conv, shortcut, upsample
 
-#: Channels of a side output of the boundary decoder.
+# Channels of a side output of the boundary decoder.
 _SIDE_CHANNELS = 16
 
 

@@ -23,28 +23,32 @@ from runtime.contract.contract import (
     farthest_return,
 )
 
-#: Stride of the coarsest grid on which classes are decided. Scores of a coarser grid are upsampled
-#: to it, and each decision is repeated to full size. Deciding at full size takes a tenth more time.
+# Stride of the coarsest grid on which classes are decided. Scores of a coarser grid are upsampled
+# to it, and each decision is repeated to full size. Deciding at full size takes a tenth more time.
 CLASS_STRIDE = 2
-#: Limit of the channels of a layer, far beyond any network in use.
+# Limit of the channels of a layer, far beyond any network in use.
 MAX_CHANNELS = 8192
 
 
 class NetworkOutput(NamedTuple):
-    """The output of a network; a head that the network lacks is None."""
+    """The output of a network; a head that the network lacks is None.
 
-    #: (N, C, H, W) before the soft-max; scores of a coarser grid are repeated, see CLASS_STRIDE.
+    Attributes:
+        semantic_logits: (N, C, H, W) before the soft-max; scores of a coarser grid are repeated,
+            see CLASS_STRIDE.
+        depths: normalised depth 0..1, times `max_depth_m` gives metres: (N, 1, h_i, w_i), finest
+            first. The finest has the image's size.
+        boundary_logits: (N, 1, H, W), the logit of P_b.
+        depth_uncertainty: (N, 1, H, W), normalised like the depth: the scale b of a Laplace
+            distribution of its error. 63 % of the errors are below b, 86 % below 2 b.
+        others: other heads of `runtime.contract.heads` by name, (N, 1, H, W): logits of a
+            probability, or metres as a share of the range.
+    """
+
     semantic_logits: Tensor | None = None
-    #: Normalised depth 0..1, times `max_depth_m` gives metres: (N, 1, h_i, w_i), finest first.
-    #: The finest has the image's size.
     depths: tuple[Tensor, ...] | None = None
-    #: (N, 1, H, W), the logit of P_b.
     boundary_logits: Tensor | None = None
-    #: (N, 1, H, W), normalised like the depth: the scale b of a Laplace distribution of its error.
-    #: 63 % of the errors are below b, 86 % below 2 b.
     depth_uncertainty: Tensor | None = None
-    #: Other heads of `runtime.contract.heads` by name, (N, 1, H, W): logits of a probability, or
-    #: metres as a share of the range.
     others: Mapping[str, Tensor] = MappingProxyType({})
 
 
@@ -52,20 +56,24 @@ class NetworkOutput(NamedTuple):
 class NetworkConfig:
     """The settings of every network; a network with more of them adds fields in a subclass.
 
+    Attributes:
+        classes: semantic classes in the order of their ids; empty without a semantic head.
+        max_depth_m: depth [m] of the normalised output 1.0; returns beyond it are clipped to it.
+        canonical_focal_px: focal length [px] of the canonical camera (Yin et al. 2023, Metric3D):
+            the input depth is multiplied by this / f and the output depth by f / this, where f is
+            the focal length fx [px] of the image that the network gets. Both are done outside the
+            network. None = plain metres.
+        rgb_mean, rgb_std: mean and standard deviation of RGB in 0..255, part of the network
+            (ImageNet's values).
+
     Raises:
         ValueError: if a value is outside its range.
     """
 
     name: str
-    #: Semantic classes in the order of their ids; empty without a semantic head.
     classes: tuple[ClassInfo, ...] = CAMVID_CLASSES
-    #: Depth [m] of the normalised output 1.0; returns beyond it are clipped to it.
     max_depth_m: float = 100.0
-    #: Focal length [px] of the canonical camera (Yin et al. 2023, Metric3D): the input depth is
-    #: multiplied by this / f and the output depth by f / this, where f is the focal length fx [px]
-    #: of the image that the network gets. Both are done outside the network. None = plain metres.
     canonical_focal_px: float | None = None
-    #: Mean and standard deviation of RGB in 0..255, part of the network (ImageNet's values).
     rgb_mean: tuple[float, float, float] = (123.675, 116.28, 103.53)
     rgb_std: tuple[float, float, float] = (58.395, 57.12, 57.375)
 
@@ -130,25 +138,27 @@ class Network(nn.Module):
     Args:
         config: the settings that the network is built from.
 
+    Attributes:
+        heads: names of the network's heads, rows of `runtime.contract.heads`.
+        stride: ratio of the image to the coarsest grid.
+        semantic_stride: ratio of the image to the grid of the semantic logits.
+        depth_stride: ratio of the image to the grid of the finest depth and its uncertainty.
+        boundary_stride: ratio of the image to the grid of the boundary. That of another head is
+            `<head>_stride`, 1 where there is no such attribute.
+        depth_layers: layers that the depth alone reads, by the beginnings of their names; training
+            them changes no other head. () = none: such a network cannot be adapted without labels.
+        shared_depth_layers: those of these layers that other heads read, too.
+
     Raises:
         ValueError: if there are classes without a semantic head or the other way round.
     """
 
-    #: Names of the network's heads, rows of `runtime.contract.heads`.
     heads: tuple[str, ...]
-    #: Ratio of the image to the coarsest grid.
     stride: int
-    #: Ratio of the image to the grid of the semantic logits.
     semantic_stride: int = 1
-    #: Ratio of the image to the grid of the finest depth and its uncertainty.
     depth_stride: int = 1
-    #: Ratio of the image to the grid of the boundary. That of another head is `<head>_stride`, 1
-    #: where there is no such attribute.
     boundary_stride: int = 1
-    #: Layers that the depth alone reads, by the beginnings of their names; training them changes no
-    #: other head. () = none: such a network cannot be adapted without labels.
     depth_layers: tuple[str, ...] = ()
-    #: Those of these layers that other heads read, too.
     shared_depth_layers: tuple[str, ...] = ()
     rgb_mean: Tensor
     rgb_std: Tensor

@@ -26,52 +26,55 @@ from torch.nn import functional as F
 from models.blocks import ramp, upsample
 from models.pooling import cell_maxima, cell_means, maxima_around
 
-#: Side of a cell of the planes [pixels], and how often their grid is halved: up to a stride of 32.
+# Side of a cell of the planes [pixels], and how often their grid is halved: up to a stride of 32.
 CELL, LEVELS = 4, 3
-#: Side of a cell of the base, in pixels.
+# Side of a cell of the base, in pixels.
 BASE_CELL = 2
-#: Half the width, in cells, of the two windows on the coarsest grid, and of the window on each
-#: finer grid. The weight of a cell falls linearly with its distance, to 0 at the window's edge.
+# Half the width, in cells, of the two windows on the coarsest grid, and of the window on each
+# finer grid. The weight of a cell falls linearly with its distance, to 0 at the window's edge.
 COARSE_WINDOWS, FINE_WINDOW = (6, 3), 2
-#: Weight of all returns of a larger window together, in returns. Larger values smooth more.
+# Weight of all returns of a larger window together, in returns. Larger values smooth more.
 LARGER_WINDOW_WEIGHT = 0.3
-#: Weight of a slope of 0, in returns a cell away. Larger values flatten.
+# Weight of a slope of 0, in returns a cell away. Larger values flatten.
 FLAT_WEIGHT = 0.002
-#: Square of the distance of a cell from the centroid of the returns, in their standard deviations,
-#: up to which the slope has its full weight. The weight falls to 0 at a value 1 larger. Larger
-#: values continue slopes farther beyond the returns.
+# Square of the distance of a cell from the centroid of the returns, in their standard deviations,
+# up to which the slope has its full weight. The weight falls to 0 at a value 1 larger. Larger
+# values continue slopes farther beyond the returns.
 INSIDE = 2.0
-#: The result lies between the nearest and the farthest return of a window; this is the side of the
-#: window, in cells of the coarsest grid.
+# The result lies between the nearest and the farthest return of a window; this is the side of the
+# window, in cells of the coarsest grid.
 BOUND_WINDOW = 7
-#: The nine sums are those of 1; r, c, z; rr, cc, rc, zr, zc. r is the distance below a centre, c
-#: the distance to the right of it, and z the inverse depth. _POWERS has the powers of r and c in
-#: the sums without z and in the sums with z; _PLACES has the positions of these sums among the
-#: nine.
+# The nine sums are those of 1; r, c, z; rr, cc, rc, zr, zc. r is the distance below a centre, c
+# the distance to the right of it, and z the inverse depth. _POWERS has the powers of r and c in
+# the sums without z and in the sums with z; _PLACES has the positions of these sums among the
+# nine.
 _POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1)), ((0, 0), (1, 0), (0, 1))
 _PLACES = (0, 1, 2, 4, 5, 6), (3, 7, 8)
 _SUMS = 9
-#: These avoid divisions by 0: a weight below that of one return in a window, and a spread below
-#: that of any two returns.
+# These avoid divisions by 0: a weight below that of one return in a window, and a spread below
+# that of any two returns.
 _LEAST_COUNT, _LEAST_SPREAD = 1e-3, 1e-2
 
 
-#: Relative difference of inverse depth up to which a return is on the plane. From twice this
-#: difference on, the return is on another surface.
+# Relative difference of inverse depth up to which a return is on the plane. From twice this
+# difference on, the return is on another surface.
 ON_PLANE = 0.15
-#: Weight of the mean difference of coarser cells, in returns, and the number of coarser grids.
+# Weight of the mean difference of coarser cells, in returns, and the number of coarser grids.
 ANCHOR_WEIGHT, ANCHOR_LEVELS = 0.1, 2
 
 
 class Base(NamedTuple):
-    """The depth as the returns alone show it."""
+    """The depth as the returns alone show it.
 
-    #: Inverse depth at the centres of cells of CELL pixels, (N, 1, h, w), 0 where no return is in
-    #: reach of the largest window.
+    Attributes:
+        plane: inverse depth at the centres of cells of CELL pixels, (N, 1, h, w), 0 where no return
+            is in reach of the largest window.
+        base: the planes moved to the returns on them, on cells of BASE_CELL pixels.
+        returns: number of measured pixels in a cell of BASE_CELL pixels.
+    """
+
     plane: Tensor
-    #: The planes moved to the returns on them, on cells of BASE_CELL pixels.
     base: Tensor
-    #: Number of measured pixels in a cell of BASE_CELL pixels.
     returns: Tensor
 
 
@@ -137,8 +140,8 @@ def anchor(plane: Tensor, sums: Tensor) -> Tensor:
     return plane + moved
 
 
-#: Kernels of `anchor`: (3, 1, 3, 3), a map's value and its slopes down and to the right, and
-#: (2, 2, 3, 3), a tent over each of two maps.
+# Kernels of `anchor`: (3, 1, 3, 3), a map's value and its slopes down and to the right, and
+# (2, 2, 3, 3), a tent over each of two maps.
 _SIDE = np.array([1.0, 2.0, 1.0])
 _VALUE_AND_SLOPES = np.zeros((3, 1, 3, 3), np.float32)
 _VALUE_AND_SLOPES[0, 0, 1, 1] = 1.0
@@ -189,7 +192,7 @@ def _solve(sums: Tensor, inside: Tensor) -> Tensor:
     return plane
 
 
-#: Kernel (3, 6, 1, 1): the difference of each pair of channels.
+# Kernel (3, 6, 1, 1): the difference of each pair of channels.
 _PAIRS = np.kron(np.eye(3), [1.0, -1.0]).astype(np.float32)[:, :, None, None]
 
 

@@ -8,7 +8,7 @@ from torch.nn import functional as F
 from models import fast_cpu
 from models.fast_cpu import fast_on_cpu
 
-#: Kernel (24, 1, 5, 5) that selects each pixel around the centre.
+# Kernel (24, 1, 5, 5) that selects each pixel around the centre.
 _SHIFTS = np.delete(np.eye(25, dtype=np.float32), 12, axis=0).reshape(24, 1, 5, 5)
 
 

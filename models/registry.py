@@ -24,14 +24,18 @@ from runtime.base.checks import shown
 
 
 class Entry(NamedTuple):
-    """A network's class and its default configuration."""
+    """A network's class and its default configuration.
 
-    #: Its only argument is the configuration.
+    Attributes:
+        network: class whose only argument is the configuration.
+        config: the default configuration.
+    """
+
     network: type[Network]
     config: NetworkConfig
 
 
-#: Name -> network. A new network needs a line here, or an entry point of another package.
+# Name -> network. A new network needs a line here, or an entry point of another package.
 NETWORKS: dict[str, Entry] = {
     **{config.name: Entry(SSDNet, config) for config in SSDNETS},
     "ssdnet-lite": Entry(SSDNetLite, SSDNetLiteConfig()),
@@ -51,7 +55,7 @@ NETWORKS: dict[str, Entry] = {
 }
 
 
-#: The entry points of networks in other packages.
+# The entry points of networks in other packages.
 GROUP = "ssdnet.networks"
 
 

@@ -34,16 +34,29 @@ from models.planes import CELL
 from models.surface_depth import SurfaceDepthHead
 from models.surfaces import find_candidates
 
-#: Largest depth [m] that the network predicts without a return, which is also the depth of the sky.
+# Largest depth [m] that the network predicts without a return, which is also the depth of the sky.
 FARTHEST_GUESS_M = 100.0
 _LITE_WIDTHS = (32, 48, 80, 80, 160, 160, *[320] * 3, *[480] * 3, *[896] * 3, 640)
-#: Strides of the skips, and of the bottom.
+# Strides of the skips, and of the bottom.
 _SKIPS, _BOTTOM = (4, 8, 16), 32
 
 
 @dataclass(frozen=True)
 class SSDNetLiteConfig(NetworkConfig):
     """The configuration of an `SSDNetLite`; the defaults are `ssdnet-lite`.
+
+    Attributes:
+        encoder_widths: channels of the encoder's stem and within each block, as pruning left them;
+            () = all, `models.efficientnet_lite.WIDTHS`.
+        decoder_channels: channels of the decoders at strides 16, 8 and 4.
+        semantic_refine_channels, depth_refine_channels: channels at stride 2 of the classes and of
+            the depth; 0 = none: the prediction is made at stride 4. Poles and signs are thinner
+            than a cell of the coarser grid.
+        depth_separable_from: from this stride on, the BaConvs of the depth's decoder are separable;
+            0 = none is. Those of the classes are at stride 2 alone: thin classes need dense ones
+            before it.
+        geometry_channels: channels of the convolutions that read the geometry of the returns, at
+            stride 4.
 
     Raises:
         ValueError: if a value is outside its range, or a combination cannot be built.
@@ -53,19 +66,11 @@ class SSDNetLiteConfig(NetworkConfig):
     max_depth_m: float = 200.0
     semantic_head: bool = True
     depth_head: bool = True
-    #: Channels of the encoder's stem and within each block, as pruning left them; () = all,
-    #: `models.efficientnet_lite.WIDTHS`.
     encoder_widths: tuple[int, ...] = _LITE_WIDTHS
-    #: Channels of the decoders at strides 16, 8 and 4.
     decoder_channels: tuple[int, ...] = (64, 48, 32)
-    #: Channels at stride 2 of the classes and of the depth; 0 = none: the prediction is made at
-    #: stride 4. Poles and signs are thinner than a cell of the coarser grid.
     semantic_refine_channels: int = 16
     depth_refine_channels: int = 16
-    #: From this stride on, the BaConvs of the depth's decoder are separable; 0 = none is. Those of
-    #: the classes are at stride 2 alone: thin classes need dense ones before it.
     depth_separable_from: int = 4
-    #: Channels of the convolutions that read the geometry of the returns, at stride 4.
     geometry_channels: int = 16
 
     def __post_init__(self) -> None:

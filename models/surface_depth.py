@@ -35,16 +35,19 @@ from models.surfaces import (
 
 
 class HeadChannels(NamedTuple):
-    """The channels of the head's last convolution, each (N, C, h, w), before their activations."""
+    """The channels of the head's last convolution, each (N, C, h, w), before their activations.
 
-    #: Confidence in the plane, in the farthest and in the nearest surface, C = 3.
+    Attributes:
+        surfaces: confidence in the plane, in the farthest and in the nearest surface, C = 3.
+        correction: relative correction of the chosen depth, C = 1.
+        scale: scale of the error where the candidates agree, C = 1.
+        returns: confidence in a return before the predicted depth, in one behind it, and the
+            reduction of the error's scale beside a return, C = 3.
+    """
+
     surfaces: Tensor
-    #: Relative correction of the chosen depth, C = 1.
     correction: Tensor
-    #: Scale of the error where the candidates agree, C = 1.
     scale: Tensor
-    #: Confidence in a return before the predicted depth, in one behind it, and the reduction of the
-    #: error's scale beside a return, C = 3.
     returns: Tensor
 
     @classmethod
@@ -53,13 +56,13 @@ class HeadChannels(NamedTuple):
         return cls(*channels.split(_HEAD_SPLIT, dim=1))
 
 
-#: Channels of each field of `HeadChannels`, and their sum.
+# Channels of each field of `HeadChannels`, and their sum.
 _HEAD_SPLIT = [3, 1, 1, 3]
 HEAD_CHANNELS = sum(_HEAD_SPLIT)
-#: `HeadChannels.surfaces` of a new head.
+# `HeadChannels.surfaces` of a new head.
 _FIRST_CONFIDENCES = (2.5, -4.0, -4.0)
-#: Class-like channels that the geometry's branch reads, and its other channels: 16 together, as
-#: ONNX Runtime computes convolutions in blocks of 8 or 16 channels.
+# Class-like channels that the geometry's branch reads, and its other channels: 16 together, as
+# ONNX Runtime computes convolutions in blocks of 8 or 16 channels.
 _CLASS_CHANNELS, _RATIO_CHANNELS = 7, 9
 
 
@@ -215,14 +218,14 @@ class SurfaceDepthHead(nn.Module):
         return torch.cat(maps, dim=1)
 
 
-#: The sigmoid of a confidence is stretched beyond 0 and 1 by so much, and then limited.
+# The sigmoid of a confidence is stretched beyond 0 and 1 by so much, and then limited.
 STRETCH = 0.1
-#: Greatest log of the factor that corrects the chosen depth: 0.61 to 1.65 times. Not tuned.
+# Greatest log of the factor that corrects the chosen depth: 0.61 to 1.65 times. Not tuned.
 MAX_LOG_CORRECTION = 0.5
-#: Least and greatest log of the ratio of the error's scale to the depth: 0.25 % to 2.7 times the
-#: depth, so that neither the loss nor its gradient grows without bound. Not tuned.
+# Least and greatest log of the ratio of the error's scale to the depth: 0.25 % to 2.7 times the
+# depth, so that neither the loss nor its gradient grows without bound. Not tuned.
 LOG_SCALE = (-6.0, 1.0)
-#: Share of the spread of the prediction and the closest return that is added to the error's scale.
+# Share of the spread of the prediction and the closest return that is added to the error's scale.
 SPREAD_SHARE = 0.5
 
 
@@ -272,7 +275,7 @@ def confidence(logits: Tensor) -> Tensor:
     return _with_gradient_of(slope * share - STRETCH, limited)
 
 
-#: Position up to which the answer is the base. A position beyond it is reduced by this value.
+# Position up to which the answer is the base. A position beyond it is reduced by this value.
 DEAD_ZONE = 0.1
 
 
@@ -290,7 +293,8 @@ def depart(place: Tensor, departures: Tensor) -> Tensor:
         departures: log ratios of the nearest and of the farthest surface to the base, (N, 2, h, w).
     """
     near, far = departures.split(1, dim=1)
-    return place.clamp(min=0.0) * far - place.clamp(max=0.0) * near
+    departure: Tensor = place.clamp(min=0.0) * far - place.clamp(max=0.0) * near
+    return departure
 
 
 def join_base(
@@ -320,15 +324,15 @@ def join_base(
     return inverse, scale + share * (relative_scale / inverse.detach() - scale)
 
 
-#: Difference of inverse depths [1/m] up to which a LiDAR beside the camera hardly sees past the
-#: nearer surface: 1.3 pixels of parallax for 1 m between the sensors, at 721.5 pixels of focal
-#: length. From twice this difference on, the LiDAR sees past it.
+# Difference of inverse depths [1/m] up to which a LiDAR beside the camera hardly sees past the
+# nearer surface: 1.3 pixels of parallax for 1 m between the sensors, at 721.5 pixels of focal
+# length. From twice this difference on, the LiDAR sees past it.
 PARALLAX = 1.8e-3
-#: Relative difference of depths two pixels apart on one slanted surface. From twice this difference
-#: on they belong to two surfaces.
+# Relative difference of depths two pixels apart on one slanted surface. From twice this difference
+# on they belong to two surfaces.
 SLOPE = 0.03
-#: Largest share by which a return beside a pixel reduces the error's scale, which stays positive.
-#: Not tuned.
+# Largest share by which a return beside a pixel reduces the error's scale, which stays positive.
+# Not tuned.
 MAX_SCALE_REDUCTION = 0.9
 
 

@@ -18,7 +18,7 @@ from models.blocks import ramp
 from models.planes import BASE_CELL, CELL, Base, fit_base
 from models.pooling import cell_maxima, cell_means, maxima_around, maxima_beside, means_around
 
-#: Least normalised depth of a surface.
+# Least normalised depth of a surface.
 NEAREST = 1e-3
 
 
@@ -26,51 +26,68 @@ class Measured(NamedTuple):
     """The measured depth at the image's size, all (N, 1, H, W), each 0 where nothing is measured.
 
     Height and width are multiples of `planes.CELL * 2**planes.LEVELS`.
+
+    Attributes:
+        depth: normalised depth.
+        mask: 1 where measured.
+        inverse: inverse of the normalised depth, 1..1/NEAREST.
     """
 
-    #: Normalised depth.
     depth: Tensor
-    #: 1 where measured.
     mask: Tensor
-    #: Inverse of the normalised depth, 1..1/NEAREST.
     inverse: Tensor
 
 
 class Surfaces(NamedTuple):
-    """Candidates on a grid, and the cells that have any, each (N, 1, h, w)."""
+    """Candidates on a grid, and the cells that have any, each (N, 1, h, w).
 
-    #: Normalised depth, NEAREST..1, of the nearest and the farthest surface; undefined where
-    #: `support` is 0.
+    Attributes:
+        nearest, farthest: normalised depth, NEAREST..1, of the nearest and the farthest surface;
+            undefined where `support` is 0.
+        plane: inverse of the normalised depth, 1..1/NEAREST; undefined where `reached` is 0.
+        support: 1 where a return is within reach of WINDOWS; between 0 and 1 after upsampling.
+        reached: 1 where a return is within reach of the plane's windows; otherwise as `support`.
+    """
+
     nearest: Tensor
     farthest: Tensor
-    #: Inverse of the normalised depth, 1..1/NEAREST; undefined where `reached` is 0.
     plane: Tensor
-    #: 1 where a return is within reach of WINDOWS, and within reach of the plane's windows; between
-    #: 0 and 1 after upsampling.
     support: Tensor
     reached: Tensor
 
 
 class Beside(NamedTuple):
-    """What decides the depth close to returns, each (N, 1, h, w) on the grid of CELL."""
+    """What decides the depth close to returns, each (N, 1, h, w) on the grid of CELL.
 
-    #: Log ratios of the nearest (-MOST_APART..0) and of the farthest surface to the base.
+    Attributes:
+        near: log ratio of the nearest surface to the base, -MOST_APART..0.
+        far: log ratio of the farthest surface to the base, 0..MOST_APART.
+        share: share of the base: MOST_BESIDE up to about 2 pixels from a return, 0 beyond about 5.
+    """
+
     near: Tensor
     far: Tensor
-    #: Share of the base: MOST_BESIDE up to about 2 pixels from a return, 0 beyond about 5.
     share: Tensor
 
 
 class Candidates(NamedTuple):
-    """All candidates of a frame."""
+    """All candidates of a frame.
+
+    Attributes:
+        measured: what is measured.
+        surfaces: the nearest surface, the farthest one, and the plane.
+        base: the planes moved to the returns on them.
+        beside: what decides the depth close to returns.
+        features: (N, FEATURE_CHANNELS, h, w), on the grid of CELL.
+        guess_limit: greatest normalised depth of the guess from the image, (N, 1, h, w), see
+            `limit_guess`.
+    """
 
     measured: Measured
     surfaces: Surfaces
     base: Base
     beside: Beside
-    #: (N, FEATURE_CHANNELS, h, w), on the grid of CELL.
     features: Tensor
-    #: Greatest normalised depth of the guess from the image, (N, 1, h, w), see `limit_guess`.
     guess_limit: Tensor
 
 
@@ -82,8 +99,8 @@ def find_candidates(depth: Tensor, mask: Tensor, *, max_depth_m: float) -> Candi
     return Candidates(measured, surfaces, base, look_beside(surfaces, base), features, limit)
 
 
-#: A return is isolated if it is within ISOLATED_M [m], at least ISOLATED_CELLS of the cells around
-#: have returns, and all of these are more than ISOLATED_RATIO times as far, see `measure`.
+# A return is isolated if it is within ISOLATED_M [m], at least ISOLATED_CELLS of the cells around
+# have returns, and all of these are more than ISOLATED_RATIO times as far, see `measure`.
 ISOLATED_M, ISOLATED_CELLS, ISOLATED_RATIO = 10.0, 8, 3.0
 
 
@@ -115,8 +132,8 @@ def measure(depth: Tensor, mask: Tensor, *, max_depth_m: float) -> Measured:
     return Measured(depth * kept, mask * kept, inverse * kept)
 
 
-#: Windows of the max-pools that propagate a surface into cells without any, one after the other:
-#: together they reach 10 cells.
+# Windows of the max-pools that propagate a surface into cells without any, one after the other:
+# together they reach 10 cells.
 WINDOWS = (3, 5, 7, 9)
 
 
@@ -150,7 +167,7 @@ def propagate_surfaces(measured: Measured) -> tuple[Surfaces, Base, Tensor]:
     return surfaces, base, 4.0 * cell_means(base.returns, CELL // BASE_CELL)
 
 
-#: Channels of `surface_features`.
+# Channels of `surface_features`.
 FEATURE_CHANNELS = 6
 
 
@@ -163,8 +180,8 @@ def surface_features(surfaces: Surfaces, count: Tensor) -> Tensor:
     return torch.cat([steps, surfaces.support, surfaces.reached, density], dim=1)
 
 
-#: A cell is within the LiDAR's field of view if there is a return up to this number of cells above
-#: it and to each side. Larger values limit the guess in the sky above the scan, too.
+# A cell is within the LiDAR's field of view if there is a return up to this number of cells above
+# it and to each side. Larger values limit the guess in the sky above the scan, too.
 LOOKED_ABOVE, LOOKED_BESIDE = 10, 2
 
 
@@ -180,13 +197,13 @@ def limit_guess(surfaces: Surfaces, count: Tensor) -> Tensor:
     return 1.0 - looked * (1.0 - surfaces.farthest)
 
 
-#: Log ratio of a surface to the base up to which they are one surface. From twice this ratio on
-#: they are two surfaces.
+# Log ratio of a surface to the base up to which they are one surface. From twice this ratio on
+# they are two surfaces.
 APART = 0.08
-#: Greatest log ratio of a surface to the base.
+# Greatest log ratio of a surface to the base.
 MOST_APART = 2.5
-#: Largest share of the base. The choice from the image keeps the rest: the mean of both has a
-#: smaller error than either.
+# Largest share of the base. The choice from the image keeps the rest: the mean of both has a
+# smaller error than either.
 MOST_BESIDE = 0.5
 
 
@@ -206,19 +223,22 @@ def apart(log_ratio: Tensor) -> Tensor:
     return log_ratio * ramp(log_ratio.abs(), 1.0 / APART, -1.0)
 
 
-#: Radius [pixels] of the square around a return in which it may replace the depth.
+# Radius [pixels] of the square around a return in which it may replace the depth.
 RETURN_REACH = 2
 
 
 class Returns(NamedTuple):
-    """The returns around each pixel, all (N, 1, H, W)."""
+    """The returns around each pixel, all (N, 1, H, W).
 
-    #: Inverse of the normalised depth of the closest return. Of several returns at the same
-    #: distance the nearest to the camera is used. 1 where `near` is 0.
+    Attributes:
+        inverse: inverse of the normalised depth of the closest return. Of several returns at the
+            same distance the nearest to the camera is used. 1 where `near` is 0.
+        near: 1 where a return is within RETURN_REACH.
+        here: 1 where a return is at the pixel itself.
+    """
+
     inverse: Tensor
-    #: 1 where a return is within RETURN_REACH.
     near: Tensor
-    #: 1 where a return is at the pixel itself.
     here: Tensor
 
 

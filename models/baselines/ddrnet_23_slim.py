@@ -23,10 +23,12 @@ class DDRNet23Slim(Network):
     """A branch at an eighth of the image, a branch on coarser grids, and bridges between them.
 
     The stages end without ReLU; the layers that read their features apply it.
+
+    Attributes:
+        stride: the last stage's grid is half as fine; it rounds up.
     """
 
     heads = ("semantic",)
-    #: The last stage's grid is half as fine; it rounds up.
     stride = 32
     semantic_stride = 8
 

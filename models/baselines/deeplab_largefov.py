@@ -13,9 +13,9 @@ from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 _WIDE = 1024
 _RATE = 12
-#: Stride of the pooling after each block of VGG16.
+# Stride of the pooling after each block of VGG16.
 _POOL_STRIDES = (2, 2, 2, 1, 1)
-#: Dilation of each block: the last block sees as far as if the pooling before it had a stride.
+# Dilation of each block: the last block sees as far as if the pooling before it had a stride.
 _DILATIONS = (1, 1, 1, 1, 2)
 
 

@@ -18,9 +18,9 @@ from models.baselines.max_unpooling import max_mask, max_unpool
 from models.blocks import extend_to_multiple
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
-#: A bottleneck works on this share of the channels.
+# A bottleneck works on this share of the channels.
 _SHARE = 4
-#: Kernel and dilation of the bottlenecks of stage 2, repeated in stage 3; 5 means 5x1 and 1x5.
+# Kernel and dilation of the bottlenecks of stage 2, repeated in stage 3; 5 means 5x1 and 1x5.
 _CONTEXT = ((3, 1), (3, 2), (5, 1), (3, 4), (3, 1), (3, 8), (5, 1), (3, 16))
 
 

@@ -12,7 +12,7 @@ from torch.nn import functional as F
 from models.blocks import double_bn_relu, extend_to_multiple
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
-#: Dilations of the residual blocks at an eighth of the image.
+# Dilations of the residual blocks at an eighth of the image.
 _DILATIONS = (2, 4, 8, 16, 2, 4, 8, 16)
 
 

@@ -11,9 +11,9 @@ from torch.nn import functional as F
 from models.blocks import extend_to_multiple
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
-#: Blocks at a quarter (the paper's p) and at an eighth (q) of the image.
+# Blocks at a quarter (the paper's p) and at an eighth (q) of the image.
 _BLOCKS = (2, 8)
-#: Dilations of the parallel convolutions.
+# Dilations of the parallel convolutions.
 _DILATIONS = (1, 2, 4, 8, 16)
 
 

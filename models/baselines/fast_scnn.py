@@ -11,7 +11,7 @@ from torch.nn import functional as F
 from models.blocks import ConvBNReLU, adaptive_mean, pad_to_multiple, upsample
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
-#: Channels, first stride and repetitions of the inverted residual stages.
+# Channels, first stride and repetitions of the inverted residual stages.
 _STAGES = ((64, 2, 3), (96, 2, 3), (128, 1, 3))
 _EXPANSION = 6
 _POOLED_SIZES = (1, 2, 3, 6)

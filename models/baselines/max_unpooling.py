@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-#: Values within this share of each other count as equal: implementations of a convolution round
-#: differently, and the position of the maximum must not depend on that.
+# Values within this share of each other count as equal: implementations of a convolution round
+# differently, and the position of the maximum must not depend on that.
 _ROUNDING = 1e-5
 
 

@@ -15,10 +15,10 @@ from models.blocks import pad_to_multiple
 from models.network import Network, NetworkConfig, NetworkOutput
 
 _CHANNELS = 2
-#: How often the grid is halved; the layers between are the same at every size.
+# How often the grid is halved; the layers between are the same at every size.
 _LEVELS = 3
-#: A confidence below this value counts as 0; the value is above any rounding error in an empty
-#: window.
+# A confidence below this value counts as 0; the value is above any rounding error in an empty
+# window.
 _NO_CONFIDENCE = 1e-6
 
 

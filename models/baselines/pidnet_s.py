@@ -29,10 +29,12 @@ class PIDNetS(Network):
     """Detail (P) and boundary (D) branches at an eighth of the image, context (I) on coarser grids.
 
     The stages end without ReLU; the layers that read their features apply it.
+
+    Attributes:
+        stride: the last stage's grid is half as fine; it rounds up.
     """
 
     heads = ("semantic",)
-    #: The last stage's grid is half as fine; it rounds up.
     stride = 32
     semantic_stride = 8
 

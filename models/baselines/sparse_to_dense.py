@@ -13,7 +13,7 @@ from models.baselines.residual import BasicBlock
 from models.blocks import ConvBNReLU, conv_bn, double_bn_relu, pad_to_multiple
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
-#: Channels of ResNet-18's stages; each has two blocks (He et al. 2016).
+# Channels of ResNet-18's stages; each has two blocks (He et al. 2016).
 _STAGES = (64, 128, 256, 512)
 _DECODER = (256, 128, 64, 32, 16)
 

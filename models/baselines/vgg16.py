@@ -12,7 +12,7 @@ from torch.nn import functional as F
 
 from models.blocks import ConvBNReLU
 
-#: Channels and convolutions of each block.
+# Channels and convolutions of each block.
 VGG16_BLOCKS = ((64, 2), (128, 2), (256, 3), (512, 3), (512, 3))
 
 

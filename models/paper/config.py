@@ -17,6 +17,19 @@ class SSDNetConfig(NetworkConfig):
     The defaults are the paper's full network with the channel list that reproduces its printed
     parameters and multiply-accumulates.
 
+    Attributes:
+        stem_channels: channels of 3x3 stride-2 convolutions in front of the first stage; () starts
+            at full size.
+        encoder_channels: channels and blocks of each encoder stage, fine to coarse; each stage is a
+            skip.
+        decoder_channels: channels of the UpBlocks, coarse to fine: one for each skip.
+        boundary_channels: channels of the side outputs of the boundary decoder.
+        boundary_gating: gate the decoders by 1 - B (Eq. 1). If false, B = 0 and a BaConv is a plain
+            convolution.
+        sparse_depth_gain: factor on the normalised sparse depth at the input. At 5 % of the pixels
+            its mean is a twentieth of that of the normalised colours, and the network learns to use
+            it late.
+
     Raises:
         ValueError: if a value is outside its range, or a combination cannot be built.
     """
@@ -24,21 +37,14 @@ class SSDNetConfig(NetworkConfig):
     name: str = "ssdnet"
     semantic_head: bool = True
     depth_head: bool = True
-    #: Channels of 3x3 stride-2 convolutions in front of the first stage; () starts at full size.
     stem_channels: tuple[int, ...] = ()
-    #: Channels and blocks of each encoder stage, fine to coarse; each stage is a skip.
     encoder_channels: tuple[int, ...] = (64, 128, 256, 512, 512)
     encoder_blocks: tuple[int, ...] = (2, 2, 3, 3, 3)
-    #: Channels of the UpBlocks, coarse to fine: one for each skip.
     decoder_channels: tuple[int, ...] = (512, 192, 96, 64, 16)
-    #: Channels of the side outputs of the boundary decoder.
     boundary_channels: int = 16
-    #: Gate the decoders by 1 - B (Eq. 1). If false, B = 0 and a BaConv is a plain convolution.
     boundary_gating: bool = True
     use_rgb: bool = True
     use_sparse_depth: bool = True
-    #: Factor on the normalised sparse depth at the input. At 5 % of the pixels its mean is a
-    #: twentieth of that of the normalised colours, and the network learns to use it late.
     sparse_depth_gain: float = 1.0
 
     def __post_init__(self) -> None:
@@ -95,8 +101,8 @@ def _with_ablations(config: SSDNetConfig) -> tuple[SSDNetConfig, ...]:
     )
 
 
-#: The paper's network and its ablations, and the same structure at a fortieth of the parameters,
-#: for experiments on a CPU: a strided stem instead of the first stage at full size, and narrower.
+# The paper's network and its ablations, and the same structure at a fortieth of the parameters,
+# for experiments on a CPU: a strided stem instead of the first stage at full size, and narrower.
 SSDNETS = (
     *_with_ablations(SSDNetConfig()),
     *_with_ablations(
