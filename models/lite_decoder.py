@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from models.blocks import BaConv, conv_bn, separable_conv, shortcut, upsample
+from models.blocks import BaConv, boundary_side, conv_bn, shortcut, upsample
 
 # Channels of a side output of the boundary decoder.
 _SIDE_CHANNELS = 16
@@ -15,9 +15,11 @@ _SIDE_CHANNELS = 16
 class BoundaryDecoder(nn.Module):
     """A logit of a boundary from each skip, and all of them fused at the finest."""
 
-    def __init__(self, skip_channels: Sequence[int]) -> None:
+    def __init__(self, skip_channels: Sequence[int], *, separable: bool) -> None:
         super().__init__()
-        self.sides = nn.ModuleList(_side(skip) for skip in skip_channels)
+        self.sides = nn.ModuleList(
+            boundary_side(skip, _SIDE_CHANNELS, separable=separable) for skip in skip_channels
+        )
         self.fuse = nn.Conv2d(len(skip_channels), 1, 1)
 
     def forward(self, skips: Sequence[Tensor]) -> tuple[Tensor, list[Tensor]]:
@@ -25,14 +27,6 @@ class BoundaryDecoder(nn.Module):
         sides = [side(skip) for side, skip in zip(self.sides, skips, strict=True)]
         same_size = [upsample(logit, factor=2**level) for level, logit in enumerate(sides)]
         return self.fuse(torch.cat(same_size, dim=1)), sides
-
-
-def _side(channels: int) -> nn.Sequential:
-    """A side output: (N, C, H, W) to the logits (N, 1, H, W)."""
-    features = nn.Sequential(
-        separable_conv(channels, _SIDE_CHANNELS), nn.BatchNorm2d(_SIDE_CHANNELS), nn.ReLU()
-    )
-    return nn.Sequential(features, nn.Conv2d(_SIDE_CHANNELS, 1, 1))
 
 
 class UpBlock(nn.Module):

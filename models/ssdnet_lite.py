@@ -52,9 +52,9 @@ class SSDNetLiteConfig(NetworkConfig):
         semantic_refine_channels, depth_refine_channels: channels at stride 2 of the classes and of
             the depth; 0 = none: the prediction is made at stride 4. Poles and signs are thinner
             than a cell of the coarser grid.
-        depth_separable_from: from this stride on, the BaConvs of the depth's decoder are separable;
-            0 = none is. Those of the classes are at stride 2 alone: thin classes need dense ones
-            before it.
+        separable_from: from this stride on, the BaConvs of the depth's decoder are separable, and
+            the convolutions of the boundary's side outputs; 0 = none is. Those of the classes are
+            at stride 2 alone: thin classes need dense ones before it.
         geometry_channels: channels of the convolutions that read the geometry of the returns, at
             stride 4.
 
@@ -70,7 +70,7 @@ class SSDNetLiteConfig(NetworkConfig):
     decoder_channels: tuple[int, ...] = (64, 48, 32)
     semantic_refine_channels: int = 16
     depth_refine_channels: int = 16
-    depth_separable_from: int = 4
+    separable_from: int = 4
     geometry_channels: int = 16
 
     def __post_init__(self) -> None:
@@ -79,7 +79,7 @@ class SSDNetLiteConfig(NetworkConfig):
             raise ValueError("a network needs a semantic head, a depth head or both")
         check_counts("encoder_widths", self.encoder_widths)
         check_counts("decoder_channels", self.decoder_channels)
-        for key in ("semantic_refine_channels", "depth_refine_channels", "depth_separable_from"):
+        for key in ("semantic_refine_channels", "depth_refine_channels", "separable_from"):
             check_counts(key, [getattr(self, key)], least=0)
         check_counts("geometry_channels", [self.geometry_channels])
         super().__post_init__()
@@ -101,7 +101,7 @@ SSDNET_NANO = SSDNetLiteConfig(
     decoder_channels=(32, 16, 16),
     semantic_refine_channels=0,
     depth_refine_channels=0,
-    depth_separable_from=0,
+    separable_from=0,
 )
 
 
@@ -126,7 +126,7 @@ class SSDNetLite(Network):
         self.encoder = EfficientNetLite(config.encoder_widths or WIDTHS)
         skips, bottom = [CHANNELS[stride] for stride in _SKIPS], CHANNELS[_BOTTOM]
         self.context = GlobalContext(bottom)
-        self.boundary_decoder = BoundaryDecoder(skips)
+        self.boundary_decoder = BoundaryDecoder(skips, separable=config.separable_from > 0)
         if config.semantic_head:
             finest, refined = config.decoder_channels[-1], config.semantic_refine_channels
             self.semantic_decoder = TaskDecoder(bottom, skips, config.decoder_channels)
@@ -135,16 +135,18 @@ class SSDNetLite(Network):
                 # Without the prediction at stride 4 the few channels at stride 2 would hold all of
                 # it, which takes longer to learn.
                 self.semantic_coarse_head = nn.Conv2d(finest, config.num_classes, 1)
-                self.semantic_refine = UpBlock(finest, CHANNELS[2], refined, separable=True)
+                self.semantic_refine = UpBlock(
+                    finest, CHANNELS[2], refined, separable=config.separable_from >= 2
+                )
         if config.depth_head:
-            separable = [stride <= config.depth_separable_from for stride in reversed(_SKIPS)]
+            separable = [stride <= config.separable_from for stride in reversed(_SKIPS)]
             self.depth_decoder = TaskDecoder(bottom, skips, config.decoder_channels, separable)
             self.surface_depth = SurfaceDepthHead(
                 config.decoder_channels[-1],
                 CHANNELS[2],
                 CHANNELS[4],
                 refine_channels=config.depth_refine_channels,
-                separable=config.depth_separable_from >= 2,
+                separable=config.separable_from >= 2,
                 geometry_channels=config.geometry_channels,
                 semantics=config.semantic_head,
                 max_depth_m=config.max_depth_m,
