@@ -114,12 +114,12 @@ def test_tensorboard_shows_terms_rates_scores_and_pictures(data, tmp_path):
     png = np.frombuffer(events.Images(pictures[0])[0].encoded_image_string, np.uint8)
     picture = cv2.imdecode(png, cv2.IMREAD_COLOR)
     image = cv2.imread(str(data / "camvid/val/0.png"))
-    # Image, classes, depth, its uncertainty, boundary of the prediction; image and classes of the
-    # truth. Titles stand at the top.
-    assert picture.shape[1] == 7 * 80
+    # The overlay of the prediction, and beside it that of the truth, whose classes are below its
+    # image. Titles stand at the top of each panel.
     assert (picture[40:64, :80] == image[40:64]).all()
-    assert (picture[40:64, 400:480] == image[40:64]).all()
-    assert not (picture[40:64, 480:] == image[40:64]).all()
+    truth = picture[:, 360:440]
+    assert (truth[40:64] == image[40:64]).all()
+    assert not (truth[104:128] == image[40:64]).all()
 
 
 def test_validation_feeds_the_lidar_of_the_recipe(data, tmp_path):

@@ -33,7 +33,7 @@ def test_contract_of_a_bundled_model(model):
     assert (len(contract.classes), contract.max_depth_m) == (11, 200)
     assert "non-commercial" in contract.training["terms"]
     page = (Path(__file__).parents[3] / "docs" / "model_file.md").read_text().replace("\n", " ")
-    assert f"The schema version is {contract.schema_version}, in the bundled files too" in page
+    assert f"schema version is {contract.schema_version}, also in the bundled files" in page
     assert contract.parity["semantic"]
 
 
