@@ -154,8 +154,14 @@ def read_scalars(folder):
     return groups
 
 
-#: The last stages of others, and `ablation-ssdnet` with other weights of two terms.
-LIKE_OTHERS = ("lite-depth", "nano-depth", "ablation-joint-weights-1", "ablation-ssdnet-ind")
+#: Single stages of others, and `ablation-ssdnet` with other weights of two terms.
+LIKE_OTHERS = (
+    "lite-classes",
+    "lite-depth",
+    "nano-depth",
+    "ablation-joint-weights-1",
+    "ablation-ssdnet-ind",
+)
 
 
 @pytest.mark.parametrize(

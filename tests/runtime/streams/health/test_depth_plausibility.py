@@ -118,7 +118,7 @@ def test_the_advice_names_what_was_given(ratio, depth_scale, focal_px, advised):
 def test_a_bundled_model_on_a_frame_of_the_bundled_stream():
     frame = bundled_frames()[0]
     depth = frame.sparse_depth
-    with Predictor("ssdnet-nano", warmup=0) as predictor:
+    with Predictor("ssdnet-lite", warmup=0) as predictor:
         answer = predictor.predict(frame.rgb, None)
 
     def found(sparse):
