@@ -151,8 +151,9 @@ class SurfaceDepthHead(nn.Module):
         guess = self.farthest_guess * torch.sigmoid(self.guess(features))
         guess = torch.minimum(guess, candidates.guess_limit).float()
         beside = candidates.beside
-        departures = apart(torch.cat(beside[:2], dim=1))
-        geometry = self._geometry(candidates, departures, semantics, boundary_logits)
+        ratios = torch.cat([beside.near, beside.far], dim=1)
+        departures = apart(ratios)
+        geometry = self._geometry(candidates, ratios, departures, semantics, boundary_logits)
         place, log_scale = self.geometry(geometry).float().split(1, dim=1)
         features = features + self.project(candidates.features)
         if self.semantics is not None:
@@ -197,19 +198,19 @@ class SurfaceDepthHead(nn.Module):
     def _geometry(
         self,
         candidates: Candidates,
+        ratios: Tensor,
         departures: Tensor,
         semantics: Tensor | None,
         boundary_logits: Tensor,
     ) -> Tensor:
         """Return the input of the geometry's branch: nothing that depends on camera or LiDAR."""
-        surfaces, beside = candidates.surfaces, candidates.beside
-        ratios, density = torch.cat(beside[:2], dim=1), candidates.features[:, -1:]
+        surfaces, density = candidates.surfaces, candidates.features[:, -1:]
         maps = [
             ratios,
             5.0 * departures,
             surfaces.support,
             surfaces.reached,
-            beside.share * (1.0 / MOST_BESIDE),
+            candidates.beside.share * (1.0 / MOST_BESIDE),
             density,
             torch.sigmoid(boundary_logits.float()),
         ]

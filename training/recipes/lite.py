@@ -238,7 +238,7 @@ DEPTH = derive(
         "metric_l2": 0.02,
     },
     optimizer={
-        "learning_rate": 2e-3,
+        "learning_rate": 1.5e-3,
         "frozen": ("encoder", "context", "boundary", "semantic", "surface_depth.embed"),
     },
     schedule=ScheduleRecipe(steps=3600, warmup_steps=50),
