@@ -4,11 +4,10 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from runtime.app.encode import ENCODERS, count_beyond_png, encode_jpeg, encode_ply
+from runtime.app.encode import ENCODERS, encode_jpeg, encode_ply
 from runtime.app.run.options import CLOUD, OVERLAY, SAVED_HEADS, SUFFIXES, RunOptions
 from runtime.app.run.outputs.output import OpenRun
 from runtime.app.run.run_report import FRAMES_FILE, REPORT_FILE, write_report
-from runtime.contract.heads import Unit
 from runtime.files.atomic_write import atomic_write
 from runtime.files.own_folder import make_own_folder
 from runtime.streams.frame import Frame
@@ -47,9 +46,10 @@ class FrameWriter:
             return encode_jpeg(run.draw(frame, result))
         head, unit = SAVED_HEADS[kind]
         values = prediction.heads.get(head)
-        if values is not None and unit is Unit.METRES:
-            run.beyond_png[kind] += count_beyond_png(values)
-        return None if values is None else ENCODERS[unit](values)
+        if values is None:
+            return None
+        run.count_beyond(kind, unit, values)
+        return ENCODERS[unit](values)
 
 
 @contextlib.contextmanager

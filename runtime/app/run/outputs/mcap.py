@@ -58,7 +58,9 @@ class McapWriter:
         self._frames += 1
         for head, topic in IMAGES.items():
             if (values := prediction.heads.get(head)) is not None:
-                self._add_image(topic, header, *encode_ros_image(HEADS[head].unit, values))
+                unit = HEADS[head].unit
+                self._run.count_beyond(f"{head} in the MCAP file", unit, values)
+                self._add_image(topic, header, *encode_ros_image(unit, values))
         self._add_image(OVERLAY, header, "jpeg", encode_jpeg(self._run.draw(frame, result)))
         camera = camera_of(frame, self._run.predictor.focal_length_px)
         if camera is not None:

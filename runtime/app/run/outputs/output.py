@@ -4,13 +4,16 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.app.drawing.overlay import Overlay
+from runtime.app.encode import count_beyond_png
 from runtime.app.run.options import RunOptions
 from runtime.app.run.run_report import RunReport
+from runtime.contract.heads import Unit
 from runtime.engine.prediction import Prediction
 from runtime.engine.predictor import Predictor
 from runtime.geometry.calibration import Calibration
@@ -67,6 +70,11 @@ class OpenRun:
             max_uncertainty=self.options.max_uncertainty,
             voxel_m=self.options.cloud_voxel or voxel_m,
         )
+
+    def count_beyond(self, kind: str, unit: Unit, values: NDArray[Any]) -> None:
+        """Count in `beyond_png` the pixels of a head that a PNG of its unit cannot hold."""
+        if unit is Unit.METRES:
+            self.beyond_png[kind] += count_beyond_png(values)
 
     @cached_property
     def _overlay(self) -> Overlay:
