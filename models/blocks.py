@@ -50,10 +50,8 @@ class BaConv(nn.Module):
 
     def __init__(self, in_channels: int, out_channels: int, *, separable: bool = False) -> None:
         super().__init__()
-        if separable:
-            self.conv: nn.Module = separable_conv(in_channels, out_channels)
-        else:
-            self.conv = nn.Conv2d(in_channels, out_channels, 3, padding=1, bias=False)
+        dense = nn.Conv2d(in_channels, out_channels, 3, padding=1, bias=False)
+        self.conv = separable_conv(in_channels, out_channels) if separable else dense
 
     def forward(self, x: Tensor, boundary: Tensor | None) -> Tensor:
         """Convolve x * (1 - boundary)."""
