@@ -107,22 +107,22 @@ def check_output(network: Network) -> None:
             output = network.eval().predict_coarse(255.0 * noise[:, :3], sparse_depth)
     except RuntimeError as error:
         raise ValueError(
-            f"predict_coarse fails on an image of {_PROBED[0]}x{_PROBED[1]} ({error}). Pad the "
-            "image at the bottom and right to a multiple of the stride: models.blocks."
-            "pad_to_multiple."
+            f"predict_coarse fails on an image of {_PROBED[0]}x{_PROBED[1]} ({error}): pad the "
+            "image at the bottom and right to a multiple of the stride with models.blocks."
+            "pad_to_multiple"
         ) from error
     finally:
         network.train(training)
     if not isinstance(output, NetworkOutput) or not isinstance(output.depths, tuple | None):
         raise ValueError(
-            "predict_coarse returned another type; expected a NetworkOutput, whose depths are a "
-            "tuple, the finest first."
+            "predict_coarse returned another type: return a NetworkOutput, whose depths are a "
+            "tuple, the finest first"
         )
     maps = head_maps(output)
     if found := set(maps).symmetric_difference(network.heads):
         raise ValueError(
-            f"heads = {network.heads}, but predict_coarse returned {tuple(maps)}; "
-            f"{', '.join(sorted(found))} must be in both or in none."
+            f"heads = {network.heads}, but predict_coarse returned {tuple(maps)}: "
+            f"{', '.join(sorted(found))} must be in both or in none"
         )
     for head, values in maps.items():
         _check_map(network, head, values)
@@ -130,7 +130,8 @@ def check_output(network: Network) -> None:
         last = getattr(network, "semantic_head", None)
         if not isinstance(getattr(last, "bias", None), Tensor):
             raise ValueError(
-                "the last convolution of the classes must be called semantic_head, and have a bias."
+                "the network lacks semantic_head with a bias: give the last convolution of the "
+                "classes that name, and a bias"
             )
 
 
@@ -147,14 +148,14 @@ def _check_map(network: Network, head: str, values: Tensor) -> None:
         raise ValueError(
             f"predict_coarse returned {head} as {shape} for an image of {_PROBED[0]}x{_PROBED[1]}; "
             f"expected {(1, channels, *least)}, or as many cells as cover the image padded to a "
-            f"multiple of stride = {network.stride}. The grid is declared by {head}_stride = "
-            f"{stride}."
+            f"multiple of stride = {network.stride}: return that grid, or declare another as "
+            f"{head}_stride, which is {stride}"
         )
     if not values.isfinite().all():
-        raise ValueError(f"predict_coarse returned NaN or Inf as {head}.")
+        raise ValueError(f"predict_coarse returned NaN or Inf as {head}: return finite values")
     if head == "depth" and not 0 <= float(values.min()) <= float(values.max()) <= 1 + 1e-5:
         raise ValueError(
             f"predict_coarse returned a depth of {float(values.min()):.3g} to "
-            f"{float(values.max()):.3g}; expected 0..1, shares of max_depth_m = "
-            f"{network.config.max_depth_m:g} m."
+            f"{float(values.max()):.3g}: return 0..1, shares of max_depth_m = "
+            f"{network.config.max_depth_m:g} m"
         )

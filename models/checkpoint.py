@@ -46,7 +46,7 @@ class Checkpoint:
         try:
             return TrainingFacts.from_dict(self.training)
         except ValueError as error:
-            raise CheckpointError(f"the checkpoint's {error}. Train again.") from error
+            raise CheckpointError(f"the checkpoint's {error}: train again") from error
 
 
 def save_checkpoint(
@@ -91,8 +91,8 @@ def save_checkpoint(
             torch.save(document, file)
     except (OSError, OutputError, RuntimeError) as error:
         raise CheckpointError(
-            f"{path}: the checkpoint could not be written: {error}. "
-            "Free some space or choose another folder."
+            f"{path}: the checkpoint could not be written: {error}: "
+            "free some space or choose another folder"
         ) from error
 
 
@@ -116,14 +116,14 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
     if (version := document.get("version")) != VERSION:
         raise CheckpointError(
             f"{path}: checkpoint version {shown(version)}, but this installation reads version "
-            f"{VERSION}. Install a release that matches the file."
+            f"{VERSION}: install a release that matches the file"
         )
     try:
         network, default = _find_class(str(document.get("network")))
     except ValueError as error:
         raise CheckpointError(
-            f"{path}: holds a network that is not installed: {error}. Install a release, or the "
-            "package of the network, that matches the file."
+            f"{path}: holds a network that is not installed: {error}: install a release, or the "
+            "package of the network, that matches the file"
         ) from error
     try:
         config = type(default).from_dict(document["config"])
@@ -131,15 +131,15 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
             expected = network(config).state_dict()
     except (ValueError, TypeError, KeyError, RuntimeError) as error:
         raise CheckpointError(
-            f"{path}: its configuration cannot be built here: {_first_line(error)}. "
-            "Use it with the release that wrote it."
+            f"{path}: its configuration cannot be built here ({_first_line(error)}): "
+            "use it with the release that wrote it"
         ) from error
     try:
         check_weights(document["weights"], expected)
     except ValueError as error:
         raise CheckpointError(
-            f"{path}: its weights do not fit its own configuration {config.name!r}: {error}. "
-            "The file was changed, or comes from another release: use that release, or train again."
+            f"{path}: its weights do not fit its own configuration {config.name!r} ({error}); "
+            "it was changed or comes from another release: use that release, or train again"
         ) from error
     model = network(config)
     model.load_state_dict(document["weights"])
@@ -184,7 +184,7 @@ def check_weights(weights: Mapping[str, object], expected: Mapping[str, Tensor])
 def _read_document(path: Path) -> dict[str, Any]:
     """Read what a checkpoint file of any version holds, without running any code from it."""
     if not path.is_file():
-        raise CheckpointError(f"{path}: no such checkpoint file. Give the path of a .pt file.")
+        raise CheckpointError(f"{path}: no such checkpoint file: give the path of a .pt file")
     try:
         _check_archive(path)
         document = torch.load(path, map_location="cpu", weights_only=True)
@@ -193,18 +193,18 @@ def _read_document(path: Path) -> dict[str, Any]:
     except pickle.UnpicklingError as error:  # PyTorch's message explains how to run the code
         raise CheckpointError(
             f"{path}: it contains objects other than tensors and plain values, which could run "
-            "code when loaded. Give a file that ssdnet-train wrote."
+            "code when loaded: give a file that ssdnet-train wrote"
         ) from error
     except Exception as error:  # a damaged archive or pickle may raise any type
-        raise CheckpointError(f"{path}: damaged ({_first_line(error)}). Copy it again.") from error
+        raise CheckpointError(f"{path}: damaged ({_first_line(error)}): copy it again") from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise CheckpointError(
-            f"{path}: a PyTorch file, but not an ssdnet checkpoint (no 'format: {FORMAT}'). "
-            "Give a file that ssdnet-train wrote."
+            f"{path}: a PyTorch file, but not an ssdnet checkpoint (no 'format: {FORMAT}'): "
+            "give a file that ssdnet-train wrote"
         )
     for key in ("config", "weights", "training", "trainer"):
         if not isinstance(document.get(key), dict):
-            raise CheckpointError(f"{path}: the checkpoint lacks {key}. Train again.")
+            raise CheckpointError(f"{path}: the checkpoint lacks {key}: train again")
     return document
 
 
@@ -214,14 +214,14 @@ def _check_archive(path: Path) -> None:
         start = stream.read(len(_ZIP_START))
     if not _ZIP_START.startswith(start):
         raise CheckpointError(
-            f"{path}: not an ssdnet checkpoint. Give a file that ssdnet-train wrote."
+            f"{path}: not an ssdnet checkpoint: give a file that ssdnet-train wrote"
         )
     if not zipfile.is_zipfile(path):  # the archive's directory comes last
-        raise CheckpointError(f"{path}: truncated ({path.stat().st_size} bytes). Copy it again.")
+        raise CheckpointError(f"{path}: truncated ({path.stat().st_size} bytes): copy it again")
     with zipfile.ZipFile(path) as archive:
         if (name := archive.testzip()) is not None:  # torch.load does not compare checksums
             raise CheckpointError(
-                f"{path}: damaged (the checksum of {shown(name)} is wrong). Copy it again."
+                f"{path}: damaged (the checksum of {shown(name)} is wrong): copy it again"
             )
 
 

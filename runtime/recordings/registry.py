@@ -101,7 +101,7 @@ def detect_source(path: Path) -> SourcePath:
             return SourcePath(kind, path, {})
     fault = "is none of these" if os.path.exists(path) else "does not exist; give one of these"
     accepted = "; ".join(source.accepted for source in SOURCES.values())
-    raise InputError(f"{path} {fault}: {accepted}. --source KIND:PATH names the kind")
+    raise InputError(f"{path} {fault}: {accepted}; or name the kind with --source KIND:PATH")
 
 
 def parse_source(text: str) -> SourcePath:

@@ -1,5 +1,7 @@
 """Answers: thin boundaries, classes of scores that are not finite, and outputs as declared."""
 
+import re
+
 import pytest
 import torch
 from torch import nn
@@ -78,12 +80,12 @@ def returns(change):
 @pytest.mark.parametrize(
     ("changed", "named"),
     [
-        ({"depth_stride": 1}, "depth_stride = 1"),
+        ({"depth_stride": 1}, "depth_stride, which is 1"),
         ({"heads": ("semantic", "depth", "boundary")}, "boundary must be in both"),
         (returns(lambda found: found._replace(semantic_logits=None)), "semantic must be in both"),
         (returns(lambda found: found._replace(depths=found.depths[0])), "a tuple"),
         (returns(lambda found: found.depths), "NetworkOutput"),
-        (returns(lambda found: found._replace(depths=(80 * found.depths[0],))), "expected 0..1"),
+        (returns(lambda found: found._replace(depths=(80 * found.depths[0],))), "return 0..1"),
         (returns(lambda found: found._replace(depths=(float("nan") * found.depths[0],))), "NaN"),
         (
             returns(lambda found: found._replace(semantic_logits=found.semantic_logits[:, :5])),
@@ -95,8 +97,9 @@ def returns(change):
 def test_a_network_that_does_not_return_what_it_declares_is_named(changed, named):
     check_output(Small())
     network = type("Changed", (Small,), changed)()
-    with pytest.raises(ValueError, match=named):
+    with pytest.raises(ValueError, match=named) as caught:
         check_output(network)
+    assert re.search(r": [^.].*[^.]$", str(caught.value)), "what: remedy"
     assert network.training
 
 

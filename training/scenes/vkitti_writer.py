@@ -40,8 +40,8 @@ def write_variant(out: Path, frames: Iterable[RenderedFrame], *, overwrite: bool
         OutputError: if the folder exists and may not be replaced, or cannot be written.
     """
     if out.exists() and not overwrite:
-        advice = "Choose another folder or seed, or give --overwrite."
-        raise OutputError(f"{out} exists already. {advice}")
+        advice = "choose another folder or seed, or give --overwrite"
+        raise OutputError(f"{out} exists already: {advice}")
     with atomic_folder(out, overwrite=overwrite) as temporary:
         kinds = ("rgb", "depth", "classSegmentation", "lidar")
         rgb, depth, classes, lidar = (temporary / "frames" / kind / "Camera_0" for kind in kinds)
