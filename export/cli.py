@@ -37,15 +37,19 @@ def export(
         int | None,
         typer.Option(
             min=MIN_SIDE,
-            help="Rows, with --width: accept this size only. All shapes in the graph are then "
-            "constants, which some compilers and accelerators need. [default: any]",
+            help="Accept images of this height alone, together with --width. All shapes in the "
+            "graph are then constants, which some compilers and accelerators need. [default: any]",
         ),
     ] = None,
-    width: Annotated[int | None, typer.Option(min=MIN_SIDE, help="Columns. [default: any]")] = None,
+    width: Annotated[
+        int | None, typer.Option(min=MIN_SIDE, help="Width that goes with --height. [default: any]")
+    ] = None,
     dynamic: Annotated[
         bool,
         typer.Option(
-            "--dynamic", help="Accept any size, also with --height and --width (verified there)."
+            "--dynamic",
+            help="Accept images of any size although --height and --width are given, the size at "
+            "which the file is verified.",
         ),
     ] = False,
     opset: Annotated[int, typer.Option(min=18, help="ONNX operator set.")] = 18,
@@ -78,25 +82,26 @@ def export(
         list[str] | None,
         typer.Option(
             metavar="DATA",
-            help="KIND:FOLDER[,KEY=VALUE...] as for ssdnet-eval: frames from which the value "
-            f"ranges of int8 are calibrated, {LEAST_FRAMES} or more, with and without LiDAR; may "
-            "be repeated.",
+            help="Frames from which the value ranges of int8 are calibrated, with and without "
+            f"LiDAR, as KIND:FOLDER[,KEY=VALUE...] like in ssdnet-eval: {LEAST_FRAMES} or more. "
+            "May be repeated.",
         ),
     ] = None,
     validate: Annotated[
         list[str] | None,
         typer.Option(
             metavar="DATA",
-            help="KIND:FOLDER[,KEY=VALUE...]: frames with labels or depth, used neither for "
-            "training nor --calibrate, on which the accuracy in the metadata is measured, of int8 "
-            f"{LEAST_FRAMES} or more; may be repeated.",
+            help="Frames with labels or depth on which the accuracy in the metadata is measured, "
+            "as KIND:FOLDER[,KEY=VALUE...]; take none that served for training or --calibrate. "
+            f"int8 needs {LEAST_FRAMES} or more. May be repeated.",
         ),
     ] = None,
     max_drop_miou: Annotated[
-        float, typer.Option(min=0, help="Largest loss of mIoU by int8 on any set [points].")
+        float, typer.Option(min=0, help="Largest loss of mIoU by int8 on any data set, in points.")
     ] = Int8Options.max_drop_miou,
     max_rise_mae: Annotated[
-        float, typer.Option(min=0, help="Largest rise of the depth's MAE by int8 on any set [%].")
+        float,
+        typer.Option(min=0, help="Largest rise of the depth's MAE by int8 on any data set, in %."),
     ] = Int8Options.max_rise_mae,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace an older file, recording and Triton model.")

@@ -33,12 +33,10 @@ def adapt(
         ),
     ],
     *,
-    depth: Annotated[Path | None, typer.Option(help="Depth maps, as for ssdnet-run.")] = None,
-    points: Annotated[Path | None, typer.Option(help="Scans, as for ssdnet-run.")] = None,
-    calibration: Annotated[
-        Path | None, typer.Option(help="Calibration, as for ssdnet-run.")
-    ] = None,
-    poses: Annotated[Path | None, typer.Option(help="Poses, as for ssdnet-run.")] = None,
+    depth: Annotated[Path | None, typer.Option(help="Depth maps, see ssdnet-run.")] = None,
+    points: Annotated[Path | None, typer.Option(help="Scans, see ssdnet-run.")] = None,
+    calibration: Annotated[Path | None, typer.Option(help="Calibration, see ssdnet-run.")] = None,
+    poses: Annotated[Path | None, typer.Option(help="Poses, see ssdnet-run.")] = None,
     out: Out,
     init: Begin = "ssdnet-lite",
     change: Changes = None,

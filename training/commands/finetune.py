@@ -30,18 +30,22 @@ def finetune(
     *,
     labels: Annotated[
         Path | None,
-        typer.Option(help="Class ids (0, 1, ...; 255 = none): PNGs named like the images."),
+        typer.Option(
+            help="Folder of the classes: PNGs of class ids, named like the images. 255 is no class."
+        ),
     ] = None,
     classes: Annotated[
         Path | None,
         typer.Option(
-            help="Text file for --labels with the name of one class a line, in order of the ids."
+            help="Text file with the names of the classes of --labels, one a line, in the order of "
+            "their ids."
         ),
     ] = None,
     depth: Annotated[
         Path | None,
         typer.Option(
-            help="LiDAR depth: 16-bit PNGs named like the images, metres x 256, 0 = none."
+            help="Folder of LiDAR depth: 16-bit PNGs of metres x 256, named like the images. 0 is "
+            "no return."
         ),
     ] = None,
     depth_scale: Annotated[
@@ -57,7 +61,8 @@ def finetune(
     intrinsics: Annotated[
         tuple[float, float, float, float] | None,
         typer.Option(
-            metavar="FX FY CX CY", help="In place of --focal-length, in pixels of the images."
+            metavar="FX FY CX CY",
+            help="Intrinsics of the images in pixels, instead of --focal-length.",
         ),
     ] = None,
     out: Out,

@@ -27,11 +27,15 @@ Begin = Annotated[
 ]
 Changes = Annotated[
     list[str] | None,
-    typer.Option("--set", help="Change a key of the recipe, for example 'schedule.steps = 500'."),
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change a key of the recipe, for example 'schedule.steps = 500'. May be repeated.",
+    ),
 ]
 Device = Annotated[str, typer.Option(help="'cpu', 'cuda' or 'cuda:N'.")]
 Threads = Annotated[
-    int | None, typer.Option(min=1, help="Threads of PyTorch; all cores by default.")
+    int | None, typer.Option(min=1, help="Threads of PyTorch. [default: all cores]")
 ]
 StopAfter = Annotated[
     int | None,
@@ -41,8 +45,8 @@ DryRun = Annotated[
     bool,
     typer.Option(
         "--dry-run",
-        help="Check that the training, or its next stage, can start, describe its data, and draw "
-        "its first batch in batch.png below --out, instead of training.",
+        help="Do not train: check that the training, or its next stage, can start, describe its "
+        "data, and draw the first batch as batch.png in --out.",
     ),
 ]
 

@@ -69,7 +69,8 @@ def train(
     ],
     *,
     data: Annotated[
-        list[Path], typer.Option(help="Folder with the recipe's data sets. May be repeated.")
+        list[Path],
+        typer.Option(metavar="DIR", help="Folder with the recipe's data sets. May be repeated."),
     ],
     out: Out,
     init: Annotated[

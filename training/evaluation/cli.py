@@ -31,46 +31,49 @@ def evaluate(
         list[str] | None,
         typer.Option(
             help="KIND:FOLDER[,KEY=VALUE...], a data set as in a recipe, for example "
-            "cityscapes:/data/cityscapes,split=val,size=[512,1024]; may be repeated. [default: the "
-            "validation sets of the first run]"
+            "cityscapes:/data/cityscapes,split=val,size=[512,1024]. May be repeated. [default: the "
+            "validation sets of the first run]",
+            metavar="DATA",
         ),
     ] = None,
     lidar: Annotated[
         str | None,
         typer.Option(
-            help="LiDAR inputs to score: own,64,32,16,8,4,2,1,random:SHARE,none; comma-separated. "
-            "[default: that of the run's validation, or own]"
+            metavar="LIDAR,...",
+            help="LiDAR inputs to score: own, 64, 32, 16, 8, 4, 2, 1, random:SHARE, none. "
+            "[default: that of the run's validation, or own]",
         ),
     ] = None,
     faults: Annotated[
         str,
         typer.Option(
-            help="Also score with simulated LiDAR faults: nan,shift,dropout; comma-separated."
+            metavar="FAULT,...",
+            help="Score also with simulated faults of the LiDAR: nan, shift, dropout.",
         ),
     ] = "",
     predictions: Annotated[
         list[str] | None,
         typer.Option(
             metavar="DIR[,KEY=VALUE...]",
-            help="Score answers by the names of the frames: PNGs of class ids or palettes, 16-bit "
-            "PNGs of depth (depth_scale=256), or .npy; classes=cityscapes or a list names the "
-            "ids. May be repeated.",
+            help="Folder of answers to score, named like the frames: PNGs of class ids or with "
+            "palettes, 16-bit PNGs of depth (depth_scale=256), or .npy files. classes=cityscapes "
+            "or a list names the ids. May be repeated.",
         ),
     ] = None,
     adapter: Annotated[
         list[Path] | None,
         typer.Option(
             metavar="FILE.toml",
-            help="What goes into a network of others and what it gives; filled in where the file "
-            "is missing. May be repeated, in the order of these networks. [default: of the "
-            "network's name, beside it]",
+            help="File that says what goes into a network of others and what it returns; if it is "
+            "missing, a draft is printed. May be repeated, in the order of these networks. "
+            "[default: the file beside the network, with its name]",
         ),
     ] = None,
     join: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE.toml",
-            help='Classes that count as one, of sets and models: vehicle = ["car", "truck"].',
+            help='Classes of data sets and models that count as one: vehicle = ["car", "truck"].',
         ),
     ] = None,
     device: Annotated[str, typer.Option(help="'cpu', 'cuda' or 'cuda:N'.")] = "cpu",
@@ -78,13 +81,13 @@ def evaluate(
     size: Annotated[
         str,
         typer.Option(
-            help="Size at which models of free size run: auto (about the height they were trained "
-            "for, where a frame is much larger), frame (the frame's own), ROWS, or HEIGHTxWIDTH. "
-            "Scored at the frame's size."
+            help="Size at which models of free size run: auto (about the height that they were "
+            "trained for, if a frame is much larger), frame, ROWS, or HEIGHTxWIDTH. Scores are "
+            "computed at the size of the frame."
         ),
     ] = "auto",
     limit: Annotated[
-        int | None, typer.Option(min=1, help="Frames of each set, evenly spread.")
+        int | None, typer.Option(min=1, help="Frames to score of each set, evenly spread.")
     ] = None,
     all_columns: Annotated[
         bool, typer.Option("--all", help="Print all figures instead of the main ones.")
@@ -93,25 +96,29 @@ def evaluate(
         Path | None,
         typer.Option(
             metavar="FILE.html",
-            help="Write an HTML page: tables, differences, confusion, errors by distance, "
-            "reliability of the uncertainty, and the ten worst frames of each model.",
+            help="Write an HTML page with the tables, the differences, the confusion of classes, "
+            "the errors by distance, the reliability of the uncertainty, and the ten worst frames "
+            "of each model.",
         ),
     ] = None,
     json: Annotated[Path | None, typer.Option(help="Write all figures to this file.")] = None,
     save: Annotated[
         Path | None,
         typer.Option(
-            help="Write the depth of every answer below this folder, as 16-bit PNGs of metres x "
-            "256 in MODEL/SET/LIDAR/FRAME.png, also of frames without ground truth."
+            help="Write the depth of every frame below this folder, also of frames without ground "
+            "truth: 16-bit PNGs of metres x 256 as MODEL/SET/LIDAR/FRAME.png."
         ),
     ] = None,
     overwrite: Annotated[
         bool,
-        typer.Option("--overwrite", help="Replace depth below --save, and --page."),
+        typer.Option("--overwrite", help="Replace the depth in --save, and the file of --page."),
     ] = False,
     _version: Version = False,
 ) -> None:
-    """Score models on data sets; prints a table, and whether the others differ from the first."""
+    """Score models on data sets.
+
+    Prints a table, and for each model whether it differs from the first beyond chance.
+    """
     if not models and not predictions:
         raise typer.BadParameter("name a model, the folder of a run, or --predictions DIR")
     with reported_errors("cpu,train"):

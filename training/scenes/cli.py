@@ -26,16 +26,18 @@ def render(
     frames: Annotated[int, typer.Option(min=1, help="Frames of each scene.")] = 4,
     variant: Annotated[
         list[Variant] | None,
-        typer.Option(help="Light of the scenes, in turn; may be repeated; all by default."),
+        typer.Option(help="Light of the scenes, which take turns. May be repeated. [default: all]"),
     ] = None,
     size: Annotated[
-        str, typer.Option(help="HEIGHTxWIDTH in pixels; ignored by varied cameras.")
+        str, typer.Option(help="HEIGHTxWIDTH in pixels; varied cameras ignore it.")
     ] = "375x1242",
     camera: Annotated[
         CameraName,
         typer.Option(help="KITTI's field of view, or a random one and a random size per scene."),
     ] = CameraName.kitti,
-    street: Annotated[StreetKind | None, typer.Option(help="Random by default.")] = None,
+    street: Annotated[
+        StreetKind | None, typer.Option(help="Kind of street. [default: random]")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first scene.")] = 0,
     stride: Annotated[
         int,
@@ -45,7 +47,7 @@ def render(
     overwrite: Annotated[bool, typer.Option(help="Replace existing scenes.")] = False,
     _version: Version = False,
 ) -> None:
-    """Render street scenes: RGB, depth, classes and a LiDAR scan of every frame."""
+    """Render street scenes: the image, depth, classes and a LiDAR scan of every frame."""
     step_s = stride / _FRAMES_PER_S
     if (frames - 1) * step_s > _LONGEST_S:
         raise typer.BadParameter(

@@ -47,9 +47,7 @@ KINDS = tuple(kind for kind in SUFFIXES if kind != CLOUD)
 MAX_OVERLAY_WIDTH = 8192  # five such panels side by side fit into a JPEG
 # Suffix of the file that an option names.
 FILE_SUFFIXES = {"video": ".mp4", "report": ".html", "mcap": ".mcap"}
-MCAP_VOXEL_M = (
-    0.1  # side of the cubes in which --mcap keeps one point, unless --cloud-voxel is given
-)
+MCAP_VOXEL_M = 0.1  # side of the cubes of --mcap, unless --cloud-voxel is given
 DEFAULT_RATE_HZ = 10.0  # for frames without stamps: the rate of a LiDAR
 OPTION = "option"  # key of a field's metadata that holds the option of the command
 _RIG_OPTIONS = ("calibration", "max_skew_ms", "reuse_depth_ms")  # attributes of the `Rig`
@@ -74,8 +72,8 @@ _input, _outputs, _model, _timing = map(_group, ("Input", "Outputs", "Model", "T
 _KEYS = "; ".join(f"{kind} ({', '.join(keys_of(kind))})" for kind in SOURCES)
 _PATH = typer.Argument(
     metavar="PATH",
-    help=f"Frames to predict: {'; '.join(kind.accepted for kind in SOURCES.values())}. Its kind "
-    "follows from the path.",
+    help=f"Recording to read: {'; '.join(kind.accepted for kind in SOURCES.values())}. The kind is "
+    "found from the files.",
     rich_help_panel="Input",
 )
 
@@ -106,95 +104,98 @@ class RunOptions:
         f"Folder of the images (PNG or JPEG, at most {MAX_PIXELS // 10**6} megapixels)."
     )
     depth: Path | None = _input(
-        "Folder of the sparse depth maps, or the one of one image: PNG, TIFF or .npy of 16 bits "
-        "(depth_scale in --source), TIFF or .npy of floats in metres. [default: camera only]"
+        "Folder of sparse depth maps, or the depth map of a single image, instead of --points: "
+        "PNG, TIFF or .npy of 16 bits (depth_scale in --source), or TIFF or .npy of floats in "
+        "metres. [default: camera only]"
     )
     points: Path | None = _input(
-        "Folder of LiDAR scans, or the scan of a single image, instead of --depth: "
-        f"{', '.join(SCAN_SUFFIXES)}. Needs --calibration."
+        f"Folder of LiDAR scans, or the scan of a single image: {', '.join(SCAN_SUFFIXES)}. Needs "
+        "--calibration."
     )
     calibration: Path | None = _input(
-        "Calibration of camera and LiDAR: a TOML file, or a file or folder of KITTI. [default: "
-        "from the source]"
+        "Calibration of camera and LiDAR: a TOML file, or a calibration file or folder of KITTI. "
+        "[default: that of the recording]"
     )
     rectify: bool = _input(
-        "Remove the distortion of the images by the lens of the calibration, before they are "
-        "predicted. [default: returns are projected through the lens]",
+        "Remove the distortion of the images with the lens of the calibration, before the network "
+        "sees them. [default: the returns are projected through the lens]",
         flag="--rectify",
         default=False,
     )
     demo: bool = _input("Run the bundled stream.", flag="--demo", default=False)
-    limit: int | None = _input("Stop after N complete frames (of each camera).", min=1)
+    limit: int | None = _input("Stop after this many complete frames of each camera.", min=1)
     focal_length: float | None = _input(
-        "Focal length (fx) in pixels of the images; models without a canonical focal length ignore "
-        "it. [default: from the calibration of the source, else unknown]",
+        "Focal length (fx) of the images in pixels; models without a canonical focal length ignore "
+        "it. [default: that of the calibration, else unknown]",
         min=MIN_FOCAL_PX,
         max=MAX_FOCAL_PX,
     )
     reuse_depth_ms: float | None = _input(
-        "Largest age of the depth that an image without depth of its own takes; 0 = none. "
-        f"[default: {DEFAULT_REUSE_DEPTH_MS:g}, in folders with --poses or timestamps in --source]",
+        "An image without depth of its own takes the last depth, unless that is older than this; "
+        f"0 turns it off. [default: {DEFAULT_REUSE_DEPTH_MS:g}, in folders only with --poses or "
+        "timestamps in --source]",
         min=0,
         max=1e6,
     )
     poses: Path | None = _input(
-        "Poses by which scans in a folder are moved to the time of the image, in KITTI's or TUM's "
-        "format. Needs pose_frame in --source. Drives of KITTI and bags bring their own.",
+        "Poses in KITTI's or TUM's format, by which the scans of a folder are moved to the time of "
+        "the image. Needs pose_frame in --source. Drives of KITTI and bags hold their own poses.",
         metavar="FILE",
     )
     source: str | None = _input(
-        f"A path with its kind, and options of this kind: {_KEYS}. --rgb DIR equals folders:DIR. "
-        "See docs/recordings.md.",
+        f"A path with its kind, and options of this kind: {_KEYS}. --rgb DIR is the same as "
+        "folders:DIR. The options are explained in docs/recordings.md.",
         metavar="KIND:PATH[,KEY=VALUE...]",
     )
     shard: str | None = _input(
-        "Run part I of N of the stream, from 1/N to N/N: every N-th frame (of --limit frames if "
-        "given). All parts together give the results of one run.",
+        "Run part I of N of the recording, from 1/N to N/N: every N-th frame, of the first --limit "
+        "frames if that is given. All parts together give the results of one run.",
         metavar="I/N",
     )
     out: Path | None = _outputs(
-        "Folder of the results. [default: ssdnet-run, or ssdnet-run-2, ...]"
+        "Folder of the results. [default: ssdnet-run, then ssdnet-run-2, ...]"
     )
     overwrite: bool = _outputs(
-        "Replace the files of an earlier run in --out, and existing files of the options below. "
-        "Files of others are never replaced.",
+        "Replace the files of an earlier run in --out, and the files that the options below name. "
+        "Files that ssdnet-run did not write are never replaced.",
         flag="--overwrite",
         default=False,
     )
     save: list[str] | None = _outputs(
-        f"Files to write of each frame: {', '.join(SUFFIXES)}; all = all kinds that the model "
-        "answers, except clouds; or none. May be repeated. Depth and uncertainty are metres x "
+        f"Files to write for each frame: {', '.join(SUFFIXES)}; all, which is every kind that the "
+        "model answers except clouds; or none. May be repeated. Depth and uncertainty are metres x "
         f"{METRES_PNG_SCALE}; a cloud needs --calibration or --focal-length. [default: all]",
         metavar="KIND,...",
     )
     overlay_width: int | None = _outputs(
-        "Largest width in pixels of a panel of the overlays and the video. [default: the grid of "
-        "panels fits 1920 x 1080; of the video the frame's width]",
+        "Largest width of a panel of the overlays and the video in pixels. [default: such that an "
+        "overlay fits 1920 x 1080; in the video the width of the frame]",
         min=16,
         max=MAX_OVERLAY_WIDTH,
     )
     report: Path | None = _outputs(
-        "Write an HTML page: latency over time, stages, health, samples, facts of the run.",
+        "Write an HTML page with the latency over time, its stages, the health of the sensors, "
+        "sample frames and the facts of the run.",
         metavar=f"FILE{FILE_SUFFIXES['report']}",
     )
     video: Path | None = _outputs(
-        f"Write the overlays as a video, at --rate or {DEFAULT_RATE_HZ:g} Hz.",
+        f"Write the overlays as a video, at --rate or at {DEFAULT_RATE_HZ:g} Hz.",
         metavar=f"FILE{FILE_SUFFIXES['video']}",
     )
     mcap: Path | None = _outputs(
-        "Write the results as standard ROS 2 messages (extra bag), with the stamps of the camera, "
-        "or at --rate where there are none.",
+        "Write the results as standard ROS 2 messages with the stamps of the camera, or at --rate "
+        "if there are none. Needs the extra bag.",
         metavar=f"FILE{FILE_SUFFIXES['mcap']}",
     )
     cloud_voxel: float | None = _outputs(
-        "Keep one point of the clouds of --save and --mcap in each cube of this side, the one of "
-        f"the least uncertainty. [default: all points in --save, {MCAP_VOXEL_M:g} in --mcap]",
+        "In the clouds of --save and --mcap, keep one point in each cube of this side, the most "
+        f"certain one. [default: all points in --save, {MCAP_VOXEL_M:g} in --mcap]",
         metavar="METRES",
         min=0.01,
         max=1e3,
     )
     max_uncertainty: float | None = _outputs(
-        "Leave points out of these clouds whose uncertainty is a larger share of their depth.",
+        "Leave points out of these clouds if their uncertainty is a larger share of their depth.",
         metavar="SHARE",
         min=0,
         max=1e3,
@@ -217,23 +218,24 @@ class RunOptions:
     threads: int | None = _model("Threads of inference. [default: physical cores]", min=1)
     sha256: str | None = _model("Required SHA-256 of the model file. [default: any]")
     deadline_ms: float | None = _timing(
-        "Deadline of a prediction, without reading and writing; with --rate it counts from when "
-        "the frame is due.",
+        "Deadline of a prediction, without reading and writing. With --rate it counts from the "
+        "time at which the frame is due.",
         min=1e-6,
         max=1e9,
     )
     rate: float | None = _timing(
         "Frames per second: frames are due at fixed times as from a sensor (constant-stream), and "
-        "age and jitter are reported. [default: each when the one before is done (single-stream)]",
+        "their age and jitter are reported. [default: a frame starts when the one before it is "
+        "done (single-stream)]",
         min=1e-3,
         max=1e6,
     )
     warmup: int = _timing(
-        "Predictions before the first frame, excluded from the statistics.", default=3, min=0
+        "Predictions before the first frame, which the statistics leave out.", default=3, min=0
     )
     max_skew_ms: float | None = _timing(
-        "Largest difference of the stamps of an image and its depth, for sources with stamps of "
-        f"both. [default: {DEFAULT_MAX_SKEW_MS:g}]",
+        "Largest difference between the stamps of an image and its depth, for recordings with "
+        f"stamps of both. [default: {DEFAULT_MAX_SKEW_MS:g}]",
         min=0,
         max=1e6,
     )

@@ -39,20 +39,24 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 def main(
     *,
     frames: Annotated[
-        int, typer.Option(min=3, max=1000, help="Frames to look at, spread over the recording.")
+        int,
+        typer.Option(
+            min=3, max=1000, help="Number of frames to look at, spread over the recording."
+        ),
     ] = 20,
     out: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE.toml",
-            help="Write the calibration to use, for --calibration. Nothing is written if the "
-            "frames do not show it.",
+            help="Write the calibration to use to a file for --calibration. Nothing is written if "
+            "the frames do not show it.",
         ),
     ] = None,
     picture: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.jpg", help="Write the returns on an image, as given and as refined."
+            metavar="FILE.jpg",
+            help="Draw the returns on an image, by the given and by the refined calibration.",
         ),
     ] = None,
     threads: Annotated[
@@ -63,7 +67,8 @@ def main(
 ) -> None:
     """Check the rotation between LiDAR and camera in a recording, and refine it.
 
-    A bundled model answers each image alone. Position and intrinsics are taken as they are.
+    The depth and boundaries that a bundled model predicts from the images alone are compared with
+    the returns. The position of the LiDAR and the intrinsics are taken as they are.
     """
     with reported_errors("cpu"), stop_requested(interrupts=True):
         try:

@@ -54,9 +54,10 @@ def main(
         typer.Option(
             metavar="HEAD[.FIGURE]=LIMIT",
             help="Limit of a head, instead of its recorded ones; may be repeated. "
-            "semantic.equal: least share of equal pixels; of the other heads .mean, .max and "
-            "percentiles (.p99) of the difference, in metres for depths (of semantic_logits "
-            "relative to the scores). Without a figure: semantic.equal, boundary.mean, else .max.",
+            "semantic.equal is the least share of equal pixels. The other heads have .mean, .max "
+            "and percentiles (.p99) of the difference, in metres for depths, and relative to the "
+            "scores for semantic_logits. Without a figure, LIMIT is that of semantic.equal, of "
+            "boundary.mean, or else of .max.",
         ),
     ] = None,
     max_slowdown: Annotated[
