@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.alignment.view import View
-from runtime.geometry.lens import as_key, ray_bounds
-from runtime.streams.health.depth_plausibility import correlation
+from runtime.geometry.lens import pixels_of_rays
+from runtime.streams.health.log_depth import correlation, log_depth
 
 AXES = ("yaw", "pitch", "roll")
 BLUR = 2 / 375  # blur of the boundary for the comparison of figures, in image heights
@@ -57,8 +57,7 @@ def figures_of(view: View, angles: Angles = (0, 0, 0), *, blur: float = BLUR) ->
     at_row, at_column, _ = pixels_of(view, view.jumps, turn)
     edge = alike = 0.0
     if len(row) >= _LEAST:
-        seen, measured = view.log_depth[row, column], np.log(depth)
-        alike = correlation(seen.astype(np.float64), measured.astype(np.float64))
+        alike = correlation(view.log_depth[row, column], log_depth(depth))
         if len(at_row) >= _LEAST:
             edge = float(boundary[at_row, at_column].mean() - boundary[row, column].mean())
     return Figures(edge, alike)
@@ -78,16 +77,8 @@ def pixels_of(
     turned = points @ turn.T.astype(np.float32) + place
     turned = turned[turned[:, 2] > _NEAREST_M]
     z = turned[:, 2]
-    x, y = turned[:, 0] / z, turned[:, 1] / z
-    if (lens := calibration.lens_model) is not None:
-        bounds = ray_bounds(lens, as_key(calibration.intrinsics), view.size)
-        seen = x * x + y * y <= bounds.radius_2
-        z = z[seen]
-        x, y = lens.distort(x[seen], y[seen])
-    across, down = calibration.intrinsics[:2].astype(np.float32)
-    column, row = (
-        np.rint((line[0] * x + line[1] * y + line[2] + 0.5) / view.shrink - 0.5).astype(np.intp)
-        for line in (across, down)
-    )
+    rays = turned[:, 0] / z, turned[:, 1] / z
+    pixels = pixels_of_rays(*rays, calibration.lens_model, calibration.intrinsics, view.size)
+    column, row = (np.rint((each + 0.5) / view.shrink - 0.5).astype(np.intp) for each in pixels)
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     return row[inside], column[inside], z[inside]

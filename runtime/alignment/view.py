@@ -19,10 +19,11 @@ from runtime.geometry.motion import Scan, move_points
 from runtime.geometry.poses import NoPoseError
 from runtime.geometry.returns import is_return
 from runtime.streams.frame import Frame
+from runtime.streams.health.log_depth import log_depth
 
 LEAST_JUMPS, LEAST_RETURNS = 60, 500  # with fewer in a view, nothing is computed
 _MOST_JUMPS, _MOST_RETURNS = 2500, 4000  # more are subsampled
-_NEAREST_M, _LEAST_DEPTH_M = 1.0, 0.1
+_NEAREST_M = 1.0
 _ROWS = 375  # answers with twice as many rows are shrunk; the network sees no finer boundary
 _MARGIN = 0.12  # of rays beside the image, about 7 degrees: trials move them into it
 _LINE_RAD, _ACROSS = 0.02, 8  # how near neighbours are along a scan line; across it an eighth
@@ -113,8 +114,8 @@ def view_of(
     if (points := points_in_time(frame)) is None:
         return None
     returns, jumps = find_structure(points, calibration, frame.size)
-    logarithms = np.log(np.maximum(depth, np.float32(_LEAST_DEPTH_M)))
-    edges, depths = (_shrunk(each, shrink_of(frame.size)) for each in (boundary, logarithms))
+    answers = boundary, log_depth(depth)
+    edges, depths = (_shrunk(each, shrink_of(frame.size)) for each in answers)
     return View(
         frame.name, points, returns, jumps, calibration, frame.size, edges, depths, neighbours
     )

@@ -230,6 +230,23 @@ def ray_bounds(lens: Lens, intrinsics: Key, size: tuple[int, int]) -> RayBounds:
     return RayBounds(left, right, top, bottom, np.float32(farthest * farthest))
 
 
+def pixels_of_rays(
+    x: Floats,
+    y: Floats,
+    lens: Lens | None,
+    intrinsics: NDArray[np.floating[Any]],
+    size: tuple[int, int],
+) -> list[Floats]:
+    """Return the columns and the rows at which rays meet an image; -1 where the lens sees none."""
+    seen = None
+    if lens is not None:
+        seen = x * x + y * y <= ray_bounds(lens, as_key(intrinsics), size).radius_2
+        x, y = lens.distort(np.where(seen, x, 0), np.where(seen, y, 0))
+    lines = intrinsics[:2].astype(x.dtype)
+    pixels = [for_x * x + for_y * y + shift for for_x, for_y, shift in lines]
+    return pixels if seen is None else [np.where(seen, each, x.dtype.type(-1)) for each in pixels]
+
+
 @lru_cache(maxsize=4)
 def rectifying_maps(
     lens: Lens, intrinsics: Key, size: tuple[int, int]
@@ -242,11 +259,6 @@ def rectifying_maps(
     height, width = size
     matrix = np.reshape(intrinsics, (3, 3))
     row, column = np.mgrid[:height, :width].astype(np.float64)
-    x, y = to_plane(matrix, column, row)
-    seen = x * x + y * y <= ray_bounds(lens, intrinsics, size).radius_2
-    x, y = lens.distort(np.where(seen, x, 0), np.where(seen, y, 0))
-    across, down = (
-        np.where(seen, line[0] * x + line[1] * y + line[2], -1).astype(np.float32)
-        for line in matrix[:2]
-    )
+    pixels = pixels_of_rays(*to_plane(matrix, column, row), lens, matrix, size)
+    across, down = (each.astype(np.float32) for each in pixels)
     return across, down

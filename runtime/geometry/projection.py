@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from runtime.base.checks import check_integer, shown
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_SIDE
-from runtime.geometry.lens import Lens, as_key, ray_bounds
+from runtime.geometry.lens import Lens, as_key, pixels_of_rays, ray_bounds
 from runtime.geometry.returns import axes_of, check_points
 from runtime.geometry.rigid import check_matrix, read_rigid
 
@@ -92,18 +92,12 @@ def project_with_rows(
             u, v = u_z[row] / z, v_z[row] / z
         else:
             x_z, y_z, z = _transform(axes, extrinsics[:3].astype(np.float32))
-            left, right, top, bottom, radius_2 = ray_bounds(lens, as_key(intrinsics), size)
+            left, right, top, bottom, _ = ray_bounds(lens, as_key(intrinsics), size)
             row = np.flatnonzero(
                 (x_z > left * z) & (x_z < right * z) & (y_z > top * z) & (y_z < bottom * z)
             )
             z = z[row]
-            x, y = x_z[row] / z, y_z[row] / z
-            in_field = x * x + y * y <= radius_2
-            x, y = lens.distort(x, y)
-            u, v = (
-                np.where(in_field, for_x * x + for_y * y + shift, np.float32(-1))
-                for for_x, for_y, shift in intrinsics[:2].astype(np.float32)
-            )
+            u, v = pixels_of_rays(x_z[row] / z, y_z[row] / z, lens, intrinsics, size)
         u, v = np.rint(u), np.rint(v)
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
     z, row = z[inside], row[inside]

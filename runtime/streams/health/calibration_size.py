@@ -16,7 +16,7 @@ from runtime.contract.degraded import IMAGE_CONSTANT
 from runtime.engine.prediction import Prediction
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.returns import is_measured
-from runtime.streams.health.depth_plausibility import BANDS, correlations, log_depth
+from runtime.streams.health.log_depth import BANDS, correlations, log_depth
 
 # Offset of the principal point, as a share of the image's side. KITTI, PandaSet and View-of-Delft
 # have at most 0.04.
@@ -125,11 +125,10 @@ def _gain(
     inside &= (moved_column > -0.5) & (moved_column < width - 0.5)
     if np.count_nonzero(inside) < _LEAST_RETURNS or IMAGE_CONSTANT in camera_only.degraded:
         return None
-    depth, measured = camera_only.depth, np.log(sparse_depth[row, column].astype(np.float64))
+    seen, measured = (log_depth(each) for each in (camera_only.depth, sparse_depth[row, column]))
 
-    def fit(row: _Index, column: _Index, measured: NDArray[np.float64]) -> float:
-        seen = log_depth(depth, row, column)
-        return sum(correlations(row * BANDS // height, measured, seen)) / 2
+    def fit(row: _Index, column: _Index, measured: NDArray[np.float32]) -> float:
+        return sum(correlations(row * BANDS // height, measured, seen[row, column])) / 2
 
     row_to, column_to = (np.rint(p[inside]).astype(np.intp) for p in (moved_row, moved_column))
     return fit(row_to, column_to, measured[inside]) - fit(row, column, measured)

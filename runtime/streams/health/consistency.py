@@ -17,6 +17,7 @@ from runtime.base.checks import check_number
 from runtime.base.errors import InputError
 from runtime.engine.prediction import Prediction
 from runtime.geometry.returns import is_measured
+from runtime.streams.health.log_depth import log_depth
 
 _SHARE = "consistency, the share of the returns that is held out,"
 _WEIGHT = 0.1  # weight of a new frame in the running means
@@ -25,7 +26,6 @@ _SQUARES = 8  # squares per image height; whole squares are held out
 _NEIGHBOUR_PX = 8  # largest distance of two returns of a row or column that are compared
 _JUMP = 1.25  # ratio of the depths of two neighbouring returns at an object edge
 _NEAR_M = 30.0  # farther returns are too sparse to be compared with their neighbours
-_LEAST_DEPTH_M = 0.1
 _FIRST_NS = 60_000_000_000  # the first minute, with which later frames are compared
 
 
@@ -154,8 +154,7 @@ class _Figure:
 def _log_ratio(
     depth: NDArray[np.float32], sparse_depth: NDArray[np.float32], at: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
-    predicted = np.maximum(depth[at], np.float32(_LEAST_DEPTH_M))
-    return np.asarray(np.log(predicted / sparse_depth[at]), dtype=np.float32)
+    return log_depth(depth[at]) - log_depth(sparse_depth[at])
 
 
 def _edge_agreement(

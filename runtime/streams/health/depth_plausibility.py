@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from runtime.contract.degraded import IMAGE_CONSTANT
 from runtime.engine.prediction import Prediction
 from runtime.geometry.returns import is_measured
+from runtime.streams.health.log_depth import BANDS, correlations, log_depth, without_bands
 
 FIRST_FRAMES = 5  # frames checked when a stream starts; later the median of the last 5 counts
 _LEAST_RETURNS, _MOST_RETURNS = 200, 50_000  # denser maps are subsampled
-BANDS = 48  # bands of rows over the height of the image
-_LEAST_DEPTH_M = 0.1
 _ALIKE = 0.5  # least correlation of two depth maps of the same scene
 # Correlations of depth maps of different scenes are below these, as they are and without the mean
 # of each band of rows, in at least _KNOWN frames. Correct returns have medians of at least 0.5 and
@@ -99,12 +98,12 @@ class DepthPlausibility:
             return
         step = len(row) // _MOST_RETURNS + 1
         row, column = row[::step], column[::step]
-        measured = np.log(sparse_depth[row, column].astype(np.float64))
-        seen, mirrored = (log_depth(view, row, column) for view in (depth, depth[:, ::-1]))
+        views = sparse_depth, depth, depth[:, ::-1]
+        measured, seen, mirrored = (log_depth(view[row, column]) for view in views)
         band = row * BANDS // len(depth)
         overall, alike = correlations(band, measured, seen)
         _, alike_mirrored = correlations(band, measured, mirrored)
-        spread = float(min(_in_bands(band, each).std() for each in (measured, seen)))
+        spread = float(min(without_bands(band, each).std() for each in (measured, seen)))
         log_ratio = float(np.median(measured - seen))
         self._figures.append(_Figures(log_ratio, overall, alike, alike_mirrored, spread))
 
@@ -145,31 +144,3 @@ class DepthPlausibility:
 
 def _rounded(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}"
-
-
-def log_depth(
-    depth: NDArray[np.float32], row: NDArray[np.intp], column: NDArray[np.intp]
-) -> NDArray[np.float64]:
-    """Logarithms of a predicted depth at these pixels."""
-    return np.log(np.maximum(depth[row, column], _LEAST_DEPTH_M, dtype=np.float64))
-
-
-def correlations(
-    band: NDArray[np.intp], measured: NDArray[np.float64], seen: NDArray[np.float64]
-) -> tuple[float, float]:
-    """Correlation of two log depths, as they are and without the mean of each band of rows."""
-    first, second = _in_bands(band, measured), _in_bands(band, seen)
-    return correlation(measured, seen), correlation(first, second)
-
-
-def _in_bands(band: NDArray[np.intp], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The values minus the mean of their band of rows."""
-    count = np.maximum(np.bincount(band, minlength=BANDS), 1)
-    return np.asarray(values - (np.bincount(band, values, BANDS) / count)[band])
-
-
-def correlation(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
-    """Pearson's correlation; 0 if an array is constant."""
-    first, second = first - first.mean(), second - second.mean()
-    spread = float(np.sqrt((first @ first) * (second @ second)))
-    return float(first @ second) / spread if spread > 1e-6 else 0.0
