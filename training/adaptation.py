@@ -6,29 +6,20 @@ training are scored on frames that were kept apart, and the better model is kept
 """
 
 import contextlib
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from models import Network, load_checkpoint, save_checkpoint
-from runtime.app.encode import encode_metres, encode_png
 from runtime.base.errors import InputError
-from runtime.contract.network_size import network_size
-from runtime.contract.resize import move_returns, resize_image
-from runtime.files.own_folder import atomic_folder
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
-from runtime.recordings.images import read_rgb
-from runtime.recordings.registry import SOURCES, detect_source, open_source, parse_source
-from runtime.recordings.source import ListedFrame, Source
+from training.adaptation_frames import find_frames
 from training.chosen_recipe import config_changes
-from training.datasets.folders import FoldersRecipe
+from training.datasets.recording import RecordingRecipe
 from training.datasets.sample import Sample
 from training.evaluation.classical import create_method
 from training.evaluation.metrics import FARTHEST_M, frame_errors
@@ -46,15 +37,8 @@ from training.stop_signal import StopRequested
 
 Depth = NDArray[np.float32]
 
-# Folders inside the folder of a run: the frames of the recording, and the training.
-FRAMES, TRAINING = "recording", "training"
-# Largest number of frames that are read, and their least number.
-MOST_FRAMES, LEAST_FRAMES = 600, 5
-# Least number of returns within the range of scores of a frame that is used.
-LEAST_RETURNS = 20
-_KINDS = ("images", "lidar")
-# Share of the time of the frames with returns, at its end, that is kept apart.
-KEPT_APART = 0.1
+# In the folder of a run: the file of the chosen frames, and the folder of the training.
+FRAMES, TRAINING = "frames.json", "training"
 _STEPS, _WARMUP = 200, 20
 # Share of the trained weights in the mean of the old and the trained model.
 _BETWEEN = 0.5
@@ -79,7 +63,8 @@ class Adapted:
 
 
 def adapt(
-    source: Source,
+    recording: RecordingRecipe,
+    root: Path,
     init: Weights,
     out: Path,
     *,
@@ -89,11 +74,12 @@ def adapt(
 ) -> Adapted:
     """Adapt the depth of a network to the rig of a recording.
 
-    The function writes to `out`: recording/ (the chosen frames as PNGs), training/ (the run, see
-    `train`) and model.pt. The same call resumes what was stopped.
+    The function writes to `out`: frames.json (the chosen frames), training/ (the run, see `train`)
+    and model.pt. The same call resumes what was stopped.
 
     Args:
-        source: the recording, with images and returns.
+        recording: the recording, with images and returns.
+        root: folder that holds the recording.
         init: the network that is adapted.
         out: folder of the run.
         changes: changes of the recipe, see `build_recipe`.
@@ -111,38 +97,35 @@ def adapt(
             f"{init.path}: has no layers that the depth alone reads, which could be adapted: give "
             "ssdnet-lite, ssdnet-nano, or weights that began with these"
         )
-    frames = out / FRAMES
     with contextlib.suppress(StopRequested):
-        if frames.is_dir():
-            tqdm.write(f"{frames}: the frames of an earlier start are taken", file=sys.stderr)
-        else:
-            _write_frames(source, frames, init.facts.trained_height, stop)
-        return _adapt(init, out, frames, changes, device, stop)
+        height = init.facts.trained_height
+        chosen = find_frames(recording, root, out / FRAMES, trained_height=height, stop=stop)
+        return _adapt(chosen.of(recording), root, init, out, changes, device, stop)
     return Adapted(out / TRAINING / LAST)
 
 
 def _adapt(
+    sets: tuple[RecordingRecipe, RecordingRecipe],
+    root: Path,
     init: Weights,
     out: Path,
-    frames: Path,
     changes: Sequence[str],
     device: str,
     stop: Callable[[], bool],
 ) -> Adapted:
-    """Train on the frames and choose between the weights. Raises StopRequested."""
+    """Train on the first set and choose between the weights. Raises StopRequested."""
     network = init.network
-    focal_px = float((frames / "focal_length_px.txt").read_text()) or None
-    recipe = make_recipe(init, frames, focal_px, changes)
-    kept_apart = open_dataset(_frames_of("kept_apart", frames, focal_px), [out], classes=())
+    recipe = make_recipe(init, sets[0], changes)
+    kept_apart = open_dataset(sets[1], [root], classes=())
     samples = [kept_apart[index] for index in range(len(kept_apart))]
     # Before the long training, check that these frames can tell the models apart.
     linear = score(method_predict(create_method("linear")), samples, stop)
     if linear.keys() != FEEDS.keys():
         raise InputError(
-            f"{frames}: the {len(samples)} frames kept apart have too few returns to be scored: "
-            "give a longer recording"
+            f"{sets[1].title}: the {len(samples)} frames kept apart have too few returns to be "
+            "scored: give a longer recording"
         )
-    path = train(recipe, data=[out], out=out / TRAINING, init=init, device=device, stop=stop)
+    path = train(recipe, data=[root], out=out / TRAINING, init=init, device=device, stop=stop)
     if path.name != FINAL:
         return Adapted(path)
     trained = load_checkpoint(path)
@@ -174,128 +157,7 @@ def _adapt(
     return Adapted(out / FINAL, lines, paid)
 
 
-def is_named(recording: str) -> bool:
-    """Return whether a text names the kind of a recording, KIND:PATH[,KEY=VALUE...]."""
-    return recording.partition(":")[0] in SOURCES
-
-
-def open_recording(recording: str, calibration: Path | None = None, **files: Path | None) -> Source:
-    """Open a recording, a path or KIND:PATH[,KEY=VALUE...], with files that go with it.
-
-    Raises InputError as `runtime.recordings.registry.open_source`.
-    """
-    found = parse_source(recording) if is_named(recording) else detect_source(Path(recording))
-    rig = found.rig if calibration is None else replace(found.rig, calibration=calibration)
-    return open_source(found.kind, found.path, rig, **files, **found.keys)
-
-
-def choose_frames(listed: Sequence[ListedFrame]) -> list[tuple[ListedFrame, float]]:
-    """Choose frames at equal distances of time, each with its time, 0 to 1.
-
-    If there are no stamps, the order of the frames is the time. InputError for too few frames with
-    depth.
-    """
-    found = [frame for frame in listed if frame.complete and frame.depth is not None]
-    if len(found) < LEAST_FRAMES:
-        raise InputError(
-            f"the recording has {len(found)} frames with a scan or depth; expected at least "
-            f"{LEAST_FRAMES}: for a folder of images give --points and --calibration, or --depth"
-        )
-    stamped = all(frame.image_stamp_ns is not None for frame in found)
-    times = np.array([frame.image_stamp_ns if stamped else i for i, frame in enumerate(found)])
-    times = (times - times[0]) / max(1, times[-1] - times[0])
-    chosen = np.arange(len(found))
-    if len(found) > MOST_FRAMES:
-        wanted = np.linspace(0, 1, MOST_FRAMES)
-        chosen = np.unique(np.searchsorted(times, wanted).clip(0, len(found) - 1))
-    return [(found[i], float(times[i])) for i in chosen]
-
-
-def _write_frames(
-    source: Source, folder: Path, trained_height: int | None, stop: Callable[[], bool]
-) -> None:
-    """Write the chosen frames with returns at the size at which the network runs, all or none.
-
-    The last share of their time is kept apart.
-    """
-    sizes: set[tuple[int, int]] = set()
-    focals: set[float] = set()
-    written: list[tuple[str, float]] = []
-    empty = 0
-    with folder_errors(folder), atomic_folder(folder) as made:
-        for part in ("train", "kept_apart"):
-            for kind in _KINDS:
-                (made / part / kind).mkdir(parents=True)
-        for listed, time in tqdm(choose_frames(source.list_frames()), desc="frames", disable=None):
-            if stop():
-                raise StopRequested
-            try:
-                frame = source.read(listed)
-            except InputError as error:
-                tqdm.write(f"left out: {error}", file=sys.stderr)
-                continue
-            whole = (frame.rgb.shape[0], frame.rgb.shape[1])
-            size = network_size(None, whole, trained_height=trained_height)
-            focal_px = frame.calibration.focal_length_px if frame.calibration else 0.0
-            focals.add(round(focal_px * size[1] / whole[1], 2))
-            sizes.add(size)
-            name = f"{listed.sequence:06d}.png"
-            returns = frame.sparse_depth
-            if size != whole:
-                returns = move_returns(returns, size)
-            if np.count_nonzero((returns > 0) & (returns <= FARTHEST_M)) < LEAST_RETURNS:
-                empty += 1
-                continue
-            picture = cv2.cvtColor(resize_image(frame.rgb, size), cv2.COLOR_RGB2BGR)
-            (made / "train" / "images" / name).write_bytes(encode_png(np.asarray(picture)))
-            (made / "train" / "lidar" / name).write_bytes(encode_metres(returns))
-            written.append((name, time))
-        if empty:
-            text = f"left out: {empty} frames with fewer than {LEAST_RETURNS} returns"
-            tqdm.write(text, file=sys.stderr)
-        if empty and not written:
-            raise InputError(
-                "no frame has returns in the image: check the extrinsics of the calibration, or "
-                "/tf_static of a bag; the camera looks along z"
-            )
-        if len(written) < LEAST_FRAMES:
-            raise InputError(
-                f"{len(written)} frames could be read and have returns; expected at least "
-                f"{LEAST_FRAMES}: give a longer recording"
-            )
-        begin, end = written[0][1], written[-1][1]
-        from_time = end - KEPT_APART * (end - begin)
-        apart = [name for name, time in written if time > from_time] or [written[-1][0]]
-        for name in apart:
-            for kind in _KINDS:
-                (made / "train" / kind / name).rename(made / "kept_apart" / kind / name)
-        if len(sizes) > 1 or (focals and max(focals) > 1.01 * min(focals)):
-            raise InputError(
-                f"the frames have {len(sizes)} sizes and {len(focals)} focal lengths; expected one "
-                "camera: adapt to one camera at a time"
-            )
-        (made / "focal_length_px.txt").write_text(f"{max(focals, default=0.0)}")
-
-
-def _frames_of(part: str, frames: Path, focal_px: float | None) -> FoldersRecipe:
-    """Return the data set of a part of the frames, whose returns are input and target."""
-    first = next((frames / part / "images").glob("*.png"), None)
-    if first is None:
-        raise InputError(f"{frames / part}: none of the frames could be read")
-    height, width = read_rgb(first).shape[:2]
-    intrinsics = (focal_px, focal_px, width / 2, height / 2) if focal_px else None
-    return FoldersRecipe(
-        path=f"{FRAMES}/{part}",
-        rgb="images",
-        depth="lidar",
-        scan=True,
-        intrinsics=intrinsics,
-    )
-
-
-def make_recipe(
-    init: Weights, frames: Path, focal_px: float | None, changes: Sequence[str] = ()
-) -> Recipe:
+def make_recipe(init: Weights, recording: RecordingRecipe, changes: Sequence[str] = ()) -> Recipe:
     """Return the recipe of the training; `changes` are those of `build_recipe`."""
     config, facts = init.network.config, init.facts
     model: dict[str, Any] = {"name": config.name, "config": config_changes(config)}
@@ -309,7 +171,7 @@ def make_recipe(
             "terms": "a recording of the user's",
             "model": model,
             "data": {
-                "source": [asdict(_frames_of("train", frames, focal_px))],
+                "source": [asdict(recording)],
                 "batch_size": 4,
                 "cache_gib": 1.0,
                 "augment": {

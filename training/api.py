@@ -4,15 +4,13 @@ Weights are given by the name of a checkpoint of the package ("ssdnet-lite"), or
 .pt file. Changes of a recipe are texts like "schedule.steps = 500", as with `ssdnet-train --set`.
 """
 
-import sys
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from tqdm import tqdm
-
 from training import adaptation
-from training.adaptation import Adapted, open_recording
+from training.adaptation import Adapted
+from training.adaptation_frames import describe_recording
 from training.chosen_recipe import fine_tune, read_stages
 from training.dry_run import dry_run as dry_run_of
 from training.initial_weights import Weights, find_weights, read_weights
@@ -205,12 +203,10 @@ def adapt(
     """
     begin = _read_weights(init)
     files = {"depth": depth, "points": points, "calibration": calibration, "poses": poses}
-    with open_recording(
-        str(recording), **{name: _path(file) for name, file in files.items()}
-    ) as source:
-        for note in source.notes:
-            tqdm.write(note, file=sys.stderr)
-        return adaptation.adapt(source, begin, Path(out), changes=changes, device=device, stop=stop)
+    described, root = describe_recording(str(recording), **files)
+    return adaptation.adapt(
+        described, root, begin, Path(out), changes=changes, device=device, stop=stop
+    )
 
 
 def _path(path: str | Path | None) -> Path | None:

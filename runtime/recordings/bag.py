@@ -100,6 +100,7 @@ class BagSource(Source):
             or must be chosen, or if clouds have no calibration.
     """
 
+    is_stream = True
     accepted = f"a bag ({', '.join(_SUFFIXES)}, or a folder that holds metadata.yaml)"
     options = BagOptions._fields
     rig_options = ("calibration", "max_skew_ms", "reuse_depth_ms", "scan_stamp")

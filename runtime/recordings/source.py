@@ -68,6 +68,8 @@ class Source(ABC):
         accepted: the paths that are of this kind, in words.
         options: names of its options, the keywords of its constructor.
         rig_options: names of the attributes of `Rig` that it uses.
+        is_stream: whether frames are read fast only in the list's order, by the process that opened
+            the source.
         calibration: calibration of the camera and, if there is one, the LiDAR; None if unknown.
         depth_scale: units per metre of the 16-bit depth maps; None if no such maps are read.
         stamps_ns: time stamps of images and depth [ns] in the order of the recording, including
@@ -79,6 +81,7 @@ class Source(ABC):
     accepted: ClassVar[str]
     options: ClassVar[tuple[str, ...]] = ()
     rig_options: ClassVar[tuple[str, ...]] = ()
+    is_stream: ClassVar[bool] = False
     calibration: Calibration | None = None
     depth_scale: float | None = None
     stamps_ns: Mapping[Sensor, Sequence[int]] = MappingProxyType({})

@@ -41,6 +41,7 @@ class VideoSource(FolderSource):
         InputError: if the video or the calibration cannot be read.
     """
 
+    is_stream = True
     accepted = f"a video ({', '.join(_SUFFIXES)})"
     options = ("depth", "depth_scale")
     rig_options = ("calibration",)

@@ -10,10 +10,17 @@ from typer.testing import CliRunner
 
 from models import SSDNetLite, SSDNetLiteConfig, create_model, load_checkpoint, save_checkpoint
 from runtime.base.errors import InputError
-from runtime.recordings.registry import open_source
 from runtime.recordings.source import ListedFrame
 from training import adaptation as adapting
-from training.adaptation import FEEDS, adapt, choose_frames, every_second_line, make_recipe
+from training.adaptation import FEEDS, adapt, every_second_line, make_recipe
+from training.adaptation_frames import (
+    LEAST_FRAMES,
+    LEAST_RETURNS,
+    MOST_FRAMES,
+    choose_frames,
+    describe_recording,
+    find_frames,
+)
 from training.commands.adapt import app
 from training.initial_weights import read_weights
 from training.loading.augment import draw_lidar
@@ -45,8 +52,8 @@ def rig(tmp_path):
     return tmp_path / "rig"
 
 
-def open_rig(rig):
-    return open_source("folders", rig / "images", depth=rig / "lidar")
+def described(rig):
+    return describe_recording(str(rig / "images"), depth=rig / "lidar")
 
 
 @pytest.fixture
@@ -65,7 +72,7 @@ def weights(tmp_path):
 
 def test_only_layers_of_the_depth_alone_are_trained(rig, weights, tmp_path):
     init = read_weights(weights)
-    found = adapt(open_rig(rig), init, tmp_path / "out", changes=STEPS)
+    found = adapt(*described(rig), init, tmp_path / "out", changes=STEPS)
     trained = load_checkpoint(tmp_path / "out" / "training" / "model.pt").model
     before, after = init.network.state_dict(), trained.state_dict()
     changed = {name for name in before if not torch.equal(before[name], after[name])}
@@ -81,7 +88,7 @@ def test_only_layers_of_the_depth_alone_are_trained(rig, weights, tmp_path):
     assert not torch.equal(one.depths[0], other.depths[0])
     assert found.path == tmp_path / "out" / "model.pt"
     # The same call does not train again.
-    assert adapt(open_rig(rig), init, tmp_path / "out", changes=STEPS).lines == found.lines
+    assert adapt(*described(rig), init, tmp_path / "out", changes=STEPS).lines == found.lines
 
 
 @pytest.fixture
@@ -114,7 +121,7 @@ def test_the_better_model_is_kept_unless_it_forgets(
 ):
     init = read_weights(weights)
     scored(errors, forgotten)
-    found = adapt(open_rig(rig), init, tmp_path / "out", changes=STEPS)
+    found = adapt(*described(rig), init, tmp_path / "out", changes=STEPS)
     assert found.paid == (kept != "before")
     text = "\n".join(found.lines)
     assert "9000 / 9000, 9000" in text
@@ -128,7 +135,7 @@ def test_the_better_model_is_kept_unless_it_forgets(
     models = {"before": init.network.state_dict(), "after": states[0]}
     for name, value in models.get(kept, {}).items():
         assert torch.equal(states[1][name], value), name
-    data = ("made",) if kept == "before" else ("recording/train", "made")
+    data = ("made",) if kept == "before" else ("images", "made")
     assert load_checkpoint(found.path).facts.data == data
 
 
@@ -154,11 +161,12 @@ def test_frames_kept_apart_are_the_last_with_returns(tmp_path, empty):
         for folder, values in (("images", np.zeros(SIZE, np.uint8)), ("lidar", depth)):
             (tmp_path / folder).mkdir(exist_ok=True)
             cv2.imwrite(str(tmp_path / folder / f"{index:03}.png"), values)
-    adapting._write_frames(open_rig(tmp_path), tmp_path / "recording", None, lambda: False)
-    kept = sorted(path.name for path in (tmp_path / "recording/kept_apart/lidar").iterdir())
-    usable = [f"{index:06}.png" for index in range(12) if index not in empty]
-    assert kept in (usable[-1:], usable[-2:])
-    assert len([*(tmp_path / "recording").glob("*/images/*")]) == 12 - len(empty)
+    found = find_frames(*described(tmp_path), tmp_path / "frames.json")
+    usable = tuple(index for index in range(12) if index not in empty)
+    assert found.kept_apart in (usable[-1:], usable[-2:])
+    assert found.train + found.kept_apart == usable
+    (tmp_path / "images" / "000.png").unlink()  # the choice of an earlier start stays
+    assert find_frames(*described(tmp_path), tmp_path / "frames.json") == found
 
 
 def test_returns_that_cannot_be_scored_are_refused_before_the_training(
@@ -166,27 +174,27 @@ def test_returns_that_cannot_be_scored_are_refused_before_the_training(
 ):
     monkeypatch.setattr(adapting, "train", lambda *_, **__: pytest.fail("it trains"))
     few = np.zeros(SIZE, np.uint16)
-    few[0, : adapting.LEAST_RETURNS - 1] = 2560
+    few[0, : LEAST_RETURNS - 1] = 2560
     for path in sorted((rig / "lidar").iterdir())[2:]:
         cv2.imwrite(str(path), few)
     with pytest.raises(InputError, match="2 frames could be read and have returns"):
-        adapt(open_rig(rig), read_weights(weights), tmp_path / "out", changes=STEPS)
+        adapt(*described(rig), read_weights(weights), tmp_path / "out", changes=STEPS)
 
 
 def test_a_stop_while_frames_are_read_leaves_nothing(rig, weights, tmp_path):
-    found = adapt(open_rig(rig), read_weights(weights), tmp_path / "out", stop=lambda: True)
+    found = adapt(*described(rig), read_weights(weights), tmp_path / "out", stop=lambda: True)
     assert (found.lines, found.paid, list(tmp_path.glob("out/*"))) == ((), False, [])
 
 
 def test_of_a_long_recording_frames_at_equal_distances_are_taken():
     chosen = choose_frames(listed(5000))
-    assert adapting.MOST_FRAMES - 2 <= len(chosen) <= adapting.MOST_FRAMES
+    assert MOST_FRAMES - 2 <= len(chosen) <= MOST_FRAMES
     steps = np.diff([frame.sequence for frame, _ in chosen])
     assert steps.min() >= 8
     assert steps.max() <= 9
 
 
-@pytest.mark.parametrize("with_scans", [0, adapting.LEAST_FRAMES - 1])
+@pytest.mark.parametrize("with_scans", [0, LEAST_FRAMES - 1])
 def test_a_recording_of_too_few_scans_is_refused(with_scans):
     frames = [ListedFrame(i, "", i, i if i < with_scans else None) for i in range(20)]
     with pytest.raises(InputError, match=f"{with_scans} frames"):
@@ -199,7 +207,7 @@ def test_scans_without_a_return_in_the_image_are_refused_and_nothing_is_kept(
     for path in (rig / "lidar").iterdir():
         cv2.imwrite(str(path), np.zeros(SIZE, np.uint16))
     with pytest.raises(InputError, match="no frame has returns in the image"):
-        adapt(open_rig(rig), read_weights(weights), tmp_path / "out", changes=STEPS)
+        adapt(*described(rig), read_weights(weights), tmp_path / "out", changes=STEPS)
     assert not list(tmp_path.glob("out/*"))
 
 
@@ -207,15 +215,13 @@ def test_a_network_without_layers_of_the_depth_alone_is_refused(rig, tmp_path):
     path = tmp_path / "classes.pt"
     save_checkpoint(path, create_model("fast-scnn"))
     with pytest.raises(InputError, match="no layers that the depth alone reads"):
-        adapt(open_rig(rig), read_weights(path), tmp_path / "out")
+        adapt(*described(rig), read_weights(path), tmp_path / "out")
 
 
 def test_what_is_not_fed_is_the_target(rig, weights, tmp_path):
-    recording = tmp_path / "recording" / "train"
-    (tmp_path / "recording").mkdir()
-    rig.rename(recording)
-    recipe = make_recipe(read_weights(weights), tmp_path / "recording", FOCAL_PX)
-    sample = open_dataset(recipe.data.source[0], [tmp_path], classes=())[0]
+    recording, root = described(rig)
+    recipe = make_recipe(read_weights(weights), recording)
+    sample = open_dataset(recipe.data.source[0], [root], classes=())[0]
     returns = sample.depth > 0
     for seed in range(8):
         drawn = draw_lidar(sample, recipe.data.augment, np.random.default_rng(seed))
@@ -247,4 +253,4 @@ def test_the_command_prints_the_scores_and_what_to_run_next(rig, weights, tmp_pa
         f"--model {model}.onnx'"
     )
     recipe = json.loads((tmp_path / "a run" / "training" / "recipe.json").read_text())["recipe"]
-    assert recipe["data"]["source"][0]["intrinsics"][:2] == [FOCAL_PX, FOCAL_PX]
+    assert recipe["data"]["source"][0]["calibration"] == "../camera.toml"

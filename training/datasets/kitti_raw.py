@@ -10,18 +10,11 @@ from pydantic.dataclasses import dataclass
 from runtime.base.errors import DatasetError
 from runtime.geometry.rig import Rig
 from runtime.recordings.kitti_raw import KittiRawSource
-from runtime.recordings.source import ListedFrame
+from runtime.recordings.source import ListedFrame, Source
 from training.datasets.class_mapping import ClassTable
-from training.datasets.files import (
-    dataset_errors,
-    read_points,
-    read_rgb,
-    require_folder,
-    require_size,
-)
-from training.datasets.sample import FrameList, Sample
+from training.datasets.files import dataset_errors, require_folder
+from training.datasets.recording import RecordedFrames
 from training.datasets.source_recipe import Names, SourceRecipe
-from training.lidar.scan import project_lines
 from training.limits import STRICT
 
 # Images that were published without their scans.
@@ -48,7 +41,7 @@ class KittiRawRecipe(SourceRecipe):
         return KittiRaw(folder, self)
 
 
-class KittiRaw(FrameList):
+class KittiRaw(RecordedFrames):
     """Frames of `root/<date>/<drive>/image_0<camera>/data/<number>.png` with their scans.
 
     The scan of a frame is `<drive>/velodyne_points/data/<number>.bin`, and the calibration is
@@ -61,7 +54,6 @@ class KittiRaw(FrameList):
     """
 
     def __init__(self, root: Path, recipe: KittiRawRecipe) -> None:
-        self._frames: list[tuple[KittiRawSource, ListedFrame, str]] = []
         found = {path.name: path for path in sorted(root.glob("*/*_sync")) if path.is_dir()}
         unknown = sorted(set(recipe.drives or ()) - set(found))
         if unknown or not found:
@@ -69,35 +61,19 @@ class KittiRaw(FrameList):
                 f"{root}: no drive {unknown[0] if unknown else '<date>/<date>_drive_*_sync'}; "
                 f"found {len(found)} drives"
             )
+        frames: list[tuple[Source, ListedFrame, str]] = []
         for name, drive in found.items():
             if recipe.drives is None or name in recipe.drives:
                 for camera in recipe.cameras:
-                    self._add(drive, camera)
-        self.images = [listed.image for _, listed, _ in self._frames]
+                    frames += _frames_of(drive, camera)
+        super().__init__(frames, "ordered")
 
-    @dataset_errors()
-    def _add(self, drive: Path, camera: int) -> None:
-        source = KittiRawSource(drive, Rig(calibration=drive.parent), camera=camera, by_number=True)
-        without = _WITHOUT_SCAN.get(drive.name, frozenset())
-        frames = [frame for frame in source.list_frames() if frame.name not in without]
-        scans = [f"{frame.name}.bin" for frame in frames]
-        require_folder(drive / "velodyne_points" / "data", "scans", files=scans)
-        self._frames += [(source, frame, f"{drive.name}/{camera}/{frame.name}") for frame in frames]
 
-    def __getitem__(self, index: int) -> Sample:
-        source, listed, name = self._frames[index]
-        calibration = source.calibration
-        rgb = read_rgb(listed.image)
-        size = (rgb.shape[0], rgb.shape[1])
-        require_size(listed.image, size, calibration.size or size)
-        points = read_points(listed.depth)
-        depth, scan_line = project_lines(
-            points, calibration.intrinsics, calibration.extrinsics, size
-        )
-        return Sample(
-            rgb=rgb,
-            targets={"depth": depth},
-            intrinsics=calibration.intrinsics,
-            name=name,
-            scan_line=scan_line,
-        )
+@dataset_errors()
+def _frames_of(drive: Path, camera: int) -> list[tuple[Source, ListedFrame, str]]:
+    source = KittiRawSource(drive, Rig(calibration=drive.parent), camera=camera, by_number=True)
+    without = _WITHOUT_SCAN.get(drive.name, frozenset())
+    frames = [frame for frame in source.list_frames() if frame.name not in without]
+    scans = [f"{frame.name}.bin" for frame in frames]
+    require_folder(drive / "velodyne_points" / "data", "scans", files=scans)
+    return [(source, frame, f"{drive.name}/{camera}/{frame.name}") for frame in frames]

@@ -1,26 +1,19 @@
 """Recorded KITTI frames: the left colour camera, and LiDAR returns with their scan lines."""
 
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
-from runtime.geometry.calibration import Calibration
+from runtime.geometry.rig import Rig
+from runtime.recordings.folders import FolderSource
+from runtime.recordings.source import ListedFrame
 from training.datasets.cityscapes import TRAIN_LABELS
 from training.datasets.class_mapping import ClassTable, id_lookup
-from training.datasets.files import (
-    dataset_errors,
-    list_images,
-    read_gray,
-    read_points,
-    read_rgb,
-    require_folder,
-)
-from training.datasets.sample import FrameList, Sample
+from training.datasets.files import dataset_errors, read_gray, require_folder
+from training.datasets.recording import RecordedFrames, Targets
 from training.datasets.source_recipe import RangeRecipe
-from training.lidar.scan import project_lines
 from training.limits import STRICT, Share
 
 
@@ -42,7 +35,7 @@ class KittiStreamRecipe(RangeRecipe):
         return KittiStream(folder, self, classes)
 
 
-class KittiStream(FrameList):
+class KittiStream(RecordedFrames):
     """Frames of a stream folder.
 
     The folder has `image_02` (PNG or JPEG), `velodyne_fov`, `calib_cam_to_cam.txt` and
@@ -55,41 +48,32 @@ class KittiStream(FrameList):
         DatasetError: if a folder or file is missing or damaged.
     """
 
+    @dataset_errors()
     def __init__(self, root: Path, recipe: KittiStreamRecipe, classes: ClassTable) -> None:
         self._lookup = id_lookup("cityscapes", classes, TRAIN_LABELS)
-        self._root = root
-        self._calibration = None  # there is one file per frame
-        if not (self._root / "calib").is_dir():
-            require_folder(self._root / "velodyne_fov", "the stream's .bin LiDAR returns")
-            self._calibration = _read_calibration(self._root)
-        self._name = "kitti_object" if self._calibration is None else "kitti_stream"
-        images = root / ("image_2" if self._calibration is None else "image_02")
-        self._frames = recipe.take(list_images(images, "the recording's images"), images)
-        self.images = self._frames
-        self._weights = {"semantic": recipe.semantic_weight}
-
-    def __getitem__(self, index: int) -> Sample:
-        path = self._frames[index]
-        rgb = read_rgb(path)
-        size = (rgb.shape[0], rgb.shape[1])
-        camera = self._calibration or _read_calibration(self._root / "calib" / f"{path.stem}.txt")
-        targets: dict[str, NDArray[Any]] = {}
-        scan, scan_line = self._root / "velodyne_fov" / f"{path.stem}.bin", None
-        if self._calibration is not None or scan.is_file():
-            targets["depth"], scan_line = project_lines(
-                read_points(scan), camera.intrinsics, camera.extrinsics, size
-            )
-        label_path = self._root / "pseudo_semantic" / f"{path.stem}.png"
-        if label_path.is_file():
-            targets["semantic"] = self._lookup[read_gray(label_path, np.uint8, size)]
-        return Sample(
-            rgb=rgb,
-            targets=targets,
-            intrinsics=camera.intrinsics,
-            name=f"{self._name}/{path.stem}",
-            scan_line=scan_line,
-            weights=self._weights,
+        self._labels = root / "pseudo_semantic"
+        is_object = (root / "calib").is_dir()
+        images = root / ("image_2" if is_object else "image_02")
+        scans = require_folder(root / "velodyne_fov", "the stream's .bin LiDAR returns")
+        source = FolderSource(
+            require_folder(images, "the recording's images"),
+            Rig(calibration=root / "calib" if is_object else root),
+            points=scans,
+            camera=2,
+        )
+        source.camera_alone = is_object
+        listed = recipe.take([f for f in source.list_frames() if f.image is not None], images)
+        if not is_object:
+            require_folder(scans, "returns", files=[f"{frame.name}.bin" for frame in listed])
+        name = "kitti_object" if is_object else "kitti_stream"
+        super().__init__(
+            [(source, frame, f"{name}/{frame.name}") for frame in listed],
+            "ordered",
+            {"semantic": recipe.semantic_weight},
         )
 
-
-_read_calibration = dataset_errors()(Calibration.from_kitti)
+    def _read_truth(self, listed: ListedFrame, size: tuple[int, int]) -> Targets:
+        path = self._labels / f"{listed.name}.png"
+        if not path.is_file():
+            return {}
+        return {"semantic": self._lookup[read_gray(path, np.uint8, size)]}

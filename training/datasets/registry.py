@@ -11,6 +11,7 @@ from training.datasets.kitti_depth import KittiDepthRecipe
 from training.datasets.kitti_raw import KittiRawRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
+from training.datasets.recording import RecordingRecipe
 from training.datasets.source_recipe import SourceRecipe
 from training.datasets.virtual_kitti import RenderedRecipe, VirtualKitti1Recipe, VirtualKittiRecipe
 
@@ -22,6 +23,7 @@ DATASETS: dict[str, type[SourceRecipe]] = {
     "kitti-raw": KittiRawRecipe,
     "kitti-stream": KittiStreamRecipe,
     "kitti-streets": KittiStreetsRecipe,
+    "recording": RecordingRecipe,
     "rendered": RenderedRecipe,
     "virtual-kitti": VirtualKittiRecipe,
     "virtual-kitti-1": VirtualKitti1Recipe,

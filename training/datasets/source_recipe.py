@@ -32,6 +32,7 @@ class SourceRecipe:
             it has none.
         unit_key: key with which the user states the unit of the depth; "" if the format has one
             unit.
+        may_be_file: whether `path` may be a file.
         path: folder, relative to one of the `--data` folders.
         weight: how often the set is sampled, relative to the others.
         size: (height, width) to which every frame is resized first, or a number of rows, with which
@@ -42,6 +43,7 @@ class SourceRecipe:
 
     labelled: ClassVar[str] = ""
     unit_key: ClassVar[str] = ""
+    may_be_file: ClassVar[bool] = False
 
     kind: str
     path: Annotated[str, Field(min_length=1)]

@@ -1,6 +1,8 @@
 """Open the data sets of a recipe, and count what their frames hold."""
 
 import hashlib
+import pickle
+import zlib
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from functools import cache
@@ -58,6 +60,26 @@ class CheckedSource:
         return resize(sample, size)
 
 
+class HeldSource:
+    """The frames of a stream, such as a bag, which are read once in their order and held packed.
+
+    Training draws frames in another order, in several processes.
+    """
+
+    def __init__(self, source: SampleSource) -> None:
+        self.images: Sequence[Path] = ()
+        self._packed = [
+            zlib.compress(pickle.dumps(source[index]), level=1) for index in range(len(source))
+        ]
+
+    def __len__(self) -> int:
+        return len(self._packed)
+
+    def __getitem__(self, index: int) -> Sample:
+        sample: Sample = pickle.loads(zlib.decompress(self._packed[index]))
+        return sample
+
+
 def open_dataset(
     recipe: SourceRecipe, roots: Sequence[Path], *, classes: ClassTable
 ) -> SampleSource:
@@ -66,19 +88,22 @@ def open_dataset(
     `classes` is the table of the class ids. Raises DatasetError if there is no such folder, or if
     it cannot be read.
     """
-    source = recipe.open(_find_folder(recipe, roots), classes)
-    return CheckedSource(source, recipe.size)
+    source = recipe.open(_find_path(recipe, roots), classes)
+    checked = CheckedSource(source, recipe.size)
+    return HeldSource(checked) if getattr(source, "is_stream", False) else checked
 
 
-def _find_folder(recipe: SourceRecipe, roots: Sequence[Path]) -> Path:
+def _find_path(recipe: SourceRecipe, roots: Sequence[Path]) -> Path:
     for root in roots:
-        if (root / recipe.path).is_dir():
-            return root / recipe.path
+        path = root / recipe.path
+        if path.is_dir() or (recipe.may_be_file and path.is_file()):
+            return path
     below = (
         "" if Path(recipe.path).is_absolute() else f" in {', '.join(map(repr, map(str, roots)))}"
     )
+    what = "recording" if recipe.may_be_file else "folder"
     raise DatasetError(
-        f"no folder {recipe.path!r} ({recipe.kind}){below}: name the folder that holds it with "
+        f"no {what} {recipe.path!r} ({recipe.kind}){below}: name the folder that holds it with "
         "--data"
     )
 
