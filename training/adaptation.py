@@ -32,7 +32,7 @@ from training.loop import train
 from training.losses.terms import DEPTH_ALONE
 from training.recipe import Recipe, build_recipe
 from training.release import mix_weights
-from training.run_folder import FINAL, LAST, folder_errors
+from training.run_folder import FINAL, LAST, RECIPE, folder_errors
 from training.stop_signal import StopRequested
 
 Depth = NDArray[np.float32]
@@ -88,14 +88,19 @@ def adapt(
 
     Raises:
         InputError: if the network has no layers that the depth alone reads, if there are too few
-            frames with returns, if the frames have different sizes or focal lengths, and in the
-            cases of `train`.
+            frames with returns, if the frames have different sizes or focal lengths, if `out`
+            belongs to another or an older adaptation, and in the cases of `train`.
     """
     network = init.network
     if not network.depth_layers:
         raise InputError(
             f"{init.path}: has no layers that the depth alone reads, which could be adapted: give "
             "ssdnet-lite, ssdnet-nano, or weights that began with these"
+        )
+    if (out / TRAINING / RECIPE).is_file() and not (out / FRAMES).is_file():
+        raise InputError(
+            f"{out}: belongs to an adaptation that an earlier release began and this one cannot "
+            f"resume (no {FRAMES}): choose another --out"
         )
     with contextlib.suppress(StopRequested):
         height = init.facts.trained_height

@@ -20,6 +20,7 @@ from runtime.recordings.source import ListedFrame, Source
 from runtime.streams.frame import Frame
 from training.datasets.recording import RecordingRecipe, beside
 from training.evaluation.metrics import FARTHEST_M
+from training.recipe import build
 from training.run_folder import folder_errors
 from training.stop_signal import StopRequested
 
@@ -107,14 +108,15 @@ def find_frames(
 
     Raises:
         InputError: if the recording cannot be opened, has too few frames with returns, or has
-            frames of different sizes or focal lengths.
+            frames of different sizes or focal lengths; if `kept` cannot be read.
         StopRequested: once `stop` returns True; nothing is written then.
     """
     if kept.is_file():
         tqdm.write(f"{kept}: the frames of an earlier start are taken", file=sys.stderr)
-        found = json.loads(kept.read_text())
-        size = found["size"] and (found["size"][0], found["size"][1])
-        return ChosenFrames(tuple(found["train"]), tuple(found["kept_apart"]), size)
+        try:
+            return build(ChosenFrames, json.loads(kept.read_text(encoding="utf-8")))
+        except (OSError, ValueError, InputError) as error:
+            raise InputError(f"{kept}: cannot be read ({error}): choose another --out") from error
     with recording.open_source(root / recording.path) as source:
         for note in source.notes:
             tqdm.write(note, file=sys.stderr)

@@ -211,6 +211,17 @@ def test_scans_without_a_return_in_the_image_are_refused_and_nothing_is_kept(
     assert not list(tmp_path.glob("out/*"))
 
 
+def test_a_folder_that_cannot_be_resumed_is_refused_before_frames_are_read(rig, weights, tmp_path):
+    init, out = read_weights(weights), tmp_path / "out"
+    (out / "training").mkdir(parents=True)
+    (out / "training" / "recipe.json").write_text("{}")
+    with pytest.raises(InputError, match=r"an earlier release began .* another --out"):
+        adapt(*described(rig), init, out)
+    (out / "frames.json").write_text('{"train": [0]}')
+    with pytest.raises(InputError, match=r"frames.json: cannot be read .*missing key kept_apart"):
+        adapt(*described(rig), init, out)
+
+
 def test_a_network_without_layers_of_the_depth_alone_is_refused(rig, tmp_path):
     path = tmp_path / "classes.pt"
     save_checkpoint(path, create_model("fast-scnn"))

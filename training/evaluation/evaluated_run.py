@@ -61,6 +61,6 @@ def read_run(folder: Path) -> EvaluatedRun:
 def _find(source: SourceRecipe, roots: Sequence[Path], folder: Path) -> SourceRecipe:
     """Return a set with its absolute path; a missing one keeps its path for the error."""
     for root in (*roots, folder, folder.parent):
-        if (root / source.path).is_dir():
+        if (root / source.path).exists():
             return replace(source, path=str(root / source.path), name=source.title)
     return source
