@@ -1,6 +1,7 @@
 """The depth adapted to a recording: its frames, what is trained, and what is kept."""
 
 import json
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -10,6 +11,7 @@ from typer.testing import CliRunner
 
 from models import SSDNetLite, SSDNetLiteConfig, create_model, load_checkpoint, save_checkpoint
 from runtime.base.errors import InputError
+from runtime.recordings.bundled_stream import bundled_frames
 from runtime.recordings.source import ListedFrame
 from training import adaptation as adapting
 from training.adaptation import FEEDS, adapt, every_second_line, make_recipe
@@ -22,6 +24,7 @@ from training.adaptation_frames import (
     find_frames,
 )
 from training.commands.adapt import app
+from training.evaluation.scoring import HeadMaps
 from training.initial_weights import read_weights
 from training.loading.augment import draw_lidar
 from training.loading.open_dataset import open_dataset
@@ -54,6 +57,16 @@ def rig(tmp_path):
 
 def described(rig):
     return describe_recording(str(rig / "images"), depth=rig / "lidar")
+
+
+@pytest.fixture(autouse=True)
+def small_bundled_frames(monkeypatch):
+    """Let the bundled recording be a part of its first two frames, which is quickly predicted."""
+    frames = [
+        SimpleNamespace(rgb=frame.rgb[:64, :96], sparse_depth=frame.sparse_depth[:64, :96])
+        for frame in bundled_frames()[:2]
+    ]
+    monkeypatch.setattr(adapting, "bundled_frames", lambda: frames)
 
 
 @pytest.fixture
@@ -89,6 +102,14 @@ def test_only_layers_of_the_depth_alone_are_trained(rig, weights, tmp_path):
     assert found.path == tmp_path / "out" / "model.pt"
     # The same call does not train again.
     assert adapt(*described(rig), init, tmp_path / "out", changes=STEPS).lines == found.lines
+
+
+def test_a_change_is_relative_to_the_depth_before(monkeypatch):
+    depths = {"before": np.float32([[10, 20]]), "after": np.float32([[11, 19]])}
+    monkeypatch.setattr(
+        adapting, "torch_predict", lambda name: lambda *frame: HeadMaps(depth=depths[name])
+    )
+    assert adapting.bundled_change("before", "after") == pytest.approx((0.1 + 0.05) / 2)
 
 
 @pytest.fixture

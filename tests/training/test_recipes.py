@@ -72,8 +72,14 @@ def data(tmp_path_factory):
 
 
 @pytest.fixture(autouse=True)
-def shrunk_networks(monkeypatch):
-    """Networks keep their stages, inputs and heads, with one block of few channels a stage."""
+def shrunk_networks(request, monkeypatch):
+    """Networks keep their stages, inputs and heads, with one block of few channels a stage.
+
+    Only recipes of several stages load ImageNet's weights, which fit the whole encoder.
+    """
+    whole = len(RECIPES[request.node.callspec.params["name"]].stages) > 1
+    if not whole:
+        monkeypatch.setattr("training.network.pretrain", lambda network, *_, **__: network)
     for name, (network, config) in NETWORKS.items():
         if isinstance(config, SSDNetConfig):
             encoder = {
@@ -83,7 +89,7 @@ def shrunk_networks(monkeypatch):
                 "boundary_channels": 4,
             }
         elif isinstance(config, SSDNetLiteConfig):
-            encoder = {}  # is pretrained
+            encoder = {} if whole else {"encoder_widths": (8,) * 16}
         else:
             continue
         shrunk = replace(config, **encoder, decoder_channels=(8,) * len(config.decoder_channels))
