@@ -41,7 +41,7 @@ def find_entry(group: str, name: str, kind: type[T]) -> T | None:
         if not isinstance(found, kind):
             raise ValueError(
                 f"the entry point {group}: {name} = {point.value} is a {type(found).__name__}; "
-                f"expected a {kind.__name__}"
+                f"expected one of the type {kind.__name__}"
             )
         return found
     return None

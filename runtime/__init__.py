@@ -30,10 +30,13 @@ if TYPE_CHECKING:
     from runtime.engine.prediction import Latency as Latency
     from runtime.engine.prediction import Prediction as Prediction
     from runtime.engine.predictor import Predictor as Predictor
+    from runtime.geometry.assumptions import AssumptionWarning as AssumptionWarning
     from runtime.geometry.calibration import Calibration as Calibration
+    from runtime.geometry.point_cloud import PointCloud as PointCloud
     from runtime.geometry.projection import project_points as project_points
     from runtime.geometry.rig import Rig as Rig
     from runtime.recordings.registry import open_source as open_source
+    from runtime.recordings.source import Source as Source
     from runtime.streams.frame_result import FrameResult as FrameResult
     from runtime.streams.push_stream import PushStream as PushStream
     from runtime.streams.replay import ReplayMessage as ReplayMessage
@@ -49,12 +52,15 @@ _MODULES = {
     "engine.bundled_models": "list_bundled_models",
     "contract.contract": "ClassInfo Contract",
     "base.errors": "ContractError InferenceError InputError OutputError ProviderError SSDNetError",
+    "geometry.assumptions": "AssumptionWarning",
     "geometry.calibration": "Calibration",
+    "geometry.point_cloud": "PointCloud",
     "geometry.projection": "project_points",
     "geometry.rig": "Rig",
     "engine.prediction": "Cleaned Latency Prediction",
     "engine.predictor": "Predictor",
     "recordings.registry": "open_source",
+    "recordings.source": "Source",
     "streams.frame_result": "FrameResult",
     "streams.push_stream": "PushStream",
     "streams.replay": "ReplayMessage replay",

@@ -142,7 +142,7 @@ def test_its_keys_are_checked_like_those_of_the_package(lab, change, text):
     [
         ("lab-none", "unknown model 'lab-none'; known: ssdnet.*, lab-flat"),
         ("lab-broken", "ssdnet.networks: lab-broken = lab:nothing: .*no attribute 'nothing'"),
-        ("lab-wrong", "ssdnet.networks: lab-wrong = lab:HALF is a Term; expected a Entry"),
+        ("lab-wrong", "lab-wrong = lab:HALF is a Term; expected one of the type Entry"),
     ],
 )
 @pytest.mark.usefixtures("lab")

@@ -120,7 +120,7 @@ def finetune(
             not known.
         intrinsics: fx, fy, cx, cy [px], in place of the focal length.
         init: weights to start from.
-        changes: see `train`, like what follows.
+        changes: changes of the recipe, see `train`.
         device: "cpu", "cuda" or "cuda:N".
         stop_after: stop at this step.
         stop: called between two steps; True stops the run, which can be resumed.
@@ -131,8 +131,9 @@ def finetune(
         As `train`.
 
     Raises:
-        InputError: for folders without labels and depth, too few images, classes without labels or
-            the other way round, and as in `train`, like the other errors.
+        InputError: if there are neither labels nor depth, if there are too few images, if only one
+            of classes and labels is given, and for the reasons of `train`.
+        DatasetError, CheckpointError, NonFiniteLossError: see `train`.
     """
     begin, target = _read_weights(init), Path(out)
     own = OwnFolders(
@@ -189,7 +190,7 @@ def adapt(
         calibration: calibration of camera and LiDAR.
         poses: poses of the vehicle.
         init: weights to adapt.
-        changes: see `train`, like what follows.
+        changes: changes of the recipe, see `train`.
         device: "cpu", "cuda" or "cuda:N".
         stop: called between two steps; True stops the run.
 

@@ -66,7 +66,7 @@ def train(
             True stops the run, which can be resumed.
 
     Returns:
-        model.pt, or last.pt if the run was stopped early, which is not there before the first step.
+        model.pt, or last.pt if the run was stopped; last.pt does not exist before the first step.
 
     Raises:
         InputError: if the recipe, the device or `out` cannot be used, for example an `out` of

@@ -41,10 +41,11 @@ class Stage:
     """A run of a recipe, and what is made of its weights.
 
     Attributes:
-        folder: below --out, NUMBER-NAME; "" = --out itself, of a recipe of one run.
-        recipe: of the run.
-        then: returns the network that the next stage begins with, or, of the last, the one in
-            RUN/model.pt; None: the trained network.
+        folder: NUMBER-NAME, below the folder of the run; "" for that folder itself, if the recipe
+            has one stage only.
+        recipe: the recipe of this stage.
+        then: returns the network that the next stage begins with; that of the last stage is written
+            to RUN/model.pt. None: the trained network is taken as it is.
     """
 
     folder: str

@@ -52,10 +52,10 @@ class Task:
     """An opened recipe.
 
     Attributes:
-        data: the recipe's, with a crop for its sets and no more workers than cores.
+        data: the data of the recipe, with a crop for its sets and no more workers than cores.
         sources: the sets of the mixture.
         validation: the validation sets by title.
-        lidar: the input of the validation.
+        lidar: the LiDAR input of the validation.
         network: on the device of the process; only the parts that are trained have gradients.
         criterion: the loss, on the same device.
         optimizer: the optimiser of network and loss, at the recipe's rates.
@@ -241,7 +241,7 @@ def _require_shift(task: Task) -> None:
 
 
 def _require_batches(network: Network, data: DataRecipe, processes: Processes) -> None:
-    """Raise InputError for batches and crops of which normalisation sees a single value."""
+    """Raise InputError if batch normalisation would see a single value of each channel."""
     views = 2 if data.augment.pair_shift else 1
     count, (height, width) = views * data.batch_size * processes.count, data.augment.size
     if count > 1:  # then it sees a value of each crop

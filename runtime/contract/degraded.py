@@ -19,7 +19,7 @@ POSE_GAP = "pose_gap"  # the time between two poses is too long
 POSE_JUMP = "pose_jump"  # the odometry jumped
 POSE_CLOCK = "pose_clock"  # the stamps of the poses come from another clock
 # The reasons that a stream or a run adds, not `Predictor.predict`.
-OF_THE_STREAM = {
+STREAM_REASONS = {
     *(IMPLAUSIBLE_DEPTH, IMPLAUSIBLE_POSES, DEPTH_REUSED, DEPTH_UNCOMPENSATED, POINTS_UNTIMED),
     *(NO_POSE, POSE_GAP, POSE_JUMP, POSE_CLOCK),
 }

@@ -94,8 +94,9 @@ class Predictor:
         threads: int | None = None,
         warmup: int = 1,
     ) -> None:
-        self.threads = available_cores()
-        if threads is not None:
+        if threads is None:
+            self.threads = available_cores()
+        else:
             self.threads = check_integer("threads", threads, 1, _MOST_THREADS, error=InputError)
         warmup = check_integer("warmup", warmup, 0, error=InputError)
         device_id = check_integer("device_id", device_id, 0, error=InputError)

@@ -9,9 +9,10 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.contract.contract import NO_CLASS
 from runtime.contract.heads import HEADS, ResizeRule
 
-IGNORE = 255
+IGNORE = NO_CLASS
 
 
 class TargetKind(NamedTuple):

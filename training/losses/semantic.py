@@ -6,10 +6,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from runtime.contract.contract import NO_CLASS
 from training.distributed import sum_over_processes
 from training.losses.masked import grid_of, split_into_blocks
 
-IGNORE = 255
+IGNORE = NO_CLASS
 
 ClassWeighting = Literal["median", "sqrt_median", "paper", "none"]
 

@@ -164,9 +164,7 @@ class Overlay:
         heads = prediction.heads
         ids = _shrink_nearest(heads["semantic"], step) if "semantic" in heads else None
         depth = _shrink_nearest(heads["depth"], step) if "depth" in heads else None
-        hidden = None if depth is None else ~(depth > 0)
-        if hidden is not None and ids is not None and self._sky is not None:
-            hidden |= ids == self._sky
+        sky = None if ids is None or self._sky is None else ids == self._sky
         for kind, head in ((kind, head) for kind in Panel for head in heads):
             if HEADS[head].panel is not kind:
                 continue
@@ -174,17 +172,13 @@ class Overlay:
                 panels["classes"] = self._paint_classes(ids, image)
             elif kind is Panel.DEPTH:
                 own = _shrink_nearest(heads[head], step)
-                unknown = ~(own > 0)
-                title = head
-                if ids is not None and self._sky is not None:
-                    unknown |= ids == self._sky
-                    title += ", none in the sky"
-                panels[title] = self._depth_scale.paint(own, hidden=unknown)
+                title = head if sky is None else f"{head}, none in the sky"
+                panels[title] = self._depth_scale.paint(own, hidden=_hidden(own, sky))
             elif kind is Panel.SHARE_OF_DEPTH and depth is not None:
                 percent: NDArray[Any] = 100 * _shrink_nearest(heads[head], step)
                 percent = percent / np.maximum(depth, 1e-6)
                 panels["uncertainty, % of the depth"] = self._share_scale.paint(
-                    percent, hidden=hidden
+                    percent, hidden=_hidden(depth, sky)
                 )
             elif kind is Panel.GRAY:
                 gray = cv2.convertScaleAbs(_shrink(heads[head], step), alpha=255)
@@ -280,6 +274,12 @@ def _shrink(image: NDArray[Any], step: int) -> NDArray[np.uint8]:
     if step == 1:
         return whole.copy()
     return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)  # type: ignore[return-value]
+
+
+def _hidden(depth: NDArray[Any], sky: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+    """Return where no depth is drawn: where it is not known, and in the sky."""
+    unknown: NDArray[np.bool_] = ~(depth > 0)
+    return unknown if sky is None else unknown | sky
 
 
 def _shrink_nearest(image: NDArray[Any], step: int) -> NDArray[Any]:

@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Iterator
 
 from runtime.app.run.outputs.output import OpenRun
-from runtime.contract.degraded import OF_THE_STREAM
+from runtime.contract.degraded import STREAM_REASONS
 from runtime.engine.predictor import Predictor
 from runtime.recordings.recording import RecordedFrame, Recorder, Settings, record
 from runtime.streams.answerer import known_focal_length_px
@@ -24,7 +24,7 @@ class RunRecording:
         entry = RecordedFrame(
             frame.name,
             prediction.valid,
-            tuple(reason for reason in prediction.degraded if reason not in OF_THE_STREAM),
+            tuple(reason for reason in prediction.degraded if reason not in STREAM_REASONS),
             prediction.latency.total_ms,
             known_focal_length_px(self._predictor, frame.calibration),
         )
