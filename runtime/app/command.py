@@ -34,9 +34,13 @@ class Provider(StrEnum):
 def begin_command() -> None:
     """Let a signal end the process at once; called first by every command, until `stop_requested`.
 
-    During imports a KeyboardInterrupt would end as a traceback, or as another error.
+    During imports a KeyboardInterrupt would end as a traceback, or as another error. Without a
+    working folder the command ends here with exit code 1, because PyTorch cannot be imported and
+    relative paths seem not to exist.
     """
     _handle(lambda number, frame: os._exit(INTERRUPTED))
+    with reported_errors(""):
+        os.getcwd()
 
 
 def leave_signals_to_parent() -> None:

@@ -75,7 +75,8 @@ def test_a_process_ends_without_a_traceback(block, code):
 def test_a_deleted_working_folder_is_an_error_of_one_line(tmp_path):
     program = "import os, sys\nfrom runtime.app.command import *\nbegin_command()\n"
     program += "os.rmdir(os.getcwd())\nwith reported_errors('cpu'): BLOCK"
-    for number, block in enumerate(["os.path.realpath('x')", "raise FileNotFoundError('x')"]):
+    blocks = "os.path.realpath('x')", "raise FileNotFoundError('x')", "begin_command()"
+    for number, block in enumerate(blocks):
         (folder := tmp_path / str(number)).mkdir()
         arguments = [sys.executable, "-c", program.replace("BLOCK", block)]
         done = subprocess.run(arguments, cwd=folder, capture_output=True, text=True)
