@@ -17,7 +17,6 @@ from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import as_key, ray_bounds, to_plane
 from runtime.geometry.motion import Scan, move_points
 from runtime.geometry.poses import NoPoseError
-from runtime.geometry.returns import is_return
 from runtime.streams.frame import Frame
 from runtime.streams.health.log_depth import log_depth
 
@@ -130,7 +129,7 @@ def find_structure(
     points: Points, calibration: Calibration, size: tuple[int, int]
 ) -> tuple[Points, Points]:
     """Return samples of the returns near an image and of the jumps, see `View`."""
-    turned = points[is_return(points), :3] @ calibration.extrinsics[:3, :3].T.astype(np.float32)
+    turned = points[:, :3] @ calibration.extrinsics[:3, :3].T.astype(np.float32)
     x, y, z = (turned + calibration.extrinsics[:3, 3].astype(np.float32)).T
     left, right, top, bottom = _image_bounds(calibration, size)
     near = (z > _NEAREST_M) & (x > (left - _MARGIN) * z) & (x < (right + _MARGIN) * z)

@@ -1,0 +1,58 @@
+"""Which frames of a recording are compared."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from painted_street import scan_of, street_frame
+from runtime import InputError
+from runtime.alignment.selection import choose_frames
+from runtime.alignment.view import points_in_time
+from runtime.geometry.motion import Scan
+from runtime.geometry.poses import PoseTrack
+from runtime.recordings.source import ListedFrame
+from runtime.streams.frame import Frame, Message
+
+
+def source_of(frames):
+    """A source of these frames; those that are None are damaged."""
+
+    def read(listed):
+        if (frame := frames[listed.sequence]) is None:
+            raise InputError("damaged")
+        return frame
+
+    listed = [ListedFrame(number, str(number), number, number) for number in range(len(frames))]
+    return SimpleNamespace(list_frames=lambda: listed, read=read)
+
+
+def test_frames_with_structure_are_spread_over_the_recording():
+    """The first frame of each pair shows an empty road, and the fifth pair has a damaged frame."""
+    frames = [street_frame(number, boxes=9 * (number % 2)) for number in range(10)]
+    frames[9] = None
+    chosen = list(choose_frames(source_of(frames), 5))
+    assert [frame.image.stamp_ns // 10**8 for frame, _ in chosen] == [1, 3, 5, 7, 8]
+    for frame, (before, after) in chosen[:4]:
+        at = frame.image.stamp_ns // 10**8
+        assert before is frames[at - 1].depth.data.points
+        assert after is frames[at + 1].depth.data.points
+    assert chosen[4][1] == (frames[7].depth.data.points, None)
+
+
+def test_a_depth_map_is_no_scan():
+    frame = street_frame(0)
+    frame = Frame(frame.image, Message(data=np.ones(frame.size, np.float32)))
+    with pytest.raises(InputError, match="the recording has depth maps, or no calibration"):
+        list(choose_frames(source_of([frame]), 3))
+
+
+def test_scans_are_compared_at_the_time_of_the_image():
+    """The car drives 10 m/s ahead, and the image is 0.1 s later than the scan."""
+    moved = np.eye(4)
+    moved[0, 3] = 1
+    track = PoseTrack.of([np.eye(4), moved], [0, 10**8])
+    points = scan_of(np.full((120, 360), 10, np.float32))
+    image = Message(data=street_frame(0).rgb, stamp_ns=10**8)
+    frame = Frame(image, Message(data=Scan(points, 0)), poses=track)
+    assert np.allclose(points_in_time(frame)[:, 0], points[:, 0] - 1, atol=1e-3)
