@@ -15,12 +15,12 @@ from models.baselines.nconv import NConv
 from models.baselines.pidnet_s import PIDNetS
 from models.baselines.sparse_conv import SparseConvNet
 from models.baselines.sparse_to_dense import SparseToDense
-from models.entry_points import find_entry, list_entries
 from models.network import Network, NetworkConfig, check_fields
 from models.paper.config import SSDNETS
 from models.paper.ssdnet import SSDNet
 from models.ssdnet_lite import SSDNET_NANO, SSDNetLite, SSDNetLiteConfig
 from runtime.base.checks import shown
+from runtime.base.entry_points import find_entry, list_entries
 
 
 class Entry(NamedTuple):

@@ -3,7 +3,7 @@
 A new kind needs its file and a line here, or an entry point of another package.
 """
 
-from models.entry_points import find_entry
+from runtime.base.entry_points import find_entry
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.cityscapes import CityscapesRecipe
 from training.datasets.folders import FoldersRecipe

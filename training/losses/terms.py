@@ -10,7 +10,7 @@ from torch import Tensor
 
 from models import NetworkOutput
 from models.answers import head_maps
-from models.entry_points import find_entry, list_entries
+from runtime.base.entry_points import find_entry, list_entries
 from training.loading.mixture import Batch, Pair
 from training.losses.boundary import (
     NeighbourMaps,
