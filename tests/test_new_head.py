@@ -1,7 +1,8 @@
-"""A head that no code knows by name is one row of `HEADS`, and goes all the way."""
+"""A head that no code knows by name comes from a package of one's own, and goes all the way."""
 
+import csv
 import json
-import pickle
+import os
 import subprocess
 import sys
 
@@ -9,37 +10,22 @@ import cv2
 import numpy as np
 import pytest
 import torch
-import torch.nn.functional as F
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from torch import nn
 
 from export.exporter import export_checkpoint
-from models import Network, NetworkConfig, NetworkOutput, load_checkpoint, save_checkpoint
-from models.blocks import pad_to_multiple
-from models.registry import NETWORKS, Entry
+from models import create_model, load_checkpoint, save_checkpoint
 from runtime import Predictor
 from runtime.app.encode import ENCODERS
 from runtime.app.tools.verification import verify
-from runtime.contract.heads import HEADS, Difference, Head, Panel, Unit
+from runtime.contract.heads import HEADS
 from runtime.recordings.recording import read_recording
-from training import task
-from training.datasets.camvid import CamVidRecipe
-from training.datasets.sample import Sample
-from training.loading.augment import AugmentConfig
-from training.loop import train
-from training.losses import LossConfig
-from training.losses.semantic import labelled_mean
-from training.losses.terms import TERMS, head_term
-from training.recipe import (
-    DataRecipe,
-    LoopRecipe,
-    ModelRecipe,
-    OptimizerRecipe,
-    Recipe,
-    ScheduleRecipe,
-)
+from training import evaluate, train
 
-ROW = Head(
+# The row alone, which the engine needs: it imports no torch.
+ROW = """
+from runtime.contract.heads import Difference, Head, Panel, Unit
+
+DRIVABLE = Head(
     "drivable",
     "float32",
     Unit.PROBABILITY,
@@ -51,19 +37,31 @@ ROW = Head(
     saved_as="free-space",
     panel=Panel.GRAY,
 )
-# Runs ssdnet-run with the row.
-COMMAND = f"""
-import pickle
-from runtime.contract.heads import HEADS
-HEADS["drivable"] = pickle.loads({pickle.dumps(ROW)!r})
-from runtime.app.tools.commands import run
-run()
 """
+LAB = """
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from pydantic.dataclasses import dataclass
+from torch import nn
+
+from models import Network, NetworkConfig, NetworkOutput
+from models.blocks import pad_to_multiple
+from models.registry import Entry
+from training.datasets.sample import Sample
+from training.datasets.source_recipe import SourceRecipe
+from training.limits import STRICT
+from training.losses.semantic import labelled_mean
+from training.losses.terms import head_term
+
 SIZE = (64, 96)
 
 
 class Drivable(Network):
-    """The new head alone, on half of the image's grid."""
+    # The new head alone, on half of the image's grid.
 
     heads = ("drivable",)
     stride = 2
@@ -79,6 +77,66 @@ class Drivable(Network):
         return NetworkOutput(others={"drivable": self.layer(pad_to_multiple(inputs, 2))})
 
 
+class Streets:
+    # Frames whose lower half is bright and free; a third of their columns is not labelled.
+    def __len__(self):
+        return 4
+
+    def __getitem__(self, index):
+        rgb = np.random.default_rng(index).integers(0, 60, (*SIZE, 3), dtype=np.uint8)
+        rgb[SIZE[0] // 2 :] += 180
+        free = (rgb[..., 0] > 100).astype(np.float32)
+        free[:, : SIZE[1] // 3] = np.nan
+        return Sample(rgb, {"drivable": free}, None, str(index), weights={"drivable": 0.5})
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class StreetsRecipe(SourceRecipe):
+    kind: Literal["lab-streets"] = "lab-streets"
+
+    def open(self, folder, classes):
+        return Streets()
+
+
+def drivable_loss(logits, labels, weights):
+    known = ~labels.isnan()
+    errors = F.binary_cross_entropy_with_logits(logits[:, 0], labels.nan_to_num(), reduction="none")
+    return labelled_mean((errors * known).sum(dim=(1, 2)), known.sum(), weights)
+
+
+NETWORK = Entry(Drivable, NetworkConfig("lab-drivable", classes=()))
+LOSS = head_term("drivable", drivable_loss)
+"""
+ENTRY_POINTS = """
+[ssdnet.heads]
+drivable = lab_head:DRIVABLE
+misnamed = lab_head:DRIVABLE
+[ssdnet.networks]
+lab-drivable = lab_parts:NETWORK
+[ssdnet.losses]
+drivable = lab_parts:LOSS
+[ssdnet.datasets]
+lab-streets = lab_parts:StreetsRecipe
+"""
+RECIPE = """
+model.name = "lab-drivable"
+optimizer.learning_rate = 0.03
+schedule = { steps = 5 }
+loop = { ema_decay = 0.0, log_every = 1 }
+loss.weights.drivable = 2.0
+[data]
+batch_size = 4
+workers = 0
+augment = { crop = [32, 48], scale = [0.5, 1.0] }
+source = [{ kind = "lab-streets", path = "." }]
+[validation]
+source = [{ kind = "lab-streets", path = ".", name = "streets" }]
+lidar = "none"
+best = "streets/mean_error_drivable"
+"""
+SIZE = (64, 96)
+
+
 @pytest.fixture
 def frame():
     rng = np.random.default_rng(0)
@@ -88,22 +146,31 @@ def frame():
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Holds the exported file `m.onnx` and the recording `exported`; the row is in the table."""
+    """Holds the package, the exported file `m.onnx` and the recording `exported`."""
     folder = tmp_path_factory.mktemp("new-head")
-    config = NetworkConfig("tiny-drivable", classes=())
+    (folder / "lab_head.py").write_text(ROW)
+    (folder / "lab_parts.py").write_text(LAB)
+    (folder / "recipe.toml").write_text(RECIPE)
+    info = folder / "lab_head-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: lab-head\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(ENTRY_POINTS)
     torch.manual_seed(0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(HEADS, "drivable", ROW)
-        patch.setitem(NETWORKS, config.name, Entry(Drivable, config))
-        save_checkpoint(folder / "c.pt", Drivable(config).eval(), training={})
+        patch.syspath_prepend(str(folder))
+        save_checkpoint(folder / "c.pt", create_model("lab-drivable").eval(), training={})
         options = {"size": SIZE, "dynamic": True, "record_dir": folder / "exported"}
         report = export_checkpoint(folder / "c.pt", folder / "m.onnx", **options)
         assert report.heads == ("drivable",)
-        assert report.parity["drivable"].figures["max_abs"] <= ROW.tolerance
+        assert report.parity["drivable"].figures["max_abs"] <= HEADS["drivable"].tolerance
+        HEADS.pop("drivable")  # the engine finds it, too
         yield folder
+    HEADS.pop("drivable", None)
+    for name in ("lab_head", "lab_parts"):
+        sys.modules.pop(name, None)
 
 
-def test_a_head_of_one_row_goes_all_the_way(folder, tmp_path, frame):
+def test_its_row_is_enough_for_the_engine(folder, tmp_path, frame):
     rgb, depth = frame
     with Predictor(folder / "m.onnx") as predictor:
         assert predictor.heads == ("drivable",)
@@ -128,7 +195,7 @@ def test_a_head_of_one_row_goes_all_the_way(folder, tmp_path, frame):
     prediction.save(tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz") as arrays:
         np.testing.assert_array_equal(arrays["drivable"], answer)
-    encoded = np.frombuffer(ENCODERS[ROW.unit](answer), np.uint8)
+    encoded = np.frombuffer(ENCODERS[HEADS["drivable"].unit](answer), np.uint8)
     png = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED)
     np.testing.assert_allclose(png / 255, answer, atol=0.5 / 255 + 1e-6)
 
@@ -147,8 +214,12 @@ def test_ssdnet_run_saves_and_records_it(folder, tmp_path):
     out, recording = tmp_path / "out", tmp_path / "r"
     arguments = ["--demo", "--limit", "1", "--model", folder / "m.onnx", "--size", "64"]
     arguments += ["--out", out, "--record", recording]
+    command = "from runtime.app.tools.commands import run; run()"
     result = subprocess.run(
-        [sys.executable, "-c", COMMAND, *arguments], capture_output=True, text=True
+        [sys.executable, "-c", command, *arguments],
+        env=os.environ | {"PYTHONPATH": str(folder)},
+        capture_output=True,
+        text=True,
     )
     assert result.returncode == 0, result.stderr
     (saved,) = (out / "free-space").iterdir()
@@ -157,47 +228,10 @@ def test_ssdnet_run_saves_and_records_it(folder, tmp_path):
     assert limits.keys() == {"drivable"}
 
 
-class Streets:
-    """Frames whose lower half is bright and free; a third of their columns is not labelled."""
-
-    def __len__(self):
-        return 4
-
-    def __getitem__(self, index):
-        rgb = np.random.default_rng(index).integers(0, 60, (*SIZE, 3), dtype=np.uint8)
-        rgb[SIZE[0] // 2 :] += 180
-        free = (rgb[..., 0] > 100).astype(np.float32)
-        free[:, : SIZE[1] // 3] = np.nan
-        return Sample(rgb, {"drivable": free}, None, str(index), weights={"drivable": 0.5})
-
-
-def drivable_loss(logits, labels, weights):
-    known = ~labels.isnan()
-    errors = F.binary_cross_entropy_with_logits(logits[:, 0], labels.nan_to_num(), reduction="none")
-    return labelled_mean((errors * known).sum(dim=(1, 2)), known.sum(), weights)
-
-
-def test_a_row_and_a_loss_train_it(tmp_path, monkeypatch):
-    config = NetworkConfig("tiny-drivable", classes=())
-    monkeypatch.setitem(HEADS, "drivable", ROW)
-    monkeypatch.setitem(NETWORKS, config.name, Entry(Drivable, config))
-    monkeypatch.setitem(TERMS, "drivable", head_term("drivable", drivable_loss))
-    monkeypatch.setattr(task, "open_dataset", lambda *_, **__: Streets())
-    recipe = Recipe(
-        model=ModelRecipe(config.name),
-        data=DataRecipe(
-            (CamVidRecipe(path="streets"),),
-            augment=AugmentConfig(crop=(32, 48), scale=(0.5, 1.0)),
-            batch_size=4,
-            workers=0,
-        ),
-        loss=LossConfig(weights={"drivable": 2.0}),
-        schedule=ScheduleRecipe(steps=5),
-        optimizer=OptimizerRecipe(learning_rate=0.03),
-        loop=LoopRecipe(ema_decay=0.0, log_every=1),
-    )
-    trained = load_checkpoint(train(recipe, data=[], out=tmp_path / "run")).model
-    events = EventAccumulator(str(tmp_path / "run" / "tensorboard"))
+def test_it_is_trained_and_scored(folder, tmp_path):
+    run = tmp_path / "run"
+    trained = load_checkpoint(train(folder / "recipe.toml", data=folder, out=run)).model
+    events = EventAccumulator(str(run / "tensorboard"))
     events.Reload()
     shown = {
         name: [item.value for item in events.Scalars(name)] for name in events.Tags()["scalars"]
@@ -205,7 +239,22 @@ def test_a_row_and_a_loss_train_it(tmp_path, monkeypatch):
     assert {name for name in shown if name.startswith("loss/")} == {"loss/drivable", "loss/total"}
     assert shown["loss/total"] == pytest.approx([2 * value for value in shown["loss/drivable"]])
     assert shown["loss/drivable"][-1] < 0.8 * shown["loss/drivable"][0]
-    rgb = torch.from_numpy(Streets()[0].rgb).permute(2, 0, 1)[None].float()
+    with (run / "scores.csv").open() as file:
+        *_, scores = csv.DictReader(file)
+    rgb = torch.full((1, 3, *SIZE), 30.0)
+    rgb[:, :, SIZE[0] // 2 :] = 210
     with torch.no_grad():
-        answer = trained(rgb, torch.zeros(1, 1, *SIZE)).others["drivable"][0, 0]
-    assert answer[SIZE[0] // 2 :].mean() > answer[: SIZE[0] // 2].mean()
+        answer = trained(rgb, torch.zeros(1, 1, *SIZE)).others["drivable"][0, 0].sigmoid().numpy()
+    error = np.concatenate([answer[: SIZE[0] // 2], 1 - answer[SIZE[0] // 2 :]]).mean()
+    assert float(scores["mean_error_drivable"]) == pytest.approx(error, abs=0.05)
+    (row,) = evaluate([run]).rows
+    assert row.figures["mean_error_drivable"] == pytest.approx(
+        float(scores["mean_error_drivable"]), abs=1e-6
+    )
+
+
+@pytest.mark.usefixtures("folder")
+def test_names_that_no_package_registers_are_no_heads():
+    assert "lab-none" not in HEADS
+    with pytest.raises(ValueError, match="misnamed has the head 'drivable': rename one"):
+        HEADS["misnamed"]

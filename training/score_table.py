@@ -11,7 +11,7 @@ from runtime.files.atomic_write import atomic_write
 # Scores of a set that the progress line and TensorBoard show.
 SHOWN = ("miou", "mae_m", "rmse_m", "boundary_f")
 # Prefixes of scores that are errors, for which smaller is better.
-_ERRORS = ("mae", "rmse", "imae", "irmse")
+_ERRORS = ("mae", "rmse", "imae", "irmse", "mean_error")
 # Relative change for the worse from which `ScoreTable.compare` warns.
 _TOLERANCE = 0.05
 

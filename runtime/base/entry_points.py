@@ -7,13 +7,12 @@ Your own package names in its pyproject.toml what it adds:
 my-network = "my_package.network:MY_NETWORK"
 ```
 
-The groups are `ssdnet.networks` (a `models.registry.Entry`), `ssdnet.losses` (a
-`training.losses.terms.Term`) and `ssdnet.datasets` (a subclass of
-`training.datasets.source_recipe.SourceRecipe`). They are looked up only for names that the tables
-do not have.
+The groups are `ssdnet.networks` (a `models.registry.Entry`), `ssdnet.heads` (a
+`runtime.contract.heads.Head`), `ssdnet.losses` (a `training.losses.terms.Term`) and
+`ssdnet.datasets` (a subclass of `training.datasets.source_recipe.SourceRecipe`). They are looked up
+only for names that the tables do not have.
 """
 
-from importlib.metadata import entry_points
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -33,6 +32,8 @@ def find_entry(group: str, name: str, kind: type[T]) -> T | None:
     Raises:
         ValueError: if the object cannot be imported or has another type.
     """
+    from importlib.metadata import entry_points  # slow to import, and rarely needed
+
     for point in entry_points(group=group, name=name):
         try:
             found = point.load()
@@ -49,4 +50,6 @@ def find_entry(group: str, name: str, kind: type[T]) -> T | None:
 
 def list_entries(group: str) -> list[str]:
     """Return the names that installed packages register, for messages."""
+    from importlib.metadata import entry_points
+
     return sorted({point.name for point in entry_points(group=group)})

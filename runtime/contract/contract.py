@@ -30,10 +30,6 @@ MIN_FOCAL_PX = 1.0  # bounds of a focal length: from tiny pictures to long telep
 MAX_FOCAL_PX = 1_000_000.0
 MAX_GIGA_MACS = 1_000_000.0
 
-# This is written for other engines; this engine does not read it.
-_RESIZE = {"rgb": "bilinear", "sparse_depth": "nearest"} | {
-    head.name: head.resize for head in HEADS.values()
-}
 _DIGEST_KEY = "document_sha256"
 _Checked = TypeVar("_Checked")
 
@@ -113,7 +109,10 @@ class Contract:
         Its last key is "document_sha256": the SHA-256 of the UTF-8 bytes before the comma in front
         of that key.
         """
-        document = json.dumps({"resize": _RESIZE, **asdict(self)}, allow_nan=False)
+        # This is written for other engines; this engine does not read it.
+        resize = {"rgb": "bilinear", "sparse_depth": "nearest"}
+        resize |= {head.name: head.resize for head in HEADS.values()}
+        document = json.dumps({"resize": resize, **asdict(self)}, allow_nan=False)
         return _with_digest(document.removesuffix("}"))
 
     @classmethod

@@ -1,14 +1,16 @@
 """The heads of the networks: a table with one row for each head.
 
 All code that handles answers reads this table: the contract, the signature check, post-processing,
-recordings and their comparison, the writers and the drawing. A new head is therefore a new row. The
-module imports only the standard library.
+recordings and their comparison, the writers and the drawing. A new head is therefore a new row,
+here or in another package, which registers it as an entry point of `GROUP`.
 """
 
 import math
 from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 from typing import Literal
+
+from runtime.base.entry_points import find_entry
 
 # How a map is resized, see `runtime.contract.resize`.
 ResizeRule = Literal["nearest", "bilinear", "surface"]
@@ -101,9 +103,39 @@ class Head:
 # classes, `boundary` is half of this probability inside regions of one class.
 EDGE_BOUNDARY = 0.5
 
+# Group of the entry points with which other packages add heads, each under the head's name.
+GROUP = "ssdnet.heads"
+
+
+class HeadTable(dict[str, Head]):
+    """Name -> head. A name that is missing is looked up in the installed packages, and kept.
+
+    `in` and `[]` find such heads, with the ValueError of `find_entry`; an iteration yields only
+    those that were found before.
+    """
+
+    def __missing__(self, name: str) -> Head:
+        head = find_entry(GROUP, name, Head)
+        if head is None:
+            raise KeyError(name)
+        if head.name != name:
+            raise ValueError(
+                f"the entry point {GROUP}: {name} has the head {head.name!r}: rename one"
+            )
+        return self.setdefault(name, head)
+
+    def __contains__(self, name: object) -> bool:
+        if super().__contains__(name):
+            return True
+        try:
+            return isinstance(name, str) and self[name] is not None
+        except KeyError:
+            return False
+
+
 # Name -> head, in the order of the contract.
-HEADS: dict[str, Head] = {
-    head.name: head
+HEADS = HeadTable(
+    (head.name, head)
     for head in (
         Head(
             "semantic",
@@ -169,4 +201,4 @@ HEADS: dict[str, Head] = {
             per_class=True,
         ),
     )
-}
+)

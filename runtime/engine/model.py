@@ -39,6 +39,8 @@ def open_model(
 ) -> tuple[Model, Any]:
     """Open a model. Outputs of its graph that are not in `HEADS` are ignored.
 
+    `HEADS` also finds the heads of installed packages.
+
     The first prediction checks whether the outputs agree with the contract, see `run_batch`.
 
     Args:
@@ -60,13 +62,14 @@ def open_model(
     session = open_session(file.content, provider=provider, device_id=device_id, threads=threads)
     shapes = {tensor.name: tensor.shape for tensor in session.get_inputs()}
     inputs = {tensor.name: (tensor.type, len(tensor.shape)) for tensor in session.get_inputs()}
-    outputs = {tensor.name for tensor in session.get_outputs()}
-    heads = tuple(name for name in HEADS if name in outputs)
+    outputs = [tensor.name for tensor in session.get_outputs()]
+    known = [name for name in outputs if name in HEADS]  # first, so that HEADS lists them
+    heads = tuple(name for name in HEADS if name in known)
     if inputs != _INPUTS or not heads:
         raise ContractError(
             f"not a model for this engine: expected the inputs {_INPUTS} (type, dimensions) and "
             f"some of the outputs {', '.join(HEADS)}, found {inputs} and {', '.join(outputs)}: "
-            "export one with ssdnet-export"
+            "export one with ssdnet-export, or install the package that registers its heads"
         )
     batch, height, width = shapes["sparse_depth"]
     model = Model(

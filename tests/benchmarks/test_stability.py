@@ -20,7 +20,7 @@ def test_changes_far_from_returns_and_below_the_sky_are_counted():
         depth[20:] *= 1.02 ** (100 - rgb.shape[1])
         semantic = np.full(rgb.shape[:2], ROAD, np.uint8)
         semantic[:10] = SKY
-        return HeadMaps(semantic, depth)
+        return HeadMaps(semantic=semantic, depth=depth)
 
     frames = [Sample(rgb, {}, None, "a", sparse_depth=returns)] * 2
     counted = [100 - 32 - columns - 13 for columns in (1, 2, 3, 5, 8)]

@@ -49,6 +49,12 @@ def target_kind(name: str) -> TargetKind:
     return TargetKind(np.dtype(head.dtype), head.unlabelled, head.resize)
 
 
+def labelled(name: str, values: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return which pixels of a target have a label; NaN is none in any target."""
+    known: NDArray[np.bool_] = values != target_kind(name).unlabelled
+    return known & (values == values) if values.dtype.kind == "f" else known
+
+
 @dataclass(frozen=True)
 class Sample:
     """One frame; H and W are the sides of its image.

@@ -53,8 +53,26 @@ class Accumulator:
                 case Accumulator():
                     ours.merge(theirs)
                 case dict():
-                    for key, part in ours.items():
-                        part.merge(theirs[key])
+                    for key, part in theirs.items():
+                        ours.setdefault(key, type(part)()).merge(part)
+
+
+class MeanError(Accumulator):
+    """The mean absolute error of a head over all pixels with a label."""
+
+    def __init__(self) -> None:
+        self._sum = np.zeros(2)  # errors, pixels
+
+    def update(self, answer: NDArray[Any], labels: NDArray[Any], known: NDArray[np.bool_]) -> None:
+        """Count the pixels of a frame that have a label; all are (H, W)."""
+        errors = np.abs(answer[known].astype(np.float64) - labels[known])
+        self._sum += errors.sum(), known.sum()
+
+    @property
+    def figure(self) -> float:
+        """The mean; NaN without a label."""
+        total, count = self._sum
+        return float(total / count) if count else math.nan
 
 
 class SemanticScores(Accumulator):

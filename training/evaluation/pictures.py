@@ -1,6 +1,6 @@
 """Pictures of training inputs, and of a network's answers beside the ground truth."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import cv2
@@ -12,7 +12,7 @@ from models import Network
 from runtime.app.drawing.color_scale import NO_VALUE_COLOR
 from runtime.app.drawing.overlay import Overlay
 from runtime.app.drawing.picture_text import write_text
-from training.datasets.sample import IGNORE, SampleSource, target_kind
+from training.datasets.sample import AUXILIARY, SampleSource, labelled
 from training.evaluation.scoring import HeadMaps, Predict, split_frames
 from training.lidar.split import LidarInput
 from training.loading.mixture import Batch
@@ -46,14 +46,23 @@ def draw_pictures(
     overlay = Overlay(network.config.classes, network.config.max_depth_m)
     for frame in split_frames(source, spread_indices(source, count), lidar):
         sample = frame.sample
-        labelled = "semantic" in network.heads and (sample.semantic != IGNORE).any()
-        has_depth = "depth" in network.heads and frame.target.any()
-        truth = HeadMaps(sample.semantic if labelled else None, frame.target if has_depth else None)
+        truth = HeadMaps(**_labelled({**sample.targets, "depth": frame.target}, network.heads))
         drawn = [
             overlay.draw(sample.rgb, answer, widest=_WIDEST)
             for answer in (predict(sample.rgb, frame.fed, sample.focal_length_px), truth)
         ]
         yield sample.name, np.ascontiguousarray(_side_by_side(drawn)[..., ::-1])
+
+
+def _labelled(
+    targets: Mapping[str, NDArray[Any]], heads: Collection[str]
+) -> dict[str, NDArray[Any]]:
+    """Return the targets of these heads that have a label; NaN is drawn like 0."""
+    return {
+        name: np.nan_to_num(values)
+        for name, values in targets.items()
+        if name in heads and labelled(name, values).any()
+    }
 
 
 def draw_batch(batch: Batch, overlay: Overlay, *, count: int) -> NDArray[np.uint8]:
@@ -77,12 +86,8 @@ def draw_batch(batch: Batch, overlay: Overlay, *, count: int) -> NDArray[np.uint
 
     rgb = batch.rgb[shown].movedim(-3, -1).reshape(-1, width, 3).numpy()
     fed = column(batch.sparse_depth)
-    known = {
-        name: column(labels)
-        for name, labels in batch.targets.items()
-        if name in ("semantic", "depth") and (labels != target_kind(name).unlabelled).any()
-    }
-    targets = HeadMaps(**known)
+    columns = {name: column(labels) for name, labels in batch.targets.items()}
+    targets = HeadMaps(**_labelled(columns, columns.keys() - AUXILIARY.keys()))
     # Far returns are drawn first, so that near dots cover them.
     nearness = np.divide(1, fed, out=np.zeros_like(fed), where=fed > 0)
     nearness = cv2.dilate(nearness, np.ones((_DOT_PX, _DOT_PX), np.uint8))

@@ -106,7 +106,7 @@ class Predictions:
         maps: dict[str, NDArray[np.generic]] = {}
         for head, values in found.items():
             maps[head or ("semantic" if values.dtype == np.uint8 else "depth")] = values
-        return HeadMaps(**maps)  # type: ignore[arg-type]
+        return HeadMaps(**maps)
 
     @cached_property
     def _files(self) -> Mapping[str, Mapping[str, Path]]:

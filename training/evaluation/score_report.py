@@ -80,6 +80,8 @@ COLUMNS = (
     _share("boundary_f", "boundary F", main=True),
     Column("latency_ms", "an answer ms", 1.0, 1),
 )
+# Beginning of the figures of heads that have no column here.
+OTHER = "mean_error_"
 # For each head: a figure that every set with its ground truth has, and the key of that truth in
 # `folders`.
 _TRUTH = {"semantic": ("miou", "labels"), "depth": ("mae_m", "depth")}
@@ -150,7 +152,9 @@ def format_table(
         width: characters of the longest line, unless a single figure needs more; None: any.
     """
     scored = [row for row in rows if row.figures]
-    known = [column for column in COLUMNS if any(column.key in row.shown for row in scored)]
+    others = dict.fromkeys(key for row in scored for key in row.shown if key.startswith(OTHER))
+    every = *COLUMNS, *(Column(key, key.replace("_", " "), 1.0, 4, main=True) for key in others)
+    known = [column for column in every if any(column.key in row.shown for row in scored)]
     columns = [column for column in known if all_columns or column.main]
     notes = table_notes(rows)
     if len(columns) < len(known):

@@ -61,7 +61,7 @@ class EvaluatedSet:
                 "--predictions DIR,classes=cityscapes"
             )
         lookup = self.classes.lookup(table, len(self.classes.names))
-        return answer._replace(semantic=lookup[answer.semantic])
+        return HeadMaps(**answer.heads | {"semantic": lookup[answer.semantic]})
 
     def image_name(self, index: int) -> str | None:
         """Return the stem of a frame's image; None if the set does not know its files."""

@@ -14,6 +14,7 @@ from models import CLASS_TABLES, load_checkpoint
 from models.training_facts import TrainingFacts
 from runtime.base.errors import InputError, SSDNetError
 from runtime.contract.contract import ClassInfo
+from runtime.contract.heads import HEADS
 from runtime.contract.model_file import has_metadata
 from runtime.contract.network_size import NetworkSize, check_network_size, network_size
 from runtime.engine.predictor import Predictor
@@ -210,6 +211,6 @@ def engine_predict(predictor: Predictor) -> Predict:
         prediction = predictor.predict(rgb, sparse_depth, focal_length_px=focal_length_px)
         if not prediction.valid:
             raise SSDNetError(f"the model's answer is invalid: {', '.join(prediction.degraded)}")
-        return HeadMaps(*(getattr(prediction, head) for head in HeadMaps._fields))
+        return HeadMaps(**{h: v for h, v in prediction.heads.items() if not HEADS[h].per_class})
 
     return predict

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,7 +17,7 @@ from runtime.contract.heads import HEADS
 from runtime.contract.resize import Size
 from runtime.engine.inference import to_frame
 from runtime.engine.preprocess import preprocess
-from training.datasets.sample import IGNORE, SampleSource
+from training.datasets.sample import IGNORE, SampleSource, labelled
 from training.distributed import Processes
 from training.evaluation.depth_regions import DepthRegionScores
 from training.evaluation.metrics import (
@@ -25,6 +25,7 @@ from training.evaluation.metrics import (
     BoundaryScores,
     DepthScores,
     DisparityScores,
+    MeanError,
     RoadScores,
     SemanticScores,
 )
@@ -32,25 +33,35 @@ from training.evaluation.uncertainty import UncertaintyScores
 from training.lidar.split import LidarInput, LidarSplit, frame_generator, split_lidar
 
 
-class HeadMaps(NamedTuple):
-    """The maps of the heads for one frame; a head that the predictor lacks is None.
+class HeadMaps:
+    """The maps of the heads for one frame, (H, W), each in the type and unit of its row in `HEADS`.
 
-    Attributes:
-        semantic: class ids, uint8 (H, W).
-        depth: float32 (H, W) [m].
-        boundary: probability, float32 (H, W), 0..1.
-        depth_uncertainty: scale of a Laplace distribution around the depth, float32 (H, W) [m].
+    Args:
+        **heads: the maps by head; None for a head that the predictor lacks.
     """
 
-    semantic: NDArray[np.uint8] | None = None
-    depth: NDArray[np.float32] | None = None
-    boundary: NDArray[np.float32] | None = None
-    depth_uncertainty: NDArray[np.float32] | None = None
+    def __init__(self, **heads: NDArray[Any] | None) -> None:
+        self.heads = {head: values for head, values in heads.items() if values is not None}
 
     @property
-    def heads(self) -> dict[str, NDArray[Any]]:
-        """The answers by head, for heads with an answer."""
-        return {head: values for head, values in self._asdict().items() if values is not None}
+    def semantic(self) -> NDArray[np.uint8] | None:
+        """The class ids, uint8 (H, W); None without this head."""
+        return self.heads.get("semantic")
+
+    @property
+    def depth(self) -> NDArray[np.float32] | None:
+        """The depth, float32 (H, W) [m]; None without this head."""
+        return self.heads.get("depth")
+
+    @property
+    def boundary(self) -> NDArray[np.float32] | None:
+        """The probability of a boundary, float32 (H, W); None without this head."""
+        return self.heads.get("boundary")
+
+    @property
+    def depth_uncertainty(self) -> NDArray[np.float32] | None:
+        """The scale of a Laplace distribution of the depth's error, float32 (H, W) [m], or None."""
+        return self.heads.get("depth_uncertainty")
 
 
 # Arguments: rgb uint8 (H, W, 3), sparse_depth float32 (H, W) [m], and the focal length [px of this
@@ -92,7 +103,7 @@ def torch_predict(
             torch.from_numpy(frame.sparse_depth).to(device)[None, None],
         )
         found = answers(output, config.max_depth_m)
-        heads = {head: found[head][0].cpu().numpy() for head in HeadMaps._fields if head in found}
+        heads = {head: found[head][0].cpu().numpy() for head in network.heads}
         for head, values in heads.items():
             if not np.isfinite(values).all() or (head == "semantic" and NO_CLASS in values):
                 raise SSDNetError(
@@ -117,13 +128,14 @@ class Scores(Accumulator):
         self.regions = DepthRegionScores()
         self.uncertainty = UncertaintyScores()
         self.road = RoadScores(num_classes)
+        self.others: dict[str, MeanError] = {}  # of heads without other figures
 
     def update(self, answer: HeadMaps, frame: LidarSplit) -> None:
         """Count a frame; missing heads and targets are left out."""
         sample = frame.sample
         self.frames += 1
         self.heads |= answer.heads.keys()
-        labelled = bool((sample.semantic != IGNORE).any())
+        has_classes = bool((sample.semantic != IGNORE).any())
         if answer.semantic is not None and "semantic" in sample.targets:
             self.semantic.update(answer.semantic, sample.semantic)
         if answer.semantic is not None and "road_mask" in sample.targets:
@@ -135,8 +147,12 @@ class Scores(Accumulator):
             self.regions.update(answer.depth, frame.target, frame.fed)
             if answer.depth_uncertainty is not None:
                 self.uncertainty.update(answer.depth_uncertainty, answer.depth, frame.target)
-        if answer.boundary is not None and labelled:
+        if answer.boundary is not None and has_classes:
             self.boundary.update(answer.boundary, sample.semantic)
+        for head in answer.heads.keys() & sample.targets.keys() - {"semantic", "depth"}:
+            errors = self.others.setdefault(head, MeanError())
+            labels = sample.targets[head]
+            errors.update(answer.heads[head], labels, labelled(head, labels))
 
     def labelled(self, class_names: Sequence[str]) -> dict[str, tuple[int, int]]:
         """Return labelled pixels, and frames that show it, for each class that is labelled."""
@@ -166,6 +182,7 @@ class Scores(Accumulator):
             **self.uncertainty.figures(),
             **self.disparity.figures("px"),
             **self.boundary.figures(boundary_threshold),
+            **{f"mean_error_{head}": part.figure for head, part in sorted(self.others.items())},
         }
 
 
@@ -229,8 +246,8 @@ def figure_names(
     """
 
     def answer(rgb: NDArray[np.uint8], _: object, __: object) -> HeadMaps:
-        heads = set(HeadMaps._fields) & set(network.heads)
-        return HeadMaps(**{head: np.ones(rgb.shape[:2], HEADS[head].dtype) for head in heads})
+        ones = {head: np.ones(rgb.shape[:2], HEADS[head].dtype) for head in network.heads}
+        return HeadMaps(**ones)
 
     frames = split_frames(source, indices, lidar)
     scores = score(answer, frames, num_classes=network.config.num_classes)

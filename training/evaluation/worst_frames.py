@@ -133,7 +133,7 @@ def _panels(
     )
     shown = {"truth": truth}
     for name, answer in zip(names, answers, strict=False):
-        shown[name] = HeadMaps(**{head: getattr(answer, head)})
+        shown[name] = HeadMaps(**{head: answer.heads[head]})
     pictures = overlay.panels(sample.rgb, HeadMaps(), widest=_WIDEST)
     for title, maps in shown.items():
         (pictures[title],) = overlay.panels(None, maps, widest=_WIDEST).values()

@@ -18,7 +18,7 @@ from models import NetworkConfig
 from runtime.base.errors import DatasetError
 from runtime.contract.network_size import network_size
 from training.datasets.class_mapping import ClassTable
-from training.datasets.sample import Sample, SampleSource, target_kind
+from training.datasets.sample import Sample, SampleSource, labelled, target_kind
 from training.datasets.source_recipe import SourceRecipe
 from training.loading.augment import resize
 
@@ -228,7 +228,7 @@ def _count_learned(sample: Sample, target: str, config: NetworkConfig) -> int:
     """Return the number of a frame's labels of a target that count in the loss."""
     if not sample.weights.get(target, 1.0) > 0:
         return 0
-    known = sample.targets[target] != target_kind(target).unlabelled
+    known = labelled(target, sample.targets[target])
     if target == "depth":
         canonical, focal = config.canonical_focal_px, sample.focal_length_px
         factor = canonical / focal if canonical and focal else 1.0

@@ -21,7 +21,7 @@ from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 from runtime.contract.contract import MAX_FOCAL_PX, MAX_PIXELS, MIN_FOCAL_PX
-from runtime.contract.heads import HEADS
+from runtime.contract.heads import HEADS, Head
 from runtime.contract.network_size import NetworkSize, parse_network_size
 from runtime.engine.bundled_models import DEFAULT_MODEL, list_bundled_models
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
@@ -38,10 +38,15 @@ from runtime.recordings.scan import SCAN_SUFFIXES
 from runtime.recordings.source import Source
 
 OVERLAY, CLOUD = "overlay", "cloud"
-# For each kind of file that holds one head: name and unit of the head.
-SAVED_HEADS = {head.saved_as: (head.name, head.unit) for head in HEADS.values() if head.saved_as}
+
+
+def saved_heads() -> dict[str, Head]:
+    """Return the head of each kind of file that holds one, as far as `HEADS` lists them."""
+    return {head.saved_as: head for head in HEADS.values() if head.saved_as}
+
+
 # Suffix of each kind of file of a frame; the kind is also the name of its subfolder.
-SUFFIXES = {**dict.fromkeys(SAVED_HEADS, ".png"), OVERLAY: ".jpg", CLOUD: ".ply"}
+SUFFIXES = {**dict.fromkeys(saved_heads(), ".png"), OVERLAY: ".jpg", CLOUD: ".ply"}
 # Kinds that are written unless others are requested; the remaining kinds are large.
 KINDS = tuple(kind for kind in SUFFIXES if kind != CLOUD)
 MAX_OVERLAY_WIDTH = 8192  # five such panels side by side fit into a JPEG
@@ -293,11 +298,12 @@ class RunOptions:
             return ()
         if "all" in requested:  # "all,cloud" adds the clouds
             requested = (requested - {"all"}) | set(KINDS)
-        if requested - SUFFIXES.keys():
+        others = sorted(requested - SUFFIXES.keys())  # heads of other packages
+        if not all(kind in HEADS and HEADS[kind].saved_as == kind for kind in others):
             raise UsageError(
                 f"--save is none, or some of all, {', '.join(SUFFIXES)}, got {shown(texts)}"
             )
-        return tuple(kind for kind in SUFFIXES if kind in requested)
+        return *(kind for kind in SUFFIXES if kind in requested), *others
 
     def _read_reasons(self) -> tuple[str, ...]:
         given = [each.strip() for each in ",".join(self.fail_on or []).split(",") if each.strip()]

@@ -8,7 +8,7 @@ from runtime.alignment.quick_check import QuickCheck, QuickFinding
 from runtime.app.command import stop_requested
 from runtime.app.run.depth_check import NoDepth, find_depth_fault, find_lens_fault
 from runtime.app.run.engine_facts import engine_facts
-from runtime.app.run.options import CLOUD, KINDS, SAVED_HEADS, RunOptions
+from runtime.app.run.options import CLOUD, KINDS, SUFFIXES, RunOptions, saved_heads
 from runtime.app.run.outages import Timeline, find_outages
 from runtime.app.run.outputs.frame_writer import make_run_folder
 from runtime.app.run.outputs.output import OpenRun
@@ -210,7 +210,7 @@ def _answered_kinds(
     options: RunOptions, predictor: Predictor, focal_px: float | None
 ) -> tuple[str, ...]:
     """The kinds of files that the model answers. Raises InputError if it lacks a requested one."""
-    heads = {**{kind: head for kind, (head, _) in SAVED_HEADS.items()}, CLOUD: "depth"}
+    heads = {**{kind: head.name for kind, head in saved_heads().items()}, CLOUD: "depth"}
     missing = [
         kind for kind in options.kinds if kind in heads and heads[kind] not in predictor.heads
     ]
@@ -230,7 +230,10 @@ def _answered_kinds(
             f"{predictor.contract.model_name} does not answer: leave it out, or choose another "
             "--model"
         )
-    return tuple(kind for kind in options.kinds if kind not in missing)
+    kinds = [kind for kind in options.kinds if kind not in missing]
+    if are_all:  # also of heads that another package registers
+        kinds += [k for k, head in heads.items() if k not in SUFFIXES and head in predictor.heads]
+    return tuple(dict.fromkeys(kinds))
 
 
 def _warm_up(

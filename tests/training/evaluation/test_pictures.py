@@ -30,9 +30,7 @@ def make_batch():
 
 
 def color_at(metres):
-    (panel,) = OVERLAY.panels(
-        None, HeadMaps(None, np.full((1, 1), metres, np.float32), None)
-    ).values()
+    (panel,) = OVERLAY.panels(None, HeadMaps(depth=np.full((1, 1), metres, np.float32))).values()
     return panel[0, 0].tolist()
 
 

@@ -66,7 +66,12 @@ def test_each_figure_has_its_own_name():
     depth, scale, edge = frame.depth.copy(), np.full((60, 120), 3, np.float32), np.zeros((60, 120))
     depth[10:, :60], scale[:, 60:] = 12.5, 0.5
     edge[10], edge[10:, 60] = 1, 1
-    result = figures(HeadMaps(ids, depth, edge.astype(np.float32), scale), frame)
+    result = figures(
+        HeadMaps(
+            semantic=ids, depth=depth, boundary=edge.astype(np.float32), depth_uncertainty=scale
+        ),
+        frame,
+    )
     by_distance = {name: result.pop(name) for name in list(result) if "return" in name}
     assert list(by_distance) == [
         f"{error}_m_return_{px}_px" for px in ("0", "1_2", "3_6") for error in ("mae", "rmse")
@@ -121,7 +126,7 @@ def test_a_network_of_canonical_depth_sees_it_and_answers_in_metres():
     """A fake network that answers what it is fed: the factor must come off again."""
 
     class Copy(torch.nn.Module):
-        config = SSDNetLiteConfig(canonical_focal_px=450.0)
+        config, heads = SSDNetLiteConfig(canonical_focal_px=450.0), ("depth", "depth_uncertainty")
         rgb_mean = torch.zeros(1)
 
         def forward(self, rgb, sparse_depth):
@@ -154,7 +159,7 @@ def test_frames_are_scored_with_their_own_focal_length():
 
     def predict(rgb, fed, focal_length_px):
         seen.append(focal_length_px)
-        return HeadMaps(None, sample().depth, None)
+        return HeadMaps(depth=sample().depth)
 
     frames = [split_lidar(sample(), "random:0.1"), split_lidar(sample(intrinsics=None), "none")]
     score(predict, frames, num_classes=11)

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from runtime.app.encode import ENCODERS, encode_jpeg, encode_ply
-from runtime.app.run.options import CLOUD, OVERLAY, SAVED_HEADS, SUFFIXES, RunOptions
+from runtime.app.run.options import CLOUD, OVERLAY, SUFFIXES, RunOptions, saved_heads
 from runtime.app.run.outputs.output import OpenRun
 from runtime.app.run.run_report import FRAMES_FILE, REPORT_FILE, write_report
 from runtime.files.atomic_write import atomic_write
@@ -27,7 +27,7 @@ class FrameWriter:
             for kind in self._run.kinds:
                 content = self._encode(kind, frame, result)
                 if content is not None:
-                    path = self._run.options.folder / kind / (frame.name + SUFFIXES[kind])
+                    path = self._run.options.folder / kind / _file_name(frame.name, kind)
                     atomic_write(path, content)
                     written.append(path)
         except BaseException:
@@ -44,12 +44,17 @@ class FrameWriter:
             return encode_ply(cloud, run.predictor.contract.classes)
         if kind == OVERLAY:
             return encode_jpeg(run.draw(frame, result))
-        head, unit = SAVED_HEADS[kind]
-        values = prediction.heads.get(head)
+        head = saved_heads()[kind]
+        values = prediction.heads.get(head.name)
         if values is None:
             return None
-        run.count_beyond(kind, unit, values)
-        return ENCODERS[unit](values)
+        run.count_beyond(kind, head.unit, values)
+        return ENCODERS[head.unit](values)
+
+
+def _file_name(frame: str, kind: str) -> str:
+    """Return the name of a frame's file; heads of other packages are PNGs, too."""
+    return frame + SUFFIXES.get(kind, ".png")
 
 
 @contextlib.contextmanager
@@ -70,5 +75,5 @@ def make_run_folder(options: RunOptions, kinds: Sequence[str], names: Sequence[s
     """
     # The report is removed first, because a folder with a report counts as complete.
     files = [Path(REPORT_FILE), Path(FRAMES_FILE)]
-    files += [Path(kind, name + SUFFIXES[kind]) for kind in kinds for name in names]
+    files += [Path(kind, _file_name(name, kind)) for kind in kinds for name in names]
     make_own_folder(options.folder, files, overwrite=options.overwrite)

@@ -19,10 +19,6 @@ from runtime.recordings.ros_answers import camera_fields, cloud_fields, status_f
 from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
 
-# Topics of the heads that are pictures (`sensor_msgs/msg/CompressedImage`).
-IMAGES = {
-    head.name: f"/ssdnet/{head.name}/compressed" for head in HEADS.values() if not head.per_class
-}
 OVERLAY, CLASSES, SCALES = "/ssdnet/overlay/compressed", "/ssdnet/classes", "/ssdnet/scales"
 POINTS, CAMERA, DIAGNOSTICS = "/ssdnet/points", "/ssdnet/camera_info", "/diagnostics"
 STATIC = "/tf_static"
@@ -56,10 +52,11 @@ class McapWriter:
         if not self._frames:
             self._write_once(stamp_ns)
         self._frames += 1
-        for head, topic in IMAGES.items():
-            if (values := prediction.heads.get(head)) is not None:
+        for head, values in prediction.heads.items():
+            if not HEADS[head].per_class:
                 unit = HEADS[head].unit
                 self._run.count_beyond(f"{head} in the MCAP file", unit, values)
+                topic = f"/ssdnet/{head}/compressed"
                 self._add_image(topic, header, *encode_ros_image(unit, values))
         self._add_image(OVERLAY, header, "jpeg", encode_jpeg(self._run.draw(frame, result)))
         camera = camera_of(frame, self._run.predictor.focal_length_px)
@@ -86,7 +83,7 @@ class McapWriter:
     def _write_once(self, stamp_ns: int) -> None:
         """Append what is the same for all frames: classes, scales, and where the sensors are."""
         names = {index: info.name for index, info in enumerate(self._contract.classes)}
-        scales = {head: _SCALES[HEADS[head].unit] for head in IMAGES if HEADS[head].unit in _SCALES}
+        scales = {name: _SCALES[head.unit] for name, head in HEADS.items() if head.unit in _SCALES}
         for topic, facts in ((CLASSES, names), (SCALES, scales)):
             self._add(topic, "std_msgs/msg/String", stamp_ns, data=json.dumps(facts))
         transforms = [
