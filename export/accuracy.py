@@ -62,6 +62,23 @@ def measure_accuracy(
     return found
 
 
+# (set, LiDAR) -> figure -> half of its 95 % interval.
+Widths = Mapping[tuple[str, str], Mapping[str, float]]
+
+
+def measure_widths(
+    single: Path, quantized: Path, data: Sequence[str], lidars: Sequence[str]
+) -> Widths:
+    """Measure how uncertain the difference of two files is on these frames, see `compare`."""
+    found = evaluate([single, quantized], data, lidars=lidars, leave_out_fed=True).differences
+    return {
+        (item.data, item.lidar): {
+            figure: (each.high - each.low) / 2 for figure, each in item.figures.items()
+        }
+        for item in found
+    }
+
+
 def _accuracy(row: Row) -> Accuracy:
     known = {key: value for key, value in row.figures.items() if not math.isnan(value)}
     often = [

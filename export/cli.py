@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from export.precision import LEAST_FRAMES, Int8Options, Precision
+from export.precision import ENOUGH_FRAMES, LEAST_FRAMES, Int8Options, Precision
 from runtime.app.command import reported_errors, stop_requested
 from runtime.app.command_options import Version
 from runtime.contract.contract import MIN_SIDE, Contract
@@ -83,8 +83,8 @@ def export(
         typer.Option(
             metavar="DATA",
             help="Frames from which the value ranges of int8 are calibrated, with and without "
-            f"LiDAR, as KIND:FOLDER[,KEY=VALUE...] like in ssdnet-eval: {LEAST_FRAMES} or more. "
-            "May be repeated.",
+            f"LiDAR, as KIND:FOLDER[,KEY=VALUE...] like in ssdnet-eval: {LEAST_FRAMES} or more, "
+            f"better {ENOUGH_FRAMES}. May be repeated.",
         ),
     ] = None,
     validate: Annotated[
@@ -92,8 +92,9 @@ def export(
         typer.Option(
             metavar="DATA",
             help="Frames with labels or depth on which the accuracy in the metadata is measured, "
-            "as KIND:FOLDER[,KEY=VALUE...]; take none that served for training or --calibrate. "
-            f"int8 needs {LEAST_FRAMES} or more. May be repeated.",
+            "as KIND:FOLDER[,KEY=VALUE...]; take none of --calibrate. int8 needs "
+            f"{LEAST_FRAMES} or more, better {ENOUGH_FRAMES}. A warning counts frames that served "
+            "for training. May be repeated.",
         ),
     ] = None,
     max_drop_miou: Annotated[
@@ -103,6 +104,13 @@ def export(
         float,
         typer.Option(min=0, help="Largest rise of the depth's MAE by int8 on any data set, in %."),
     ] = Int8Options.max_rise_mae,
+    name: Annotated[
+        str | None,
+        typer.Option(
+            help="Name of the model in reports.",
+            show_default="that of the run's folder; for other files the network's",
+        ),
+    ] = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace an older file, recording and Triton model.")
     ] = False,
@@ -138,7 +146,9 @@ def export(
                 triton_dir=triton_dir,
                 precision=options if precision is _Choice.INT8 else Precision(precision),
                 validate=tuple(validate or ()),
+                name=name,
                 overwrite=overwrite,
+                report=_print_stage,
             )
     free = ", any size accepted" if report.dynamic else ""
     shape = f"{report.size[0]} x {report.size[1]}{free}"
@@ -150,9 +160,17 @@ def export(
     _print_accuracy(report.contract)
 
 
+def _print_stage(finished: int, stages: int, text: str) -> None:
+    """Print a bar and what is done next on stderr."""
+    bar = "#" * finished + "-" * (stages - finished)
+    typer.echo(f"[{bar}] {finished + 1}/{stages} {text}", err=True)
+
+
 def _print_accuracy(contract: Contract) -> None:
     """Print the convolutions left in float, and the accuracy on each set in float and in int8."""
     quantization = contract.quantization or {}
+    for warning in quantization.get("warnings", ()):
+        typer.echo(f"warning: {warning}", err=True)
     if quantization:
         in_float = ", ".join(quantization["float_convolutions"]) or "none"
         typer.echo(
@@ -173,9 +191,9 @@ def _print_accuracy(contract: Contract) -> None:
             f"  {row['data']}, LiDAR {row['lidar']}, {row['frames']} frames: {', '.join(figures)}"
         )
     for data, frames in {row["data"]: row["frames"] for row in rows}.items():
-        if frames < LEAST_FRAMES:
+        if frames < ENOUGH_FRAMES:
             typer.echo(
-                f"{data} has {frames} frames, fewer than {LEAST_FRAMES}: small differences on it "
+                f"{data} has {frames} frames, fewer than {ENOUGH_FRAMES}: small differences on it "
                 "may not be significant"
             )
     typer.echo(f"measure it again: {contract.accuracy['repeat']}")

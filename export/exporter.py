@@ -5,7 +5,7 @@ import copy
 import hashlib
 import itertools
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -27,7 +27,7 @@ from export.triton import require_model_folder, write_triton_model
 from models import Checkpoint, Network, load_checkpoint
 from models.answers import check_output
 from runtime import Contract, InputError, OutputError, __version__
-from runtime.contract.contract import MIN_SIDE, SCHEMA_VERSION, check_size
+from runtime.contract.contract import MIN_SIDE, SCHEMA_VERSION, check_name, check_size
 from runtime.contract.model_file import with_contract
 from runtime.files.atomic_write import atomic_file
 from runtime.recordings.recording import RecordedFrame, Recorder, Settings, record
@@ -38,6 +38,10 @@ if TYPE_CHECKING:  # measuring needs the packages of training
 # (height, width) at which a model of any size is verified: half the size of Cityscapes, as in the
 # paper.
 DEFAULT_SIZE = (512, 1024)
+# What `report` of an export is called with: finished stages, all stages, the next one in words.
+Report = Callable[[int, int, str], object]
+# Checkpoints in the folder of a run, whose names say nothing, and a file that shows such a folder.
+_RUN_FILES, _RECIPE = ("model.pt", "best.pt", "last.pt"), "recipe.json"
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,22 @@ class _Draft:
     dynamic: bool
 
 
+class _Stages:
+    """Reports the stages of an export as they begin."""
+
+    def __init__(self, total: int, report: Report) -> None:
+        self._total, self._report, self._begun = total, report, 0
+
+    def begin(self, text: str) -> None:
+        """Report that the next stage begins."""
+        self._begun += 1
+        self.tell(text)
+
+    def tell(self, text: str) -> None:
+        """Report a step of the present stage."""
+        self._report(self._begun - 1, self._total, text)
+
+
 def export_checkpoint(
     checkpoint_path: Path | str,
     onnx_path: Path | str,
@@ -88,7 +108,9 @@ def export_checkpoint(
     triton_dir: Path | str | None = None,
     precision: Precision | Int8Options = Precision.FP32,
     validate: Sequence[str] = (),
+    name: str | None = None,
     overwrite: bool = False,
+    report: Report = lambda *_: None,
 ) -> ExportReport:
     """Write a checkpoint as one ONNX file, which is verified before it gets its name.
 
@@ -108,12 +130,16 @@ def export_checkpoint(
         precision: precision of the file's trunk; for 8-bit integers also the data and the gate.
         validate: data sets on which the file's accuracy is measured, as `ssdnet-eval` takes them,
             KIND:FOLDER[,KEY=VALUE...]; int8 needs at least one.
+        name: the model's name in reports; None: the name of the run's folder for a model.pt,
+            best.pt or last.pt, else that of the network.
         overwrite: replace an older file, recording and Triton model.
+        report: called with the number of finished stages, that of all stages, and what is done
+            next, in words.
 
     Raises:
         CheckpointError: if the checkpoint cannot be read.
-        InputError: if the size is invalid, or if the sets have too few frames or cannot measure
-            the accuracy.
+        InputError: if the size or the name is invalid, or if the sets have too few frames or cannot
+            measure the accuracy.
         OutputError: if a target exists (without `overwrite`) or cannot be written.
         ExportError: if weights are not finite, if the network does not return what it declares
             (see `models.answers.check_output`), if the graph cannot be made or differs from
@@ -123,17 +149,30 @@ def export_checkpoint(
     if isinstance(precision, Int8Options) and not validate:
         raise InputError("int8 needs data: give validate, data sets with ground truth")
     dynamic, size = dynamic or size is None, _native_size(size)
+    name = _model_name(name, Path(checkpoint_path))
     target = Path(onnx_path)
     triton_folder = None if triton_dir is None else Path(triton_dir) / target.stem
     _check_targets(target, triton_folder, Path(checkpoint_path), overwrite=overwrite)
+    int8 = isinstance(precision, Int8Options)
+    further = (int8, precision is not Precision.FP32, validate and not int8, record_dir, triton_dir)
+    stages = _Stages(2 + sum(map(bool, further)), report)
+    stages.begin("tracing the graph")
     checkpoint = _read(checkpoint_path)
+    warnings: Sequence[str] = ()
     if isinstance(precision, Int8Options):
         from export.int8 import require_frames  # needs the packages of training
 
-        require_frames(precision, validate, checkpoint)
+        folder = Path(checkpoint_path).resolve().parent
+        warnings = require_frames(precision, validate, checkpoint, folder)
     graph = DeployGraph(checkpoint.model, with_logits=with_logits)
     model = trace(graph, size=size, dynamic=dynamic, opset=opset)
-    contract = _contract(checkpoint, _digest(checkpoint_path), size=size, opset=opset)
+    contract = _contract(
+        checkpoint,
+        name or checkpoint.model.config.name,
+        _digest(checkpoint_path),
+        size=size,
+        opset=opset,
+    )
     draft = _Draft(checkpoint.model, graph.heads, model, contract, dynamic)
     settings = Settings("ssdnet-export", "frame" if dynamic else None, provider="torch")
     with contextlib.ExitStack() as written:
@@ -144,12 +183,14 @@ def export_checkpoint(
             recorder = written.enter_context(
                 record(Path(record_dir), settings, overwrite=overwrite)
             )
-        draft, parity, frames = _verify(draft, file, precision, validate)
+        draft, parity, frames = _verify(draft, file, precision, validate, warnings, stages)
         num_bytes = _write(draft.model, file, draft.contract)
         if recorder is not None:
+            stages.begin("recording PyTorch's answers")
             _record(draft, frames, recorder)
             recorder.finish(file)
         if triton_folder is not None:
+            stages.begin("writing the Triton model")
             write_triton_model(triton_folder, draft.model, file.read_bytes(), overwrite=overwrite)
     return ExportReport(
         target, size, dynamic, draft.heads, parity, len(frames), num_bytes, draft.contract
@@ -164,6 +205,19 @@ def _native_size(size: tuple[int, int] | None) -> tuple[int, int]:
     except ValueError as error:
         raise InputError(str(error)) from error
     return size
+
+
+def _model_name(name: str | None, checkpoint: Path) -> str | None:
+    """Return a valid name; without one that of a run's folder for a file that the run wrote."""
+    if name is None:
+        folder = checkpoint.resolve().parent
+        of_run = checkpoint.name in _RUN_FILES and (folder / _RECIPE).is_file()
+        return folder.name if of_run else None
+    try:
+        check_name(name, "name")
+    except ValueError as error:
+        raise InputError(str(error)) from error
+    return name
 
 
 def _check_targets(
@@ -209,12 +263,12 @@ def _require_finite(model: nn.Module) -> None:
 
 
 def _contract(
-    checkpoint: Checkpoint, digest: str, *, size: tuple[int, int], opset: int
+    checkpoint: Checkpoint, name: str, digest: str, *, size: tuple[int, int], opset: int
 ) -> Contract:
     config = checkpoint.model.config
     return Contract(
         schema_version=SCHEMA_VERSION,
-        model_name=config.name,
+        model_name=name,
         classes=config.classes,
         max_depth_m=config.max_depth_m,
         native_size=size,
@@ -258,7 +312,12 @@ def count_giga_macs(model: Network, size: tuple[int, int]) -> float:
 
 
 def _verify(
-    draft: _Draft, file: Path, precision: Precision | Int8Options, validate: Sequence[str]
+    draft: _Draft,
+    file: Path,
+    precision: Precision | Int8Options,
+    validate: Sequence[str],
+    warnings: Sequence[str],
+    stages: _Stages,
 ) -> tuple[_Draft, dict[str, HeadParity], list[ProbeFrame]]:
     """Verify the graph against PyTorch, first as traced, then in the requested precision.
 
@@ -267,6 +326,8 @@ def _verify(
         file: the file to which the graph is written, so that the engine can run it.
         precision: the requested precision.
         validate: data sets that the accuracy is measured on, if any.
+        warnings: of `require_frames`, for the metadata of int8.
+        stages: where the stages are reported.
 
     Returns:
         The graph in this precision with all of its metadata, head -> the worst difference, and the
@@ -278,17 +339,20 @@ def _verify(
     native_size = draft.contract.native_size
     measure = partial(measure_parity, draft.network, file, dynamic=draft.dynamic)
     frames = _frames(native_size, dynamic=draft.dynamic, max_depth_m=draft.contract.max_depth_m)
+    stages.begin("verifying it against PyTorch")
     _write(draft.model, file, draft.contract)
     parity = measure(frames)
     _require_parity(parity)
     if isinstance(precision, Int8Options):
-        draft = _quantize(draft, precision, validate)
+        stages.begin("quantising")
+        draft = _quantize(draft, precision, validate, warnings, stages.tell)
     elif precision is Precision.FP16:
         contract = replace(draft.contract, precision=precision.value)
         draft = replace(draft, model=to_half(draft.model), contract=contract)
         # On synthetic frames half precision rounds too much, so recorded frames are used.
         frames = recorded_frames(native_size)
     if precision is not Precision.FP32:
+        stages.begin("verifying the final file")
         _write(draft.model, file, draft.contract)
         parity = measure(frames)
     if precision is Precision.FP16:
@@ -296,6 +360,7 @@ def _verify(
     if validate and not isinstance(precision, Int8Options):
         from export.accuracy import measure_accuracy  # needs the packages of training
 
+        stages.begin("measuring the accuracy")
         with tempfile.TemporaryDirectory() as folder:  # the name of a measured file ends in .onnx
             path = Path(folder) / "model.onnx"
             path.write_bytes(file.read_bytes())
@@ -304,14 +369,27 @@ def _verify(
     return replace(draft, contract=replace(draft.contract, parity=figures)), parity, frames
 
 
-def _quantize(draft: _Draft, options: Int8Options, validate: Sequence[str]) -> _Draft:
+def _quantize(
+    draft: _Draft,
+    options: Int8Options,
+    validate: Sequence[str],
+    warnings: Sequence[str],
+    report: Callable[[str], object],
+) -> _Draft:
     """Return the graph in 8-bit integers, which passed the gate on its accuracy."""
     from export.int8 import quantize_within  # needs the packages of training
 
     contract = replace(draft.contract, precision="int8")
     names = [info.name for info in contract.classes]
     write = partial(_write, contract=contract)
-    found = quantize_within(draft.model, options, validate=validate, classes=names, write=write)
+    found = quantize_within(
+        *(draft.model, options),
+        validate=validate,
+        classes=names,
+        write=write,
+        warnings=warnings,
+        report=report,
+    )
     contract = replace(contract, quantization=found.facts)
     return _with_accuracy(
         replace(draft, model=found.model, contract=contract), validate, found.accuracy

@@ -2,7 +2,7 @@
 
 import math
 import tempfile
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -17,11 +17,13 @@ from export.accuracy import (
     LIDARS,
     OTHER_LIDAR,
     Accuracy,
+    Widths,
     measure_accuracy,
+    measure_widths,
     without_folders,
 )
 from export.errors import ExportError
-from export.precision import LEAST_FRAMES, Int8Options
+from export.precision import ENOUGH_FRAMES, LEAST_FRAMES, Int8Options
 from export.quantize import Feed, measure_ranges, quantize, strides
 from export.trunk import trunk
 from models import Checkpoint
@@ -31,6 +33,7 @@ from runtime.engine.preprocess import preprocess
 from runtime.engine.session import open_session
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import SampleSource
+from training.evaluation.evaluated_run import open_training_sets
 from training.evaluation.scored_model import trained_classes
 from training.evaluation.shared_classes import share_classes
 from training.lidar.split import LidarInput, frame_generator, split_lidar
@@ -83,19 +86,26 @@ class Quantized:
     facts: dict[str, Any]
 
 
-def require_frames(options: Int8Options, validate: Sequence[str], checkpoint: Checkpoint) -> None:
+def require_frames(
+    options: Int8Options, validate: Sequence[str], checkpoint: Checkpoint, folder: Path
+) -> list[str]:
     """Check that there are `LEAST_FRAMES` to calibrate, and as many others to validate.
 
     Args:
         options: options that hold the data sets of the calibration.
         validate: data sets of the validation.
         checkpoint: checkpoint of the model.
+        folder: where the checkpoint is: if it is that of a run, frames that the run was trained on
+            are counted.
+
+    Returns:
+        Warnings: for fewer than `ENOUGH_FRAMES`, and for frames that the model was trained on.
 
     Raises:
         DatasetError, InputError: if data cannot be read, have fewer frames, or share some frames.
     """
     table = trained_classes(checkpoint.model.config.classes, checkpoint.training)
-    found = {}
+    found, warnings = {}, []
     for option, texts in (("--calibrate", options.calibrate), ("--validate", validate)):
         found[option] = [_open_set(text, table) for text in texts]
         if (count := len(frame_files(found[option]))) < LEAST_FRAMES:
@@ -103,11 +113,23 @@ def require_frames(options: Int8Options, validate: Sequence[str], checkpoint: Ch
                 f"{option}: {count} frames in all, expected {LEAST_FRAMES} or more, so nothing was "
                 "written: add frames or another set"
             )
+        if count < ENOUGH_FRAMES:
+            text = f"{option}: {count} frames, fewer than {ENOUGH_FRAMES}"
+            if option == "--validate":
+                text += ", so the limits on mIoU and MAE were widened by the uncertainty of these"
+            warnings.append(text)
     if both := count_shared(*found.values()):
         raise InputError(
             f"int8 is calibrated and validated on {both} frames: its loss of accuracy must be "
             "measured on other frames; give another set, or other frames of it"
         )
+    if known := count_shared(found["--validate"], open_training_sets(folder)):
+        count = len(frame_files(found["--validate"]))
+        warnings.append(
+            f"--validate: the model was trained on {known} of these {count} frames, where it may "
+            "lose less accuracy than on new ones"
+        )
+    return warnings
 
 
 def quantize_within(
@@ -117,6 +139,8 @@ def quantize_within(
     validate: Sequence[str],
     classes: Sequence[str],
     write: Callable[[onnx.ModelProto, Path], object],
+    warnings: Sequence[str] = (),
+    report: Callable[[str], object] = str,
 ) -> Quantized:
     """Quantise a graph; convolutions that cost too much accuracy stay in single precision.
 
@@ -130,6 +154,8 @@ def quantize_within(
         validate: data sets on which the accuracy is measured before and after.
         classes: names of the model's classes.
         write: writes a graph as a file that the engine runs.
+        warnings: of `require_frames`, for the file's facts.
+        report: called with what is done next, in words.
 
     Raises:
         DatasetError, InputError: if data cannot be read, or lack labels although the model has
@@ -142,8 +168,10 @@ def quantize_within(
     convolutions = [n.name for n in nodes]
     ranked: dict[str, list[str]] = {}
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "model.onnx"
+        path, single = Path(folder) / "model.onnx", Path(folder) / "single.onnx"
+        write(model, single)
         write(model, path)
+        report("calibrating the value ranges")
         feeds = list(_feeds(path, options))
         stride = strides(model, feeds[0])
         fine = [
@@ -151,17 +179,26 @@ def quantize_within(
         ]
         in_float = [*fine]
         ranges = measure_ranges(model, feeds)
+        report("measuring the accuracy in single precision")
         lidars: Sequence[str] = LIDARS
         before = measure_accuracy(path, validate, lidars)
         _require_rows(heads, before)
         if {row.lidar for row in before if row.mae_m is not None} == {"none"}:
             lidars = (*LIDARS, OTHER_LIDAR)
             before = measure_accuracy(path, validate, lidars)
+        frames = {row.data: row.frames for row in before}
         while True:
             quantized = quantize(model, ranges, keep_float=in_float)
             write(quantized, path)
+            report(
+                f"measuring the accuracy with {len(in_float)} of {len(convolutions)} convolutions "
+                "in float"
+            )
             accuracy = measure_accuracy(path, validate, lidars)
             missed = _missed(before, accuracy, options)
+            if missed and sum(frames.values()) < ENOUGH_FRAMES:
+                widths = measure_widths(single, path, validate, lidars)
+                missed = _missed(before, accuracy, options, widths)
             if not missed:
                 break
             if 2 * (len(in_float) - len(fine)) >= len(convolutions) - len(fine):
@@ -183,6 +220,7 @@ def quantize_within(
         "float_convolutions": in_float,
         "accuracy_fp32": [asdict(item) for item in before],
         "not_gated": _not_gated(heads, classes, before),
+        "warnings": list(warnings),
     }
     return Quantized(quantized, accuracy, facts)
 
@@ -226,26 +264,34 @@ def share_frames(sizes: Sequence[int], total: int) -> list[int]:
 
 
 def _missed(
-    before: Sequence[Accuracy], after: Sequence[Accuracy], options: Int8Options
+    before: Sequence[Accuracy],
+    after: Sequence[Accuracy],
+    options: Int8Options,
+    widths: Widths | None = None,
 ) -> dict[str, str]:
     """Return the largest loss, in words, of each head that misses the gate; worst head first."""
     excess: dict[str, tuple[float, str]] = {}
     for first, second in zip(before, after, strict=True):
         where = f"on {first.data}, LiDAR {first.lidar}"
-        for head, loss, most, words in _losses(first, second, options):
-            found = loss / max(most, 1e-9), f"{words} {where} (at most {most:g})"
+        wider = (widths or {}).get((first.data, first.lidar), {})
+        for head, loss, most, words in _losses(first, second, options, wider):
+            found = loss / max(most, 1e-9), f"{words} {where} (at most {most:.3g})"
             excess[head] = max(excess.get(head, found), found)
     worst_first = sorted(excess.items(), key=lambda entry: -entry[1][0])
     return {head: text for head, (ratio, text) in worst_first if ratio > 1}
 
 
 def _losses(
-    before: Accuracy, after: Accuracy, options: Int8Options
+    before: Accuracy, after: Accuracy, options: Int8Options, wider: Mapping[str, float]
 ) -> Iterator[tuple[str, float, float, str]]:
-    """Yield head, loss, its limit, and the loss in words, for the figures measured in both."""
+    """Yield head, loss, its limit, and the loss in words, for the figures measured in both.
+
+    `wider` is added to the limits of its figures.
+    """
     if before.miou is not None and after.miou is not None:
         drop = 100 * (before.miou - after.miou)
-        yield "semantic", drop, options.max_drop_miou, f"semantic loses {drop:.2f} points of mIoU"
+        most = options.max_drop_miou + 100 * wider.get("miou", 0.0)
+        yield "semantic", drop, most, f"semantic loses {drop:.2f} points of mIoU"
     for name, iou in before.class_iou.items():
         drop = 100 * (iou - after.class_iou[name])
         words = f"semantic loses {drop:.2f} points of the IoU of {name}"
@@ -255,7 +301,8 @@ def _losses(
         yield "boundary", drop, MAX_DROP_BOUNDARY_F, f"boundary loses {drop:.4f} of F"
     if before.mae_m is not None and after.mae_m is not None:
         rise = 100 * (after.mae_m / max(before.mae_m, 1e-9) - 1)
-        yield "depth", rise, options.max_rise_mae, f"depth's MAE rises by {rise:.2f} %"
+        most = options.max_rise_mae + 100 * wider.get("mae_m", 0.0) / max(before.mae_m, 1e-9)
+        yield "depth", rise, most, f"depth's MAE rises by {rise:.2f} %"
     if before.coverage_1 is not None and after.coverage_1 is not None:
         change = 100 * abs(before.coverage_1 - after.coverage_1)
         words = f"the share of errors within depth_uncertainty changes by {change:.2f} points"

@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-# Least number of frames for each of --calibrate and --validate with int8.
-LEAST_FRAMES = 100
+# Least numbers of frames of --calibrate and of --validate for int8: to export at all, and to do
+# it without a warning.
+LEAST_FRAMES, ENOUGH_FRAMES = 30, 100
 
 
 class Precision(StrEnum):

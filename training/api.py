@@ -90,6 +90,7 @@ def finetune(
     out: str | Path,
     labels: str | Path | None = None,
     classes: str | Path | None = None,
+    ignore: Sequence[str] = (),
     depth: str | Path | None = None,
     depth_scale: float | None = None,
     focal_length_px: float | None = None,
@@ -113,6 +114,7 @@ def finetune(
         out: folder of the run.
         labels: 8-bit PNGs of class ids (0, 1, ...; 255 = none).
         classes: text file with the name of one class per line, in order of the ids.
+        ignore: classes of that file that are not learned: their pixels count as unlabelled.
         depth: 16-bit PNGs of a LiDAR's depth, 0 = none.
         depth_scale: units of the depth per metre; None = 256.
         focal_length_px: focal length of the images as they are. Distances are then scaled if the
@@ -141,6 +143,7 @@ def finetune(
         labels=_path(labels),
         depth=_path(depth),
         classes=_path(classes),
+        ignore=ignore,
         depth_scale=depth_scale,
         focal_length_px=focal_length_px,
         intrinsics=intrinsics,

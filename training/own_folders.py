@@ -50,6 +50,7 @@ class OwnFolders:
         labels: 8-bit PNGs of class ids, 255 = none.
         depth: 16-bit PNGs of a LiDAR's depth.
         classes: text file with one class name per line, starting at id 0; required with labels.
+        ignore: classes of that file that are not learned: their pixels count as unlabelled.
         depth_scale: units of the depth per metre; None: 256.
         focal_length_px: focal length of the images as they are; the principal point is then in
             their middle.
@@ -60,6 +61,7 @@ class OwnFolders:
     labels: Path | None = None
     depth: Path | None = None
     classes: Path | None = None
+    ignore: Sequence[str] = ()
     depth_scale: float | None = None
     focal_length_px: float | None = None
     intrinsics: tuple[float, float, float, float] | None = None
@@ -94,12 +96,26 @@ class OwnFolders:
             DatasetError: for images without labels or depth.
         """
         classes = () if self.classes is None else _read_classes(self.classes)
+        ignored = {name.casefold() for name in self.ignore}
+        if unknown := ignored - {info.name.casefold() for info in classes}:
+            raise InputError(
+                f"--ignore {min(unknown)}: is no class of {self.classes}: give one of its names"
+            )
+        ids = {
+            index: "ignore" if info.name.casefold() in ignored else info.name
+            for index, info in enumerate(classes)
+        }
+        classes = tuple(info for info in classes if info.name.casefold() not in ignored)
+        if ignored and not classes:
+            raise InputError("--ignore: no class is left to learn: leave out one of them")
         images = self.images.resolve()
         # The set is the images' folder: a run's files beside it are not files of the data.
         keys: dict[str, Any] = {"path": images.name, "rgb": "."}
         for key, folder in (("labels", self.labels), ("depth", self.depth)):
             if folder is not None:
                 keys[key] = os.path.relpath(folder.resolve(), images)
+        if ignored:
+            keys["label_ids"] = ids
         if self.depth is not None:
             keys["scan"] = True
         if self.depth_scale is not None:
@@ -209,7 +225,9 @@ def keep_recipe(text: str, out: Path) -> None:
 
 
 def _quoted(value: Any) -> str:
-    """Return a text, a number, a truth value or numbers as TOML."""
+    """Return a text, a number, a truth value, numbers or a table of texts as TOML."""
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{key} = {_quoted(text)}' for key, text in value.items())} }}"
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 

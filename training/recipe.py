@@ -3,6 +3,7 @@
 import contextlib
 import json
 import re
+import sys
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, fields, is_dataclass, replace
@@ -20,6 +21,7 @@ from pydantic import (
 )
 from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
+from tqdm import tqdm
 
 from models import NetworkConfig
 from models.registry import find_network
@@ -426,7 +428,7 @@ def change(table: Mapping[str, Any], changes: Sequence[str]) -> dict[str, Any]:
 
     A list (`data.source`) is replaced as a whole.
     """
-    changed = dict(table)
+    changed, warmup = dict(table), _warmup(table)
     for text in changes:
         try:
             changed = merge(changed, tomllib.loads(text))
@@ -434,16 +436,38 @@ def change(table: Mapping[str, Any], changes: Sequence[str]) -> dict[str, Any]:
             raise InputError(
                 f"{text!r} is not 'table.key = value' in TOML ({error}); text needs quotes"
             ) from error
+    steps = _warmup(changed, "steps")
+    if steps and warmup > steps and warmup == _warmup(changed):
+        shorter = steps // 10
+        changed = merge(changed, {"schedule": {"warmup_steps": shorter}})
+        text = f"schedule.warmup_steps = {shorter}: {warmup} do not fit into {steps} steps"
+        tqdm.write(text, file=sys.stderr)
     return changed
 
 
-def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Merge tables key by key; other values are replaced."""
+def _warmup(table: Mapping[str, Any], key: str = "warmup_steps") -> int:
+    schedule = table.get("schedule")
+    value = schedule.get(key) if isinstance(schedule, Mapping) else None
+    return value if isinstance(value, int) else 0
+
+
+def merge(base: Mapping[str, Any], changes: Mapping[str, Any], place: str = "") -> dict[str, Any]:
+    """Merge tables key by key; other values are replaced.
+
+    Raises:
+        InputError: for a key of a list of tables: which one of them is not known.
+    """
     merged = dict(base)
     for key, value in changes.items():
         below = merged.get(key)
+        if isinstance(below, list | tuple) and isinstance(value, Mapping):
+            raise InputError(
+                f"{place}{key} is a list of {len(below)} and has no key {next(iter(value), '')}: "
+                f"edit the file of the recipe, or replace the whole list, --set "
+                f"'{place}{key}=[{{...}}]'"
+            )
         merged[key] = (
-            merge(below, value)
+            merge(below, value, f"{place}{key}.")
             if isinstance(below, Mapping) and isinstance(value, Mapping)
             else value
         )

@@ -20,6 +20,7 @@ from export.probe_frames import probe_frames
 from models import CAMVID_CLASSES, load_checkpoint, save_checkpoint
 from runtime import InputError, OutputError, Predictor
 from runtime.contract.model_file import with_contract
+from training.run_folder import RECIPE
 
 SIZE = (64, 96)
 FIXED = ("--height", "64", "--width", "96")
@@ -54,6 +55,17 @@ def test_contract_says_where_the_file_comes_from(exported, lite_checkpoint):
     assert set(contract.parity) == {"semantic", "depth", "boundary", "depth_uncertainty"}
     assert contract.parity["semantic"]["agreement"] > 0.9995
     assert 0 < contract.parity["depth"]["max_abs_m"] < 0.005
+
+
+def test_a_file_of_a_run_is_named_after_the_run(tmp_path):
+    name = exporter._model_name
+    assert name(None, tmp_path / "model.pt") is None  # so that it has the network's name
+    (tmp_path / RECIPE).touch()
+    assert name(None, tmp_path / "model.pt") == tmp_path.name
+    assert name(None, tmp_path / "ssdnet-lite.pt") is None
+    assert name("van-7", tmp_path / "model.pt") == "van-7"
+    with pytest.raises(InputError, match="name"):
+        name("", tmp_path / "model.pt")
 
 
 @pytest.mark.usefixtures("traced")

@@ -41,6 +41,22 @@ def train(folder, *further, **changes):
     return CliRunner().invoke(finetune.app, [images, *sum(given, ()), *further])
 
 
+def test_a_class_that_is_ignored_is_not_learned(mine):
+    result = train(mine, "--dry-run", "--ignore", "Lane", "--set", "data.workers = 0")
+    assert result.exit_code == 0, result.output
+    text = (mine / "run/recipe.toml").read_text()
+    assert 'label_ids = { 0 = "ignore", 1 = "rest" }' in text
+    assert 'name = "lane"' not in text
+    assert "rest 100" in result.stdout
+    for given, expected in (
+        ("tree", "--ignore tree: is no class of"),
+        ("rest", "no class is left"),
+    ):
+        refused = train(mine, "--dry-run", "--ignore", "lane", "--ignore", given)
+        assert refused.exit_code == 1
+        assert expected in refused.stderr
+
+
 def changed_layers(folder):
     """Names of what the run made of the first weights."""
     before, after = (

@@ -41,6 +41,14 @@ def finetune(
             "their ids."
         ),
     ] = None,
+    ignore: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="CLASS",
+            help="Class of --classes that is not learned: its pixels count as unlabelled; may be "
+            "repeated.",
+        ),
+    ] = None,
     depth: Annotated[
         Path | None,
         typer.Option(
@@ -87,6 +95,7 @@ def finetune(
             images,
             labels=labels,
             classes=classes,
+            ignore=ignore or (),
             depth=depth,
             depth_scale=depth_scale,
             focal_length_px=focal_length,

@@ -1,13 +1,16 @@
 """The folder of a training, whose model can be scored on its validation sets."""
 
+import contextlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from runtime.base.errors import InputError
+from runtime.base.errors import DatasetError, InputError
 from training.datasets.class_mapping import ClassTable
+from training.datasets.sample import SampleSource
 from training.datasets.source_recipe import SourceRecipe
+from training.loading.open_dataset import open_dataset
 from training.recipe import Recipe, build
 from training.run_folder import BEST, DATA_FOLDERS, FINAL, RECIPE
 
@@ -35,8 +38,7 @@ def read_run(folder: Path) -> EvaluatedRun:
     Raises:
         InputError: if the folder is not that of a run, or has no model yet.
     """
-    recipes = [folder / RECIPE, folder / "training" / RECIPE, *sorted(folder.glob(f"*-*/{RECIPE}"))]
-    path = next((path for path in reversed(recipes) if path.is_file()), None)
+    path = _recipe_path(folder)
     if path is None:
         raise InputError(
             f"{folder}: is a folder, but not of a run of ssdnet-train (no {RECIPE}): name the file "
@@ -48,14 +50,36 @@ def read_run(folder: Path) -> EvaluatedRun:
         raise InputError(
             f"{folder}: has no {FINAL} and no {BEST}: resume the training, which writes them"
         )
+    recipe, roots = _read(path)
+    sets = [_find(source, roots, folder) for source in recipe.validation.source]
+    return EvaluatedRun(model, sets, recipe.validation.lidar, recipe.model.class_table)
+
+
+def open_training_sets(folder: Path) -> list[SampleSource]:
+    """Open the sets that a run was trained on; none for another folder, or where they are gone."""
+    path = _recipe_path(folder)
+    if path is None:
+        return []
+    with contextlib.suppress(InputError, DatasetError):
+        recipe, roots = _read(path)
+        sets = [_find(source, roots, folder) for source in recipe.data.source]
+        return [open_dataset(item, [Path()], classes=recipe.model.class_table) for item in sets]
+    return []
+
+
+def _recipe_path(folder: Path) -> Path | None:
+    recipes = [folder / RECIPE, folder / "training" / RECIPE, *sorted(folder.glob(f"*-*/{RECIPE}"))]
+    return next((path for path in reversed(recipes) if path.is_file()), None)
+
+
+def _read(path: Path) -> tuple[Recipe, list[Path]]:
+    """Return a run's recipe and the folders of its data."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         recipe = build(Recipe, document["recipe"])
     except (OSError, ValueError, KeyError, InputError) as error:
         raise InputError(f"{path}: cannot be read ({error}); give --data instead") from error
-    roots = [Path(root) for root in document.get(DATA_FOLDERS, ())]
-    sets = [_find(source, roots, folder) for source in recipe.validation.source]
-    return EvaluatedRun(model, sets, recipe.validation.lidar, recipe.model.class_table)
+    return recipe, [Path(root) for root in document.get(DATA_FOLDERS, ())]
 
 
 def _find(source: SourceRecipe, roots: Sequence[Path], folder: Path) -> SourceRecipe:

@@ -1,10 +1,11 @@
 """`ssdnet-render`: render driving scenes into the Virtual KITTI 2 layout."""
 
-from contextlib import ExitStack
+import signal
+from contextlib import ExitStack, suppress
 from functools import partial
-from multiprocessing import get_context
+from multiprocessing import TimeoutError, get_context
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,10 +14,19 @@ from runtime.app.command_options import Version
 from runtime.contract.contract import MIN_SIDE
 from training.scenes.names import CameraName, StreetKind, Variant
 
+if TYPE_CHECKING:
+    from multiprocessing.sharedctypes import Synchronized
+
+    from training.scenes.scene_job import SceneJob
+
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
 # Frames of the drive in a second, and seconds until the ego car reaches the end of the street.
 _FRAMES_PER_S, _LONGEST_S = 10.0, 16.0
+# Seconds between two looks at the frames that processes have rendered.
+_BAR_S = 0.5
+# In a process: the number of frames that all of them have rendered.
+_done: "Synchronized[int]"
 
 
 @app.command()
@@ -65,12 +75,41 @@ def render(
     with reported_errors("train"), stop_requested(interrupts=True), ExitStack() as stack:
         from tqdm import tqdm
 
-        pool = None if workers == 1 else get_context("spawn").Pool(workers, leave_signals_to_parent)
-        run = map if pool is None else stack.enter_context(pool).imap_unordered
-        counts = run(partial(run_job, out=out, overwrite=overwrite), jobs)
         # None shows no bar without a terminal.
-        total = sum(tqdm(counts, total=len(jobs), unit="scene", disable=None))
+        bar = stack.enter_context(tqdm(total=scenes * frames, unit="frame", disable=None))
+        if workers == 1:
+            total = sum(
+                run_job(job, out=out, overwrite=overwrite, advance=bar.update) for job in jobs
+            )
+        else:
+            context = get_context("spawn")
+            done, total = context.Value("q", 0), 0
+            pool = stack.enter_context(context.Pool(workers, _begin_worker, [done]))
+            counts = pool.imap_unordered(partial(_run_job, out=out, overwrite=overwrite), jobs)
+            while total < bar.total:
+                with suppress(TimeoutError):
+                    total += counts.next(_BAR_S)
+                bar.update(done.value - bar.n)
     typer.echo(f"{total} frames of {scenes} scenes in {out}")
+
+
+def _begin_worker(done: "Synchronized[int]") -> None:
+    global _done
+    _done = done
+    leave_signals_to_parent()
+    # The pool ends its processes by SIGTERM, and waits for those that ignore it.
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _run_job(job: "SceneJob", *, out: Path, overwrite: bool) -> int:
+    """Run a job in a process, and count its frames for the parent's bar."""
+    from training.scenes.scene_job import run_job
+
+    def advance() -> None:
+        with _done.get_lock():
+            _done.value += 1
+
+    return run_job(job, out=out, overwrite=overwrite, advance=advance)
 
 
 def _parse_size(text: str) -> tuple[int, int]:

@@ -1,6 +1,6 @@
 """Rendering and writing one scene: the unit of work of a process."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -55,9 +55,20 @@ def render_frames(job: SceneJob) -> Iterator[RenderedFrame]:
         yield render_frame(street, camera, weather, mount, time=time, sway=sway, rng=rng)
 
 
-def run_job(job: SceneJob, *, out: Path, overwrite: bool) -> int:
-    """Render and write a scene below `out`; returns the number of frames."""
+def run_job(
+    job: SceneJob, *, out: Path, overwrite: bool, advance: Callable[[], object] = int
+) -> int:
+    """Render and write a scene below `out`; returns the number of frames.
+
+    `advance` is called after each frame.
+    """
     cv2.setNumThreads(1)
+
+    def counted() -> Iterator[RenderedFrame]:
+        for frame in render_frames(job):
+            yield frame
+            advance()
+
     variant = out / f"Scene{job.seed:02d}" / job.variant
-    write_variant(variant, render_frames(job), overwrite=overwrite)
+    write_variant(variant, counted(), overwrite=overwrite)
     return job.frames
