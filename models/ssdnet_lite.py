@@ -34,8 +34,6 @@ from models.planes import CELL
 from models.surface_depth import SurfaceDepthHead
 from models.surfaces import find_candidates
 
-# Largest depth [m] that the network predicts without a return, which is also the depth of the sky.
-FARTHEST_GUESS_M = 100.0
 _LITE_WIDTHS = (32, 48, 80, 80, 160, 160, *[320] * 3, *[480] * 3, *[896] * 3, 640)
 # Strides of the skips, and of the bottom.
 _SKIPS, _BOTTOM = (4, 8, 16), 32
@@ -57,6 +55,8 @@ class SSDNetLiteConfig(NetworkConfig):
             at stride 2 alone: thin classes need dense ones before it.
         geometry_channels: channels of the convolutions that read the geometry of the returns, at
             stride 4.
+        farthest_guess_m: largest depth [m] that the network predicts without a return; farther true
+            depth is not trained. It is also the depth of the sky.
 
     Raises:
         ValueError: if a value is outside its range, or a combination cannot be built.
@@ -72,6 +72,7 @@ class SSDNetLiteConfig(NetworkConfig):
     depth_refine_channels: int = 16
     separable_from: int = 4
     geometry_channels: int = 16
+    farthest_guess_m: float = 100.0
 
     def __post_init__(self) -> None:
         """Check the values and their combinations."""
@@ -92,7 +93,7 @@ class SSDNetLiteConfig(NetworkConfig):
     @property
     def target_depth_m(self) -> float:
         """See `NetworkConfig`."""
-        return min(FARTHEST_GUESS_M, self.max_depth_m)
+        return min(self.farthest_guess_m, self.max_depth_m)
 
 
 SSDNET_NANO = SSDNetLiteConfig(

@@ -36,6 +36,7 @@ from training.limits import (
     STRICT,
     BatchSize,
     NotNegative,
+    Positive,
     Seed,
     Share,
     Side,
@@ -304,6 +305,7 @@ class ValidationRecipe:
     Attributes:
         every: steps between two validations; None: see `Recipe`.
         lidar: the LiDAR input of the validation, see `training.lidar.split.LidarInput`.
+        farthest_m: farthest true depth [m] that is scored.
         pictures: number of frames of each set, at equal distances, that TensorBoard shows as
             pictures.
         best: score by which best.pt is chosen, "SET/SCORE", for example "camvid/miou"; scores are
@@ -313,6 +315,7 @@ class ValidationRecipe:
 
     every: Steps | None = None
     lidar: Annotated[str, AfterValidator(_require_lidar)] = "own"
+    farthest_m: Positive = 100.0
     source: Annotated[tuple[AnySource, ...], Field(max_length=100)] = ()
     pictures: Annotated[int, Field(ge=0, le=1000)] = 2
     best: str = ""

@@ -56,6 +56,7 @@ class Task:
         sources: the sets of the mixture.
         validation: the validation sets by title.
         lidar: the LiDAR input of the validation.
+        farthest_m: the farthest true depth [m] that the validation scores.
         network: on the device of the process; only the parts that are trained have gradients.
         criterion: the loss, on the same device.
         optimizer: the optimiser of network and loss, at the recipe's rates.
@@ -70,6 +71,7 @@ class Task:
     sources: Sequence[SampleSource]
     validation: Mapping[str, SampleSource]
     lidar: LidarInput
+    farthest_m: float
     network: Network
     criterion: SSDNetLoss
     optimizer: torch.optim.Optimizer
@@ -126,6 +128,7 @@ def open_task(
         sources=sets.sources,
         validation=sets.validation,
         lidar=LidarInput.parse(recipe.validation.lidar),
+        farthest_m=recipe.validation.farthest_m,
         network=network,
         criterion=criterion,
         optimizer=optimizer,

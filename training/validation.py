@@ -104,7 +104,10 @@ def write_validation(
     }
     classes = ScoredClasses(table, tuple(info.name for info in list_classes(table)))
     sets = [
-        EvaluatedSet(name, Watched(source, stop), classes, spread_indices(source, _PAGE_FRAMES))
+        EvaluatedSet(
+            *(name, Watched(source, stop), classes, spread_indices(source, _PAGE_FRAMES)),
+            farthest_m=task.farthest_m,
+        )
         for name, source in task.validation.items()
     ]
     with suppress(StopRequested):
@@ -132,7 +135,9 @@ def validate(
     validation = {
         name: Watched(source, stop) if alone else source for name, source in task.validation.items()
     }
-    scores = score_sources(network, validation, processes, lidar=task.lidar)
+    scores = score_sources(
+        network, validation, processes, lidar=task.lidar, farthest_m=task.farthest_m
+    )
     shown = {
         f"{name}/{key}": figures[key]
         for name, figures in scores.items()

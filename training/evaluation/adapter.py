@@ -209,10 +209,11 @@ def _describe_outputs(session: Any, facts: Mapping[str, str]) -> Iterator[str]:
             yield "depth_scale = 1.0  # units per metre, or per 1/m; guessed: check"
             continue
         planes = [side for side in (shape[1], shape[-1]) if isinstance(side, int)]
-        tables = [name for name, table in CLASS_TABLES.items() if len(table) in planes]
-        if known:
+        counts = planes if len(axes) == _PLANES - 1 else [len(known)]
+        tables = [name for name, table in CLASS_TABLES.items() if len(table) in counts]
+        if known and not all(name.isdigit() for name in known):  # numbers are no names
             yield f"classes = {json.dumps(known, ensure_ascii=False)}"
-        elif len(axes) == _PLANES - 1 and tables:
+        elif tables:
             yield f"classes = {_toml(tables[0])}  # guessed by their number: check"
         else:
             tables = list(CLASS_TABLES)

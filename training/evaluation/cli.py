@@ -89,6 +89,14 @@ def evaluate(
     limit: Annotated[
         int | None, typer.Option(min=1, help="Frames to score of each set, evenly spread.")
     ] = None,
+    farthest: Annotated[
+        float | None,
+        typer.Option(
+            min=1,
+            help="Farthest true depth that is scored [m]. [default: that of the run's validation, "
+            "or 100]",
+        ),
+    ] = None,
     all_columns: Annotated[
         bool, typer.Option("--all", help="Print all figures instead of the main ones.")
     ] = False,
@@ -152,6 +160,7 @@ def evaluate(
                     threads=threads,
                     size=parse_network_size(size),
                     limit=limit,
+                    farthest_m=farthest,
                     pictures=0 if page is None else WORST,
                     save=folder,
                 )

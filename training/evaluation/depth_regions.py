@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.metrics import Accumulator, ErrorSums, scored
+from training.evaluation.metrics import FARTHEST_M, Accumulator, ErrorSums, scored
 
 RETURN_REACH_PX = 12
 EDGE_REACH_PX = 3
@@ -49,7 +49,8 @@ class DepthRegionScores(Accumulator):
     Frames without dense ground truth do not count in the `REGIONS`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, farthest_m: float = FARTHEST_M) -> None:
+        self._farthest_m = farthest_m
         self._sums = {region: ErrorSums() for region in (*RETURN_DISTANCES, *REGIONS)}
 
     def update(
@@ -65,7 +66,8 @@ class DepthRegionScores(Accumulator):
             depth: the true depth, float (H, W) [m]; 0, negative or not finite = unknown.
             fed: the depth that was fed, float (H, W) [m]; 0 = no return.
         """
-        known = scored(depth)
+        depth = np.where(depth <= self._farthest_m, depth, 0)
+        known = scored(depth, self._farthest_m)
         error = np.abs(prediction[known].astype(np.float64) - depth[known])
         to_return_px = distance_px(fed > 0)
         regions = split_distances(to_return_px)
@@ -84,7 +86,7 @@ class DepthRegionScores(Accumulator):
 
 def is_dense(depth: NDArray[np.floating]) -> bool:
     """Return whether a true depth (H, W) [m] is dense where it is known; False if none is known."""
-    known = scored(depth)
+    known = scored(depth, math.inf)
     if not known.any():
         return False
     around = cv2.blur(known.astype(np.float32), _AROUND, borderType=cv2.BORDER_REPLICATE)
@@ -117,7 +119,7 @@ def split_regions(
 
 def depth_edges(depth: NDArray[np.floating]) -> NDArray[np.bool_]:
     """Return where a dense true depth (H, W) [m] has an edge."""
-    known = scored(depth)
+    known = scored(depth, math.inf)
     window = np.ones(_AROUND, np.uint8)
     far = cv2.dilate(np.where(known, depth, 0).astype(np.float32), window)
     near = cv2.erode(np.where(known, depth, _BEYOND_M).astype(np.float32), window)

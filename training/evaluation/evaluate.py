@@ -17,6 +17,7 @@ from training.evaluation.classical import METHODS
 from training.evaluation.depth_folder import DepthFolder
 from training.evaluation.differences import Difference, compare
 from training.evaluation.evaluated_run import EvaluatedRun, read_run
+from training.evaluation.metrics import FARTHEST_M
 from training.evaluation.score_report import Row, format_differences, format_table
 from training.evaluation.score_set import EvaluatedSet, Feed, Result, score_set
 from training.evaluation.scored_model import (
@@ -74,6 +75,7 @@ def evaluate(
     pictures: int = 0,
     save: DepthFolder | None = None,
     leave_out_fed: bool = False,
+    farthest_m: float | None = None,
 ) -> Evaluation:
     """Score models, predictions and classical methods of depth completion on data sets.
 
@@ -105,6 +107,8 @@ def evaluate(
         save: where the depth of every answer is written; None: nowhere.
         leave_out_fed: a LiDAR that feeds the depth to score has no row, instead of raising an
             error.
+        farthest_m: farthest true depth [m] that is scored; None: that of the run's validation, or
+            `FARTHEST_M`.
 
     Returns:
         A row for each model, set, LiDAR and fault, without figures if a set has no ground truth,
@@ -145,7 +149,8 @@ def evaluate(
             size=size,
         )
         ids = None if own is None else own.table
-        opened = open_sets(sets, scored, ids=ids, join=join, limit=limit)
+        farthest_m = farthest_m or (FARTHEST_M if own is None else own.farthest_m)
+        opened = open_sets(sets, scored, ids=ids, join=join, limit=limit, farthest_m=farthest_m)
         return score_models(
             scored, opened, feeds, pictures=pictures, save=save, leave_out_fed=leave_out_fed
         )
@@ -183,6 +188,7 @@ def open_sets(
     join: Mapping[str, Sequence[str]] | None = None,
     limit: int | None = None,
     roots: Sequence[Path] = (Path(),),
+    farthest_m: float = FARTHEST_M,
 ) -> list[EvaluatedSet]:
     """Open sets with the classes that they share with the models, see `evaluate`.
 
@@ -193,6 +199,7 @@ def open_sets(
         join: see `evaluate`.
         limit: see `evaluate`.
         roots: folders that hold the sets.
+        farthest_m: farthest true depth [m] that is scored.
     """
     tables = {name: model.table for name, model in models.items() if model.table}
     own = [recipe.label_table or ids or () for recipe in recipes]
@@ -204,7 +211,7 @@ def open_sets(
         classes = share_classes(recipe, title, tables, ids=ids, joined=joined)
         source = open_dataset(recipe, roots, classes=classes.table)
         indices = spread_indices(source, limit or len(source))
-        opened.append(EvaluatedSet(title, source, classes, indices))
+        opened.append(EvaluatedSet(title, source, classes, indices, farthest_m))
     return opened
 
 

@@ -24,12 +24,14 @@ class EvaluatedRun:
         sets: its validation sets, with absolute paths.
         lidar: the LiDAR input of its validation.
         table: the classes of its labels.
+        farthest_m: farthest true depth [m] that its validation scores.
     """
 
     model: Path
     sets: Sequence[SourceRecipe]
     lidar: str
     table: ClassTable
+    farthest_m: float
 
 
 def read_run(folder: Path) -> EvaluatedRun:
@@ -52,7 +54,8 @@ def read_run(folder: Path) -> EvaluatedRun:
         )
     recipe, roots = _read(path)
     sets = [_find(source, roots, folder) for source in recipe.validation.source]
-    return EvaluatedRun(model, sets, recipe.validation.lidar, recipe.model.class_table)
+    scored = recipe.validation
+    return EvaluatedRun(model, sets, scored.lidar, recipe.model.class_table, scored.farthest_m)
 
 
 def open_training_sets(folder: Path) -> list[SampleSource]:

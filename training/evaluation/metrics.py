@@ -19,7 +19,8 @@ from models.classes import CATEGORIES
 from training.losses.boundary import boundary_target
 from training.losses.semantic import IGNORE
 
-# End of the widest range of Table 1 [m]; pixels with a farther true depth are not scored.
+# End of the widest range of Table 1 [m]; unless another limit is given, pixels with a farther true
+# depth are not scored.
 FARTHEST_M = 100.0
 # Ranges of true depth [m]: the two others of Table 1, and four that do not overlap.
 RANGES_M = ((0.0, 20.0), (0.0, 50.0), (0.0, 10.0), (10.0, 20.0), (20.0, 40.0), (40.0, 100.0))
@@ -221,17 +222,19 @@ class DepthScores(Accumulator):
     """MAE, RMSE, median, iMAE and iRMSE over the same pixels, and MAE and RMSE within ranges.
 
     A range contains the true depths above its first and up to its last value [m]. Pixels whose true
-    depth is beyond `FARTHEST_M` are not scored. The median comes from a histogram and is exact to
+    depth is beyond `farthest_m` are not scored. The median comes from a histogram and is exact to
     0.3 %. Inverse depth is scored like KITTI scores depth completion [1/km].
 
     Attributes:
         unscored: int64 (2,), pixels with such depths, and all pixels with a true depth.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, farthest_m: float = FARTHEST_M) -> None:
+        self._farthest_m = farthest_m
         self.unscored: NDArray[np.int64] = np.zeros(2, dtype=np.int64)
         self._metres, self._per_km = ErrorSums(), ErrorSums()
-        self._ranges = {item: ErrorSums() for item in RANGES_M}
+        beyond = ((FARTHEST_M, farthest_m),) if farthest_m > FARTHEST_M else ()
+        self._ranges = {item: ErrorSums() for item in (*RANGES_M, *beyond)}
         self._histogram = np.zeros(len(_ERROR_BINS_M) - 1)
 
     def update(self, prediction: NDArray[np.floating], depth: NDArray[np.floating]) -> None:
@@ -242,8 +245,8 @@ class DepthScores(Accumulator):
                 inverted, values below 0.1 m become 0.1 m.
             depth: the true depth, float (H, W) [m]; 0, negative or not finite = unknown.
         """
-        known = scored(depth)
-        self.unscored += np.count_nonzero(depth > FARTHEST_M), np.count_nonzero(depth > 0)
+        known = scored(depth, self._farthest_m)
+        self.unscored += np.count_nonzero(depth > self._farthest_m), np.count_nonzero(depth > 0)
         truth = depth[known].astype(np.float64)
         answer = prediction[known].astype(np.float64)
         error = answer - truth
@@ -281,6 +284,10 @@ class DisparityScores(ErrorSums):
     They are over the same pixels as `DepthScores`, in pixels of the data set's images.
     """
 
+    def __init__(self, farthest_m: float = FARTHEST_M) -> None:
+        super().__init__()
+        self._farthest_m = farthest_m
+
     def update(
         self,
         prediction: NDArray[np.floating],
@@ -294,7 +301,7 @@ class DisparityScores(ErrorSums):
             depth: the true depth, float (H, W) [m]; 0 = unknown.
             focal_baseline_px_m: focal length times baseline [px m].
         """
-        known = scored(depth)
+        known = scored(depth, self._farthest_m)
         answer = np.maximum(prediction[known].astype(np.float64), _NEAREST_M)
         self.add(focal_baseline_px_m * (1 / answer - 1 / depth[known].astype(np.float64)))
 
@@ -354,9 +361,9 @@ class BoundaryScores(Accumulator):
         }
 
 
-def scored(depth: NDArray[np.floating]) -> NDArray[np.bool_]:
+def scored(depth: NDArray[np.floating], farthest_m: float = FARTHEST_M) -> NDArray[np.bool_]:
     """Return where a true depth [m] is known and counts."""
-    return np.asarray((depth > 0) & (depth <= FARTHEST_M))
+    return np.asarray((depth > 0) & (depth <= farthest_m))
 
 
 def _ratio(numerator: Any, denominator: Any) -> NDArray[np.float64]:

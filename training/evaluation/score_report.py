@@ -88,7 +88,7 @@ _TRUTH = {"semantic": ("miou", "labels"), "depth": ("mae_m", "depth")}
 # For each such truth: the part of it that is not scored.
 _UNSCORED = {
     "labels": "the labelled images has no class and is not scored",
-    "depth": f"the depth is beyond {FARTHEST_M:g} m and not scored; check its unit (depth_scale)",
+    "depth": "the depth is beyond {:g} m (--farthest) and not scored: check its unit (depth_scale)",
 }
 
 
@@ -105,6 +105,7 @@ class Row:
         labelled: for each class, its labelled pixels, and the number of frames that show it.
         left_out: classes that are not scored, in words; empty if there are none.
         unscored: for "labels" or "depth", the share of its pixels that is not scored.
+        farthest_m: farthest true depth [m] that is scored.
         latency_ms: median time of an answer on this machine, without reading; None if nothing ran.
         without_focal: number of frames without a focal length, if the model's distances depend on
             it.
@@ -123,6 +124,7 @@ class Row:
     labelled: dict[str, tuple[int, int]] = field(default_factory=dict)
     left_out: str = ""
     unscored: dict[str, float] = field(default_factory=dict)
+    farthest_m: float = FARTHEST_M
     latency_ms: float | None = None
     without_focal: int = 0
 
@@ -199,7 +201,9 @@ def table_notes(rows: Sequence[Row]) -> list[str]:
         for head, (figure, truth) in _TRUTH.items():
             explained = head == "semantic" and row.left_out
             if share := row.unscored.get(truth):
-                notes.append(f"{row.data}: {100 * share:.3g} % of {_UNSCORED[truth]}")
+                notes.append(
+                    f"{row.data}: {100 * share:.3g} % of {_UNSCORED[truth].format(row.farthest_m)}"
+                )
             elif head in row.heads and figure not in row.figures and not explained:
                 notes.append(
                     f"{row.data}: none of the {row.frames} frames has {truth} as ground truth; "

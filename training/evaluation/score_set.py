@@ -13,6 +13,7 @@ from runtime.base.errors import InputError
 from training.datasets.class_mapping import list_classes
 from training.datasets.sample import IGNORE, Sample, SampleSource
 from training.evaluation.depth_folder import DepthFolder
+from training.evaluation.metrics import FARTHEST_M
 from training.evaluation.score_report import Row
 from training.evaluation.scored_model import ScoredModel
 from training.evaluation.scoring import HeadMaps, Scores, figures_over_places
@@ -26,12 +27,13 @@ Feed = tuple[LidarInput, Fault]
 
 @dataclass(frozen=True)
 class EvaluatedSet:
-    """An open data set, the frames of it that are scored, and their classes."""
+    """An open data set, the frames of it that are scored, their classes, and the range [m]."""
 
     title: str
     source: SampleSource
     classes: ScoredClasses
     indices: Sequence[int]
+    farthest_m: float = FARTHEST_M
 
     def read(self, index: int) -> tuple[Sample, bool]:
         """Return a frame with labels in the scored classes, and whether it has any label."""
@@ -124,12 +126,13 @@ class _Tally:
     """The score of one input so far."""
 
     classes: int
+    farthest_m: float
     places: dict[str | None, Scores] = field(default_factory=dict)
     frames: list[FrameScore] = field(default_factory=list)
     was_fed: bool = False
 
     def add(self, answer: HeadMaps, frame: LidarSplit, index: int, group: str) -> None:
-        scores = Scores(self.classes)
+        scores = Scores(self.classes, self.farthest_m)
         scores.update(answer, frame)
         name, place = frame.sample.name, frame.sample.place
         self.frames.append(
@@ -141,7 +144,7 @@ class _Tally:
             self.places[place] = scores
 
     def total(self) -> Scores:
-        total = Scores(self.classes)
+        total = Scores(self.classes, self.farthest_m)
         for part in self.places.values():
             total.merge(part)
         return total
@@ -164,7 +167,7 @@ def score_set(
     Raises:
         InputError: if a LiDAR feeds the depth to score and is not to be left out.
     """
-    tallies = {feed: _Tally(len(data.classes.names)) for feed in feeds}
+    tallies = {feed: _Tally(len(data.classes.names), data.farthest_m) for feed in feeds}
     labelled, times_ms, without_focal = False, list[float](), 0
     for index in tqdm(data.indices, desc=f"{name}, {data.title}", disable=None):
         sample, has_labels = data.read(index)  # once: it may take longer than an answer
@@ -198,6 +201,7 @@ def score_set(
             labelled=total.labelled(data.classes.names),
             left_out=data.classes.left_out if labelled and model.table else "",
             unscored=total.unscored(),
+            farthest_m=data.farthest_m,
             latency_ms=median(times_ms) if model.recorded is None and times_ms else None,
             without_focal=without_focal if model.is_canonical else 0,
         )

@@ -21,6 +21,7 @@ from training.datasets.sample import IGNORE, SampleSource, labelled
 from training.distributed import Processes
 from training.evaluation.depth_regions import DepthRegionScores
 from training.evaluation.metrics import (
+    FARTHEST_M,
     Accumulator,
     BoundaryScores,
     DepthScores,
@@ -116,17 +117,20 @@ def torch_predict(
 
 
 class Scores(Accumulator):
-    """Counts of a whole set, with a part for each head; a part without any target stays empty."""
+    """Counts of a whole set, with a part for each head; a part without any target stays empty.
 
-    def __init__(self, num_classes: int) -> None:
+    Depth is scored where the truth is at most `farthest_m` [m].
+    """
+
+    def __init__(self, num_classes: int, farthest_m: float = FARTHEST_M) -> None:
         self.frames = 0
         self.heads: set[str] = set()  # heads that were answered
         self.semantic = SemanticScores(num_classes)
-        self.depth = DepthScores()
+        self.depth = DepthScores(farthest_m)
         self.boundary = BoundaryScores()
-        self.disparity = DisparityScores()
-        self.regions = DepthRegionScores()
-        self.uncertainty = UncertaintyScores()
+        self.disparity = DisparityScores(farthest_m)
+        self.regions = DepthRegionScores(farthest_m)
+        self.uncertainty = UncertaintyScores(farthest_m)
         self.road = RoadScores(num_classes)
         self.others: dict[str, MeanError] = {}  # of heads without other figures
 
@@ -206,9 +210,15 @@ def figures_over_places(places: Iterable[Mapping[str, float]]) -> dict[str, floa
     return {key: sum(items) / len(items) for key, items in values.items()}
 
 
-def score(predict: Predict, frames: Iterable[LidarSplit], *, num_classes: int) -> Scores:
+def score(
+    predict: Predict,
+    frames: Iterable[LidarSplit],
+    *,
+    num_classes: int,
+    farthest_m: float = FARTHEST_M,
+) -> Scores:
     """Score a predictor on frames; missing heads and targets are left out."""
-    scores = Scores(num_classes)
+    scores = Scores(num_classes, farthest_m)
     for frame in frames:
         sample = frame.sample
         scores.update(predict(sample.rgb, frame.fed, sample.focal_length_px), frame)
@@ -260,6 +270,7 @@ def score_sources(
     processes: Processes,
     *,
     lidar: LidarInput,
+    farthest_m: float = FARTHEST_M,
 ) -> dict[str, dict[str, float]]:
     """Score a network on validation sets.
 
@@ -270,6 +281,7 @@ def score_sources(
         sources: the sets by name.
         processes: processes of this training.
         lidar: the input that is fed.
+        farthest_m: farthest true depth [m] that is scored.
 
     Returns:
         The figures of each set, see `Scores.figures`.
@@ -283,7 +295,8 @@ def score_sources(
     for name, source in sources.items():
         share = range(processes.rank, len(source), processes.count)
         frames = split_frames(source, share, lidar)
-        parts = processes.gather(score(predict, frames, num_classes=network.config.num_classes))
+        count = network.config.num_classes
+        parts = processes.gather(score(predict, frames, num_classes=count, farthest_m=farthest_m))
         for part in parts[1:]:
             parts[0].merge(part)
         result[name] = parts[0].figures(names)

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.metrics import Accumulator, scored
+from training.evaluation.metrics import FARTHEST_M, Accumulator, scored
 
 # Shares of a Laplace distribution within one and two of its scales b: 1 - exp(-1), 1 - exp(-2).
 LAPLACE_COVERAGE = (0.632, 0.865)
@@ -23,7 +23,8 @@ class UncertaintyScores(Accumulator):
     share ends within a bin, a part of the bin is taken, as if its pixels had equal errors.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, farthest_m: float = FARTHEST_M) -> None:
+        self._farthest_m = farthest_m
         # The columns are number of pixels and sum |e|.
         self._bins = np.zeros((_BINS, 2))
         self._within = np.zeros(2)  # pixels whose error is at most one and two scales
@@ -41,7 +42,7 @@ class UncertaintyScores(Accumulator):
             prediction: float (H, W) [m].
             depth: the true depth, float (H, W) [m]; 0, negative or not finite = unknown.
         """
-        known = scored(depth)
+        known = scored(depth, self._farthest_m)
         scale = uncertainty[known].astype(np.float64)
         error = np.abs(prediction[known].astype(np.float64) - depth[known])
         place = np.log(np.clip(scale, _LOWEST_M, _HIGHEST_M) / _LOWEST_M)

@@ -13,7 +13,6 @@ from runtime.app.encode import encode_jpeg
 from runtime.contract.contract import ClassInfo
 from training.datasets.class_mapping import list_classes
 from training.datasets.sample import IGNORE, Sample
-from training.evaluation.metrics import FARTHEST_M, scored
 from training.evaluation.score_set import EvaluatedSet, Result, split_feeds
 from training.evaluation.scored_model import ScoredModel
 from training.evaluation.scoring import HeadMaps
@@ -103,19 +102,20 @@ def _draw(
     if pair[0] not in drawn:
         return
     colors = class_colors(data.classes)
-    overlay = Overlay(colors, FARTHEST_M)
+    overlay = Overlay(colors, data.farthest_m)
     legend = [(info.name, info.color) for info in colors] if head == "semantic" else ()
     row = pair[0].row
     for index in sorted(errors[0], key=lambda index: -errors[0][index])[:count]:
         sample, _ = data.read(index)
         ((_, _, frame, fed),) = split_feeds(sample, index, [pair[0].feed], leave_out_fed=False)
         answers = [data.answer(models[item.row.model], sample, fed, index) for item in drawn]
+        target = np.where(frame.target <= data.farthest_m, frame.target, np.float32(0))
         other = drawn[1].row.model if len(drawn) > 1 else ""
         yield WorstFrame(
             *(row.model, other, data.title, row.lidar, head, sample.name),
             errors[0][index],
             errors[1].get(index) if other else None,
-            _panels(overlay, sample, frame.target, answers, head, [row.model, other]),
+            _panels(overlay, sample, target, answers, head, [row.model, other]),
             legend,
         )
 
@@ -141,7 +141,7 @@ def _panels(
         known = sample.semantic != IGNORE
         wrong = [answer.semantic != sample.semantic for answer in answers]
     else:
-        known = scored(target)
+        known = target > 0
         depths = [answer.depth for answer in answers if answer.depth is not None]
         wrong = [np.abs(depth - target) > WRONG_SHARE * target for depth in depths]
     colors = np.zeros((*sample.size, 3), np.uint8)

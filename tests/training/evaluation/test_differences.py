@@ -80,8 +80,11 @@ def test_frames_of_one_place_count_as_one():
     assert alone.groups == 0
 
 
-def test_one_frame_distinguishes_nothing_and_heads_that_one_lacks_are_left_out():
+def test_too_few_frames_get_no_verdict_and_heads_that_one_lacks_are_left_out():
+    for count, verdict in ((5, "too few frames: 5, at least 6 are needed"), (6, "better")):
+        (found,) = compare([result("a", [1.0] * count), result("b", [0.5] * count)])
+        assert found.verdict("mae_m") == verdict
     (one,) = compare([result("a", [1.0]), result("b", [0.5])])
-    assert one.verdict("mae_m") == "not distinguishable on 1 frame"
+    assert one.verdict("mae_m") == "too few frames: 1, at least 6 are needed"
     (both,) = compare([result("a", [1, 2], hits=[5, 5]), result("b", [1, 1])])
     assert set(both.figures) == {"mae_m", "rmse_m"}

@@ -196,6 +196,15 @@ def test_ids_of_an_exporter_that_names_its_classes(tmp_path, shape, fit):
     assert row["figures"]["miou"] > (0.99 if fit == "stretch" else 0.9)
 
 
+def test_numbers_are_no_names_of_classes(tmp_path):
+    """An exporter writes the ids as names if its user gave none: their number tells the table."""
+    path = tmp_path / "sem.onnx"
+    names = str({number: str(number) for number in range(19)})
+    by_hand(path, shape=(32, 64), output=TensorProto.INT64, metadata={"names": names})
+    text = run(path, "--data", red(tmp_path)).stdout
+    assert 'classes = "cityscapes"  # guessed by their number: check' in text
+
+
 def test_depth_of_an_exporter_opens_with_three_lines(tmp_path):
     data, path = red(tmp_path), tmp_path / "depth.onnx"
     by_hand(path, shape=(32, 64), output=TensorProto.FLOAT)

@@ -111,6 +111,10 @@ def test_depth_metrics_by_hand():
         }
     )
     assert scores.unscored.tolist() == [2, 6]
+    farther = DepthScores(farthest_m=400.0)
+    farther.update(np.array([[5.0, 300.0, 5.0]]), np.array([[10.0, 290.0, 401.0]]))
+    figures = farther.figures()
+    assert (figures["mae_m"], figures["mae_m_100_400"]) == (7.5, 10.0)
     assert DepthScores().figures() == {}
 
 
