@@ -33,7 +33,7 @@ from training.losses.terms import DEPTH_ALONE
 from training.recipe import Recipe, build_recipe
 from training.release import mix_weights
 from training.run_folder import FINAL, LAST, RECIPE, folder_errors
-from training.stop_signal import StopRequested
+from training.stop_signal import StopRequested, Watched
 
 Depth = NDArray[np.float32]
 
@@ -121,7 +121,7 @@ def _adapt(
     """Train on the first set and choose between the weights. Raises StopRequested."""
     network = init.network
     recipe = make_recipe(init, sets[0], changes)
-    kept_apart = open_dataset(sets[1], [root], classes=())
+    kept_apart = Watched(open_dataset(sets[1], [root], classes=(), stop=stop), stop)
     samples = [kept_apart[index] for index in range(len(kept_apart))]
     # Before the long training, check that these frames can tell the models apart.
     linear = score(method_predict(create_method("linear")), samples, stop)

@@ -23,6 +23,7 @@ _SETTINGS = ("rgb_mean", "rgb_std")
 # Settings that change what weights of the same shape compute.
 _MEANINGS = (
     "max_depth_m",
+    "farthest_guess_m",
     "canonical_focal_px",
     "sparse_depth_gain",
     "boundary_gating",

@@ -7,6 +7,7 @@ import random
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -103,7 +104,7 @@ def open_task(
     `stop` is True.
     """
     _seed(recipe.data.seed)
-    sets = _open_sets(recipe, data)
+    sets = _open_sets(recipe, data, stop)
     network, taught_by = _open_networks(recipe, sets, init, teacher, processes, resumed=resumed)
     known_data, data_terms = state_provenance(recipe, init, teacher)
     watched = [Watched(source, stop) for source in sets.sources]
@@ -158,11 +159,11 @@ class _Sets(NamedTuple):
     validation: Mapping[str, SampleSource]
 
 
-def _open_sets(recipe: Recipe, data: Sequence[Path]) -> _Sets:
-    table = recipe.model.class_table
+def _open_sets(recipe: Recipe, data: Sequence[Path], stop: Callable[[], bool]) -> _Sets:
+    opened = partial(open_dataset, roots=data, classes=recipe.model.class_table, stop=stop)
     return _Sets(
-        [open_dataset(item, data, classes=table) for item in recipe.data.source],
-        {item.title: open_dataset(item, data, classes=table) for item in recipe.validation.source},
+        [opened(item) for item in recipe.data.source],
+        {item.title: opened(item) for item in recipe.validation.source},
     )
 
 

@@ -169,10 +169,17 @@ def progress_bar(length: int, label: str) -> Iterator[Callable[[], None]]:
 
 
 def print_result(text: str) -> None:
-    """Print the result of a command on stdout; the text need not be valid Unicode.
+    """Print the result of a command on stdout, and its lines "warning: ..." on stderr.
 
-    A closed pipe or terminal is not an error. Raises OutputError for other failures.
+    The text need not be valid Unicode. A closed pipe or terminal is not an error. Raises
+    OutputError for other failures.
     """
+    lines = _plain(text).split("\n")
+    warnings = [line for line in lines if line.lstrip().startswith("warning: ")]
+    if warnings:
+        text = "\n".join(line for line in lines if line not in warnings)
+        with contextlib.suppress(OSError):
+            print("\n".join(warnings), file=sys.stderr, flush=True)  # noqa: T201
     try:
         print(_plain(text), flush=True)  # noqa: T201 - sys.stdout may be None
     except OSError as error:

@@ -4,7 +4,7 @@ import hashlib
 import pickle
 import zlib
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -21,6 +21,7 @@ from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import Sample, SampleSource, labelled, target_kind
 from training.datasets.source_recipe import SourceRecipe
 from training.loading.augment import resize
+from training.stop_signal import Watched
 
 # Number of frames from which the class frequencies of the loss are counted.
 FREQUENCY_SAMPLES = 400
@@ -81,16 +82,20 @@ class HeldSource:
 
 
 def open_dataset(
-    recipe: SourceRecipe, roots: Sequence[Path], *, classes: ClassTable
+    recipe: SourceRecipe,
+    roots: Sequence[Path],
+    *,
+    classes: ClassTable,
+    stop: Callable[[], bool] = lambda: False,
 ) -> SampleSource:
     """Open a data set in the first of `roots` that has its folder.
 
     `classes` is the table of the class ids. Raises DatasetError if there is no such folder, or if
-    it cannot be read.
+    it cannot be read, and StopRequested once `stop` is True while a stream is read.
     """
     source = recipe.open(_find_path(recipe, roots), classes)
     checked = CheckedSource(source, recipe.size)
-    return HeldSource(checked) if getattr(source, "is_stream", False) else checked
+    return HeldSource(Watched(checked, stop)) if getattr(source, "is_stream", False) else checked
 
 
 def _find_path(recipe: SourceRecipe, roots: Sequence[Path]) -> Path:

@@ -9,6 +9,7 @@ from runtime.base.errors import DatasetError
 from runtime.recordings.folders import FolderSource
 from training.datasets.recording import RecordingRecipe
 from training.loading.open_dataset import open_dataset
+from training.stop_signal import StopRequested
 
 SIZE = (24, 32)
 
@@ -32,8 +33,8 @@ def root(tmp_path):
     return tmp_path
 
 
-def open_drive(root, path="drive", **keys):
-    return open_dataset(RecordingRecipe(path=path, **keys), [root], classes="camvid")
+def open_drive(root, path="drive", stop=lambda: False, **keys):
+    return open_dataset(RecordingRecipe(path=path, **keys), [root], classes="camvid", stop=stop)
 
 
 def test_returns_are_the_target_or_the_input_of_denser_truth(root):
@@ -82,6 +83,10 @@ def test_a_stream_is_read_once_in_its_order_and_held(root, monkeypatch):
         np.testing.assert_array_equal(held[index].rgb, expected[index].rgb)
         np.testing.assert_array_equal(held[index].depth, expected[index].depth)
     assert order == ["0", "1", "2", "3"]
+    order.clear()
+    with pytest.raises(StopRequested):
+        open_drive(root, stop=lambda: len(order) == 2)
+    assert order == ["0", "1"]
 
 
 def test_a_file_is_a_recording_too(root):

@@ -49,7 +49,7 @@ def test_depth_that_contradicts_the_image_is_reported(tmp_path, red_metres, scal
     source = ["--source", f"folders:{rgb},depth_scale={scale}", "--depth", depth]
     given = [*source, "--model", model, "--out", tmp_path / "out", "--record", recording]
     result = CliRunner().invoke(app, [str(word) for word in given])
-    warned = re.findall(r"^warning: (.*)$", result.stdout, re.MULTILINE)
+    warned = re.findall(r"^warning: (.*)$", result.stderr, re.MULTILINE)
     assert warned == ([warning] if warning else [])
     assert result.exit_code == (3 if warning else 0), result.output
     frames = json.loads((tmp_path / "out/report.json").read_text())["frames"]
@@ -149,7 +149,7 @@ def test_a_lidar_that_starts_after_the_checked_frames_is_no_fault(tmp_path, run,
         if path.stem != "f11" or not last:
             cv2.imwrite(str(path), np.zeros((48, 64), np.uint16))
     result = run("--save", "none")
-    assert "warning: no scan or depth map of the first frames has a return" in result.stdout
+    assert "warning: no scan or depth map of the first frames has a return" in result.stderr
     fault = json.loads((tmp_path / "out/report.json").read_text())["frames"]["implausible_depth"]
     assert (fault is None, result.exit_code) == ((True, 0) if last else (False, 3))
 
