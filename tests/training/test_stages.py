@@ -37,7 +37,7 @@ ALL = Recipe(
         workers=0,
         seed=3,
     ),
-    schedule=ScheduleRecipe(steps=3),
+    schedule=ScheduleRecipe(steps=2),
     optimizer=OptimizerRecipe(encoder_rate=1e-3),
     loop=LoopRecipe(checkpoint_every=1),
 )
@@ -68,7 +68,7 @@ def weights(path):
 def test_killed_at_any_step_each_stage_begins_with_the_weights_of_the_one_before(data, tmp_path):
     whole, out = tmp_path / "whole", tmp_path / "killed"
     assert train_stages(STAGES, data=[data], out=whole) == whole / "model.pt"
-    for calls in (1, 2, 2, 2, 2):  # before each step
+    for calls in (1, 2, 2, 2):  # before each step
         with pytest.raises(Killed):
             train_stages(STAGES, data=[data], out=out, stop=killer(calls))
         assert not (out / "model.pt").exists()
@@ -82,9 +82,9 @@ def test_killed_at_any_step_each_stage_begins_with_the_weights_of_the_one_before
     rates = load_checkpoint(out / "1-all" / "last.pt").trainer["optimizer"]["param_groups"]
     assert [group["lr"] / rates[0]["lr"] for group in rates] == [1, 1, 0.5, 0.5]  # one schedule
     # A finished stage of another recipe is refused by its name.
-    longer = derive(ALL, schedule={"steps": 4})
+    longer = derive(ALL, schedule={"steps": 3})
     for stages, text in (
-        ((Stage("1-all", longer), STAGES[1]), r"1-all.*schedule\.steps was 3, now it is 4"),
+        ((Stage("1-all", longer), STAGES[1]), r"1-all.*schedule\.steps was 2, now it is 3"),
         ((Stage("1-other", ALL), STAGES[1]), "holds 1-all, but .* are 1-other"),
         ((Stage("", ALL),), "holds 1-all"),
     ):
@@ -140,12 +140,15 @@ def test_a_call_makes_what_the_next_stage_begins_with_and_what_is_released(
 
 
 def test_a_run_of_one_stage_releases_what_its_call_makes(data, tmp_path):
-    stage = Stage("", ALL, then=lambda run: add_offsets(run.after, {"road": 2.0}))
+    """Without an average the weights that are released are those of the last step."""
+    recipe = derive(ALL, loop={"ema_decay": 0.0})
+    stage = Stage("", recipe, then=lambda run: add_offsets(run.after, {"road": 2.0}))
     for _ in range(2):  # the finished run is not changed again
         path = train_stages((stage,), data=[data], out=tmp_path / "run")
         assert path == tmp_path / "run" / "model.pt"
-    plain = train_stages((Stage("", ALL),), data=[data], out=tmp_path / "plain")
-    before, after = weights(plain)["semantic_head.bias"], weights(path)["semantic_head.bias"]
+    before, after = (
+        weights(each)["semantic_head.bias"] for each in (path.with_name("last.pt"), path)
+    )
     road = [info.name for info in load_checkpoint(path).model.config.classes].index("road")
     assert (after - before)[road] == pytest.approx(2.0)
     assert (after - before).abs().sum() == pytest.approx(2.0)
@@ -161,12 +164,10 @@ def test_the_command_stops_at_a_step_over_all_stages_and_changes_all(data, tmp_p
         assert result.exit_code == 0, result.output
         return result.stdout.splitlines()[-1].removeprefix(f"{out}/")
 
-    assert run("--dry-run") == "1-all/batch.png"
-    assert run("--stop-after", "2") == "1-all/last.pt"
-    assert run("--stop-after", "3") == "1-all/model.pt"
+    assert run("--stop-after", "2") == "1-all/model.pt"
     assert not (out / "2-depth").exists()
     assert run("--dry-run") == "2-depth/batch.png"
-    assert run("--stop-after", "4") == "2-depth/last.pt"
+    assert run("--stop-after", "3") == "2-depth/last.pt"
     assert load_checkpoint(out / "2-depth" / "last.pt").trainer["step"] == 1
     assert not (out / "model.pt").exists()
     assert run() == "model.pt"
