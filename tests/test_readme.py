@@ -101,7 +101,7 @@ def test_every_file_that_a_page_names_is_there(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_module_that_a_page_names_is_there(page):
-    """Also where only the end of its path is written, as below the heading of its folder."""
+    """A page may write only the end of a path, for example below the heading of its folder."""
     named = re.findall(r"`((?:[a-z_]\w*/)*\w+\.py)`", page.read_text())
     there = ["/" + path.relative_to(ROOT).as_posix() for path in ROOT.glob("*/**/*.py")]
     assert [name for name in named if not any(path.endswith(f"/{name}") for path in there)] == []

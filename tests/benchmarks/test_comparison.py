@@ -55,7 +55,7 @@ def plan_file(tmp_path):
 
 @pytest.fixture
 def export_nano(monkeypatch):
-    """In place of an export, which takes long: the bundled network. Gives the list of exports."""
+    """Replace the export, which takes long, by the bundled network; give the list of exports."""
     exports = []
 
     def export(checkpoint, onnx, *, size, dynamic, overwrite):

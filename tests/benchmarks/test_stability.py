@@ -1,4 +1,4 @@
-"""What cutting columns changes, of a made-up predictor."""
+"""A made-up predictor shows what cutting columns changes."""
 
 import numpy as np
 import pytest

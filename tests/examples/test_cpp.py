@@ -89,7 +89,7 @@ def unpacked(folder, model, rgb, depth, focal_length_px=None):
 
 
 def figures(printed):
-    """Of "depth max_abs_m 0, limit 0.005" and the like: head -> value."""
+    """Read lines like "depth max_abs_m 0, limit 0.005": head -> value."""
     lines = [line.split() for line in printed.splitlines() if ", limit " in line]
     return {head: float(value.rstrip(",")) for head, _, value, *_ in lines}
 

@@ -36,7 +36,7 @@ def test_no_example_is_left_out():
 
 
 def test_the_driving_loop(run, tmp_path):
-    """Half a second of it."""
+    """Half a second of the loop is run."""
     for folder in bundled_stream():
         (tmp_path / folder.name).mkdir()
         for path in sorted(folder.iterdir())[:5]:

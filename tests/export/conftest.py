@@ -73,7 +73,7 @@ def lite_checkpoint(lite, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def beside(tmp_path_factory):
-    """Where the `recording` and the Triton `repository` of `exported` lie."""
+    """The folder with the `recording` and the Triton `repository` of `exported`."""
     return tmp_path_factory.mktemp("beside")
 
 

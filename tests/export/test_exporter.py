@@ -143,7 +143,7 @@ def test_every_variant_exports_with_both_inputs(name, heads, dynamic, small_mode
 )
 @pytest.mark.parametrize("factor", [1.01, float("nan")])
 def test_parity_notices_a_small_change_of_the_weights(lite, exported, part, factor):
-    """Without a change the export has passed on the same frames, or there would be no file."""
+    """Unchanged weights pass on the same frames, or `exported` would not exist."""
     changed = copy.deepcopy(lite)
     with torch.no_grad():
         changed.get_submodule(part).weight.mul_(factor)

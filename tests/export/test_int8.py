@@ -92,7 +92,7 @@ def test_too_few_frames_are_refused_before_any_work(export_int8, data, tmp_path,
 @pytest.mark.usefixtures("few")
 @pytest.mark.parametrize("same", ["{0},name=x", "{1}/street/../street", "{1}/link"])
 def test_int8_is_not_validated_on_what_it_is_calibrated_on(export_int8, data, tmp_path, same):
-    """By the files: another spelling or a link leads to the same frames."""
+    """The files are compared, because another spelling or a link leads to the same frames."""
     link = data.parent / "link"
     if not link.exists():
         link.symlink_to(data)

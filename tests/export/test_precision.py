@@ -45,7 +45,7 @@ def test_the_trunk_is_what_lies_between_the_sensors_and_the_answers(dynamic_mode
     convolutions = [node for node in graph.node if node.op_type == "Conv"]
 
     def is_wide(node):
-        """Whether it reads and writes 16 channels or more: no sensor, no answer."""
+        """Return whether a convolution has 16 channels or more: not the first, nor the last."""
         groups = next((item.i for item in node.attribute if item.name == "group"), 1)
         written, read = widths[node.input[1]][:2]
         return min(written, groups * read) >= 16
@@ -166,7 +166,7 @@ def test_the_stride_of_a_grid_that_is_resized_to_another_grid():
 
 
 def test_8_bit_products_do_not_saturate_in_16_bits():
-    """Without the smaller weights processors with AVX2 alone answer half of the sum."""
+    """If the weights were larger, processors with AVX2 alone would answer half of the sum."""
     channels = 64
     weights = numpy_helper.from_array(np.ones((16, channels, 3, 3), np.float32), "weights")
     axes = ["batch", channels, "height", "width"]

@@ -77,7 +77,7 @@ def test_params_and_macs_are_the_known_ones(name):
 
 
 def kind_of(block):
-    """What a block is made of; the numbers of channels, groups and dilations make no kind."""
+    """Describe the layers of a block without its numbers of channels, groups and dilations."""
     return re.sub(r"\(\d+(, \d+)?|(padding|dilation)=\(\d+, \d+\)|groups=\d+", "(", repr(block))
 
 
@@ -236,7 +236,7 @@ def test_a_normalised_convolution_keeps_a_constant_and_its_confidence():
 
 
 def test_boundaries_gate_every_block_of_bacnn(monkeypatch):
-    """Where all is boundary, the image says nothing."""
+    """If everything is boundary, the image has no effect."""
     monkeypatch.setattr(fcn8s, "_WIDE", 16)
     torch.manual_seed(0)
     model = create_model("bacnn", classes=numbered_classes(4)).eval()

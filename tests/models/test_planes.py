@@ -44,7 +44,7 @@ def mask_of(pattern):
 
 
 def fit(inverse, mask) -> Base:
-    """In the cells; inverse: 0 where nothing is measured."""
+    """Fit the base in the cells; `inverse` is 0 where nothing is measured."""
     depth = mask / inverse.clamp(min=1)
     return fit_base(inverse, mask, F.max_pool2d(torch.cat([inverse, depth], dim=1), CELL))
 

@@ -103,7 +103,7 @@ source = [{{ kind = "rendered", path = "rendered" }}]
 
 @pytest.mark.slow
 def test_a_network_of_one_head_goes_through_every_tool(tmp_path):
-    """Of classes alone; one of depth alone is trained and exported by test_new_network.py."""
+    """It predicts classes alone; test_new_network.py has a network of depth alone."""
     name = "tiny-semantic"
     virtual_kitti.write_second_edition(tmp_path / "rendered", magnify=5)
     recipe = tmp_path / "tiny.toml"
@@ -173,7 +173,7 @@ def test_create_model_changes_the_configuration():
 
 @pytest.mark.parametrize("name", list_models())
 def test_every_network_meets_the_contract_of_the_base(name):
-    """Its heads are those it names, and its class scores come from semantic_head."""
+    """A network has the heads that it names, and its class scores come from semantic_head."""
     with torch.device("meta"):
         model = create_model(name).eval()
         output = model(torch.empty(1, 3, 65, 97), torch.empty(1, 1, 65, 97))

@@ -49,7 +49,7 @@ CHANNELS = (*NO_CHOICE, "correction", "scale", "before", "behind", "reduction")
 
 
 def measured_where(depth):
-    """What a depth map holds, isolated returns too."""
+    """Return the returns of a depth map, including isolated ones."""
     mask = (depth > 0).float()
     return Measured(depth, mask, mask / depth.clamp(min=NEAREST))
 
@@ -338,7 +338,7 @@ def test_the_image_keeps_its_share_beside_returns_and_all_of_it_farther():
 
 @pytest.mark.parametrize(("logit", "log"), [(-99, LOG_SCALE[0]), (0, -2.5), (99, LOG_SCALE[1])])
 def test_the_error_is_a_bounded_share_of_the_depth(logit, log):
-    """Half of 0.8 and half of 0.4; then half of 0.05 and half of what that gave."""
+    """The depth is half of 0.8 and half of 0.4, then half of 0.05 and half of that result."""
     halves = head_of(farthest=0.0, nearest=0.0, scale=logit)
     for returns, expected in (({}, 0.4), (TWO, 0.325)):
         found, base, _ = propagate_surfaces(measured(returns))
@@ -382,7 +382,7 @@ def test_the_nearest_return_is_that_of_a_plain_loop():
 
 
 def taken_of(before, behind, depth=0.5, reduction=0.0, returns=None, range_m=RANGE_M):
-    """What is left of a depth and of a scale of 0.04 around returns."""
+    """Return the depth and the scale, which was 0.04, after returns were taken."""
     confidence = torch.tensor([before, behind, reduction]).view(1, 3, 1, 1).expand(1, 3, *SIZE)
     maps = (torch.full((1, 1, *SIZE), value) for value in (1 / depth, 0.04))
     found = take_returns(*maps, dilate_returns(measured(returns)), confidence, max_depth_m=range_m)

@@ -15,7 +15,7 @@ needs_torch = pytest.mark.skipif(
 
 
 def words_printed_by(program: str) -> list[str]:
-    """By a fresh interpreter, where nothing was imported before."""
+    """Run a program in a fresh interpreter, which has imported nothing before."""
     command = [sys.executable, "-c", program]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
 

@@ -93,7 +93,7 @@ RUNS = [
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory):
-    """Where RUNS lie."""
+    """The folder of RUNS."""
     root = tmp_path_factory.mktemp("distributed")
     rng = np.random.default_rng(0)
     for index in range(6):
@@ -187,7 +187,7 @@ def test_shares_of_the_processes_make_up_one_process_s_batches():
 
 
 def test_shared_batch_norm_is_batch_norm(tmp_path):
-    """In a group of one process; with more, what it sums comes from all of them."""
+    """The group has one process; with several, the sums come from all of them."""
     torch.manual_seed(0)
     plain = nn.BatchNorm2d(3)
     nn.init.uniform_(plain.weight, 0.5, 2)

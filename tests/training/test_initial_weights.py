@@ -89,7 +89,7 @@ def test_the_installed_weights_state_their_terms(name):
 
 @installed
 def test_a_recipe_of_data_and_steps_gets_the_loss_of_the_shipped_recipe(name, tmp_path):
-    """Of all heads: the last stages train the depth decoder alone."""
+    """The loss has all heads, although the last stages train the depth decoder alone."""
     path = tmp_path / "recipe.toml"
     path.write_text(
         "[data]\nsource = [{kind = 'camvid', path = 'camvid'}]\n[schedule]\nsteps = 100\n"
@@ -106,7 +106,7 @@ def test_a_recipe_of_data_and_steps_gets_the_loss_of_the_shipped_recipe(name, tm
 
 @bundled
 def test_the_installed_weights_answer_as_the_bundled_model(name):
-    """Half precision moves depth by decimetres far away, classes where two of them tie."""
+    """Half precision moves far depth by decimetres, and changes classes where two scores tie."""
     model = load_checkpoint(find_weights(name)).model
     with Predictor(name, warmup=0, size="frame") as predictor:
         for frame in bundled_frames(step=7):

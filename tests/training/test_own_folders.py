@@ -114,7 +114,7 @@ def test_without_labels_only_what_the_depth_alone_reads_is_trained(mine):
 
 
 def test_a_dry_run_shows_the_recipe(mine):
-    """One for images of a higher camera, which are resized to the rows of the first weights."""
+    """The images are of a larger camera, and are resized to the rows of the first weights."""
     for path in (*mine.glob("images/*"), *mine.glob("labels/*")):
         assert cv2.imwrite(str(path), cv2.imread(str(path), -1).repeat(2, 0).repeat(2, 1))
     result = train(mine, "--dry-run")

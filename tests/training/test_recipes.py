@@ -102,7 +102,7 @@ def shrink(size):
 
 
 def shrink_sources(sources):
-    """Small, and each drawn as often as the others: with the seed above the batch holds all."""
+    """Make sources small and equally frequent, so that the batch holds a frame of each."""
     return tuple(
         replace(item, weight=1.0, size=None if item.size is None else shrink(item.size))
         for item in sources

@@ -1,4 +1,4 @@
-"""What is made of trained weights; `test_stages` mixes weights and adds offsets."""
+"""Functions of trained weights; `test_stages` mixes weights and adds offsets."""
 
 import math
 

@@ -95,7 +95,7 @@ def test_other_data_than_at_the_start_are_named(tmp_path, capsys):
 
 @pytest.mark.parametrize("changed", ["", "name", "bytes"])
 def test_a_set_that_was_moved_is_the_same_data(tmp_path, capsys, changed):
-    """Its path in the recipe may differ; its files may not."""
+    """The path in the recipe may differ, but the files may not."""
     before, now = tmp_path / "disk", tmp_path / "mount"
     before.mkdir()
     for name in "ab":

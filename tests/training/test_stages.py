@@ -93,9 +93,10 @@ def test_killed_at_any_step_each_stage_begins_with_the_weights_of_the_one_before
 
 
 NARROW_WIDTHS = [8] * 15 + [4]
-NARROW = derive(DEPTH, model={"config": {"encoder_widths": NARROW_WIDTHS}})
+ONE_STEP = derive(ALL, schedule={"steps": 1})
+NARROW = derive(DEPTH, schedule={"steps": 1}, model={"config": {"encoder_widths": NARROW_WIDTHS}})
 CALLED = (
-    Stage("1-all", ALL, then=lambda run: prune_trunk(run.after, NARROW_WIDTHS, run.pictures)),
+    Stage("1-all", ONE_STEP, then=lambda run: prune_trunk(run.after, NARROW_WIDTHS, run.pictures)),
     Stage("2-narrow", NARROW),
     Stage(
         "3-mixed",
@@ -108,7 +109,7 @@ CALLED = (
 def test_a_call_makes_what_the_next_stage_begins_with_and_what_is_released(
     data, tmp_path, tiny_lite
 ):
-    """Also where the run is killed in a call."""
+    """This also holds if the run is killed in a call."""
 
     def killed(run):
         raise Killed
@@ -140,7 +141,7 @@ def test_a_call_makes_what_the_next_stage_begins_with_and_what_is_released(
 
 
 def test_a_run_of_one_stage_releases_what_its_call_makes(data, tmp_path):
-    """Without an average the weights that are released are those of the last step."""
+    """Without an average the released weights are those of the last step."""
     recipe = derive(ALL, loop={"ema_decay": 0.0})
     stage = Stage("", recipe, then=lambda run: add_offsets(run.after, {"road": 2.0}))
     for _ in range(2):  # the finished run is not changed again

@@ -124,7 +124,7 @@ def test_a_network_that_needs_more_classes_is_refused(start):
 
 @pytest.mark.parametrize("link", [os.symlink, os.link], ids=["symbolic", "hard"])
 def test_frames_that_are_trained_on_and_validated_are_counted(start, link):
-    """By the files, not by the names that lead to them."""
+    """The files are compared, not the names that lead to them."""
     same = "5 of the 7 frames of mine are also trained on"
     assert same in start({"validation": {"source": source(first=1)}})
     (start.folder / "other/images").mkdir(parents=True)

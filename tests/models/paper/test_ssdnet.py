@@ -35,7 +35,7 @@ def frame(height, width, batch=1, seed=0):
 
 
 def macs(model, height, width):
-    """Of a model on the meta device."""
+    """Count the multiply-accumulates of a model on the meta device."""
     inputs = torch.empty(1, 3, height, width), torch.empty(1, 1, height, width)
     with FlopCounterMode(display=False) as counter, torch.no_grad():
         model(*(each.to("meta") for each in inputs))

@@ -21,7 +21,7 @@ def test_the_nearer_side_of_an_edge_is_a_jump_in_any_order():
 
 
 def test_another_scan_line_is_no_neighbour():
-    """A line 0.4 degrees above, as of 64 lines, at another range."""
+    """The line above, 0.4 degrees away as in a LiDAR of 64 lines, has another range."""
     near, far = scan(np.full(40, 10.0)), scan(np.full(40, 30.0))
     far[:, 1] -= 30 * np.radians(0.4)
     assert not find_jumps(np.r_[near, far].astype(np.float32)).any()

@@ -43,7 +43,7 @@ def test_no_ratio_crosses_an_edge_of_the_answer():
 
 
 def test_a_return_is_compared_with_the_depth_at_its_exact_place():
-    """On a slanted road, where the depth changes by several per cent a row."""
+    """The road is slanted, so that the depth changes by several per cent in each row."""
     rows = np.arange(LARGE[0]) * SMALL[0] / LARGE[0] + 0.5 * (SMALL[0] / LARGE[0] - 1)
     road = (1 / (0.02 + 0.002 * np.arange(SMALL[0], dtype=np.float32))).astype(np.float32)
     depth = np.repeat(road[:, None], SMALL[1], axis=1)

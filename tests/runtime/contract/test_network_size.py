@@ -1,4 +1,4 @@
-"""At which size a network runs: the rule, and what is refused."""
+"""The rule for the size at which a network runs, and the sizes that are refused."""
 
 import numpy as np
 import pytest

@@ -69,7 +69,7 @@ def free_share(model: str, head: str) -> float:
 
 @pytest.fixture(scope="module")
 def answers(model) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Of one model: head -> the answers now, and those pinned."""
+    """Return, for each head of a model, the answers now and the pinned ones."""
     now, folder = replay(model), REFERENCES / model
     pinned = {path.stem: cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in folder.iterdir()}
     assert now.keys() == pinned.keys(), f"pin {model} with python {__file__}"

@@ -112,7 +112,7 @@ def test_a_batch_that_fails_says_of_what(model_file, make_frame):
 
 
 def test_threads_that_share_a_predictor_get_their_own_answers(model_file, make_frame):
-    """Under load: eight threads at once, frames of three sizes, single and in batches."""
+    """Eight threads predict frames of three sizes at once, single and in batches."""
     sizes = [(48, 64), (64, 96), (96, 80)]
     frames = [make_frame(*sizes[seed % 3], seed=seed) for seed in range(12)]
     with Predictor(model_file(heads=HEADS), size=(40, 56)) as predictor:

@@ -39,7 +39,7 @@ def scan(count, seed):
 
 
 def visible(points):
-    """Whether each point falls into the picture, even behind a nearer one."""
+    """Return whether each point falls into the image, even behind a nearer one."""
     u, v, z = np.rint(in_image(points)).T
     return (z > 0) & (u >= 0) & (u < SIZE[1]) & (v >= 0) & (v < SIZE[0])
 

@@ -57,7 +57,7 @@ READERS = {
 @pytest.mark.parametrize("reader", READERS)
 @pytest.mark.parametrize(("rotation", "outcome"), [
     (TURN, "silent"), (TURN.round(4), "silent"), (TURN.astype(np.float32).astype(float), "silent"),
-    (TURN @ (np.eye(3) + 0.005 * SKEW), "nearest"),  # as of DAIR-V2X
+    (TURN @ (np.eye(3) + 0.005 * SKEW), "nearest"),  # as in DAIR-V2X
     (TURN.round(2), "nearest"), (1.008 * TURN, "nearest"),
     (TURN @ (np.eye(3) + 0.03 * SKEW), "refused"), (1.05 * TURN, "refused"),
     (TURN * [[-1], [1], [1]], "refused"), (sign_lost(), "refused"), (1e200 * TURN, "refused"),

@@ -31,7 +31,7 @@ def projected(scan, *, left_m=0.0, ahead_m=0.0, focal_px=60.0):
 
 
 def agree(depth, expected):
-    """Whether two maps are the same, but for returns that float32 rounds to the next pixel."""
+    """Return whether two maps agree, except for returns that float32 rounds to another pixel."""
     same = (depth > 0) == (expected > 0)
     both = (depth > 0) & (expected > 0)
     return same.mean() > 0.995 and np.median(abs(depth - expected)[both]) < 1e-3

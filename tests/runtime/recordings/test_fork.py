@@ -12,7 +12,7 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 
 
 def refused_in_child(use):
-    """Whether `use` raises an InputError that names the fork, in a child of this process."""
+    """Return whether `use` raises an InputError that names the fork in a child of this process."""
     child = os.fork()
     if not child:
         refused = False

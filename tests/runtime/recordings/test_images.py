@@ -123,7 +123,7 @@ def test_an_exif_orientation_is_not_followed(tmp_path):
     ("<", 8, "270"), (">", 3, "180"), ("<", 2, "mirrors"), (">", 1, ""), ("<", 99, ""),
 ])  # fmt: skip
 def test_what_exif_turns_is_said(order, orientation, said, recwarn):
-    """Also of a PNG, whose chunk eXIf holds the same."""
+    """A PNG states the same in its chunk eXIf."""
     entry = struct.pack(f"{order}HHIHH", 0x112, 3, 1, orientation, 0)
     other = struct.pack(f"{order}HHII", 0x10F, 2, 4, 0)
     exif = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(f"{order}IH", 8, 2)

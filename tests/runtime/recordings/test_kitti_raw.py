@@ -53,7 +53,7 @@ SPEED = 15.0
 
 
 def write_oxts(drive):
-    """At 20 Hz; the car drives to the east, which is x."""
+    """Write poses at 20 Hz; the car drives to the east, which is x."""
     (drive / "oxts/data").mkdir(parents=True)
     for number in range(14):
         longitude = 8.4 + np.degrees(0.05 * SPEED * number / (6378137 * np.cos(np.radians(49.0))))

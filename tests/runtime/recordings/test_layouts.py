@@ -22,7 +22,7 @@ PROJECTION = "60 0 32 0 0 60 24 0 0 0 1 0"
 
 
 def calibration(focal_px, *, right_px=0.0):
-    """As of KITTI's object data; camera 3 is to the right of camera 2."""
+    """The calibration is like KITTI's object data; camera 3 is to the right of camera 2."""
     shifts = {2: 0, 3: right_px}
     rows = [f"P{n}: {focal_px} 0 32 {x} 0 {focal_px} 24 0 0 0 1 0" for n, x in shifts.items()]
     to_camera = "Tr_velo_to_cam: 0 -1 0 0 0 0 -1 -0.3 1 0 0 0"

@@ -176,7 +176,7 @@ def test_channels_of_other_encodings_are_left_out(tmp_path, record):
     "kind", ["sensor_msgs/msg/CameraInfo", "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/Image"]
 )
 def test_a_damaged_message_is_left_out(record, kind):
-    """In front of the first one, which says what the topic holds."""
+    """The damaged message comes before the first good one, which says what the topic holds."""
     bag = record("mcap")
     topic, recorded_ns = next((each[0], each[3]) for each in bag.messages if each[1] == kind)
     bag.messages.insert(0, (topic, kind, b"\0\1\0\0" + bytes(8), recorded_ns - 1))

@@ -55,7 +55,7 @@ def roi(x, y, height, width):
 BINNED = {"binning_x": 2, "binning_y": 2}
 RAW, RECT = "/cam/image_raw", "/cam/image_rect"
 BASELINE = {"shift_px": -6.0}  # 0.1 m
-OFF = scaled(1.3, 1.3, 3, 5)  # as of a larger image
+OFF = scaled(1.3, 1.3, 3, 5)  # as for a larger image
 # Case -> what the bag holds, and options.
 RIGHT = {
     "a pinhole": (camera(RAW, {}), {}),
@@ -198,7 +198,7 @@ def test_what_cannot_be_is_refused(read, case):
     (camera(RAW, BASELINE | {"d": CURVED}), 0, False),
 ])  # fmt: skip
 def test_the_baseline_of_a_pair_is_applied_once(read, write, right_m, said):
-    """By P to a frame that it shares with the first camera, or by /tf_static."""
+    """P applies it if the frame is shared with the first camera; otherwise /tf_static does."""
     _, _, calibration, notes = read(write)
     expected = [[0, -1, 0, right_m], [0, 0, -1, -0.3], [1, 0, 0, -0.5], [0, 0, 0, 1]]
     np.testing.assert_allclose(calibration.extrinsics, expected, atol=1e-9)
@@ -210,7 +210,7 @@ def test_the_baseline_of_a_pair_is_applied_once(read, write, right_m, said):
     ("plumb_bob", (0,) * 4, None), ("", (0,) * 4, None), ("plumb_bob", CURVED, "plumb_bob"),
 ])  # fmt: skip
 def test_a_raw_image_has_the_lens(read, make_scan, model, distortion, lens):
-    """A fisheye of zeros is one."""
+    """A fisheye whose coefficients are 0 is still a fisheye."""
     write = camera(RAW, {"distortion_model": model, "d": distortion})
     _, depth, calibration, notes = read(write)
     assert (calibration.lens, notes) == (lens, [])

@@ -164,7 +164,7 @@ def tiles():
 
 
 def mosaic_of(rgb, pattern):
-    """What a sensor with this pattern of 2 x 2 pixels sees."""
+    """Return what a sensor with this pattern of 2 x 2 pixels sees."""
     mosaic = np.zeros(SIZE, np.uint8)
     for place, color in enumerate(pattern):
         y, x = divmod(place, 2)

@@ -78,7 +78,7 @@ def test_times_after_the_stamp(name, datatype, code, values, after_ns, height, i
 
 @pytest.mark.parametrize("unit", [1, 1e9], ids=["seconds", "nanoseconds"])
 def test_large_eight_bytes_are_of_the_clock(unit):
-    """As of Hesai and RoboSense, and of Livox; a float64 is exact to 0.24 µs there."""
+    """Hesai, RoboSense and Livox write such times; a float64 is exact to 0.24 µs there."""
     message = cloud("timestamp", 8, "f8", [STAMP_NS / 1e9 * unit, (STAMP_NS / 1e9 + 0.05) * unit])
     np.testing.assert_allclose(times_of(message), [0, 50_000_000], atol=256)
 
@@ -126,7 +126,7 @@ ENDS = np.linspace(0, 0.1, 99)
     ("f8", 0, 1), ("f4", 0, 1e6), ("f8", STAMP_NS / 1e9, 1), ("f8", STAMP_NS, 1e9), ("u4", 0, 1e9),
 ])  # fmt: skip
 def test_a_broken_time_decides_on_no_unit(code, offset, unit, broken):
-    """Of the lost points, and of one in a hundred that is a return."""
+    """A lost point and one of a hundred returns have a broken time."""
     values = offset + unit * np.append(ENDS, 0.05)
     values[[7, 99]] = 3.6e9 if code == "u4" else broken
     datatype = {"f4": 7, "f8": 8, "u4": 6}[code]

@@ -260,9 +260,9 @@ def padded(scan: np.ndarray) -> np.ndarray:
     return rows
 
 
-PACKED = np.zeros(3200, [("xyz", "<f4", 3), ("rest", "V17")])  # as of Ouster
+PACKED = np.zeros(3200, [("xyz", "<f4", 3), ("rest", "V17")])  # as Ouster writes it
 PACKED["xyz"] = sweep(3)
-AHEAD = sweep(4)[np.abs(sweep(4)[:, 1]) < sweep(4)[:, 0]]  # as of a LiDAR that looks ahead
+AHEAD = sweep(4)[np.abs(sweep(4)[:, 1]) < sweep(4)[:, 0]]  # as from a LiDAR that looks ahead
 OTHERS = {
     "29 bytes": PACKED,
     "float64": sweep(4).astype("<f8"),

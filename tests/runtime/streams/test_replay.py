@@ -33,7 +33,7 @@ POSED = Rig(calibration=CALIBRATION, pose_frame="lidar")
 
 
 def message(sensor, time_ms):
-    """What a sensor on the car sends at a time."""
+    """Return the message that a sensor on the car sends at a time."""
     if sensor == "image":
         return "image", image(time_ms // 50), time_ms * MS
     if sensor == "depth":
@@ -313,7 +313,7 @@ def test_returns_are_held_out_with_the_option_consistency(replay):
 def test_depth_that_contradicts_the_image_is_reported(
     replay, checked_predictor, monkeypatch, options, flagged
 ):
-    """With `consistency` from the frame on, else from the next one."""
+    """With `consistency` the frame itself is flagged, otherwise the next one."""
     row, column = np.mgrid[:32, :40]
     seen = ((40 - row + column / 2) / 10).astype(np.float32)
     predictor = checked_predictor()

@@ -29,7 +29,7 @@ def test_dropped_streams_end_their_threads(checked_predictor):
     workers = set(threading.enumerate()) - before
     assert len(workers) == 50
     for stream in streams:
-        stream.itself = stream  # a cycle, as of a node whose method is on_result
+        stream.itself = stream  # a cycle, as in a node whose method is on_result
     del streams, stream
     gc.collect()
     assert not alive

@@ -1,4 +1,4 @@
-"""What `ssdnet-train` took in earlier releases: one line says the command of now."""
+"""For an option that `ssdnet-train` took in earlier releases, one line names the new command."""
 
 import pytest
 from typer.testing import CliRunner

@@ -65,7 +65,7 @@ def test_a_resumed_run_names_its_step_and_not_its_first_weights(run, tmp_path, d
 
 
 def test_validation_sets_are_scored_under_their_names(run, tmp_path):
-    """One folder twice, with names of its own; the default is the path."""
+    """One folder is a set twice, once with a name of its own; the default name is the path."""
     both = VALIDATION + 'name = "town"\n' + VALIDATION
     options = ("--set", "schedule.steps = 2", "--set", 'validation.best = "town/miou"')
     run(*options, recipe=RECIPE + both)

@@ -166,7 +166,7 @@ def test_a_part_of_the_images_may_be_taken(mine):
     ],
 )
 def test_ids_have_the_meaning_that_the_keys_give_them(mine, keys, ids):
-    """Of the ids 0, 1, 255, 7 and 9; None is refused, with an advice that can be followed."""
+    """The labels have the ids 0, 1, 255, 7 and 9; None: they are refused, with usable advice."""
     stored = [0, 1, 255, 7, 9][: len(ids)]
     for id_, expected in zip(stored, ids, strict=True):
         write(mine / "labels" / "a.png", np.full((40, 64), id_, np.uint8))

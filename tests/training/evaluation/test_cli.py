@@ -136,7 +136,7 @@ def write_folders(root):
 
 
 def test_a_lidar_that_is_the_truth_is_refused(tmp_path):
-    """Its answer would be free of errors, whatever the model."""
+    """Every model would answer without errors."""
     data = f"{write_folders(tmp_path)},depth=returns"
     for lidar in ("own", "none,random:1"):
         result = run("nearest", "--data", data, "--lidar", lidar)
@@ -224,7 +224,7 @@ def test_errors_name_what_is_wrong(folder, model, options, text):
 
 
 def test_truth_that_is_missing_or_not_scored_is_counted(scored, tmp_path):
-    """Depth beyond 100 m, as of a wrong unit, pixels without a class, and classes not shown."""
+    """Counted are depth beyond 100 m, pixels without a class, and classes that never occur."""
     write(tmp_path / "images" / "a.png", GREY)
     write(tmp_path / "lidar" / "a.png", np.full((40, 64), 5 * 256, np.uint16))
     write(tmp_path / "labels" / "a.png", np.where(np.arange(64) < 32, ROAD, 255).astype(np.uint8))
@@ -286,7 +286,7 @@ def test_classes_are_compared_by_name(named_model, scored, tmp_path):
 
 
 def test_a_model_of_its_own_classes_is_scored_on_camvid(named_model, scored, tmp_path):
-    """Its class 0 is a road, CamVid's is the sky."""
+    """Class 0 of the model is the road, class 0 of CamVid is the sky."""
     rgb = np.full((40, 64, 3), (20, 10, 20), np.uint8)
     rgb[:, :32, 0] = 200
     label = np.where(rgb[..., 0] == 200, 8, 3).astype(np.uint8)  # CamVid's car and road

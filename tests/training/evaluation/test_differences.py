@@ -48,7 +48,7 @@ def test_differences_are_of_the_sums_of_all_frames_and_their_signs_are_judged():
 
 
 def test_the_interval_holds_the_true_difference_as_often_as_it_says():
-    """Of 100 pairs of models, at 40 frames: 95 are expected, and 88 are still likely."""
+    """For 100 pairs of models and 40 frames, 95 are expected, and 88 are still likely."""
     rng, held = np.random.default_rng(2), 0
     for _ in range(100):
         base = rng.normal(1, 0.3, 40).clip(0.01)

@@ -100,7 +100,7 @@ def adapter(folder, name, depth_is):
 
 
 def test_a_network_without_metadata_scores_as_natively(folder, tmp_path):
-    """In metres and in inverse depth, its scores on a quarter of the image's grid."""
+    """It answers metres or inverse depth, and class scores on a quarter of the image's grid."""
     adapter(folder, "plain", "depth")
     adapter(folder, "inverse", "inverse")
     data = f"rendered:{folder}/scenes,size={list(SIZE)}"

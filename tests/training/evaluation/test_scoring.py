@@ -58,7 +58,7 @@ def figures(answer, frame=None):
 
 
 def test_each_figure_has_its_own_name():
-    """Half of the wall 2.5 m too far, the rest right: every figure is another number."""
+    """Half of the wall is 2.5 m too far and the rest is right, so every figure differs."""
     mask = np.zeros((60, 120), np.uint8)
     mask[30:], mask[10:20] = 1, 255
     frame = sample(focal_baseline_px_m=400.0, road_mask=mask)

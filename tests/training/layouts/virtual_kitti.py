@@ -66,7 +66,7 @@ def write_second_edition(
 
 
 def write_scans(variant, *, frames=2):
-    """What a LiDAR of four returns saw, beside a variant of the second edition."""
+    """Write scans of four returns beside a variant of the second edition."""
     folder = variant / "frames" / "lidar" / "Camera_0"
     folder.mkdir(parents=True)
     points = np.array([(10, y, z, 0.5) for z in (0.5, -0.5) for y in (1, -1)], "<f4")

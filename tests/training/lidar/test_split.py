@@ -117,7 +117,7 @@ def test_lines_of_a_recorded_input_can_be_chosen_where_they_are_known(dense, sca
 @pytest.mark.parametrize("text", ["none", "own", "32", "16", "1", "random:0.3", "64"])
 @pytest.mark.parametrize("first_line", [0, 1, 37])
 def test_nothing_that_is_fed_of_a_recorded_scan_is_a_target(scanned, rng, text, first_line):
-    """And something is left as target: all lines of a scan are never fed, in training neither."""
+    """Something is left as target: all lines of a scan are never fed, not even in training."""
     for same_target in (True, False):
         frame = split(scanned, text, rng, same_target=same_target, first_line=first_line)
         if text == "64":

@@ -290,7 +290,7 @@ def test_128_lines_are_drawn_from_dense_truth_and_are_64_of_a_recorded_scan():
 
 
 def test_crops_chosen_for_a_rare_class_show_it_more_often():
-    """It is in a crop of several as often as in any of them."""
+    """The chosen crop shows the class if any of its candidates does."""
     sample = plane(64, 96)
     labels = np.zeros((64, 96), np.uint8)
     labels[12:14, 20:22] = 2

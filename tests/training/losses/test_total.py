@@ -39,7 +39,7 @@ ALL_OFF = dict.fromkeys(TERMS, 0.0)
 
 
 def leaves(count=2, size=(16, 24), classes=5, seed=0, dtype=torch.float32):
-    """What a network computes before its last functions, to look at gradients."""
+    """Return leaf tensors in place of what a network computes, so that they get gradients."""
     generator = torch.Generator().manual_seed(seed)
 
     def leaf(*shape):
@@ -125,7 +125,7 @@ def test_total_is_the_weighted_sum_of_the_families():
 
 
 def test_depth_ends_where_the_regression_does():
-    """Of a range of 200 m half: farther is no target, and at its end the sky no measurement."""
+    """Depth beyond half of the range of 200 m is no target, and the sky is no measurement."""
     parts = leaves()
     config = LossConfig(weights={**ALL_OFF, "depth": 1.0, "depth_uncertainty": 1.0})
     criterion = Loss(config, max_depth_m=200.0, target_depth_m=100.0)
@@ -209,7 +209,7 @@ def test_keys_of_earlier_releases_are_read_as_weights(monkeypatch):
 
 @pytest.mark.parametrize("name", TERMS)
 def test_each_term_is_computed_by_its_weight_alone(name):
-    """Of a network with every head and of a batch with every target and two views."""
+    """The network has every head, and the batch has every target and two views."""
     semantic, depth = targets(size=(80, 88))
     lidar = torch.zeros(1, 1, 80, 88)
     batch = batch_of(

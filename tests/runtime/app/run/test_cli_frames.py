@@ -63,7 +63,7 @@ def test_depth_that_contradicts_the_image_is_reported(tmp_path, red_metres, scal
 
 @pytest.mark.parametrize("parts", [3, 5])
 def test_shards_are_disjoint_and_together_the_whole(tmp_path, run, parts):
-    """Of four frames, byte for byte; a part without a frame is a run of none."""
+    """Four frames are compared byte for byte; a part without a frame is a run of no frames."""
     assert run("--out", tmp_path / "whole", "--limit", 4).exit_code == 0
     union = {}
     for part in range(1, parts + 1):
@@ -196,7 +196,7 @@ def test_a_stream_that_is_refused_from_the_start_is_an_error(tmp_path, make_stre
 
 @pytest.mark.parametrize("given", [(), ("--shard", "2/3")])
 def test_each_frame_is_read_once(tmp_path, run, given, monkeypatch):
-    """Also the first ones, on which the run warms up and checks the depth."""
+    """This includes the first frames, on which the run warms up and checks the depth."""
     names, read = [], FolderSource.read
 
     def count(self, listed):

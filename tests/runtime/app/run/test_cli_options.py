@@ -92,7 +92,7 @@ def test_wrong_usage_is_exit_code_2(arguments, tmp_path, monkeypatch):
 
 
 def test_the_bundled_models_are_listed():
-    """With size, work and accuracy, and what these were measured on."""
+    """The list has their size, work and accuracy, and what these were measured on."""
     result = CliRunner().invoke(app, ["--list-models"])
     assert result.exit_code == 0
     heading, *lines = result.stdout.splitlines()

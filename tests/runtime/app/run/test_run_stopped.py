@@ -69,7 +69,7 @@ class SignalAtLine:
 
 @pytest.mark.slow
 def test_at_every_line_of_the_main_thread(tmp_path, command, sensitive_to_ctrl_c):
-    """Of what starts, feeds and ends the run; every fifth to save time."""
+    """The lines are those that start, feed and end the run; every fifth is tried to save time."""
     listed, line = [], 0
     while True:
         line += 5

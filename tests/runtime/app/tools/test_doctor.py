@@ -15,8 +15,11 @@ from runtime.app.tools.doctor import app, examine, self_test
 from runtime.base.errors import ProviderError
 
 
-def checks_of(provider="cpu"):
-    return {check.name: check for check in examine(provider)}
+@pytest.fixture
+def checks_of(monkeypatch):
+    """Give a function that returns all checks by their names, without the self-tests."""
+    monkeypatch.setattr("runtime.app.tools.doctor.self_test", lambda *_: SimpleNamespace(name=""))
+    return lambda: {check.name: check for check in examine("cpu")}
 
 
 @pytest.fixture(autouse=True)
@@ -48,7 +51,7 @@ def test_no_gpu_is_a_fault_only_where_cuda_is_asked_for(monkeypatch):
     assert "no cuda: pip install the extra gpu" in result.output
 
 
-def test_both_wheels_at_once_are_reported(monkeypatch):
+def test_both_wheels_at_once_are_reported(monkeypatch, checks_of):
     monkeypatch.setattr("runtime.app.tools.doctor.version", lambda name: "1.31.1")
     check = checks_of()["onnxruntime wheels"]
     assert check.status == "warning"
@@ -60,8 +63,8 @@ def test_both_wheels_at_once_are_reported(monkeypatch):
     ("package", "remedy"),
     [("numpy", "numpy"), ("cv2", "opencv-python-headless"), ("onnxruntime", "'.[cpu]'")],
 )
-def test_a_broken_package_is_a_fault_beside_the_others(monkeypatch, package, remedy):
-    """Its import may fail otherwise than with ImportError."""
+def test_a_broken_package_is_a_fault_beside_the_others(monkeypatch, checks_of, package, remedy):
+    """The import may fail with another error than ImportError."""
 
     def import_module(name, real=importlib.import_module):
         if name == package:
@@ -69,7 +72,6 @@ def test_a_broken_package_is_a_fault_beside_the_others(monkeypatch, package, rem
         return real(name)
 
     monkeypatch.setattr("runtime.app.tools.doctor.importlib.import_module", import_module)
-    monkeypatch.setattr("runtime.app.tools.doctor.self_test", lambda *_: SimpleNamespace(name=""))
     checks = checks_of()
     assert (checks[package].status, checks["python"].status) == ("fault", "ok")
     assert "RuntimeError: compiled for another processor" in checks[package].found

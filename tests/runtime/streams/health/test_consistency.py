@@ -62,7 +62,7 @@ def test_the_figures_by_hand_and_their_running_means():
 
 
 def test_the_change_is_against_the_first_minute_of_the_stream():
-    """What is healthy depends on the rig; its own first minute does not."""
+    """Healthy figures differ between rigs, so a stream is compared with its own first minute."""
     check = ConsistencyCheck(0.5)
     depth, held_out = scan(), np.zeros((60, 80), dtype=bool)
     held_out[0, 0] = True

@@ -13,7 +13,7 @@ IMAGE = np.zeros((2, 2, 3), np.uint8)
 
 
 def pose(seconds, turn):
-    """Of a car of 10 m/s in a turn [rad/s]; LiDAR to world, z up."""
+    """Return the pose, LiDAR to world with z up, of a car that drives 10 m/s in a turn [rad/s]."""
     angle = turn * seconds
     matrix = np.eye(4)
     matrix[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
@@ -61,7 +61,7 @@ def scaled(factor):
 
 
 def w_first(matrix):
-    """What a reader of x, y, z, w makes of w, x, y, z; of a turn about z."""
+    """Return the pose that a reader of x, y, z, w makes of w, x, y, z, for a turn about z."""
     half = np.arctan2(matrix[1, 0], matrix[0, 0]) / 2
     x, w = np.cos(half), np.sin(half)
     read = matrix.copy()

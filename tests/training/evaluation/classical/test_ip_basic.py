@@ -68,7 +68,7 @@ def test_ip_basic_equals_scipy(share):
 
 
 def multiscale_in_scipy(sparse_depth):
-    """Its steps once more, pixel by pixel where a range or a column decides."""
+    """Repeat the steps of the method, pixel by pixel where a range or a column decides."""
     height, width = sparse_depth.shape
     x = np.zeros((height, width))
     for size, low, high in ((3, 30.0, np.inf), (5, 15.0, 30.0), (7, 0.1, 15.0)):

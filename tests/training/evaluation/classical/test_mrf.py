@@ -16,7 +16,7 @@ def scene(height, width, share=0.2, seed=0):
 
 
 def dense_solution(rgb, sparse_depth, data_weight, edge_sharpness):
-    """Where the gradient of the energy vanishes, pair by pair."""
+    """Solve for the depth at which the gradient of the energy vanishes, pair by pair."""
     height, width = sparse_depth.shape
     count = height * width
     system, wanted = np.zeros((count, count)), np.zeros(count)

@@ -48,9 +48,9 @@ def test_a_slanted_plane_is_found_from_scattered_returns_whatever_the_picture(si
 
 
 def test_the_answer_has_the_least_energy():
-    """Against a quasi-Newton method on the energy with lengths made smooth, less and less."""
+    """A quasi-Newton method minimises the energy with lengths that are smoothed less and less."""
     rng = np.random.default_rng(1)
-    size = height, width = 4, 4
+    size = height, width = 3, 4
     count = height * width
     rgb = rng.integers(0, 60, (*size, 3), dtype=np.uint8)
     sparse_depth = np.where(rng.random(size) < 0.4, rng.uniform(4, 6, size), 0).astype(np.float32)

@@ -13,7 +13,7 @@ from runtime.app.run.run import run
 
 
 def test_another_output_is_a_row_and_an_option(tmp_path, stream, all_heads, monkeypatch):
-    """Of what one adds: a context manager of its own file, ..."""
+    """Adding an output takes a context manager in a file of its own, ..."""
 
     @contextlib.contextmanager
     def open_nearest(run):
