@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.alignment.figures import AXES, Angles, Figures, figures_of, rotation
+from runtime.alignment.figures import AXES, Figures, figures_of, rotation
 from runtime.alignment.mistakes import find_mistake, without
 from runtime.alignment.pairing import find_pairing_fault
 from runtime.alignment.search import Optimum, find_coarse, find_rotation
@@ -34,6 +34,9 @@ _FLOOR_DEGREES = np.array([0.25, 0.45, 0.9])
 _SCENE_DEGREES = np.array([0.5, 1.3, 4.4])
 # An axis counts as seen if 95 % of the answers lie within this.
 SEEN_DEGREES = np.array([1.0, 1.5, 2.5])
+_TAKE_MORE = "not visible in these frames: {}; take more frames, with near objects"
+
+_Floats = NDArray[np.float64]
 
 
 class Verdict(StrEnum):
@@ -74,8 +77,8 @@ class CalibrationResult:
     reason: str
     given: Calibration
     refined: Calibration | None
-    off_degrees: NDArray[np.float64] | None
-    within_degrees: NDArray[np.float64] | None
+    off_degrees: _Floats | None
+    within_degrees: _Floats | None
     mistake: str | None
     before: Figures
     after: Figures
@@ -162,15 +165,14 @@ def judge(views: list[View], given: Calibration, example: Frame) -> CalibrationR
         start = find_coarse(seen)
         fault = find_pairing_fault(seen, start)
         best = find_rotation(seen, start)
-    before = _median(seen)
-    after = before if best is None else _median(seen, best.angles)
+    before, after = _median(seen), _median(seen, best)
     is_far = np.abs(given.extrinsics[:3, 3]).max() > _FAR_M
     if fault is None and (is_far or not after.fit):
         mistake = find_mistake(views)
     if mistake is not None:
         seen = [each for each in without(views, mistake) if each.has_structure]
         best = find_rotation(seen) if len(seen) >= _LEAST_FRAMES else None
-        after = _median(seen) if best is None else _median(seen, best.angles)
+        after = _median(seen, best)
     found = CalibrationResult(
         Verdict.NOT_VISIBLE,
         fault or "",
@@ -193,35 +195,19 @@ def judge(views: list[View], given: Calibration, example: Frame) -> CalibrationR
 
 
 def _with_rotation(
-    found: CalibrationResult, best: Optimum | None, extrinsics: NDArray[np.float64]
+    found: CalibrationResult, best: Optimum | None, extrinsics: _Floats
 ) -> CalibrationResult:
     """Add the verdict on the rotation; `extrinsics` are those that `best` turns."""
-    count, is_off, off, within = len(found.frames), found.mistake is not None, None, None
-    take_more = "not visible in these frames: {}; take more frames, with near objects"
-    if best is None:
-        text = f"not visible: {count} frames have structure, at least {_LEAST_FRAMES} are needed"
-    elif not found.after.fit:
-        text = take_more.format("the returns fit the images nowhere near")
-    else:
-        within = np.hypot(*uncertainty_of(best, count, found.scenes))
-        is_seen = within <= SEEN_DEGREES
-        if is_seen[:2].all():
-            off, within = -best.angles, np.where(is_seen, within, np.inf)
-            measured = _listed(off, within, "{value:+.2f} +- {limit:.2f}")
-            if (np.abs(off) > within).any():
-                is_off, text = True, f"off by {measured}"
-                extrinsics = extrinsics.copy()
-                extrinsics[:3, :3] = rotation(np.where(is_seen, -off, 0)) @ extrinsics[:3, :3]
-            else:
-                limits = _listed(off, np.abs(off) + within, "{limit:.2f}")
-                text = f"right within {limits} (measured: {measured})"
-        else:
-            text = take_more.format(f"yaw +- {within[0]:.1f}, pitch +- {within[1]:.1f}")
-            within = None
-    if not is_off and off is None:
+    text, off, within = _measured(found, best)
+    has_mistake, is_turned = found.mistake is not None, False
+    if off is None and not has_mistake:
         return replace(found, reason=text)
+    if off is not None and within is not None and (np.abs(off) > within).any():
+        is_turned, extrinsics = True, extrinsics.copy()
+        extrinsics[:3, :3] = rotation(np.where(np.isinf(within), 0, -off)) @ extrinsics[:3, :3]
     if found.mistake is not None:
         text = found.mistake if off is None else f"{found.mistake}; then {text}"
+    is_off = has_mistake or is_turned
     return replace(
         found,
         verdict=Verdict.OFF if is_off else Verdict.RIGHT,
@@ -232,7 +218,29 @@ def _with_rotation(
     )
 
 
-def _listed(off: NDArray[np.float64], limits: NDArray[np.float64], how: str) -> str:
+def _measured(
+    found: CalibrationResult, best: Optimum | None
+) -> tuple[str, _Floats | None, _Floats | None]:
+    """Return what the frames show in words, and the angles and their limits; None if not seen."""
+    count = len(found.frames)
+    if best is None:
+        few = f"{count} frames have structure, at least {_LEAST_FRAMES} are needed"
+        return f"not visible: {few}", None, None
+    if not found.after.fit:
+        return _TAKE_MORE.format("the returns fit the images nowhere near"), None, None
+    within = np.hypot(*uncertainty_of(best, count, found.scenes))
+    is_seen = within <= SEEN_DEGREES
+    if not is_seen[:2].all():
+        return _TAKE_MORE.format("yaw +- {:.1f}, pitch +- {:.1f}".format(*within)), None, None
+    off, within = -best.angles, np.where(is_seen, within, np.inf)
+    measured = _listed(off, within, "{value:+.2f} +- {limit:.2f}")
+    if (np.abs(off) > within).any():
+        return f"off by {measured}", off, within
+    limits = _listed(off, np.abs(off) + within, "{limit:.2f}")
+    return f"right within {limits} (measured: {measured})", off, within
+
+
+def _listed(off: _Floats, limits: _Floats, how: str) -> str:
     """The three angles, in words; an infinite limit marks an axis that is not visible."""
     return ", ".join(
         f"{name} {how.format(value=value, limit=limit)} degrees"
@@ -242,9 +250,7 @@ def _listed(off: NDArray[np.float64], limits: NDArray[np.float64], how: str) -> 
     )
 
 
-def uncertainty_of(
-    best: Optimum, frames: int, scenes: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def uncertainty_of(best: Optimum, frames: int, scenes: float) -> tuple[_Floats, _Floats]:
     """Return the two parts of the uncertainty of yaw, pitch and roll, 95 %, degrees.
 
     The first part follows from how the frames differ. The second is the floor, which covers what
@@ -269,9 +275,11 @@ def count_scenes(views: Sequence[View]) -> float:
     return float(len(views) ** 2 / np.maximum(rows @ rows.T, 0).sum())
 
 
-def _median(views: list[View], angles: Angles = (0, 0, 0)) -> Figures:
+def _median(views: list[View], best: Optimum | None = None) -> Figures:
+    """The figures, medians over the views, as given or turned to the best rotation."""
     if not views:
         return Figures(0.0, 0.0)
+    angles = (0, 0, 0) if best is None else best.angles
     edge, alike = np.median([figures_of(view, angles) for view in views], axis=0)
     return Figures(float(edge), float(alike))
 

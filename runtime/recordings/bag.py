@@ -48,7 +48,7 @@ from runtime.recordings.ros_poses import (
 from runtime.recordings.ros_topics import COMPRESSED_IMAGE, NO_TOPIC, POINT_CLOUD, RosTopics
 from runtime.recordings.source import ListedFrame, Source, track_of
 from runtime.streams.frame import MATCHED, Frame, Message, Outcome, Sensor
-from runtime.streams.health.sensor_times import clocks_apart_s
+from runtime.streams.health.sensor_times import check_clocks
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
@@ -375,14 +375,9 @@ class BagSource(Source):
         )
         self._left_out.update(self._bag.left_out)
         given = offsets[Sensor.IMAGE], offsets[Sensor.DEPTH], self._period_ns
-        if (ahead_s := clocks_apart_s(*given, is_scan=self._has_clouds)) is not None:
-            with collect_assumptions(self._notes):
-                assume(
-                    "the stamps of both sensors are of one clock",
-                    f"by the time of recording that of {self._depth_topic} is {abs(ahead_s):.3g} s "
-                    f"{'ahead of' if ahead_s > 0 else 'behind'} that of {self._image_topic}; "
-                    "synchronise the clocks, or correct the stamps",
-                )
+        names = self._image_topic, self._depth_topic or ""
+        with collect_assumptions(self._notes):
+            check_clocks(*given, is_scan=self._has_clouds, names=names, by="recording")
         if cameras and self._rig.calibration is None and np.ptp(cameras, axis=0).max() > SAME_PX:
             with collect_assumptions(self._notes):
                 assume(f"the first CameraInfo of {self._info_topic}, others differ", GIVE)

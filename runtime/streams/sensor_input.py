@@ -24,6 +24,7 @@ from runtime.geometry.returns import check_points
 from runtime.geometry.rig import Rig
 from runtime.geometry.rigid import read_rigid
 from runtime.streams.frame import Frame, Message, Outcome, Sensor
+from runtime.streams.health.sensor_times import LiveClocks
 from runtime.streams.matching import Intervals
 from runtime.streams.stream_counter import StreamCounter
 
@@ -61,7 +62,7 @@ class SensorInput:
         self._calibration, self._counter, self._lock = rig.read_calibration(), counter, lock
         self._middle_after = rig.after_stamp
         self._is_middle_assumed = rig.scan_stamp is None
-        self._scans = Intervals()
+        self._scans, self._clocks = Intervals(), LiveClocks()
         self._poses = PoseBuffer()
         self._mount: NDArray[np.float64] | None = None
         if rig.pose_frame is not None:
@@ -124,9 +125,13 @@ class SensorInput:
             self._counter.push(sensor, outcome)
             return None
         self._counter.push(sensor)
-        if sensor is Sensor.IMAGE:
-            return message
         period_ns = self._scans.period_ns() or FIRST_SCAN_NS
+        is_image, is_scan = sensor is Sensor.IMAGE, isinstance(message.data, Scan)
+        if message.arrived_ns:  # in a live stream
+            ahead_ns = message.stamp_ns - message.arrived_ns
+            self._clocks.add(ahead_ns, period_ns, is_image=is_image, is_scan=is_scan)
+        if is_image:
+            return message
         if period_ns < _SHORTEST_NS:
             assume(f"stamps of depth {period_ns} apart are nanoseconds", "give seconds as floats")
         self._scans.add(message.stamp_ns)

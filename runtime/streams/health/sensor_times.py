@@ -1,5 +1,6 @@
 """Faults that the stamps of two sensors show: a silent sensor, or two different clocks."""
 
+from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
@@ -7,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.stamp import NS_PER_MS
+from runtime.geometry.assumptions import assume
 
 # A sensor is silent after so long without a message, but not before `_PERIODS` of its periods.
 SILENT_NS = 500 * NS_PER_MS
 _PERIODS = 3.0
 _LEAST_OFFSETS = 3  # least number of messages of each sensor in a part of the recording
 _PARTS = 4
+_LIVE = 30  # messages of each sensor that are compared in a live stream
 
 
 def find_silences(
@@ -39,7 +42,12 @@ def find_silences(
 
 
 def clocks_apart_s(
-    image_ns: Sequence[int], depth_ns: Sequence[int], period_ns: float, *, is_scan: bool
+    image_ns: Sequence[int],
+    depth_ns: Sequence[int],
+    period_ns: float,
+    *,
+    is_scan: bool,
+    parts: int = _PARTS,
 ) -> float | None:
     """Return by how many seconds the clock of the depth is ahead of that of the images.
 
@@ -51,12 +59,13 @@ def clocks_apart_s(
         period_ns: period of the depth.
         is_scan: whether the depth comes from scans. A scan is recorded when it ends, so up to a
             period after a stamp that marks its start.
+        parts: largest number of parts.
 
     Returns:
         Seconds of the largest difference, or None if it is at most half a period, which drivers
         may take.
     """
-    parts = min(_PARTS, min(len(image_ns), len(depth_ns)) // _LEAST_OFFSETS)
+    parts = min(parts, min(len(image_ns), len(depth_ns)) // _LEAST_OFFSETS)
     if not parts:
         return None
     pairs = zip(np.array_split(image_ns, parts), np.array_split(depth_ns, parts), strict=True)
@@ -64,6 +73,54 @@ def clocks_apart_s(
     middle_ns = -period_ns / 2 if is_scan else 0.0
     worst_ns = max(ahead_ns, key=lambda ns: abs(ns - middle_ns))
     return worst_ns / 1e9 if abs(worst_ns - middle_ns) > period_ns / 2 - middle_ns else None
+
+
+def check_clocks(
+    image_ns: Sequence[int],
+    depth_ns: Sequence[int],
+    period_ns: float,
+    *,
+    is_scan: bool,
+    names: tuple[str, str] = ("the images", "the depth"),
+    by: str = "arrival",
+    parts: int = _PARTS,
+) -> bool:
+    """Report the assumption of one clock, and return whether `clocks_apart_s` contradicts it.
+
+    `names` are those of images and depth, and `by` is what their stamps were compared with.
+    """
+    ahead_s = clocks_apart_s(image_ns, depth_ns, period_ns, is_scan=is_scan, parts=parts)
+    if ahead_s is None:
+        return False
+    image, depth = names
+    assume(
+        "the stamps of both sensors are of one clock",
+        f"by the time of {by} that of {depth} is {abs(ahead_s):.3g} s "
+        f"{'ahead of' if ahead_s > 0 else 'behind'} that of {image}; synchronise the clocks, or "
+        "correct the stamps",
+    )
+    return True
+
+
+class LiveClocks:
+    """Compares the clocks of a live stream by the arrival of its messages, until they differ.
+
+    The last 30 messages of each sensor are compared as one part, because a few may arrive late
+    together.
+    """
+
+    def __init__(self) -> None:
+        self._image_ns, self._depth_ns = (deque[int](maxlen=_LIVE) for _ in range(2))
+        self._is_reported = False
+
+    def add(self, ahead_ns: int, period_ns: float, *, is_image: bool, is_scan: bool) -> None:
+        """Add a message; `ahead_ns` is its stamp - its arrival."""
+        (self._image_ns if is_image else self._depth_ns).append(ahead_ns)
+        given = self._image_ns, self._depth_ns, period_ns
+        if is_image or self._is_reported or min(map(len, given[:2])) < _LIVE:
+            return
+        self._is_reported = check_clocks(*given, is_scan=is_scan, parts=1)
+        self._depth_ns.clear()
 
 
 def period_ns_of(stamps_ns: Any, default_ns: float) -> float:

@@ -1,11 +1,17 @@
 """Two clocks, and times of points and scans that are assumed."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 
+from runtime import Rig
 from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.motion import Scan
+from runtime.streams.frame import Message, Sensor
 from runtime.streams.health.sensor_times import clocks_apart_s
+from runtime.streams.sensor_input import SensorInput
+from runtime.streams.stream_counter import StreamCounter
 
 S, PERIOD = 10**9, 10**8
 
@@ -30,6 +36,24 @@ def test_the_time_that_drivers_take_is_no_other_clock():
     assert apart(-0.14) is None, "recorded when a scan ends, stamped at its start"
     assert apart(-0.14, is_scan=False) is not None, "a depth map has no duration"
     assert clocks_apart_s([0], [S], PERIOD, is_scan=True) is None
+
+
+@pytest.mark.parametrize(
+    ("ahead_s", "late", "is_said"), [(1.0, 0, True), (0.0, 0, False), (0.0, 10, False)]
+)
+def test_the_clocks_of_a_live_stream_are_compared_by_arrival(ahead_s, late, is_said):
+    """The stamps began long ago; the first images may arrive late together."""
+    counter, notes = StreamCounter(), []
+    sensors = SensorInput(Rig(), counter=counter, lock=nullcontext())
+    with collect_assumptions(notes):
+        for number in range(40):
+            now = S + number * PERIOD
+            late_ns = 3 * PERIOD if number < late else 0
+            sensors.take(Sensor.IMAGE, Message(None, now - 70 * S, arrived_ns=now + late_ns))
+            stamp_ns = now - 70 * S + round(ahead_s * S)
+            sensors.take(Sensor.DEPTH, Message(None, stamp_ns, arrived_ns=now))
+    assert len(notes) == is_said
+    assert all("1 s ahead of that of the images" in note for note in notes)
 
 
 @pytest.mark.parametrize(("first", "last", "is_said"), [
