@@ -1,4 +1,4 @@
-"""Frames of the bundled stream with their returns as a scan, and what the camera alone answers."""
+"""Frames of the bundled stream with their returns as a scan."""
 
 from dataclasses import replace
 
@@ -6,15 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
+from painted_street import EXTRINSICS
 from runtime import Predictor
 from runtime.alignment.figures import rotation
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import Scan
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 from runtime.streams.frame import Frame, Message
-
-# From a LiDAR (x ahead, z up), 0.3 m beside the camera, to the camera.
-EXTRINSICS = np.array([[0, -1, 0, 0.3], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 
 
 @pytest.fixture(scope="package")
@@ -38,13 +36,6 @@ def frames():
         calibration = Calibration(intrinsics, EXTRINSICS, frame.size)
         found.append(Frame(Message(data=frame.rgb), message, calibration=calibration))
     return found
-
-
-@pytest.fixture(scope="package")
-def answers(predictor, frames):
-    """The camera alone on the first frames."""
-    focal = BUNDLED_FOCAL_LENGTH_PX
-    return [predictor.predict(each.rgb, None, focal_length_px=focal) for each in frames[:5]]
 
 
 @pytest.fixture

@@ -1,11 +1,18 @@
 """`ssdnet-calibrate`, and the files that it writes."""
 
+from contextlib import nullcontext
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from runtime.alignment.figures import rotation
+from painted_street import street_frame
+from runtime import InputError
+from runtime.alignment.calibrate import CalibrationResult, Verdict
+from runtime.alignment.figures import Figures, rotation
+from runtime.app.tools import calibrate as tool
 from runtime.app.tools.calibrate import app
 from runtime.app.tools.calibration_file import format_static_transform, format_toml, quaternion
 from runtime.geometry.calibration import Calibration
@@ -26,6 +33,80 @@ def test_the_written_calibration_is_the_right_one(tmp_path, recording, frames, t
     drawn = cv2.imread(str(picture))
     assert drawn.shape[1] == 1280
     assert drawn.std() > 10
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """Run the command on a source whose result is known."""
+
+    def invoke(verdict):
+        frame, angles = street_frame(200), np.array([2.0, 0, 0])
+        refined = None
+        if verdict in (Verdict.RIGHT, Verdict.OFF):
+            refined = frame.calibration
+        result = CalibrationResult(
+            verdict, "the reason", frame.calibration, refined, angles, angles, None,
+            Figures(0, 0), Figures(0, 0), 10.0, ("0",), 1.0, frame,
+        )  # fmt: skip
+        position = np.array([1.0, 2, 3])
+        source = SimpleNamespace(
+            notes=(), lidar_position=position, transform_frames=("cam", "velo"), close=lambda: None
+        )
+        monkeypatch.setattr(tool, "calibrate", lambda *_, **__: result)
+        monkeypatch.setattr(tool, "Predictor", lambda **_: nullcontext())
+        monkeypatch.setattr(tool, "_open_source", lambda _: nullcontext(source))
+        cv2.imwrite(str(tmp_path / "image.png"), frame.rgb)
+        given = [
+            str(tmp_path / "image.png"),
+            "--out",
+            str(tmp_path / "out.toml"),
+            "--picture",
+            str(tmp_path / "x.png"),
+        ]
+        return CliRunner().invoke(app, given)
+
+    return invoke
+
+
+@pytest.mark.parametrize(
+    ("verdict", "code", "is_written"),
+    [
+        (Verdict.RIGHT, 0, True),
+        (Verdict.NOT_VISIBLE, 3, False),
+        (Verdict.OFF, 4, True),
+        (Verdict.OTHER_SCANS, 4, False),
+    ],
+)
+def test_each_verdict_has_its_exit_code_and_files(tmp_path, run, verdict, code, is_written):
+    result = run(verdict)
+    assert result.exit_code == code, result.output
+    assert (tmp_path / "out.toml").exists() is is_written
+    line = "--x 1 --y 2 --z 3 "
+    assert (line in result.stdout) == (verdict is Verdict.OFF)
+    if is_written:
+        text = (tmp_path / "out.toml").read_text()
+        assert line in text, "the position in /tf_static"
+        assert text.count("--frame-id cam --child-frame-id velo") == 1
+    drawn = cv2.imread(str(tmp_path / "x.png"))
+    given_once = drawn.shape[0] < 900
+    assert given_once == (verdict is not Verdict.OFF)
+    is_image = (np.abs(drawn[30:400].astype(int) - 200) < 2).all(axis=-1)
+    assert 0.05 < is_image.mean() < 0.9, "returns are drawn on the image"
+
+
+def test_a_camera_is_checked_by_itself_and_rectified_on_request(monkeypatch):
+    done = []
+    source = SimpleNamespace(
+        close=lambda: done.append("closed"), rectify_images=lambda: done.append("rectified")
+    )
+    cameras = {"left": source, "right": source}
+    options = SimpleNamespace(open_cameras=lambda: cameras, rectify=True)
+    with pytest.raises(InputError, match="2 cameras are named: check each by itself"):
+        tool._open_source(options)
+    assert done == ["closed", "closed"]
+    del cameras["right"]
+    assert tool._open_source(options) is source
+    assert done[2:] == ["rectified"]
 
 
 @pytest.mark.parametrize(
@@ -71,3 +152,4 @@ def test_the_transform_of_ros_is_the_matrix(angles):
     line = format_static_transform(matrix, np.array([1, 2, 3.5]), ("cam", "velo"))
     assert "--x 1 --y 2 --z 3.5 --qx" in line
     assert line.endswith("--frame-id cam --child-frame-id velo")
+    assert f"--qw {w:.9g} " in line

@@ -2,13 +2,25 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from painted_street import EXTRINSICS, street_answer, street_frame
+from runtime.alignment.figures import rotation
 from runtime.alignment.quick_check import Fit, QuickCheck
 from runtime.app.run.cli import app
+
+
+def finding_of(angles, *, boxes=9, answer=street_answer):
+    extrinsics = EXTRINSICS.copy()
+    extrinsics[:3, :3] = rotation(angles) @ EXTRINSICS[:3, :3]
+    check = QuickCheck()
+    for seed in range(5):
+        check.add(street_frame(seed, extrinsics, boxes=boxes), answer(seed))
+    return check.finding()
 
 
 @pytest.mark.parametrize(
@@ -19,19 +31,21 @@ from runtime.app.run.cli import app
         ((0, -1.5, 0), Fit.BETTER_TURNED, "turned by +1 degree of pitch"),
     ],
 )
-def test_the_turn_that_fits_better_is_named(frames, answers, turned, wrong, fit, text):
-    check = QuickCheck()
-    for frame, answer in zip(frames[:5], answers, strict=False):
-        check.add(turned(frame, wrong), answer)
-    finding = check.finding()
+def test_the_turn_that_fits_better_is_named(wrong, fit, text):
+    finding = finding_of(wrong)
     assert finding.fit is fit, finding
     assert text in finding.text
 
 
-def test_nothing_is_said_without_returns(frames, answers, turned):
-    check = QuickCheck()
-    check.add(turned(frames[0], (90, 0, 0)), answers[0])
-    assert check.finding() is None
+def test_nothing_is_said_where_nothing_is_seen():
+    """No return is in the image; or the model sees a plane without an edge."""
+    assert finding_of((90, 0, 0)) is None
+
+    def plane(seed):
+        flat = np.full((120, 360), 10, np.float32)
+        return SimpleNamespace(depth=flat, boundary=0 * flat, valid=True, degraded=())
+
+    assert finding_of((0, 0, 0), answer=plane).fit is Fit.NOT_VISIBLE
 
 
 def test_a_run_reports_it(tmp_path, recording, frames, turned):
