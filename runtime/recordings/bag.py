@@ -6,27 +6,24 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
-from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume, collect_assumptions
-from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import Scan
 from runtime.geometry.point_cloud import to_points
 from runtime.geometry.rig import DEFAULT_RIG, Rig
+from runtime.recordings.bag_messages import BagMessages
+from runtime.recordings.bag_sensors import ODOMETRY, TRANSFORMS, BagSensors
 from runtime.recordings.ros_answers import SensorFrames
-from runtime.recordings.ros_bag import RecordedMessage, RosBag
+from runtime.recordings.ros_bag import RosBag
 from runtime.recordings.ros_camera import (
-    CAMERA_INFO,
     GIVE,
     SAME_PX,
-    calibrate,
     place_sensors,
     projection_of,
 )
@@ -37,21 +34,16 @@ from runtime.recordings.ros_messages import (
     decode_points,
 )
 from runtime.recordings.ros_poses import (
-    TransformTree,
-    frame_name,
-    is_fixed,
     odometry_pose,
     odometry_poses,
     point_times_s,
     transform_poses,
 )
-from runtime.recordings.ros_topics import COMPRESSED_IMAGE, NO_TOPIC, POINT_CLOUD, RosTopics
+from runtime.recordings.ros_topics import COMPRESSED_IMAGE, NO_TOPIC, RosTopics
 from runtime.recordings.source import ListedFrame, Source, track_of
 from runtime.streams.frame import MATCHED, Frame, Message, Outcome, Sensor
 from runtime.streams.health.sensor_times import check_clocks
 
-ODOMETRY = "nav_msgs/msg/Odometry"
-TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _SUFFIXES = (".bag", ".db3", ".mcap")
 
 
@@ -108,28 +100,33 @@ class BagSource(Source):
     def __init__(self, path: Path | RosBag, rig: Rig = DEFAULT_RIG, **options: Any) -> None:
         given = self._given = BagOptions(**options)
         self._rig = rig
-        self._of_frames: dict[str, Calibration] = {}  # for scans, by their frames
         self._bag = path if isinstance(path, RosBag) else RosBag(path)
         path = self._bag.path
         self.folders = (path if os.path.isdir(path) else Path(os.path.realpath(path)).parent,)
         self.recordings = (path,)
         try:
             topics = self._bag_topics = RosTopics(self._bag)
-            self._depth_camera: Calibration | None = None  # set if depth images are projected
             with collect_assumptions(self._notes):
-                self._image_topic, self._depth_topic = topics.find(
-                    given.image_topic, given.depth_topic
+                both = topics.find(given.image_topic, given.depth_topic)
+                self._image_topic, self._depth_topic = both
+                self._sensors = BagSensors(
+                    self._bag,
+                    topics,
+                    *both,
+                    info_topic=given.info_topic,
+                    rectified=given.rectified,
+                    registered=given.registered,
+                    rig=rig,
                 )
-                self._has_clouds = self._depth_topic in topics.of_kind(POINT_CLOUD)
-                infos, beside = topics.of_kind(CAMERA_INFO), topics.infos_beside(self._image_topic)
-                self._info_topic = topics.choose("info_topic", given.info_topic, infos, beside[:1])
-                self.calibration = self._calibrate()
+                self.calibration = self._sensors.calibrate()
                 self._pose_topic = self._find_poses()
             # Frames need these later, when a second reading would disturb the reader of an MCAP.
             for topic in filter(None, (self._image_topic, self._depth_topic)):
                 with contextlib.suppress(InputError):  # no message may be decodable
-                    self._frame(topic)
-            _ = self._tree
+                    self._sensors.frame(topic)
+            _ = self._sensors.tree
+            read = *both, self._sensors.info_topic
+            self._messages = BagMessages(self._bag, [each for each in read if each is not None])
         except BaseException:
             self.close()
             raise
@@ -161,141 +158,14 @@ class BagSource(Source):
         bag = RosBag(path)
         return {name: cls(bag, rig, image_topic=topic, **options) for name, topic in names.items()}
 
-    def _calibrate(self) -> Calibration | None:
-        """The given calibration, or the one that CameraInfo and /tf_static describe."""
-        image, depth = self._image_topic, self._depth_topic
-        if depth is None or not (self._has_clouds or self._is_apart(depth)):
-            if (given := self._rig.read_calibration()) is not None:
-                return given
-            with (
-                contextlib.suppress(InputError),
-                collect_assumptions([]),
-            ):  # here the calibration only gives the focal length
-                return self._camera(image)
-            return None
-        try:
-            frame = self._frame(depth)
-            if not self._has_clouds:
-                self._depth_camera = self._camera(depth)
-            elif frame in self._fixed_frames or is_fixed(frame):
-                what = f"{depth} lies in the frame of the LiDAR, although {frame} is fixed and "
-                assume(f"{what}the LiDAR moves in it", "choose the raw scans by depth_topic=")
-            given = self._rig.read_calibration(for_scans=True)
-            if given is None and not frame:
-                raise InputError(f"the messages of {depth} name no frame: {GIVE}")
-            return self._camera(image, frame) if given is None else given
-        except InputError as error:
-            if self._has_clouds:
-                raise
-            raise InputError(
-                f"{depth} is of the frame {self._frame(depth)}, not of {self._frame(image)} as the "
-                "images: choose a topic of aligned depth, or state registered=true in --source if "
-                f"it lies on their pixels; it cannot be projected: {error}"
-            ) from error
-
-    def _is_apart(self, depth: str) -> bool:
-        """Whether the pixels of depth images do not lie on those of the images."""
-        if self._given.registered is not None:
-            return not self._given.registered
-        frames = self._frame(depth), self._frame(self._image_topic)
-        if all(frames) and frames[0] != frames[1]:
-            return True
-        is_proved = all(frames)
-        with contextlib.suppress(InputError), collect_assumptions([]):  # there may be no CameraInfo
-            ours, its = self._camera(self._image_topic), self._camera(depth)
-            is_near = np.abs(ours.intrinsics - its.intrinsics).max() < SAME_PX
-            is_straight = ours.lens_model is not None and its.lens_model is None
-            is_proved &= bool(is_near) and not is_straight
-        if not is_proved:
-            remedy = "state it with registered=true or false in --source"
-            assume(f"{depth} lies on the pixels of the images", remedy)
-        return False
-
-    def _camera(self, topic: str, source: str = "") -> Calibration:
-        """The calibration of a topic of images or depth images. Raises InputError.
-
-        `source` is the frame of the points to be projected; "" stands for the frame of the images.
-        """
-        is_image = topic == self._image_topic
-        info = (
-            self._info_topic if is_image else next(iter(self._bag_topics.infos_beside(topic)), None)
-        )
-        if info is None:
-            remedy = "give info_topic= in --source, or --calibration"
-            raise InputError(f"{self._bag.path} has no CameraInfo beside {topic}: {remedy}")
-        stated = self._given.rectified if is_image else None
-        return calibrate(self._bag, self._tree, topic, info, source, stated)
-
-    def _frame(self, topic: str) -> str:
-        """The frame of the first message of a topic."""
-        if topic not in self._first_frames:
-            self._first_frames[topic] = frame_name(self._bag.first(topic).header.frame_id)
-        return self._first_frames[topic]
-
-    @cached_property
-    def _first_frames(self) -> dict[str, str]:
-        return {}
-
-    @cached_property
-    def _fixed_frames(self) -> set[str]:
-        """The frames in which an Odometry message describes the motion of the car."""
-        found = set()
-        for topic in self._bag_topics.of_kind(ODOMETRY):
-            with contextlib.suppress(InputError):
-                found.add(self._frame(topic))
-        return found
-
-    def _calibration_of(self, depth: Any) -> Calibration | None:
-        """The calibration for a message of depth: not all have the frame of the first message.
-
-        Raises InputError if /tf_static does not connect the two frames, and if the message is a
-        depth image.
-        """
-        topic, frame = self._depth_topic or "", frame_name(depth.header.frame_id)
-        first, calibration = self._frame(topic), self.calibration
-        if frame == first or calibration is None or self._given.registered:
-            return calibration
-        if frame not in self._of_frames:
-            try:
-                if not self._has_clouds:
-                    raise InputError("each topic of depth images must be of one camera")
-                move = self._tree.between(frame, first)
-            except InputError as error:
-                raise InputError(
-                    f"a message of {topic} is of the frame {shown(frame)}, the first of "
-                    f"{shown(first)}: {error}"
-                ) from error
-            body = calibration.body_from_lidar
-            self._of_frames[frame] = replace(
-                calibration,
-                extrinsics=calibration.extrinsics @ move,
-                body_from_lidar=None if body is None else body @ move,
-            )
-        return self._of_frames[frame]
-
-    def _require_camera(self, image: Any) -> None:
-        """Raise InputError for an image whose frame is not the frame of the calibration."""
-        topic, frame = self._image_topic, frame_name(image.header.frame_id)
-        if self.calibration is not None and frame not in ("", self._frame(topic)):
-            raise InputError(
-                f"an image of {topic} is of the frame {shown(frame)}, the first of "
-                f"{shown(self._frame(topic))}: each topic of images must be of one camera"
-            )
-
     @cached_property
     def sensor_frames(self) -> SensorFrames:
         """See `Source.sensor_frames`: the frames of the bag, with its /tf_static."""
-        lidar = self._frame(self._depth_topic or "") if self._has_clouds else ""
+        lidar = self._sensors.frame(self._depth_topic or "") if self._sensors.has_clouds else ""
         given = self.calibration if lidar else None
         is_own = self._rig.calibration is None
-        return place_sensors(self._tree, self._frame(self._image_topic), lidar, given, is_own)
-
-    @cached_property
-    def _tree(self) -> TransformTree:
-        topics = (
-            topic for topic in self._bag_topics.of_kind(*TRANSFORMS) if topic.endswith("tf_static")
-        )
-        return TransformTree(chain.from_iterable(map(self._bag.decoded, topics)))
+        camera = self._sensors.frame(self._image_topic)
+        return place_sensors(self._sensors.tree, camera, lidar, given, is_own)
 
     def _find_poses(self) -> str | None:
         """Read the poses of the car if there are clouds to be moved, and return their topic.
@@ -304,7 +174,7 @@ class BagSource(Source):
         """
         odometry = self._bag_topics.of_kind(ODOMETRY)
         moving = [t for t in self._bag_topics.of_kind(*TRANSFORMS) if not t.endswith("tf_static")]
-        if self._given.pose_topic == NO_TOPIC or not self._has_clouds:
+        if self._given.pose_topic == NO_TOPIC or not self._sensors.has_clouds:
             return None
         topic = self._bag_topics.choose(
             "pose_topic", self._given.pose_topic, odometry + moving, odometry or moving[:1]
@@ -315,14 +185,14 @@ class BagSource(Source):
                 self._notes.append(f"no poses: choose one of {names} by pose_topic= in --source")
             return None
         try:
-            lidar = self._frame(self._depth_topic or "")
+            lidar = self._sensors.frame(self._depth_topic or "")
             if topic in odometry:
                 body, stamped = odometry_poses(self._bag.decoded(topic, odometry_pose))
             else:
-                carriers = list(self._tree.ancestors(lidar))
+                carriers = list(self._sensors.tree.ancestors(lidar))
                 body, stamped = transform_poses(self._bag.decoded(topic), carriers)
             if self.calibration is not None and self.calibration.body_from_lidar is None:
-                mount = self._tree.between(lidar, body)
+                mount = self._sensors.tree.between(lidar, body)
                 self.calibration = replace(self.calibration, body_from_lidar=mount)
             self._poses = track_of(stamped)
             return topic
@@ -346,9 +216,9 @@ class BagSource(Source):
         offsets: dict[Sensor, list[int]] = {sensor: [] for sensor in MATCHED}
 
         def stamped() -> Iterator[tuple[Sensor, int, int]]:
-            """Yield (sensor, stamp, position in `_recorded`) for images and depth."""
-            for place, message in self._recorded():
-                if message.topic == self._info_topic:
+            """Yield (sensor, stamp, position in the messages) for images and depth."""
+            for place, message in self._messages:
+                if message.topic == self._sensors.info_topic:
                     with contextlib.suppress(InputError):  # the message is damaged
                         cameras.extend(projection_of(self._bag.decode(message)))
                     continue
@@ -375,27 +245,18 @@ class BagSource(Source):
         )
         self._left_out.update(self._bag.left_out)
         given = offsets[Sensor.IMAGE], offsets[Sensor.DEPTH], self._period_ns
-        names = self._image_topic, self._depth_topic or ""
+        topics, is_scan = (self._image_topic, self._depth_topic or ""), self._sensors.has_clouds
         with collect_assumptions(self._notes):
-            check_clocks(*given, is_scan=self._has_clouds, names=names, by="recording")
+            check_clocks(*given, is_scan=is_scan, names=topics, by="recording")
         if cameras and self._rig.calibration is None and np.ptp(cameras, axis=0).max() > SAME_PX:
             with collect_assumptions(self._notes):
-                assume(f"the first CameraInfo of {self._info_topic}, others differ", GIVE)
+                assume(f"the first CameraInfo of {self._sensors.info_topic}, others differ", GIVE)
         if not frames:
             raise InputError(
                 f"the topic {self._image_topic} of {self._bag.path} has no messages with a stamp"
             )
-        # Maps the position of a message to the sequence of the last frame that needs it. `_kept`
-        # holds messages that were read ahead and are needed later.
-        self._owners = {place: f.sequence for f in frames for place in (f.image, f.depth)}
-        self._kept: dict[int, RecordedMessage] = {}
-        self._messages, self._next_place = self._recorded(), 0
+        self._messages.expect(frames)
         return frames
-
-    def _recorded(self) -> Iterator[tuple[int, RecordedMessage]]:
-        """Yield (position, message) for the topics that are read, in the same order each time."""
-        topics = (self._image_topic, self._depth_topic, self._info_topic)
-        return enumerate(self._bag.messages([topic for topic in topics if topic is not None]))
 
     def read(self, frame: ListedFrame) -> Frame:
         """See `Source.read`."""
@@ -404,57 +265,39 @@ class BagSource(Source):
             return self._read(frame)
 
     def _read(self, frame: ListedFrame) -> Frame:
-        messages = self._take(frame)
+        messages = self._messages.take(frame)
         image = self._bag.decode(messages[frame.image])
         is_compressed = self._bag.types[self._image_topic] == COMPRESSED_IMAGE
-        self._require_camera(image)
+        if self.calibration is not None:
+            self._sensors.require_camera(image)
         rgb = decode_compressed_image(image) if is_compressed else decode_image(image)
         depth: NDArray[np.float32] | Scan | None = None
         calibration = self.calibration
         if frame.depth is not None:
             message = self._bag.decode(messages[frame.depth])
-            calibration = self._calibration_of(message)
+            calibration = self._sensors.calibration_of(message, calibration)
             depth = self._decode_depth(frame, message)
         return self.measured(frame, rgb, depth, calibration)
 
     def _decode_depth(self, frame: ListedFrame, message: Any) -> NDArray[np.float32] | Scan:
         """The depth of a frame: a scan if it is a cloud or from another camera, else a map."""
-        if self._has_clouds:
+        if self._sensors.has_clouds:
             points, after_s = decode_points(message), None
             if self._poses is not None and frame.depth_stamp_ns is not None:
                 after_s = point_times_s(message, frame.depth_stamp_ns, points)
             return Scan.of(points, after_s, frame.depth_stamp_ns or 0)
         depth = decode_depth_image(message)
-        if (camera := self._depth_camera) is None:
+        if (camera := self._sensors.depth_camera) is None:
             return depth
         camera.require_size(depth.shape)
         return Scan.of(to_points(depth, camera.intrinsics, lens=camera.lens_model).points)
-
-    def _take(self, frame: ListedFrame) -> dict[int, RecordedMessage]:
-        """The messages of a frame by position; messages of later frames are read ahead and kept."""
-        places = {place for place in (frame.image, frame.depth) if place is not None}
-        missing = places - self._kept.keys()
-        if missing and min(missing) < self._next_place:
-            self._messages, self._next_place = self._recorded(), 0
-        while not places <= self._kept.keys():
-            place, message = next(self._messages, (-1, None))
-            if message is None:
-                raise InputError(f"{self._bag.path} ends before {frame.name}: was it replaced?")
-            self._next_place = place + 1
-            if self._owners.get(place, -1) >= frame.sequence:
-                self._kept[place] = message
-        taken = {place: self._kept[place] for place in places}
-        # A scan may serve later images as well.
-        kept = self._kept.items()
-        self._kept = {place: each for place, each in kept if self._owners[place] > frame.sequence}
-        return taken
 
     @property
     def _topics(self) -> dict[str, str | None]:
         return {
             "image_topic": self._image_topic,
             "depth_topic": self._depth_topic,
-            "info_topic": self._info_topic,
+            "info_topic": self._sensors.info_topic,
             "pose_topic": self._pose_topic,
         }
 
@@ -468,15 +311,17 @@ class BagSource(Source):
     @property
     def transform_frames(self) -> tuple[str, str]:
         """See `Source.transform_frames`."""
-        return self._frame(self._image_topic), self._frame(self._depth_topic or self._image_topic)
+        topics = self._image_topic, self._depth_topic or self._image_topic
+        camera, lidar = map(self._sensors.frame, topics)
+        return camera, lidar
 
     @property
     def lidar_position(self) -> NDArray[np.float64] | None:
         """See `Source.lidar_position`: as in /tf_static, without the baseline of a stereo pair."""
-        if self._rig.calibration is not None or not self._has_clouds:
+        if self._rig.calibration is not None or not self._sensors.has_clouds:
             return super().lidar_position
         camera, lidar = self.transform_frames
-        return self._tree.between(lidar, camera)[:3, 3]
+        return self._sensors.tree.between(lidar, camera)[:3, 3]
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -1,0 +1,185 @@
+"""What a bag says of a camera and its LiDAR or depth camera: their frames and calibration."""
+
+import contextlib
+from dataclasses import replace
+from functools import cached_property
+from itertools import chain
+from typing import Any
+
+import numpy as np
+
+from runtime.base.checks import shown
+from runtime.base.errors import InputError
+from runtime.geometry.assumptions import assume, collect_assumptions
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.rig import Rig
+from runtime.recordings.ros_bag import RosBag
+from runtime.recordings.ros_camera import CAMERA_INFO, GIVE, SAME_PX, calibrate
+from runtime.recordings.ros_poses import TransformTree, frame_name, is_fixed
+from runtime.recordings.ros_topics import POINT_CLOUD, RosTopics
+
+ODOMETRY = "nav_msgs/msg/Odometry"
+TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+
+
+class BagSensors:
+    """The frames and the calibration of a camera and its depth.
+
+    Args:
+        bag: the bag.
+        topics: its topics.
+        image: topic of the images.
+        depth: topic of the depth; None: the camera alone.
+        info_topic, rectified, registered: see `BagOptions`.
+        rig: the sensors of the car; its calibration replaces that of the bag.
+
+    Attributes:
+        info_topic: topic of the camera's CameraInfo; None: there is none.
+        has_clouds: whether the depth comes as point clouds.
+        depth_camera: calibration of the depth images if they are projected, else None.
+    """
+
+    def __init__(
+        self,
+        bag: RosBag,
+        topics: RosTopics,
+        image: str,
+        depth: str | None,
+        *,
+        info_topic: str | None,
+        rectified: bool | None,
+        registered: bool | None,
+        rig: Rig,
+    ) -> None:
+        self._bag, self._topics, self._rig = bag, topics, rig
+        self._image_topic, self._depth_topic = image, depth
+        self._rectified, self._registered = rectified, registered
+        self.has_clouds = depth in topics.of_kind(POINT_CLOUD)
+        infos, beside = topics.of_kind(CAMERA_INFO), topics.infos_beside(image)
+        self.info_topic = topics.choose("info_topic", info_topic, infos, beside[:1])
+        self.depth_camera: Calibration | None = None
+        self._first_frames: dict[str, str] = {}  # of each topic
+        self._of_frames: dict[str, Calibration] = {}  # for scans, by their frames
+
+    def calibrate(self) -> Calibration | None:
+        """The given calibration, or the one that CameraInfo and /tf_static describe."""
+        image, depth = self._image_topic, self._depth_topic
+        if depth is None or not (self.has_clouds or self._is_apart(depth)):
+            if (given := self._rig.read_calibration()) is not None:
+                return given
+            with (
+                contextlib.suppress(InputError),
+                collect_assumptions([]),
+            ):  # here the calibration only gives the focal length
+                return self.camera(image)
+            return None
+        try:
+            frame = self.frame(depth)
+            if not self.has_clouds:
+                self.depth_camera = self.camera(depth)
+            elif frame in self._fixed_frames or is_fixed(frame):
+                what = f"{depth} lies in the frame of the LiDAR, although {frame} is fixed and "
+                assume(f"{what}the LiDAR moves in it", "choose the raw scans by depth_topic=")
+            given = self._rig.read_calibration(for_scans=True)
+            if given is None and not frame:
+                raise InputError(f"the messages of {depth} name no frame: {GIVE}")
+            return self.camera(image, frame) if given is None else given
+        except InputError as error:
+            if self.has_clouds:
+                raise
+            raise InputError(
+                f"{depth} is of the frame {self.frame(depth)}, not of {self.frame(image)} as the "
+                "images: choose a topic of aligned depth, or state registered=true in --source if "
+                f"it lies on their pixels; it cannot be projected: {error}"
+            ) from error
+
+    def camera(self, topic: str, source: str = "") -> Calibration:
+        """The calibration of a topic of images or depth images. Raises InputError.
+
+        `source` is the frame of the points to be projected; "" stands for the frame of the images.
+        """
+        is_image = topic == self._image_topic
+        info = self.info_topic if is_image else next(iter(self._topics.infos_beside(topic)), None)
+        if info is None:
+            remedy = "give info_topic= in --source, or --calibration"
+            raise InputError(f"{self._bag.path} has no CameraInfo beside {topic}: {remedy}")
+        stated = self._rectified if is_image else None
+        return calibrate(self._bag, self.tree, topic, info, source, stated)
+
+    def frame(self, topic: str) -> str:
+        """The frame of the first message of a topic."""
+        if topic not in self._first_frames:
+            self._first_frames[topic] = frame_name(self._bag.first(topic).header.frame_id)
+        return self._first_frames[topic]
+
+    def _is_apart(self, depth: str) -> bool:
+        """Whether the pixels of depth images do not lie on those of the images."""
+        if self._registered is not None:
+            return not self._registered
+        frames = self.frame(depth), self.frame(self._image_topic)
+        if all(frames) and frames[0] != frames[1]:
+            return True
+        is_proved = all(frames)
+        with contextlib.suppress(InputError), collect_assumptions([]):  # there may be no CameraInfo
+            ours, its = self.camera(self._image_topic), self.camera(depth)
+            is_near = np.abs(ours.intrinsics - its.intrinsics).max() < SAME_PX
+            is_straight = ours.lens_model is not None and its.lens_model is None
+            is_proved &= bool(is_near) and not is_straight
+        if not is_proved:
+            remedy = "state it with registered=true or false in --source"
+            assume(f"{depth} lies on the pixels of the images", remedy)
+        return False
+
+    def calibration_of(self, depth: Any, calibration: Calibration | None) -> Calibration | None:
+        """The calibration for a message of depth: not all have the frame of the first message.
+
+        Raises InputError if /tf_static does not connect the two frames, and if the message is a
+        depth image.
+        """
+        topic, frame = self._depth_topic or "", frame_name(depth.header.frame_id)
+        first = self.frame(topic)
+        if frame == first or calibration is None or self._registered:
+            return calibration
+        if frame not in self._of_frames:
+            try:
+                if not self.has_clouds:
+                    raise InputError("each topic of depth images must be of one camera")
+                move = self.tree.between(frame, first)
+            except InputError as error:
+                raise InputError(
+                    f"a message of {topic} is of the frame {shown(frame)}, the first of "
+                    f"{shown(first)}: {error}"
+                ) from error
+            body = calibration.body_from_lidar
+            self._of_frames[frame] = replace(
+                calibration,
+                extrinsics=calibration.extrinsics @ move,
+                body_from_lidar=None if body is None else body @ move,
+            )
+        return self._of_frames[frame]
+
+    def require_camera(self, image: Any) -> None:
+        """Raise InputError for an image whose frame is not the frame of the calibration."""
+        topic, frame = self._image_topic, frame_name(image.header.frame_id)
+        if frame not in ("", self.frame(topic)):
+            raise InputError(
+                f"an image of {topic} is of the frame {shown(frame)}, the first of "
+                f"{shown(self.frame(topic))}: each topic of images must be of one camera"
+            )
+
+    @cached_property
+    def _fixed_frames(self) -> set[str]:
+        """The frames in which an Odometry message describes the motion of the car."""
+        found = set()
+        for topic in self._topics.of_kind(ODOMETRY):
+            with contextlib.suppress(InputError):
+                found.add(self.frame(topic))
+        return found
+
+    @cached_property
+    def tree(self) -> TransformTree:
+        """The transforms of /tf_static."""
+        topics = (
+            topic for topic in self._topics.of_kind(*TRANSFORMS) if topic.endswith("tf_static")
+        )
+        return TransformTree(chain.from_iterable(map(self._bag.decoded, topics)))
