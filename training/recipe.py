@@ -43,7 +43,7 @@ from training.limits import (
     Steps,
     Workers,
 )
-from training.loading.augment import AugmentConfig
+from training.loading.augment_config import AugmentConfig
 from training.losses import LossConfig
 from training.losses.terms import PAIR_TERMS
 

@@ -26,7 +26,7 @@ from training.adaptation_frames import (
 from training.commands.adapt import app
 from training.evaluation.scoring import HeadMaps
 from training.initial_weights import read_weights
-from training.loading.augment import draw_lidar
+from training.loading.lidar_input import draw_lidar
 from training.loading.open_dataset import open_dataset
 
 SIZE, FOCAL_PX = (96, 160), 120.0

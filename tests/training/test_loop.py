@@ -19,7 +19,7 @@ from training.datasets.camvid import CamVidRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.evaluate import evaluate
 from training.initial_weights import read_weights
-from training.loading.augment import AugmentConfig
+from training.loading.augment_config import AugmentConfig
 from training.loop import train
 from training.losses import LossConfig
 from training.losses.terms import TERMS

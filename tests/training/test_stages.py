@@ -10,7 +10,7 @@ from models import load_checkpoint
 from runtime.base.errors import InputError
 from training.commands.train import app
 from training.datasets.camvid import CamVidRecipe
-from training.loading.augment import AugmentConfig
+from training.loading.augment_config import AugmentConfig
 from training.prune import prune_trunk
 from training.recipe import (
     DataRecipe,

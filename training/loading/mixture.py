@@ -13,14 +13,9 @@ from models import NetworkOutput
 from runtime.contract.contract import MAX_RETURN_M
 from training.datasets.sample import Sample, SampleSource
 from training.limits import PAIR_STEP_PX
-from training.loading.augment import (
-    AugmentConfig,
-    augment,
-    far_sky,
-    scale_world,
-    take_views,
-    with_margin,
-)
+from training.loading.augment import augment, take_views, with_margin
+from training.loading.augment_config import AugmentConfig
+from training.loading.depth_values import far_sky, scale_world
 
 
 class CachedSource:

@@ -20,7 +20,7 @@ from runtime.contract.network_size import network_size
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import Sample, SampleSource, labelled, target_kind
 from training.datasets.source_recipe import SourceRecipe
-from training.loading.augment import resize
+from training.loading.geometric import resize
 from training.stop_signal import Watched
 
 # Number of frames from which the class frequencies of the loss are counted.

@@ -9,7 +9,7 @@ from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
-from training.loading.augment import AugmentConfig
+from training.loading.augment_config import AugmentConfig
 from training.losses import LossConfig
 from training.recipe import (
     DataRecipe,

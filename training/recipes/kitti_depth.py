@@ -6,7 +6,7 @@ The benchmark has none: they, and with them the boundaries, are learned beside i
 
 from training.datasets.kitti_depth import KittiDepthRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
-from training.loading.augment import AugmentConfig
+from training.loading.augment_config import AugmentConfig
 from training.losses import LossConfig
 from training.recipe import (
     DataRecipe,

@@ -13,7 +13,7 @@ from training.datasets.folders import FoldersRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
-from training.loading.augment import AugmentConfig
+from training.loading.augment_config import AugmentConfig
 from training.losses import LossConfig
 from training.losses.terms import DEPTH_ALONE
 from training.prune import prune_trunk

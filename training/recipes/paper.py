@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from training.datasets.cityscapes import CityscapesRecipe
 from training.datasets.virtual_kitti import VirtualKitti1Recipe
-from training.loading.augment import AugmentConfig
+from training.loading.augment_config import AugmentConfig
 from training.losses import LossConfig
 from training.recipe import (
     DataRecipe,

@@ -10,21 +10,17 @@ from runtime.base.errors import InputError
 from runtime.contract.resize import move_returns, resize_image, resize_nearest
 from runtime.engine.preprocess import clean_sparse_depth
 from training.datasets.sample import IGNORE, Sample
-from training.loading.augment import (
+from training.loading.augment import augment
+from training.loading.augment_config import AugmentConfig, with_crop
+from training.loading.colors import change_colors
+from training.loading.depth_values import (
     PSEUDO_SKY_MARGIN_PX,
     SKY_MARGIN_PX,
-    AugmentConfig,
-    augment,
     canonical_depth,
-    change_colors,
-    cut,
-    draw_lidar,
     far_sky,
-    flip,
-    resize,
-    scale_and_crop,
-    with_crop,
 )
+from training.loading.geometric import cut, flip, resize, scale_and_crop
+from training.loading.lidar_input import draw_lidar
 
 K = np.array([[50.0, 0, 31.5], [0, 50.0, 23.5], [0, 0, 1]])
 

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 
 from training.datasets.sample import Sample
-from training.loading.augment import AugmentConfig
+from training.loading.augment_config import AugmentConfig
 from training.loading.mixture import Batch, DepthTarget, Drawn, Mixture, MixturePart
 from training.losses.consistency import semantic_consistency_loss
 

@@ -1,0 +1,34 @@
+"""Changes of a picture's colours."""
+
+import cv2
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from training.loading.augment_config import AugmentConfig
+
+
+def change_colors(
+    rgb: NDArray[np.uint8], config: AugmentConfig, rng: Generator
+) -> NDArray[np.uint8]:
+    """Change brightness, contrast, saturation and hue; blur and add noise by probability."""
+
+    def change(most: float) -> float:
+        return rng.uniform(-most, most)
+
+    gain = 1 + change(config.contrast)
+    offset = 255 * change(config.brightness) * 0.5
+    saturation = 0.0 if rng.random() < config.gray else 1 + change(config.saturation)
+    hue = np.deg2rad(change(config.hue_deg))
+    # One affine map of the colours does all four (YIQ rotation for the hue).
+    to_yiq = np.array([[0.299, 0.587, 0.114], [0.596, -0.274, -0.322], [0.211, -0.523, 0.312]])
+    cosine, sine = saturation * np.cos(hue), saturation * np.sin(hue)
+    turn = np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]])
+    matrix = gain * (np.linalg.inv(to_yiq) @ turn @ to_yiq)
+    shift = np.full((3, 1), offset + 127.5 * (1 - gain))
+    out = cv2.transform(rgb.astype(np.float32), np.hstack([matrix, shift]))
+    if rng.random() < config.blur:
+        out = cv2.GaussianBlur(out, (0, 0), rng.uniform(0.4, 1.2))
+    if rng.random() < config.noise:
+        out = out + rng.normal(0, rng.uniform(2, 10), rgb.shape).astype(np.float32)
+    return np.clip(out, 0, 255).astype(np.uint8)

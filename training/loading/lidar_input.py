@@ -1,0 +1,69 @@
+"""The LiDAR input that is drawn for a sample: which returns, and the faults of the sensor."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from training.datasets.sample import IGNORE, Sample
+from training.lidar.faults import absorb, drop_sectors, misalign
+from training.lidar.split import SENSOR_LINES, LidarInput, split_lidar
+from training.loading.augment_config import AugmentConfig
+from training.loading.depth_values import has_dense_depth
+
+# Like `AugmentConfig.random_share`, but for recorded returns instead of pixels.
+_RECORDED_SHARE = (0.05, 0.8)
+# Largest rotation [degrees] about each axis and shift [m] along it of a misaligned LiDAR.
+MISALIGNMENT_DEG, MISALIGNMENT_M = 0.5, 0.05
+# Range of the share of the image's width that a missing sector has.
+SECTOR_SHARE = (0.05, 0.3)
+
+
+def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
+    """Choose the LiDAR input and the depth target, see `training.lidar.split`."""
+    lidar = _choose_lidar(sample, config, rng)
+    first_line = int(rng.integers(SENSOR_LINES))
+    if lidar.lines > SENSOR_LINES:  # more than any recorded scan has: simulated
+        sample = replace(sample, sparse_depth=None, scan_line=None)
+    split = split_lidar(sample, lidar, rng, same_target=False, first_line=first_line)
+    assert split is not None  # `_choose_lidar` takes what the sample has
+    fed = _disturb(split.fed, sample, config, rng)
+    return replace(sample, sparse_depth=fed).with_targets(depth=split.target)
+
+
+def _disturb(
+    fed: NDArray[np.float32], sample: Sample, config: AugmentConfig, rng: Generator
+) -> NDArray[np.float32]:
+    """Apply faults of the LiDAR (misalignment, dropout, absorption) with their probabilities."""
+    intrinsics = sample.intrinsics
+    is_misaligned = config.lidar_misaligned and rng.random() < config.lidar_misaligned
+    if is_misaligned and intrinsics is not None and fed.any():
+        fed = misalign(fed, intrinsics, rng, rotation_deg=MISALIGNMENT_DEG, shift_m=MISALIGNMENT_M)
+    if config.lidar_dropout and rng.random() < config.lidar_dropout:
+        fed = drop_sectors(fed, SECTOR_SHARE, rng)
+    if config.lidar_absorbed and rng.random() < config.lidar_absorbed:
+        fed = absorb(fed, sample.semantic, rng, ignore=IGNORE)
+    return fed
+
+
+def _choose_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> LidarInput:
+    """Choose no input, a random share of the measurements, scan lines, or the recorded input."""
+    missing = rng.random() < config.lidar_missing
+    random = rng.random() < config.lidar_random
+    lines = int(rng.choice(config.lines))
+    if lines > SENSOR_LINES and (sample.intrinsics is None or not has_dense_depth(sample)):
+        lines = SENSOR_LINES
+    is_recorded = sample.sparse_depth is not None or sample.scan_line is not None
+    if missing:
+        return LidarInput("none")
+    if random or not (is_recorded or sample.intrinsics is not None):
+        low, high = _RECORDED_SHARE if is_recorded else config.random_share
+        share = low * (high / low) ** rng.random()  # log-uniform: few returns as often as many
+        return LidarInput("random", share=share)
+    if is_recorded and sample.scan_line is None and lines <= SENSOR_LINES:
+        return LidarInput("own")
+    if sample.sparse_depth is None and sample.scan_line is not None:
+        # All lines of the sensor would leave no target: at least every second is withheld.
+        lines = min(lines, SENSOR_LINES // 2)
+    return LidarInput("lines", lines=lines)
