@@ -37,10 +37,10 @@ import torch
 from models import load_checkpoint
 from runtime.files.atomic_write import atomic_file, atomic_write
 from training.chosen_recipe import read_stages
+from training.datasets.any_source import parse_data
 from training.evaluation.scoring import score, split_frames, torch_predict
 from training.lidar.split import LidarInput
 from training.loading.open_dataset import open_dataset
-from training.recipe import parse_data
 from training.recipes.ablation import ROWS
 from training.run_folder import RECIPE, require_same
 from training.stages import train_stages

@@ -52,9 +52,10 @@ from training.evaluation.evaluate import evaluate
 from training.limits import STRICT
 from training.loop import train
 from training.network import build_network
-from training.recipe import Recipe, build
+from training.recipe import Recipe
 from training.run_folder import FINAL, RECIPE, require_same
 from training.stop_signal import stop_signal
+from training.tables import build
 
 ONNX, SCORES, TIMES = "model.onnx", "scores.json", "times.json"
 Size = tuple[int, int]  # (height, width)

@@ -31,6 +31,7 @@ from runtime import InputError, Predictor
 from runtime.contract.heads import HEADS, Unit
 from runtime.engine.preprocess import preprocess
 from runtime.engine.session import open_session
+from training.datasets.any_source import parse_data
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import SampleSource
 from training.evaluation.evaluated_run import open_training_sets
@@ -38,7 +39,6 @@ from training.evaluation.scored_model import trained_classes
 from training.evaluation.shared_classes import share_classes
 from training.lidar.split import LidarInput, frame_generator, split_lidar
 from training.loading.open_dataset import count_shared, frame_files, open_dataset
-from training.recipe import parse_data
 
 # LiDAR inputs of the calibration frames, used in turn. Activations beyond the calibrated ranges are
 # clipped.

@@ -9,7 +9,7 @@ from models import create_model, list_models, load_checkpoint
 from runtime import InputError, Predictor
 from training import train
 from training.chosen_recipe import read_stages
-from training.recipe import parse_data
+from training.datasets.any_source import parse_data
 
 LAB = '''
 from typing import Literal

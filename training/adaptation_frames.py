@@ -20,9 +20,9 @@ from runtime.recordings.source import ListedFrame, Source
 from runtime.streams.frame import Frame
 from training.datasets.recording import RecordingRecipe, beside
 from training.evaluation.metrics import FARTHEST_M
-from training.recipe import build
 from training.run_folder import folder_errors
 from training.stop_signal import StopRequested
+from training.tables import build
 
 # Largest number of frames that are read, and their least number.
 MOST_FRAMES, LEAST_FRAMES = 600, 5

@@ -20,9 +20,10 @@ from training.initial_weights import Weights, weights_folder
 from training.losses import LossConfig
 from training.losses.terms import PAIR_TERMS, TERMS
 from training.losses.total import gather_weights
-from training.recipe import LoopRecipe, OptimizerRecipe, build_recipe, change, merge
+from training.recipe import LoopRecipe, OptimizerRecipe, build_recipe, change
 from training.recipes.registry import RECIPES
 from training.stages import Stage
+from training.tables import merge
 
 
 def read_stages(

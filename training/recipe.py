@@ -1,36 +1,27 @@
 """Recipes, which describe a training in a TOML file or in Python; unknown keys are errors."""
 
-import contextlib
-import json
-import re
 import sys
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import (
     AfterValidator,
     Discriminator,
     Field,
-    PlainValidator,
     Tag,
-    TypeAdapter,
-    ValidationError,
 )
 from pydantic.dataclasses import dataclass
-from pydantic_core import PydanticCustomError
 from tqdm import tqdm
 
 from models import NetworkConfig
 from models.registry import find_network
-from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_CLASSES, MAX_NAME_LENGTH, MIN_SIDE, ClassInfo
+from training.datasets.any_source import AnySource
 from training.datasets.class_mapping import ClassTable, list_classes
-from training.datasets.registry import DATASETS, find_dataset
-from training.datasets.source_recipe import SourceRecipe
 from training.lidar.split import LidarInput
 from training.limits import (
     STRICT,
@@ -46,54 +37,12 @@ from training.limits import (
 from training.loading.augment_config import AugmentConfig
 from training.losses import LossConfig
 from training.losses.terms import PAIR_TERMS
+from training.tables import TAGS, build, merge
 
 T = TypeVar("T")
-
-
-# The tag of data sets of other packages.
-_REGISTERED = "(registered)"
-
-
-def _kind_of(value: Any) -> str | None:
-    """Return the kind of a data set, or the tag of those that another package registers."""
-    kind = value.get("kind") if isinstance(value, Mapping) else getattr(value, "kind", None)
-    if isinstance(kind, str) and kind not in DATASETS and find_dataset(kind) is not None:
-        return _REGISTERED
-    return kind
-
-
-def _read_registered(value: Any) -> SourceRecipe:
-    """Read a data set of another package by its own keys."""
-    if isinstance(value, SourceRecipe):
-        return value
-    kind = find_dataset(value["kind"])
-    assert kind is not None  # by its tag
-    try:
-        return build(kind, value)
-    except InputError as error:
-        raise PydanticCustomError("registered", "{text}", {"text": str(error)}) from error
-
-
-if TYPE_CHECKING:
-    AnySource = SourceRecipe
-else:
-    # A data set of any kind, by its key `kind`.
-    AnySource = Annotated[
-        Union[
-            *(Annotated[kind, Tag(name)] for name, kind in DATASETS.items()),
-            Annotated[SourceRecipe, PlainValidator(_read_registered), Tag(_REGISTERED)],
-        ],
-        Discriminator(
-            _kind_of,
-            custom_error_type="kind",
-            custom_error_message="unknown kind of data set; known: {known}",
-            custom_error_context={"known": ", ".join(DATASETS)},
-        ),
-    ]
-
-
 # Tags of the two forms of `model.classes`.
 _NAMED, _OWN = "(named)", "(own)"
+
 _Channel = Annotated[int, Field(ge=0, le=255)]
 
 
@@ -105,8 +54,7 @@ class ClassRecipe:
     color: tuple[_Channel, _Channel, _Channel]
 
 
-# Tags that pydantic adds to the location of an error: the member of a union that it tried.
-_TAGS: Mapping[str, type] = {**DATASETS, _REGISTERED: SourceRecipe, _NAMED: str, _OWN: ClassRecipe}
+TAGS |= {_NAMED: str, _OWN: ClassRecipe}
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -401,11 +349,11 @@ class Recipe:
 
 def derive(recipe: T, **changes: Any) -> T:
     """Return a recipe with other keys; a mapping changes keys of a table, or of the weights."""
-    for key, change in changes.items():
-        if is_dataclass(table := getattr(recipe, key)) and isinstance(change, Mapping):
-            changes[key] = derive(table, **change)
+    for key, value in changes.items():
+        if is_dataclass(table := getattr(recipe, key)) and isinstance(value, Mapping):
+            changes[key] = derive(table, **value)
         elif key == "weights":
-            changes[key] = {**table, **change}
+            changes[key] = {**table, **value}
     return replace(recipe, **changes)  # type: ignore[type-var]
 
 
@@ -452,129 +400,3 @@ def _warmup(table: Mapping[str, Any], key: str = "warmup_steps") -> int:
     schedule = table.get("schedule")
     value = schedule.get(key) if isinstance(schedule, Mapping) else None
     return value if isinstance(value, int) else 0
-
-
-def merge(base: Mapping[str, Any], changes: Mapping[str, Any], place: str = "") -> dict[str, Any]:
-    """Merge tables key by key; other values are replaced.
-
-    Raises:
-        InputError: for a key of a list of tables: which one of them is not known.
-    """
-    merged = dict(base)
-    for key, value in changes.items():
-        below = merged.get(key)
-        if isinstance(below, list | tuple) and isinstance(value, Mapping):
-            raise InputError(
-                f"{place}{key} is a list of {len(below)} and has no key {next(iter(value), '')}: "
-                f"edit the file of the recipe, or replace the whole list, --set "
-                f"'{place}{key}=[{{...}}]'"
-            )
-        merged[key] = (
-            merge(below, value, f"{place}{key}.")
-            if isinstance(below, Mapping) and isinstance(value, Mapping)
-            else value
-        )
-    return merged
-
-
-def build(kind: type[T], table: object) -> T:
-    """Build `kind` from a TOML table, strictly; InputError names the wrong key."""
-    try:
-        # Through JSON: there a list may be a tuple, and "3" is not 3.
-        return TypeAdapter(kind).validate_json(json.dumps(table))
-    except TypeError as error:  # dates and times
-        raise InputError(f"{error}; expected text, numbers, true or false") from error
-    except ValidationError as error:
-        errors = error.errors(include_url=False)
-        unknown = [item for item in errors if item["type"] == "unexpected_keyword_argument"]
-        raise InputError(_describe((unknown or errors)[0], kind)) from error
-
-
-def parse_data(text: str) -> SourceRecipe:
-    """Read the --data of a command, KIND:FOLDER[,KEY=VALUE...].
-
-    A text needs no quotes, even if it looks like a number or a date. Raises InputError if the form
-    is another one, a kind or key is unknown, a key is given twice, or a value has the wrong type.
-    """
-    head, table = parse_pairs(
-        "--data", text, lambda head: find_dataset(head.partition(":")[0]) or SourceRecipe
-    )
-    kind, colon, folder = head.partition(":")
-    if not colon:
-        raise InputError(f"--data {text!r}; expected KIND:FOLDER[,KEY=VALUE...]")
-    try:
-        return build(AnySource, {"kind": kind, "path": folder, **table})
-    except InputError as error:
-        raise InputError(f"--data {text!r}: {error}") from error
-
-
-def parse_pairs(option: str, text: str, kind: Callable[[str], type]) -> tuple[str, dict[str, Any]]:
-    """Read HEAD[,KEY=VALUE...]; return the head, and the values as `build` takes them.
-
-    Args:
-        option: the option of the command, for messages.
-        text: its value.
-        kind: head -> the dataclass whose fields are the keys.
-
-    Raises:
-        InputError: for a key that is given twice.
-    """
-    # Commas inside brackets belong to a value.
-    head, *pairs = re.split(r",(?=[a-z]\w*=)", text)
-    types = {item.name: item.type for item in fields(kind(head))}
-    table: dict[str, Any] = {}
-    for pair in pairs:
-        key, _, value = pair.partition("=")
-        if key in table or key in ("kind", "path"):
-            raise InputError(f"{option} {text!r}: {key} is given twice: leave one out")
-        table[key] = _read_value(value, types.get(key))
-    return head, table
-
-
-def _read_value(text: str, kind: Any) -> Any:
-    """Return a value of --data: text if its key takes text, else as TOML reads it."""
-    with contextlib.suppress(ValidationError):
-        return TypeAdapter(kind).validate_python(text.strip("\"'"))
-    with contextlib.suppress(tomllib.TOMLDecodeError):
-        return tomllib.loads(f"value = {text}")["value"]
-    return text
-
-
-def _describe(error: Mapping[str, Any], kind: Any) -> str:
-    """Return the message of an error of pydantic, with its key as in the recipe."""
-    place = error["loc"]
-    key = _join(place)
-    match error["type"]:
-        case "unexpected_keyword_argument":
-            known = ", ".join(item.name for item in fields(_table_at(kind, place[:-1])))
-            return f"unknown key {key}; known here: {known}. Correct its name."
-        case "registered":  # the keys of another package's data set, checked by `build`
-            return f"{key}: {error['ctx']['text']}"
-        case "missing":
-            return f"missing key {key}."
-        case "value_error" if isinstance(error["input"], dict):  # its text starts with the key
-            return f"{key + '.' * bool(key)}{error['ctx']['error']}."
-        case _:
-            return f"{key} = {shown(error['input'], 200)}: {error['msg']}."
-
-
-def _table_at(kind: Any, place: Sequence[str | int]) -> Any:
-    """Return the dataclass of the table at a location below `kind`."""
-    for part in place:
-        if part in _TAGS:
-            kind = _TAGS[str(part)]
-        elif isinstance(part, str):
-            kind = next(item.type for item in fields(kind) if item.name == part)
-    return kind
-
-
-def _join(place: Sequence[str | int]) -> str:
-    """Return a location as in the recipe, data.source[0].split, without tags of unions."""
-    # Of some unions the tags are types, tuple[constrained-int, constrained-int].
-    parts = [
-        part
-        for part in place
-        if isinstance(part, int) or (part.isidentifier() and part not in _TAGS)
-    ]
-    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts)
-    return text.removeprefix(".")

@@ -18,7 +18,8 @@ from tqdm import tqdm
 from runtime.base.errors import InputError
 from runtime.files.atomic_write import atomic_write
 from runtime.files.own_folder import mark_folder
-from training.recipe import Recipe, build
+from training.recipe import Recipe
+from training.tables import build
 
 RECIPE = "recipe.json"
 LAST = "last.pt"

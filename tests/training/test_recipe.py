@@ -4,8 +4,9 @@ import pytest
 
 from runtime.base.errors import InputError
 from training.chosen_recipe import read_stages
+from training.datasets.any_source import AnySource, parse_data
 from training.datasets.cityscapes import CityscapesRecipe
-from training.recipe import AnySource, build, parse_data
+from training.tables import build
 
 MINIMAL = """
 [model]

@@ -10,7 +10,8 @@ from layouts.pictures import write
 from runtime.base.errors import InputError
 from training.distributed import Processes
 from training.losses.terms import TERMS
-from training.recipe import Recipe, build, merge
+from training.recipe import Recipe
+from training.tables import build, merge
 from training.task import open_task
 
 RECIPE = {

@@ -21,7 +21,7 @@ from runtime.contract.contract import MAX_CLASSES, MAX_FOCAL_PX, MAX_NAME_LENGTH
 from runtime.files.read_input import read_text
 from training.evaluation.metrics import FARTHEST_M
 from training.limits import STRICT, Positive, Side
-from training.recipe import build
+from training.tables import build
 
 Channels = tuple[float, float, float]
 # Mean and standard deviation of RGB in 0..255, by name.

@@ -10,6 +10,7 @@ from runtime.base.errors import ContractError, InputError
 from runtime.contract.network_size import NetworkSize
 from runtime.engine.bundled_models import find_model, list_bundled_models
 from runtime.files.read_input import read_text
+from training.datasets.any_source import parse_data
 from training.datasets.class_mapping import ClassTable
 from training.datasets.source_recipe import SourceRecipe
 from training.distributed import parse_device
@@ -31,7 +32,6 @@ from training.evaluation.worst_frames import WorstFrame, draw_worst
 from training.lidar.faults import Fault
 from training.lidar.split import LidarInput
 from training.loading.open_dataset import open_dataset, spread_indices
-from training.recipe import parse_data
 
 
 @dataclass(frozen=True)

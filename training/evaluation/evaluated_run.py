@@ -11,8 +11,9 @@ from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import SampleSource
 from training.datasets.source_recipe import SourceRecipe
 from training.loading.open_dataset import open_dataset
-from training.recipe import Recipe, build
+from training.recipe import Recipe
 from training.run_folder import BEST, DATA_FOLDERS, FINAL, RECIPE
+from training.tables import build
 
 
 @dataclass(frozen=True)

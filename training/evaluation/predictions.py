@@ -19,7 +19,7 @@ from training.datasets.files import read_depth, read_gray, require_folder, requi
 from training.datasets.sample import Sample
 from training.evaluation.scoring import HeadMaps
 from training.limits import STRICT, Positive
-from training.recipe import build, parse_pairs
+from training.tables import build, parse_pairs
 
 _SUFFIXES = (".png", ".npy")
 # Folders of a kind, as `ssdnet-run` writes them; without them the files show their kind.

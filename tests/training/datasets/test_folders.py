@@ -13,9 +13,9 @@ from layouts import open_set
 from layouts.pictures import write
 from runtime.base.errors import DatasetError, InputError
 from runtime.contract.contract import ClassInfo
+from training.datasets.any_source import parse_data
 from training.datasets.folders import FoldersRecipe
 from training.datasets.source_recipe import SourceRecipe
-from training.recipe import parse_data
 
 CLASSES = (ClassInfo("lane", (10, 20, 30)), ClassInfo("rest", (200, 0, 0)))
 

@@ -1,0 +1,76 @@
+"""A data set of any kind in a recipe, or in the --data of a command."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, Union
+
+from pydantic import (
+    Discriminator,
+    PlainValidator,
+    Tag,
+)
+from pydantic_core import PydanticCustomError
+
+from runtime.base.errors import InputError
+from training.datasets.registry import DATASETS, find_dataset
+from training.datasets.source_recipe import SourceRecipe
+from training.tables import TAGS, build, parse_pairs
+
+# The tag of data sets of other packages.
+_REGISTERED = "(registered)"
+TAGS |= {**DATASETS, _REGISTERED: SourceRecipe}
+
+
+def _kind_of(value: Any) -> str | None:
+    """Return the kind of a data set, or the tag of those that another package registers."""
+    kind = value.get("kind") if isinstance(value, Mapping) else getattr(value, "kind", None)
+    if isinstance(kind, str) and kind not in DATASETS and find_dataset(kind) is not None:
+        return _REGISTERED
+    return kind
+
+
+def _read_registered(value: Any) -> SourceRecipe:
+    """Read a data set of another package by its own keys."""
+    if isinstance(value, SourceRecipe):
+        return value
+    kind = find_dataset(value["kind"])
+    assert kind is not None  # by its tag
+    try:
+        return build(kind, value)
+    except InputError as error:
+        raise PydanticCustomError("registered", "{text}", {"text": str(error)}) from error
+
+
+if TYPE_CHECKING:
+    AnySource = SourceRecipe
+else:
+    # A data set of any kind, by its key `kind`.
+    AnySource = Annotated[
+        Union[
+            *(Annotated[kind, Tag(name)] for name, kind in DATASETS.items()),
+            Annotated[SourceRecipe, PlainValidator(_read_registered), Tag(_REGISTERED)],
+        ],
+        Discriminator(
+            _kind_of,
+            custom_error_type="kind",
+            custom_error_message="unknown kind of data set; known: {known}",
+            custom_error_context={"known": ", ".join(DATASETS)},
+        ),
+    ]
+
+
+def parse_data(text: str) -> SourceRecipe:
+    """Read the --data of a command, KIND:FOLDER[,KEY=VALUE...].
+
+    A text needs no quotes, even if it looks like a number or a date. Raises InputError if the form
+    is another one, a kind or key is unknown, a key is given twice, or a value has the wrong type.
+    """
+    head, table = parse_pairs(
+        "--data", text, lambda head: find_dataset(head.partition(":")[0]) or SourceRecipe
+    )
+    kind, colon, folder = head.partition(":")
+    if not colon:
+        raise InputError(f"--data {text!r}; expected KIND:FOLDER[,KEY=VALUE...]")
+    try:
+        return build(AnySource, {"kind": kind, "path": folder, **table})
+    except InputError as error:
+        raise InputError(f"--data {text!r}: {error}") from error
