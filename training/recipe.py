@@ -388,7 +388,7 @@ def change(table: Mapping[str, Any], changes: Sequence[str]) -> dict[str, Any]:
                 f"{text!r} is not 'table.key = value' in TOML ({error}); text needs quotes"
             ) from error
     steps = _warmup(changed, "steps")
-    if steps and warmup > steps and warmup == _warmup(changed):
+    if steps < _warmup(table, "steps") and steps < warmup == _warmup(changed):
         shorter = steps // 10
         changed = merge(changed, {"schedule": {"warmup_steps": shorter}})
         text = f"schedule.warmup_steps = {shorter}: {warmup} do not fit into {steps} steps"
