@@ -11,12 +11,16 @@ from models.registry import NETWORKS, Entry
 torch.set_num_threads(1)
 
 
+@pytest.fixture(scope="session")
+def tiny_config():
+    return SSDNetLiteConfig(encoder_widths=(8,) * 16, decoder_channels=(8, 8, 8))
+
+
 @pytest.fixture
-def tiny_lite(monkeypatch):
+def tiny_lite(monkeypatch, tiny_config):
     """Make ssdnet-lite a network of few channels; return its configuration."""
-    config = SSDNetLiteConfig(encoder_widths=(8,) * 16, decoder_channels=(8, 8, 8))
-    monkeypatch.setitem(NETWORKS, "ssdnet-lite", Entry(SSDNetLite, config))
-    return config
+    monkeypatch.setitem(NETWORKS, "ssdnet-lite", Entry(SSDNetLite, tiny_config))
+    return tiny_config
 
 
 @pytest.fixture

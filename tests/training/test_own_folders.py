@@ -1,6 +1,8 @@
 """`ssdnet-finetune`: the recipe that it makes for folders, and what it refuses."""
 
 import re
+import shutil
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,21 +15,26 @@ from training.commands import finetune
 from training.commands.train import app
 
 
-@pytest.fixture
-def mine(tmp_path, tiny_lite):
+@pytest.fixture(scope="module")
+def written(tmp_path_factory, tiny_config):
     """Twenty images whose left half is a lane 5 m away, and weights trained on 50 rows."""
-    weights = SSDNetLite(tiny_lite)
-    save_checkpoint(tmp_path / "first.pt", weights, training={"trained_height": 50})
+    folder = tmp_path_factory.mktemp("mine")
+    save_checkpoint(folder / "first.pt", SSDNetLite(tiny_config), training={"trained_height": 50})
     rng = np.random.default_rng(0)
     ids = np.repeat(np.uint8([[0, 1]]), 48, 0).repeat(32, 1)
     for index in range(20):
         name = f"{index:02}"
         image = rng.integers(0, 255, (48, 64, 3), dtype=np.uint8)
-        write(tmp_path / "images" / f"{name}.jpg", image)
-        write(tmp_path / "labels" / f"{name}.png", ids)
-        write(tmp_path / "lidar" / f"{name}.png", np.full((48, 64), 5 * 256, np.uint16) * ids)
-    (tmp_path / "classes.txt").write_text("lane\nrest\n\n")
-    return tmp_path
+        write(folder / "images" / f"{name}.jpg", image)
+        write(folder / "labels" / f"{name}.png", ids)
+        write(folder / "lidar" / f"{name}.png", np.full((48, 64), 5 * 256, np.uint16) * ids)
+    (folder / "classes.txt").write_text("lane\nrest\n\n")
+    return folder
+
+
+@pytest.fixture
+def mine(written, tmp_path, tiny_lite):
+    return Path(shutil.copytree(written, tmp_path, dirs_exist_ok=True))
 
 
 STEPS = ("--set", "schedule.steps = 2", "--set", "data.workers = 0")
