@@ -2,16 +2,19 @@
 
 import contextlib
 from bisect import bisect_right
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import DatasetError
-from runtime.geometry.calibration import Calibration
 from runtime.geometry.kitti_calibration import NumbersFile
+from runtime.geometry.rig import Rig
+from runtime.recordings.folders import FolderSource
+from runtime.recordings.source import ListedFrame
 from training.datasets.camvid import LABELS
 from training.datasets.cityscapes import disparity_to_depth
 from training.datasets.class_mapping import ClassTable, LabelFiles
@@ -19,13 +22,11 @@ from training.datasets.files import (
     dataset_errors,
     list_images,
     read_gray,
-    read_points,
-    read_rgb,
     require_folder,
 )
-from training.datasets.sample import IGNORE, FrameList, Sample
+from training.datasets.recording import RecordedFrames, Targets
+from training.datasets.sample import IGNORE, Sample
 from training.datasets.source_recipe import RangeRecipe
-from training.lidar.scan import project_lines
 from training.limits import STRICT
 
 # Places of the validation frames: each begins with one of these numbers and ends before the next.
@@ -54,7 +55,7 @@ class KittiStreetsRecipe(RangeRecipe):
         return KittiStreets(folder, self, classes)
 
 
-class KittiStreets(FrameList):
+class KittiStreets(RecordedFrames):
     """Frames `root/image_02/<number>.jpg` or .png.
 
     The input is the scan of the frame, `velodyne_fov/<number>.bin`, with its scan lines. The target
@@ -71,52 +72,52 @@ class KittiStreets(FrameList):
             of labels is empty.
     """
 
+    @dataset_errors()
     def __init__(self, root: Path, recipe: KittiStreetsRecipe, classes: ClassTable) -> None:
         self._root, self._truth = root, recipe.truth
-        images = root / "image_02"
-        found = [p for p in list_images(images, "the streets' images") if p.stem.isdecimal()]
-        self._frames = recipe.take(found, images, lambda path: int(path.stem))
-        self.images = self._frames
+        images = require_folder(root / "image_02", "the streets' images")
+        scans = require_folder(root / "velodyne_fov", "velodyne_fov's .bin files")
+        source = FolderSource(images, Rig(calibration=root / "calib.txt"), points=scans, camera=2)
+        found = [
+            frame
+            for frame in source.list_frames()
+            if frame.image is not None and frame.name.isdecimal()
+        ]
+        taken = recipe.take(found, images, lambda frame: int(frame.name))
         folders = {"velodyne_fov": ".bin", "disp_occ_0": ".png"}
         self._has_masks = (root / "road_mask").is_dir()
         if self._has_masks:
             folders["road_mask"] = ".png"
         for folder, suffix in folders.items():
-            files = [f"{path.stem}{suffix}" for path in self._frames]
+            files = [f"{frame.name}{suffix}" for frame in taken]
             require_folder(root / folder, f"{folder}'s {suffix} files", files=files)
         self._labels: LabelFiles | None = None
         if (root / "semantic").is_dir():
             list_images(root / "semantic", "labels")
             with contextlib.suppress(DatasetError):  # with another table, depth and road remain
                 self._labels = LabelFiles("camvid", classes, LABELS)
-        self._calibration, self._focal_baseline = _read_calibration(self._root / "calib.txt")
+        self._focal_baseline = _read_focal_baseline(root / "calib.txt")
+        super().__init__(
+            [(source, frame, f"kitti_streets/{frame.name}") for frame in taken], "ordered"
+        )
 
     def __getitem__(self, index: int) -> Sample:
-        path = self._frames[index]
-        rgb = read_rgb(path)
-        size = (rgb.shape[0], rgb.shape[1])
-        points = read_points(self._root / "velodyne_fov" / f"{path.stem}.bin")
-        camera = self._calibration
-        returns, scan_line = project_lines(points, camera.intrinsics, camera.extrinsics, size)
-        targets: dict[str, NDArray[Any]] = {"depth": returns}
+        place = _place(int(self._frames[index][1].name))
+        return replace(
+            super().__getitem__(index), focal_baseline_px_m=self._focal_baseline, place=place
+        )
+
+    def _read_truth(self, listed: ListedFrame, size: tuple[int, int]) -> Targets:
+        file, targets = f"{listed.name}.png", Targets()
         if self._truth == "accumulated":
-            disparity = read_gray(self._root / "disp_occ_0" / f"{path.stem}.png", np.uint16, size)
+            disparity = read_gray(self._root / "disp_occ_0" / file, np.uint16, size)
             targets["depth"] = disparity_to_depth(disparity, self._focal_baseline, zero=0)
-        labels = self._root / "semantic" / f"{path.stem}.png"
+        labels = self._root / "semantic" / file
         if self._labels is not None and labels.exists():
             targets["semantic"] = self._labels.read(labels, size)
         if self._has_masks:
-            targets["road_mask"] = _read_mask(self._root / "road_mask" / f"{path.stem}.png", size)
-        return Sample(
-            rgb=rgb,
-            targets=targets,
-            intrinsics=camera.intrinsics,
-            name=f"kitti_streets/{path.stem}",
-            sparse_depth=returns if self._truth == "accumulated" else None,
-            scan_line=scan_line,
-            focal_baseline_px_m=self._focal_baseline,
-            place=_place(int(path.stem)),
-        )
+            targets["road_mask"] = _read_mask(self._root / "road_mask" / file, size)
+        return targets
 
 
 def _read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
@@ -136,10 +137,9 @@ def _place(number: int) -> str | None:
     return f"{_PLACES[index - 1]:06d}" if 0 < index < len(_PLACES) else None
 
 
-@dataset_errors()
-def _read_calibration(path: Path) -> tuple[Calibration, float]:
-    """Return the calibration, and the focal length times the baseline [px m]."""
+def _read_focal_baseline(path: Path) -> float:
+    """Return the focal length times the baseline [px m]."""
     focal_baseline = float(NumbersFile(path).matrix("fb_disp", 1, 1)[0, 0])
     if not focal_baseline > 0:
         raise DatasetError(f"{path}: fb_disp is {focal_baseline}, expected a positive number")
-    return Calibration.from_kitti(path), focal_baseline
+    return focal_baseline
