@@ -164,16 +164,6 @@ def export_checkpoint(
 
         folder = Path(checkpoint_path).resolve().parent
         warnings = require_frames(precision, validate, checkpoint, folder)
-    graph = DeployGraph(checkpoint.model, with_logits=with_logits)
-    model = trace(graph, size=size, dynamic=dynamic, opset=opset)
-    contract = _contract(
-        checkpoint,
-        name or checkpoint.model.config.name,
-        _digest(checkpoint_path),
-        size=size,
-        opset=opset,
-    )
-    draft = _Draft(checkpoint.model, graph.heads, model, contract, dynamic)
     settings = Settings("ssdnet-export", "frame" if dynamic else None, provider="torch")
     with contextlib.ExitStack() as written:
         temporary = written.enter_context(atomic_file(target, overwrite=overwrite, durable=True))
@@ -183,6 +173,16 @@ def export_checkpoint(
             recorder = written.enter_context(
                 record(Path(record_dir), settings, overwrite=overwrite)
             )
+        graph = DeployGraph(checkpoint.model, with_logits=with_logits)
+        model = trace(graph, size=size, dynamic=dynamic, opset=opset)
+        contract = _contract(
+            checkpoint,
+            name or checkpoint.model.config.name,
+            _digest(checkpoint_path),
+            size=size,
+            opset=opset,
+        )
+        draft = _Draft(checkpoint.model, graph.heads, model, contract, dynamic)
         draft, parity, frames = _verify(draft, file, precision, validate, warnings, stages)
         num_bytes = _write(draft.model, file, draft.contract)
         if recorder is not None:

@@ -57,6 +57,15 @@ def test_contract_says_where_the_file_comes_from(exported, lite_checkpoint):
     assert 0 < contract.parity["depth"]["max_abs_m"] < 0.005
 
 
+def test_a_recording_that_exists_is_refused_before_any_work(lite_checkpoint, tmp_path, monkeypatch):
+    monkeypatch.setattr(exporter, "trace", lambda *_, **__: pytest.fail("traced first"))
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken/file").touch()
+    result = run(lite_checkpoint, tmp_path / "m.onnx", "--record", str(tmp_path / "taken"))
+    assert (result.exit_code, [path.name for path in tmp_path.iterdir()]) == (1, ["taken"])
+    assert str(tmp_path / "taken") in result.output.splitlines()[-1]
+
+
 def test_a_file_of_a_run_is_named_after_the_run(tmp_path):
     name = exporter._model_name
     assert name(None, tmp_path / "model.pt") is None  # so that it has the network's name

@@ -8,7 +8,7 @@ import typer
 
 from runtime.app.command import print_result, reported_errors, stop_requested
 from runtime.app.command_options import Version
-from runtime.base.errors import InputError
+from runtime.base.errors import InputError, OutputError
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 # Characters of a line if the output is not a terminal.
@@ -143,6 +143,8 @@ def evaluate(
         for file in (json, page):
             if file is not None:
                 require_writable(file)
+        if page is not None and page.exists() and not overwrite:
+            raise OutputError(f"{page} exists: choose another name, or replace it with --overwrite")
         folder = None if save is None else DepthFolder(save, overwrite)
         if folder is not None:
             folder.require_free()

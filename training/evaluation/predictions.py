@@ -93,7 +93,7 @@ class Predictions:
                     f"{path}: is the file of two frames, {frame} and {sample.name}: put each into "
                     "a folder of the name before it"
                 )
-            found[head] = self._read(path, sample)
+            found[head] = self._read(path, sample, head)
         if len(found) < len(self._files):
             name = image_name or sample.name
             missing = next(head for head in self._files if head not in found)
@@ -122,19 +122,29 @@ class Predictions:
         """The frame for which each file was read."""
         return {}
 
-    def _read(self, path: Path, sample: Sample) -> NDArray[np.uint8] | NDArray[np.float32]:
+    def _read(
+        self, path: Path, sample: Sample, head: str
+    ) -> NDArray[np.uint8] | NDArray[np.float32]:
+        """Read a file of `head`; of "", one of 16 bits or of floats is depth."""
         scale = self.options.depth_scale
-        if path.suffix == ".npy":
-            return _read_array(path, sample.size, scale)
+        if path.suffix.lower() == ".npy":
+            return _read_array(path, sample.size, scale, head)
         header = path.open("rb").read(26)
-        if len(header) == 26 and header[24:26] == b"\x10\x00":  # 16 bits, gray
+        of_depth = len(header) == 26 and header[24:26] == b"\x10\x00"  # 16 bits, gray
+        if head == "depth" or (of_depth and not head):
             return read_depth(path, sample.size, depth_scale=scale)
         return read_gray(path, np.uint8, sample.size)
 
 
 def _list_files(folder: Path) -> dict[str, Path]:
-    paths = sorted(path for path in folder.rglob("*") if path.suffix in _SUFFIXES)
-    return {path.relative_to(folder).with_suffix("").as_posix(): path for path in paths}
+    found: dict[str, Path] = {}
+    for path in folder.rglob("*"):
+        name = path.relative_to(folder).with_suffix("").as_posix()
+        if path.suffix.lower() in _SUFFIXES and found.setdefault(name, path) != path:
+            raise DatasetError(
+                f"{path}: is an answer to the frame of {found[name].name}, too: keep one of them"
+            )
+    return found
 
 
 def _find(files: Mapping[str, Path], frame: str, image_name: str | None) -> Path | None:
@@ -146,7 +156,7 @@ def _find(files: Mapping[str, Path], frame: str, image_name: str | None) -> Path
 
 
 def _read_array(
-    path: Path, size: tuple[int, int], depth_scale: float
+    path: Path, size: tuple[int, int], depth_scale: float, head: str
 ) -> NDArray[np.uint8] | NDArray[np.float32]:
     try:
         values: NDArray[Any] = np.squeeze(np.load(path, allow_pickle=False))
@@ -159,10 +169,12 @@ def _read_array(
             "(class ids) or of floats (depth in metres)"
         )
     if values.dtype.kind == "f":
+        if head == "semantic":
+            raise DatasetError(f"{path}: has floats; expected class ids: write integers")
         if not np.isfinite(values).all():
             raise DatasetError(f"{path}: has depth that is not finite; write 0 for no depth")
         return np.asarray(values, np.float32)
-    if path.parent.name == "depth":
+    if head == "depth":
         return np.asarray(values / depth_scale, np.float32)
     if values.min() < 0 or values.max() > 255:
         raise DatasetError(

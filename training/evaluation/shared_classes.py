@@ -106,7 +106,10 @@ def join_names(groups: Mapping[str, Sequence[str]], tables: Iterable[ClassTable]
     """
     known = {info.name.lower() for table in tables for info in list_classes(table)}
     joined: dict[str, str] = {}
+    written: dict[str, str] = {}
     for group, names in groups.items():
+        if (other := written.setdefault(group.lower(), group)) != group:
+            raise InputError(f"{group} and {other}: differ in case only: write one of them")
         for name in names:
             if name.lower() not in known:
                 raise InputError(

@@ -43,10 +43,11 @@ def test_ids_and_depth_are_found_by_the_names_of_the_frames(data, rows, tmp_path
     ids = np.where(np.arange(64) < 24, np.zeros((40, 64)), 1).astype(np.uint8)
     for name in ("a", "b"):
         write(tmp_path / f"theirs/{name}.png", ids)
+        (tmp_path / f"theirs/{name}.png").rename(tmp_path / f"theirs/{name}.PNG")
         write(tmp_path / f"png/set/{name}.png", np.full((40, 64), 11_000, np.uint16))
         (tmp_path / "both/depth").mkdir(parents=True, exist_ok=True)
         np.save(tmp_path / f"both/depth/{name}.npy", np.full((1, 40, 64), 12, np.float32))
-        write(tmp_path / f"both/semantic/{name}.png", ids)
+        write(tmp_path / f"both/semantic/{name}.png", ids.astype(np.uint16))
     names = 'classes=["road","car"]'
     options = [f"{tmp_path}/theirs", f"{tmp_path}/png,depth_scale=1000", f"{tmp_path}/both"]
     options = [f"{options[0]},{names}", options[1], f"{options[2]},{names}"]
@@ -63,10 +64,18 @@ def test_predictions_that_do_not_fit_say_why(data, tmp_path):
     write(tmp_path / "some/a.png", np.zeros((40, 64), np.uint8))
     write(tmp_path / "small/a.png", np.zeros((20, 32), np.uint8))
     write(tmp_path / "high/a.png", np.full((40, 64), 9, np.uint8))
+    write(tmp_path / "flat/depth/a.png", np.full((40, 64), 9, np.uint8))
+    write(tmp_path / "twice/a.png", np.zeros((40, 64), np.uint8))
+    np.save(tmp_path / "twice/a.npy", np.zeros((40, 64), np.uint8))
+    (tmp_path / "float/semantic").mkdir(parents=True)
+    np.save(tmp_path / "float/semantic/a.npy", np.zeros((40, 64)))
     for folder, text in (
         ("some", "of the frame b"),
         ("small", "20x32"),
         ("high", "class id 9"),
+        ("flat", "must be a depth map"),
+        ("twice", "keep one of them"),
+        ("float", "expected class ids"),
         ("none", "no such folder"),
         ("some,colour=1", "unknown key colour"),
     ):
@@ -74,6 +83,9 @@ def test_predictions_that_do_not_fit_say_why(data, tmp_path):
         assert result.exit_code == 1
         assert text in result.output.splitlines()[-1]
     assert run(*data).exit_code == 2
+    (tmp_path / "page.html").touch()
+    result = run("--data", "folders:none", "ssdnet-nano", "--page", tmp_path / "page.html")
+    assert "page.html exists: choose another name" in result.output  # before data are read
 
 
 def test_classes_count_as_one_where_a_file_says_so(data, rows, tmp_path):
@@ -89,7 +101,12 @@ def test_classes_count_as_one_where_a_file_says_so(data, rows, tmp_path):
     ((joined,), _) = rows(*data, "--predictions", theirs, "--join", tmp_path / "join.toml")
     ious = {key: value for key, value in joined["figures"].items() if key.startswith("iou_")}
     assert ious == {"iou_road": 1, "iou_vehicle": 1}
-    for text, words in (('vehicle = ["lorry"]', "'lorry'"), ("vehicle = 1", "not a list")):
+    both = 'vehicle = ["car"]\nVehicle = ["truck"]'
+    for text, words in (
+        ('vehicle = ["lorry"]', "'lorry'"),
+        ("vehicle = 1", "not a list"),
+        (both, "case only"),
+    ):
         (tmp_path / "join.toml").write_text(text)
         result = run(*data, "--predictions", theirs, "--join", tmp_path / "join.toml")
         assert result.exit_code == 1
