@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from runtime.contract.degraded import IMAGE_CONSTANT
 from runtime.engine.prediction import Prediction
+from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import as_key, ray_bounds, to_plane
 from runtime.geometry.motion import Scan, move_points
@@ -79,8 +80,9 @@ class View:
         return replace(self, points=points, returns=returns, jumps=jumps)
 
     def with_extrinsics(self, extrinsics: NDArray[np.float64]) -> Self:
-        """The view with other extrinsics, float64 (4, 4)."""
-        calibration = replace(self.calibration, extrinsics=extrinsics)
+        """The view with other extrinsics, float64 (4, 4), of which nothing is reported."""
+        with collect_assumptions([]):
+            calibration = replace(self.calibration, extrinsics=extrinsics)
         return replace(self, calibration=calibration).with_scan(self.points)
 
     def blurred_boundary(self, blur: float) -> NDArray[np.float32]:

@@ -1,5 +1,6 @@
 """A calibration is found right, off by so much, wrong in a way that has a name, or not visible."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -40,6 +41,7 @@ def test_a_rotation_is_measured_and_taken_back():
     result = judged(turned_extrinsics())
     assert result.verdict is Verdict.OFF, result.reason
     assert (np.abs(result.off_degrees - TURN) < result.within_degrees).all()
+    assert re.match(r"off by yaw \+2\.\d\d \+- 0.*pitch -1\.", result.reason)
     yaw, pitch, _ = result.off_degrees
     back = rotation((-yaw, -pitch, 0)) @ result.given.extrinsics[:3, :3]
     assert np.allclose(result.refined.extrinsics[:3, :3], back), "roll is not seen"

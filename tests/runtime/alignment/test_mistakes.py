@@ -1,5 +1,8 @@
 """Usual mistakes in extrinsics, and scans of other frames, are named."""
 
+import warnings
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -50,7 +53,10 @@ def shifted(factor):
 )
 @pytest.mark.filterwarnings("ignore:assumed the LiDAR is")
 def test_a_usual_mistake_is_named_and_undone(wrong, text):
-    mistake = find_mistake([street(seed, wrong, right=RIGHT) for seed in range(2)])
+    views = [street(seed, wrong, right=RIGHT) for seed in range(2)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # nothing is said of the extrinsics that are tried
+        mistake = find_mistake(views)
     assert mistake is not None
     assert text in mistake.text
     assert np.allclose(mistake.undo(wrong), RIGHT)
@@ -58,6 +64,12 @@ def test_a_usual_mistake_is_named_and_undone(wrong, text):
 
 def test_the_right_extrinsics_and_scans_that_fit_nowhere_are_no_mistake():
     assert find_mistake([street(seed) for seed in range(2)]) is None
+    blind = []
+    for seed in range(2):
+        view = street(seed, np.linalg.inv(RIGHT), right=RIGHT)
+        noise = np.random.default_rng(seed).normal(0, 2.5, view.log_depth.shape)
+        blind.append(replace(view, log_depth=(view.log_depth + noise).astype(np.float32)))
+    assert find_mistake(blind) is None, "the depth must clearly correlate"
     random, views = np.random.default_rng(0), []
     for seed in range(4):
         points = scan_of(np.float32([[10]]) * np.ones((120, 360), np.float32))
