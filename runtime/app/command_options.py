@@ -13,6 +13,10 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+# The option --threads of the commands that run one model.
+Threads = Annotated[
+    int | None, typer.Option(min=1, help="Threads of inference. [default: physical cores]")
+]
 # The option --version of every command.
 Version = Annotated[
     bool,

@@ -87,7 +87,8 @@ def run(
             if stop():
                 break
             try:
-                stream = _prepare(options, source, predictor)
+                with source.collecting():
+                    stream = _prepare(options, source, predictor)
                 if not reports:
                     options = options.with_folder()
                     if camera:
@@ -146,11 +147,6 @@ class _Stream:
 
 def _prepare(options: RunOptions, source: Source, predictor: Predictor) -> _Stream:
     """List the frames, read the first ones, and warm up; nothing is written."""
-    with source.collecting():
-        return _prepared(options, source, predictor)
-
-
-def _prepared(options: RunOptions, source: Source, predictor: Predictor) -> _Stream:
     if options.rectify:
         source.rectify_images()
     listed = source.list_frames(limit=options.limit)

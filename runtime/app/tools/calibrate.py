@@ -9,7 +9,7 @@ import typer
 from runtime.alignment.calibrate import CalibrationResult, Verdict, calibrate
 from runtime.alignment.view import points_in_time
 from runtime.app.command import print_result, progress_bar, reported_errors, stop_requested
-from runtime.app.command_options import Version
+from runtime.app.command_options import Threads, Version
 from runtime.app.drawing.alignment_picture import draw_alignment
 from runtime.app.encode import encode_jpeg, encode_png
 from runtime.app.run.cli import GroupedCommand, with_run_options
@@ -59,9 +59,7 @@ def main(
             help="Draw the returns on an image, by the given and by the refined calibration.",
         ),
     ] = None,
-    threads: Annotated[
-        int | None, typer.Option(min=1, help="Threads of inference. [default: physical cores]")
-    ] = None,
+    threads: Threads = None,
     _version: Version = False,
     **given: Any,
 ) -> None:

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from runtime.app.command import Provider, print_result, reported_errors
-from runtime.app.command_options import Version
+from runtime.app.command_options import Threads, Version
 from runtime.app.tools.verification import VerifyReport, verify
 from runtime.base.checks import shown
 from runtime.contract.agreement import figure_name
@@ -46,9 +46,7 @@ def main(
     provider: Annotated[
         Provider, typer.Option(help="Execution provider of the model.")
     ] = Provider.cpu,
-    threads: Annotated[
-        int | None, typer.Option(min=1, help="Threads of inference. [default: physical cores]")
-    ] = None,
+    threads: Threads = None,
     tolerance: Annotated[
         list[str] | None,
         typer.Option(
