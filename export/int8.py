@@ -144,7 +144,8 @@ def quantize_within(
 ) -> Quantized:
     """Quantise a graph; convolutions that cost too much accuracy stay in single precision.
 
-    Convolutions on the finest grids stay in float, see _FINE_STRIDE. While the gate is missed,
+    Convolutions on the finest grids stay in float, see _FINE_STRIDE, and those that read or write
+    what is many times larger on a few frames than on most, see `Ranges`. While the gate is missed,
     further convolutions stay in float. The first is the one that, quantised alone, most changes the
     head that exceeds its limit most; after that their number grows by half each time.
 
@@ -174,11 +175,14 @@ def quantize_within(
         report("calibrating the value ranges")
         feeds = list(_feeds(path, options))
         stride = strides(model, feeds[0])
-        fine = [
-            n.name for n in nodes if min(stride[n.input[0]], stride[n.output[0]]) <= _FINE_STRIDE
-        ]
-        in_float = [*fine]
         ranges = measure_ranges(model, feeds)
+        always = [
+            n.name
+            for n in nodes
+            if min(stride[n.input[0]], stride[n.output[0]]) <= _FINE_STRIDE
+            or ranges.uneven & {n.input[0], n.output[0]}
+        ]
+        in_float = [*always]
         report("measuring the accuracy in single precision")
         lidars: Sequence[str] = LIDARS
         before = measure_accuracy(path, validate, lidars)
@@ -201,7 +205,7 @@ def quantize_within(
                 missed = _missed(before, accuracy, options, widths)
             if not missed:
                 break
-            if 2 * (len(in_float) - len(fine)) >= len(convolutions) - len(fine):
+            if 2 * (len(in_float) - len(always)) >= len(convolutions) - len(always):
                 raise ExportError(
                     f"int8 loses too much, so nothing was written: {'; '.join(missed.values())}; "
                     f"{len(in_float)} of {len(convolutions)} convolutions were left in float: "
@@ -213,7 +217,7 @@ def quantize_within(
                 alone = partial(quantize, model, ranges)
                 ranked[head] = _rank(model, alone, convolutions, feeds, head)
             others = [name for name in ranked[head] if name not in in_float]
-            in_float += others[: max(1, (len(in_float) - len(fine)) // 2)]
+            in_float += others[: max(1, (len(in_float) - len(always)) // 2)]
     facts = {
         "calibration": [without_folders(text) for text in options.calibrate],
         "calibration_frames": len(feeds),

@@ -15,6 +15,7 @@ from export.cli import app
 from export.exporter import export_checkpoint
 from export.precision import Int8Options
 from export.probe_frames import probe_frames
+from export.quantize import Ranges
 from runtime import InputError, Predictor
 from runtime.app.tools.info import app as info_app
 from runtime.app.tools.verify import app as verify_app
@@ -223,7 +224,7 @@ def test_convolutions_on_fine_grids_are_left_in_float_before_any_is_ranked(monke
 
     for name, value in {
         "trunk": lambda model: convolutions,
-        "measure_ranges": lambda model, feeds: None,
+        "measure_ranges": lambda model, feeds: Ranges(None, frozenset({"c5"})),
         "measure_accuracy": lambda *arguments: [],
         "quantize": try_in_float,
         "_feeds": lambda path, options: [{}],
@@ -240,7 +241,8 @@ def test_convolutions_on_fine_grids_are_left_in_float_before_any_is_ranked(monke
         classes=[],
         write=lambda model, path: None,
     )
-    assert tried[:2] == [["c0", "c1"], ["c0", "c1", "c19"]]
+    # c0 and c1 are on the finest grid; c5 writes and c6 reads what is uneven.
+    assert tried[:2] == [["c0", "c1", "c5", "c6"], ["c0", "c1", "c5", "c6", "c19"]]
     assert tried[4] == [*tried[1], "c18", "c17", "c16"]
     assert tried[5] == [*tried[4], "c9", "c2"]
     assert ranked == ["boundary", "depth"]

@@ -135,6 +135,25 @@ def test_quantised_answers_are_close_to_the_float_ones(dynamic_model, feeds):
         assert compare("depth", found["depth"], expected["depth"])["mean_abs_m"] < 1.0
 
 
+def test_what_is_large_on_few_frames_is_uneven():
+    """The range of all frames decides the scale, so one frame must not take it from the others."""
+    values = [1.0, 2.0, 3.0, 40.0]
+    weights = numpy_helper.from_array(np.eye(16, dtype=np.float32)[:, :, None, None], "w")
+    nodes = [onnx.helper.make_node("Conv", ["x", "w"], ["y"], "conv")]
+    shape = [1, 16, 1, 1]
+    inputs, outputs = (
+        [onnx.helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)] for name in "xy"
+    )
+    graph = onnx.helper.make_graph(nodes, "graph", inputs, outputs, [weights])
+    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 17)])
+    model.ir_version = 8
+    feeds = [{"x": np.full(shape, value, np.float32)} for value in values]
+    for count, uneven in ((3, set()), (4, {"x", "y"})):
+        ranges = measure_ranges(model, feeds[:count])
+        assert ranges.uneven & {"x", "y"} == uneven
+        assert [float(edge) for edge in ranges.data["y"].range_value] == [1.0, values[count - 1]]
+
+
 def test_convolutions_named_stay_in_float(dynamic_model, feeds):
     names = set(trunk(dynamic_model))
     kept, *_ = [n.name for n in dynamic_model.graph.node if n.name in names and n.op_type == "Conv"]
