@@ -129,7 +129,7 @@ def test_an_int8_file_states_how_it_was_made(export_int8, tmp_path, exported):
     assert rare.startswith("IoU of sky, building, pole")
     assert result.output.splitlines()[-1] == f"not gated: {rare}"
     assert rare in CliRunner().invoke(info_app, [str(path)]).output
-    assert "street depth=depth labels=labels has 3 frames, fewer than 100" in result.output
+    assert "street labels=labels depth=depth has 3 frames, fewer than 100" in result.output
     assert {row["lidar"] for row in contract.accuracy["rows"]} == {"random:0.05", "none"}
     repeat = contract.accuracy["repeat"]
     assert repeat.startswith("ssdnet-eval MODEL --data folders:street,depth=depth")
