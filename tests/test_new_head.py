@@ -14,7 +14,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from export.exporter import export_checkpoint
 from models import create_model, load_checkpoint, save_checkpoint
-from runtime import Predictor
+from runtime import ContractError, Predictor
 from runtime.app.encode import ENCODERS
 from runtime.app.tools.verification import verify
 from runtime.contract.heads import HEADS
@@ -251,6 +251,13 @@ def test_it_is_trained_and_scored(folder, tmp_path):
     assert row.figures["mean_error_drivable"] == pytest.approx(
         float(scores["mean_error_drivable"]), abs=1e-6
     )
+
+
+def test_a_package_that_cannot_be_imported_is_named(folder, monkeypatch):
+    monkeypatch.delitem(HEADS, "drivable", raising=False)
+    monkeypatch.setitem(sys.modules, "lab_head", None)
+    with pytest.raises(ContractError, match=r"drivable = lab_head:DRIVABLE: .*: inst"):
+        Predictor(folder / "m.onnx")
 
 
 @pytest.mark.usefixtures("folder")

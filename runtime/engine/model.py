@@ -54,8 +54,8 @@ def open_model(
         The model, and the session of ONNX Runtime that runs it.
 
     Raises:
-        ContractError: as for `load_model_file` and `open_session`, and if the graph has other
-            inputs or outputs.
+        ContractError: as for `load_model_file` and `open_session`, if the graph has other inputs
+            or outputs, and if a package that registers one of its heads cannot be imported.
         ProviderError: if the provider cannot be used.
     """
     file = load_model_file(path, sha256=sha256)
@@ -63,7 +63,10 @@ def open_model(
     shapes = {tensor.name: tensor.shape for tensor in session.get_inputs()}
     inputs = {tensor.name: (tensor.type, len(tensor.shape)) for tensor in session.get_inputs()}
     outputs = [tensor.name for tensor in session.get_outputs()]
-    known = [name for name in outputs if name in HEADS]  # first, so that HEADS lists them
+    try:
+        known = [name for name in outputs if name in HEADS]  # first, so that HEADS lists them
+    except ValueError as error:
+        raise ContractError(f"{path}: {error}: install what that package needs") from error
     heads = tuple(name for name in HEADS if name in known)
     if inputs != _INPUTS or not heads:
         raise ContractError(

@@ -3,11 +3,7 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Union
 
-from pydantic import (
-    Discriminator,
-    PlainValidator,
-    Tag,
-)
+from pydantic import Discriminator, PlainValidator, Tag
 from pydantic_core import PydanticCustomError
 
 from runtime.base.errors import InputError

@@ -18,12 +18,7 @@ from runtime.recordings.source import ListedFrame
 from training.datasets.camvid import LABELS
 from training.datasets.cityscapes import disparity_to_depth
 from training.datasets.class_mapping import ClassTable, LabelFiles
-from training.datasets.files import (
-    dataset_errors,
-    list_images,
-    read_gray,
-    require_folder,
-)
+from training.datasets.files import dataset_errors, list_images, read_gray, require_folder
 from training.datasets.recording import RecordedFrames, Targets
 from training.datasets.sample import IGNORE, Sample
 from training.datasets.source_recipe import RangeRecipe
