@@ -16,9 +16,7 @@ For longer trainings use --set 'schedule.steps = 20000' with another RUNS. For s
 import argparse
 import hashlib
 import json
-import re
 import statistics
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -26,14 +24,24 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
-from pydantic.dataclasses import dataclass
 
+from comparison_entries import (
+    ONNX,
+    SCORES,
+    TIMES,
+    Entry,
+    Heads,
+    Plan,
+    heads_of,
+    network_of,
+    read_json,
+    read_plan,
+    recipe_of,
+)
+from comparison_tables import to_tables
 from export.deploy import DeployGraph
 from export.exporter import count_giga_macs, export_checkpoint
-from models import Network, create_model
-from models.registry import NETWORKS
 from random_weights import TRACED_AT, count_params_m, export_graph
-from runtime import Predictor
 from runtime.app.command import INTERRUPTED
 from runtime.app.tools.bench import BenchOptions, bench
 from runtime.app.tools.bench_worker import make_input, time_runs
@@ -41,7 +49,6 @@ from runtime.base.errors import InputError, SSDNetError
 from runtime.contract.model_file import load_model_file
 from runtime.engine.bundled_models import find_model
 from runtime.files.atomic_write import atomic_write
-from training.chosen_recipe import read_stages
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
@@ -49,15 +56,10 @@ from training.datasets.source_recipe import SourceRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.classical import create_method
 from training.evaluation.evaluate import evaluate
-from training.limits import STRICT
 from training.loop import train
-from training.network import build_network
-from training.recipe import Recipe
 from training.run_folder import FINAL, RECIPE, require_same
 from training.stop_signal import stop_signal
-from training.tables import build
 
-ONNX, SCORES, TIMES = "model.onnx", "scores.json", "times.json"
 Size = tuple[int, int]  # (height, width)
 Stop = Callable[[], bool]  # whether a signal arrived
 SIZES: list[Size] = [(125, 414), (512, 1024)]
@@ -73,59 +75,6 @@ SETS: Mapping[str, Sets] = {
         "rendered": (RenderedRecipe(path="rendered/val"), ["64"]),
     },
 }
-# Titles of the columns for "set lidar" among the scores.
-DEPTH_COLUMNS = {
-    "streets 64": "KITTI streets, 64 lines",
-    "streets 16": "16 lines",
-    "stream own": "KITTI frames 50-59, 32 lines",
-    "rendered 64": "rendered, 64 lines",
-}
-
-
-@dataclass(frozen=True, kw_only=True, config=STRICT)
-class Entry:
-    """A row of the tables: a network trained by a recipe with changes, or one of the other kinds.
-
-    Attributes:
-        name: title of the row.
-        recipe: recipe that replaces the plan's.
-        set: changes of the recipe.
-        onnx: a bundled model or an ONNX file, which is not trained.
-        network: a name in `NETWORKS`, which is timed with random weights and not trained.
-        method: a classical method of depth completion.
-        published_miou: published mIoU on CamVid test, in percent, shown for comparison.
-    """
-
-    name: str
-    recipe: str | None = None
-    set: tuple[str, ...] = ()
-    onnx: str | None = None
-    network: str | None = None
-    method: str | None = None
-    published_miou: float | None = None
-
-    @property
-    def folder(self) -> str:
-        """The entry's name as the name of a folder."""
-        return re.sub(r"[^\w.-]+", "-", self.name)
-
-    @property
-    def is_trained(self) -> bool:
-        """Whether the entry needs a recipe."""
-        return not (self.onnx or self.network or self.method)
-
-
-@dataclass(frozen=True, config=STRICT)
-class Plan:
-    """The content of the file: the recipe and the changes for all, and the entries."""
-
-    recipe: str | None = None
-    set: tuple[str, ...] = ()
-    entries: tuple[Entry, ...] = ()
-
-
-# The heads of each entry, in the order of the file.
-Heads = Mapping[Entry, Sequence[str]]
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -183,61 +132,6 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 def _size(text: str) -> Size:
     height, width = map(int, text.split("x"))
     return height, width
-
-
-def read_plan(path: Path, changes: Sequence[str], only: Sequence[str] | None) -> Plan:
-    """Read the file with changes for all, and give each entry its recipe. Raises InputError."""
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-        entries = [build(Entry, item) for item in table.pop("entry", [])]
-        plan = build(Plan, table)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-    folders = [entry.folder for entry in entries]
-    twice = sorted({name for name in folders if folders.count(name) > 1})
-    if twice:
-        raise InputError(f"{path}: two entries are called {twice[0]!r}; give each its name")
-    names = [entry.name for entry in entries]
-    unknown = sorted(set(only or ()) - set(names))
-    if unknown:
-        raise InputError(f"--only {unknown[0]!r}: no such entry; known: {', '.join(names)}")
-    chosen = []
-    for entry in entries:
-        if only is not None and entry.name not in only:
-            continue
-        if entry.is_trained and entry.recipe is None:
-            if plan.recipe is None:
-                raise InputError(f"{path}: names no recipe to train {entry.name!r} by")
-            entry = replace(entry, recipe=plan.recipe)
-        chosen.append(entry)
-    return Plan(plan.recipe, (*plan.set, *changes), tuple(chosen))
-
-
-def recipe_of(entry: Entry, plan: Plan) -> Recipe:
-    """Return the recipe of an entry with all changes. Raises InputError."""
-    assert entry.recipe is not None  # read_plan has set it
-    first, *others = read_stages(entry.recipe, [*plan.set, *entry.set])
-    if others:
-        raise InputError(f"{entry.recipe}: has several stages; expected a recipe of a single run")
-    return first.recipe
-
-
-def heads_of(entry: Entry, plan: Plan) -> tuple[str, ...]:
-    """Return the heads of an entry. Raises InputError if it cannot be built."""
-    if entry.method is not None:
-        create_method(entry.method)
-        return ("depth",)
-    if entry.network is not None:
-        if entry.network not in NETWORKS:
-            raise InputError(f"no network {entry.network!r}; known: {', '.join(NETWORKS)}")
-        with torch.device("meta"):
-            return create_model(entry.network).heads
-    if entry.onnx is not None:
-        with Predictor(find_model(entry.onnx)) as predictor:
-            return predictor.heads
-    return build_network(recipe_of(entry, plan).model, None).heads
 
 
 def train_all(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
@@ -395,14 +289,6 @@ def find_file(entry: Entry, plan: Plan, runs: Path, folder: Path) -> str:
     return str(path)
 
 
-def network_of(entry: Entry, plan: Plan) -> Network:
-    """Return the network of an entry with random weights."""
-    name = entry.network or entry.onnx
-    if name is not None:
-        return create_model(name)
-    return build_network(recipe_of(entry, plan).model, None)
-
-
 def time_method(name: str, size: Size, rounds: int) -> float:
     """Return the median time [ms] of a classical method, which runs on one thread."""
     method = create_method(name)
@@ -415,68 +301,6 @@ def time_method(name: str, size: Size, rounds: int) -> float:
 def print_tables(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
     """Print the tables."""
     print(to_tables(heads, arguments.runs))
-
-
-def to_tables(heads: Heads, runs: Path) -> str:
-    """Return a table for each task; a missing figure is an empty cell."""
-    times = read_json(runs / TIMES)
-    sizes = [f"{part['size'][0]} x {part['size'][1]}" for part in times.get("sizes", [])]
-    parts = []
-    for head, title in (("semantic", "Semantics"), ("depth", "Depth completion, MAE / RMSE in mm")):
-        columns = ["CamVid val mIoU %", "published, test"]
-        if head == "depth":
-            columns = list(DEPTH_COLUMNS.values())
-        columns = ["network", "trained", *columns, "params M", "GMACs"]
-        columns += [f"ms, {size}" for size in sizes]
-        lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
-        for entry, answers in heads.items():
-            if head in answers:
-                lines.append(f"| {' | '.join(_row(entry, head, runs, times))} |")
-        parts.append(f"**{title}**\n\n" + "\n".join(lines))
-    if times:
-        parts.append(f"GMACs at {sizes[0]}. {times['machine']}.")
-    return "\n\n".join(parts) + "\n"
-
-
-def _row(entry: Entry, head: str, runs: Path, times: Mapping[str, Any]) -> list[str]:
-    scores = read_json(runs / entry.folder / SCORES).get("figures", {})
-    cells = [entry.name, _describe_training(entry, runs)]
-    if head == "semantic":
-        miou, published = scores.get("camvid none", {}).get("miou"), entry.published_miou
-        cells += ["" if miou is None else f"{100 * miou:.1f}"]
-        cells += ["" if published is None else f"{published:g}"]
-    else:
-        for place in DEPTH_COLUMNS:
-            errors = [scores.get(place, {}).get(key) for key in ("mae_m", "rmse_m")]
-            cells.append("" if None in errors else " / ".join(f"{1e3 * m:.0f}" for m in errors))
-    timed = [part["rows"].get(entry.name, {}) for part in times.get("sizes", [])]
-    counted = [timed[0].get(key) if timed else None for key in ("params_m", "gmacs")]
-    cells += ["" if value is None else f"{value:.3g}" for value in counted]
-    for row in timed:
-        digits = 1 if row and row["median_ms"] < 100 else 0
-        cells.append(f"{row['median_ms']:.{digits}f}" if row else "")
-    return cells
-
-
-def _describe_training(entry: Entry, runs: Path) -> str:
-    if entry.method is not None:
-        return "no training"
-    if entry.onnx is not None:
-        return "as it ships"
-    if entry.network is not None:
-        return "not trained here"
-    if not (runs / entry.folder / ONNX).is_file():
-        return "not yet"
-    recipe = read_json(runs / entry.folder / RECIPE)["recipe"]
-    samples = (
-        recipe["schedule"]["steps"] * recipe["data"]["batch_size"] * recipe["loop"]["accumulate"]
-    )
-    return f"{samples} samples"
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """Return a JSON document, or {} if it does not exist."""
-    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
 
 
 if __name__ == "__main__":

@@ -58,9 +58,7 @@ def write_page(
         "command": command or shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "machine": f"{facts.processor}, {facts.logical_cores} logical cores",
         "differences": [
-            ([item.model, item.data, *cells], f"{verdict} than {item.against}", _kind(verdict))
-            if verdict in ("better", "worse")
-            else ([item.model, item.data, *cells], verdict, "soft")
+            (item.model, item.data, *cells, *_judged(verdict, item.against))
             for item, cells, verdict in difference_rows(found.differences)
         ],
         "groups": list(_groups(found.results)),
@@ -71,8 +69,12 @@ def write_page(
     atomic_write(path, content, overwrite=overwrite)
 
 
-def _kind(verdict: str) -> str:
-    return "good" if verdict == "better" else "bad"
+def _judged(verdict: str, against: str) -> tuple[str, str]:
+    """Return a verdict in words, and the name of its colour."""
+    colors = {"better": "good", "worse": "bad"}
+    return (
+        (f"{verdict} than {against}", colors[verdict]) if verdict in colors else (verdict, "soft")
+    )
 
 
 def _groups(results: Sequence[Result]) -> Iterator[dict[str, Any]]:
