@@ -113,14 +113,11 @@ def require_folder(path: Path, purpose: str, *, files: Sequence[str] = ()) -> Pa
     return path
 
 
+@dataset_errors()
 def list_images(folder: Path, purpose: str) -> list[Path]:
     """Return a folder's PNG and JPEG images in natural order; DatasetError if there are none."""
-    there = require_folder(folder, purpose).iterdir()
-    listed = [path for path in there if path.suffix.lower() in images.RGB_SUFFIXES]
-    if not listed:
-        raise DatasetError(f"{folder}: no .png or .jpg images in it; expected {purpose}")
-    order = {stem: place for place, stem in enumerate(in_natural_order(p.stem for p in listed))}
-    return sorted(listed, key=lambda path: (order[path.stem], path.suffix))
+    listed = images.list_files(require_folder(folder, purpose))
+    return [listed[name] for name in in_natural_order(listed)]
 
 
 def find_orientations(paths: Sequence[Path]) -> dict[Path, int]:
