@@ -147,7 +147,12 @@ def _joined(first: PoseTrack, second: PoseTrack) -> PoseTrack:
 
 
 def _compare(before: Frame, frame: Frame, track: PoseTrack) -> dict[str, float] | None:
-    """Return the error of each reading; None if the scans are too near or cannot be compared."""
+    """Return the error of each reading; None if the scans are too near or cannot be compared.
+
+    Poses of another unit seem to jump all the time, so jumps are ignored; a few do not change a
+    median.
+    """
+    track = replace(track, jumped=np.zeros_like(track.jumped))
     to = frame.image.stamp_ns
     from_ns = before.image.stamp_ns
     scans = [_sampled(each.depth.data) for each in (before, frame) if each.depth is not None]
@@ -162,9 +167,8 @@ def _compare(before: Frame, frame: Frame, track: PoseTrack) -> dict[str, float] 
     if found["still"] is None:
         return None
     for name, reading in READINGS.items():
-        read = replace(reading(track), jumped=np.zeros_like(track.jumped))
         try:
-            found[name] = _error(*(move_points(*scan, read, to) for scan in scans))
+            found[name] = _error(*(move_points(*scan, reading(track), to) for scan in scans))
         except InputError:
             found[name] = None
     return {name: 1.0 if each is None else each for name, each in found.items()}

@@ -78,6 +78,7 @@ def test_the_right_extrinsics_and_scans_that_fit_nowhere_are_no_mistake():
     assert find_mistake(views) is None
     result = judge(views, views[0].calibration, None)
     assert result.verdict is Verdict.NOT_VISIBLE, result.reason
+    assert "the returns fit the images nowhere near" in result.reason
     assert result.refined is None
     assert result.off_degrees is None
 

@@ -77,7 +77,8 @@ def test_right_poses_are_not_doubted(turn):
 
 @pytest.mark.parametrize(("read", "turn", "said"), [
     (np.linalg.inv, 0.0, "as their inverse"), (np.linalg.inv, 0.4, "as their inverse"),
-    (scaled(0.001), 0.0, "in kilometres"), (w_first, 0.4, "with w as the first number"),
+    (scaled(0.001), 0.0, "in kilometres"), (scaled(1000), 0.0, "in millimetres"),
+    (w_first, 0.4, "with w as the first number"),
 ])  # fmt: skip
 def test_the_reading_that_fits_is_named(read, turn, said):
     found = finding(read, turn=turn)
