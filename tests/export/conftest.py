@@ -110,9 +110,13 @@ def exported(lite_checkpoint, beside, fixed_graph, tmp_path_factory):
 
 
 @pytest.fixture
-def traced(exported, monkeypatch):
+def traced(exported, dynamic_model, monkeypatch):
     """Exports of `lite_checkpoint` at SIZE take graph and work of `exported`: both take seconds."""
-    monkeypatch.setattr(exporter, "trace", lambda *_, **__: onnx.load(exported.path))
+
+    def trace(*_, dynamic, **__):
+        return copy.deepcopy(dynamic_model) if dynamic else onnx.load(exported.path)
+
+    monkeypatch.setattr(exporter, "trace", trace)
     monkeypatch.setattr(exporter, "count_giga_macs", lambda *_: exported.contract.giga_macs)
 
 

@@ -86,13 +86,11 @@ def test_what_it_was_trained_for_goes_from_the_checkpoint_into_the_file(lite_che
     assert (contract.trained_height, contract.canonical_focal_px) == (375, 721.5)
 
 
-def test_a_file_of_any_size_is_verified_at_the_frames_own(
-    lite_checkpoint, dynamic_model, tmp_path, monkeypatch
-):
+@pytest.mark.usefixtures("traced")
+def test_a_file_of_any_size_is_verified_at_the_frames_own(lite_checkpoint, tmp_path):
     """Frames far above the trained height would be shrunk, and differ from PyTorch's answers."""
     model = load_checkpoint(lite_checkpoint).model
     save_checkpoint(tmp_path / "c.pt", model, training={"trained_height": 40})
-    monkeypatch.setattr(exporter, "trace", lambda *_, **__: copy.deepcopy(dynamic_model))
     report = export_checkpoint(
         tmp_path / "c.pt", tmp_path / "m.onnx", size=SIZE, dynamic=True, with_logits=True
     )
@@ -101,21 +99,18 @@ def test_a_file_of_any_size_is_verified_at_the_frames_own(
         assert predictor.network_size(SIZE) == (40, 60)
 
 
+@pytest.mark.usefixtures("traced")
 @pytest.mark.parametrize(
     ("arguments", "size"),
     [(["--with-logits"], None), (["--with-logits", "--dynamic", *FIXED], None), (FIXED, SIZE)],
     ids=["default", "dynamic", "fixed"],
 )
 def test_a_file_takes_any_size_unless_one_is_fixed(
-    lite_checkpoint, dynamic_model, exported, tmp_path, monkeypatch, arguments, size
+    lite_checkpoint, tmp_path, monkeypatch, arguments, size
 ):
-    def trace(*_, dynamic, **__):
-        return copy.deepcopy(dynamic_model) if dynamic else onnx.load(exported.path)
-
     def frame(size, **_):
         return probe_frames(size, max_depth_m=100.0)[:1]
 
-    monkeypatch.setattr(exporter, "trace", trace)
     monkeypatch.setattr(exporter, "_frames", frame)
     monkeypatch.setattr(exporter, "DEFAULT_SIZE", SIZE)
     path = tmp_path / "m.onnx"
