@@ -38,7 +38,7 @@ from training.evaluation.evaluated_run import open_training_sets
 from training.evaluation.scored_model import trained_classes
 from training.evaluation.shared_classes import share_classes
 from training.lidar.split import LidarInput, frame_generator, split_lidar
-from training.loading.open_dataset import count_shared, frame_files, open_dataset
+from training.loading.open_dataset import count_frames, count_shared, open_dataset
 
 # LiDAR inputs of the calibration frames, used in turn. Activations beyond the calibrated ranges are
 # clipped.
@@ -108,7 +108,7 @@ def require_frames(
     found, warnings = {}, []
     for option, texts in (("--calibrate", options.calibrate), ("--validate", validate)):
         found[option] = [_open_set(text, table) for text in texts]
-        if (count := len(frame_files(found[option]))) < LEAST_FRAMES:
+        if (count := count_frames(found[option])) < LEAST_FRAMES:
             raise InputError(
                 f"{option}: {count} frames in all, expected {LEAST_FRAMES} or more, so nothing was "
                 "written: add frames or another set"
@@ -124,7 +124,7 @@ def require_frames(
             "measured on other frames; give another set, or other frames of it"
         )
     if known := count_shared(found["--validate"], open_training_sets(folder)):
-        count = len(frame_files(found["--validate"]))
+        count = count_frames(found["--validate"])
         warnings.append(
             f"--validate: the model was trained on {known} of these {count} frames, where it may "
             "lose less accuracy than on new ones"

@@ -146,6 +146,7 @@ def test_validation_feeds_the_lidar_of_the_recipe(data, tmp_path):
     assert "scenes, LiDAR random:0.5" in page
     assert "Worst depth of after" in page
     (row,) = evaluate([out]).rows  # of the run's folder: its set, with its input
+    assert row.model == out.name
     assert (row.data, row.lidar) == ("scenes", "random:0.5")
     assert row.figures["mae_m"] == pytest.approx(errors[1], rel=1e-5)
 

@@ -257,7 +257,9 @@ def _open_all(
         for name in names
         if name not in METHODS
     }
-    titles = dict(zip(paths, short_names(list(paths.values())), strict=True))
+    # A run is called like its folder: all have a model.pt.
+    titled = [Path(name).resolve() if name in runs else path for name, path in paths.items()]
+    titles = dict(zip(paths, short_names(titled), strict=True))
     left = list(adapters)
     scored: dict[str, ScoredModel] = {}
     for name in names:

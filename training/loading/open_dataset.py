@@ -69,9 +69,12 @@ class HeldSource:
 
     def __init__(self, source: SampleSource) -> None:
         self.images: Sequence[Path] = ()
-        self._packed = [
-            zlib.compress(pickle.dumps(source[index]), level=1) for index in range(len(source))
-        ]
+        self.digests: list[bytes] = []  # of the images
+        self._packed: list[bytes] = []
+        for index in range(len(source)):
+            sample = source[index]
+            self.digests.append(hashlib.sha256(sample.rgb.tobytes()).digest())
+            self._packed.append(zlib.compress(pickle.dumps(sample), level=1))
 
     def __len__(self) -> int:
         return len(self._packed)
@@ -123,11 +126,22 @@ def frame_files(sources: Iterable[SampleSource]) -> dict[tuple[int, int], Path]:
     return found
 
 
-def count_shared(sources: Iterable[SampleSource], others: Iterable[SampleSource]) -> int:
+def _digests(sources: Iterable[SampleSource]) -> list[bytes]:
+    """Return the digests of the images of sets without files."""
+    return [digest for source in sources for digest in getattr(source, "digests", ())]
+
+
+def count_frames(sources: Sequence[SampleSource]) -> int:
+    """Return the number of different images."""
+    return len(frame_files(sources)) + len(set(_digests(sources)))
+
+
+def count_shared(sources: Sequence[SampleSource], others: Sequence[SampleSource]) -> int:
     """Return how many images of some sets are also in others: the same file, or a copy of it.
 
-    Files of one size are compared by their SHA-256.
+    Files of one size, and the images of streams, are compared by their SHA-256.
     """
+    held = set(_digests(others))
     here, there = frame_files(sources), frame_files(others)
     sizes: dict[int, list[Path]] = {}
     for path in there.values():
@@ -137,7 +151,7 @@ def count_shared(sources: Iterable[SampleSource], others: Iterable[SampleSource]
     def digests(size: int) -> set[bytes]:
         return {_digest(path) for path in sizes[size]}
 
-    count = 0
+    count = sum(digest in held for digest in _digests(sources))
     for key, path in here.items():
         size = path.stat().st_size
         count += key in there or (size in sizes and _digest(path) in digests(size))

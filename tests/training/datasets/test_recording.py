@@ -8,7 +8,7 @@ from layouts.pictures import write
 from runtime.base.errors import DatasetError
 from runtime.recordings.folders import FolderSource
 from training.datasets.recording import RecordingRecipe
-from training.loading.open_dataset import open_dataset
+from training.loading.open_dataset import count_frames, count_shared, open_dataset
 from training.stop_signal import StopRequested
 
 SIZE = (24, 32)
@@ -83,6 +83,9 @@ def test_a_stream_is_read_once_in_its_order_and_held(root, monkeypatch):
         np.testing.assert_array_equal(held[index].rgb, expected[index].rgb)
         np.testing.assert_array_equal(held[index].depth, expected[index].depth)
     assert order == ["0", "1", "2", "3"]
+    # Frames of a stream have no files, and are known by what they show.
+    later = open_drive(root, first=2)
+    assert (count_frames([held, later]), count_shared([held], [later])) == (4, 2)
     order.clear()
     with pytest.raises(StopRequested):
         open_drive(root, stop=lambda: len(order) == 2)
