@@ -20,7 +20,7 @@ def evaluate(
     models: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[MODEL]...",
+            metavar="MODEL",
             help="Folders of runs, checkpoints (*.pt), exported models (*.onnx), networks of "
             "others (*.onnx, see --adapter), bundled models by name (ssdnet-lite) and classical "
             "methods (nearest, linear, planes, ip-basic, ip-basic-multiscale, mrf, tgv). Others "
