@@ -76,13 +76,14 @@ class SpatialPyramid(nn.Module):
 
     def __init__(self, in_channels: int, out_channels: int, *, stride: int = 1) -> None:
         super().__init__()
-        narrow = out_channels // len(_DILATIONS)
-        first = out_channels - (len(_DILATIONS) - 1) * narrow  # the remainder of the division
+        dilations = _DILATIONS[:out_channels]  # of fewer channels than dilations, one for each
+        narrow = out_channels // len(dilations)
+        first = out_channels - (len(dilations) - 1) * narrow  # the remainder of the division
         kernel = 3 if stride > 1 else 1
         self.reduce = nn.Conv2d(in_channels, narrow, kernel, stride, kernel // 2, bias=False)
         self.transform = nn.ModuleList(
             nn.Conv2d(narrow, first if d == 1 else narrow, 3, 1, d, d, bias=False)
-            for d in _DILATIONS
+            for d in dilations
         )
         self.finish = nn.Sequential(*_finish(out_channels))
         self.adds = stride == 1 and in_channels == out_channels

@@ -20,6 +20,7 @@ from models.baselines import (
     sparse_to_dense,
     vgg16,
 )
+from models.baselines.espnet import SpatialPyramid
 from models.baselines.max_unpooling import max_mask, max_unpool
 from models.baselines.nconv import NormalisedConv
 from models.baselines.sparse_conv import SparseConv
@@ -74,6 +75,12 @@ def test_params_and_macs_are_the_known_ones(name):
     assert sum(p.numel() for p in model.parameters()) == pytest.approx(params, rel=0.015)
     if macs is not None:
         assert counter.get_total_flops() / 2 == pytest.approx(macs, rel=0.015)
+
+
+def test_espnet_can_have_fewer_classes_than_dilations():
+    with torch.device("meta"):
+        block = SpatialPyramid(8, 2)
+        assert block(torch.empty(1, 8, 16, 32)).shape == (1, 2, 16, 32)
 
 
 def kind_of(block):
