@@ -44,7 +44,8 @@ class RunReport:
         saved: kinds of files that were written for each frame.
         stream: results of the frames.
         implausible_depth: why the returns cannot be right; None: nothing was found.
-        calibration_fit: how well the returns of the first frames fit the image; None if unknown.
+        calibration_fits: how well the returns of the first frames fit the image, by camera; the
+            only camera of a run has the name "". A camera of which it is unknown is left out.
         outages: when a sensor was out.
         timeline: times of the frames; None if they are unknown, or belong to several cameras.
         implausible_poses: why the poses cannot be right; None: nothing was found.
@@ -57,7 +58,7 @@ class RunReport:
     saved: tuple[str, ...]
     stream: StreamResult
     implausible_depth: str | None = None
-    calibration_fit: QuickFinding | None = None
+    calibration_fits: Mapping[str, QuickFinding] = field(default_factory=dict)
     outages: tuple[Outage, ...] = ()
     timeline: Timeline | None = None
     implausible_poses: str | None = None
@@ -97,7 +98,15 @@ class RunReport:
             inputs={"cameras": {camera: report.inputs for camera, report in reports.items()}},
             stream=stream,
             implausible_depth="; ".join(found) or None,
-            implausible_poses=first.implausible_poses,  # the same for all cameras
+            implausible_poses=next(  # the vehicle has them, whichever camera's frames showed it
+                (each.implausible_poses for each in reports.values() if each.implausible_poses),
+                None,
+            ),
+            calibration_fits={
+                camera: found
+                for camera, report in reports.items()
+                for found in report.calibration_fits.values()
+            },
             outages=tuple(
                 replace(outage, camera=camera)
                 for camera, report in reports.items()
@@ -239,7 +248,7 @@ class RunReport:
                 "depth": self.depth_sources,
                 "implausible_depth": self.implausible_depth,
                 "implausible_poses": self.implausible_poses,
-                "calibration_fit": self.calibration_fit and self.calibration_fit._asdict(),
+                "calibration_fit": self._described_fits(),
                 "by_network_size": self.by_network_size,
                 "not_ok": [
                     {
@@ -262,6 +271,11 @@ class RunReport:
             "wall_s": self.stream.wall_s,
             "frames_per_second": self.frames_per_second,
         }
+
+    def _described_fits(self) -> dict[str, Any] | None:
+        """Figures of `calibration_fits`: by camera if the cameras of a run have names."""
+        fits = {camera: found._asdict() for camera, found in self.calibration_fits.items()}
+        return fits.get("", fits) or None
 
 
 def _size_text(size: tuple[int, int] | None) -> str:

@@ -207,7 +207,10 @@ def _facts(report: RunReport, started: datetime) -> dict[str, Any]:
         "network ran at": ", ".join(f"{size} ({count})" for size, count in sizes),
         "depth": ", ".join(f"{kind} ({count})" for kind, count in report.depth_sources.items()),
         "implausible depth": report.implausible_depth,
-        "fit of the returns": report.calibration_fit and report.calibration_fit.text,
+        "fit of the returns": "; ".join(
+            f"{camera}: {found.text}" if camera else found.text
+            for camera, found in report.calibration_fits.items()
+        ),
         "output": report.out,
         "saved": ", ".join(report.saved) or "nothing",
     }
