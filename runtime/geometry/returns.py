@@ -11,11 +11,12 @@ from runtime.geometry.assumptions import assume
 
 _NEAREST_M = 0.01  # nearer points are a rounded (0, 0, 0), which Ouster, Livox and SICK send
 _LEAST_JUDGED, _MOST_IMPLAUSIBLE = 50, 0.25
-# What marks a miss: the rounding of its range and the range beside it in which returns would be,
-# both in shares of the range; the least number of misses and their least share of the scan; how
-# many times more they are than their neighbours; and their extent in shares of the range.
-_EDGE, _BESIDE = 1e-5, 1e-2
-_LEAST_MISSES, _LEAST_MISS_SHARE, _MISSES, _LEAST_WIDTH = 50, 0.01, 2, 0.1
+# What marks a miss: the rounding of its range (centimetres at 50 m) and the range
+# beside it in which returns would be, both in shares of the range; the least number of misses and
+# their least share of the scan; how many times more they are than their neighbours; and their
+# extent, in all and in height, in shares of the range. A wall of that extent varies by 1e-3.
+_EDGE, _BESIDE = 4e-4, 1e-2
+_LEAST_MISSES, _LEAST_MISS_SHARE, _MISSES, _LEAST_WIDTH, _LEVEL = 50, 0.01, 2, 0.1, 2e-3
 _WIDEST_POINT = 16  # numbers per point; a longer row belongs to an array (3, N)
 _SATURATED = 65535  # 16-bit depth without a measurement
 # The same value in metres if the unit is KITTI's, millimetres or centimetres.
@@ -89,7 +90,7 @@ def is_return(points: NDArray[np.float32], *, name: str = "a scan") -> NDArray[n
     A point is no return if it is at (0, 0, 0), or a coordinate is NaN, infinite or beyond 10 km.
     Many points at one identical range at the edge of a scan are no returns either: simulators mark
     beams without a return by such points. They are recognised only if the points are in the LiDAR's
-    own frame.
+    own frame, up to the rounding of coordinates. One scan line on level ground is kept.
 
     Args:
         points: float32 (N, 3) or wider, x, y, z first, metres.
@@ -138,8 +139,12 @@ def _without_misses(
         if at < least or at < _MISSES * (np.count_nonzero(compare(inside, wide)) - at):
             continue
         marks = returns & compare(square, near)
-        # Copies of a single point are not a dome.
-        if marks.any() and np.ptp(points[marks, :3], axis=0).max() ** 2 > _LEAST_WIDTH**2 * edge:
+        # Copies of a single point are not a dome, and neither is one line on level ground.
+        if not marks.any():
+            continue
+        width, height = np.ptp(points[marks, :3], axis=0).max(), np.ptp(z[marks])
+        is_ground = height**2 < _LEVEL**2 * edge and z[marks].max() < 0
+        if width**2 > _LEAST_WIDTH**2 * edge and not is_ground:
             returns = returns & ~marks
     return returns
 

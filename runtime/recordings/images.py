@@ -71,7 +71,7 @@ def read_rgb(path: Path) -> NDArray[np.uint8]:
 
 def decode_rgb(content: bytes, *, name: str) -> NDArray[np.uint8]:
     """Decode the content of a PNG or JPEG file as `read_rgb` does; errors mention `name`."""
-    check_exif(content)
+    content = check_exif(content, "images")
     image = decode(content, cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH, name=name)
     if image.dtype != np.uint8:
         raise InputError(
@@ -115,7 +115,8 @@ def holds_metres(path: Path) -> bool:
 def _read_map(path: Path) -> NDArray[Any]:
     if path.suffix.lower() == ".npy":
         return read_npy(path)
-    return decode(read_input(path), cv2.IMREAD_UNCHANGED, name=str(path))
+    content = check_exif(read_input(path), "depth maps")
+    return decode(content, cv2.IMREAD_UNCHANGED, name=str(path))
 
 
 def read_npy(path: Path) -> NDArray[Any]:
@@ -137,7 +138,7 @@ def read_npy(path: Path) -> NDArray[Any]:
 def decode(content: bytes, flags: int, *, name: str) -> NDArray[Any]:
     """Decode a PNG, JPEG or TIFF with OpenCV's IMREAD_* `flags`. Raises InputError.
 
-    Pixels stay as they are stored: an EXIF orientation is never applied.
+    Pixels stay as they are stored, but those of a TIFF only after `check_exif`.
     """
     if (size := image_size(content)) is not None:
         require_pixels(size, name=name)  # checked before the pixels take memory

@@ -16,6 +16,7 @@ _TURNS = {
     7: "turns and mirrors them",
     8: "turns them by 270 degrees",
 }
+_ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
 _HEADER_BYTES = 1 << 17  # EXIF is looked for in so many bytes
 
 
@@ -28,26 +29,30 @@ def check_turn(turned: str, what: str) -> None:
     """
     if turned:
         assume(
-            f"images are upright as they are stored, although the {what} {turned}",
+            f"pixels are upright as they are stored, although the {what} {turned}",
             "if they are not, turn the pixels by ffmpeg or mogrify -auto-orient, with depth maps "
             "and calibration",
         )
 
 
-def check_exif(content: bytes) -> None:
-    """Report how the EXIF of a JPEG or PNG file turns the picture, see `check_turn`."""
-    start = content.find(b"Exif\0\0", 0, _HEADER_BYTES) + 6
+def check_exif(content: bytes, what: str) -> bytes:
+    """Report how the EXIF of a JPEG or PNG, or the header of a TIFF, turns `what` it holds.
+
+    Returns the content without the turn of a TIFF, which OpenCV would apply.
+    """
+    start = 0 if content[:4] in _ORDERS else content.find(b"Exif\0\0", 0, _HEADER_BYTES) + 6
     if content.startswith(b"\x89PNG"):
         start = content.find(b"eXIf", 0, _HEADER_BYTES) + 4
-    if start < 6:
-        return
-    orders = {b"II*\0": "<", b"MM\0*": ">"}
-    if (order := orders.get(content[start : start + 4])) is None:
-        return
+    order = _ORDERS.get(content[start : start + 4])
+    if order is None or 0 < start < 6:  # not found
+        return content
     with contextlib.suppress(struct.error):  # the content may be truncated
         at = start + struct.unpack_from(f"{order}I", content, start + 4)[0]
         for entry in range(struct.unpack_from(f"{order}H", content, at)[0]):
             tag, _, _, value = struct.unpack_from(f"{order}HHIH", content, at + 2 + 12 * entry)
             if tag == _ORIENTATION:
-                check_turn(_TURNS.get(value, ""), "EXIF of the images")
-                return
+                check_turn(_TURNS.get(value, ""), f"{'EXIF' if start else 'header'} of the {what}")
+                at += 2 + 12 * entry + 8
+                upright = struct.pack(f"{order}H", 1)
+                return content if start else content[:at] + upright + content[at + 2 :]
+    return content

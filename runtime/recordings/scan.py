@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from runtime.base.checks import cut, shown
 from runtime.base.errors import InputError
 from runtime.files.read_input import MAX_FILE_BYTES, read_input
+from runtime.geometry.assumptions import assume
 from runtime.geometry.returns import is_return, is_transposed
 from runtime.recordings.images import read_npy
 
@@ -32,6 +33,7 @@ _TYPES |= {code: code for code in (*_CODES, "i8", "u8")}
 _WORD_OF_WINDOWS = re.compile(rb"-?(?:nan\([a-z]*\)|1\.#[a-z]+[0-9]*)", re.IGNORECASE)
 _ASCII, _COMPRESSED = "ascii", "binary_compressed"
 # Byte order for each encoding of the points.
+_AT_ORIGIN = (0, 0, 0, 1, 0, 0, 0)  # a VIEWPOINT: x, y, z, and a quaternion with w first
 _OF_PCD = {_ASCII: "", "binary": "<", _COMPRESSED: "<"}
 _OF_PLY = {_ASCII: "", "binary_little_endian": "<", "binary_big_endian": ">"}
 # A raw file does not state how many columns a point has. They are judged by the angle between
@@ -185,6 +187,12 @@ def _parse_pcd(lines: list[list[str]]) -> _Header:
         raise ValueError(f"its header lacks {', '.join(sorted(missing))}")
     names = header["FIELDS"]
     counts = map(int, header.get("COUNT", ["1"] * len(names)))
+    if tuple(map(float, header.get("VIEWPOINT", _AT_ORIGIN))) != _AT_ORIGIN:
+        assume(
+            "the points of PCD files are in the frame of the LiDAR, although the VIEWPOINT is not "
+            "its origin",
+            "if they are not, move them into that frame, and write VIEWPOINT 0 0 0 1 0 0 0",
+        )
     types = map("".join, zip(header["TYPE"], header["SIZE"], strict=True))
     fields = [(name, t.lower(), n) for name, t, n in zip(names, types, counts, strict=True)]
     return _Header(fields, int(" ".join(header["POINTS"])), " ".join(header["DATA"]), True)

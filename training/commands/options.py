@@ -10,8 +10,8 @@ from runtime.app.command import INTERRUPTED
 
 # How each of these commands ends, for its help.
 EXIT_CODES = (
-    "Exit codes: 0 done; 1 error; 2 usage; 130 stopped by Ctrl-C or SIGTERM, after which the same "
-    "command resumes."
+    "Exit codes: 0 done; 1 error; 2 usage; 130 stopped by Ctrl-C, SIGTERM or SIGHUP, after which "
+    "the same command resumes."
 )
 Out = Annotated[
     Path,

@@ -33,7 +33,7 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
     cls=GroupedCommand,
     epilog="Exit codes: 0 the calibration is right within the printed limits; 1 error; 2 usage; "
     "3 the frames do not show it; 4 it is off, or images have the scans of other frames; 130 "
-    "stopped by Ctrl-C or SIGTERM.",
+    "stopped by Ctrl-C, SIGTERM or SIGHUP.",
 )
 @functools.partial(with_run_options, names=_READ)
 def main(

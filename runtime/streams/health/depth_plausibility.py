@@ -31,7 +31,7 @@ _ALIKE = 0.5  # least correlation of two depth maps of the same scene
 # less (0.02 to 0.1).
 _UNALIKE, _UNALIKE_IN_BANDS, _KNOWN, _LEAST_SPREAD = 0.3, 0.2, 3, 0.15
 _MIRRORED_MARGIN = 0.2  # the mirrored map must correlate better by this much
-# Return / camera-only depth: 0.67 to 1.15 for correct frames, 0.42 to 1.47 without a focal length,
+# Return / camera-only depth: 0.67 to 1.15 for correct frames, 0.60 to 1.15 without a focal length,
 # up to 1.7 (medians of five frames) in dark or blurred images.
 _NEAREST, _FARTHEST = 0.35, 2.0
 _FOCAL_RATIO = 10  # a wrong focal length explains at most this ratio

@@ -133,7 +133,20 @@ def test_what_exif_turns_is_said(order, orientation, said, recwarn):
     chunk = struct.pack(">I", len(exif)) + chunk + struct.pack(">I", zlib.crc32(chunk))
     assert decode_rgb(png[:33] + chunk + png[33:], name="a.png").shape == (4, 6, 3)
     assert [said in str(each.message) for each in recwarn] == [True] * bool(said)
-    check_exif(b"\xff\xd8Exif\0\0" + exif[:12])  # truncated
+    check_exif(b"\xff\xd8Exif\0\0" + exif[:12], "images")  # truncated
+
+
+def test_the_header_of_a_tiff_does_not_turn_depth(tmp_path):
+    """OpenCV turns a TIFF although it is told not to."""
+    depth = np.arange(1, 13, dtype=np.float32).reshape(3, 4)
+    path = write(tmp_path / "a.tiff", depth)
+    content = path.read_bytes()
+    samples = struct.pack("<HHIHH", 0x115, 3, 1, 1, 0)  # 1 is the default: can be left out
+    assert content.count(samples) == 1
+    path.write_bytes(content.replace(samples, struct.pack("<HHIHH", 0x112, 3, 1, 3, 0)))
+    assert cv2.imread(str(path), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)[0, 0] == 12
+    with pytest.warns(AssumptionWarning, match="header of the depth maps turns them by 180 deg"):
+        np.testing.assert_array_equal(read_sparse_depth(path), depth)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])

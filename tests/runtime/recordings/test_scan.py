@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from runtime import InputError
+from runtime.geometry.assumptions import collect_assumptions
 from runtime.recordings.scan import read_scan
 
 POINTS = np.random.default_rng(0).normal(0, 30, (50, 3)).astype(np.float32)
@@ -116,6 +117,15 @@ def test_an_array_of_one_coordinate_after_the_other_is_turned(tmp_path, columns)
     np.testing.assert_array_equal(read_scan(tmp_path / "a.npy"), scan)
     np.save(tmp_path / "b.npy", scan[:5])  # a few points
     np.testing.assert_array_equal(read_scan(tmp_path / "b.npy"), scan[:5])
+
+
+@pytest.mark.parametrize(("viewpoint", "count"), [("0 0 0 1.0 0 0 -0", 0), ("0 0 1.5 1 0 0 0", 1)])
+def test_a_viewpoint_elsewhere_is_said(tmp_path, viewpoint, count):
+    (tmp_path / "a.pcd").write_bytes(pcd(b"", "binary", 0, VIEWPOINT=viewpoint))
+    notes = []
+    with collect_assumptions(notes):
+        read_scan(tmp_path / "a.pcd")
+    assert ["VIEWPOINT is not its origin" in note for note in notes] == [True] * count
 
 
 def test_a_scan_may_be_empty(tmp_path):

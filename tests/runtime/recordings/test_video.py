@@ -181,5 +181,5 @@ def test_turned_images_are_said_by_a_run(tmp_path, run, make_frame):
         (tmp_path / f"{index}.jpg").write_bytes(jpeg[:2] + segment + jpeg[2:])
     answers = run("--rgb", tmp_path)
     assert answers.exit_code == 0, answers.text
-    assert answers.text.count("warning: assumed images are upright") == 1
+    assert answers.text.count("warning: assumed pixels are upright") == 1
     assert len(answers.report["inputs"]["assumptions"]) == 1
