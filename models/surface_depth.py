@@ -235,10 +235,9 @@ def choose_surface(
 ) -> tuple[Tensor, Tensor]:
     """Choose among the candidates and the guess: the inverse depth, and its error's scale.
 
-    Each candidate replaces what was chosen before, weighted by the confidence in it: the plane the
-    guess, then the farthest surface, then the nearest. The result is corrected, by at most
-    `room`, a log ratio. No depth is beyond
-    `reach`, the limit of the guess, unless the farthest surface is.
+    First the plane replaces the guess, then the farthest surface what was chosen, then the nearest,
+    each weighted by the confidence in it. The result is corrected, by at most `room`, a log ratio.
+    No depth is beyond `reach`, the limit of the guess, unless the farthest surface is.
 
     Returns:
         Inverse of the normalised depth, (N, 1, h, w), 1..1/NEAREST, and the scale of the depth's

@@ -130,7 +130,7 @@ def train_stages(
 def _make_result(
     stage: Stage, folder: Path, made: Path, init: Weights | None, data: Sequence[Path]
 ) -> None:
-    """Call what a finished stage has to call, and write it to `made`, unless it is there."""
+    """Run `then` of a finished stage, and write its network to `made`, unless it exists."""
     if stage.then is not None and not (made / stage.result).is_file():
         before = None if init is None else init.network
         trained = load_checkpoint(folder / FINAL)

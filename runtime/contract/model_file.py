@@ -63,7 +63,14 @@ def load_model_file(path: Path, *, sha256: str | None = None) -> ModelFile:
             f"the model {path} has the SHA-256 {digest}, expected {shown(sha256)}: get the right "
             "file, or give this digest"
         )
-    return parse_model_file(content)
+    return _parse_named(content, path)
+
+
+def _parse_named(content: bytes, path: Path) -> ModelFile:
+    try:
+        return parse_model_file(content)
+    except ContractError as error:
+        raise ContractError(f"{path}: {error}") from error
 
 
 def read_onnx(path: Path) -> bytes:
@@ -75,7 +82,7 @@ def read_onnx(path: Path) -> bytes:
     content = _read(path)
     _require_onnx(content)
     if _KEY + _VALUE in content:
-        parse_model_file(content)
+        _parse_named(content, path)
     return content
 
 

@@ -70,9 +70,9 @@ def open_model(
     heads = tuple(name for name in HEADS if name in known)
     if inputs != _INPUTS or not heads:
         raise ContractError(
-            f"not a model for this engine: expected the inputs {_INPUTS} (type, dimensions) and "
-            f"some of the outputs {', '.join(HEADS)}, found {inputs} and {', '.join(outputs)}: "
-            "export one with ssdnet-export, or install the package that registers its heads"
+            f"{path}: not a model for this engine: expected the inputs {_INPUTS} (type, dimensions)"
+            f" and some of the outputs {', '.join(HEADS)}, found {inputs} and {', '.join(outputs)}"
+            ": export one with ssdnet-export, or install the package that registers its heads"
         )
     batch, height, width = shapes["sparse_depth"]
     model = Model(

@@ -136,8 +136,8 @@ class Calibration:
         """
         if self.size is None and (known := size_of_kitti(self.intrinsics)) not in (None, size):
             assume(
-                f"the calibration is of images of {size} (height, width), although KITTI's with "
-                f"these intrinsics are of {known}",
+                f"the calibration fits images of {size} (height, width), although KITTI's images "
+                f"with these intrinsics have {known}",
                 "subtract what is cut at the left and above from cx and cy, or scale the "
                 "intrinsics, and state size in a TOML file for --calibration",
             )

@@ -90,7 +90,7 @@ def _check_clock(after_s: NDArray[np.float64]) -> None:
     apart_s = max(first, -last)
     if apart_s > max(last - first, FIRST_SCAN_NS / 1e9):
         assume(
-            "the times of points are right, and the stamp of their scan is of another clock",
+            "the stamp of a scan is of another clock than the times of its points, which are right",
             f"they are {apart_s:.2g} s apart, where a scan has its points at its stamp: let the "
             "driver stamp both by one clock, or read the scans without times or poses",
         )

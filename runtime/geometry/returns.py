@@ -11,12 +11,14 @@ from runtime.geometry.assumptions import assume
 
 _NEAREST_M = 0.01  # nearer points are a rounded (0, 0, 0), which Ouster, Livox and SICK send
 _LEAST_JUDGED, _MOST_IMPLAUSIBLE = 50, 0.25
-# What marks a miss: the rounding of its range (centimetres at 50 m) and the range
-# beside it in which returns would be, both in shares of the range; the least number of misses and
-# their least share of the scan; how many times more they are than their neighbours; and their
-# extent, in all and in height, in shares of the range. A wall of that extent varies by 1e-3.
-_EDGE, _BESIDE = 4e-4, 1e-2
-_LEAST_MISSES, _LEAST_MISS_SHARE, _MISSES, _LEAST_WIDTH, _LEVEL = 50, 0.01, 2, 0.1, 2e-3
+# What marks misses, which share one range:
+_EDGE = 4e-4  # their rounding as a share of the range: centimetres at 50 m
+_BESIDE = 1e-2  # the part of the range beside them where returns of surfaces would lie
+_LEAST_MISSES, _LEAST_MISS_SHARE = 50, 0.01  # their least number, and least share of a scan
+_MISSES = 2  # how many times more they are than the returns beside them
+# How far they reach from one another, and in height, as shares of the range. The range of a wall of
+# that extent varies by 1e-3.
+_LEAST_WIDTH, _LEVEL = 0.1, 2e-3
 _WIDEST_POINT = 16  # numbers per point; a longer row belongs to an array (3, N)
 _SATURATED = 65535  # 16-bit depth without a measurement
 # The same value in metres if the unit is KITTI's, millimetres or centimetres.

@@ -146,7 +146,7 @@ class BagSource(Source):
             return super().open_cameras(path, rig, image_topic=image_topic, **options)
         if "info_topic" in options or rig.calibration is not None:
             raise InputError(
-                "info_topic= and --calibration are of one camera, image_topic= names "
+                "info_topic= and --calibration describe one camera, but image_topic= names "
                 f"{len(topics)}: leave them out, or run each camera by itself"
             )
         names = {topic.strip("/").replace("/", "-"): topic for topic in topics}

@@ -21,9 +21,9 @@ from runtime.recordings.orientation import check_exif
 RGB_SUFFIXES = (".png", ".jpg", ".jpeg")
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")
 KITTI_DEPTH_SCALE = 256.0  # units per metre; Virtual KITTI uses 100
-# Words in the names of topics and folders whose pictures are not in colour, and whose 16 bits or
-# floats are not depth: of infrared cameras, unless "depth" is a word, too, and of what is measured
-# or computed beside depth.
+# Words in the names of topics and folders whose pictures are neither in colour nor depth, although
+# they have 16 bits or floats. Those of infrared cameras count unless "depth" is a word, too; the
+# others name what is measured or computed beside depth.
 _INFRARED = re.compile(
     r"(?<![a-z])((|n|sw|mw|lw)ir|(infra|therm|nearir|flir|lepton|boson)[a-z]*)(?![a-z])"
 )

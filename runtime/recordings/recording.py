@@ -217,8 +217,8 @@ def read_recording(folder: Path) -> Recording:
         text = read_text(path)
     except InputError as error:
         raise InputError(
-            f"{error}: give a folder made by ssdnet-run --record (of several cameras, that of one) "
-            "or ssdnet-export --record"
+            f"{error}: give a folder made by ssdnet-run --record or ssdnet-export "
+            "--record; a run of several cameras has one folder for each"
         ) from error
     try:
         return _parse(folder, json.loads(text))

@@ -137,5 +137,5 @@ def _parts(message: Any) -> tuple[Kind, Any, Any, Any]:
             return kind, data, stamp, times[0] if times else None  # type: ignore[return-value]
     raise InputError(
         f"a message must be a tuple (kind, array, stamp), the kind one of {', '.join(SENSORS)}; "
-        f"of points times may follow; got {shown(message)}"
+        f"the times of points may follow; got {shown(message)}"
     )

@@ -64,8 +64,8 @@ def run(
             opened.enter_context(source)
         if options.focal_length is not None and len(cameras) > 1:
             raise InputError(
-                f"--focal-length is of one camera, and there are {len(cameras)}: leave it out, or "
-                "run each camera by itself"
+                f"--focal-length describes one camera, but there are {len(cameras)}: leave it "
+                "out, or run each camera by itself"
             )
         for camera, source in cameras.items():
             require_outputs(options.of_camera(camera), source)

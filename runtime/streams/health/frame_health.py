@@ -63,8 +63,8 @@ class FrameHealth:
         self._columns, self._rows, self._total = _Usual(), _Usual(), _Usual()
         self._learned = 0  # frames in the means
         self._scan: NDArray[np.float32] | None = None  # the last scan
-        self._scans = 0  # number of scans that equal it, and the image of the first of them:
-        self._first_image: NDArray[np.uint8] | None = None
+        self._scans = 0  # number of scans that equal it
+        self._first_image: NDArray[np.uint8] | None = None  # of the first of these scans
 
     def check(
         self,

@@ -250,5 +250,5 @@ def test_images_of_another_size_than_kittis_are_said(tmp_path, intrinsics, size,
             Calibration.from_file(tmp_path / name).project(np.zeros((0, 3), np.float32), size)
         assert len(messages) == said
         assert all(
-            "although KITTI's with these intrinsics are of (375, 1242)" in m for m in messages
+            "although KITTI's images with these intrinsics have (375, 1242)" in m for m in messages
         )

@@ -49,7 +49,7 @@ def test_an_mcap_of_a_bag_has_its_frames_stamps_and_tree(record, run, tmp_path, 
 def test_the_second_camera_of_a_pair_has_a_frame_beside_the_first(record):
     """The P of the second holds the baseline, and its images are in the frame of the first."""
     with BagSource(record(images=1, scans=1).write()) as source:
-        tree, own = source._tree, source.calibration
+        tree, own = source._sensors.tree, source.calibration
     extrinsics = own.extrinsics.copy()
     extrinsics[0, 3] -= 0.5
     second = Calibration(np.array(INTRINSICS), extrinsics)
