@@ -31,7 +31,9 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
 @app.command(epilog="Exit codes: 0 done; 1 error, nothing was written; 2 usage.")
 def export(
-    checkpoint: Annotated[Path, typer.Argument(help="Checkpoint written by ssdnet-train.")],
+    checkpoint: Annotated[
+        Path, typer.Argument(help="Checkpoint written by ssdnet-train, or the folder of its run.")
+    ],
     model: Annotated[Path, typer.Argument(help="ONNX file to write.")],
     height: Annotated[
         int | None,
@@ -126,6 +128,8 @@ def export(
         raise typer.BadParameter("--precision int8 and --calibrate go together")
     if calibrate and not validate:
         raise typer.BadParameter("--precision int8 needs --validate")
+    if checkpoint.is_dir():
+        checkpoint /= "model.pt"
     size = None if height is None or width is None else (height, width)
     with reported_errors("export,train,cpu" if validate else "export,cpu"):
         from export.exporter import export_checkpoint  # slow, and --help needs no PyTorch

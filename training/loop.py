@@ -13,6 +13,7 @@ from tqdm import tqdm
 from models import Network, save_checkpoint
 from models.training_facts import TrainingFacts
 from training.distributed import join_processes
+from training.evaluation.score_set import Result
 from training.initial_weights import Weights
 from training.loading.batches import read_batches
 from training.recipe import Recipe
@@ -118,6 +119,7 @@ def train(
             return adjust_logits(state.averaged, task.criterion.class_weights, share)
 
         scores = ScoreTable(out / SCORES, state.step) if processes.is_first else None
+        results: dict[str, Sequence[Result]] = {}  # of the last validation, and of that before
         last_step = steps if stop_after is None else min(steps, stop_after)
         with (
             Board(out / TENSORBOARD if processes.is_first else None, state.step) as board,
@@ -132,10 +134,12 @@ def train(
             read_batches(recipe, task, processes, state.step) as batches,
         ):
 
-            def score(network: Network) -> None:
+            def score(name: str, network: Network) -> None:
                 """Validate; the first process alone writes the table and the best weights."""
-                figures = validate(
+                results[name] = validate(
+                    name,
                     network,
+                    recipe.model.class_table,
                     task,
                     processes,
                     board,
@@ -143,6 +147,7 @@ def train(
                     pictures=recipe.validation.pictures,
                     stop=stop,
                 )
+                figures = {result.row.data: result.row.figures for result in results[name]}
                 if scores and scores.add(state.step, figures, recipe.validation.best):
                     save_checkpoint(out / BEST, network, training=facts())
 
@@ -151,12 +156,12 @@ def train(
                 return bool(task.validation) and (last or state.step % recipe.validate_every == 0)
 
             if state.step == 0 and task.validation and init is not None:
-                score(state.averaged)
+                score("before", state.averaged)
             elif state.step and is_due():
                 # A run that was stopped or killed in a validation begins with it.
                 known = scores is not None and state.step in scores
                 if not any(processes.gather(known)):
-                    score(released())
+                    score("after", released())
             while state.step < last_step and not processes.any_of(stop()):
                 done = state.advance(batches)
                 if bar.update():  # the loss is read from its device only when it is shown
@@ -167,7 +172,7 @@ def train(
                 if is_due() or state.step % recipe.checkpoint_every == 0:
                     state.save(out / LAST, facts())
                 if is_due():
-                    score(released())
+                    score("after", released())
         state.save(out / LAST, facts())
         if state.step == steps and processes.is_first:
             save_checkpoint(out / FINAL, released(), training=facts())
@@ -179,8 +184,10 @@ def train(
                 if init is not None and init.network.config.classes == classes:
                     before = copy.deepcopy(init.network).to(processes.device)
                     networks = {"before": before, **networks}
+                    if before.config != networks["after"].config:
+                        results.pop("before", None)  # it was another network's
                 table = recipe.model.class_table
-                write_validation(networks, table, task, out / PAGE, stop=stop)
+                write_validation(networks, table, task, out / PAGE, known=results, stop=stop)
         processes.wait()  # until the file is written
         # A run that was stopped early releases no weights.
         return out / (FINAL if state.step == steps else LAST)

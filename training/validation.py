@@ -1,7 +1,7 @@
 """Validations during a training, and its curves and pictures in TensorBoard."""
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -14,21 +14,17 @@ from tqdm import tqdm
 from models import Network
 from training.datasets.class_mapping import ClassTable, list_classes
 from training.distributed import Processes
-from training.evaluation.evaluate import score_models
+from training.evaluation.evaluate import Evaluation
 from training.evaluation.pictures import draw_pictures
-from training.evaluation.score_set import EvaluatedSet
-from training.evaluation.scored_model import ScoredModel
-from training.evaluation.scoring import score_sources, scored_classes, torch_predict
+from training.evaluation.score_set import EvaluatedSet, Feed, Result, score_set
+from training.evaluation.scored_model import open_network
+from training.evaluation.scoring import scored_classes
 from training.evaluation.shared_classes import ScoredClasses
-from training.loading.open_dataset import spread_indices
 from training.run_folder import folder_errors
 from training.score_table import SHOWN
 from training.state import Step
 from training.stop_signal import StopRequested, Watched
 from training.task import Task
-
-# Frames of a set on the page of the validation, evenly spread.
-_PAGE_FRAMES = 500
 
 
 class Board:
@@ -80,6 +76,7 @@ def write_validation(
     task: Task,
     path: Path,
     *,
+    known: Mapping[str, Sequence[Result]],
     stop: Callable[[], bool],
 ) -> None:
     """Write the page of networks on the validation sets, see `training.evaluation.page`.
@@ -89,35 +86,42 @@ def write_validation(
         table: their classes.
         task: the task that holds the sets.
         path: path of the page.
+        known: results of `validate` by name of the network; networks without are scored.
         stop: True ends it without a page.
     """
     from training.evaluation.page import WORST, write_page  # only where a page is made
 
-    models = {
-        name: ScoredModel(
-            torch_predict(network),
-            f"torch on {network.rgb_mean.device}",
-            table,
-            network.config.canonical_focal_px is not None and "depth" in network.heads,
-        )
-        for name, network in networks.items()
-    }
-    classes = ScoredClasses(table, tuple(info.name for info in list_classes(table)))
-    sets = [
-        EvaluatedSet(
-            *(name, Watched(source, stop), classes, spread_indices(source, _PAGE_FRAMES)),
-            farthest_m=task.farthest_m,
-        )
-        for name, source in task.validation.items()
-    ]
+    sets = _open_sets(task, table, stop)
+    models = {name: open_network(network, table) for name, network in networks.items()}
     with suppress(StopRequested):
-        found = score_models(models, sets, [(task.lidar, "none")], pictures=WORST)
+        results = [
+            result
+            for data in sets
+            for name, model in models.items()
+            for result in known.get(name) or score_set(name, model, data, [_feed(task)])
+            if result.row.data == data.title
+        ]
+        found = Evaluation.of(results, models, sets, pictures=WORST)
         write_page(found, path, title=f"Validation of {path.absolute().parent.name}")
         tqdm.write(f"the page of the validation: {path}", file=sys.stderr)
 
 
+def _open_sets(task: Task, table: ClassTable, stop: Callable[[], bool]) -> list[EvaluatedSet]:
+    classes = ScoredClasses(table, tuple(info.name for info in list_classes(table)))
+    return [
+        EvaluatedSet(name, Watched(source, stop), classes, range(len(source)), task.farthest_m)
+        for name, source in task.validation.items()
+    ]
+
+
+def _feed(task: Task) -> Feed:
+    return task.lidar, "none"
+
+
 def validate(
+    name: str,
     network: Network,
+    table: ClassTable,
     task: Task,
     processes: Processes,
     board: Board,
@@ -125,19 +129,23 @@ def validate(
     *,
     pictures: int,
     stop: Callable[[], bool],
-) -> dict[str, dict[str, float]]:
+) -> list[Result]:
     """Score the network, each process on its share of the frames; show scores and pictures.
 
     Raises StopRequested once `stop` is True; several processes wait for one another, so that none
     of them leaves early.
+
+    Returns:
+        The result of each set, named `name`.
     """
-    alone = processes.count == 1
-    validation = {
-        name: Watched(source, stop) if alone else source for name, source in task.validation.items()
-    }
-    scores = score_sources(
-        network, validation, processes, lidar=task.lidar, farthest_m=task.farthest_m
-    )
+    sets = _open_sets(task, table, stop if processes.count == 1 else lambda: False)
+    model = open_network(network, table)
+    results = [
+        result
+        for data in sets
+        for result in score_set(name, model, data, [_feed(task)], processes=processes)
+    ]
+    scores = {result.row.data: result.row.figures for result in results}
     shown = {
         f"{name}/{key}": figures[key]
         for name, figures in scores.items()
@@ -146,13 +154,12 @@ def validate(
     }
     board.add_scalars({f"validation/{name}": score for name, score in shown.items()}, step)
     if not processes.is_first:
-        return scores
+        return results
     words = {f"{name}/miou": scored_classes(figures) for name, figures in scores.items()}
     text = ", ".join(f"{key} {score:.4f}{words.get(key, '')}" for key, score in shown.items())
     tqdm.write(f"step {step}: {text}", file=sys.stderr)
-    predict = torch_predict(network)
-    for name, source in validation.items():
-        drawn = draw_pictures(predict, source, network, lidar=task.lidar, count=pictures)
+    for data in sets:
+        drawn = draw_pictures(model.predict, data.source, network, lidar=task.lidar, count=pictures)
         for frame, picture in drawn:
-            board.add_picture(f"{name}/{frame}", picture, step)
-    return scores
+            board.add_picture(f"{data.title}/{frame}", picture, step)
+    return results

@@ -215,16 +215,19 @@ def test_weights_that_are_not_finite_are_refused(lite, tmp_path, name, value):
 
 
 @pytest.mark.parametrize(
-    ("target", "options", "exit_code", "message"),
+    ("source", "target", "options", "exit_code", "message"),
     [
-        ("m.pt", (), 2, "m.onnx"),
-        ("m.onnx", ("--height", "64"), 2, "--width"),
-        ("m.onnx", (), 1, "not an ssdnet checkpoint"),
+        ("c.pt", "m.pt", (), 2, "m.onnx"),
+        ("c.pt", "m.onnx", ("--height", "64"), 2, "--width"),
+        ("c.pt", "m.onnx", (), 1, "not an ssdnet checkpoint"),
+        (".", "m.onnx", (), 1, "model.pt: no such checkpoint"),  # the folder of a run
     ],
 )
-def test_wrong_arguments_are_an_error_with_text(tmp_path, target, options, exit_code, message):
+def test_wrong_arguments_are_an_error_with_text(
+    tmp_path, source, target, options, exit_code, message
+):
     (tmp_path / "c.pt").write_bytes(b"not a checkpoint")
-    result = run(tmp_path / "c.pt", tmp_path / target, *options)
+    result = run(tmp_path / source, tmp_path / target, *options)
     assert result.exit_code == exit_code
     assert message in "".join(result.output.split()) or message in result.output
     assert "Traceback" not in result.output

@@ -5,6 +5,7 @@ import multiprocessing
 import shutil
 import time
 from dataclasses import replace
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from layouts.virtual_kitti import write_second_edition
 from models import create_model, load_checkpoint
 from runtime.base.errors import CheckpointError, DatasetError, InputError, OutputError
+from training import validation
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.evaluate import evaluate
@@ -133,15 +135,18 @@ def test_tensorboard_shows_terms_rates_scores_and_pictures(data, tmp_path):
     assert not (truth[104:128] == image[40:64]).all()
 
 
-def test_validation_feeds_the_lidar_of_the_recipe(data, tmp_path):
+def test_validation_feeds_the_lidar_of_the_recipe(data, tmp_path, monkeypatch):
     write_second_edition(data / "scenes", magnify=8)
+    score_set = Mock(wraps=validation.score_set)
+    monkeypatch.setattr(validation, "score_set", score_set)
     errors = []
     for number, lidar in enumerate(("none", "random:0.5")):
-        validation = ValidationRecipe(source=(RenderedRecipe(path="scenes"),), lidar=lidar)
+        scored = ValidationRecipe(source=(RenderedRecipe(path="scenes"),), lidar=lidar)
         out = tmp_path / str(number)
-        train(recipe(1, validation=validation), data=[data], out=out)
+        train(recipe(1, validation=scored), data=[data], out=out)
         errors.append(read_events(out).Scalars("validation/scenes/mae_m")[0].value)
     assert errors[0] != errors[1]
+    assert score_set.call_count == 2  # the page takes the scores of the validation
     page = (out / "validation.html").read_text()
     assert "scenes, LiDAR random:0.5" in page
     assert "Worst depth of after" in page

@@ -20,7 +20,7 @@ from training.evaluation.differences import Difference, compare
 from training.evaluation.evaluated_run import EvaluatedRun, read_run
 from training.evaluation.metrics import FARTHEST_M
 from training.evaluation.score_report import Row, format_differences, format_table
-from training.evaluation.score_set import EvaluatedSet, Feed, Result, score_set
+from training.evaluation.score_set import EvaluatedSet, Result, score_set
 from training.evaluation.scored_model import (
     ScoredModel,
     open_method,
@@ -57,6 +57,19 @@ class Evaluation:
     def rows(self) -> list[Row]:
         """The figures of each result."""
         return [result.row for result in self.results]
+
+    @classmethod
+    def of(
+        cls,
+        results: Sequence[Result],
+        models: Mapping[str, ScoredModel],
+        sets: Sequence[EvaluatedSet],
+        *,
+        pictures: int,
+    ) -> "Evaluation":
+        """Compare the results of open models on open sets, and draw pictures, see `evaluate`."""
+        worst = draw_worst(results, models, sets, count=pictures) if pictures else ()
+        return cls(results, compare(results), list(worst))
 
 
 def evaluate(
@@ -150,44 +163,31 @@ def evaluate(
         )
         ids = None if own is None else own.table
         farthest_m = farthest_m or (FARTHEST_M if own is None else own.farthest_m)
-        opened = open_sets(sets, scored, ids=ids, join=join, limit=limit, farthest_m=farthest_m)
-        return score_models(
-            scored, opened, feeds, pictures=pictures, save=save, leave_out_fed=leave_out_fed
-        )
+        opened = _open_sets(sets, scored, ids=ids, join=join, limit=limit, farthest_m=farthest_m)
+        results = [
+            result
+            for data in opened
+            for name, model in scored.items()
+            for result in score_set(
+                name, model, data, feeds, save=save, leave_out_fed=leave_out_fed
+            )
+        ]
+        if not results:
+            raise InputError(
+                "nothing could be scored: these sets provide none of the requested --lidar inputs: "
+                "lines need intrinsics, or a recorded scan, every second line of which remains the "
+                "target; use random:0.05 or none, which every set provides"
+            )
+        return Evaluation.of(results, scored, opened, pictures=pictures)
 
 
-def score_models(
-    models: Mapping[str, ScoredModel],
-    sets: Sequence[EvaluatedSet],
-    feeds: Sequence[Feed],
-    *,
-    pictures: int = 0,
-    save: DepthFolder | None = None,
-    leave_out_fed: bool = False,
-) -> Evaluation:
-    """Score open models on open sets, see `evaluate`."""
-    results = []
-    for data in sets:
-        for name, model in models.items():
-            results += score_set(name, model, data, feeds, save=save, leave_out_fed=leave_out_fed)
-    if not results:
-        raise InputError(
-            "nothing could be scored: these sets provide none of the requested --lidar inputs: "
-            "lines need intrinsics, or a recorded scan, every second line of which remains the "
-            "target; use random:0.05 or none, which every set provides"
-        )
-    worst = draw_worst(results, models, sets, count=pictures) if pictures else ()
-    return Evaluation(results, compare(results), list(worst))
-
-
-def open_sets(
+def _open_sets(
     recipes: Sequence[SourceRecipe],
     models: Mapping[str, ScoredModel],
     *,
     ids: ClassTable | None = None,
     join: Mapping[str, Sequence[str]] | None = None,
     limit: int | None = None,
-    roots: Sequence[Path] = (Path(),),
     farthest_m: float = FARTHEST_M,
 ) -> list[EvaluatedSet]:
     """Open sets with the classes that they share with the models, see `evaluate`.
@@ -198,7 +198,6 @@ def open_sets(
         ids: see `share_classes`.
         join: see `evaluate`.
         limit: see `evaluate`.
-        roots: folders that hold the sets.
         farthest_m: farthest true depth [m] that is scored.
     """
     tables = {name: model.table for name, model in models.items() if model.table}
@@ -209,7 +208,7 @@ def open_sets(
     for recipe, folder in zip(recipes, folders, strict=True):
         title = recipe.name or " ".join([folder, *_changed_keys(recipe)])
         classes = share_classes(recipe, title, tables, ids=ids, joined=joined)
-        source = open_dataset(recipe, roots, classes=classes.table)
+        source = open_dataset(recipe, [Path()], classes=classes.table)
         indices = spread_indices(source, limit or len(source))
         opened.append(EvaluatedSet(title, source, classes, indices, farthest_m))
     return opened

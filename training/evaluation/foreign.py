@@ -1,7 +1,6 @@
 """A network of others, wrapped so that it can be scored."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -250,7 +249,6 @@ class ForeignNetwork:
                 )
 
 
-@contextmanager
 def open_foreign(
     path: Path,
     adapter: Path | None,
@@ -259,7 +257,7 @@ def open_foreign(
     device_id: int,
     threads: int,
     size: NetworkSize,
-) -> Iterator[ForeignNetwork]:
+) -> ForeignNetwork:
     """Open a network of others.
 
     Args:
@@ -297,7 +295,7 @@ def open_foreign(
             "run the command again",
             text,
         )
-    yield ForeignNetwork(path, session, read_adapter(described), size)
+    return ForeignNetwork(path, session, read_adapter(described), size)
 
 
 def _pad(values: NDArray[Any], canvas: Size, corner: Size, value: int) -> NDArray[Any]:

@@ -116,7 +116,7 @@ def _bars(found: Sequence[Result]) -> Iterator[dict[str, Any]]:
                 _TITLES.get(key, key.removeprefix("iou_")).removeprefix("MAE ").rstrip(","),
                 [
                     (f"{factor * value:.1f}", 100 * value / (1 if factor == 100 else most or 1))
-                    if (value := each.get(key)) is not None and not math.isnan(value)
+                    if (value := each.get(key)) is not None and _is_known(value)
                     else ("", 0)
                     for each in figures
                 ],
@@ -137,12 +137,8 @@ def _confusions(found: Sequence[Result]) -> Iterator[tuple[str, Sequence[str], l
         for name, counts in zip(item.classes, matrix, strict=True):
             if total := counts.sum():
                 shares = (counts / total).tolist()
-                rows.append(
-                    (
-                        name,
-                        [(f"{100 * each:.0f}" if each >= 0.005 else "", each) for each in shares],
-                    )
-                )
+                cells = [(f"{100 * each:.0f}" if each >= _LEAST else "", each) for each in shares]
+                rows.append((name, cells))
         if rows:
             yield item.row.model, item.classes, rows
 

@@ -12,6 +12,7 @@ from tqdm import tqdm
 from runtime.base.errors import InputError
 from training.datasets.class_mapping import list_classes
 from training.datasets.sample import IGNORE, Sample, SampleSource
+from training.distributed import Processes
 from training.evaluation.depth_folder import DepthFolder
 from training.evaluation.metrics import FARTHEST_M
 from training.evaluation.score_report import Row
@@ -131,17 +132,21 @@ class _Tally:
     frames: list[FrameScore] = field(default_factory=list)
     was_fed: bool = False
 
+    def merge(self, other: "_Tally") -> None:
+        for place, scores in other.places.items():
+            if place in self.places:
+                self.places[place].merge(scores)
+            else:
+                self.places[place] = scores
+        self.frames += other.frames
+        self.was_fed |= other.was_fed
+
     def add(self, answer: HeadMaps, frame: LidarSplit, index: int, group: str) -> None:
         scores = Scores(self.classes, self.farthest_m)
         scores.update(answer, frame)
         name, place = frame.sample.name, frame.sample.place
-        self.frames.append(
-            FrameScore(index, name, group, scores.semantic.confusion.copy(), scores.depth.sums)
-        )
-        if place in self.places:
-            self.places[place].merge(scores)
-        else:
-            self.places[place] = scores
+        part = FrameScore(index, name, group, scores.semantic.confusion.copy(), scores.depth.sums)
+        self.merge(_Tally(self.classes, self.farthest_m, {place: scores}, [part]))
 
     def total(self) -> Scores:
         total = Scores(self.classes, self.farthest_m)
@@ -158,8 +163,11 @@ def score_set(
     *,
     save: DepthFolder | None = None,
     leave_out_fed: bool = False,
+    processes: Processes | None = None,
 ) -> list[Result]:
     """Score a model on a set; see `evaluate` for the arguments.
+
+    Of several `processes`, each scores its share of the frames, and all get the same results.
 
     Returns:
         A result for each input that the set can give.
@@ -169,7 +177,9 @@ def score_set(
     """
     tallies = {feed: _Tally(len(data.classes.names), data.farthest_m) for feed in feeds}
     labelled, times_ms, without_focal = False, list[float](), 0
-    for index in tqdm(data.indices, desc=f"{name}, {data.title}", disable=None):
+    share = data.indices[processes.rank :: processes.count] if processes else data.indices
+    # The bar stays unless it is below that of a training.
+    for index in tqdm(share, desc=f"{name}, {data.title}", disable=None, leave=None):
         sample, has_labels = data.read(index)  # once: it may take longer than an answer
         labelled |= has_labels
         without_focal += sample.focal_length_px is None
@@ -186,6 +196,15 @@ def score_set(
                     parts = (name, data.title, label, *sample.name.split("/"))
                     save.write(parts, answers[label].depth)
             tallies[feed].add(answers[label], frame, index, data.group(sample, index))
+    if processes is not None:
+        (tallies, labelled, times_ms, without_focal), *others = processes.gather(
+            (tallies, labelled, times_ms, without_focal)
+        )
+        for theirs, has_labels, times, count in others:
+            for feed, tally in theirs.items():
+                tallies[feed].merge(tally)
+            labelled, times_ms = labelled or has_labels, times_ms + times
+            without_focal += count
     results: dict[tuple[str, str], Result] = {}
     for feed, tally in tallies.items():
         key = (str(feed[0]), feed[1]) if tally.was_fed else ("none", "none")

@@ -1,6 +1,6 @@
 """A checkpoint, an exported file or a classical method, opened so that it can be scored."""
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,13 +10,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from models import CLASS_TABLES, load_checkpoint
+from models import CLASS_TABLES, Network, load_checkpoint
 from models.training_facts import TrainingFacts
 from runtime.base.errors import InputError, SSDNetError
 from runtime.contract.contract import ClassInfo
 from runtime.contract.heads import HEADS
 from runtime.contract.model_file import has_metadata
 from runtime.contract.network_size import NetworkSize, check_network_size, network_size
+from runtime.contract.resize import Size
 from runtime.engine.predictor import Predictor
 from runtime.engine.preprocess import clean_sparse_depth
 from training.datasets.class_mapping import ClassTable
@@ -81,10 +82,16 @@ def trained_classes(classes: tuple[ClassInfo, ...], training: Mapping[str, Any])
     return classes
 
 
-def _class_table(
-    heads: Collection[str], classes: tuple[ClassInfo, ...], training: Mapping[str, Any]
-) -> ClassTable:
-    return trained_classes(classes, training) if {"semantic", "boundary"} & {*heads} else ()
+def open_network(
+    network: Network, table: ClassTable, *, size_for: Callable[[Size], Size] = lambda size: size
+) -> ScoredModel:
+    """Open a PyTorch network with the classes of its training; see `torch_predict`."""
+    return ScoredModel(
+        torch_predict(network, size_for=size_for),
+        f"torch on {network.rgb_mean.device}",
+        table if {"semantic", "boundary"} & {*network.heads} else (),
+        network.config.canonical_focal_px is not None and "depth" in network.heads,
+    )
 
 
 @contextmanager
@@ -117,43 +124,38 @@ def open_scored_model(
     if path.suffix == ".pt":
         torch.set_num_threads(threads)
         checkpoint = load_checkpoint(path)
-        network = checkpoint.model
-        network = network.to(open_device(device))
+        network = checkpoint.model.to(open_device(device))
         asked = check_network_size(size, fixed=False)
-        yield ScoredModel(
-            torch_predict(
-                network,
-                size_for=lambda frame_size: network_size(
-                    asked, frame_size, trained_height=checkpoint.facts.trained_height
-                ),
+        yield open_network(
+            network,
+            trained_classes(network.config.classes, checkpoint.training),
+            size_for=lambda frame_size: network_size(
+                asked, frame_size, trained_height=checkpoint.facts.trained_height
             ),
-            f"torch on {device}",
-            _class_table(network.heads, network.config.classes, checkpoint.training),
-            network.config.canonical_focal_px is not None and "depth" in network.heads,
         )
     elif path.suffix == ".onnx" and not has_metadata(path):
         place, adapter = parse_device(device), adapters.pop(0) if adapters else None
-        with open_foreign(
+        foreign = open_foreign(
             *(path, adapter),
             provider=place.type,
             device_id=place.index or 0,
             threads=threads,
             size=size,
-        ) as foreign:
-            is_canonical = foreign.adapter.canonical_focal_px is not None
-            engine = f"onnxruntime on {place.type}"
-            yield ScoredModel(foreign, engine, foreign.table, is_canonical)
+        )
+        is_canonical = foreign.adapter.canonical_focal_px is not None
+        yield ScoredModel(foreign, f"onnxruntime on {place.type}", foreign.table, is_canonical)
     elif path.suffix == ".onnx":
         place = parse_device(device)
         with Predictor(
             path, provider=place.type, device_id=place.index or 0, size=size, threads=threads
         ) as predictor:
-            contract = predictor.contract
+            contract, heads = predictor.contract, {*predictor.heads}
+            table = trained_classes(contract.classes, contract.training)
             yield ScoredModel(
                 engine_predict(predictor),
                 f"onnxruntime on {place.type}",
-                _class_table(predictor.heads, contract.classes, contract.training),
-                contract.canonical_focal_px is not None and "depth" in predictor.heads,
+                table if {"semantic", "boundary"} & heads else (),
+                contract.canonical_focal_px is not None and "depth" in heads,
             )
     else:
         raise InputError(f"{path}: expected a checkpoint (*.pt) or an exported model (*.onnx)")

@@ -18,7 +18,6 @@ from runtime.contract.resize import Size
 from runtime.engine.inference import to_frame
 from runtime.engine.preprocess import preprocess
 from training.datasets.sample import IGNORE, SampleSource, labelled
-from training.distributed import Processes
 from training.evaluation.depth_regions import DepthRegionScores
 from training.evaluation.metrics import (
     FARTHEST_M,
@@ -262,42 +261,3 @@ def figure_names(
     frames = split_frames(source, indices, lidar)
     scores = score(answer, frames, num_classes=network.config.num_classes)
     return list(scores.figures([info.name for info in network.config.classes]))
-
-
-def score_sources(
-    network: Network,
-    sources: Mapping[str, SampleSource],
-    processes: Processes,
-    *,
-    lidar: LidarInput,
-    farthest_m: float = FARTHEST_M,
-) -> dict[str, dict[str, float]]:
-    """Score a network on validation sets.
-
-    Every process scores its share of the frames and gets the figures of all.
-
-    Args:
-        network: the network, which is put into evaluation mode.
-        sources: the sets by name.
-        processes: processes of this training.
-        lidar: the input that is fed.
-        farthest_m: farthest true depth [m] that is scored.
-
-    Returns:
-        The figures of each set, see `Scores.figures`.
-
-    Raises:
-        InputError: if a set cannot give the LiDAR.
-    """
-    predict = torch_predict(network)
-    names = [info.name for info in network.config.classes]
-    result: dict[str, dict[str, float]] = {}
-    for name, source in sources.items():
-        share = range(processes.rank, len(source), processes.count)
-        frames = split_frames(source, share, lidar)
-        count = network.config.num_classes
-        parts = processes.gather(score(predict, frames, num_classes=count, farthest_m=farthest_m))
-        for part in parts[1:]:
-            parts[0].merge(part)
-        result[name] = parts[0].figures(names)
-    return result
