@@ -58,24 +58,6 @@ class Accumulator:
                         ours.setdefault(key, type(part)()).merge(part)
 
 
-class MeanError(Accumulator):
-    """The mean absolute error of a head over all pixels with a label."""
-
-    def __init__(self) -> None:
-        self._sum = np.zeros(2)  # errors, pixels
-
-    def update(self, answer: NDArray[Any], labels: NDArray[Any], known: NDArray[np.bool_]) -> None:
-        """Count the pixels of a frame that have a label; all are (H, W)."""
-        errors = np.abs(answer[known].astype(np.float64) - labels[known])
-        self._sum += errors.sum(), known.sum()
-
-    @property
-    def figure(self) -> float:
-        """The mean; NaN without a label."""
-        total, count = self._sum
-        return float(total / count) if count else math.nan
-
-
 class SemanticScores(Accumulator):
     """Acc, mAcc, mIoU and fwIoU from one confusion matrix.
 
@@ -201,6 +183,11 @@ class ErrorSums(Accumulator):
     def __init__(self) -> None:
         self._sums = np.zeros(3)  # pixels, sum |e|, sum e^2
 
+    @property
+    def mean(self) -> float:
+        """The mean absolute error; NaN without errors."""
+        return float(_ratio(self._sums[1], self._sums[0]))
+
     def add(self, error: NDArray[np.float64]) -> None:
         """Count errors of any shape."""
         self._sums += error.size, np.abs(error).sum(), np.square(error).sum()
@@ -219,11 +206,13 @@ class ErrorSums(Accumulator):
 
 
 class DepthScores(Accumulator):
-    """MAE, RMSE, median, iMAE and iRMSE over the same pixels, and MAE and RMSE within ranges.
+    """MAE, RMSE and median of depth, MAE and RMSE of its inverse, and MAE and RMSE within ranges.
 
     A range contains the true depths above its first and up to its last value [m]. Pixels whose true
     depth is beyond `farthest_m` are not scored. The median comes from a histogram and is exact to
-    0.3 %. Inverse depth is scored like KITTI scores depth completion [1/km].
+    0.3 %. Inverse depth is scored like KITTI scores depth completion [1/km], and where focal length
+    and baseline are known also as disparity, d = f * b / depth, like the paper on Cityscapes, in
+    pixels of the data set's images.
 
     Attributes:
         unscored: int64 (2,), pixels with such depths, and all pixels with a true depth.
@@ -232,18 +221,24 @@ class DepthScores(Accumulator):
     def __init__(self, farthest_m: float = FARTHEST_M) -> None:
         self._farthest_m = farthest_m
         self.unscored: NDArray[np.int64] = np.zeros(2, dtype=np.int64)
-        self._metres, self._per_km = ErrorSums(), ErrorSums()
+        self._metres, self._per_km, self._px = ErrorSums(), ErrorSums(), ErrorSums()
         beyond = ((FARTHEST_M, farthest_m),) if farthest_m > FARTHEST_M else ()
         self._ranges = {item: ErrorSums() for item in (*RANGES_M, *beyond)}
         self._histogram = np.zeros(len(_ERROR_BINS_M) - 1)
 
-    def update(self, prediction: NDArray[np.floating], depth: NDArray[np.floating]) -> None:
+    def update(
+        self,
+        prediction: NDArray[np.floating],
+        depth: NDArray[np.floating],
+        focal_baseline_px_m: float | None = None,
+    ) -> None:
         """Count a frame.
 
         Args:
             prediction: float (H, W) [m]; 0, "no answer", is scored as a depth. Before depth is
                 inverted, values below 0.1 m become 0.1 m.
             depth: the true depth, float (H, W) [m]; 0, negative or not finite = unknown.
+            focal_baseline_px_m: focal length times baseline [px m]; None: there is no disparity.
         """
         known = scored(depth, self._farthest_m)
         self.unscored += np.count_nonzero(depth > self._farthest_m), np.count_nonzero(depth > 0)
@@ -257,7 +252,10 @@ class DepthScores(Accumulator):
         )[0]
         for (above, limit), sums in self._ranges.items():
             sums.add(error[(truth > above) & (truth <= limit)])
-        self._per_km.add(1000 * (1 / np.maximum(answer, _NEAREST_M) - 1 / truth))
+        inverse = 1 / np.maximum(answer, _NEAREST_M) - 1 / truth
+        self._per_km.add(1000 * inverse)
+        if focal_baseline_px_m is not None:
+            self._px.add(focal_baseline_px_m * inverse)
 
     @property
     def sums(self) -> NDArray[np.float64]:
@@ -275,35 +273,8 @@ class DepthScores(Accumulator):
         middle = int(np.searchsorted(until, until[-1] / 2))
         figures["median_m"] = math.sqrt(_ERROR_BINS_M[middle] * _ERROR_BINS_M[middle + 1])
         inverse = self._per_km.figures("per_km")
-        return figures | {f"i{name}": value for name, value in inverse.items()}
-
-
-class DisparityScores(ErrorSums):
-    """MAE and RMSE of disparity, as the paper scores depth on Cityscapes: d = f * b / depth.
-
-    They are over the same pixels as `DepthScores`, in pixels of the data set's images.
-    """
-
-    def __init__(self, farthest_m: float = FARTHEST_M) -> None:
-        super().__init__()
-        self._farthest_m = farthest_m
-
-    def update(
-        self,
-        prediction: NDArray[np.floating],
-        depth: NDArray[np.floating],
-        focal_baseline_px_m: float,
-    ) -> None:
-        """Count a frame.
-
-        Args:
-            prediction: float (H, W) [m]; below 0.1 m counts as 0.1 m.
-            depth: the true depth, float (H, W) [m]; 0 = unknown.
-            focal_baseline_px_m: focal length times baseline [px m].
-        """
-        known = scored(depth, self._farthest_m)
-        answer = np.maximum(prediction[known].astype(np.float64), _NEAREST_M)
-        self.add(focal_baseline_px_m * (1 / answer - 1 / depth[known].astype(np.float64)))
+        figures |= {f"i{name}": value for name, value in inverse.items()}
+        return figures | self._px.figures("px")
 
 
 class BoundaryScores(Accumulator):

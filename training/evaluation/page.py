@@ -79,22 +79,16 @@ def _judged(verdict: str, against: str) -> tuple[str, str]:
 
 def _groups(results: Sequence[Result]) -> Iterator[dict[str, Any]]:
     """Yield what the page shows for each set with each input."""
-
-    def key(result: Result) -> tuple[str, str, str]:
-        return result.row.key[1:]
-
-    order = list(dict.fromkeys(map(key, results)))
-    for data, lidar, fault in order:
-        found = [item for item in results if key(item) == (data, lidar, fault) and item.row.figures]
-        if not found:
-            continue
+    scored = [item for item in results if item.row.figures]
+    for group in dict.fromkeys(item.row.title for item in scored):
+        found = [item for item in scored if item.row.title == group]
         figures = [item.row.shown for item in found]
         rows = [("frames", [str(item.row.frames) for item in found])]
         for column in COLUMNS:
             cells = [column.show(each) for each in figures]
             rows += [(column.title, cells)] if any(cells) else []
         yield {
-            "title": f"{data}, LiDAR {lidar}" + f", {fault}" * (fault != "none"),
+            "title": group,
             "models": [item.row.model for item in found],
             "rows": rows,
             "bars": list(_bars(found)),

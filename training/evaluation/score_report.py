@@ -134,6 +134,11 @@ class Row:
         return self.model, self.data, self.lidar, self.fault
 
     @property
+    def title(self) -> str:
+        """Set, LiDAR and fault in words, which the rows of all models share."""
+        return f"{self.data}, LiDAR {self.lidar}" + f", {self.fault}" * (self.fault != "none")
+
+    @property
     def shown(self) -> dict[str, float | None]:
         """The figures and the time of an answer, by the keys of `COLUMNS`."""
         time = {} if self.latency_ms is None else {"latency_ms": self.latency_ms}
@@ -236,10 +241,8 @@ def _by_model(rows: Sequence[Row], columns: Sequence[Column], width: int | None)
 def _by_figure(rows: Sequence[Row], columns: Sequence[Column], width: int | None) -> list[str]:
     """Return a table for each set and input, with a line for each figure."""
     lines: list[str] = []
-    for key in dict.fromkeys((row.data, row.lidar, row.fault) for row in rows):
-        found = [row for row in rows if (row.data, row.lidar, row.fault) == key]
-        data, lidar, fault = key
-        title = f"{data}, LiDAR {lidar}" + f", {fault}" * (fault != "none")
+    for title in dict.fromkeys(row.title for row in rows):
+        found = [row for row in rows if row.title == title]
         parts = [(row, frames, figures) for row in found for frames, figures in _lines(row)]
         cells = [["figure", *(row.model for row, _, _ in parts)]]
         cells.append(["frames", *(frames for _, frames, _ in parts)])

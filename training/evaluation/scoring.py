@@ -24,8 +24,7 @@ from training.evaluation.metrics import (
     Accumulator,
     BoundaryScores,
     DepthScores,
-    DisparityScores,
-    MeanError,
+    ErrorSums,
     RoadScores,
     SemanticScores,
 )
@@ -127,11 +126,10 @@ class Scores(Accumulator):
         self.semantic = SemanticScores(num_classes)
         self.depth = DepthScores(farthest_m)
         self.boundary = BoundaryScores()
-        self.disparity = DisparityScores(farthest_m)
         self.regions = DepthRegionScores(farthest_m)
         self.uncertainty = UncertaintyScores(farthest_m)
         self.road = RoadScores(num_classes)
-        self.others: dict[str, MeanError] = {}  # of heads without other figures
+        self.others: dict[str, ErrorSums] = {}  # of heads without other figures
 
     def update(self, answer: HeadMaps, frame: LidarSplit) -> None:
         """Count a frame; missing heads and targets are left out."""
@@ -144,18 +142,17 @@ class Scores(Accumulator):
         if answer.semantic is not None and "road_mask" in sample.targets:
             self.road.update(answer.semantic, sample.targets["road_mask"])
         if answer.depth is not None and frame.target.any():
-            self.depth.update(answer.depth, frame.target)
-            if sample.focal_baseline_px_m is not None:
-                self.disparity.update(answer.depth, frame.target, sample.focal_baseline_px_m)
+            self.depth.update(answer.depth, frame.target, sample.focal_baseline_px_m)
             self.regions.update(answer.depth, frame.target, frame.fed)
             if answer.depth_uncertainty is not None:
                 self.uncertainty.update(answer.depth_uncertainty, answer.depth, frame.target)
         if answer.boundary is not None and has_classes:
             self.boundary.update(answer.boundary, sample.semantic)
         for head in answer.heads.keys() & sample.targets.keys() - {"semantic", "depth"}:
-            errors = self.others.setdefault(head, MeanError())
             labels = sample.targets[head]
-            errors.update(answer.heads[head], labels, labelled(head, labels))
+            known = labelled(head, labels)
+            errors = answer.heads[head][known].astype(np.float64) - labels[known]
+            self.others.setdefault(head, ErrorSums()).add(errors)
 
     def labelled(self, class_names: Sequence[str]) -> dict[str, tuple[int, int]]:
         """Return labelled pixels, and frames that show it, for each class that is labelled."""
@@ -183,9 +180,8 @@ class Scores(Accumulator):
             **self.depth.figures(),
             **self.regions.figures(),
             **self.uncertainty.figures(),
-            **self.disparity.figures("px"),
             **self.boundary.figures(boundary_threshold),
-            **{f"mean_error_{head}": part.figure for head, part in sorted(self.others.items())},
+            **{f"mean_error_{head}": part.mean for head, part in sorted(self.others.items())},
         }
 
 

@@ -39,8 +39,8 @@ class UncertaintyScores(Accumulator):
 
         Args:
             uncertainty: scale of a Laplace distribution around the prediction, float (H, W) [m].
-            prediction: float (H, W) [m].
-            depth: the true depth, float (H, W) [m]; 0, negative or not finite = unknown.
+            prediction: see `DepthScores.update`, also for the depth.
+            depth: the true depth.
         """
         known = scored(depth, self._farthest_m)
         scale = uncertainty[known].astype(np.float64)
