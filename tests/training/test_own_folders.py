@@ -154,17 +154,24 @@ def test_images_of_other_sizes_keep_their_aspect(mine, rows, found):
     assert ("\nsize = 48\n" in result.stdout) == found.startswith(("size", "warning"))
 
 
-@pytest.mark.parametrize(("units", "is_wrong"), [(256, False), (60 * 256, True)])
-def test_depth_beyond_the_range_is_reported(mine, units, is_wrong):
+@pytest.mark.parametrize(
+    ("units", "camera", "beyond"),
+    [
+        (256, (), ""),
+        (60 * 256, (), "100 m"),
+        (256, ("--focal-length", "20", "--set", "model.config.canonical_focal_px = 1e3"), "2 m"),
+    ],
+)
+def test_depth_beyond_the_range_is_reported(mine, units, camera, beyond):
     for path in mine.glob("lidar/*"):
         assert cv2.imwrite(str(path), np.full((48, 64), 4 * units, np.uint16))
-    result = train(mine, "--dry-run", depth="lidar")
+    result = train(mine, "--dry-run", *camera, depth="lidar")
     assert result.exit_code == 0, result.output
-    text = "warning: train: 100% of the depth is beyond 100 m and not trained: check the unit"
-    assert (text in result.stderr) == is_wrong
-    alone = train(mine, "--dry-run", depth="lidar", labels=None, classes=None, out="alone")
-    assert ("no frame of train has a target of the loss" in alone.stderr) == is_wrong
-    assert alone.exit_code == is_wrong, alone.output
+    text = f"warning: train: 100% of the depth is beyond {beyond} and not trained: check the unit"
+    assert (text in result.stderr) == bool(beyond), result.stderr
+    alone = train(mine, "--dry-run", *camera, depth="lidar", labels=None, classes=None, out="alone")
+    assert ("no frame of train has a target of the loss" in alone.stderr) == bool(beyond)
+    assert alone.exit_code == bool(beyond), alone.output
 
 
 def classes(text):
