@@ -117,7 +117,7 @@ def test_a_network_of_one_head_goes_through_every_tool(tmp_path):
 
     report = export_checkpoint(path, tmp_path / "m.onnx", size=(47, 62), dynamic=True)
     assert report.heads == ("semantic",)
-    assert report.contract.model_name == name
+    assert report.contract.model_name == "run", "named by the folder of the run"
 
     data = f"rendered:{tmp_path / 'rendered'}"
     models = [str(path), str(tmp_path / "m.onnx")]
