@@ -128,8 +128,6 @@ def export(
         raise typer.BadParameter("--precision int8 and --calibrate go together")
     if calibrate and not validate:
         raise typer.BadParameter("--precision int8 needs --validate")
-    if checkpoint.is_dir():
-        checkpoint /= "model.pt"
     size = None if height is None or width is None else (height, width)
     with reported_errors("export,train,cpu" if validate else "export,cpu"):
         from export.exporter import export_checkpoint  # slow, and --help needs no PyTorch

@@ -117,7 +117,8 @@ def export_checkpoint(
     After an error nothing new is left on disk, and an older file is kept.
 
     Args:
-        checkpoint_path: a checkpoint written by ssdnet-train.
+        checkpoint_path: a checkpoint written by ssdnet-train, or the folder of its run, whose
+            model.pt is exported.
         onnx_path: the file to write.
         size: (height, width) of a fixed model; None: any size, with DEFAULT_SIZE as native size.
         dynamic: whether the model takes any size, with `size` as native size.
@@ -149,21 +150,23 @@ def export_checkpoint(
     if isinstance(precision, Int8Options) and not validate:
         raise InputError("int8 needs data: give validate, data sets with ground truth")
     dynamic, size = dynamic or size is None, _native_size(size)
-    name = _model_name(name, Path(checkpoint_path))
+    source = Path(checkpoint_path)
+    if source.is_dir():
+        source /= _RUN_FILES[0]
+    name = _model_name(name, source)
     target = Path(onnx_path)
     triton_folder = None if triton_dir is None else Path(triton_dir) / target.stem
-    _check_targets(target, triton_folder, Path(checkpoint_path), overwrite=overwrite)
+    _check_targets(target, triton_folder, source, overwrite=overwrite)
     int8 = isinstance(precision, Int8Options)
     further = (int8, precision is not Precision.FP32, validate and not int8, record_dir, triton_dir)
     stages = _Stages(2 + sum(map(bool, further)), report)
     stages.begin("tracing the graph")
-    checkpoint = _read(checkpoint_path)
+    checkpoint = _read(source)
     warnings: Sequence[str] = ()
     if isinstance(precision, Int8Options):
         from export.int8 import require_frames  # needs the packages of training
 
-        folder = Path(checkpoint_path).resolve().parent
-        warnings = require_frames(precision, validate, checkpoint, folder)
+        warnings = require_frames(precision, validate, checkpoint, source.resolve().parent)
     settings = Settings("ssdnet-export", "frame" if dynamic else None, provider="torch")
     with contextlib.ExitStack() as written:
         temporary = written.enter_context(atomic_file(target, overwrite=overwrite, durable=True))
@@ -178,7 +181,7 @@ def export_checkpoint(
         contract = _contract(
             checkpoint,
             name or checkpoint.model.config.name,
-            _digest(checkpoint_path),
+            _digest(source),
             size=size,
             opset=opset,
         )

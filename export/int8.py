@@ -169,11 +169,10 @@ def quantize_within(
     convolutions = [n.name for n in nodes]
     ranked: dict[str, list[str]] = {}
     with tempfile.TemporaryDirectory() as folder:
-        path, single = Path(folder) / "model.onnx", Path(folder) / "single.onnx"
+        single, path = Path(folder) / "single.onnx", Path(folder) / "int8.onnx"
         write(model, single)
-        write(model, path)
         report("calibrating the value ranges")
-        feeds = list(_feeds(path, options))
+        feeds = list(_feeds(single, options))
         stride = strides(model, feeds[0])
         ranges = measure_ranges(model, feeds)
         always = [
@@ -185,11 +184,11 @@ def quantize_within(
         in_float = [*always]
         report("measuring the accuracy in single precision")
         lidars: Sequence[str] = LIDARS
-        before = measure_accuracy(path, validate, lidars)
+        before = measure_accuracy(single, validate, lidars)
         _require_rows(heads, before)
         if {row.lidar for row in before if row.mae_m is not None} == {"none"}:
             lidars = (*LIDARS, OTHER_LIDAR)
-            before = measure_accuracy(path, validate, lidars)
+            before = measure_accuracy(single, validate, lidars)
         frames = {row.data: row.frames for row in before}
         while True:
             quantized = quantize(model, ranges, keep_float=in_float)

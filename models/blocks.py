@@ -50,6 +50,7 @@ class BaConv(nn.Module):
 
     def __init__(self, in_channels: int, out_channels: int, *, separable: bool = False) -> None:
         super().__init__()
+        # Made in both cases: from one seed, the layers after it then have the same weights.
         dense = nn.Conv2d(in_channels, out_channels, 3, padding=1, bias=False)
         self.conv = separable_conv(in_channels, out_channels) if separable else dense
 

@@ -177,11 +177,11 @@ def print_result(text: str) -> None:
     lines = _plain(text).split("\n")
     warnings = [line for line in lines if line.lstrip().startswith("warning: ")]
     if warnings:
-        text = "\n".join(line for line in lines if line not in warnings)
         with contextlib.suppress(OSError):
             print("\n".join(warnings), file=sys.stderr, flush=True)  # noqa: T201
+    result = "\n".join(line for line in lines if line not in warnings)
     try:
-        print(_plain(text), flush=True)  # noqa: T201 - sys.stdout may be None
+        print(result, flush=True)  # noqa: T201 - sys.stdout may be None
     except OSError as error:
         # Otherwise Python would flush stdout at exit and fail.
         with contextlib.suppress(OSError, ValueError):

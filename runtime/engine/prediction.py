@@ -42,8 +42,46 @@ class Cleaned:
         return sum(astuple(self))
 
 
+class HeadArrays:
+    """Arrays by head, each of the frame's size (H, W), and one property for each of our heads.
+
+    Attributes:
+        heads: head -> array, in the type and unit of its row in `runtime.contract.heads.HEADS`.
+    """
+
+    heads: Mapping[str, NDArray[Any]]
+
+    @property
+    def semantic(self) -> NDArray[np.uint8] | None:
+        """Class ids, uint8 (H, W), see `Contract.classes`; None without that head."""
+        return self.heads.get("semantic")
+
+    @property
+    def depth(self) -> NDArray[np.float32] | None:
+        """Metres along the optical axis, float32 (H, W); None without that head."""
+        return self.heads.get("depth")
+
+    @property
+    def boundary(self) -> NDArray[np.float32] | None:
+        """Probability 0..1 of an object's boundary, float32 (H, W); None without that head."""
+        return self.heads.get("boundary")
+
+    @property
+    def depth_uncertainty(self) -> NDArray[np.float32] | None:
+        """Scale b [m] of a Laplace distribution around `depth`, float32 (H, W); None without it.
+
+        63 % of the errors are meant to lie within b, 86 % within 2 b.
+        """
+        return self.heads.get("depth_uncertainty")
+
+    @property
+    def semantic_logits(self) -> NDArray[np.float32] | None:
+        """Class scores, float32 (C, H, W); None unless the model was exported with them."""
+        return self.heads.get("semantic_logits")
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Prediction:
+class Prediction(HeadArrays):
     """The answers for one frame, at the frame's own size (H, W). The arrays belong to the caller.
 
     Attributes:
@@ -92,34 +130,6 @@ class Prediction:
     def class_names(self) -> tuple[str, ...]:
         """Names of the classes in the order of the ids of `semantic`; () if none are known."""
         return () if self.contract is None else tuple(each.name for each in self.contract.classes)
-
-    @property
-    def semantic(self) -> NDArray[np.uint8] | None:
-        """Class ids, uint8 (H, W), see `Contract.classes`; None without that head."""
-        return self.heads.get("semantic")
-
-    @property
-    def depth(self) -> NDArray[np.float32] | None:
-        """Metres along the optical axis, float32 (H, W); None without that head."""
-        return self.heads.get("depth")
-
-    @property
-    def boundary(self) -> NDArray[np.float32] | None:
-        """Probability 0..1 of an object's boundary, float32 (H, W); None without that head."""
-        return self.heads.get("boundary")
-
-    @property
-    def depth_uncertainty(self) -> NDArray[np.float32] | None:
-        """Scale b [m] of a Laplace distribution around `depth`, float32 (H, W); None without it.
-
-        63 % of the errors are meant to lie within b, 86 % within 2 b.
-        """
-        return self.heads.get("depth_uncertainty")
-
-    @property
-    def semantic_logits(self) -> NDArray[np.float32] | None:
-        """Class scores, float32 (C, H, W); None unless the model was exported with them."""
-        return self.heads.get("semantic_logits")
 
     def draw(self, rgb: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
         """Draw one picture of the frame and its answers.

@@ -124,7 +124,7 @@ class ForeignNetwork:
             raw = _enlarge(self._plane(outputs[self.adapter.depth], self.adapter.depth), canvas)
             found["depth"] = self._metres(np.ascontiguousarray(raw[rows, columns]))
         answer = HeadMaps(**to_frame(found, frame))
-        return answer if ids is None else HeadMaps(**answer.heads | {"semantic": ids})
+        return answer if ids is None else answer.with_semantic(ids)
 
     @property
     def _rgb(self) -> Any:

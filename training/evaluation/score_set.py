@@ -64,7 +64,7 @@ class EvaluatedSet:
                 "--predictions DIR,classes=cityscapes"
             )
         lookup = self.classes.lookup(table, len(self.classes.names))
-        return HeadMaps(**answer.heads | {"semantic": lookup[answer.semantic]})
+        return answer.with_semantic(lookup[answer.semantic])
 
     def image_name(self, index: int) -> str | None:
         """Return the stem of a frame's image; None if the set does not know its files."""

@@ -16,6 +16,7 @@ from runtime.contract.contract import NO_CLASS
 from runtime.contract.heads import HEADS
 from runtime.contract.resize import Size
 from runtime.engine.inference import to_frame
+from runtime.engine.prediction import HeadArrays
 from runtime.engine.preprocess import preprocess
 from training.datasets.sample import IGNORE, SampleSource, labelled
 from training.evaluation.depth_regions import DepthRegionScores
@@ -32,35 +33,19 @@ from training.evaluation.uncertainty import UncertaintyScores
 from training.lidar.split import LidarInput, LidarSplit, frame_generator, split_lidar
 
 
-class HeadMaps:
-    """The maps of the heads for one frame, (H, W), each in the type and unit of its row in `HEADS`.
+class HeadMaps(HeadArrays):
+    """The maps of a frame that are scored or drawn: answers, or the truth.
 
     Args:
-        **heads: the maps by head; None for a head that the predictor lacks.
+        **heads: the maps by head, see `HeadArrays`; None for a head that is missing.
     """
 
     def __init__(self, **heads: NDArray[Any] | None) -> None:
         self.heads = {head: values for head, values in heads.items() if values is not None}
 
-    @property
-    def semantic(self) -> NDArray[np.uint8] | None:
-        """The class ids, uint8 (H, W); None without this head."""
-        return self.heads.get("semantic")
-
-    @property
-    def depth(self) -> NDArray[np.float32] | None:
-        """The depth, float32 (H, W) [m]; None without this head."""
-        return self.heads.get("depth")
-
-    @property
-    def boundary(self) -> NDArray[np.float32] | None:
-        """The probability of a boundary, float32 (H, W); None without this head."""
-        return self.heads.get("boundary")
-
-    @property
-    def depth_uncertainty(self) -> NDArray[np.float32] | None:
-        """The scale of a Laplace distribution of the depth's error, float32 (H, W) [m], or None."""
-        return self.heads.get("depth_uncertainty")
+    def with_semantic(self, semantic: NDArray[np.uint8]) -> "HeadMaps":
+        """Return the maps with these class ids, uint8 (H, W)."""
+        return HeadMaps(**{**self.heads, "semantic": semantic})
 
 
 # Arguments: rgb uint8 (H, W, 3), sparse_depth float32 (H, W) [m], and the focal length [px of this
