@@ -3,16 +3,14 @@
 import copy
 from dataclasses import replace
 
-import onnx
 import pytest
 import torch
-from onnx.utils import Extractor
 
 from export import exporter
 from export.deploy import DeployGraph
 from export.exporter import export_checkpoint
 from export.probe_frames import probe_frames
-from export.trace import INPUTS, trace
+from export.trace import trace
 from models import Network, NetworkConfig, SSDNetLite, SSDNetLiteConfig, save_checkpoint
 from models.registry import NETWORKS
 
@@ -77,29 +75,31 @@ def beside(tmp_path_factory):
     return tmp_path_factory.mktemp("beside")
 
 
+@pytest.fixture(
+    scope="session", params=["ssdnet", pytest.param("ssdnet-lite", marks=pytest.mark.slow)]
+)
+def dynamic_network(request):
+    """The network of `dynamic_model`; to trace ssdnet-lite for any size takes a minute."""
+    return build_small(request.param)
+
+
 @pytest.fixture(scope="session")
-def dynamic_model(lite):
+def dynamic_model(dynamic_network):
     """The graph of any size, with logits."""
-    return trace(DeployGraph(lite, with_logits=True), size=SIZE, dynamic=True)
+    return trace(DeployGraph(dynamic_network, with_logits=True), size=SIZE, dynamic=True)
 
 
 @pytest.fixture(scope="session")
-def fixed_graph(dynamic_model):
-    """The same graph without logits, for frames of SIZE alone: to trace it takes as long again."""
-    heads = [tensor.name for tensor in dynamic_model.graph.output[:-1]]
-    model = Extractor(copy.deepcopy(dynamic_model)).extract_model(list(INPUTS), heads)
-    del model.graph.value_info[:]
-    for tensor in (*model.graph.input, *model.graph.output):
-        for axis, side in zip(tensor.type.tensor_type.shape.dim[1:3], SIZE, strict=True):
-            axis.dim_value = side
-    return model
+def lite_model(lite):
+    """The graph of ssdnet-lite for frames of SIZE."""
+    return trace(DeployGraph(lite), size=SIZE)
 
 
 @pytest.fixture(scope="session")
-def exported(lite_checkpoint, beside, fixed_graph, tmp_path_factory):
+def exported(lite_checkpoint, beside, lite_model, tmp_path_factory):
     """The report of an export."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(exporter, "trace", lambda *_, **__: copy.deepcopy(fixed_graph))
+        patch.setattr(exporter, "trace", lambda *_, **__: copy.deepcopy(lite_model))
         return export_checkpoint(
             lite_checkpoint,
             tmp_path_factory.mktemp("exported") / "lite.onnx",
@@ -110,14 +110,19 @@ def exported(lite_checkpoint, beside, fixed_graph, tmp_path_factory):
 
 
 @pytest.fixture
-def traced(exported, dynamic_model, monkeypatch):
+def traced(exported, lite_model, monkeypatch):
     """Exports of `lite_checkpoint` at SIZE take graph and work of `exported`: both take seconds."""
-
-    def trace(*_, dynamic, **__):
-        return copy.deepcopy(dynamic_model) if dynamic else onnx.load(exported.path)
-
-    monkeypatch.setattr(exporter, "trace", trace)
+    monkeypatch.setattr(exporter, "trace", lambda *_, **__: copy.deepcopy(lite_model))
     monkeypatch.setattr(exporter, "count_giga_macs", lambda *_: exported.contract.giga_macs)
+
+
+@pytest.fixture
+def traced_for_any_size(dynamic_network, dynamic_model, tmp_path, monkeypatch):
+    """The checkpoint of `dynamic_network`, of which exports take the graph `dynamic_model`."""
+    monkeypatch.setattr(exporter, "trace", lambda *_, **__: copy.deepcopy(dynamic_model))
+    path = tmp_path / "any-size.pt"
+    save_checkpoint(path, dynamic_network)
+    return path
 
 
 @pytest.fixture(scope="session")

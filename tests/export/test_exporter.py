@@ -86,10 +86,9 @@ def test_what_it_was_trained_for_goes_from_the_checkpoint_into_the_file(lite_che
     assert (contract.trained_height, contract.canonical_focal_px) == (375, 721.5)
 
 
-@pytest.mark.usefixtures("traced")
-def test_a_file_of_any_size_is_verified_at_the_frames_own(lite_checkpoint, tmp_path):
+def test_a_file_of_any_size_is_verified_at_the_frames_own(traced_for_any_size, tmp_path):
     """Frames far above the trained height would be shrunk, and differ from PyTorch's answers."""
-    model = load_checkpoint(lite_checkpoint).model
+    model = load_checkpoint(traced_for_any_size).model
     save_checkpoint(tmp_path / "c.pt", model, training={"trained_height": 40})
     report = export_checkpoint(
         tmp_path / "c.pt", tmp_path / "m.onnx", size=SIZE, dynamic=True, with_logits=True
@@ -99,26 +98,32 @@ def test_a_file_of_any_size_is_verified_at_the_frames_own(lite_checkpoint, tmp_p
         assert predictor.network_size(SIZE) == (40, 60)
 
 
-@pytest.mark.usefixtures("traced")
-@pytest.mark.parametrize(
-    ("arguments", "size"),
-    [(["--with-logits"], None), (["--with-logits", "--dynamic", *FIXED], None), (FIXED, SIZE)],
-    ids=["default", "dynamic", "fixed"],
-)
-def test_a_file_takes_any_size_unless_one_is_fixed(
-    lite_checkpoint, tmp_path, monkeypatch, arguments, size
-):
-    def frame(size, **_):
-        return probe_frames(size, max_depth_m=100.0)[:1]
-
-    monkeypatch.setattr(exporter, "_frames", frame)
+@pytest.fixture
+def small_frames(monkeypatch):
+    """Exports are verified with one frame, of SIZE unless another size is asked for."""
+    monkeypatch.setattr(
+        exporter, "_frames", lambda size, **_: probe_frames(size, max_depth_m=100.0)[:1]
+    )
     monkeypatch.setattr(exporter, "DEFAULT_SIZE", SIZE)
-    path = tmp_path / "m.onnx"
-    result = run(lite_checkpoint, path, *arguments)
+
+
+@pytest.mark.usefixtures("small_frames")
+@pytest.mark.parametrize("arguments", [(), ("--dynamic", *FIXED)], ids=["default", "dynamic"])
+def test_a_file_takes_any_size_unless_one_is_fixed(traced_for_any_size, tmp_path, arguments):
+    result = run(traced_for_any_size, tmp_path / "m.onnx", "--with-logits", *arguments)
     assert result.exit_code == 0, result.output
-    assert ("any size accepted" in result.output) == (size is None)
-    with Predictor(path, warmup=0) as predictor:
-        assert (predictor.size, predictor.contract.native_size) == (size, SIZE)
+    assert "any size accepted" in result.output
+    with Predictor(tmp_path / "m.onnx", warmup=0) as predictor:
+        assert (predictor.size, predictor.contract.native_size) == (None, SIZE)
+
+
+@pytest.mark.usefixtures("small_frames", "traced")
+def test_a_fixed_size_is_the_only_one(lite_checkpoint, tmp_path):
+    result = run(lite_checkpoint, tmp_path / "m.onnx", *FIXED)
+    assert result.exit_code == 0, result.output
+    assert "any size accepted" not in result.output
+    with Predictor(tmp_path / "m.onnx", warmup=0) as predictor:
+        assert predictor.size == predictor.contract.native_size == SIZE
 
 
 @pytest.mark.slow

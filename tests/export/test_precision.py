@@ -37,9 +37,9 @@ def feeds():
     return [{"rgb": f.rgb[None], "sparse_depth": f.sparse_depth[None]} for f in frames[:3]]
 
 
-def test_the_trunk_is_what_lies_between_the_sensors_and_the_answers(dynamic_model):
-    graph = dynamic_model.graph
-    names = set(trunk(dynamic_model))
+def test_the_trunk_is_what_lies_between_the_sensors_and_the_answers(lite_model):
+    graph = lite_model.graph
+    names = set(trunk(lite_model))
     inside = [node for node in graph.node if node.name in names]
     widths = {weight.name: weight.dims for weight in graph.initializer}
     convolutions = [node for node in graph.node if node.op_type == "Conv"]
@@ -63,21 +63,21 @@ def test_the_trunk_is_what_lies_between_the_sensors_and_the_answers(dynamic_mode
     assert not {output.name for output in graph.output} & {node.output[0] for node in inside}
 
 
-def test_half_precision_keeps_inputs_outputs_and_answers(dynamic_model, feeds):
-    half = to_half(dynamic_model)
+def test_half_precision_keeps_inputs_outputs_and_answers(lite_model, feeds):
+    half = to_half(lite_model)
     onnx.checker.check_model(half, full_check=True)
-    assert list(half.graph.input) == list(dynamic_model.graph.input)
-    assert list(half.graph.output) == list(dynamic_model.graph.output)
-    assert half.ir_version == dynamic_model.ir_version
-    assert half.ByteSize() < 0.7 * dynamic_model.ByteSize()
+    assert list(half.graph.input) == list(lite_model.graph.input)
+    assert list(half.graph.output) == list(lite_model.graph.output)
+    assert half.ir_version == lite_model.ir_version
+    assert half.ByteSize() < 0.7 * lite_model.ByteSize()
     kinds = {weight.name: weight.data_type for weight in half.graph.initializer}
-    inside = set(trunk(dynamic_model))
+    inside = set(trunk(lite_model))
     for node in half.graph.node:
         if node.op_type == "Conv":
             kind = TensorProto.FLOAT16 if node.name in inside else TensorProto.FLOAT
             assert kinds[node.input[1]] == kind
     for feed in feeds:
-        expected, found = run(dynamic_model, feed), run(half, feed)
+        expected, found = run(lite_model, feed), run(half, feed)
         assert compare("semantic", found["semantic"], expected["semantic"])["agreement"] > 0.99
         assert compare("depth", found["depth"], expected["depth"])["mean_abs_m"] < 0.1
         assert not np.array_equal(found["depth"], expected["depth"])
@@ -120,17 +120,17 @@ def test_half_precision_that_answers_otherwise_is_refused(lite_checkpoint, tmp_p
     assert list(tmp_path.iterdir()) == []
 
 
-def test_quantised_answers_are_close_to_the_float_ones(dynamic_model, feeds):
-    quantized = quantize(dynamic_model, measure_ranges(dynamic_model, feeds))
+def test_quantised_answers_are_close_to_the_float_ones(lite_model, feeds):
+    quantized = quantize(lite_model, measure_ranges(lite_model, feeds))
     onnx.checker.check_model(quantized, full_check=True)
-    assert quantized.ir_version == dynamic_model.ir_version
+    assert quantized.ir_version == lite_model.ir_version
     # A Clip in float between two 8-bit convolutions would cost more than they gain.
-    names = set(trunk(dynamic_model))
-    clips = {n.name for n in dynamic_model.graph.node if n.op_type == "Clip"} & names
+    names = set(trunk(lite_model))
+    clips = {n.name for n in lite_model.graph.node if n.op_type == "Clip"} & names
     assert clips
     assert not clips & {n.name for n in quantized.graph.node if n.op_type == "Clip"}
     for feed in feeds:
-        expected, found = run(dynamic_model, feed), run(quantized, feed)
+        expected, found = run(lite_model, feed), run(quantized, feed)
         assert compare("semantic", found["semantic"], expected["semantic"])["agreement"] > 0.9
         assert compare("depth", found["depth"], expected["depth"])["mean_abs_m"] < 1.0
 
@@ -154,10 +154,10 @@ def test_what_is_large_on_few_frames_is_uneven():
         assert [float(edge) for edge in ranges.data["y"].range_value] == [1.0, values[count - 1]]
 
 
-def test_convolutions_named_stay_in_float(dynamic_model, feeds):
-    names = set(trunk(dynamic_model))
-    kept, *_ = [n.name for n in dynamic_model.graph.node if n.name in names and n.op_type == "Conv"]
-    quantized = quantize(dynamic_model, measure_ranges(dynamic_model, feeds), keep_float=[kept])
+def test_convolutions_named_stay_in_float(lite_model, feeds):
+    names = set(trunk(lite_model))
+    kept, *_ = [n.name for n in lite_model.graph.node if n.name in names and n.op_type == "Conv"]
+    quantized = quantize(lite_model, measure_ranges(lite_model, feeds), keep_float=[kept])
     weights = {weight.name for weight in quantized.graph.initializer}
     in_float = {
         n.name for n in quantized.graph.node if n.op_type == "Conv" and n.input[1] in weights
