@@ -1,6 +1,6 @@
 """`ssdnet-export`, also as `python -m export`."""
 
-from runtime.app.command import begin_command
+from runtime.command.process import begin_command
 
 
 def main() -> None:

@@ -7,8 +7,8 @@ from typing import Annotated
 import typer
 
 from export.precision import ENOUGH_FRAMES, LEAST_FRAMES, Int8Options, Precision
-from runtime.app.command import reported_errors, stop_requested
-from runtime.app.command_options import Version
+from runtime.command.options import Version
+from runtime.command.process import reported_errors, stop_requested
 from runtime.contract.contract import MIN_SIDE, Contract
 
 # Key in `Contract.accuracy`, name, factor and unit of each figure.

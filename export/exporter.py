@@ -30,7 +30,7 @@ from runtime import Contract, InputError, OutputError, __version__
 from runtime.contract.contract import MIN_SIDE, SCHEMA_VERSION, check_name, check_size
 from runtime.contract.model_file import with_contract
 from runtime.files.atomic_write import atomic_file
-from runtime.recordings.recording import RecordedFrame, Recorder, Settings, record
+from runtime.verification.reference import RecordedFrame, Recorder, Settings, record
 
 if TYPE_CHECKING:  # measuring needs the packages of training
     from export.accuracy import Accuracy

@@ -15,10 +15,10 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from export.exporter import export_checkpoint
 from models import create_model, load_checkpoint, save_checkpoint
 from runtime import ContractError, Predictor
-from runtime.app.encode import ENCODERS
-from runtime.app.tools.verification import verify
 from runtime.contract.heads import HEADS
-from runtime.recordings.recording import read_recording
+from runtime.drawing.encode import ENCODERS
+from runtime.verification.reference import read_recording
+from runtime.verification.verify import verify
 from training import evaluate, train
 
 # The row alone, which the engine needs: it imports no torch.

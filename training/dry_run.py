@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from runtime.app.drawing.overlay import Overlay
-from runtime.app.encode import encode_png
+from runtime.drawing.encode import encode_png
+from runtime.drawing.overlay import Overlay
 from runtime.files.atomic_write import atomic_write
 from training.datasets.class_mapping import list_classes
 from training.datasets.sample import IGNORE, SampleSource

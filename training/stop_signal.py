@@ -4,7 +4,7 @@ import contextlib
 import os
 from collections.abc import Callable, Iterator
 
-from runtime.app.command import stop_requested
+from runtime.command.process import stop_requested
 from training.datasets.sample import Sample, SampleSource
 
 

@@ -67,7 +67,7 @@ class Head:
         tolerance_int8: the limit between two runtimes for one 8-bit file: the largest share of
             pixels that differ, mean difference, or mean difference as a share of the mean value.
         saved_as: name for `ssdnet-run --save` and of the subfolder; "" = the head is not written.
-            The unit decides how its files are encoded, see `runtime.app.encode`.
+            The unit decides how its files are encoded, see `runtime.drawing.encode`.
         panel: how the head is drawn; None: it is not drawn.
     """
 

@@ -140,13 +140,13 @@ class Prediction(HeadArrays):
         Returns:
             uint8 (H', W', 3), RGB: a grid of panels of image and heads with a legend beside them.
             Large frames are shrunk by a whole number to fit a screen of 1920 x 1080 pixels, see
-            `runtime.app.drawing.overlay.Overlay.draw`. Answers whose `valid` is False are
+            `runtime.drawing.overlay.Overlay.draw`. Answers whose `valid` is False are
             drawn, too.
 
         Raises:
             InputError: if the image does not have the frame's size, or `contract` is None.
         """
-        from runtime.app.drawing.draw_prediction import draw_prediction  # on demand
+        from runtime.drawing.draw_prediction import draw_prediction  # on demand
 
         return draw_prediction(self, rgb)
 
@@ -171,7 +171,7 @@ class Prediction(HeadArrays):
             InputError: for another ending, and as for `draw` and `points`.
             OutputError: if the file cannot be written.
         """
-        from runtime.app.drawing.draw_prediction import save_prediction  # on demand
+        from runtime.drawing.draw_prediction import save_prediction  # on demand
 
         save_prediction(self, path, rgb, intrinsics=intrinsics)
 

@@ -16,8 +16,8 @@ from runtime.contract.model_file import load_model_file, with_contract
 from runtime.contract.resize import move_returns
 from runtime.engine.bundled_models import list_bundled_models
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
-from runtime.recordings.recording import RecordedFrame, Settings, read_recording, record
-from runtime.recordings.unpack import unpack
+from runtime.verification.reference import RecordedFrame, Settings, read_recording, record
+from runtime.verification.unpack import unpack
 
 pytestmark = pytest.mark.slow
 

@@ -12,9 +12,9 @@ import psutil
 import pytest
 from typer.testing import CliRunner
 
-from runtime.app.encode import ENCODERS
 from runtime.app.run.cli import app
 from runtime.contract.heads import HEADS
+from runtime.drawing.encode import ENCODERS
 from runtime.recordings.bundled_stream import bundled_frames
 from runtime.recordings.registry import choose_source
 

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from export import exporter
 from export.errors import ExportError
 from runtime.app.tools.verify import app as verify_app
-from runtime.recordings.recording import read_recording
+from runtime.verification.reference import read_recording
 
 SIZE = (64, 96)
 

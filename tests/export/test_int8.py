@@ -20,7 +20,7 @@ from runtime import InputError, Predictor
 from runtime.app.tools.info import app as info_app
 from runtime.app.tools.verify import app as verify_app
 from runtime.contract.model_file import load_model_file
-from runtime.recordings.recording import read_recording
+from runtime.verification.reference import read_recording
 from training.evaluation.score_report import Row
 from training.evaluation.scoring import Scores
 

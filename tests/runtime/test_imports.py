@@ -39,7 +39,7 @@ def test_the_leaves_load_neither_opencv_nor_onnxruntime(statement):
 
 
 def test_the_leaves_of_files_and_errors_need_nothing_but_python():
-    statement = "import runtime.base.errors, runtime.files.atomic_write, runtime.app.command"
+    statement = "import runtime.base.errors, runtime.files.atomic_write, runtime.command.process"
     assert loaded_after(statement) - {"runtime"} <= sys.stdlib_module_names | loaded_after("pass")
 
 

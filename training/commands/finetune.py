@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from runtime.app.command import reported_errors
-from runtime.app.command_options import Version
+from runtime.command.options import Version
+from runtime.command.process import reported_errors
 from training.commands.options import (
     EXIT_CODES,
     Begin,

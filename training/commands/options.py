@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from runtime.app.command import INTERRUPTED
+from runtime.command.process import INTERRUPTED
 
 # How each of these commands ends, for its help.
 EXIT_CODES = (

@@ -1,6 +1,6 @@
 """`ssdnet-eval`, also as `python -m training.evaluation`."""
 
-from runtime.app.command import begin_command
+from runtime.command.process import begin_command
 
 
 def main() -> None:

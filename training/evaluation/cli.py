@@ -6,9 +6,9 @@ from typing import Annotated, Any, get_args
 
 import typer
 
-from runtime.app.command import print_result, reported_errors, stop_requested
-from runtime.app.command_options import Version
 from runtime.base.errors import InputError, OutputError
+from runtime.command.options import Version
+from runtime.command.process import print_result, reported_errors, stop_requested
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 # Characters of a line if the output is not a terminal.

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.app.encode import encode_metres
 from runtime.base.errors import InputError, OutputError
+from runtime.drawing.encode import encode_metres
 from runtime.files.atomic_write import atomic_write, require_writable
 from runtime.files.own_folder import require_folder_free
 

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from models import Network
-from runtime.app.drawing.color_scale import NO_VALUE_COLOR
-from runtime.app.drawing.overlay import Overlay
-from runtime.app.drawing.picture_text import write_text
+from runtime.drawing.color_scale import NO_VALUE_COLOR
+from runtime.drawing.overlay import Overlay
+from runtime.drawing.picture_text import write_text
 from training.datasets.sample import AUXILIARY, SampleSource, labelled
 from training.evaluation.scoring import HeadMaps, Predict, split_frames
 from training.lidar.split import LidarInput
@@ -27,7 +27,7 @@ _DOT_PX = 3
 def draw_pictures(
     predict: Predict, source: SampleSource, network: Network, *, lidar: LidarInput, count: int
 ) -> Iterator[tuple[str, NDArray[np.uint8]]]:
-    """Draw frames spread evenly over a set, like `runtime.app.drawing.overlay` draws them.
+    """Draw frames spread evenly over a set, like `runtime.drawing.overlay` draws them.
 
     Args:
         predict: the network's predictor.

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.app.drawing.overlay import Overlay
-from runtime.app.encode import encode_jpeg
 from runtime.contract.contract import ClassInfo
+from runtime.drawing.encode import encode_jpeg
+from runtime.drawing.overlay import Overlay
 from training.datasets.class_mapping import list_classes
 from training.datasets.sample import IGNORE, Sample
 from training.evaluation.score_set import EvaluatedSet, Result, split_feeds

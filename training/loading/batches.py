@@ -9,8 +9,8 @@ from functools import partial
 import cv2
 from torch.utils.data import DataLoader
 
-from runtime.app.command import leave_signals_to_parent
 from runtime.base.errors import DatasetError
+from runtime.command.process import leave_signals_to_parent
 from training.datasets.sample import SampleSource
 from training.distributed import Processes
 from training.loading.mixture import Batch, CachedSource, Mixture, MixturePart

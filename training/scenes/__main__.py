@@ -1,6 +1,6 @@
 """`ssdnet-render`, also as `python -m training.scenes`."""
 
-from runtime.app.command import begin_command
+from runtime.command.process import begin_command
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import typer
 
-from runtime.app.command import reported_errors
+from runtime.command.process import reported_errors
 from runtime.files.atomic_write import atomic_write
 from runtime.recordings.images import KITTI_DEPTH_SCALE
 from training.datasets.virtual_kitti import RenderedRecipe

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from runtime.app.command import leave_signals_to_parent, reported_errors, stop_requested
-from runtime.app.command_options import Version
+from runtime.command.options import Version
+from runtime.command.process import leave_signals_to_parent, reported_errors, stop_requested
 from runtime.contract.contract import MIN_SIDE
 from training.scenes.names import CameraName, StreetKind, Variant
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.app.encode import encode_jpeg, encode_png
 from runtime.base.errors import OutputError
+from runtime.drawing.encode import encode_jpeg, encode_png
 from runtime.files.own_folder import atomic_folder
 from training.scenes.arrays import Floats
 from training.scenes.names import SceneClass

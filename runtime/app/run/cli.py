@@ -9,12 +9,12 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from runtime.app.command import print_result, progress_bar, reported_errors
-from runtime.app.command_options import Version
 from runtime.app.run.model_table import describe_bundled_models
 from runtime.app.run.options import OPTION, RunOptions, UsageError
 from runtime.app.run.run import OnRecord, run
 from runtime.app.run.run_report import describe_run, list_results
+from runtime.command.options import Version
+from runtime.command.process import print_result, progress_bar, reported_errors
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 

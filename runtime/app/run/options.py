@@ -14,15 +14,15 @@ from typing import Any
 
 import typer
 
-from runtime.app.command import Provider
-from runtime.app.encode import METRES_PNG_SCALE
 from runtime.app.run.reasons import REASONS
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
+from runtime.command.process import Provider
 from runtime.contract.contract import MAX_FOCAL_PX, MAX_PIXELS, MIN_FOCAL_PX
 from runtime.contract.heads import HEADS, Head
 from runtime.contract.network_size import NetworkSize, parse_network_size
+from runtime.drawing.encode import METRES_PNG_SCALE
 from runtime.engine.bundled_models import DEFAULT_MODEL, list_bundled_models
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
 from runtime.recordings.registry import (

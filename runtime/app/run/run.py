@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from runtime.alignment.quick_check import QuickCheck, QuickFinding
-from runtime.app.command import stop_requested
 from runtime.app.run.depth_check import NoDepth, find_depth_fault, find_lens_fault
 from runtime.app.run.engine_facts import engine_facts
 from runtime.app.run.options import CLOUD, KINDS, SUFFIXES, RunOptions, saved_heads
@@ -22,6 +21,7 @@ from runtime.app.run.pipeline import (
 )
 from runtime.app.run.run_report import RunReport, describe_predictor, group_reasons, write_report
 from runtime.base.errors import InputError, SSDNetError
+from runtime.command.process import stop_requested
 from runtime.contract.canonical_focal import CameraScale
 from runtime.engine.predictor import Predictor
 from runtime.engine.preprocess import check_sparse_depth

@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from runtime.alignment.quick_check import QuickFinding
-from runtime.app.encode import METRES_PNG_MAX_M, METRES_PNG_SCALE
 from runtime.app.run.options import OVERLAY, RunOptions
 from runtime.app.run.outages import Outage, Timeline
 from runtime.app.run.pipeline import StreamResult
 from runtime.app.run.reasons import LATE
 from runtime.contract.canonical_focal import CameraScale
 from runtime.contract.degraded import IMPLAUSIBLE_DEPTH, IMPLAUSIBLE_POSES
+from runtime.drawing.encode import METRES_PNG_MAX_M, METRES_PNG_SCALE
 from runtime.engine.prediction import Cleaned, Prediction
 from runtime.engine.predictor import Predictor
 from runtime.files.atomic_write import atomic_write

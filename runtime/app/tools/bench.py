@@ -20,7 +20,11 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from runtime.app.command import (
+from runtime.app.run.engine_facts import MachineFacts, machine_facts
+from runtime.app.tools.bench_worker import Opened, open_for_timing, time_model
+from runtime.base.checks import shown
+from runtime.command.options import Version
+from runtime.command.process import (
     ERROR,
     INTERRUPTED,
     Provider,
@@ -29,10 +33,6 @@ from runtime.app.command import (
     reported_errors,
     stop_requested,
 )
-from runtime.app.command_options import Version
-from runtime.app.run.engine_facts import MachineFacts, machine_facts
-from runtime.app.tools.bench_worker import Opened, open_for_timing, time_model
-from runtime.base.checks import shown
 from runtime.engine.cores import available_cores
 from runtime.engine.session import import_onnxruntime
 from runtime.streams.statistics import LatencyStatistics, latency_statistics

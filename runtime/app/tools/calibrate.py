@@ -8,14 +8,14 @@ import typer
 
 from runtime.alignment.calibrate import CalibrationResult, Verdict, calibrate
 from runtime.alignment.view import points_in_time
-from runtime.app.command import print_result, progress_bar, reported_errors, stop_requested
-from runtime.app.command_options import Threads, Version
-from runtime.app.drawing.alignment_picture import draw_alignment
-from runtime.app.encode import encode_jpeg, encode_png
 from runtime.app.run.cli import GroupedCommand, with_run_options
 from runtime.app.run.options import RunOptions, UsageError
+from runtime.app.tools.alignment_picture import draw_alignment
 from runtime.app.tools.calibration_file import format_static_transform, format_toml
 from runtime.base.errors import InputError
+from runtime.command.options import Threads, Version
+from runtime.command.process import print_result, progress_bar, reported_errors, stop_requested
+from runtime.drawing.encode import encode_jpeg, encode_png
 from runtime.engine.predictor import Predictor
 from runtime.files.atomic_write import atomic_write
 from runtime.recordings.source import Source

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from importlib import import_module
 
-from runtime.app.command import begin_command
+from runtime.command.process import begin_command
 
 
 def _command(module: str) -> Callable[[], None]:

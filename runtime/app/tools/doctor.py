@@ -13,10 +13,10 @@ from typing import Annotated, Literal
 
 import typer
 
-from runtime.app.command import ERROR, Provider, print_result, reported_errors
-from runtime.app.command_options import Version
 from runtime.app.run.engine_facts import machine_facts
 from runtime.base.errors import SSDNetError
+from runtime.command.options import Version
+from runtime.command.process import ERROR, Provider, print_result, reported_errors
 
 # A "note" is a fact, or something missing that is not needed; only a "fault" fails.
 Status = Literal["ok", "note", "warning", "fault"]

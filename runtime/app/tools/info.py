@@ -6,9 +6,9 @@ from typing import Annotated, Any
 
 import typer
 
-from runtime.app.command import print_result, reported_errors
-from runtime.app.command_options import Version
 from runtime.app.run.model_table import describe_bundled_models
+from runtime.command.options import Version
+from runtime.command.process import print_result, reported_errors
 from runtime.engine.predictor import Predictor
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)

@@ -9,15 +9,15 @@ from typing import Annotated, Any
 
 import typer
 
-from runtime.app.command import Provider, print_result, reported_errors
-from runtime.app.command_options import Threads, Version
-from runtime.app.tools.verification import VerifyReport, verify
 from runtime.base.checks import shown
+from runtime.command.options import Threads, Version
+from runtime.command.process import Provider, print_result, reported_errors
 from runtime.contract.agreement import figure_name
 from runtime.contract.heads import HEADS
 from runtime.engine.predictor import Predictor
-from runtime.recordings.recording import read_recording
-from runtime.recordings.unpack import MANIFEST_FILE, unpack
+from runtime.verification.reference import read_recording
+from runtime.verification.unpack import MANIFEST_FILE, unpack
+from runtime.verification.verify import VerifyReport, verify
 
 DIFFERS = 4  # exit code
 

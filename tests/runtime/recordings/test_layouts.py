@@ -13,8 +13,8 @@ from runtime import InputError
 from runtime.app.tools.verify import app as verify_app
 from runtime.geometry.rig import Rig
 from runtime.recordings.layouts import KittiObjectSource
-from runtime.recordings.recording import read_recording
 from runtime.recordings.registry import detect_source, open_source
+from runtime.verification.reference import read_recording
 
 N = 3
 IMAGE, DEPTH, SCAN = "an image", "a depth map", "a scan"

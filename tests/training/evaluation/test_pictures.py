@@ -7,7 +7,7 @@ import torch
 
 from layouts.batch import batch_of
 from models import CLASS_TABLES
-from runtime.app.drawing.overlay import Overlay
+from runtime.drawing.overlay import Overlay
 from training.evaluation.pictures import draw_batch
 from training.evaluation.scoring import HeadMaps
 

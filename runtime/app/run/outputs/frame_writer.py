@@ -4,10 +4,10 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from runtime.app.encode import ENCODERS, encode_jpeg, encode_ply
 from runtime.app.run.options import CLOUD, OVERLAY, SUFFIXES, RunOptions, saved_heads
 from runtime.app.run.outputs.output import OpenRun
 from runtime.app.run.run_report import FRAMES_FILE, REPORT_FILE, write_report
+from runtime.drawing.encode import ENCODERS, encode_jpeg, encode_ply
 from runtime.files.atomic_write import atomic_write
 from runtime.files.own_folder import make_own_folder
 from runtime.streams.frame import Frame

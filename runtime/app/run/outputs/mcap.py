@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from runtime.app.encode import METRES_PNG_SCALE, encode_jpeg, encode_ros_image
 from runtime.app.run.options import DEFAULT_RATE_HZ, FILE_SUFFIXES, MCAP_VOXEL_M
 from runtime.app.run.outputs.output import OpenRun, camera_of
 from runtime.base.errors import OutputError
 from runtime.contract.heads import HEADS, Unit
+from runtime.drawing.encode import METRES_PNG_SCALE, encode_jpeg, encode_ros_image
 from runtime.files.atomic_write import atomic_path
 from runtime.recordings.ros_answers import camera_fields, cloud_fields, status_fields
 from runtime.streams.frame import Frame

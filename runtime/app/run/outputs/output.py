@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.app.drawing.overlay import Overlay
-from runtime.app.encode import count_beyond_png
 from runtime.app.run.options import RunOptions
 from runtime.app.run.run_report import RunReport
 from runtime.contract.heads import Unit
+from runtime.drawing.encode import count_beyond_png
+from runtime.drawing.overlay import Overlay
 from runtime.engine.prediction import Prediction
 from runtime.engine.predictor import Predictor
 from runtime.geometry.calibration import Calibration

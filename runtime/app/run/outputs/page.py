@@ -11,8 +11,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from runtime.app.drawing.overlay import Overlay
-from runtime.app.encode import encode_jpeg, encode_png
 from runtime.app.run.engine_facts import machine_facts
 from runtime.app.run.outages import Outage
 from runtime.app.run.outputs import charts
@@ -20,6 +18,8 @@ from runtime.app.run.outputs.output import OpenRun
 from runtime.app.run.reasons import LATE, REASONS
 from runtime.app.run.run_report import RunReport, running_providers
 from runtime.contract.contract import Contract
+from runtime.drawing.encode import encode_jpeg, encode_png
+from runtime.drawing.overlay import Overlay
 from runtime.files.atomic_write import atomic_write
 from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult

@@ -15,7 +15,7 @@ from cli_runs import N, arguments, files_in, rows_of
 from runtime.app.run.cli import app
 from runtime.app.run.options import KINDS
 from runtime.recordings.folders import FolderSource
-from runtime.recordings.recording import read_recording
+from runtime.verification.reference import read_recording
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import pytest
 
 from cli_runs import COMMAND, N, arguments, rows_of
 from runtime.app.run.options import KINDS, SUFFIXES
-from runtime.recordings.recording import read_recording
+from runtime.verification.reference import read_recording
 
 NAMES = [f"f{index}" for index in range(N)]
 

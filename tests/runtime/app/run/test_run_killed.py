@@ -12,7 +12,7 @@ import pytest
 
 from cli_runs import COMMAND, N, rows_of
 from runtime.app.run.options import SUFFIXES
-from runtime.recordings.recording import read_recording
+from runtime.verification.reference import read_recording
 
 pytestmark = [
     pytest.mark.slow,

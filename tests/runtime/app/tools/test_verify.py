@@ -17,7 +17,7 @@ from runtime.app.run.cli import app as run_app
 from runtime.app.tools.verify import app
 from runtime.engine.bundled_models import find_model
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
-from runtime.recordings.recording import RecordedFrame, Settings, read_recording, record
+from runtime.verification.reference import RecordedFrame, Settings, read_recording, record
 
 HEADS = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
 NAMES = ["00000", "00001", "00002"]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from runtime import Calibration, OutputError, Predictor
-from runtime.app.drawing.overlay import Overlay
 from runtime.app.run.outputs.mcap import open_mcap
+from runtime.drawing.overlay import Overlay
 from runtime.recordings.ros_answers import FixedTransform, SensorFrames
 from runtime.streams.frame import Frame, Message
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from runtime import OutputError, Predictor
-from runtime.app.drawing.overlay import Overlay
 from runtime.app.run.outputs.video import open_video
+from runtime.drawing.overlay import Overlay
 from runtime.streams.frame import Frame, Message
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from runtime.contract.model_file import load_model_file
 from runtime.engine.predictor import Predictor
 from runtime.files.own_folder import atomic_folder
-from runtime.recordings.recording import MODEL_FILE, Recording
+from runtime.verification.reference import MODEL_FILE, Recording
 
 UNPACKED_FORMAT, UNPACKED_VERSION = "ssdnet-unpacked", "1.0"
 MANIFEST_FILE = "manifest.json"

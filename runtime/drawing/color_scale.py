@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.app.drawing.picture_text import text_width, write_text
+from runtime.drawing.picture_text import text_width, write_text
 
 # Colour map of every depth in a picture, bright where it is near.
 DEPTH_COLORS = cv2.COLORMAP_MAGMA

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 import runtime
-from runtime.app.command import reported_errors, stop_requested
 from runtime.base.errors import InputError
+from runtime.command.process import reported_errors, stop_requested
 
 
 @pytest.mark.parametrize(("error", "code", "text"), [
@@ -67,13 +67,13 @@ def test_a_block_that_can_be_interrupted_cleans_up(number):
      "signal.raise_signal(signal.SIGHUP); sys.exit(7)", 7),
 ], ids=["Ctrl-C", "SIGTERM", "SIGHUP", "twice", "deaf from the start", "nohup"])  # fmt: skip
 def test_a_process_ends_without_a_traceback(block, code):
-    program = f"import signal, sys\nfrom runtime.app.command import *\nbegin_command()\n{block}"
+    program = f"import signal, sys\nfrom runtime.command.process import *\nbegin_command()\n{block}"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (code, "", "")
 
 
 def test_a_deleted_working_folder_is_an_error_of_one_line(tmp_path):
-    program = "import os, sys\nfrom runtime.app.command import *\nbegin_command()\n"
+    program = "import os, sys\nfrom runtime.command.process import *\nbegin_command()\n"
     program += "os.rmdir(os.getcwd())\nwith reported_errors('cpu'): BLOCK"
     blocks = "os.path.realpath('x')", "raise FileNotFoundError('x')", "begin_command()"
     for number, block in enumerate(blocks):
@@ -91,7 +91,7 @@ def test_a_deleted_working_folder_is_an_error_of_one_line(tmp_path):
 
 def test_a_closed_terminal_ends_no_command(tmp_path):
     shown, terminal = os.openpty()
-    program = "import sys\nfrom runtime.app.command import *\nbegin_command()\n"
+    program = "import sys\nfrom runtime.command.process import *\nbegin_command()\n"
     program += "with stop_requested() as stop, progress_bar(3, 'frames') as advance:\n"
     program += "  advance(); sys.stdin.readline(); advance(); advance()\n"
     program += "print_result('done'); sys.exit(7 if stop() else 8)"
@@ -111,7 +111,7 @@ def test_a_closed_terminal_ends_no_command(tmp_path):
 # Computes for minutes in a library, where Python handles no signal.
 HANGS = """
 import hashlib
-from runtime.app.command import stop_requested
+from runtime.command.process import stop_requested
 with stop_requested(**OPTIONS) as stop:
     print("ready", flush=True)
     hashlib.pbkdf2_hmac("sha256", b"", b"", ROUNDS)

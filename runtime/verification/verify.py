@@ -23,7 +23,7 @@ from runtime.contract.contract import NO_CLASS, ClassInfo, Contract
 from runtime.contract.heads import HEADS, Unit
 from runtime.contract.model_file import load_model_file
 from runtime.engine.predictor import Predictor
-from runtime.recordings.recording import RecordedFrame, Recording
+from runtime.verification.reference import RecordedFrame, Recording
 
 # A value or a limit for each figure of `agreement.compare`, by head.
 Figures = Mapping[str, Mapping[str, float]]

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from runtime.app.run.outputs.output import OpenRun
 from runtime.contract.degraded import STREAM_REASONS
 from runtime.engine.predictor import Predictor
-from runtime.recordings.recording import RecordedFrame, Recorder, Settings, record
 from runtime.streams.answerer import known_focal_length_px
 from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
+from runtime.verification.reference import RecordedFrame, Recorder, Settings, record
 
 
 class RunRecording:

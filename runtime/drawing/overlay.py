@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.app.drawing.color_scale import DEPTH_COLORS, NO_VALUE_COLOR, ColorScale
-from runtime.app.drawing.picture_text import text_width, write_text
 from runtime.contract.contract import ClassInfo, find_sky
 from runtime.contract.heads import HEADS, Panel
+from runtime.drawing.color_scale import DEPTH_COLORS, NO_VALUE_COLOR, ColorScale
+from runtime.drawing.picture_text import text_width, write_text
 
 # Larger frames are shrunk by a whole number until they fit. The side of a JPEG has at most 65500
 # pixels.

@@ -1,4 +1,4 @@
-"""What all commands share: reporting errors, and handling Ctrl-C.
+"""The process of a command: its start, signals, errors, and what it prints.
 
 It is loaded first, and therefore imports little.
 """

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from runtime import ContractError, InputError
-from runtime.recordings.recording import RecordedFrame, Settings, read_recording, record
+from runtime.verification.reference import RecordedFrame, Settings, read_recording, record
 
 SETTINGS = Settings("the-test", size=(48, 64), focal_length_px=300.0)
 

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.app.drawing.overlay import Overlay
-from runtime.app.encode import encode_jpeg, encode_ply, encode_png
 from runtime.base.errors import InputError, OutputError
 from runtime.contract.contract import ClassInfo
+from runtime.drawing.encode import encode_jpeg, encode_ply, encode_png
+from runtime.drawing.overlay import Overlay
 from runtime.engine.prediction import Prediction
 from runtime.files.atomic_write import atomic_write
 from runtime.geometry.calibration import Calibration

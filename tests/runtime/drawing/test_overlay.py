@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from runtime.app.drawing.overlay import Overlay
 from runtime.contract.heads import HEADS
+from runtime.drawing.overlay import Overlay
 
 
 @pytest.fixture

@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 
-from runtime.app.encode import ENCODERS, encode_ids, encode_metres, encode_probability
 from runtime.contract.heads import HEADS
+from runtime.drawing.encode import ENCODERS, encode_ids, encode_metres, encode_probability
 
 
 def decode(content: bytes):

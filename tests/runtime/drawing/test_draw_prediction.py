@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from runtime import InputError, OutputError
-from runtime.app.drawing.overlay import Overlay
+from runtime.drawing.overlay import Overlay
 
 K = np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]])
 
@@ -123,4 +123,4 @@ def test_the_engine_loads_nothing_that_draws():
     command = [sys.executable, "-c", program]
     loaded = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
     assert "runtime.engine.prediction" in loaded
-    assert not [name for name in loaded if name.startswith("runtime.app.drawing")]
+    assert not [name for name in loaded if name.startswith("runtime.drawing")]

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from runtime.app.drawing.color_scale import NO_VALUE_COLOR, ColorScale
+from runtime.drawing.color_scale import NO_VALUE_COLOR, ColorScale
 
 DEPTH = ColorScale("depth", "m", 3.0, 100.0, cv2.COLORMAP_MAGMA, bright_low=True)
 PERCENT = ColorScale("uncertainty", "%", 1.0, 100.0, cv2.COLORMAP_VIRIDIS)
