@@ -43,11 +43,12 @@ from export.deploy import DeployGraph
 from export.exporter import count_giga_macs, export_checkpoint
 from random_weights import TRACED_AT, count_params_m, export_graph
 from runtime.app.tools.bench import BenchOptions, bench
-from runtime.app.tools.bench_worker import make_input, time_runs
+from runtime.app.tools.bench_worker import time_runs
 from runtime.base.errors import InputError, SSDNetError
 from runtime.command.process import INTERRUPTED
 from runtime.contract.model_file import load_model_file
 from runtime.engine.bundled_models import find_model
+from runtime.engine.example_inputs import make_input
 from runtime.files.atomic_write import atomic_write
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe

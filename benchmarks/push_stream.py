@@ -14,8 +14,8 @@ import time
 from importlib.metadata import version
 
 from runtime import Predictor, PushStream
-from runtime.app.run.engine_facts import machine_facts
 from runtime.app.run.pipeline import dedicate_process
+from runtime.command.machine import machine_facts
 from runtime.streams.frame import Frame
 from soak import resized_frames
 

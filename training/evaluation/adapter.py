@@ -15,9 +15,9 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from models import CLASS_TABLES
-from runtime.app.tools.bench_worker import make_feeds
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_CLASSES, MAX_FOCAL_PX, MAX_NAME_LENGTH, MIN_FOCAL_PX
+from runtime.engine.example_inputs import make_feeds
 from runtime.files.read_input import read_text
 from training.evaluation.metrics import FARTHEST_M
 from training.limits import STRICT, Positive, Side

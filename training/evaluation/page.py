@@ -9,8 +9,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from runtime.app.run.engine_facts import machine_facts
-from runtime.app.run.outputs.page import render_template
+from runtime.command.html import render_template
+from runtime.command.machine import machine_facts
 from runtime.files.atomic_write import atomic_write
 from training.evaluation.depth_regions import RETURN_DISTANCES
 from training.evaluation.evaluate import Evaluation
@@ -65,8 +65,8 @@ def write_page(
         "worst": list(_worst(found.worst)),
         "notes": table_notes(found.rows),
     }
-    content = render_template("evaluation.html", values).encode(errors="backslashreplace")
-    atomic_write(path, content, overwrite=overwrite)
+    page = render_template("training.evaluation", "evaluation.html", values)
+    atomic_write(path, page.encode(errors="backslashreplace"), overwrite=overwrite)
 
 
 def _judged(verdict: str, against: str) -> tuple[str, str]:

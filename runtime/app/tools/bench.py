@@ -20,9 +20,9 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from runtime.app.run.engine_facts import MachineFacts, machine_facts
 from runtime.app.tools.bench_worker import Opened, open_for_timing, time_model
 from runtime.base.checks import shown
+from runtime.command.machine import MachineFacts, machine_facts
 from runtime.command.options import Version
 from runtime.command.process import (
     ERROR,

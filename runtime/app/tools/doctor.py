@@ -13,8 +13,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from runtime.app.run.engine_facts import machine_facts
 from runtime.base.errors import SSDNetError
+from runtime.command.machine import machine_facts
 from runtime.command.options import Version
 from runtime.command.process import ERROR, Provider, print_result, reported_errors
 

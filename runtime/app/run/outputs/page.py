@@ -5,18 +5,19 @@ import contextlib
 import shlex
 import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from runtime.app.run.engine_facts import machine_facts
 from runtime.app.run.outages import Outage
 from runtime.app.run.outputs import charts
 from runtime.app.run.outputs.output import OpenRun
 from runtime.app.run.reasons import LATE, REASONS
 from runtime.app.run.run_report import RunReport, running_providers
+from runtime.command.html import render_template
+from runtime.command.machine import machine_facts
 from runtime.contract.contract import Contract
 from runtime.drawing.encode import encode_jpeg, encode_png
 from runtime.drawing.overlay import Overlay
@@ -122,7 +123,9 @@ class RunPage:
             "processor": machine_facts().processor,
         }
         # File names need not be valid text.
-        return render_template("page.html", values).encode(errors="backslashreplace")
+        return render_template("runtime.app.run.outputs", "page.html", values).encode(
+            errors="backslashreplace"
+        )
 
 
 @contextlib.contextmanager
@@ -133,26 +136,6 @@ def open_page(run: OpenRun) -> Iterator[RunPage]:
     yield page
     content = page.render(run.report)
     atomic_write(run.options.report, content, overwrite=run.options.overwrite)
-
-
-def render_template(template: str, values: Mapping[str, Any]) -> str:
-    """Fill in a file of `templates`; values are escaped, and a missing value is an error."""
-    import jinja2  # imported here because only a page needs it
-
-    templates = jinja2.Environment(
-        loader=jinja2.PackageLoader("runtime.app.run.outputs", "templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        keep_trailing_newline=True,
-    )
-    templates.filters |= {"number": format, "ms": _milliseconds}
-    return templates.get_template(template).render(values)
-
-
-def _milliseconds(value: float | None) -> str:
-    if value is None:
-        return "n/a"
-    return format(value, ".2f" if value < 10 else ".1f" if value < 1000 else ",.0f")
 
 
 def _highest_percentile(times: LatencyStatistics) -> tuple[str, float]:

@@ -6,7 +6,8 @@ import numpy as np
 
 import runtime
 from runtime import Predictor
-from runtime.app.run.engine_facts import MachineFacts, engine_facts
+from runtime.app.run.engine_facts import engine_facts
+from runtime.command.machine import MachineFacts
 
 
 def test_the_facts_are_those_of_the_predictor(model_file, contract):

@@ -10,9 +10,9 @@ import pytest
 from typer.testing import CliRunner
 
 from runtime import Predictor, list_bundled_models
-from runtime.app.run.engine_facts import machine_facts
 from runtime.app.tools.doctor import app, examine, self_test
 from runtime.base.errors import ProviderError
+from runtime.command.machine import machine_facts
 
 
 @pytest.fixture

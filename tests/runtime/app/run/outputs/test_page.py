@@ -13,7 +13,8 @@ import pytest
 
 from outcomes import outcome
 from runtime.app.run.outputs import charts
-from runtime.app.run.outputs.page import RunPage, render_template
+from runtime.app.run.outputs.page import RunPage
+from runtime.command.html import render_template
 from runtime.engine.prediction import Latency
 from runtime.streams.frame_result import OK, SKIPPED
 
@@ -108,7 +109,7 @@ def test_a_run_without_faults_or_without_frames_is_shown_as_such(page_of):
 def chart(outcomes, deadline_ms=None):
     drawn = charts.latency_chart(charts.join_frames(outcomes), deadline_ms=deadline_ms)
     values = {"chart": drawn, "response": "prediction"}
-    return ElementTree.fromstring(render_template("chart.html", values))
+    return ElementTree.fromstring(render_template("runtime.command", "chart.html", values))
 
 
 def paths(page, kind):
