@@ -63,7 +63,7 @@ def export(
         typer.Option(
             "--record",
             metavar="DIR",
-            help="Folder for a recording of PyTorch's answers: ssdnet-verify then repeats the "
+            help="Folder for a reference of PyTorch's answers: ssdnet-verify then repeats the "
             "comparison on the target, without PyTorch.",
         ),
     ] = None,
@@ -114,7 +114,7 @@ def export(
         ),
     ] = None,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace an older file, recording and Triton model.")
+        bool, typer.Option("--overwrite", help="Replace an older file, reference and Triton model.")
     ] = False,
     _version: Version = False,
 ) -> None:

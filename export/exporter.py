@@ -30,7 +30,12 @@ from runtime import Contract, InputError, OutputError, __version__
 from runtime.contract.contract import MIN_SIDE, SCHEMA_VERSION, check_name, check_size
 from runtime.contract.model_file import with_contract
 from runtime.files.atomic_write import atomic_file
-from runtime.verification.reference import RecordedFrame, Recorder, Settings, record
+from runtime.verification.reference import (
+    PredictorSettings,
+    ReferenceFrame,
+    ReferenceWriter,
+    write_reference,
+)
 
 if TYPE_CHECKING:  # measuring needs the packages of training
     from export.accuracy import Accuracy
@@ -124,8 +129,8 @@ def export_checkpoint(
         dynamic: whether the model takes any size, with `size` as native size.
         opset: ONNX operator set.
         with_logits: add the class scores to the outputs.
-        record_dir: folder for a recording of PyTorch's answers to the frames of the verification,
-            for ssdnet-verify; None: no recording.
+        record_dir: folder for a reference of PyTorch's answers to the frames of the verification,
+            for ssdnet-verify; None: no reference.
         triton_dir: Triton model repository to which the file is added under its name; None: no
             repository.
         precision: precision of the file's trunk; for 8-bit integers also the data and the gate.
@@ -133,7 +138,7 @@ def export_checkpoint(
             KIND:FOLDER[,KEY=VALUE...]; int8 needs at least one.
         name: the model's name in reports; None: the name of the run's folder for a model.pt,
             best.pt or last.pt, else that of the network.
-        overwrite: replace an older file, recording and Triton model.
+        overwrite: replace an older file, reference and Triton model.
         report: called with the number of finished stages, that of all stages, and what is done
             next, in words.
 
@@ -167,14 +172,14 @@ def export_checkpoint(
         from export.int8 import require_frames  # needs the packages of training
 
         warnings = require_frames(precision, validate, checkpoint, source.resolve().parent)
-    settings = Settings("ssdnet-export", "frame" if dynamic else None, provider="torch")
+    settings = PredictorSettings("ssdnet-export", "frame" if dynamic else None, provider="torch")
     with contextlib.ExitStack() as written:
         temporary = written.enter_context(atomic_file(target, overwrite=overwrite, durable=True))
         file = Path(temporary.name)
         recorder = None
         if record_dir is not None:
             recorder = written.enter_context(
-                record(Path(record_dir), settings, overwrite=overwrite)
+                write_reference(Path(record_dir), settings, overwrite=overwrite)
             )
         graph = DeployGraph(checkpoint.model, with_logits=with_logits)
         model = trace(graph, size=size, dynamic=dynamic, opset=opset)
@@ -406,12 +411,12 @@ def _with_accuracy(draft: _Draft, validate: Sequence[str], rows: Sequence["Accur
     return replace(draft, contract=replace(draft.contract, accuracy=measured))
 
 
-def _record(draft: _Draft, frames: Sequence[ProbeFrame], recorder: Recorder) -> None:
+def _record(draft: _Draft, frames: Sequence[ProbeFrame], recorder: ReferenceWriter) -> None:
     """Record PyTorch's answers to each frame for the heads of the file."""
     for frame in frames:
         answers = reference(draft.network, frame)
         recorder.add(
-            RecordedFrame(f"{frame.name}, {frame.rgb.shape[0]} x {frame.rgb.shape[1]}"),
+            ReferenceFrame(f"{frame.name}, {frame.rgb.shape[0]} x {frame.rgb.shape[1]}"),
             frame.rgb,
             frame.sparse_depth,
             {head: answers[head] for head in draft.heads},

@@ -17,7 +17,7 @@ from models import create_model, load_checkpoint, save_checkpoint
 from runtime import ContractError, Predictor
 from runtime.contract.heads import HEADS
 from runtime.drawing.encode import ENCODERS
-from runtime.verification.reference import read_recording
+from runtime.verification.reference import read_reference
 from runtime.verification.verify import verify
 from training import evaluate, train
 
@@ -175,7 +175,7 @@ def test_its_row_is_enough_for_the_engine(folder, tmp_path, frame):
     with Predictor(folder / "m.onnx") as predictor:
         assert predictor.heads == ("drivable",)
         prediction = predictor.predict(rgb, depth)
-        recording = read_recording(folder / "exported")
+        recording = read_reference(folder / "exported")
         report = verify(predictor, recording, tolerances={})
         assert report.checks
         assert report.passed

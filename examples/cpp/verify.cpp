@@ -1,6 +1,6 @@
-// Predict the frames of a recording again, and compare the answers with the recorded ones.
+// Predict the frames of a reference again, and compare the answers with the recorded ones.
 //
-//   ssdnet-verify recording --unpack plain    (of the Python package; docs/outputs.md describes the files)
+//   ssdnet-verify reference --unpack plain    (of the Python package; docs/outputs.md describes the files)
 //   ./verify plain [THREADS]
 //
 // Exit codes are those of ssdnet-verify: 0 the same answers; 1 error; 2 usage; 4 an answer differs by more than its
@@ -161,13 +161,13 @@ int verify(const std::filesystem::path& folder, int threads) {
     for (const auto& [name, value] : figures)
       std::cout << head << " " << name << " " << value << ", limit " << limits[head][name].number() << "\n";
   if (times.empty()) {
-    std::cout << "the recording holds no frames: nothing was compared\n";
+    std::cout << "the reference holds no frames: nothing was compared\n";
     return 4;
   }
   std::sort(times.begin(), times.end());
   std::cout << times.size() << " frames, p50 " << times[times.size() / 2] << " ms, p99 "
             << times[(times.size() * 99) / 100] << " ms\n";
-  if (failed > 0) std::cout << failed << " of " << times.size() << " frames differ from the recording\n";
+  if (failed > 0) std::cout << failed << " of " << times.size() << " frames differ from the reference\n";
   else std::cout << "the same answers\n";
   return failed > 0 ? 4 : 0;
 }

@@ -1,7 +1,7 @@
 """Differences between two answers of a head, and their limits.
 
-The export compares a model file with PyTorch, and recordings compare the present run with the
-recorded one. The tolerances are in `runtime.contract.heads`.
+The export compares a model file with PyTorch, and `ssdnet-verify` compares present answers with
+those of a reference. The tolerances are in `runtime.contract.heads`.
 """
 
 import re
@@ -130,8 +130,8 @@ def file_limits(head: str, contract: Contract) -> dict[str, float]:
     return _limit(row, first_figure(head), row.limit(contract.max_depth_m), contract)
 
 
-def recording_limits(head: str, contract: Contract, *, from_torch: bool) -> dict[str, float]:
-    """Return the limits for a recording that is repeated on another machine or in another version.
+def reference_limits(head: str, contract: Contract, *, from_torch: bool) -> dict[str, float]:
+    """Return the limits for a reference that is repeated on another machine or in another version.
 
     A float file that is compared with its own answers has the limits of `file_limits`. An 8-bit
     file differs strongly in some pixels if operations are reordered, so a mean or the share of

@@ -1,7 +1,7 @@
 """The heads of the networks: a table with one row for each head.
 
 All code that handles answers reads this table: the contract, the signature check, post-processing,
-recordings and their comparison, the writers and the drawing. A new head is therefore a new row,
+references and their comparison, the writers and the drawing. A new head is therefore a new row,
 here or in another package, which registers it as an entry point of `GROUP`.
 """
 
@@ -61,7 +61,7 @@ class Head:
         resize: rule used if the network runs at another size than the frame, see
             `runtime.contract.resize`: "nearest" never mixes two values, "bilinear" takes the mean
             of the area when a side shrinks, "surface" mixes depths of one surface.
-        difference: how two runtimes are compared, at an export and for a recording.
+        difference: how two runtimes are compared, at an export and by `ssdnet-verify`.
         tolerance: smallest share of equal pixels, or else the largest (mean) difference between two
             runtimes.
         tolerance_int8: the limit between two runtimes for one 8-bit file: the largest share of

@@ -1,10 +1,10 @@
-"""A recording: frames and the answers to them, for comparison with later answers.
+"""A reference: frames and the answers to them, for comparison with later answers.
 
 It is a folder that needs nothing else:
 
 | file | content |
 |---|---|
-| `recording.json` | origin, settings, limits per head, and one line per frame; see `Recording` |
+| `recording.json` | origin, settings, limits per head, and one line per frame; see `Reference` |
 | `model.onnx` | the model that answered, byte for byte |
 | `frames/000000.npz` ... | a frame's `rgb`, `sparse_depth` and its answers, one array per head |
 
@@ -27,16 +27,16 @@ from numpy.typing import NDArray
 import runtime
 from runtime.base.checks import check_number, cut, shown
 from runtime.base.errors import InputError
-from runtime.contract.agreement import compare, recording_limits
+from runtime.contract.agreement import compare, reference_limits
 from runtime.contract.heads import HEADS
 from runtime.contract.model_file import load_model_file
 from runtime.contract.network_size import NetworkSize
 from runtime.files.own_folder import atomic_folder
 from runtime.files.read_input import open_input, read_text
 
-RECORDING_FORMAT, RECORDING_VERSION = "ssdnet-recording", "2.1"
-_READ_VERSIONS = ("2.0", RECORDING_VERSION)  # version 2.0 does not name the software that wrote it
-RECORDING_FILE, MODEL_FILE = "recording.json", "model.onnx"
+REFERENCE_FORMAT, REFERENCE_VERSION = "ssdnet-recording", "2.1"
+_READ_VERSIONS = ("2.0", REFERENCE_VERSION)  # version 2.0 does not name the software that wrote it
+REFERENCE_FILE, MODEL_FILE = "recording.json", "model.onnx"
 _FRAMES = "frames"
 _LARGEST = sys.float_info.max  # largest limit or time
 
@@ -44,7 +44,7 @@ MAX_FRAME_BYTES = 2**32  # enough for the largest cameras with all heads
 
 
 @dataclass(frozen=True)
-class RecordedFrame:
+class ReferenceFrame:
     """Facts about a frame beside its arrays.
 
     Attributes:
@@ -64,11 +64,11 @@ class RecordedFrame:
 
 
 @dataclass(frozen=True)
-class Settings:
+class PredictorSettings:
     """What a `Predictor` needs to repeat the answers.
 
     Attributes:
-        made_by: the command that wrote the recording.
+        made_by: the command that wrote the reference.
         size: size of the network, as `Predictor` takes it.
         focal_length_px: focal length, as `Predictor` takes it.
         provider: "cpu" or "cuda"; "torch" if PyTorch answered.
@@ -81,26 +81,26 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Recording:
-    """A recording on disk, whose arrays are read one frame at a time.
+class Reference:
+    """A reference on disk, whose arrays are read one frame at a time.
 
     Attributes:
-        folder: where the recording is.
+        folder: where the reference is.
         settings: settings of the predictor.
         model_name: name of the model that answered.
         model_sha256: digest of that model's file.
         limits: limits of the figures of each head, see `runtime.contract.agreement`.
         frames: facts about each frame.
-        software: versions of "ssdnet", "onnxruntime" and "system" that wrote the recording; empty
+        software: versions of "ssdnet", "onnxruntime" and "system" that wrote the reference; empty
             if they are unknown.
     """
 
     folder: Path
-    settings: Settings
+    settings: PredictorSettings
     model_name: str
     model_sha256: str
     limits: Mapping[str, Mapping[str, float]]
-    frames: tuple[RecordedFrame, ...]
+    frames: tuple[ReferenceFrame, ...]
     software: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -124,21 +124,21 @@ class Recording:
             raise
         except Exception as error:  # zipfile and numpy raise anything
             reason = f"cannot read {path} ({cut(str(error), 200)})"
-            raise InputError(f"{reason}: the recording is damaged, get it again") from error
+            raise InputError(f"{reason}: the reference is damaged, get it again") from error
 
 
-class Recorder:
-    """Writes a recording into a folder, one frame at a time, see `record`."""
+class ReferenceWriter:
+    """Writes a reference into a folder, one frame at a time, see `write_reference`."""
 
-    def __init__(self, folder: Path, settings: Settings) -> None:
+    def __init__(self, folder: Path, settings: PredictorSettings) -> None:
         self._folder, self._settings = folder, settings
-        self._frames: list[RecordedFrame] = []
+        self._frames: list[ReferenceFrame] = []
         self._heads: set[str] = set()
         (folder / _FRAMES).mkdir()
 
     def add(
         self,
-        frame: RecordedFrame,
+        frame: ReferenceFrame,
         rgb: NDArray[np.uint8],
         sparse_depth: NDArray[np.float32],
         answers: Mapping[str, NDArray[Any]],
@@ -165,8 +165,8 @@ class Recorder:
         file = load_model_file(model, sha256=sha256)
         from_torch = self._settings.provider == "torch"
         document = {
-            "format": RECORDING_FORMAT,
-            "version": RECORDING_VERSION,
+            "format": REFERENCE_FORMAT,
+            "version": REFERENCE_VERSION,
             "settings": asdict(self._settings),
             "software": {
                 "ssdnet": runtime.__version__,
@@ -175,7 +175,7 @@ class Recorder:
             },
             "model": {"name": file.contract.model_name, "sha256": file.sha256},
             "limits": {
-                head: recording_limits(head, file.contract, from_torch=from_torch)
+                head: reference_limits(head, file.contract, from_torch=from_torch)
                 for head in HEADS
                 if head in self._heads
             },
@@ -183,36 +183,38 @@ class Recorder:
         }
         (self._folder / MODEL_FILE).write_bytes(file.content)
         text = json.dumps(document, indent=1, allow_nan=False)
-        (self._folder / RECORDING_FILE).write_text(text)
+        (self._folder / REFERENCE_FILE).write_text(text)
 
 
 @contextlib.contextmanager
-def record(path: Path, settings: Settings, *, overwrite: bool = False) -> Iterator[Recorder]:
-    """Write a recording completely or not at all.
+def write_reference(
+    path: Path, settings: PredictorSettings, *, overwrite: bool = False
+) -> Iterator[ReferenceWriter]:
+    """Write a reference completely or not at all.
 
     Args:
         path: the folder, which gets its name when the block ends without an error.
         settings: settings of the predictor.
-        overwrite: replace an older recording at `path`; a folder with any other file is never
+        overwrite: replace an older reference at `path`; a folder with any other file is never
             replaced.
 
     Yields:
-        The recorder. The block adds frames and then calls `Recorder.finish`.
+        The recorder. The block adds frames and then calls `ReferenceWriter.finish`.
 
     Raises:
         OutputError: if the folder cannot be written or replaced.
     """
     with atomic_folder(path, overwrite=overwrite) as folder:
-        yield Recorder(folder, settings)
+        yield ReferenceWriter(folder, settings)
 
 
-def read_recording(folder: Path) -> Recording:
-    """Read the document of a recording.
+def read_reference(folder: Path) -> Reference:
+    """Read the document of a reference.
 
     Raises:
-        InputError: if the folder is not a recording, or is damaged.
+        InputError: if the folder is not a reference, or is damaged.
     """
-    path = folder / RECORDING_FILE
+    path = folder / REFERENCE_FILE
     try:
         text = read_text(path)
     except InputError as error:
@@ -229,15 +231,15 @@ def read_recording(folder: Path) -> Recording:
         ) from error
 
 
-def _parse(folder: Path, document: Any) -> Recording:
-    for key, known in (("format", (RECORDING_FORMAT,)), ("version", _READ_VERSIONS)):
+def _parse(folder: Path, document: Any) -> Reference:
+    for key, known in (("format", (REFERENCE_FORMAT,)), ("version", _READ_VERSIONS)):
         if document[key] not in known:
             raise ValueError(f"{key} is {shown(document[key])}, expected {' or '.join(known)}")
     settings, size = document["settings"], document["settings"]["size"]
     size = tuple(size) if isinstance(size, list) else size
-    return Recording(
+    return Reference(
         folder=folder,
-        settings=Settings(**{**settings, "size": size}),
+        settings=PredictorSettings(**{**settings, "size": size}),
         model_name=str(document["model"]["name"]),
         model_sha256=str(document["model"]["sha256"]),
         limits={head: _limits(head, entry) for head, entry in document["limits"].items()},
@@ -246,9 +248,9 @@ def _parse(folder: Path, document: Any) -> Recording:
     )
 
 
-def _frame(entry: Any) -> RecordedFrame:
+def _frame(entry: Any) -> ReferenceFrame:
     degraded = entry["degraded"]
-    return RecordedFrame(**{**entry, "degraded": None if degraded is None else tuple(degraded)})
+    return ReferenceFrame(**{**entry, "degraded": None if degraded is None else tuple(degraded)})
 
 
 def _limits(head: str, entry: Mapping[str, Any]) -> dict[str, float]:
@@ -263,6 +265,6 @@ def _frame_path(folder: Path, index: int) -> Path:
 
 
 def _onnxruntime_version() -> str:
-    import onnxruntime  # imported here: reading a recording needs no session
+    import onnxruntime  # imported here: reading a reference needs no session
 
     return str(onnxruntime.__version__)

@@ -1,4 +1,4 @@
-"""A recording as plain files, for programs in other languages."""
+"""A reference as plain files, for programs in other languages."""
 
 import json
 from dataclasses import asdict
@@ -10,23 +10,23 @@ import numpy as np
 from runtime.contract.model_file import load_model_file
 from runtime.engine.predictor import Predictor
 from runtime.files.own_folder import atomic_folder
-from runtime.verification.reference import MODEL_FILE, Recording
+from runtime.verification.reference import MODEL_FILE, Reference
 
 UNPACKED_FORMAT, UNPACKED_VERSION = "ssdnet-unpacked", "1.0"
 MANIFEST_FILE = "manifest.json"
 
 
 def unpack(
-    recording: Recording, predictor: Predictor, path: Path, *, overwrite: bool = False
+    reference: Reference, predictor: Predictor, path: Path, *, overwrite: bool = False
 ) -> None:
-    """Write the frames and answers of a recording as `.npy` files, completely or not at all.
+    """Write the frames and answers of a reference as `.npy` files, completely or not at all.
 
     The folder holds `manifest.json`, `model.onnx`, and a folder for each frame with one file per
     array, in C order and little-endian. The manifest states what a `Predictor` would compute: the
     focal length of each frame, and the size at which the network runs for it.
 
     Args:
-        recording: the recording to be unpacked.
+        reference: the reference to be unpacked.
         predictor: a predictor of the recorded model with the recorded settings.
         path: the folder, which gets its name when it is complete.
         overwrite: replace a folder that this function wrote earlier; any other folder is never
@@ -34,15 +34,15 @@ def unpack(
 
     Raises:
         ContractError: if the recorded model cannot be read or has another digest.
-        InputError: if the recording is damaged.
+        InputError: if the reference is damaged.
         OutputError: if the folder cannot be written or replaced.
     """
-    model = load_model_file(recording.model, sha256=recording.model_sha256)
+    model = load_model_file(reference.model, sha256=reference.model_sha256)
     with atomic_folder(path, overwrite=overwrite) as folder:
         (folder / MODEL_FILE).write_bytes(model.content)
         frames: list[dict[str, Any]] = []
-        for index, frame in enumerate(recording.frames):
-            arrays = recording.arrays(index)
+        for index, frame in enumerate(reference.frames):
+            arrays = reference.arrays(index)
             height, width, _ = arrays["rgb"].shape
             name = f"{index:06}"
             (folder / name).mkdir()
@@ -63,10 +63,10 @@ def unpack(
             "version": UNPACKED_VERSION,
             "model": {
                 "file": MODEL_FILE,
-                "name": recording.model_name,
-                "sha256": recording.model_sha256,
+                "name": reference.model_name,
+                "sha256": reference.model_sha256,
             },
-            "limits": recording.limits,
+            "limits": reference.limits,
             "frames": frames,
         }
         (folder / MANIFEST_FILE).write_text(json.dumps(document, indent=1, allow_nan=False))

@@ -1,4 +1,4 @@
-"""Comparison of the answers to the frames of a recording with the recorded answers."""
+"""Comparison of the answers to the frames of a reference with the recorded answers."""
 
 import math
 import statistics
@@ -15,7 +15,7 @@ from runtime.contract.agreement import (
     compare,
     first_figure,
     less_exact,
-    recording_limits,
+    reference_limits,
     within,
     worst,
 )
@@ -23,7 +23,7 @@ from runtime.contract.contract import NO_CLASS, ClassInfo, Contract
 from runtime.contract.heads import HEADS, Unit
 from runtime.contract.model_file import load_model_file
 from runtime.engine.predictor import Predictor
-from runtime.verification.reference import RecordedFrame, Recording
+from runtime.verification.reference import Reference, ReferenceFrame
 
 # A value or a limit for each figure of `agreement.compare`, by head.
 Figures = Mapping[str, Mapping[str, float]]
@@ -81,16 +81,16 @@ class Fault:
 
 @dataclass(frozen=True)
 class VerifyReport:
-    """The comparison of a whole recording.
+    """The comparison of a whole reference.
 
     Attributes:
-        recording: the recording that was compared.
+        reference: the reference that was compared.
         limits: limits of the figures of each head.
         checks: comparisons of the frames, in order.
         max_slowdown: limit of `slowdown`; infinity: times are not compared.
     """
 
-    recording: Recording
+    reference: Reference
     limits: Figures
     checks: tuple[Comparison, ...]
     max_slowdown: float
@@ -104,7 +104,7 @@ class VerifyReport:
     def slowdown(self) -> float | None:
         """The median time now divided by the recorded one; None if no times were recorded."""
         now_ms = [each.predict_ms for each in self.checks if each.predict_ms is not None]
-        recorded = [each.predict_ms for each in self.recording.frames]
+        recorded = [each.predict_ms for each in self.reference.frames]
         recorded_ms = [each for each in recorded if each is not None]
         if not now_ms or not recorded_ms:
             return None
@@ -153,7 +153,7 @@ class VerifyReport:
 
 def verify(
     predictor: Predictor,
-    recording: Recording,
+    reference: Reference,
     *,
     tolerances: Figures,
     max_slowdown: float = math.inf,
@@ -166,49 +166,49 @@ def verify(
 
     Args:
         predictor: answers the frames.
-        recording: frames and answers.
+        reference: frames and answers.
         tolerances: limits by head and by figure: `agreement.figure_name`, or "" for the figure that
             `Head.tolerance` limits. Those of a head replace the recorded limits.
         max_slowdown: limit of the median time divided by the recorded one.
 
     Raises:
         ContractError: if the recorded model cannot be read.
-        InputError: if the arrays of the recording are damaged, if it lacks a head of `tolerances`
+        InputError: if the arrays of the reference are damaged, if it lacks a head of `tolerances`
             or the times for `max_slowdown`, or if the model has other classes.
     """
-    if unknown := sorted(tolerances.keys() - recording.limits.keys()):
+    if unknown := sorted(tolerances.keys() - reference.limits.keys()):
         raise InputError(
-            f"--tolerance names {', '.join(unknown)}, the recording holds "
-            f"{', '.join(recording.limits)}"
+            f"--tolerance names {', '.join(unknown)}, the reference holds "
+            f"{', '.join(reference.limits)}"
         )
-    limits, lookup = dict(recording.limits), None
-    if predictor.digest != recording.model_sha256:
-        recorded = load_model_file(recording.model, sha256=recording.model_sha256).contract
+    limits, lookup = dict(reference.limits), None
+    if predictor.digest != reference.model_sha256:
+        recorded = load_model_file(reference.model, sha256=reference.model_sha256).contract
         lookup = _class_lookup(predictor.contract.classes, recorded.classes)
-        limits = _limits_for(predictor.contract, recorded, recording)
+        limits = _limits_for(predictor.contract, recorded, reference)
     for head, given in tolerances.items():
         limits[head] = {name or first_figure(head): value for name, value in given.items()}
     warm: set[tuple[int, ...]] = set()
     checks = tuple(
-        _check_frame(predictor, frame, recording.arrays(index), limits, lookup, warm)
-        for index, frame in enumerate(recording.frames)
+        _check_frame(predictor, frame, reference.arrays(index), limits, lookup, warm)
+        for index, frame in enumerate(reference.frames)
     )
-    report = VerifyReport(recording, limits, checks, max_slowdown)
+    report = VerifyReport(reference, limits, checks, max_slowdown)
     if max_slowdown < math.inf and report.slowdown is None:
         raise InputError(
-            "--max-slowdown needs times, and this recording has none: record with ssdnet-run"
+            "--max-slowdown needs times, and this reference has none: record with ssdnet-run"
         )
     return report
 
 
-def _limits_for(now: Contract, recorded: Contract, recording: Recording) -> dict[str, Any]:
+def _limits_for(now: Contract, recorded: Contract, reference: Reference) -> dict[str, Any]:
     """The limits for another file; for the recorded checkpoint, those of the less exact file."""
     if now.checkpoint_sha256 != recorded.checkpoint_sha256:
-        return dict(recording.limits)
-    from_torch = recording.settings.provider == _ANSWERED_BY_TORCH
+        return dict(reference.limits)
+    from_torch = reference.settings.provider == _ANSWERED_BY_TORCH
     coarse = less_exact(recorded, now)
     return {
-        head: recording_limits(head, coarse, from_torch=from_torch) for head in recording.limits
+        head: reference_limits(head, coarse, from_torch=from_torch) for head in reference.limits
     }
 
 
@@ -232,7 +232,7 @@ def _class_lookup(
             if one
         ]
         raise InputError(
-            f"--model has other classes than the recording ({'; '.join(parts)}): compare models "
+            f"--model has other classes than the reference ({'; '.join(parts)}): compare models "
             "of the same classes, or score each against labels with ssdnet-eval"
         )
     lookup = np.full(256, NO_CLASS, np.uint8)
@@ -255,7 +255,7 @@ def _by_recorded_id(
 
 def _check_frame(
     predictor: Predictor,
-    frame: RecordedFrame,
+    frame: ReferenceFrame,
     arrays: dict[str, NDArray[Any]],
     limits: Figures,
     lookup: NDArray[np.uint8] | None,

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from runtime import Predictor
-from runtime.contract.agreement import compare, recording_limits, within
+from runtime.contract.agreement import compare, reference_limits, within
 from runtime.contract.canonical_focal import camera_scale
 from runtime.contract.heads import HEADS
 from runtime.contract.model_file import load_model_file, with_contract
@@ -177,7 +177,7 @@ def test_it_gives_the_engines_answer_to_a_bundled_frame(page, name):
     assert re.search(r"\b[1-9][0-9]* ms", page.run("return document.body.innerText"))
     if contract.precision == "int8":
         for head, values in answer.items():
-            limits = recording_limits(head, contract, from_torch=False)
+            limits = reference_limits(head, contract, from_torch=False)
             assert within(compare(head, values, prediction.heads[head]), limits), head
         return
     assert (answer["semantic"] == prediction.semantic).mean() >= 0.999

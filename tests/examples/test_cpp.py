@@ -16,7 +16,12 @@ from runtime.contract.model_file import load_model_file, with_contract
 from runtime.contract.resize import move_returns
 from runtime.engine.bundled_models import list_bundled_models
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
-from runtime.verification.reference import RecordedFrame, Settings, read_recording, record
+from runtime.verification.reference import (
+    PredictorSettings,
+    ReferenceFrame,
+    read_reference,
+    write_reference,
+)
 from runtime.verification.unpack import unpack
 
 pytestmark = pytest.mark.slow
@@ -79,12 +84,14 @@ def checked(library, tmp_path_factory):
 def unpacked(folder, model, rgb, depth, focal_length_px=None):
     """The files that ssdnet-verify --unpack writes for a frame."""
     with Predictor(model, threads=1, warmup=0, focal_length_px=focal_length_px) as predictor:
-        with record(folder / "recording", Settings("test", None, focal_length_px)) as recorder:
+        with write_reference(
+            folder / "recording", PredictorSettings("test", None, focal_length_px)
+        ) as recorder:
             answer = predictor.predict(rgb, depth)
-            frame = RecordedFrame("frame", answer.valid, answer.degraded)
+            frame = ReferenceFrame("frame", answer.valid, answer.degraded)
             recorder.add(frame, rgb, depth, answer.heads)
             recorder.finish(predictor.model.path)
-        unpack(read_recording(folder / "recording"), predictor, folder / "plain")
+        unpack(read_reference(folder / "recording"), predictor, folder / "plain")
     return folder / "plain"
 
 

@@ -10,13 +10,13 @@ from typer.testing import CliRunner
 from export import exporter
 from export.errors import ExportError
 from runtime.app.tools.verify import app as verify_app
-from runtime.verification.reference import read_recording
+from runtime.verification.reference import read_reference
 
 SIZE = (64, 96)
 
 
 def test_the_recording_holds_pytorchs_answers_and_the_file(exported, beside):
-    recording = read_recording(beside / "recording")
+    recording = read_reference(beside / "recording")
     assert recording.settings.provider == "torch"
     assert recording.settings.made_by == "ssdnet-export"
     assert recording.model.read_bytes() == exported.path.read_bytes()

@@ -20,7 +20,7 @@ from runtime import InputError, Predictor
 from runtime.app.tools.info import app as info_app
 from runtime.app.tools.verify import app as verify_app
 from runtime.contract.model_file import load_model_file
-from runtime.verification.reference import read_recording
+from runtime.verification.reference import read_reference
 from training.evaluation.score_report import Row
 from training.evaluation.scoring import Scores
 
@@ -144,7 +144,7 @@ def test_an_int8_file_states_how_it_was_made(export_int8, tmp_path, exported):
     assert f"MAE {1000 * before['mae_m']:.4g} -> {1000 * after['mae_m']:.4g} mm" in result.output
 
     # The engine verifies it within what was measured and what rounding changes, and no more.
-    measured, limits = contract.parity, read_recording(tmp_path / "recording").limits
+    measured, limits = contract.parity, read_reference(tmp_path / "recording").limits
     relative, agreement = measured["depth"]["mean_relative"], measured["semantic"]["agreement"]
     assert limits["depth"] == {"mean_relative": pytest.approx(relative + 0.025)}
     assert limits["semantic"] == {"agreement": pytest.approx(agreement - 0.04)}

@@ -206,7 +206,8 @@ class RunOptions:
         max=1e3,
     )
     record: Path | None = _outputs(
-        "Record frames, results and model for ssdnet-verify; about 17 bytes per pixel and frame.",
+        "Keep frames, answers and model as a reference for ssdnet-verify; about 17 bytes per pixel "
+        "and frame.",
         metavar="DIR",
     )
     model: str | None = _model(

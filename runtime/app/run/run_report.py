@@ -401,7 +401,7 @@ def list_results(report: RunReport) -> Iterator[str]:
     options = report.options
     yield f"results: {os.path.realpath(report.out)}"
     if options.record is not None:
-        yield f"recording: {os.path.realpath(options.record)}"
+        yield f"reference: {os.path.realpath(options.record)}"
     for camera, inputs in report.inputs.get("cameras", {"": report.inputs}).items():
         each = options.of_camera(camera)
         for option, path in each.named_files.items():

@@ -1,4 +1,4 @@
-"""`ssdnet-verify`: predict the frames of a recording again, and compare the answers."""
+"""`ssdnet-verify`: predict the frames of a reference again, and compare the answers."""
 
 import json
 import math
@@ -15,7 +15,7 @@ from runtime.command.process import Provider, print_result, reported_errors
 from runtime.contract.agreement import figure_name
 from runtime.contract.heads import HEADS
 from runtime.engine.predictor import Predictor
-from runtime.verification.reference import read_recording
+from runtime.verification.reference import read_reference
 from runtime.verification.unpack import MANIFEST_FILE, unpack
 from runtime.verification.verify import VerifyReport, verify
 
@@ -27,13 +27,13 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 @app.command(
     "verify",
     epilog="Exit codes: 0 the same answers; 1 error; 2 usage; 4 an answer differs by more "
-    "than its limit, --max-slowdown was exceeded, or the recording holds no frames.",
+    "than its limit, --max-slowdown was exceeded, or the reference holds no frames.",
 )
 def main(
-    recording_dir: Annotated[
+    reference_dir: Annotated[
         Path,
         typer.Argument(
-            metavar="DIR", help="Recording made by ssdnet-run --record or ssdnet-export --record."
+            metavar="DIR", help="Reference made by ssdnet-run --record or ssdnet-export --record."
         ),
     ],
     model: Annotated[
@@ -83,26 +83,26 @@ def main(
     ] = False,
     _version: Version = False,
 ) -> None:
-    """Predict the frames of a recording again, and compare the answers with the recorded ones."""
+    """Predict the frames of a reference again, and compare the answers with the recorded ones."""
     tolerances = _tolerances(tolerance or [])
     if unpack_dir is not None and model is not None:
         raise typer.BadParameter("--unpack writes the recorded answers: leave out --model")
     with reported_errors("cpu"):
-        recording = read_recording(recording_dir)
+        reference = read_reference(reference_dir)
         with Predictor(
-            recording.model if model is None else model,
-            sha256=recording.model_sha256 if model is None else None,
+            reference.model if model is None else model,
+            sha256=reference.model_sha256 if model is None else None,
             provider=provider.value,
-            size=recording.settings.size,
-            focal_length_px=recording.settings.focal_length_px,
+            size=reference.settings.size,
+            focal_length_px=reference.settings.focal_length_px,
             threads=threads,
             warmup=0,
         ) as predictor:
             if unpack_dir is not None:
-                unpack(recording, predictor, unpack_dir, overwrite=overwrite)
-                print_result(f"{len(recording.frames)} frames: {unpack_dir / MANIFEST_FILE}")
+                unpack(reference, predictor, unpack_dir, overwrite=overwrite)
+                print_result(f"{len(reference.frames)} frames: {unpack_dir / MANIFEST_FILE}")
                 return
-            report = verify(predictor, recording, tolerances=tolerances, max_slowdown=max_slowdown)
+            report = verify(predictor, reference, tolerances=tolerances, max_slowdown=max_slowdown)
         document = json.dumps(_to_json(report, predictor), indent=1, allow_nan=False)
         print_result(document if as_json else _table(report, predictor))
         raise typer.Exit(0 if report.passed else DIFFERS)
@@ -132,21 +132,21 @@ def _tolerances(texts: Sequence[str]) -> dict[str, dict[str, float]]:
 
 
 def _origin(report: VerifyReport) -> str:
-    """What made the recording."""
-    recording = report.recording
-    software = recording.software
-    by = f"{recording.settings.made_by} {software.get('ssdnet', '')}".strip()
+    """What made the reference."""
+    reference = report.reference
+    software = reference.software
+    by = f"{reference.settings.made_by} {software.get('ssdnet', '')}".strip()
     with_ = f", ONNX Runtime {software['onnxruntime']}" if "onnxruntime" in software else ""
-    return f"{by} on {recording.settings.provider}{with_}"
+    return f"{by} on {reference.settings.provider}{with_}"
 
 
 def _table(report: VerifyReport, predictor: Predictor) -> str:
     """One line per limit with the worst value over all frames, then one line per other fault."""
-    recording, checks, failed = report.recording, report.checks, report.failed
-    contract, is_same = predictor.contract, predictor.digest == recording.model_sha256
+    reference, checks, failed = report.reference, report.checks, report.failed
+    contract, is_same = predictor.contract, predictor.digest == reference.model_sha256
     now = f"now {contract.model_name} {contract.precision} sha256:{predictor.digest[:12]}"
     lines = [
-        f"{len(checks)} frames: {recording.model_name} sha256:{recording.model_sha256[:12]} by "
+        f"{len(checks)} frames: {reference.model_name} sha256:{reference.model_sha256[:12]} by "
         f"{_origin(report)}",
         f"{now} on {predictor.provider}, {'' if is_same else 'NOT '}the recorded one",
         "",
@@ -165,9 +165,9 @@ def _table(report: VerifyReport, predictor: Predictor) -> str:
         lines.append(f"  {fault.text} ({fault.frames} frames, the first is {fault.first_frame})")
     lines.append("")
     if not checks:
-        lines.append("the recording holds no frames: nothing was compared")
+        lines.append("the reference holds no frames: nothing was compared")
     elif failed:
-        lines.append(f"{len(failed)} of {len(checks)} frames differ from the recording")
+        lines.append(f"{len(failed)} of {len(checks)} frames differ from the reference")
     elif is_same:
         lines.append("the same answers")
     else:
@@ -182,17 +182,17 @@ def _table(report: VerifyReport, predictor: Predictor) -> str:
 
 def _to_json(report: VerifyReport, predictor: Predictor) -> dict[str, Any]:
     """The content of the table for a program; null if a value is missing or not finite."""
-    recording, contract = report.recording, predictor.contract
+    reference, contract = report.reference, predictor.contract
     return {
         "passed": report.passed,
         "frames": len(report.checks),
         "frames_beyond": len(report.failed),
         "recorded": {
-            "model": recording.model_name,
-            "sha256": recording.model_sha256,
-            "made_by": recording.settings.made_by,
-            "provider": recording.settings.provider,
-            "software": dict(recording.software),
+            "model": reference.model_name,
+            "sha256": reference.model_sha256,
+            "made_by": reference.settings.made_by,
+            "provider": reference.settings.provider,
+            "software": dict(reference.software),
         },
         "now": {
             "model": contract.model_name,

@@ -9,7 +9,7 @@ from runtime.contract.agreement import (
     compare,
     figure_name,
     file_limits,
-    recording_limits,
+    reference_limits,
     within,
     worst,
 )
@@ -95,7 +95,7 @@ def test_half_precision_has_wider_limits(contract):
 
 def test_a_float_file_repeats_its_answers_as_exactly_as_pytorchs(contract):
     for head in HEADS:
-        limits = recording_limits(head, contract, from_torch=False)
+        limits = reference_limits(head, contract, from_torch=False)
         assert limits == file_limits(head, contract)
 
 
@@ -108,7 +108,7 @@ def test_eight_bits_are_limited_by_shares_and_means_whatever_the_parity(contract
             "boundary": {"mean_abs": 0.02},
             "depth_uncertainty": {"mean_relative": 0.1},
         }.items():
-            assert recording_limits(head, int8, from_torch=False) == limits
+            assert reference_limits(head, int8, from_torch=False) == limits
 
 
 def test_pytorchs_answers_are_limited_by_means_beside_the_measured_difference(contract):
@@ -120,11 +120,11 @@ def test_pytorchs_answers_are_limited_by_means_beside_the_measured_difference(co
         ("fp32", exact, 0.9995, 5e-5),
     ):
         file = replace(contract, precision=precision, parity=parity)
-        limits = recording_limits("semantic", file, from_torch=True)
+        limits = reference_limits("semantic", file, from_torch=True)
         assert limits == {"agreement": pytest.approx(agreement)}
-        limits = recording_limits("depth", file, from_torch=True)
+        limits = reference_limits("depth", file, from_torch=True)
         assert limits == {"mean_relative": pytest.approx(mean_relative)}
     half = replace(contract, precision="fp16", parity=exact)
-    assert recording_limits("depth", half, from_torch=True) == {
+    assert reference_limits("depth", half, from_torch=True) == {
         "mean_relative": pytest.approx(0.005)
     }

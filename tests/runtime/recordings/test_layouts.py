@@ -14,7 +14,7 @@ from runtime.app.tools.verify import app as verify_app
 from runtime.geometry.rig import Rig
 from runtime.recordings.layouts import KittiObjectSource
 from runtime.recordings.registry import detect_source, open_source
-from runtime.verification.reference import read_recording
+from runtime.verification.reference import read_reference
 
 N = 3
 IMAGE, DEPTH, SCAN = "an image", "a depth map", "a scan"
@@ -185,7 +185,7 @@ def test_each_frame_is_predicted_with_its_focal_length(
         focal = focal_px or 60 + number
         expected = projected(make_scan(number), focal_px=60 + number) + 1.5 * focal / 100
         assert abs(answers.fed_depth(f"{number:06d}") + 1.5 - expected).max() < 0.01
-    recorded = read_recording(tmp_path / "recorded").frames
+    recorded = read_reference(tmp_path / "recorded").frames
     assert [each.focal_length_px for each in recorded] == [focal_px or 60 + n for n in range(N)]
     done = CliRunner().invoke(verify_app, [str(tmp_path / "recorded")])
     assert done.exit_code == 0, done.output

@@ -8,30 +8,35 @@ import numpy as np
 import pytest
 
 from runtime import ContractError, InputError
-from runtime.verification.reference import RecordedFrame, Settings, read_recording, record
+from runtime.verification.reference import (
+    PredictorSettings,
+    ReferenceFrame,
+    read_reference,
+    write_reference,
+)
 
-SETTINGS = Settings("the-test", size=(48, 64), focal_length_px=300.0)
+SETTINGS = PredictorSettings("the-test", size=(48, 64), focal_length_px=300.0)
 
 
 @pytest.fixture
 def recording(tmp_path, model_file, make_frame) -> Path:
     folder = tmp_path / "recording"
-    with record(folder, SETTINGS) as recorder:
+    with write_reference(folder, SETTINGS) as recorder:
         for index in range(2):
             rgb, depth = make_frame(seed=index)
-            frame = RecordedFrame(f"frame {index}", index == 0, ("no_depth",), 12.5)
+            frame = ReferenceFrame(f"frame {index}", index == 0, ("no_depth",), 12.5)
             recorder.add(frame, rgb, depth, {"depth": depth + 1})
         recorder.finish(model_file())
     return folder
 
 
 def test_what_was_recorded_comes_back(recording, model_file, make_frame, contract):
-    read = read_recording(recording)
+    read = read_reference(recording)
     assert read.settings == SETTINGS
     assert read.model.read_bytes() == model_file("again.onnx").read_bytes()
     assert read.model_name == contract.model_name
     assert read.limits == {"depth": {"max_abs_m": pytest.approx(5e-5 * contract.max_depth_m)}}
-    assert read.frames[0] == RecordedFrame("frame 0", True, ("no_depth",), 12.5)
+    assert read.frames[0] == ReferenceFrame("frame 0", True, ("no_depth",), 12.5)
     assert read.software.keys() == {"ssdnet", "onnxruntime", "system"}
     rgb, depth = make_frame(seed=0)
     arrays = read.arrays(0)
@@ -45,11 +50,11 @@ def test_one_without_its_software_is_read_like_a_new_one(recording):
     document = json.loads((recording / "recording.json").read_text())
     del document["software"]
     (recording / "recording.json").write_text(json.dumps({**document, "version": "2.0"}))
-    assert read_recording(recording).software == {}
+    assert read_reference(recording).software == {}
 
 
 def test_arrays_are_compressed(recording):
-    arrays = read_recording(recording).arrays(0)
+    arrays = read_reference(recording).arrays(0)
     size = (recording / "frames" / "000000.npz").stat().st_size
     assert size < 0.8 * sum(array.nbytes for array in arrays.values())
 
@@ -57,7 +62,7 @@ def test_arrays_are_compressed(recording):
 def test_a_model_that_was_replaced_meanwhile_is_refused(tmp_path, model_file):
     with (
         pytest.raises(ContractError, match="expected"),
-        record(tmp_path / "r", SETTINGS) as r,
+        write_reference(tmp_path / "r", SETTINGS) as r,
     ):
         r.finish(model_file(), sha256="0" * 64)
 
@@ -75,7 +80,7 @@ def edit(folder, **changes):
 def test_a_document_that_was_changed_is_refused(recording, changes):
     edit(recording, **changes)
     with pytest.raises(InputError, match="is not a valid recording"):
-        read_recording(recording)
+        read_reference(recording)
 
 
 @pytest.mark.parametrize(("content", "message"), [(b"{", "not a valid"), (None, "cannot read")])
@@ -83,12 +88,12 @@ def test_a_folder_that_is_no_recording_is_refused(recording, content, message):
     path = recording / "recording.json"
     path.unlink() if content is None else path.write_bytes(content)
     with pytest.raises(InputError, match=message):
-        read_recording(recording)
+        read_reference(recording)
 
 
 def test_a_frame_with_other_arrays_or_cut_is_refused(recording, make_frame):
     path = recording / "frames" / "000000.npz"
-    read, whole = read_recording(recording), path.read_bytes()
+    read, whole = read_reference(recording), path.read_bytes()
     for content in (whole[: len(whole) // 2], b""):
         path.write_bytes(content)
         with pytest.raises(InputError, match="damaged"):
@@ -107,7 +112,7 @@ def test_a_removal_that_was_killed_is_finished_by_the_next(
     removed = []
 
     def overwrite():
-        with record(recording, SETTINGS, overwrite=True) as recorder:
+        with write_reference(recording, SETTINGS, overwrite=True) as recorder:
             recorder.finish(model_file())
 
     def remove(path, missing_ok=False):
@@ -123,4 +128,4 @@ def test_a_removal_that_was_killed_is_finished_by_the_next(
         with pytest.raises(KeyboardInterrupt):
             overwrite()
     overwrite()
-    assert read_recording(recording).frames == ()
+    assert read_reference(recording).frames == ()

@@ -9,19 +9,24 @@ from runtime.engine.predictor import Predictor
 from runtime.streams.answerer import known_focal_length_px
 from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
-from runtime.verification.reference import RecordedFrame, Recorder, Settings, record
+from runtime.verification.reference import (
+    PredictorSettings,
+    ReferenceFrame,
+    ReferenceWriter,
+    write_reference,
+)
 
 
-class RunRecording:
-    """Records each frame and its answers, valid or not; see `open_recording`."""
+class RunReference:
+    """Records each frame and its answers, valid or not; see `open_reference`."""
 
-    def __init__(self, recorder: Recorder, predictor: Predictor) -> None:
+    def __init__(self, recorder: ReferenceWriter, predictor: Predictor) -> None:
         self._recorder, self._predictor = recorder, predictor
 
     def write(self, frame: Frame, result: FrameResult) -> None:
         """Record a frame and what `Predictor.predict` answered. Raises OutputError."""
         prediction = result.prediction
-        entry = RecordedFrame(
+        entry = ReferenceFrame(
             frame.name,
             prediction.valid,
             tuple(reason for reason in prediction.degraded if reason not in STREAM_REASONS),
@@ -32,12 +37,12 @@ class RunRecording:
 
 
 @contextlib.contextmanager
-def open_recording(run: OpenRun) -> Iterator[RunRecording]:
-    """Make the recording of --record, complete when the block ends, removed after an error."""
+def open_reference(run: OpenRun) -> Iterator[RunReference]:
+    """Make the reference of --record, complete when the block ends, removed after an error."""
     options, predictor = run.options, run.predictor
     assert options.record is not None
     focal_length_px, provider = predictor.focal_length_px, str(options.provider)
-    settings = Settings("ssdnet-run", options.network_size, focal_length_px, provider)
-    with record(options.record, settings, overwrite=options.overwrite) as recorder:
-        yield RunRecording(recorder, predictor)
+    settings = PredictorSettings("ssdnet-run", options.network_size, focal_length_px, provider)
+    with write_reference(options.record, settings, overwrite=options.overwrite) as recorder:
+        yield RunReference(recorder, predictor)
         recorder.finish(predictor.model.path, sha256=predictor.digest)

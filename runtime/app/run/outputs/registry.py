@@ -13,7 +13,7 @@ from runtime.app.run.outputs.frame_writer import open_frame_files
 from runtime.app.run.outputs.mcap import open_mcap
 from runtime.app.run.outputs.output import OpenRun
 from runtime.app.run.outputs.page import open_page
-from runtime.app.run.outputs.reference import open_recording
+from runtime.app.run.outputs.reference import open_reference
 from runtime.app.run.outputs.video import open_video
 from runtime.app.run.pipeline import Output
 from runtime.base.errors import OutputError, install_command
@@ -57,7 +57,7 @@ OUTPUTS: dict[str, OutputRow] = {
     "out": OutputRow(open_frame_files),
     "video": OutputRow(open_video),
     "mcap": OutputRow(open_mcap, package="rosbags", extra="bag"),
-    "record": OutputRow(open_recording, raw=True),
+    "record": OutputRow(open_reference, raw=True),
 }
 
 

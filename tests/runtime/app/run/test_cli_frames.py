@@ -15,7 +15,7 @@ from cli_runs import N, arguments, files_in, rows_of
 from runtime.app.run.cli import app
 from runtime.app.run.options import KINDS
 from runtime.recordings.folders import FolderSource
-from runtime.verification.reference import read_recording
+from runtime.verification.reference import read_reference
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def test_depth_that_contradicts_the_image_is_reported(tmp_path, red_metres, scal
     assert frames["degraded"] == ({"implausible_depth": 2} if warning else {})
     rows = rows_of(tmp_path / "out")
     assert {row["degraded"] for row in rows} == {"implausible_depth" if warning else ""}
-    recorded = read_recording(recording).frames
+    recorded = read_reference(recording).frames
     assert [frame.degraded for frame in recorded] == [(), ()], "what ssdnet-verify predicts again"
 
 

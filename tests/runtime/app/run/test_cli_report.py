@@ -13,7 +13,7 @@ import pytest
 
 from cli_runs import COMMAND, N, arguments, rows_of
 from runtime.app.run.options import KINDS, SUFFIXES
-from runtime.verification.reference import read_recording
+from runtime.verification.reference import read_reference
 
 NAMES = [f"f{index}" for index in range(N)]
 
@@ -102,7 +102,7 @@ def test_ctrl_c_leaves_whole_outputs_of_what_was_done(tmp_path, run, read_page, 
     result = run("--warmup", 0, "--record", recording, "--report", page)
     assert result.exit_code == 3
     assert "frames: 7 (7 ok), interrupted" in result.stdout
-    assert len(read_recording(recording).frames) == 7
+    assert len(read_reference(recording).frames) == 7
     assert {"interrupted", "7 ok"} <= set(read_page(page.read_text()).texts)
     assert json.loads((tmp_path / "out/report.json").read_text())["interrupted"]
     assert len(rows_of(tmp_path / "out")) == 7

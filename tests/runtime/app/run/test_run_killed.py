@@ -12,7 +12,7 @@ import pytest
 
 from cli_runs import COMMAND, N, rows_of
 from runtime.app.run.options import SUFFIXES
-from runtime.verification.reference import read_recording
+from runtime.verification.reference import read_reference
 
 pytestmark = [
     pytest.mark.slow,
@@ -43,7 +43,7 @@ FRAMES = {
     "run.html": lambda path: N * path.read_text().endswith("</html>\n"),
     "frames.csv": lambda path: len(rows_of(path.parent)),
     "report.json": lambda path: json.loads(path.read_text())["frames"]["by_status"]["ok"],
-    "recording.json": lambda path: len(read_recording(path.parent).frames),
+    "recording.json": lambda path: len(read_reference(path.parent).frames),
 }
 
 

@@ -17,7 +17,12 @@ from runtime.app.run.cli import app as run_app
 from runtime.app.tools.verify import app
 from runtime.engine.bundled_models import find_model
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
-from runtime.verification.reference import RecordedFrame, Settings, read_recording, record
+from runtime.verification.reference import (
+    PredictorSettings,
+    ReferenceFrame,
+    read_reference,
+    write_reference,
+)
 
 HEADS = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
 NAMES = ["00000", "00001", "00002"]
@@ -50,7 +55,7 @@ def recording(tmp_path, stream, model_file) -> Path:
     options = ["--model", model, "--out", tmp_path / "out", "--record", folder, "--size", "40x56"]
     result = run(*stream, *options)
     assert result.exit_code == 0, result.output
-    assert f"recording: {folder}" in result.output.splitlines()
+    assert f"reference: {folder}" in result.output.splitlines()
     model.unlink()  # the recording holds its own
     return folder
 
@@ -141,11 +146,14 @@ def test_classes_are_compared_by_name_and_others_are_refused(
     rgb, depth = make_frame()
     model, folder = model_file("a.onnx", heads=HEADS), tmp_path / "recording"
     turned = replace(contract, classes=contract.classes[::-1])
-    with Predictor(model, threads=1) as predictor, record(folder, Settings("test")) as recorder:
+    with (
+        Predictor(model, threads=1) as predictor,
+        write_reference(folder, PredictorSettings("test")) as recorder,
+    ):
         heads = dict(predictor.predict(rgb, depth).heads)
         heads["semantic"] = len(contract.classes) - 1 - heads["semantic"]
         heads["semantic_logits"] = heads["semantic_logits"][::-1]
-        recorder.add(RecordedFrame("0"), rgb, depth, heads)
+        recorder.add(ReferenceFrame("0"), rgb, depth, heads)
         recorder.finish(model_file("b.onnx", heads=HEADS, contract=turned))
     result = verify(folder, "--model", model)
     assert result.exit_code == 0, result.output
@@ -173,7 +181,7 @@ def test_a_recording_is_unpacked_into_plain_files(recording, tmp_path):
     edit_frames(recording, focal_length_px=None)
     result = verify(recording, "--unpack", plain)
     assert (result.exit_code, result.output) == (0, f"3 frames: {plain / 'manifest.json'}\n")
-    manifest, read = json.loads((plain / "manifest.json").read_text()), read_recording(recording)
+    manifest, read = json.loads((plain / "manifest.json").read_text()), read_reference(recording)
     assert (plain / "model.onnx").read_bytes() == read.model.read_bytes()
     assert manifest["model"]["sha256"] == read.model_sha256
     assert manifest["limits"] == read.limits
@@ -265,7 +273,7 @@ def test_only_frames_with_an_answer_are_recorded_and_none_do_not_pass(tmp_path, 
     options += ["--record", tmp_path / "recording"]
     (tmp_path / "rgb" / "00000.png").write_bytes(b"no picture")
     assert run(*options).exit_code == 3
-    assert [frame.name for frame in read_recording(tmp_path / "recording").frames] == NAMES[1:]
+    assert [frame.name for frame in read_reference(tmp_path / "recording").frames] == NAMES[1:]
     for path in (tmp_path / "rgb").iterdir():
         path.write_bytes(b"no picture")
     assert run(*options).exit_code == 3
@@ -278,17 +286,17 @@ def test_only_frames_with_an_answer_are_recorded_and_none_do_not_pass(tmp_path, 
 def int8_recording(tmp_path_factory) -> Path:
     """Two frames of the bundled stream and the answers of a bundled 8-bit model."""
     folder = tmp_path_factory.mktemp("int8") / "recording"
-    settings = Settings("the-test", focal_length_px=BUNDLED_FOCAL_LENGTH_PX)
+    settings = PredictorSettings("the-test", focal_length_px=BUNDLED_FOCAL_LENGTH_PX)
     with (
         Predictor(
             "ssdnet-lite-int8", focal_length_px=BUNDLED_FOCAL_LENGTH_PX, threads=2
         ) as predictor,
-        record(folder, settings) as recorder,
+        write_reference(folder, settings) as recorder,
     ):
         for frame in bundled_frames()[::10][:2]:
             prediction = predictor.predict(frame.rgb, frame.sparse_depth)
             heads = prediction.heads
-            recorder.add(RecordedFrame(frame.name), frame.rgb, frame.sparse_depth, heads)
+            recorder.add(ReferenceFrame(frame.name), frame.rgb, frame.sparse_depth, heads)
         recorder.finish(find_model("ssdnet-lite-int8"))
     return folder
 
