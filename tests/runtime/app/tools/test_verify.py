@@ -91,7 +91,7 @@ def test_what_differs_is_one_line_with_its_worst_frame(recording, head, change, 
     result = verify(recording)
     assert result.exit_code == 4
     lines = result.output.splitlines()
-    assert lines[-1] == "1 of 3 frames differ from the recording"
+    assert lines[-1] == "1 of 3 frames differ from the reference"
     assert "\n  " not in result.output, "no line a frame"
     words = [line.split() for line in lines]
     (line,) = [each for each in words if each[-2:] == ["1", "00001"]]
