@@ -42,6 +42,7 @@ from training.evaluation.scoring import score, split_frames, torch_predict
 from training.lidar.split import LidarInput
 from training.loading.open_dataset import open_dataset
 from training.recipes.ablation import ROWS
+from training.run import TrainingRun
 from training.run_folder import RECIPE, require_same
 from training.stages import train_stages
 
@@ -126,8 +127,8 @@ def run(row: str, seed: int, arguments: argparse.Namespace) -> dict[str, float]:
         before = {**settings, **{key: known.get(key, settings[key]) for key in ("test", "lidar")}}
         require_same({**before, "recipe": trained["recipe"]}, settings, place)  # no mix
         return {key: value for key, value in known.items() if key not in settings}
-    checkpoint = train_stages(stages, data=arguments.data, out=out, device=arguments.device)
-    network = load_checkpoint(checkpoint).model.to(arguments.device)
+    training = TrainingRun(arguments.data, out, device=arguments.device)
+    network = load_checkpoint(train_stages(stages, training).path).model.to(arguments.device)
     test = parse_data(arguments.test)
     source = open_dataset(test, arguments.data, classes=recipe.model.class_table)
     counted = score(

@@ -58,6 +58,7 @@ from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.classical import create_method
 from training.evaluation.evaluate import evaluate
 from training.loop import train
+from training.run import TrainingRun
 from training.run_folder import FINAL, RECIPE, require_same
 from training.stop_signal import stop_signal
 
@@ -205,7 +206,7 @@ def find_or_make(entry: Entry, plan: Plan, arguments: argparse.Namespace, stop: 
     if checkpoint.is_file():
         require_same(read_json(out / RECIPE), {"recipe": asdict(recipe)}, out / RECIPE)
     else:
-        train(recipe, data=arguments.data, out=out, device=arguments.device, stop=stop)
+        train(recipe, TrainingRun(arguments.data, out, device=arguments.device, stop=stop))
         if stop():
             return onnx
     digest = hashlib.sha256(checkpoint.read_bytes()).hexdigest()

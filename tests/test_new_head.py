@@ -230,7 +230,7 @@ def test_ssdnet_run_saves_and_records_it(folder, tmp_path):
 
 def test_it_is_trained_and_scored(folder, tmp_path):
     run = tmp_path / "run"
-    trained = load_checkpoint(train(folder / "recipe.toml", data=folder, out=run)).model
+    trained = load_checkpoint(train(folder / "recipe.toml", data=folder, out=run).path).model
     events = EventAccumulator(str(run / "tensorboard"))
     events.Reload()
     shown = {

@@ -112,7 +112,7 @@ def lab(tmp_path_factory):
 
 
 def test_what_a_package_registers_is_trained_and_exported(lab):
-    path = train(lab / "recipe.toml", data=lab, out=lab / "run")
+    path = train(lab / "recipe.toml", data=lab, out=lab / "run").path
     checkpoint = load_checkpoint(path)
     assert checkpoint.model.config.name == "lab-flat"
     assert checkpoint.facts.recipe["loss"]["weights"]["lab-half"] == 0.5

@@ -7,8 +7,7 @@ training are scored on frames that were kept apart, and the better model is kept
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,8 +31,9 @@ from training.loop import train
 from training.losses.terms import DEPTH_ALONE
 from training.recipe import Recipe, build_recipe
 from training.release import mix_weights
+from training.run import RunResult, TrainingRun
 from training.run_folder import FINAL, LAST, RECIPE, folder_errors
-from training.stop_signal import StopRequested, Watched
+from training.stop_signal import Stop, StopRequested, Watched, never
 
 Depth = NDArray[np.float32]
 
@@ -48,47 +48,33 @@ MOST_CHANGE = 0.04
 
 
 @dataclass(frozen=True)
-class Adapted:
-    """The result of `adapt`.
+class Adapted(RunResult):
+    """The result of `adapt`; `lines` are the scores, and what was kept.
 
     Attributes:
-        path: the checkpoint, `RUN/model.pt`; if the training was stopped, its last.pt.
-        lines: the scores, and what was kept, for the terminal.
         paid: whether the adapted model is better; otherwise `path` holds the model before.
     """
 
-    path: Path
-    lines: Sequence[str] = ()
     paid: bool = False
 
 
 def adapt(
-    recording: RecordingRecipe,
-    root: Path,
-    init: Weights,
-    out: Path,
-    *,
-    changes: Sequence[str] = (),
-    device: str = "cpu",
-    stop: Callable[[], bool] = lambda: False,
+    recording: RecordingRecipe, init: Weights, run: TrainingRun, changes: Sequence[str] = ()
 ) -> Adapted:
     """Adapt the depth of a network to the rig of a recording.
 
-    The function writes to `out`: frames.json (the chosen frames), training/ (the run, see `train`)
-    and model.pt. The same call resumes what was stopped.
+    The function writes to `run.out`: frames.json (the chosen frames), training/ (the run, see
+    `train`) and model.pt. The same call resumes what was stopped.
 
     Args:
         recording: the recording, with images and returns.
-        root: folder that holds the recording.
         init: the network that is adapted.
-        out: folder of the run.
+        run: how the training runs; its data is the folder that holds the recording.
         changes: changes of the recipe, see `build_recipe`.
-        device: "cpu", "cuda" or "cuda:N".
-        stop: called between two steps; True stops.
 
     Raises:
         InputError: if the network has no layers that the depth alone reads, if there are too few
-            frames with returns, if the frames have different sizes or focal lengths, if `out`
+            frames with returns, if the frames have different sizes or focal lengths, if the folder
             belongs to another or an older adaptation, and in the cases of `train`.
     """
     network = init.network
@@ -97,6 +83,7 @@ def adapt(
             f"{init.path}: has no layers that the depth alone reads, which could be adapted: give "
             "ssdnet-lite, ssdnet-nano, or weights that began with these"
         )
+    (root,), out = run.data, run.out
     if (out / TRAINING / RECIPE).is_file() and not (out / FRAMES).is_file():
         raise InputError(
             f"{out}: belongs to an adaptation that an earlier release began and this one cannot "
@@ -104,24 +91,22 @@ def adapt(
         )
     with contextlib.suppress(StopRequested):
         height = init.facts.trained_height
-        chosen = find_frames(recording, root, out / FRAMES, trained_height=height, stop=stop)
-        return _adapt(chosen.of(recording), root, init, out, changes, device, stop)
-    return Adapted(out / TRAINING / LAST)
+        chosen = find_frames(recording, root, out / FRAMES, trained_height=height, stop=run.stop)
+        return _adapt(chosen.of(recording), init, run, changes)
+    return Adapted(out / TRAINING / LAST, stopped=True)
 
 
 def _adapt(
     sets: tuple[RecordingRecipe, RecordingRecipe],
-    root: Path,
     init: Weights,
-    out: Path,
+    run: TrainingRun,
     changes: Sequence[str],
-    device: str,
-    stop: Callable[[], bool],
 ) -> Adapted:
     """Train on the first set and choose between the weights. Raises StopRequested."""
+    out, stop = run.out, run.stop
     network = init.network
     recipe = make_recipe(init, sets[0], changes)
-    kept_apart = Watched(open_dataset(sets[1], [root], classes=(), stop=stop), stop)
+    kept_apart = Watched(open_dataset(sets[1], run.data, classes=(), stop=stop), stop)
     samples = [kept_apart[index] for index in range(len(kept_apart))]
     # Before the long training, check that these frames can tell the models apart.
     linear = score(method_predict(create_method("linear")), samples, stop)
@@ -130,10 +115,10 @@ def _adapt(
             f"{sets[1].title}: the {len(samples)} frames kept apart have too few returns to be "
             "scored: give a longer recording"
         )
-    path = train(recipe, data=[root], out=out / TRAINING, init=init, device=device, stop=stop)
-    if path.name != FINAL:
-        return Adapted(path)
-    trained = load_checkpoint(path)
+    found = train(recipe, replace(run, out=out / TRAINING, init=init))
+    if found.stopped:
+        return Adapted(found.path, stopped=True)
+    trained = load_checkpoint(found.path)
     models = {
         "before": network,
         "between": mix_weights(network, trained.model, _BETWEEN),
@@ -159,7 +144,7 @@ def _adapt(
         lines.append(f"kept: {best}, {100 * (ratio[best] - 1):+.1f} % in MAE and RMSE")
     else:
         lines.append("kept: the model before; the adaptation does not pay on the frames kept apart")
-    return Adapted(out / FINAL, lines, paid)
+    return Adapted(out / FINAL, lines=lines, paid=paid)
 
 
 def make_recipe(init: Weights, recording: RecordingRecipe, changes: Sequence[str] = ()) -> Recipe:
@@ -207,7 +192,7 @@ def make_recipe(init: Weights, recording: RecordingRecipe, changes: Sequence[str
 
 
 def score(
-    predict: Predict, samples: Sequence[Sample], stop: Callable[[], bool] = lambda: False
+    predict: Predict, samples: Sequence[Sample], stop: Stop = never
 ) -> dict[str, NDArray[np.float64]]:
     """Return MAE, RMSE and median error [m] of the withheld returns, means over frames, per feed.
 

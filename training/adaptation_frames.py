@@ -3,7 +3,7 @@
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from runtime.streams.frame import Frame
 from training.datasets.recording import RecordingRecipe, beside
 from training.evaluation.metrics import FARTHEST_M
 from training.run_folder import folder_errors
-from training.stop_signal import StopRequested
+from training.stop_signal import Stop, StopRequested, never
 from training.tables import build
 
 # Largest number of frames that are read, and their least number.
@@ -95,7 +95,7 @@ def find_frames(
     kept: Path,
     *,
     trained_height: int | None = None,
-    stop: Callable[[], bool] = lambda: False,
+    stop: Stop = never,
 ) -> ChosenFrames:
     """Choose the frames of a recording that have returns; the end of their time is kept apart.
 
@@ -156,7 +156,7 @@ def choose_frames(listed: Sequence[ListedFrame]) -> list[tuple[ListedFrame, floa
 
 
 def _read(
-    source: Source, frames: Sequence[tuple[ListedFrame, float]], stop: Callable[[], bool]
+    source: Source, frames: Sequence[tuple[ListedFrame, float]], stop: Stop
 ) -> Iterator[tuple[int, float, Frame]]:
     """Yield number, time and content of the frames that can be read."""
     for listed, time in tqdm(frames, desc="frames", disable=None):

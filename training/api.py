@@ -4,23 +4,24 @@ Weights are given by the name of a checkpoint of the package ("ssdnet-lite"), or
 .pt file. Changes of a recipe are texts like "schedule.steps = 500", as with `ssdnet-train --set`.
 """
 
+import sys
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+
+from tqdm import tqdm
 
 from training import adaptation
 from training.adaptation import Adapted
 from training.adaptation_frames import describe_recording
 from training.chosen_recipe import fine_tune, read_stages
-from training.dry_run import dry_run as dry_run_of
+from training.dry_run import dry_run as draw_first_batch
 from training.initial_weights import Weights, find_weights, read_weights
 from training.own_folders import RECIPE_TEXT, OwnFolders, keep_recipe
 from training.recipe import build_recipe
-from training.stages import Stage, next_stage, train_stages
-
-
-def _never() -> bool:
-    return False
+from training.run import RunResult, TrainingRun
+from training.stages import Stage, train_stages
+from training.stop_signal import Stop, never
 
 
 def train(
@@ -33,10 +34,9 @@ def train(
     changes: Sequence[str] = (),
     device: str = "cpu",
     stop_after: int | None = None,
-    stop: Callable[[], bool] = _never,
+    stop: Stop = never,
     dry_run: bool = False,
-    report: Callable[[str], None] = print,
-) -> Path:
+) -> RunResult:
     """Train a network with a recipe; an `out` of the same recipe is resumed.
 
     `training.loop.train` and `training.stages.train_stages` describe what is written to `out`.
@@ -53,11 +53,10 @@ def train(
         stop: called between two steps; True stops the run, which can be resumed.
         dry_run: do not train, but check that the next stage can start, describe its data, and draw
             its first batch.
-        report: called with each line of the description of a dry run.
 
     Returns:
-        The checkpoint `out`/model.pt; the last.pt of a run that was stopped; the picture batch.png
-        of a dry run.
+        The checkpoint `out`/model.pt, or the last.pt of a run that was stopped. A dry run returns
+        the picture batch.png, and the description of the data as `lines`.
 
     Raises:
         InputError: if the recipe is unknown, a key or value is wrong, or `out` belongs to another
@@ -67,21 +66,17 @@ def train(
         NonFiniteLossError: if the loss or its gradient is NaN or infinite.
     """
     begin = None if init is None else _read_weights(init)
-    taught_by = None if teacher is None else _read_weights(teacher)
-    stages = read_stages(str(recipe), changes, begin)
-    folders = [Path(data)] if isinstance(data, str | Path) else [Path(folder) for folder in data]
-    if dry_run:
-        return _draw_first_batch(stages, folders, Path(out), begin, taught_by, device, report)
-    return train_stages(
-        stages,
-        data=folders,
-        out=Path(out),
+    run = TrainingRun(
+        [Path(data)] if isinstance(data, str | Path) else [Path(folder) for folder in data],
+        Path(out),
         init=begin,
-        teacher=taught_by,
+        teacher=None if teacher is None else _read_weights(teacher),
         device=device,
         stop_after=stop_after,
         stop=stop,
     )
+    stages = read_stages(str(recipe), changes, begin)
+    return draw_first_batch(stages, run) if dry_run else train_stages(stages, run)
 
 
 def finetune(
@@ -99,15 +94,14 @@ def finetune(
     changes: Sequence[str] = (),
     device: str = "cpu",
     stop_after: int | None = None,
-    stop: Callable[[], bool] = _never,
+    stop: Stop = never,
     dry_run: bool = False,
-    report: Callable[[str], None] = print,
-) -> Path:
+) -> RunResult:
     """Train the classes or the depth of a network on your own folders.
 
-    A recipe is made for the folders and written to `out`/recipe.toml. With labels the last layers
-    of the classes are trained, otherwise those that only the depth reads. Files of a frame have the
-    same name in each folder.
+    A recipe is made for the folders, shown on stderr and written to `out`/recipe.toml. With labels
+    the last layers of the classes are trained, otherwise those that only the depth reads. Files of
+    a frame have the same name in each folder.
 
     Args:
         images: PNG or JPEG images, at least 10. The last tenth, by name, is for validation.
@@ -126,8 +120,7 @@ def finetune(
         device: "cpu", "cuda" or "cuda:N".
         stop_after: stop at this step.
         stop: called between two steps; True stops the run, which can be resumed.
-        dry_run: do not train.
-        report: called with the recipe, and with each line of the description of a dry run.
+        dry_run: see `train`.
 
     Returns:
         As `train`.
@@ -137,7 +130,7 @@ def finetune(
             of classes and labels is given, and for the reasons of `train`.
         DatasetError, CheckpointError, NonFiniteLossError: see `train`.
     """
-    begin, target = _read_weights(init), Path(out)
+    begin = _read_weights(init)
     own = OwnFolders(
         Path(images),
         labels=_path(labels),
@@ -148,22 +141,15 @@ def finetune(
         focal_length_px=focal_length_px,
         intrinsics=intrinsics,
     )
-    text = own.make_recipe(begin)
-    report(text)
-    table = fine_tune(tomllib.loads(text), changes, begin)
-    stages = (Stage("", build_recipe(table, target / RECIPE_TEXT)),)
-    keep_recipe(text, target)  # also in a dry run, because it is the file to edit
-    if dry_run:
-        return _draw_first_batch(stages, [own.root], target, begin, None, device, report)
-    return train_stages(
-        stages,
-        data=[own.root],
-        out=target,
-        init=begin,
-        device=device,
-        stop_after=stop_after,
-        stop=stop,
+    run = TrainingRun(
+        [own.root], Path(out), init=begin, device=device, stop_after=stop_after, stop=stop
     )
+    text = own.make_recipe(begin)
+    tqdm.write(text, file=sys.stderr)
+    table = fine_tune(tomllib.loads(text), changes, begin)
+    stages = (Stage("", build_recipe(table, run.out / RECIPE_TEXT)),)
+    keep_recipe(text, run.out)  # also in a dry run, because it is the file to edit
+    return draw_first_batch(stages, run) if dry_run else train_stages(stages, run)
 
 
 def adapt(
@@ -177,7 +163,7 @@ def adapt(
     init: str | Path = "ssdnet-lite",
     changes: Sequence[str] = (),
     device: str = "cpu",
-    stop: Callable[[], bool] = _never,
+    stop: Stop = never,
 ) -> Adapted:
     """Adapt the depth of a network to a camera and a LiDAR, by a recording without labels.
 
@@ -208,9 +194,8 @@ def adapt(
     begin = _read_weights(init)
     files = {"depth": depth, "points": points, "calibration": calibration, "poses": poses}
     described, root = describe_recording(str(recording), **files)
-    return adaptation.adapt(
-        described, root, begin, Path(out), changes=changes, device=device, stop=stop
-    )
+    run = TrainingRun([root], Path(out), init=begin, device=device, stop=stop)
+    return adaptation.adapt(described, begin, run, changes)
 
 
 def _path(path: str | Path | None) -> Path | None:
@@ -219,22 +204,3 @@ def _path(path: str | Path | None) -> Path | None:
 
 def _read_weights(name: str | Path) -> Weights:
     return read_weights(find_weights(str(name)))
-
-
-def _draw_first_batch(
-    stages: Sequence[Stage],
-    data: Sequence[Path],
-    out: Path,
-    init: Weights | None,
-    teacher: Weights | None,
-    device: str,
-    report: Callable[[str], None],
-) -> Path:
-    """Draw the first batch of the next stage and report what its data hold."""
-    stage, folder, init = next_stage(stages, out, init, data)
-    path, lines = dry_run_of(
-        stage.recipe, data=data, out=folder, init=init, teacher=teacher, device=device
-    )
-    for line in lines:
-        report(line)
-    return path

@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from runtime.base.errors import InputError
+from training.stop_signal import Stop, never
 
 T = TypeVar("T")
 
@@ -55,6 +56,10 @@ class Processes:
         items: list[Any] = [None] * self.count
         dist.all_gather_object(items, item)
         return items
+
+    def own_stop(self, stop: Stop) -> Stop:
+        """Return when this process may leave by itself; several stop together, at a step."""
+        return stop if self.count == 1 else never
 
     def shares(self, first: int, last: int, batch_size: int) -> list[int]:
         """Return this process's samples of first..last - 1: one batch of each round.

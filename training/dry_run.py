@@ -1,7 +1,6 @@
 """A training without its steps: whether it can start, and the data that it would read."""
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -12,11 +11,12 @@ from training.datasets.class_mapping import list_classes
 from training.datasets.sample import IGNORE, SampleSource
 from training.distributed import join_processes
 from training.evaluation.pictures import draw_batch
-from training.initial_weights import Weights
 from training.loading.batches import read_batches
 from training.loading.open_dataset import spread_indices
 from training.recipe import Recipe
+from training.run import RunResult, TrainingRun
 from training.run_folder import BATCH, folder_errors
+from training.stages import Stage, next_stage
 from training.task import Task, open_task
 
 # Samples of the batch that are drawn, and frames of each set that are described.
@@ -25,34 +25,28 @@ _DRAWN, _DESCRIBED = 8, 50
 _PERCENTILES = (1, 50, 99)
 
 
-def dry_run(
-    recipe: Recipe,
-    *,
-    data: Sequence[Path],
-    out: Path,
-    init: Weights | None = None,
-    teacher: Weights | None = None,
-    device: str,
-) -> tuple[Path, list[str]]:
-    """Open all that a training needs and draw its first batch; arguments and errors as in `train`.
+def dry_run(stages: Sequence[Stage], run: TrainingRun) -> RunResult:
+    """Open all that the next stage of a run needs, and draw its first batch.
 
-    Returns:
-        batch.png, the only file that is written (`out` does not become a run's folder), and the
-        description of the data.
+    batch.png is the only file that is written: the folder does not become a run's. Errors are those
+    of `train_stages`.
     """
-    with join_processes(device) as processes:
-        task = open_task(recipe, processes, data, init, teacher)
+    stage, run = next_stage(stages, run)
+    recipe = stage.recipe
+    with join_processes(run.device) as processes:
+        task = open_task(recipe, run, processes)
         with read_batches(recipe, task, processes, step=0) as batches:
             batch = next(batches)
         if processes.is_first:
-            with folder_errors(out):
-                out.mkdir(parents=True, exist_ok=True)
+            with folder_errors(run.out):
+                run.out.mkdir(parents=True, exist_ok=True)
             overlay = Overlay(
                 list_classes(recipe.model.class_table), task.network.config.max_depth_m
             )
-            atomic_write(out / BATCH, encode_png(draw_batch(batch, overlay, count=_DRAWN)))
+            atomic_write(run.out / BATCH, encode_png(draw_batch(batch, overlay, count=_DRAWN)))
         processes.wait()
-    return out / BATCH, list(_describe(recipe, task))
+    path = run.out / BATCH
+    return RunResult(path, lines=(*_describe(recipe, task), str(path)))
 
 
 def _describe(recipe: Recipe, task: Task) -> Iterator[str]:

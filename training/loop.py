@@ -2,22 +2,22 @@
 
 import copy
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
 from models import Network, save_checkpoint
 from models.training_facts import TrainingFacts
-from training.distributed import join_processes
+from training.distributed import Processes, join_processes
 from training.evaluation.score_set import Result
-from training.initial_weights import Weights
 from training.loading.batches import read_batches
+from training.loading.mixture import Batch
 from training.recipe import Recipe
 from training.release import adjust_logits
+from training.run import RunResult, TrainingRun
 from training.run_folder import (
     BEST,
     FINAL,
@@ -32,163 +32,200 @@ from training.run_folder import (
 from training.score_table import ScoreTable
 from training.state import TrainingState
 from training.stop_signal import StopRequested
-from training.task import open_task
+from training.task import Task, open_task
 from training.validation import Board, validate, write_validation
 
 
-def train(
-    recipe: Recipe,
-    *,
-    data: Sequence[Path],
-    out: Path,
-    init: Weights | None = None,
-    teacher: Weights | None = None,
-    device: str = "cpu",
-    stop_after: int | None = None,
-    stop: Callable[[], bool] = lambda: False,
-) -> Path:
+def train(recipe: Recipe, run: TrainingRun) -> RunResult:
     """Train a network by a recipe.
 
-    Writes to `out`: recipe.json (resolved), last.pt (to resume from), model.pt (the averaged
+    Writes to `run.out`: recipe.json (resolved), last.pt (to resume from), model.pt (the averaged
     weights, to release), best.pt (those of the best validation so far), scores.csv (every score of
-    every validation), validation.html (the page of the last one) and tensorboard/. An `out`
-    with a last.pt of the same recipe is resumed. Started by torchrun, each process takes its share
-    of every batch, see `training.distributed`; the first one writes, and all stop at the same step.
+    every validation), validation.html (the page of the last one) and tensorboard/. A folder with a
+    last.pt of the same recipe is resumed. Started by torchrun, each process takes its share of
+    every batch, see `training.distributed`; the first one writes, and all stop at the same step.
 
     Args:
         recipe: what to train and how.
-        data: folders with the recipe's data sets.
-        out: folder of the run.
-        init: a checkpoint to start from; weights that do not fit are initialised as usual.
-        teacher: a checkpoint whose answers are learned, too, see `training.losses.distillation`.
-        device: "cpu", "cuda" or "cuda:N".
-        stop_after: stop at this step; the run can be resumed.
-        stop: called between two steps, and between two frames of the survey and of a validation;
-            True stops the run, which can be resumed.
+        run: on which data, from which weights, to which folder, and how far. Initial weights that
+            do not fit are initialised as usual.
 
     Returns:
-        model.pt, or last.pt if the run was stopped; last.pt does not exist before the first step.
+        The model.pt, or the last.pt of a run that was stopped.
 
     Raises:
-        InputError: if the recipe, the device or `out` cannot be used, for example an `out` of
+        InputError: if the recipe, the device or the folder cannot be used, for example a folder of
             another recipe.
         DatasetError: if a data set is missing or damaged.
-        CheckpointError: if nothing of `init` fits, or a checkpoint cannot be read or written.
+        CheckpointError: if nothing of `run.init` fits, or a checkpoint cannot be read or written.
         NonFiniteLossError: if the loss or its gradient is NaN or infinite.
     """
-    with join_processes(device) as processes, ExitStack() as held, suppress(StopRequested):
-        resumed = (out / LAST).is_file()
-        # Several processes stop together, at a step: none may leave the others in the survey.
-        alone = stop if processes.count == 1 else (lambda: False)
-        task = open_task(recipe, processes, data, init, teacher, resumed=resumed, stop=alone)
-        resolved: dict[str, Any] = {
-            "recipe": asdict(recipe),
-            "crop": task.data.augment.crop,
-            "init": None if init is None else init.name,
-            "teacher": None if teacher is None else teacher.name,
-            "processes": processes.count,
-        }
+    final = RunResult(run.out / FINAL)
+    stopped = RunResult(run.out / LAST, stopped=True)
+    with join_processes(run.device) as processes, ExitStack() as held, suppress(StopRequested):
+        task = open_task(recipe, run, processes, resumed=stopped.path.is_file())
+        loop = _Loop(recipe, run, processes, task)
         if processes.is_first:
             # Made last: a training that cannot start leaves no folder.
-            held.enter_context(lock_folder(out))
-            sets = (*recipe.data.source, *recipe.validation.source)
-            files = list_data(data, [folder for item in sets for folder in item.folders])
-            prepare_folder(out, resolved, files, data)
+            held.enter_context(lock_folder(run.out))
+            loop.claim_folder()
         processes.wait()
-        state = TrainingState(recipe, task, processes, out)
-        state.resume(out / LAST)
-        steps = recipe.schedule.steps
-        if state.step == steps and (out / FINAL).is_file():
-            if processes.is_first:
-                tqdm.write(f"all {steps} steps of {out} are done", file=sys.stderr)
-            return out / FINAL
-        if state.step and processes.is_first:
-            tqdm.write(f"resumed at step {state.step} of {steps}", file=sys.stderr)
+        loop.state.resume(stopped.path)
+        if loop.is_complete and final.path.is_file():
+            loop.tell(f"all {loop.steps} steps of {run.out} are done")
+            return final
+        if loop.state.step:
+            loop.tell(f"resumed at step {loop.state.step} of {loop.steps}")
+        loop.advance()
+        loop.save()
+        if loop.is_complete and processes.is_first:
+            loop.release()
+        processes.wait()  # until the file is written
+        # A run that was stopped early releases no weights.
+        return final if loop.is_complete else stopped
+    return stopped
 
-        def facts() -> dict[str, Any]:
-            return TrainingFacts(
-                data=task.known_data,
-                terms=task.data_terms,
-                trained_height=recipe.model.trained_height,
-                step=state.step,
-                **resolved,
-            ).to_dict()
 
-        def released() -> Network:
-            share = recipe.release.logit_adjustment
-            return adjust_logits(state.averaged, task.criterion.class_weights, share)
+class _Loop:
+    """A training in one of its processes: its steps, and what is written between them."""
 
-        scores = ScoreTable(out / SCORES, state.step) if processes.is_first else None
-        results: dict[str, Sequence[Result]] = {}  # of the last validation, and of that before
-        last_step = steps if stop_after is None else min(steps, stop_after)
+    def __init__(self, recipe: Recipe, run: TrainingRun, processes: Processes, task: Task) -> None:
+        self._recipe, self._run, self._processes, self._task = recipe, run, processes, task
+        self.state = TrainingState(recipe, task, processes, run.out)
+        self.steps = recipe.schedule.steps
+        self._resolved: dict[str, Any] = {
+            "recipe": asdict(recipe),
+            "crop": task.data.augment.crop,
+            "init": None if run.init is None else run.init.name,
+            "teacher": None if run.teacher is None else run.teacher.name,
+            "processes": processes.count,
+        }
+        self._scores: ScoreTable | None = None  # of the first process, which alone writes it
+        # Of the last validation ("after"), and of that before the first step.
+        self._results: dict[str, Sequence[Result]] = {}
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all steps are done."""
+        return self.state.step == self.steps
+
+    def tell(self, text: str) -> None:
+        """Print a line above the progress bar; the first process does."""
+        if self._processes.is_first:
+            tqdm.write(text, file=sys.stderr)
+
+    def claim_folder(self) -> None:
+        """Make the folder that of this training, see `prepare_folder`."""
+        sets = (*self._recipe.data.source, *self._recipe.validation.source)
+        files = list_data(self._run.data, [folder for item in sets for folder in item.folders])
+        prepare_folder(self._run.out, self._resolved, files, self._run.data)
+
+    def save(self) -> None:
+        """Write last.pt."""
+        self.state.save(self._run.out / LAST, self._facts())
+
+    def advance(self) -> None:
+        """Take the steps that are left, with their checkpoints and validations."""
+        first, is_first = self.state.step, self._processes.is_first
+        self._scores = ScoreTable(self._run.out / SCORES, first) if is_first else None
         with (
-            Board(out / TENSORBOARD if processes.is_first else None, state.step) as board,
+            Board(self._run.out / TENSORBOARD if is_first else None, first) as board,
             tqdm(
-                total=steps,
-                initial=state.step,
+                total=self.steps,
+                initial=first,
                 desc="train",
                 unit="step",
                 mininterval=1.0 if sys.stderr.isatty() else 30.0,  # a line of a log file
-                disable=not processes.is_first,
+                disable=not is_first,
             ) as bar,
-            read_batches(recipe, task, processes, state.step) as batches,
+            read_batches(self._recipe, self._task, self._processes, first) as batches,
         ):
+            self._score_start(board)
+            self._take_steps(batches, board, bar)
 
-            def score(name: str, network: Network) -> None:
-                """Validate; the first process alone writes the table and the best weights."""
-                results[name] = validate(
-                    name,
-                    network,
-                    recipe.model.class_table,
-                    task,
-                    processes,
-                    board,
-                    state.step,
-                    pictures=recipe.validation.pictures,
-                    stop=stop,
-                )
-                figures = {result.row.data: result.row.figures for result in results[name]}
-                if scores and scores.add(state.step, figures, recipe.validation.best):
-                    save_checkpoint(out / BEST, network, training=facts())
+    def release(self) -> None:
+        """Write model.pt, the change of the scores, and the page of the validation."""
+        network = self._released()
+        save_checkpoint(self._run.out / FINAL, network, training=self._facts())
+        for line in self._scores.compare() if self._scores else ():
+            self.tell(line)
+        if not self._task.validation:
+            return
+        networks, init = {"after": network}, self._run.init
+        if init is not None and init.network.config.classes == network.config.classes:
+            before = copy.deepcopy(init.network).to(self._processes.device)
+            networks = {"before": before, **networks}
+            if before.config != network.config:
+                self._results.pop("before", None)  # it was another network's
+        write_validation(
+            networks,
+            self._recipe.model.class_table,
+            self._task,
+            self._run.out / PAGE,
+            known=self._results,
+            stop=self._run.stop,
+        )
 
-            def is_due() -> bool:
-                last = state.step == steps
-                return bool(task.validation) and (last or state.step % recipe.validate_every == 0)
+    def _score_start(self, board: Board) -> None:
+        """Score the initial weights, or make up for a validation that was interrupted."""
+        if not self.state.step:
+            if self._task.validation and self._run.init is not None:
+                self._score("before", self.state.averaged, board)
+        elif self._is_due:
+            # A run that was stopped or killed in a validation begins with it.
+            known = self._scores is not None and self.state.step in self._scores
+            if not any(self._processes.gather(known)):
+                self._score("after", self._released(), board)
 
-            if state.step == 0 and task.validation and init is not None:
-                score("before", state.averaged)
-            elif state.step and is_due():
-                # A run that was stopped or killed in a validation begins with it.
-                known = scores is not None and state.step in scores
-                if not any(processes.gather(known)):
-                    score("after", released())
-            while state.step < last_step and not processes.any_of(stop()):
-                done = state.advance(batches)
-                if bar.update():  # the loss is read from its device only when it is shown
-                    bar.set_postfix(loss=f"{done.terms['total'].item():.3f}", refresh=False)
-                if state.step % recipe.log_every == 0:
-                    board.add_step(done, dict(state.criterion.log_variances.items()), state.step)
-                # Before the validation, which takes long and may be ended by a kill.
-                if is_due() or state.step % recipe.checkpoint_every == 0:
-                    state.save(out / LAST, facts())
-                if is_due():
-                    score("after", released())
-        state.save(out / LAST, facts())
-        if state.step == steps and processes.is_first:
-            save_checkpoint(out / FINAL, released(), training=facts())
-            for line in scores.compare() if scores else ():
-                tqdm.write(line, file=sys.stderr)
-            if task.validation:
-                networks = {"after": released()}
-                classes = networks["after"].config.classes
-                if init is not None and init.network.config.classes == classes:
-                    before = copy.deepcopy(init.network).to(processes.device)
-                    networks = {"before": before, **networks}
-                    if before.config != networks["after"].config:
-                        results.pop("before", None)  # it was another network's
-                table = recipe.model.class_table
-                write_validation(networks, table, task, out / PAGE, known=results, stop=stop)
-        processes.wait()  # until the file is written
-        # A run that was stopped early releases no weights.
-        return out / (FINAL if state.step == steps else LAST)
-    return out / LAST
+    def _take_steps(self, batches: Iterator[Batch], board: Board, bar: tqdm) -> None:
+        recipe, state, limit = self._recipe, self.state, self._run.stop_after
+        last = self.steps if limit is None else min(self.steps, limit)
+        while state.step < last and not self._processes.any_of(self._run.stop()):
+            done = state.advance(batches)
+            if bar.update():  # the loss is read from its device only when it is shown
+                bar.set_postfix(loss=f"{done.terms['total'].item():.3f}", refresh=False)
+            if state.step % recipe.log_every == 0:
+                board.add_step(done, dict(state.criterion.log_variances.items()), state.step)
+            # Before the validation, which takes long and may be ended by a kill.
+            if self._is_due or state.step % recipe.checkpoint_every == 0:
+                self.save()
+            if self._is_due:
+                self._score("after", self._released(), board)
+
+    @property
+    def _is_due(self) -> bool:
+        """Whether the present step ends with a validation."""
+        due = self.is_complete or self.state.step % self._recipe.validate_every == 0
+        return bool(self._task.validation) and due
+
+    def _score(self, name: str, network: Network, board: Board) -> None:
+        """Validate; the first process alone writes the table and the best weights."""
+        recipe, step = self._recipe.validation, self.state.step
+        self._results[name] = validate(
+            name,
+            network,
+            self._recipe.model.class_table,
+            self._task,
+            self._processes,
+            board,
+            step,
+            pictures=recipe.pictures,
+            stop=self._run.stop,
+        )
+        figures = {result.row.data: result.row.figures for result in self._results[name]}
+        if self._scores and self._scores.add(step, figures, recipe.best):
+            save_checkpoint(self._run.out / BEST, network, training=self._facts())
+
+    def _released(self) -> Network:
+        """Return the averaged weights as they are released."""
+        share = self._recipe.release.logit_adjustment
+        return adjust_logits(self.state.averaged, self._task.criterion.class_weights, share)
+
+    def _facts(self) -> dict[str, Any]:
+        return TrainingFacts(
+            data=self._task.known_data,
+            terms=self._task.data_terms,
+            trained_height=self._recipe.model.trained_height,
+            step=self.state.step,
+            **self._resolved,
+        ).to_dict()

@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from torch import Tensor
@@ -11,10 +11,11 @@ from models import Network, load_checkpoint, save_checkpoint
 from runtime.base.errors import InputError
 from runtime.files.atomic_write import atomic_write
 from training.distributed import join_processes
-from training.initial_weights import Weights, read_weights
+from training.initial_weights import read_weights
 from training.loading.open_dataset import open_dataset, spread_pictures
 from training.loop import train
 from training.recipe import Recipe
+from training.run import RunResult, TrainingRun
 from training.run_folder import FINAL, RECIPE, folder_errors
 
 # The file in a stage's folder with the result of its call on the trained weights.
@@ -58,83 +59,58 @@ class Stage:
         return FINAL if self.then is None else RESULT
 
 
-def train_stages(
-    stages: Sequence[Stage],
-    *,
-    data: Sequence[Path],
-    out: Path,
-    init: Weights | None = None,
-    teacher: Weights | None = None,
-    device: str = "cpu",
-    stop_after: int | None = None,
-    stop: Callable[[], bool] = lambda: False,
-) -> Path:
+def train_stages(stages: Sequence[Stage], run: TrainingRun) -> RunResult:
     """Run all stages; a run that was stopped or killed is resumed in its stage.
 
-    Each stage is a run in `out`/NUMBER-NAME that begins with the result of the stage before: its
-    model.pt or, if the stage has a call, the result.pt that the call makes of it. The result of the
-    last stage is also `out`/model.pt. A finished stage is not run again; it is an error if its
-    recipe has changed.
+    Each stage is a run in `run.out`/NUMBER-NAME that begins with the result of the stage before:
+    its model.pt or, if the stage has a call, the result.pt that the call makes of it. The result of
+    the last stage is also `run.out`/model.pt. A finished stage is not run again; it is an error if
+    its recipe has changed.
 
     Args:
         stages: the stages of a recipe, in order.
-        data: see `train`, like what follows.
-        out: folder of all stages.
-        init: a checkpoint that the first stage starts from.
-        teacher: a checkpoint whose answers all stages learn.
-        device: "cpu", "cuda" or "cuda:N".
-        stop_after: stop at this step, counted over all stages.
-        stop: called between two steps; True stops.
+        run: see `train`; its `init` is that of the first stage.
 
     Returns:
-        `out`/model.pt, or the last.pt of the stage that was stopped; stopped exactly between two
-        stages, the model.pt of the first of them.
+        The model.pt in `run.out`, or the last.pt of the stage that was stopped; stopped exactly
+        between two stages, the model.pt of the first of them.
 
     Raises:
-        InputError: if `out` belongs to other stages, and as in `train`, like all others.
+        InputError: if the folder belongs to other stages, and as in `train`, like all others.
     """
-    _require_same_stages(stages, out)
-    with join_processes(device) as processes:
+    _require_same_stages(stages, run.out)
+    out, left = run.out, run.stop_after
+    with join_processes(run.device) as processes:
         for stage in stages:
-            folder = out / stage.folder
-            path = train(
-                stage.recipe,
-                data=data,
-                out=folder,
-                init=init,
-                teacher=teacher,
-                device=device,
-                stop_after=stop_after,
-                stop=stop,
-            )
-            if path.name != FINAL:
-                return path
+            run = replace(run, out=out / stage.folder, stop_after=left)
+            found = train(stage.recipe, run)
+            if found.stopped:
+                return found
             if processes.is_first:
-                _make_result(stage, folder, folder, init, data)
+                _make_result(stage, run, run.out)
             processes.wait()  # until the file is written
-            result = folder / stage.result
+            result = run.out / stage.result
             if stage is stages[-1]:
                 break
-            init = read_weights(result)
-            if stop_after is not None:
-                stop_after -= stage.recipe.schedule.steps
-                if stop_after < 1:
-                    return path
+            run = replace(run, init=read_weights(result))
+            if left is not None:
+                left -= stage.recipe.schedule.steps
+                if left < 1:
+                    return replace(found, stopped=True)
         if result != out / FINAL and processes.is_first:
             with folder_errors(out):
                 atomic_write(out / FINAL, result.read_bytes())
         processes.wait()  # until the file is written
-    return out / FINAL
+    return RunResult(out / FINAL)
 
 
-def _make_result(
-    stage: Stage, folder: Path, made: Path, init: Weights | None, data: Sequence[Path]
-) -> None:
+def _make_result(stage: Stage, run: TrainingRun, made: Path) -> None:
     """Run `then` of a finished stage, and write its network to `made`, unless it exists."""
     if stage.then is not None and not (made / stage.result).is_file():
-        before = None if init is None else init.network
-        trained = load_checkpoint(folder / FINAL)
-        network = stage.then(Trained(before, trained.model, _read_pictures(stage.recipe, data)))
+        before = None if run.init is None else run.init.network
+        trained = load_checkpoint(run.out / FINAL)
+        pictures = _read_pictures(stage.recipe, run.data)
+        network = stage.then(Trained(before, trained.model, pictures))
         save_checkpoint(made / stage.result, network, training=trained.training)
 
 
@@ -146,25 +122,22 @@ def _read_pictures(recipe: Recipe, data: Sequence[Path]) -> Iterator[Tensor]:
     )
 
 
-def next_stage(
-    stages: Sequence[Stage], out: Path, init: Weights | None, data: Sequence[Path]
-) -> tuple[Stage, Path, Weights | None]:
-    """Return the first stage that is not finished, its folder, and the weights it starts from.
+def next_stage(stages: Sequence[Stage], run: TrainingRun) -> tuple[Stage, TrainingRun]:
+    """Return the first stage that is not finished, and its run: its folder and initial weights.
 
-    Nothing is written to `out`.
+    Nothing is written to the folder.
     """
-    _require_same_stages(stages, out)
+    _require_same_stages(stages, run.out)
+    out = run.out
     for stage in stages:
-        folder = out / stage.folder
-        if not (folder / FINAL).is_file() or stage is stages[-1]:
+        run = replace(run, out=out / stage.folder)
+        if not (run.out / FINAL).is_file() or stage is stages[-1]:
             break
-        if (folder / stage.result).is_file():
-            init = read_weights(folder / stage.result)
-            continue
         with tempfile.TemporaryDirectory() as made:
-            _make_result(stage, folder, Path(made), init, data)
-            init = read_weights(Path(made) / stage.result)
-    return stage, folder, init
+            place = run.out if (run.out / stage.result).is_file() else Path(made)
+            _make_result(stage, run, place)
+            run = replace(run, init=read_weights(place / stage.result))
+    return stage, run
 
 
 def _require_same_stages(stages: Sequence[Stage], out: Path) -> None:

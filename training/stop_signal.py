@@ -7,6 +7,14 @@ from collections.abc import Callable, Iterator
 from runtime.command.process import stop_requested
 from training.datasets.sample import Sample, SampleSource
 
+# Called between two steps or two frames; True asks to stop.
+Stop = Callable[[], bool]
+
+
+def never() -> bool:
+    """Return False: the `Stop` of a run that nothing stops."""
+    return False
+
 
 class StopRequested(Exception):
     """A signal arrived where nothing is lost by leaving at once."""
@@ -15,7 +23,7 @@ class StopRequested(Exception):
 class Watched:
     """A data set that raises StopRequested instead of a frame once `stop` is True."""
 
-    def __init__(self, source: SampleSource, stop: Callable[[], bool]) -> None:
+    def __init__(self, source: SampleSource, stop: Stop) -> None:
         self._source, self._stop = source, stop
 
     def __len__(self) -> int:
@@ -28,7 +36,7 @@ class Watched:
 
 
 @contextlib.contextmanager
-def stop_signal() -> Iterator[Callable[[], bool]]:
+def stop_signal() -> Iterator[Stop]:
     """Yield what is True once Ctrl-C, SIGTERM or SIGHUP arrived; a second one ends the process.
 
     In processes of torchrun a second signal is ignored: they get the first one twice, from the

@@ -5,7 +5,7 @@ import copy
 import math
 import random
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,7 +24,7 @@ from runtime.engine.cores import available_cores
 from training.datasets.sample import SampleSource
 from training.distributed import Processes
 from training.evaluation.scoring import figure_names
-from training.initial_weights import Weights, prepare_teacher, state_provenance
+from training.initial_weights import prepare_teacher, state_provenance
 from training.lidar.split import LidarInput
 from training.limits import PAIR_STEP_PX
 from training.loading.augment_config import with_crop
@@ -42,7 +42,8 @@ from training.losses.terms import Term
 from training.network import build_network
 from training.optimizer import build_optimizer
 from training.recipe import DataRecipe, OptimizerRecipe, Recipe
-from training.stop_signal import Watched
+from training.run import TrainingRun
+from training.stop_signal import Stop, Watched
 
 # Frames of a validation set that are scored ahead of the training, to know its scores.
 _SCORED = 20
@@ -89,24 +90,18 @@ class Task:
 
 
 def open_task(
-    recipe: Recipe,
-    processes: Processes,
-    data: Sequence[Path],
-    init: Weights | None,
-    teacher: Weights | None,
-    *,
-    resumed: bool = False,
-    stop: Callable[[], bool] = lambda: False,
+    recipe: Recipe, run: TrainingRun, processes: Processes, *, resumed: bool = False
 ) -> Task:
     """Seed the random numbers, open the data sets and build network and loss, see `loop.train`.
 
-    A `resumed` training does not read pretrained weights again. Raises StopRequested while
-    `stop` is True.
+    A `resumed` training does not read pretrained weights again. Raises StopRequested once `run`
+    is stopped, unless other processes would wait for this one.
     """
+    stop = processes.own_stop(run.stop)
     _seed(recipe.data.seed)
-    sets = _open_sets(recipe, data, stop)
-    network, taught_by = _open_networks(recipe, sets, init, teacher, processes, resumed=resumed)
-    known_data, data_terms = state_provenance(recipe, init, teacher)
+    sets = _open_sets(recipe, run.data, stop)
+    network, taught_by = _open_networks(recipe, sets, run, processes, resumed=resumed)
+    known_data, data_terms = state_provenance(recipe, run.init, run.teacher)
     watched = [Watched(source, stop) for source in sets.sources]
     found = survey(recipe.data.source, watched, recipe.model.class_names, network.config)
     decided = replace(
@@ -159,7 +154,7 @@ class _Sets(NamedTuple):
     validation: Mapping[str, SampleSource]
 
 
-def _open_sets(recipe: Recipe, data: Sequence[Path], stop: Callable[[], bool]) -> _Sets:
+def _open_sets(recipe: Recipe, data: Sequence[Path], stop: Stop) -> _Sets:
     opened = partial(open_dataset, roots=data, classes=recipe.model.class_table, stop=stop)
     return _Sets(
         [opened(item) for item in recipe.data.source],
@@ -170,16 +165,15 @@ def _open_sets(recipe: Recipe, data: Sequence[Path], stop: Callable[[], bool]) -
 def _open_networks(
     recipe: Recipe,
     sets: _Sets,
-    init: Weights | None,
-    teacher: Weights | None,
+    run: TrainingRun,
     processes: Processes,
     *,
     resumed: bool,
 ) -> tuple[Network, Network | None]:
     """Build the network and its teacher on the device; InputError for a network's wrong output."""
     pictures = spread_pictures(sets.sources)
-    network = build_network(recipe.model, init, resumed=resumed, pictures=pictures)
-    taught_by = prepare_teacher(teacher, recipe.loss, network)
+    network = build_network(recipe.model, run.init, resumed=resumed, pictures=pictures)
+    taught_by = prepare_teacher(run.teacher, recipe.loss, network)
     try:
         check_output(network)
     except ValueError as error:
@@ -217,7 +211,7 @@ def _depth_target(recipe: Recipe, network: Network) -> DepthTarget:
 
 
 def _doubts_of_validation(
-    recipe: Recipe, sets: _Sets, network: Network, stop: Callable[[], bool]
+    recipe: Recipe, sets: _Sets, network: Network, stop: Stop
 ) -> Iterator[str]:
     """Yield why scores of validation sets do not hold, or why there are none."""
     for title, source in sets.validation.items():

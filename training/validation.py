@@ -1,7 +1,7 @@
 """Validations during a training, and its curves and pictures in TensorBoard."""
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from training.evaluation.shared_classes import ScoredClasses
 from training.run_folder import folder_errors
 from training.score_table import SHOWN
 from training.state import Step
-from training.stop_signal import StopRequested, Watched
+from training.stop_signal import Stop, StopRequested, Watched
 from training.task import Task
 
 
@@ -77,7 +77,7 @@ def write_validation(
     path: Path,
     *,
     known: Mapping[str, Sequence[Result]],
-    stop: Callable[[], bool],
+    stop: Stop,
 ) -> None:
     """Write the page of networks on the validation sets, see `training.evaluation.page`.
 
@@ -106,7 +106,7 @@ def write_validation(
         tqdm.write(f"the page of the validation: {path}", file=sys.stderr)
 
 
-def _open_sets(task: Task, table: ClassTable, stop: Callable[[], bool]) -> list[EvaluatedSet]:
+def _open_sets(task: Task, table: ClassTable, stop: Stop) -> list[EvaluatedSet]:
     classes = ScoredClasses(table, tuple(info.name for info in list_classes(table)))
     return [
         EvaluatedSet(name, Watched(source, stop), classes, range(len(source)), task.farthest_m)
@@ -128,7 +128,7 @@ def validate(
     step: int,
     *,
     pictures: int,
-    stop: Callable[[], bool],
+    stop: Stop,
 ) -> list[Result]:
     """Score the network, each process on its share of the frames; show scores and pictures.
 
@@ -138,7 +138,7 @@ def validate(
     Returns:
         The result of each set, named `name`.
     """
-    sets = _open_sets(task, table, stop if processes.count == 1 else lambda: False)
+    sets = _open_sets(task, table, processes.own_stop(stop))
     model = open_network(network, table)
     results = [
         result

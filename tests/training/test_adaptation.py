@@ -28,6 +28,7 @@ from training.evaluation.scoring import HeadMaps
 from training.initial_weights import read_weights
 from training.loading.lidar_input import draw_lidar
 from training.loading.open_dataset import open_dataset
+from training.run import TrainingRun
 
 SIZE, FOCAL_PX = (96, 160), 120.0
 STEPS = ["schedule.steps = 1", "schedule.warmup_steps = 0", "data.augment.crop = [64, 96]"]
@@ -59,6 +60,11 @@ def described(rig):
     return describe_recording(str(rig / "images"), depth=rig / "lidar")
 
 
+def start(rig, init, out, changes=STEPS, **options):
+    recording, root = described(rig)
+    return adapt(recording, init, TrainingRun([root], out, **options), changes)
+
+
 @pytest.fixture(autouse=True)
 def small_bundled_frames(monkeypatch):
     """Let the bundled recording be a part of its first two frames, which is quickly predicted."""
@@ -85,7 +91,7 @@ def weights(tmp_path):
 
 def test_only_layers_of_the_depth_alone_are_trained(rig, weights, tmp_path):
     init = read_weights(weights)
-    found = adapt(*described(rig), init, tmp_path / "out", changes=STEPS)
+    found = start(rig, init, tmp_path / "out")
     trained = load_checkpoint(tmp_path / "out" / "training" / "model.pt").model
     before, after = init.network.state_dict(), trained.state_dict()
     changed = {name for name in before if not torch.equal(before[name], after[name])}
@@ -101,7 +107,7 @@ def test_only_layers_of_the_depth_alone_are_trained(rig, weights, tmp_path):
     assert not torch.equal(one.depths[0], other.depths[0])
     assert found.path == tmp_path / "out" / "model.pt"
     # The same call does not train again.
-    assert adapt(*described(rig), init, tmp_path / "out", changes=STEPS).lines == found.lines
+    assert start(rig, init, tmp_path / "out").lines == found.lines
 
 
 def test_a_change_is_relative_to_the_depth_before(monkeypatch):
@@ -142,7 +148,7 @@ def test_the_better_model_is_kept_unless_it_forgets(
 ):
     init = read_weights(weights)
     scored(errors, forgotten)
-    found = adapt(*described(rig), init, tmp_path / "out", changes=STEPS)
+    found = start(rig, init, tmp_path / "out")
     assert found.paid == (kept != "before")
     text = "\n".join(found.lines)
     assert "9000 / 9000, 9000" in text
@@ -199,11 +205,11 @@ def test_returns_that_cannot_be_scored_are_refused_before_the_training(
     for path in sorted((rig / "lidar").iterdir())[2:]:
         cv2.imwrite(str(path), few)
     with pytest.raises(InputError, match="2 frames could be read and have returns"):
-        adapt(*described(rig), read_weights(weights), tmp_path / "out", changes=STEPS)
+        start(rig, read_weights(weights), tmp_path / "out")
 
 
 def test_a_stop_while_frames_are_read_leaves_nothing(rig, weights, tmp_path):
-    found = adapt(*described(rig), read_weights(weights), tmp_path / "out", stop=lambda: True)
+    found = start(rig, read_weights(weights), tmp_path / "out", stop=lambda: True)
     assert (found.lines, found.paid, list(tmp_path.glob("out/*"))) == ((), False, [])
 
 
@@ -228,7 +234,7 @@ def test_scans_without_a_return_in_the_image_are_refused_and_nothing_is_kept(
     for path in (rig / "lidar").iterdir():
         cv2.imwrite(str(path), np.zeros(SIZE, np.uint16))
     with pytest.raises(InputError, match="no frame has returns in the image"):
-        adapt(*described(rig), read_weights(weights), tmp_path / "out", changes=STEPS)
+        start(rig, read_weights(weights), tmp_path / "out")
     assert not list(tmp_path.glob("out/*"))
 
 
@@ -237,17 +243,17 @@ def test_a_folder_that_cannot_be_resumed_is_refused_before_frames_are_read(rig, 
     (out / "training").mkdir(parents=True)
     (out / "training" / "recipe.json").write_text("{}")
     with pytest.raises(InputError, match=r"an earlier release began .* another --out"):
-        adapt(*described(rig), init, out)
+        start(rig, init, out)
     (out / "frames.json").write_text('{"train": [0]}')
     with pytest.raises(InputError, match=r"frames.json: cannot be read .*missing key kept_apart"):
-        adapt(*described(rig), init, out)
+        start(rig, init, out)
 
 
 def test_a_network_without_layers_of_the_depth_alone_is_refused(rig, tmp_path):
     path = tmp_path / "classes.pt"
     save_checkpoint(path, create_model("fast-scnn"))
     with pytest.raises(InputError, match="no layers that the depth alone reads"):
-        adapt(*described(rig), read_weights(path), tmp_path / "out")
+        start(rig, read_weights(path), tmp_path / "out")
 
 
 def test_what_is_not_fed_is_the_target(rig, weights, tmp_path):

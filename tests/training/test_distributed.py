@@ -36,6 +36,7 @@ from training.datasets.folders import FoldersRecipe
 from training.loading.augment import AugmentConfig
 from training.losses import LossConfig
 from training.recipe import *
+from training.run import TrainingRun
 source = FoldersRecipe(
     path="scenes", labels="labels", depth="depth", intrinsics=(60.0, 60.0, 28.0, 20.0)
 )
@@ -63,7 +64,7 @@ def train(data, out, *, batch=2, parts=1, stop_rank=None):
         loop=replace(recipe.loop, accumulate=parts),
     )
     steps = iter([False, os.environ["RANK"] == stop_rank])  # one of them is told to stop
-    loop.train(run, data=[data], out=out, stop=lambda: next(steps, False))
+    loop.train(run, TrainingRun([data], out, stop=lambda: next(steps, False)))
     torch.save(kept.state_dict(), out / f"rank{os.environ['RANK']}.weights")
 root = Path(sys.argv[1])
 for name, processes, options in json.loads(sys.argv[2]):

@@ -16,13 +16,12 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from layouts.virtual_kitti import write_second_edition
 from models import create_model, load_checkpoint
 from runtime.base.errors import CheckpointError, DatasetError, InputError, OutputError
-from training import validation
+from training import loop, validation
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.evaluate import evaluate
 from training.initial_weights import read_weights
 from training.loading.augment_config import AugmentConfig
-from training.loop import train
 from training.losses import LossConfig
 from training.losses.terms import TERMS
 from training.recipe import (
@@ -36,6 +35,7 @@ from training.recipe import (
     ValidationRecipe,
     derive,
 )
+from training.run import TrainingRun
 from training.run_folder import lock_folder
 from training.state import NonFiniteLossError
 
@@ -67,6 +67,11 @@ def validated(run, **options):
     return replace(run, validation=ValidationRecipe(source=source, **options))
 
 
+def train(run, data, out, **options):
+    """Train, and return the path of the checkpoint."""
+    return loop.train(run, TrainingRun([data], out, **options)).path
+
+
 def weights(path):
     return load_checkpoint(path).model.state_dict()
 
@@ -89,16 +94,16 @@ def test_an_interrupted_run_ends_at_the_same_weights_and_scores(data, tmp_path):
     loss = LossConfig(weighting="uncertainty", weights={"semantic_consistency": 0.5})
     run = recipe(3, data={"batch_size": 2, "augment": augment}, loss=loss)
     run = validated(run, every=1, best="camvid/boundary_f")
-    expected = weights(train(run, data=[data], out=tmp_path / "whole"))
+    expected = weights(train(run, data, tmp_path / "whole"))
     last = tmp_path / "parts/last.pt"
     for stop in (1, 2):
-        assert train(run, data=[data], out=tmp_path / "parts", stop_after=stop) == last
+        assert train(run, data, tmp_path / "parts", stop_after=stop) == last
     left = last.read_bytes()
-    train(run, data=[data], out=tmp_path / "parts")
+    train(run, data, tmp_path / "parts")
     # Killed after the last validation, before its checkpoint: it is done again.
     last.write_bytes(left)
     (tmp_path / "parts" / "model.pt").unlink()
-    assert_equal(weights(train(run, data=[data], out=tmp_path / "parts")), expected)
+    assert_equal(weights(train(run, data, tmp_path / "parts")), expected)
     best, expected = (load_checkpoint(tmp_path / name / "best.pt") for name in ("parts", "whole"))
     assert best.training["step"] == expected.training["step"]
     whole, parts = ((tmp_path / name / "scores.csv").read_text() for name in ("whole", "parts"))
@@ -117,7 +122,7 @@ def test_an_interrupted_run_ends_at_the_same_weights_and_scores(data, tmp_path):
 
 def test_tensorboard_shows_terms_rates_scores_and_pictures(data, tmp_path):
     run = validated(recipe(1, loop={"accumulate": 2}))
-    train(run, data=[data], out=tmp_path / "run")
+    train(run, data, tmp_path / "run")
     events = read_events(tmp_path / "run")
     scalars = events.Tags()["scalars"]
     assert {"loss/semantic", "loss/boundary", "loss/total", "learning_rate"} <= set(scalars)
@@ -143,7 +148,7 @@ def test_validation_feeds_the_lidar_of_the_recipe(data, tmp_path, monkeypatch):
     for number, lidar in enumerate(("none", "random:0.5")):
         scored = ValidationRecipe(source=(RenderedRecipe(path="scenes"),), lidar=lidar)
         out = tmp_path / str(number)
-        train(recipe(1, validation=scored), data=[data], out=out)
+        train(recipe(1, validation=scored), data, out)
         errors.append(read_events(out).Scalars("validation/scenes/mae_m")[0].value)
     assert errors[0] != errors[1]
     assert score_set.call_count == 2  # the page takes the scores of the validation
@@ -157,12 +162,12 @@ def test_validation_feeds_the_lidar_of_the_recipe(data, tmp_path, monkeypatch):
 
 
 def test_a_damaged_state_of_the_loop_is_not_resumed(data, tmp_path):
-    last = train(recipe(), data=[data], out=tmp_path / "run", stop_after=1)
+    last = train(recipe(), data, tmp_path / "run", stop_after=1)
     document = torch.load(last, weights_only=True)
     for part in ("step", "average"):
         torch.save({**document, "trainer": {**document["trainer"], part: None}}, last)
         with pytest.raises(CheckpointError, match="cannot be resumed"):
-            train(recipe(), data=[data], out=tmp_path / "run")
+            train(recipe(), data, tmp_path / "run")
 
 
 def test_a_damaged_frame_is_named_without_a_traceback(data, tmp_path, monkeypatch):
@@ -172,7 +177,7 @@ def test_a_damaged_frame_is_named_without_a_traceback(data, tmp_path, monkeypatc
     run = recipe(loss={"class_weighting": "none"}, data={"workers": 1})
     others = set(multiprocessing.active_children())
     with pytest.raises(DatasetError) as raised:
-        train(run, data=[data], out=tmp_path / "run")
+        train(run, data, tmp_path / "run")
     # Though the traceback holds the loader: a worker that is left keeps the process from ending.
     assert set(multiprocessing.active_children()) <= others
     assert len(str(raised.value).splitlines()) == 1
@@ -192,24 +197,24 @@ def test_a_folder_has_one_writer(data, tmp_path):
     other.start()
     assert held.wait(20)
     with pytest.raises(InputError, match="another process trains in it"):
-        train(recipe(1), data=[data], out=tmp_path / "run")
+        train(recipe(1), data, tmp_path / "run")
     other.kill()
     other.join()
-    assert train(recipe(1), data=[data], out=tmp_path / "run").name == "model.pt"
+    assert train(recipe(1), data, tmp_path / "run").name == "model.pt"
 
 
 def test_files_of_others_are_not_replaced(data, tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "model.pt").write_text("mine")
     with pytest.raises(OutputError, match=r"model\.pt does not belong"):
-        train(recipe(1), data=[data], out=tmp_path / "run")
+        train(recipe(1), data, tmp_path / "run")
     assert [path.name for path in (tmp_path / "run").iterdir()] == ["model.pt"]
 
 
 def test_non_finite_loss_names_the_frames(data, tmp_path):
     run = recipe(optimizer={"learning_rate": 1e8})
     with pytest.raises(NonFiniteLossError, match=r"step \d: .*non_finite\.json"):
-        train(run, data=[data], out=tmp_path / "run")
+        train(run, data, tmp_path / "run")
     document = json.loads((tmp_path / "run" / "non_finite.json").read_text())
     assert len(document["frames"]) == run.data.batch_size
     assert all(name.startswith("camvid/") for name in document["frames"])
@@ -227,7 +232,7 @@ def test_accumulated_batches_make_the_step_of_their_mean_gradient(data, tmp_path
     for size, batches in ((1, 2), (2, 1)):
         changes = {"batch_size": size, "augment": {"scale": (1.0, 1.0)}}
         run = recipe(1, loop={"accumulate": batches}, optimizer=sgd, loss=loss, data=changes)
-        train(run, data=[data], out=tmp_path / str(size))
+        train(run, data, tmp_path / str(size))
         found.append(weights(tmp_path / str(size) / "last.pt"))
     torch.manual_seed(run.data.seed)
     start = create_model("ssdnet-lite").state_dict()
@@ -260,14 +265,14 @@ QUICK = ModelRecipe(
 
 def test_a_network_learns_sky_from_road_and_another_its_answers(data, tmp_path):
     labelled = recipe(30, model=QUICK, loss=INDEPENDENT, optimizer={"learning_rate": 6e-3})
-    teacher = train(labelled, data=[data], out=tmp_path / "teacher")
+    teacher = train(labelled, data, tmp_path / "teacher")
     assert right_share(teacher, data) > 0.9
     # Nothing but the teacher's answers: without labels no other term has a target.
     for path in data.glob("camvid/trainannot/*.png"):
         cv2.imwrite(str(path), np.full((64, 80), 11, np.uint8))
     taught = LossConfig(class_weighting="none", weights={"distilled_semantic": 1.0})
     run = derive(labelled, loss=taught, data={"seed": 5})
-    student = train(run, data=[data], out=tmp_path / "student", teacher=read_weights(teacher))
+    student = train(run, data, tmp_path / "student", teacher=read_weights(teacher))
     assert load_checkpoint(student).training["teacher"].startswith("model.pt (sha256 ")
     assert right_share(student, data) > 0.9
 
@@ -275,23 +280,23 @@ def test_a_network_learns_sky_from_road_and_another_its_answers(data, tmp_path):
 def test_a_full_disk_leaves_the_last_good_checkpoint(data, tmp_path, mount_disk):
     run = recipe(2, loop={"checkpoint_every": 1})
     disk = mount_disk(16_384)
-    train(run, data=[data], out=disk / "run", stop_after=1)
+    train(run, data, disk / "run", stop_after=1)
     filler = disk / "filler"
     filler.write_bytes(bytes(shutil.disk_usage(disk).free - 40_000))
     with pytest.raises(CheckpointError, match=r"could not be written.*free some space"):
-        train(run, data=[data], out=disk / "run")
+        train(run, data, disk / "run")
     assert load_checkpoint(disk / "run" / "last.pt").trainer["step"] == 1
     left = {path.name for path in (disk / "run").iterdir()}
     assert left == {".ssdnet", "last.pt", "recipe.json", "tensorboard"}
     filler.unlink()
-    assert train(run, data=[data], out=disk / "run").name == "model.pt"
+    assert train(run, data, disk / "run").name == "model.pt"
 
 
 def test_final_checkpoint_is_adjusted_and_the_resumable_one_is_not(data, tmp_path):
     """Without an average the two checkpoints differ in nothing else."""
     release = ReleaseRecipe(logit_adjustment=1.0)
     run = recipe(1, loss=INDEPENDENT, release=release, loop={"ema_decay": 0.0})
-    path = train(run, data=[data], out=tmp_path / "run")
+    path = train(run, data, tmp_path / "run")
     final, last = weights(path), weights(path.with_name("last.pt"))
     changed = {name for name, value in final.items() if not torch.equal(value, last[name])}
     assert changed == {"semantic_head.bias"}
@@ -300,5 +305,5 @@ def test_final_checkpoint_is_adjusted_and_the_resumable_one_is_not(data, tmp_pat
 def test_what_cannot_start_leaves_no_folder(data, tmp_path):
     for change, device in (({"optimizer": {"only": ("foo",)}}, "cpu"), ({}, "nowhere")):
         with pytest.raises(InputError, match=r"'foo'|'nowhere'"):
-            train(recipe(**change), data=[data], out=tmp_path / "run", device=device)
+            train(recipe(**change), data, tmp_path / "run", device=device)
     assert not (tmp_path / "run").exists()

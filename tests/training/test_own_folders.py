@@ -80,7 +80,7 @@ def test_a_recipe_is_made_for_the_folders_and_trained(mine):
     result = train(mine, *STEPS, depth="lidar")
     assert result.exit_code == 0, result.output
     text = (mine / "run/recipe.toml").read_text()
-    assert text in result.stdout
+    assert text in result.stderr
     assert 'only = ["semantic_"]' in text
     changed = changed_layers(mine)
     assert {name.split(".")[0] for name in changed} == {
@@ -126,9 +126,9 @@ def test_a_dry_run_shows_the_recipe(mine):
         assert cv2.imwrite(str(path), cv2.imread(str(path), -1).repeat(2, 0).repeat(2, 1))
     result = train(mine, "--dry-run")
     assert result.exit_code == 0, result.output
-    assert "size = 50\n" in result.stdout
-    assert "steps = 200" in result.stdout
-    assert "lidar" not in result.stdout
+    assert "size = 50\n" in result.stderr
+    assert "steps = 200" in result.stderr
+    assert "lidar" not in result.stderr
     assert {path.name for path in (mine / "run").iterdir()} == {"batch.png", "recipe.toml"}
 
 
@@ -151,7 +151,7 @@ def test_images_of_other_sizes_keep_their_aspect(mine, rows, found):
     result = train(mine, "--dry-run", "--set", "data.augment.crop = [32, 32]")
     assert re.search(found, result.output), result.output
     assert result.exit_code == found.startswith("error")
-    assert ("\nsize = 48\n" in result.stdout) == found.startswith(("size", "warning"))
+    assert ("\nsize = 48\n" in result.stderr) == found.startswith(("size", "warning"))
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ from training.loop import train
 from training.losses.terms import TERMS
 from training.network import build_network
 from training.recipes.registry import RECIPES
+from training.run import TrainingRun
 from training.stages import Trained
 
 # What a set of each kind can be scored on.
@@ -206,7 +207,7 @@ def check_training(recipe, data, out, init):
         path = out.with_suffix(".pt")
         save_checkpoint(path, create_model("ssdnet-lite", **recipe.model.config))
         teacher = read_weights(path)
-    trained = train(recipe, data=[data], out=out, init=init, teacher=teacher)
+    trained = train(recipe, TrainingRun([data], out, init=init, teacher=teacher)).path
     checkpoint = load_checkpoint(trained)
 
     config = checkpoint.model.config

@@ -23,6 +23,7 @@ from training.recipe import (
 )
 from training.recipes.registry import RECIPES, PackageRecipe
 from training.release import add_offsets, mix_weights
+from training.run import TrainingRun
 from training.stages import Stage, train_stages
 
 pytestmark = pytest.mark.usefixtures("tiny_lite")
@@ -67,12 +68,12 @@ def weights(path):
 
 def test_killed_at_any_step_each_stage_begins_with_the_weights_of_the_one_before(data, tmp_path):
     whole, out = tmp_path / "whole", tmp_path / "killed"
-    assert train_stages(STAGES, data=[data], out=whole) == whole / "model.pt"
+    assert train_stages(STAGES, TrainingRun([data], whole)).path == whole / "model.pt"
     for calls in (1, 2, 2, 2):  # before each step
         with pytest.raises(Killed):
-            train_stages(STAGES, data=[data], out=out, stop=killer(calls))
+            train_stages(STAGES, TrainingRun([data], out, stop=killer(calls)))
         assert not (out / "model.pt").exists()
-    assert train_stages(STAGES, data=[data], out=out) == out / "model.pt"
+    assert train_stages(STAGES, TrainingRun([data], out)).path == out / "model.pt"
     assert (out / "model.pt").read_bytes() == (out / "2-depth" / "model.pt").read_bytes()
     before, after, expected = (weights(path / "model.pt") for path in (out / "1-all", out, whole))
     assert all(torch.equal(value, expected[name]) for name, value in after.items())
@@ -89,7 +90,7 @@ def test_killed_at_any_step_each_stage_begins_with_the_weights_of_the_one_before
         ((Stage("", ALL),), "holds 1-all"),
     ):
         with pytest.raises(InputError, match=text):
-            train_stages(stages, data=[data], out=out)
+            train_stages(stages, TrainingRun([data], out))
 
 
 NARROW_WIDTHS = [8] * 15 + [4]
@@ -118,10 +119,10 @@ def test_a_call_makes_what_the_next_stage_begins_with_and_what_is_released(
     for index in (0, 2):
         stages = [replace(item, then=killed) if item is CALLED[index] else item for item in CALLED]
         with pytest.raises(Killed):
-            train_stages(stages, data=[data], out=out)
+            train_stages(stages, TrainingRun([data], out))
         assert not (out / CALLED[index].folder / "result.pt").exists()
     assert not (out / "model.pt").exists()
-    assert train_stages(CALLED, data=[data], out=out) == out / "model.pt"
+    assert train_stages(CALLED, TrainingRun([data], out)).path == out / "model.pt"
     wide, pruned, narrow, last = (
         weights(out / name)
         for name in ("1-all/model.pt", "1-all/result.pt", "2-narrow/model.pt", "3-mixed/model.pt")
@@ -145,7 +146,7 @@ def test_a_run_of_one_stage_releases_what_its_call_makes(data, tmp_path):
     recipe = derive(ALL, loop={"ema_decay": 0.0})
     stage = Stage("", recipe, then=lambda run: add_offsets(run.after, {"road": 2.0}))
     for _ in range(2):  # the finished run is not changed again
-        path = train_stages((stage,), data=[data], out=tmp_path / "run")
+        path = train_stages((stage,), TrainingRun([data], tmp_path / "run")).path
         assert path == tmp_path / "run" / "model.pt"
     before, after = (
         weights(each)["semantic_head.bias"] for each in (path.with_name("last.pt"), path)

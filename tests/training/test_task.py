@@ -11,6 +11,7 @@ from runtime.base.errors import InputError
 from training.distributed import Processes
 from training.losses.terms import TERMS
 from training.recipe import Recipe
+from training.run import TrainingRun
 from training.tables import build, merge
 from training.task import open_task
 
@@ -43,7 +44,7 @@ def start(tmp_path, capsys, tiny_lite):
     def call(changes):
         recipe = build(Recipe, merge(RECIPE, changes))
         processes = Processes(0, 1, torch.device("cpu"))
-        call.task = open_task(recipe, processes, [tmp_path], None, None)
+        call.task = open_task(recipe, TrainingRun([tmp_path], tmp_path / "run"), processes)
         return capsys.readouterr().err
 
     call.folder = tmp_path

@@ -7,7 +7,6 @@ from typing import Annotated
 import typer
 
 from runtime.command.options import Version
-from runtime.command.process import reported_errors
 from training.commands.options import (
     EXIT_CODES,
     Begin,
@@ -15,10 +14,9 @@ from training.commands.options import (
     Device,
     Out,
     Threads,
-    end_stopped,
-    set_threads,
+    end_run,
+    training_command,
 )
-from training.stop_signal import stop_signal
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -50,10 +48,9 @@ def adapt(
     the scores before and after, and what to run next.
     """
     files = {"depth": depth, "points": points, "calibration": calibration, "poses": poses}
-    with reported_errors("train"), stop_signal() as stop:
+    with training_command(threads) as stop:
         import training  # heavy, so that --help is quick
 
-        set_threads(threads)
         found = training.adapt(
             recording,
             **files,
@@ -63,10 +60,7 @@ def adapt(
             device=device,
             stop=stop,
         )
-        for line in found.lines:
-            typer.echo(line)
-        if not found.lines:
-            end_stopped(found.path)
+        end_run(found, stop)
         if found.paid:
             for command in _next_commands(recording, files, found.path):
                 typer.echo(shlex.join(command))

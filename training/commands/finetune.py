@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from runtime.command.options import Version
-from runtime.command.process import reported_errors
 from training.commands.options import (
     EXIT_CODES,
     Begin,
@@ -17,9 +16,8 @@ from training.commands.options import (
     StopAfter,
     Threads,
     end_run,
-    set_threads,
+    training_command,
 )
-from training.stop_signal import stop_signal
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -84,14 +82,13 @@ def finetune(
 ) -> None:
     """Train the classes or the depth of a network on your own images.
 
-    A recipe is made for the folders, printed, and written to recipe.toml below --out: edit it, and
-    train by it with ssdnet-train, to change more.
+    A recipe is made for the folders, shown on stderr, and written to recipe.toml below --out: edit
+    it, and train by it with ssdnet-train, to change more.
     """
-    with reported_errors("train"), stop_signal() as stop:
+    with training_command(threads) as stop:
         import training  # heavy, so that --help is quick
 
-        set_threads(threads)
-        path = training.finetune(
+        found = training.finetune(
             images,
             labels=labels,
             classes=classes,
@@ -107,6 +104,5 @@ def finetune(
             stop_after=stop_after,
             stop=stop,
             dry_run=dry_run,
-            report=typer.echo,
         )
-        end_run(path, stop)
+        end_run(found, stop)

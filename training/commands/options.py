@@ -1,12 +1,18 @@
 """Options that the training commands share, and how these commands end."""
 
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from runtime.command.process import INTERRUPTED
+from runtime.command.process import INTERRUPTED, reported_errors
+from training.stop_signal import Stop, stop_signal
+
+if TYPE_CHECKING:  # heavy, and --help is to be quick
+    from training.run import RunResult
+
 
 # How each of these commands ends, for its help.
 EXIT_CODES = (
@@ -51,25 +57,24 @@ DryRun = Annotated[
 ]
 
 
-def set_threads(threads: int | None) -> None:
-    """Set the threads of PyTorch; None leaves them as they are."""
-    import torch
+@contextmanager
+def training_command(threads: int | None) -> Iterator[Stop]:
+    """Report errors, set the threads of PyTorch, and yield what says whether a signal arrived."""
+    with reported_errors("train"), stop_signal() as stop:
+        import torch
 
-    if threads is not None:
-        torch.set_num_threads(threads)
-
-
-def end_run(path: Path, stop: Callable[[], bool]) -> None:
-    """Print what a run or a dry run has made, and end the command if a signal stopped it."""
-    typer.echo(str(path))
-    if stop() and path.name == "last.pt":
-        end_stopped(path)
+        if threads is not None:
+            torch.set_num_threads(threads)
+        yield stop
 
 
-def end_stopped(last: Path) -> None:
-    """End the command after a signal; the checkpoint `last` is where the run goes on, if any."""
-    if last.is_file():
-        typer.echo(f"stopped; the same command resumes from {last}", err=True)
+def end_run(found: "RunResult", stop: Stop) -> None:
+    """Print what a run has made, and end the command if a signal stopped it."""
+    typer.echo(str(found))
+    if not (found.stopped and stop()):
+        return
+    if found.path.is_file():
+        typer.echo(f"stopped; the same command resumes from {found.path}", err=True)
     else:
         typer.echo("stopped before the first step; the same command starts again", err=True)
     raise typer.Exit(INTERRUPTED)

@@ -19,9 +19,8 @@ from training.commands.options import (
     StopAfter,
     Threads,
     end_run,
-    set_threads,
+    training_command,
 )
-from training.stop_signal import stop_signal
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -102,11 +101,10 @@ def train(
     Writes checkpoints, TensorBoard curves, scores and the resolved recipe. See ssdnet-finetune for
     folders of your own images and labels, and ssdnet-adapt for a recording without labels.
     """
-    with reported_errors("train"), stop_signal() as stop:
+    with training_command(threads) as stop:
         import training  # heavy, so that --help is quick
 
-        set_threads(threads)
-        path = training.train(
+        found = training.train(
             recipe,
             data=data,
             out=out,
@@ -117,6 +115,5 @@ def train(
             stop_after=stop_after,
             stop=stop,
             dry_run=dry_run,
-            report=typer.echo,
         )
-        end_run(path, stop)
+        end_run(found, stop)

@@ -4,7 +4,7 @@ import hashlib
 import pickle
 import zlib
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import Sample, SampleSource, labelled, target_kind
 from training.datasets.source_recipe import SourceRecipe
 from training.loading.geometric import resize
-from training.stop_signal import Watched
+from training.stop_signal import Stop, Watched, never
 
 # Number of frames from which the class frequencies of the loss are counted.
 FREQUENCY_SAMPLES = 400
@@ -89,7 +89,7 @@ def open_dataset(
     roots: Sequence[Path],
     *,
     classes: ClassTable,
-    stop: Callable[[], bool] = lambda: False,
+    stop: Stop = never,
 ) -> SampleSource:
     """Open a data set in the first of `roots` that has its folder.
 
