@@ -124,27 +124,21 @@ def test_what_a_package_registers_is_trained_and_exported(lab):
     assert parse_data("lab-distances:far,unit_m=3").unit_m == 3
 
 
-@pytest.mark.parametrize(
-    ("change", "text"),
-    [
-        ("data.source = [{kind = 'lab-distances', path = 'far', unit_m = 0.0}]", "unit_m = 0.0: "),
-        ("data.source = [{kind = 'lab-distances', path = 'far', unit = 1}]", "unknown key unit;"),
-        ("loss.weights.lab-third = 1", "loss.weights.lab-third: unknown term; known: depth,"),
-    ],
-)
+@pytest.mark.parametrize(("change", "text"), [
+    ("data.source = [{kind = 'lab-distances', path = 'far', unit_m = 0.0}]", "unit_m = 0.0: "),
+    ("data.source = [{kind = 'lab-distances', path = 'far', unit = 1}]", "unknown key unit;"),
+    ("loss.weights.lab-third = 1", "loss.weights.lab-third: unknown term; known: depth,"),
+])  # fmt: skip
 def test_its_keys_are_checked_like_those_of_the_package(lab, change, text):
     with pytest.raises(InputError, match=text):
         read_stages(str(lab / "recipe.toml"), [change])
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("lab-none", "unknown model 'lab-none'; known: ssdnet.*, lab-flat"),
-        ("lab-broken", "ssdnet.networks: lab-broken = lab:nothing: .*no attribute 'nothing'"),
-        ("lab-wrong", "lab-wrong = lab:HALF is a Term; expected one of the type Entry"),
-    ],
-)
+@pytest.mark.parametrize(("name", "text"), [
+    ("lab-none", "unknown model 'lab-none'; known: ssdnet.*, lab-flat"),
+    ("lab-broken", "ssdnet.networks: lab-broken = lab:nothing: .*no attribute 'nothing'"),
+    ("lab-wrong", "lab-wrong = lab:HALF is a Term; expected one of the type Entry"),
+])  # fmt: skip
 @pytest.mark.usefixtures("lab")
 def test_what_cannot_be_loaded_is_named(name, text):
     with pytest.raises(ValueError, match=text):

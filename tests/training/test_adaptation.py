@@ -135,14 +135,10 @@ def scored(monkeypatch):
     return set_scores
 
 
-@pytest.mark.parametrize(
-    ("errors", "forgotten", "kept"),
-    [
-        ((2.0, 3.0, 4.0), (0.0, 0.0), "before"),
-        ((4.0, 3.0, 2.0), (0.0, 0.0), "after"),
-        ((4.0, 3.0, 2.0), (0.02, 0.05), "between"),
-    ],
-)
+@pytest.mark.parametrize(("errors", "forgotten", "kept"), [
+    ((2.0, 3.0, 4.0), (0.0, 0.0), "before"), ((4.0, 3.0, 2.0), (0.0, 0.0), "after"),
+    ((4.0, 3.0, 2.0), (0.02, 0.05), "between"),
+])  # fmt: skip
 def test_the_better_model_is_kept_unless_it_forgets(
     rig, weights, tmp_path, scored, errors, forgotten, kept
 ):

@@ -168,15 +168,12 @@ def test_a_teacher_answers_as_it_was_released_and_does_not_learn(write):
         prepare_teacher(write(), LossConfig(), create_model(STUDENT))
 
 
-@pytest.mark.parametrize(
-    ("changes", "text"),
-    [
-        ({"classes": create_model(STUDENT).config.classes[::-1]}, "its classes is"),
-        ({"max_depth_m": 80.0}, "its max_depth_m is 80.0"),
-        ({"canonical_focal_px": 500.0}, "its canonical_focal_px is 500.0, that of the recipe"),
-        ({"depth_head": False}, "has no head 'depth'"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "text"), [
+    ({"classes": create_model(STUDENT).config.classes[::-1]}, "its classes is"),
+    ({"max_depth_m": 80.0}, "its max_depth_m is 80.0"),
+    ({"canonical_focal_px": 500.0}, "its canonical_focal_px is 500.0, that of the recipe"),
+    ({"depth_head": False}, "has no head 'depth'"),
+])  # fmt: skip
 def test_a_teacher_whose_answers_mean_something_else_is_refused(write, changes, text):
     with pytest.raises(InputError, match=text):
         prepare_teacher(write(**changes), TAUGHT, create_model(STUDENT))

@@ -71,10 +71,7 @@ def test_a_recipe_changes_fields_of_the_networks_configuration():
     network = build_network(ModelRecipe("ssdnet-nano", config=config), None)
     expected = replace(create_model("ssdnet-nano").config, decoder_channels=(8, 8, 8))
     assert network.config == replace(expected, geometry_channels=4)
-    alone = build_network(
-        ModelRecipe("ssdnet-lite", config={"semantic_head": False}),
-        None,
-    )
+    alone = build_network(ModelRecipe("ssdnet-lite", config={"semantic_head": False}), None)
     assert "semantic" not in alone.heads
     assert alone.config.classes == ()
 
@@ -101,10 +98,9 @@ def test_images_are_normalised_as_init_does_unless_the_recipe_says_otherwise(tmp
         assert build_network(recipe, read_weights(other)).config.rgb_mean == mean
 
 
-@pytest.mark.parametrize(
-    ("name", "config", "text"),
-    [("enet", {}, "'enet' has no encoder"), ("ssdnet-lite", {"rgb_mean": [9, 9, 9]}, "rgb_mean")],
-)
+@pytest.mark.parametrize(("name", "config", "text"), [
+    ("enet", {}, "'enet' has no encoder"), ("ssdnet-lite", {"rgb_mean": [9, 9, 9]}, "rgb_mean"),
+])  # fmt: skip
 def test_pretrained_weights_that_a_network_cannot_take_are_refused(name, config, text):
     with pytest.raises(InputError, match=text):
         build_network(ModelRecipe(name, pretrained="imagenet", config=config), None)

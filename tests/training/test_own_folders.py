@@ -154,14 +154,10 @@ def test_images_of_other_sizes_keep_their_aspect(mine, rows, found):
     assert ("\nsize = 48\n" in result.stderr) == found.startswith(("size", "warning"))
 
 
-@pytest.mark.parametrize(
-    ("units", "camera", "beyond"),
-    [
-        (256, (), ""),
-        (60 * 256, (), "100 m"),
-        (256, ("--focal-length", "20", "--set", "model.config.canonical_focal_px = 1e3"), "2 m"),
-    ],
-)
+@pytest.mark.parametrize(("units", "camera", "beyond"), [
+    (256, (), ""), (60 * 256, (), "100 m"),
+    (256, ("--focal-length", "20", "--set", "model.config.canonical_focal_px = 1e3"), "2 m"),
+])  # fmt: skip
 def test_depth_beyond_the_range_is_reported(mine, units, camera, beyond):
     for path in mine.glob("lidar/*"):
         assert cv2.imwrite(str(path), np.full((48, 64), 4 * units, np.uint16))
@@ -182,18 +178,15 @@ def without(pattern):
     return lambda folder: [path.unlink() for path in folder.glob(pattern)]
 
 
-@pytest.mark.parametrize(
-    ("spoil", "options", "text"),
-    [
-        (lambda folder: None, {"images": "pictures"}, "cannot list the folder .*pictures"),
-        (classes("\n"), {}, "classes.txt: is empty"),
-        (classes("lane\n\nverge\n"), {}, "classes.txt: line 2 "),
-        (classes("lane\nverge\nlane\n"), {}, "classes.txt: line 3 .* line 1"),
-        (classes("lane\n"), {}, r"00\.png: class id 1"),
-        (without("labels/*"), {}, r"labels: has no file of the frame 00 \(20 of 20"),
-        (without("images/[01][1-9]*"), {}, "images: 2 images; expected at least 10"),
-    ],
-)
+@pytest.mark.parametrize(("spoil", "options", "text"), [
+    (lambda folder: None, {"images": "pictures"}, "cannot list the folder .*pictures"),
+    (classes("\n"), {}, "classes.txt: is empty"),
+    (classes("lane\n\nverge\n"), {}, "classes.txt: line 2 "),
+    (classes("lane\nverge\nlane\n"), {}, "classes.txt: line 3 .* line 1"),
+    (classes("lane\n"), {}, r"00\.png: class id 1"),
+    (without("labels/*"), {}, r"labels: has no file of the frame 00 \(20 of 20"),
+    (without("images/[01][1-9]*"), {}, "images: 2 images; expected at least 10"),
+])  # fmt: skip
 def test_what_cannot_be_trained_on_is_named(mine, spoil, options, text):
     spoil(mine)
     result = train(mine, "--dry-run", **options)
@@ -201,14 +194,11 @@ def test_what_cannot_be_trained_on_is_named(mine, spoil, options, text):
     assert re.search(text, result.stderr)
 
 
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"labels": None, "classes": None}, "images alone teach nothing: give --labels with "),
-        ({"classes": None}, "give --labels and --classes, or neither"),
-        ({"labels": None, "depth": "lidar"}, "give --labels and --classes, or neither"),
-    ],
-)
+@pytest.mark.parametrize(("options", "text"), [
+    ({"labels": None, "classes": None}, "images alone teach nothing: give --labels with "),
+    ({"classes": None}, "give --labels and --classes, or neither"),
+    ({"labels": None, "depth": "lidar"}, "give --labels and --classes, or neither"),
+])  # fmt: skip
 def test_options_that_do_not_fit_are_refused(mine, options, text):
     result = train(mine, **options)
     assert result.exit_code == 1

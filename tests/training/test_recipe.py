@@ -81,38 +81,33 @@ CLASS, SET = "{name = 'a', color = [0, 0, 0]}", "{kind = 'camvid', path = 'r/val
 OWN_CLASSES, VALIDATION = f"model.classes = [{CLASS}]", f"validation.source = [{SET}]"
 
 
-@pytest.mark.parametrize(
-    ("changes", "text"),
-    [
-        (["model.name = ssdnet"], "'model.name = ssdnet' is not .* text needs quotes"),
-        (["model.nam = 'ssdnet'"], r"r\.toml: unknown key model\.nam"),
-        (["model = 3"], "model = 3: "),
-        (["model.name = 'foo'"], "model.name: unknown model 'foo'; known: ssdnet, "),
-        (["model.config.max_depth_m = -1"], "model.config: max_depth_m "),
-        (["model.config.nonsense = 1"], "model.config: .*: nonsense"),
-        (["model.config.canonical_focal_px = nan"], "model.config: canonical_focal_px "),
-        (["model.config.classes = []"], "config has 'classes', which is a separate key"),
-        ([f"model.classes = [{CLASS}, {CLASS}]"], "has 'a' and 'a'"),
-        (["data.batch_size = 0"], r"r\.toml: data\.batch_size = 0"),
-        (["data.augment.crop = [9, 64]"], r"augment.crop = \[9, 64\]"),
-        (["data.augment.crop = [100000, 320]"], r"augment.crop\[0\] = 100000: "),
-        (["data.augment.lines = [5]"], r"augment.lines\[0\] = 5: "),
-        (["data.augment.pair_shift = 5"], "augment.pair_shift = 5: "),
-        (["data.augment.pair_shift = 32", "data.augment.crop = [96, 320]"], "would not overlap"),
-        (["loss.weights.depth_consistency = 1.0"], "weights.depth_consistency .*pair_shift"),
-        (["loss.depth_weight = inf"], "loss.weights.depth = inf: "),
-        (["schedule.warmup_steps = 11"], "schedule.warmup_steps = 11"),
-        ([f"terms = '{'x' * 20_000}'"], r"terms = 'x{199}…: "),
-        (["validation.lidar = '63'"], r"validation\.lidar = '63': .*divides 64, random:SHARE"),
-        ([VALIDATION, "validation.best = 'camvid/miou'"], "best = 'camvid/miou'; .*SET/SCORE"),
-        ([f"validation.source = [{SET}, {SET}]"], "two sets with the title 'r/val'"),
-        (["data.rare_classes = ['sing']"], r"data\.rare_classes: 'sing' is not a class"),
-        (["data.augment.rare_crops = 0.5"], r"augment\.rare_crops needs rare_classes"),
-        ([OWN_CLASSES, "data.sky_depth_m = 1.0"], "sky_depth_m needs a class called 'sky'"),
-        ([OWN_CLASSES, "loss.weights.road = 1.0"], "weights.road needs a class called 'road'"),
-    ],
-    ids=lambda value: value[:40] if isinstance(value, str) else None,
-)
+@pytest.mark.parametrize(("changes", "text"), [
+    (["model.name = ssdnet"], "'model.name = ssdnet' is not .* text needs quotes"),
+    (["model.nam = 'ssdnet'"], r"r\.toml: unknown key model\.nam"), (["model = 3"], "model = 3: "),
+    (["model.name = 'foo'"], "model.name: unknown model 'foo'; known: ssdnet, "),
+    (["model.config.max_depth_m = -1"], "model.config: max_depth_m "),
+    (["model.config.nonsense = 1"], "model.config: .*: nonsense"),
+    (["model.config.canonical_focal_px = nan"], "model.config: canonical_focal_px "),
+    (["model.config.classes = []"], "config has 'classes', which is a separate key"),
+    ([f"model.classes = [{CLASS}, {CLASS}]"], "has 'a' and 'a'"),
+    (["data.batch_size = 0"], r"r\.toml: data\.batch_size = 0"),
+    (["data.augment.crop = [9, 64]"], r"augment.crop = \[9, 64\]"),
+    (["data.augment.crop = [100000, 320]"], r"augment.crop\[0\] = 100000: "),
+    (["data.augment.lines = [5]"], r"augment.lines\[0\] = 5: "),
+    (["data.augment.pair_shift = 5"], "augment.pair_shift = 5: "),
+    (["data.augment.pair_shift = 32", "data.augment.crop = [96, 320]"], "would not overlap"),
+    (["loss.weights.depth_consistency = 1.0"], "weights.depth_consistency .*pair_shift"),
+    (["loss.depth_weight = inf"], "loss.weights.depth = inf: "),
+    (["schedule.warmup_steps = 11"], "schedule.warmup_steps = 11"),
+    ([f"terms = '{'x' * 20_000}'"], r"terms = 'x{199}…: "),
+    (["validation.lidar = '63'"], r"validation\.lidar = '63': .*divides 64, random:SHARE"),
+    ([VALIDATION, "validation.best = 'camvid/miou'"], "best = 'camvid/miou'; .*SET/SCORE"),
+    ([f"validation.source = [{SET}, {SET}]"], "two sets with the title 'r/val'"),
+    (["data.rare_classes = ['sing']"], r"data\.rare_classes: 'sing' is not a class"),
+    (["data.augment.rare_crops = 0.5"], r"augment\.rare_crops needs rare_classes"),
+    ([OWN_CLASSES, "data.sky_depth_m = 1.0"], "sky_depth_m needs a class called 'sky'"),
+    ([OWN_CLASSES, "loss.weights.road = 1.0"], "weights.road needs a class called 'road'"),
+], ids=lambda value: value[:40] if isinstance(value, str) else None)  # fmt: skip
 def test_mistaken_changes_are_named(read, changes, text):
     with pytest.raises(InputError, match=text):
         read(*changes)
@@ -133,20 +128,18 @@ def test_what_belongs_together_is_accepted(read):
     assert len(recipe.rare_ids) == 2
 
 
-@pytest.mark.parametrize(
-    ("kind", "keys"),
-    [("camvid", {"first": 1}), ("kitti-stream", {"cameras": (3,)}), ("rendered", {"split": "val"})],
-)
+@pytest.mark.parametrize(("kind", "keys"), [
+    ("camvid", {"first": 1}), ("kitti-stream", {"cameras": (3,)}), ("rendered", {"split": "val"}),
+])  # fmt: skip
 def test_keys_that_mean_nothing_to_a_kind_are_refused(kind, keys):
     (key,) = keys
     with pytest.raises(InputError, match=rf"unknown key {key}; known here: kind, path, weight"):
         build(AnySource, {"kind": kind, "path": "folder", **keys})
 
 
-@pytest.mark.parametrize(
-    ("steps", "every"),
-    [(1, (1, 1, 1)), (300, (3, 30, 60)), (2000, (20, 200, 400)), (60000, (20, 500, 1000))],
-)
+@pytest.mark.parametrize(("steps", "every"), [
+    (1, (1, 1, 1)), (300, (3, 30, 60)), (2000, (20, 200, 400)), (60000, (20, 500, 1000)),
+])  # fmt: skip
 def test_output_follows_the_number_of_steps_unless_stated(read, steps, every):
     recipe = read(f"schedule.steps = {steps}")
     assert (recipe.log_every, recipe.checkpoint_every, recipe.validate_every) == every
@@ -154,18 +147,12 @@ def test_output_follows_the_number_of_steps_unless_stated(read, steps, every):
     assert (stated.log_every, stated.checkpoint_every, stated.validate_every) == (7, 9000, 8000)
 
 
-@pytest.mark.parametrize(
-    ("text", "key", "value"),
-    [
-        ("folders:x,name=2011_09_26", "name", "2011_09_26"),
-        ("folders:x,name=2011-09-26", "name", "2011-09-26"),
-        ("folders:x,labels=1e3", "labels", "1e3"),
-        ('folders:x,name="a b"', "name", "a b"),
-        ("folders:x,depth_scale=1000", "depth_scale", 1000),
-        ("folders:x,size=[400, 640]", "size", (400, 640)),
-        ("folders:2011-09-26", "path", "2011-09-26"),
-        ('kitti-raw:x,drives=["a_sync"]', "drives", ("a_sync",)),
-    ],
-)
+@pytest.mark.parametrize(("text", "key", "value"), [
+    ("folders:x,name=2011_09_26", "name", "2011_09_26"),
+    ("folders:x,name=2011-09-26", "name", "2011-09-26"), ("folders:x,labels=1e3", "labels", "1e3"),
+    ('folders:x,name="a b"', "name", "a b"), ("folders:x,depth_scale=1000", "depth_scale", 1000),
+    ("folders:x,size=[400, 640]", "size", (400, 640)), ("folders:2011-09-26", "path", "2011-09-26"),
+    ('kitti-raw:x,drives=["a_sync"]', "drives", ("a_sync",)),
+])  # fmt: skip
 def test_a_value_of_data_is_text_where_its_key_takes_text(text, key, value):
     assert getattr(parse_data(text), key) == value

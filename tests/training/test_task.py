@@ -25,9 +25,7 @@ RECIPE = {
         "batch_size": 2,
         "source": [{"kind": "folders", "path": "mine", "labels": "labels", "last": 5}],
     },
-    "validation": {
-        "source": [{"kind": "folders", "path": "mine", "labels": "labels", "first": 6}],
-    },
+    "validation": {"source": [{"kind": "folders", "path": "mine", "labels": "labels", "first": 6}]},
     "schedule": {"steps": 1},
 }
 
@@ -84,18 +82,13 @@ def test_a_shift_smaller_than_the_cells_of_the_classes_is_refused(start):
         start({"model": {"name": "fast-scnn"}, "data": {"augment": augment}})
 
 
-@pytest.mark.parametrize(
-    ("optimizer", "learns"),
-    [
-        ({"learning_rate": 0.0}, False),
-        ({"learning_rate": 0.0, "encoder_rate": 0.0}, False),
-        ({"learning_rate": 0.0, "encoder_rate": 1e-3}, True),
-        ({"learning_rate": 0.0, "encoder_rate": 1e-3, "only": ["semantic_"]}, False),
-        ({"learning_rate": 0.0, "encoder_rate": 1e-3, "frozen": ["encoder"]}, False),
-        ({"encoder_rate": 0.0, "only": ["encoder"]}, False),
-        ({"encoder_rate": 0.0}, True),
-    ],
-)
+@pytest.mark.parametrize(("optimizer", "learns"), [
+    ({"learning_rate": 0.0}, False), ({"learning_rate": 0.0, "encoder_rate": 0.0}, False),
+    ({"learning_rate": 0.0, "encoder_rate": 1e-3}, True),
+    ({"learning_rate": 0.0, "encoder_rate": 1e-3, "only": ["semantic_"]}, False),
+    ({"learning_rate": 0.0, "encoder_rate": 1e-3, "frozen": ["encoder"]}, False),
+    ({"encoder_rate": 0.0, "only": ["encoder"]}, False), ({"encoder_rate": 0.0}, True),
+])  # fmt: skip
 def test_a_part_that_is_trained_must_have_a_rate(start, optimizer, learns):
     if learns:
         start({"optimizer": optimizer})
@@ -105,11 +98,7 @@ def test_a_part_that_is_trained_must_have_a_rate(start, optimizer, learns):
 
 
 @pytest.mark.parametrize(
-    ("name", "changes"),
-    [
-        ("fast-scnn", {}),
-        ("ssdnet-lite", {"augment": {"crop": [32, 32]}}),
-    ],
+    ("name", "changes"), [("fast-scnn", {}), ("ssdnet-lite", {"augment": {"crop": [32, 32]}})]
 )
 def test_batches_too_small_to_normalise_are_refused(start, name, changes):
     model = {"name": name}

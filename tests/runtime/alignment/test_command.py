@@ -68,15 +68,10 @@ def run(tmp_path, monkeypatch):
     return invoke
 
 
-@pytest.mark.parametrize(
-    ("verdict", "code", "is_written"),
-    [
-        (Verdict.RIGHT, 0, True),
-        (Verdict.NOT_VISIBLE, 3, False),
-        (Verdict.OFF, 4, True),
-        (Verdict.OTHER_SCANS, 4, False),
-    ],
-)
+@pytest.mark.parametrize(("verdict", "code", "is_written"), [
+    (Verdict.RIGHT, 0, True), (Verdict.NOT_VISIBLE, 3, False), (Verdict.OFF, 4, True),
+    (Verdict.OTHER_SCANS, 4, False),
+])  # fmt: skip
 def test_each_verdict_has_its_exit_code_and_files(tmp_path, run, verdict, code, is_written):
     result = run(verdict)
     assert result.exit_code == code, result.output
@@ -109,14 +104,10 @@ def test_a_camera_is_checked_by_itself_and_rectified_on_request(monkeypatch):
     assert done[2:] == ["rectified"]
 
 
-@pytest.mark.parametrize(
-    ("more", "words"),
-    [
-        (["--out", "right.yaml"], "--out writes .toml files"),
-        (["--picture", "x.gif"], "--picture writes .jpg files"),
-        (["--frames", "2"], "--frames"),
-    ],
-)
+@pytest.mark.parametrize(("more", "words"), [
+    (["--out", "right.yaml"], "--out writes .toml files"),
+    (["--picture", "x.gif"], "--picture writes .jpg files"), (["--frames", "2"], "--frames"),
+])  # fmt: skip
 def test_wrong_options_are_usage_errors(tmp_path, recording, frames, more, words):
     result = CliRunner().invoke(app, recording(frames[:1]) + more)
     assert result.exit_code == 2

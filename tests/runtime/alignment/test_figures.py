@@ -12,11 +12,9 @@ from runtime.geometry.calibration import Calibration
 from runtime.streams.frame import Frame, Message
 
 
-@pytest.mark.parametrize(
-    ("angles", "way"),
-    [((1, 0, 0), (1, 0, 0)), ((0, 1, 0), (0, -1, 0)), ((0, 0, 1), (0, 1, 0))],
-    ids=["yaw to the right", "pitch up", "roll clockwise"],
-)
+@pytest.mark.parametrize(("angles", "way"), [
+    ((1, 0, 0), (1, 0, 0)), ((0, 1, 0), (0, -1, 0)), ((0, 0, 1), (0, 1, 0)),
+], ids=["yaw to the right", "pitch up", "roll clockwise"])  # fmt: skip
 def test_the_signs_of_the_angles(angles, way):
     """A return ahead and a little to the right moves; x is to the right and y is down."""
     before = np.array([0.5, 0, 1])

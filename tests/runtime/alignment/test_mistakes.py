@@ -33,24 +33,21 @@ def shifted(factor):
     return far
 
 
-@pytest.mark.parametrize(
-    ("wrong", "text"),
-    [
-        (np.linalg.inv(RIGHT), "the matrix seems to be camera to LiDAR: take its inverse"),
-        (transposed(), "its rotation seems to be camera to LiDAR: transpose it"),
-        (AXES.T @ RIGHT, f"{SWAPPED}: turn the result of the matrix"),
-        (AXES @ RIGHT, f"{SWAPPED}: turn the result of the matrix"),
-        (RIGHT @ AXES.T, f"{SWAPPED}: turn the points first"),
-        (RIGHT @ AXES, f"{SWAPPED}: turn the points first"),
-        (np.linalg.inv(AXES.T @ RIGHT), f"{SWAPPED}, and the matrix to be camera to LiDAR"),
-        (RIGHT @ np.diag([-1, -1, 1, 1.0]), "turned by 180 degrees about its z axis"),
-        (RIGHT @ np.diag([1, -1, -1, 1.0]), "turned by 180 degrees about its x axis"),
-        (RIGHT @ QUARTER, "turned by 270 degrees about its z axis"),
-        (RIGHT @ QUARTER.T, "turned by 90 degrees about its z axis"),
-        (shifted(100), "its position seems to be in centimetres: divide it by 100"),
-        (shifted(1000), "its position seems to be in millimetres: divide it by 1000"),
-    ],
-)
+@pytest.mark.parametrize(("wrong", "text"), [
+    (np.linalg.inv(RIGHT), "the matrix seems to be camera to LiDAR: take its inverse"),
+    (transposed(), "its rotation seems to be camera to LiDAR: transpose it"),
+    (AXES.T @ RIGHT, f"{SWAPPED}: turn the result of the matrix"),
+    (AXES @ RIGHT, f"{SWAPPED}: turn the result of the matrix"),
+    (RIGHT @ AXES.T, f"{SWAPPED}: turn the points first"),
+    (RIGHT @ AXES, f"{SWAPPED}: turn the points first"),
+    (np.linalg.inv(AXES.T @ RIGHT), f"{SWAPPED}, and the matrix to be camera to LiDAR"),
+    (RIGHT @ np.diag([-1, -1, 1, 1.0]), "turned by 180 degrees about its z axis"),
+    (RIGHT @ np.diag([1, -1, -1, 1.0]), "turned by 180 degrees about its x axis"),
+    (RIGHT @ QUARTER, "turned by 270 degrees about its z axis"),
+    (RIGHT @ QUARTER.T, "turned by 90 degrees about its z axis"),
+    (shifted(100), "its position seems to be in centimetres: divide it by 100"),
+    (shifted(1000), "its position seems to be in millimetres: divide it by 1000"),
+])  # fmt: skip
 @pytest.mark.filterwarnings("ignore:assumed the LiDAR is")
 def test_a_usual_mistake_is_named_and_undone(wrong, text):
     views = [street(seed, wrong, right=RIGHT) for seed in range(2)]
@@ -104,11 +101,9 @@ def test_the_same_scans_beside_a_wrong_calibration_are_no_fault_of_the_pairing()
     assert pairing.find_pairing_fault(views, find_coarse(views)) is None
 
 
-@pytest.mark.parametrize(
-    ("of_neighbours", "is_fault"),
-    [((1.1, 1.1, 1.1), True), ((1.01, 1.01, 1.01), False), ((1.4, 0.9, 1.0), False)],
-    ids=["clear", "too little", "by chance"],
-)
+@pytest.mark.parametrize(("of_neighbours", "is_fault"), [
+    ((1.1, 1.1, 1.1), True), ((1.01, 1.01, 1.01), False), ((1.4, 0.9, 1.0), False),
+], ids=["clear", "too little", "by chance"])  # fmt: skip
 def test_a_neighbouring_scan_must_fit_clearly_better(monkeypatch, of_neighbours, is_fault):
     figures = iter([np.ones(3), np.array(of_neighbours)])
     monkeypatch.setattr(pairing, "totals", lambda views, angles: next(figures))

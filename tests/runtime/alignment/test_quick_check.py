@@ -23,14 +23,11 @@ def finding_of(angles, *, boxes=9, answer=street_answer):
     return check.finding()
 
 
-@pytest.mark.parametrize(
-    ("wrong", "fit", "text"),
-    [
-        ((0, 0, 0), Fit.BEST_AS_GIVEN, "better as given"),
-        ((1.5, 0, 0), Fit.BETTER_TURNED, "turned by -1 degree of yaw"),
-        ((0, -1.5, 0), Fit.BETTER_TURNED, "turned by +1 degree of pitch"),
-    ],
-)
+@pytest.mark.parametrize(("wrong", "fit", "text"), [
+    ((0, 0, 0), Fit.BEST_AS_GIVEN, "better as given"),
+    ((1.5, 0, 0), Fit.BETTER_TURNED, "turned by -1 degree of yaw"),
+    ((0, -1.5, 0), Fit.BETTER_TURNED, "turned by +1 degree of pitch"),
+])  # fmt: skip
 def test_the_turn_that_fits_better_is_named(wrong, fit, text):
     finding = finding_of(wrong)
     assert finding.fit is fit, finding

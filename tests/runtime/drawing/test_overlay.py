@@ -141,7 +141,7 @@ def test_a_second_head_of_depth_has_a_panel_of_its_own(overlay, answered, monkey
 
 
 @pytest.mark.parametrize("size", [(1080, 1920), (375, 1242), (2160, 3840), (1600, 900)])
-def test_the_overlay_fits_a_screen_and_its_panels_stay_large(overlay, answered, size):
+def test_the_overlay_fits_a_screen_and_its_panels_stay_large(contract, overlay, answered, size):
     heads = {name: cv2.resize(values, size[::-1]) for name, values in answered[1].heads.items()}
     prediction = change(answered[1], **heads)
     rgb = np.full((*size, 3), 90, np.uint8)
@@ -150,7 +150,7 @@ def test_the_overlay_fits_a_screen_and_its_panels_stay_large(overlay, answered, 
     assert grid.shape[1] <= 1920
     image = (grid == 90).all(axis=-1)
     assert np.count_nonzero(image) > 0.05 * 1080 * 1920
-    for info in overlay._classes:
+    for info in contract.classes:
         swatch = (grid == info.color[::-1]).all(axis=-1)
         assert np.count_nonzero(swatch) >= 13 * 13, info.name
 

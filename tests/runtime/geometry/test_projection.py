@@ -66,10 +66,9 @@ def project(*points):
     return project_points(np.array(points, np.float32), K, LIDAR_TO_CAMERA, SIZE)
 
 
-@pytest.mark.parametrize(
-    ("u", "v", "pixel"),
-    [(7.49, 5.49, (5, 7)), (6.51, 4.51, (5, 7)), (-0.49, -0.49, (0, 0)), (59.49, 23.49, (23, 59))],
-)
+@pytest.mark.parametrize(("u", "v", "pixel"), [
+    (7.49, 5.49, (5, 7)), (6.51, 4.51, (5, 7)), (-0.49, -0.49, (0, 0)), (59.49, 23.49, (23, 59)),
+])  # fmt: skip
 def test_integers_are_pixel_centres(u, v, pixel):
     depth = project(at(u, v, 10.0))
     assert np.argwhere(depth).tolist() == [list(pixel)]

@@ -205,10 +205,9 @@ def test_a_pipe_in_a_bag_is_not_waited_for(record, name):
         BagSource(path)
 
 
-@pytest.mark.parametrize(
-    ("error", "remedy"),
-    [(ImportError("undefined symbol"), "cannot be loaded"), (ModuleNotFoundError(), "pip install")],
-)
+@pytest.mark.parametrize(("error", "remedy"), [
+    (ImportError("undefined symbol"), "cannot be loaded"), (ModuleNotFoundError(), "pip install"),
+])  # fmt: skip
 def test_rosbags_that_cannot_be_imported_is_not_a_damaged_bag(record, monkeypatch, error, remedy):
     path, real = record().write(), builtins.__import__
 

@@ -56,10 +56,9 @@ def test_other_types_are_refused(tmp_path, name, image, read):
         read(write(tmp_path / name, image))
 
 
-@pytest.mark.parametrize(
-    ("name", "dtype"),
-    [("d.tif", "f4"), ("d.TIFF", "f8"), ("d.npy", "f4"), ("d.NPY", ">f8"), ("d.npy", "f2")],
-)
+@pytest.mark.parametrize(("name", "dtype"), [
+    ("d.tif", "f4"), ("d.TIFF", "f8"), ("d.npy", "f4"), ("d.NPY", ">f8"), ("d.npy", "f2"),
+])  # fmt: skip
 def test_floats_are_metres(tmp_path, name, dtype):
     metres = np.random.default_rng(0).random((40, 50)).astype(dtype)
     metres[0, :3] = (0, np.nan, np.inf)

@@ -99,10 +99,9 @@ def test_messages_that_the_index_promises_and_the_bag_has_lost_are_counted(recor
         assert f"left out: {missing} 9" in source.notes
 
 
-@pytest.mark.parametrize(
-    ("end", "content"),
-    [("-wal", b""), ("-wal", bytes(32)), ("-journal", bytes(512)), ("-shm", b"x" * 99)],
-)
+@pytest.mark.parametrize(("end", "content"), [
+    ("-wal", b""), ("-wal", bytes(32)), ("-journal", bytes(512)), ("-shm", b"x" * 99),
+])  # fmt: skip
 def test_a_journal_without_pages_changes_nothing(record, end, content):
     path = record("ros2").write()
     (file,) = path.glob("*.db3")

@@ -247,10 +247,9 @@ def test_a_pose_that_is_missing_is_a_flag_that_says_why(replay, fault):
     assert answer.depth_motion == "none"
 
 
-@pytest.mark.parametrize(
-    "late_ms",
-    [{"depth": 180}, {"image": 180}, {"pose": 180}, {"depth": 90, "pose": 180}, {"depth": 400}],
-)
+@pytest.mark.parametrize("late_ms", [
+    {"depth": 180}, {"image": 180}, {"pose": 180}, {"depth": 90, "pose": 180}, {"depth": 400},
+])  # fmt: skip
 def test_answers_do_not_depend_on_how_late_a_sensor_was_recorded(replay, late_ms):
     """Positions of the poses, and which scan is reused."""
     recorded = messages(until=1500, lost={("depth", 400), ("pose", 640)})
@@ -301,15 +300,12 @@ def test_returns_are_held_out_with_the_option_consistency(replay):
     assert plain.consistency is None
 
 
-@pytest.mark.parametrize(
-    ("options", "flagged"),
-    [
-        ({"consistency": 0.05, "check_depth": True}, [True, True]),
-        ({"check_depth": True}, [False, True]),
-        ({"consistency": 0.05, "check_depth": False}, [False, False]),
-        ({"check_depth": False}, [False, False]),
-    ],
-)
+@pytest.mark.parametrize(("options", "flagged"), [
+    ({"consistency": 0.05, "check_depth": True}, [True, True]),
+    ({"check_depth": True}, [False, True]),
+    ({"consistency": 0.05, "check_depth": False}, [False, False]),
+    ({"check_depth": False}, [False, False]),
+])  # fmt: skip
 def test_depth_that_contradicts_the_image_is_reported(
     replay, checked_predictor, monkeypatch, options, flagged
 ):

@@ -16,10 +16,9 @@ from runtime.streams.statistics import (
 )
 
 
-@pytest.mark.parametrize(
-    ("n", "known"),
-    [(1, 0), (2, 0), (9, 0), (10, 1), (99, 1), (100, 2), (101, 2), (999, 2), (1000, 3), (1001, 3)],
-)
+@pytest.mark.parametrize(("n", "known"), [
+    (1, 0), (2, 0), (9, 0), (10, 1), (99, 1), (100, 2), (101, 2), (999, 2), (1000, 3), (1001, 3),
+])  # fmt: skip
 def test_percentiles_against_their_definition_where_n_supports_them(n, known):
     durations_ms = np.random.default_rng(n).random(n).tolist()
     found = latency_statistics(durations_ms)

@@ -25,16 +25,11 @@ def test_not_available_before_the_first_message():
     assert levels(counter) == ("OK", ())
 
 
-@pytest.mark.parametrize(
-    ("wrong", "limits"),
-    [
-        ({"late": True}, {"late": (2, 4)}),
-        ({"degraded": ("no_depth",)}, {"degraded": (2, 4)}),
-        ({"health": ("image_frozen",)}, {"degraded": (2, 4)}),
-        ({"degraded": ("depth_reused",)}, {"reused": (2, 4)}),
-        ({"valid": False}, {"failed": (2, 4)}),
-    ],
-)
+@pytest.mark.parametrize(("wrong", "limits"), [
+    ({"late": True}, {"late": (2, 4)}), ({"degraded": ("no_depth",)}, {"degraded": (2, 4)}),
+    ({"health": ("image_frozen",)}, {"degraded": (2, 4)}),
+    ({"degraded": ("depth_reused",)}, {"reused": (2, 4)}), ({"valid": False}, {"failed": (2, 4)}),
+])  # fmt: skip
 def test_runs_warn_then_are_an_error_and_end(wrong, limits):
     counter = StreamCounter(limits=WatchdogLimits(**limits))
     (reason,) = limits

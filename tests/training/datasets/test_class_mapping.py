@@ -40,10 +40,9 @@ def test_rendered_scenes_in_every_table():
         assert id_lookup("virtual_kitti", table, names)[:18].tolist() == ids
 
 
-@pytest.mark.parametrize(
-    ("labels", "table"),
-    [("camvid", "cityscapes"), ("cityscapes", "virtual_kitti"), ("virtual_kitti", "ade20k")],
-)
+@pytest.mark.parametrize(("labels", "table"), [
+    ("camvid", "cityscapes"), ("cityscapes", "virtual_kitti"), ("virtual_kitti", "ade20k"),
+])  # fmt: skip
 def test_a_pair_that_mixes_up_classes_is_refused(labels, table):
     with pytest.raises(DatasetError, match=rf"{labels} .*'{table}'.*camvid"):
         class_ids(labels, table)

@@ -68,10 +68,7 @@ def test_a_palette_is_read_as_its_indices(tmp_path, bits, colors, more):
             lambda path: png(path, IDS % 2, bits=1, color=PALETTE, colors=[[0] * 3, [255] * 3]),
             "palette is of grays that are not its indices.*convert it to 8-bit gray",
         ),
-        (
-            lambda path: png(path, IDS + 256, bits=16),
-            "expected one channel of uint8, or a palette",
-        ),
+        (lambda path: png(path, IDS + 256, bits=16), "expected one channel of uint8, or a palette"),
         (
             lambda path: png(path, np.zeros((5, 9, 3), int), bits=8, color=COLOR),
             "expected one channel of uint8, or a palette",

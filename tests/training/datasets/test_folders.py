@@ -156,15 +156,11 @@ def test_a_part_of_the_images_may_be_taken(mine):
         opened(mine, first=2)
 
 
-@pytest.mark.parametrize(
-    ("keys", "ids"),
-    [
-        ({}, [0, 1, 255]),
-        ({"ignore": 0}, [255, 1, None]),
-        ({"label_ids": {7: "rest", 0: "lane", 9: "ignore"}}, [0, None, 255, 1, 255]),
-        ({"ignore": 1, "label_ids": {0: "rest"}}, [1, 255, None]),
-    ],
-)
+@pytest.mark.parametrize(("keys", "ids"), [
+    ({}, [0, 1, 255]), ({"ignore": 0}, [255, 1, None]),
+    ({"label_ids": {7: "rest", 0: "lane", 9: "ignore"}}, [0, None, 255, 1, 255]),
+    ({"ignore": 1, "label_ids": {0: "rest"}}, [1, 255, None]),
+])  # fmt: skip
 def test_ids_have_the_meaning_that_the_keys_give_them(mine, keys, ids):
     """The labels have the ids 0, 1, 255, 7 and 9; None: they are refused, with usable advice."""
     stored = [0, 1, 255, 7, 9][: len(ids)]
@@ -181,16 +177,11 @@ def test_ids_have_the_meaning_that_the_keys_give_them(mine, keys, ids):
         assert (advised.open(mine, CLASSES)[0].semantic == (1 if id_ == 1 else 255)).all()
 
 
-@pytest.mark.parametrize(
-    "keys",
-    [
-        {"label_classes": "cityscapes", "label_ids": {1: "lane"}},
-        {"label_ids": {300: "lane"}},
-        {"labels": "l", "ignore": 0, "label_ids": {0: "lane"}},
-        {"scan": True, "sparse_depth": "scans"},
-        {"depth_scale": 0},
-    ],
-)
+@pytest.mark.parametrize("keys", [
+    {"label_classes": "cityscapes", "label_ids": {1: "lane"}}, {"label_ids": {300: "lane"}},
+    {"labels": "l", "ignore": 0, "label_ids": {0: "lane"}}, {"scan": True, "sparse_depth": "scans"},
+    {"depth_scale": 0},
+])  # fmt: skip
 def test_keys_that_contradict_each_other_are_refused(mine, keys):
     with pytest.raises(InputError, match="|".join(keys)):
         opened(mine, **keys)

@@ -55,14 +55,11 @@ def test_selection_has_images_and_intrinsics_of_its_own(tmp_path):
     assert second.intrinsics[1, 2] == 149.83
 
 
-@pytest.mark.parametrize(
-    ("kind", "file"),
-    [
-        ("velodyne_raw", "velodyne_raw_0000000005_image_02.png"),
-        ("groundtruth_depth", "groundtruth_depth_0000000005_image_02.png"),
-        ("intrinsics", "image_0000000005_image_02.txt"),
-    ],
-)
+@pytest.mark.parametrize(("kind", "file"), [
+    ("velodyne_raw", "velodyne_raw_0000000005_image_02.png"),
+    ("groundtruth_depth", "groundtruth_depth_0000000005_image_02.png"),
+    ("intrinsics", "image_0000000005_image_02.txt"),
+])  # fmt: skip
 def test_missing_parts_of_the_selection_are_named(tmp_path, kind, file):
     write_selection(tmp_path)
     path = tmp_path / "val_selection_cropped" / kind / f"{DATE}_drive_0002_sync_{file}"

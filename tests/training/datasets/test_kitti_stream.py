@@ -38,13 +38,9 @@ def test_stream_keeps_lines_apart_and_the_nearest_return(stream):
     assert sample.weights == {"semantic": 0.2}
 
 
-@pytest.mark.parametrize(
-    ("classes", "ids"),
-    [
-        ("camvid", [3, 4, 1, 1, 7, 2, 6, 6, 5, 5, 0, 9, 10, 8, 8, 8]),
-        ("cityscapes", list(range(16))),
-    ],
-)
+@pytest.mark.parametrize(("classes", "ids"), [
+    ("camvid", [3, 4, 1, 1, 7, 2, 6, 6, 5, 5, 0, 9, 10, 8, 8, 8]), ("cityscapes", list(range(16))),
+])  # fmt: skip
 def test_stream_labels_are_train_ids(stream, classes, ids):
     source = KittiStream(stream, classes=classes)
     assert (source[0].semantic[0] == 255).all()

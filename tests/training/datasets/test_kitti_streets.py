@@ -64,10 +64,9 @@ def test_the_road_is_a_mask_and_labels_are_read_where_they_are(streets):
     assert KittiStreets(streets, classes="cityscapes")[1].targets.keys() == {"depth", "road_mask"}
 
 
-@pytest.mark.parametrize(
-    ("first", "last", "names"),
-    [(0, None, ["2", "3", "7"]), (3, None, ["3", "7"]), (0, 3, ["2", "3"]), (4, 7, ["7"])],
-)
+@pytest.mark.parametrize(("first", "last", "names"), [
+    (0, None, ["2", "3", "7"]), (3, None, ["3", "7"]), (0, 3, ["2", "3"]), (4, 7, ["7"]),
+])  # fmt: skip
 def test_blocks_are_of_numbers_not_of_places(streets, first, last, names):
     source = KittiStreets(streets, first=first, last=last)
     assert [source[index].name for index in range(len(source))] == [

@@ -101,13 +101,10 @@ def test_the_papers_split_of_both_editions(scene_name):
     }
 
 
-@pytest.mark.parametrize(
-    ("kind", "writer", "scenes"),
-    [
-        ("virtual-kitti", write_second_edition, ("Scene01", "Scene02")),
-        ("virtual-kitti-1", write_first_edition, ("0001", "0002")),
-    ],
-)
+@pytest.mark.parametrize(("kind", "writer", "scenes"), [
+    ("virtual-kitti", write_second_edition, ("Scene01", "Scene02")),
+    ("virtual-kitti-1", write_first_edition, ("0001", "0002")),
+])  # fmt: skip
 def test_readers_take_what_is_selected(tmp_path, kind, writer, scenes):
     for scene in scenes:
         for variant in ("clone", "30-deg-left"):

@@ -202,19 +202,14 @@ def test_frames_of_one_place_count_as_one_in_the_mean_over_places(scored, tmp_pa
         assert (row["places"], row["figures_over_places"]) == ({}, {})
 
 
-@pytest.mark.parametrize(
-    ("model", "options", "text"),
-    [
-        ("lite.pt", ["--data", "camvid"], "KIND:FOLDER"),
-        ("lite.pt", ["--data", "rendered:nothing"], "'nothing'"),
-        ("lite.pt", ["--lidar", "5"], "'5'"),
-        ("lite.pt", ["--faults", "rain"], "known: nan"),
-        *((model, ["--device", "gpu"], "'gpu'") for model in ("lite.pt", "lite.onnx", "linear")),
-        ("x.tflite", [], "x.tflite"),
-        ("x.pt", [], "x.pt"),
-        ("no.pt", ["--json", "no/x.json"], "no/x.json"),
-    ],
-)
+@pytest.mark.parametrize(("model", "options", "text"), [
+    ("lite.pt", ["--data", "camvid"], "KIND:FOLDER"),
+    ("lite.pt", ["--data", "rendered:nothing"], "'nothing'"), ("lite.pt", ["--lidar", "5"], "'5'"),
+    ("lite.pt", ["--faults", "rain"], "known: nan"),
+    *((model, ["--device", "gpu"], "'gpu'") for model in ("lite.pt", "lite.onnx", "linear")),
+    ("x.tflite", [], "x.tflite"), ("x.pt", [], "x.pt"),
+    ("no.pt", ["--json", "no/x.json"], "no/x.json"),
+])  # fmt: skip
 def test_errors_name_what_is_wrong(folder, model, options, text):
     data = [] if "--data" in options else ["--data", f"rendered:{folder}/scenes"]
     result = run(model if model == "linear" else folder / model, *data, *options)

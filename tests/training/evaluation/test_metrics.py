@@ -5,12 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from training.evaluation.metrics import (
-    BoundaryScores,
-    DepthScores,
-    RoadScores,
-    SemanticScores,
-)
+from training.evaluation.metrics import BoundaryScores, DepthScores, RoadScores, SemanticScores
 
 
 def test_semantic_metrics_by_hand():

@@ -305,15 +305,10 @@ def test_crops_chosen_for_a_rare_class_show_it_more_often():
     assert by_chance + 0.1 < share(rare_crops=0.5) < share(rare_crops=1.0) - 0.1
 
 
-@pytest.mark.parametrize(
-    ("size", "crop"),
-    [
-        ((125, 414), (96, 144)),
-        ((375, 1242), (320, 480)),
-        ((640, 256), (320, 256)),
-        ((20, 20), (32, 32)),
-    ],
-)
+@pytest.mark.parametrize(("size", "crop"), [
+    ((125, 414), (96, 144)), ((375, 1242), (320, 480)), ((640, 256), (320, 256)),
+    ((20, 20), (32, 32)),
+])  # fmt: skip
 def test_the_crop_follows_the_smallest_frame(size, crop):
     assert with_crop(AugmentConfig(), size).crop == crop
     stated = AugmentConfig(crop=(64, 64))

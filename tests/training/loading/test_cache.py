@@ -52,13 +52,10 @@ def test_what_no_longer_fits_is_decoded_anew_and_drops_nothing():
     assert counted.decoded == [0, 1, 2, 3, 3, 3]
 
 
-@pytest.mark.parametrize(
-    ("labels", "found"),
-    [
-        (np.zeros((9, 10), np.uint8), r"uint8 \(9, 10\)"),
-        (np.zeros((10, 10), np.int64), r"int64 \(10, 10\)"),
-    ],
-)
+@pytest.mark.parametrize(("labels", "found"), [
+    (np.zeros((9, 10), np.uint8), r"uint8 \(9, 10\)"),
+    (np.zeros((10, 10), np.int64), r"int64 \(10, 10\)"),
+])  # fmt: skip
 def test_a_reader_without_proper_labels_is_named_with_its_frame(labels, found):
     source = CheckedSource([Counted()[0].with_targets(semantic=labels)], None)
     text = rf"0: the reader list returned semantic = {found}; expected uint8 \(10, 10\)"

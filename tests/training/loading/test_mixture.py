@@ -30,10 +30,7 @@ class Numbered:
 
 def mixture(length=400, seed=0):
     config = AugmentConfig(crop=(32, 32))
-    parts = [
-        MixturePart(Numbered(10, 0), 3.0, config),
-        MixturePart(Numbered(20, 100), 1.0, config),
-    ]
+    parts = [MixturePart(Numbered(10, 0), 3.0, config), MixturePart(Numbered(20, 100), 1.0, config)]
     return Mixture(parts, length=length, seed=seed)
 
 

@@ -25,10 +25,7 @@ def views(scene, side=1):
     """The first and the second view of a scene (C, h, w)."""
     rows, columns = (part // side for part in OFFSET)
     height, width = (part // side for part in SIZE)
-    return (
-        scene[:, :height, :width],
-        scene[:, rows : rows + height, columns : columns + width],
-    )
+    return (scene[:, :height, :width], scene[:, rows : rows + height, columns : columns + width])
 
 
 def scene_of(channels=1, side=1, seed=0):

@@ -87,7 +87,7 @@ def test_total_is_the_weighted_sum_of_the_families():
             "semantic_iou": 1.5,
             "lovasz": 1.7,
             "road": 1.9,
-        },
+        }
     )
     road_mask = torch.ones(semantic.shape, dtype=torch.uint8)
     given = {"semantic_weight": sample_weight, "road_mask": road_mask}
@@ -101,8 +101,7 @@ def test_total_is_the_weighted_sum_of_the_families():
     normalised = normalise_depth(depth, 100.0, 100.0)
     of_depth = [
         paper_depth_loss(
-            torch.sigmoid(parts[name]),
-            *depth_at_scale(*normalised, tuple(parts[name].shape[-2:])),
+            torch.sigmoid(parts[name]), *depth_at_scale(*normalised, tuple(parts[name].shape[-2:]))
         )
         for name in ("depth", "coarse_depth")
     ]
@@ -167,13 +166,10 @@ def test_samples_without_targets_get_no_gradient(depth_form):
     assert {name: term.item() for name, term in terms.items()} == dict.fromkeys(terms, 0)
 
 
-@pytest.mark.parametrize(
-    ("missing", "names"),
-    [
-        ("semantic_logits", {"depth", "boundary", "total"}),
-        ("depths", {"semantic", "boundary", "semantic_boundary", "total"}),
-    ],
-)
+@pytest.mark.parametrize(("missing", "names"), [
+    ("semantic_logits", {"depth", "boundary", "total"}),
+    ("depths", {"semantic", "boundary", "semantic_boundary", "total"}),
+])  # fmt: skip
 def test_terms_of_absent_heads_are_left_out(missing, names):
     output = answer(leaves())._replace(**{missing: None})
     assert set(Loss(LossConfig(), max_depth_m=100.0)(output, *targets())) == names

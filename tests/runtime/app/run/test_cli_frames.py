@@ -61,9 +61,9 @@ def test_depth_that_contradicts_the_image_is_reported(tmp_path, red_metres, scal
     assert [frame.degraded for frame in recorded] == [(), ()], "what ssdnet-verify predicts again"
 
 
-@pytest.mark.parametrize("parts", [3, 5])
-def test_shards_are_disjoint_and_together_the_whole(tmp_path, run, parts):
+def test_shards_are_disjoint_and_together_the_whole(tmp_path, run):
     """Four frames are compared byte for byte; a part without a frame is a run of no frames."""
+    parts = 5
     assert run("--out", tmp_path / "whole", "--limit", 4).exit_code == 0
     union = {}
     for part in range(1, parts + 1):

@@ -15,8 +15,7 @@ from runtime.app.run.run import run as run_command
 
 
 @pytest.mark.parametrize(
-    ("save", "folders"),
-    [("none", set()), ("depth, overlay", {"depth", "overlay"})],
+    ("save", "folders"), [("none", set()), ("depth, overlay", {"depth", "overlay"})]
 )
 def test_what_is_saved(tmp_path, run, save, folders):
     result = run("--save", save, "--limit", 2)

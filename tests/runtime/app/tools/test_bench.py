@@ -147,8 +147,7 @@ def test_a_failure_between_the_runs_takes_the_row_and_leaves_the_others(
 
 
 @pytest.mark.parametrize(
-    ("period_s", "latencies"),
-    [(None, [30, 30, 30]), (0.05, [30, 30, 30]), (0.02, [30, 40, 50])],
+    ("period_s", "latencies"), [(None, [30, 30, 30]), (0.05, [30, 30, 30]), (0.02, [30, 40, 50])]
 )
 def test_a_latency_counts_from_when_the_frame_is_due(monkeypatch, period_s, latencies):
     """Each run takes 30 ms."""

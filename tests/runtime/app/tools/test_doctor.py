@@ -59,10 +59,9 @@ def test_both_wheels_at_once_are_reported(monkeypatch, checks_of):
     assert check.remedy.endswith("-m pip install -c constraints.txt '.[cpu]'")
 
 
-@pytest.mark.parametrize(
-    ("package", "remedy"),
-    [("numpy", "numpy"), ("cv2", "opencv-python-headless"), ("onnxruntime", "'.[cpu]'")],
-)
+@pytest.mark.parametrize(("package", "remedy"), [
+    ("numpy", "numpy"), ("cv2", "opencv-python-headless"), ("onnxruntime", "'.[cpu]'"),
+])  # fmt: skip
 def test_a_broken_package_is_a_fault_beside_the_others(monkeypatch, checks_of, package, remedy):
     """The import may fail with another error than ImportError."""
 

@@ -167,7 +167,7 @@ def test_classes_are_compared_by_name_and_others_are_refused(
 
 def test_a_file_of_the_same_checkpoint_has_the_limits_of_the_less_exact_one(int8_recording):
     """The bundled 8-bit file against the one in single precision; another model fails."""
-    result = verify(int8_recording, "--model", "ssdnet-lite", "--threads", 1)
+    result = verify(int8_recording, "--model", "ssdnet-nano", "--threads", 1)
     assert result.exit_code == 0, result.output
     assert any(line.split()[:2] == ["depth", "mean_relative"] for line in lines_of(result))
 
@@ -289,7 +289,7 @@ def int8_recording(tmp_path_factory) -> Path:
     settings = PredictorSettings("the-test", focal_length_px=BUNDLED_FOCAL_LENGTH_PX)
     with (
         Predictor(
-            "ssdnet-lite-int8", focal_length_px=BUNDLED_FOCAL_LENGTH_PX, threads=2
+            "ssdnet-nano-int8", focal_length_px=BUNDLED_FOCAL_LENGTH_PX, threads=1
         ) as predictor,
         write_reference(folder, settings) as recorder,
     ):
@@ -297,7 +297,7 @@ def int8_recording(tmp_path_factory) -> Path:
             prediction = predictor.predict(frame.rgb, frame.sparse_depth)
             heads = prediction.heads
             recorder.add(ReferenceFrame(frame.name), frame.rgb, frame.sparse_depth, heads)
-        recorder.finish(find_model("ssdnet-lite-int8"))
+        recorder.finish(find_model("ssdnet-nano-int8"))
     return folder
 
 
@@ -327,5 +327,5 @@ def test_an_8_bit_file_does_not_verify_with_other_returns_or_another_model(
     assert result.exit_code == 4
     assert "1 of 2 frames differ" in result.output
     assert ["depth", "mean_relative"] in [line.split()[:2] for line in lines_of(result)]
-    other = verify(int8_recording, "--model", "ssdnet-nano-int8")
+    other = verify(int8_recording, "--model", "ssdnet-lite-int8", "--threads", 1)
     assert "2 of 2 frames differ" in other.output

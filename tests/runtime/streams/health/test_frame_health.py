@@ -58,10 +58,9 @@ def test_identical_bytes_are_frozen_and_one_other_byte_is_not():
     assert check_image(other[:40].copy(), health) == (), "another size"
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "expected"),
-    [(0, 13, ("image_black",)), (0, 30, ()), (250, 256, ("image_overexposed",)), (200, 256, ())],
-)
+@pytest.mark.parametrize(("low", "high", "expected"), [
+    (0, 13, ("image_black",)), (0, 30, ()), (250, 256, ("image_overexposed",)), (200, 256, ()),
+])  # fmt: skip
 def test_dark_and_bright_images(low, high, expected):
     assert check_image(noise(0, low, high)) == expected
 
