@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 
 from runtime import Predictor, Rig, open_source
 from runtime.alignment.calibrate import SEEN_DEGREES, count_scenes, judge, uncertainty_of
-from runtime.alignment.figures import rotation
+from runtime.alignment.fit_scores import rotation
 from runtime.alignment.search import find_rotation
 from runtime.alignment.view import View, view_of
 from runtime.recordings.source import Source

@@ -15,7 +15,7 @@ import psutil
 from runtime import Predictor
 from runtime.app.run.options import KINDS, RunOptions
 from runtime.app.run.outputs.frame_writer import FrameWriter, make_run_folder
-from runtime.app.run.outputs.output import OpenRun
+from runtime.app.run.outputs.output import RunContext
 from runtime.app.run.pipeline import dedicate_process, frame_reader, run_stream
 from runtime.recordings.bundled_stream import bundled_stream
 from runtime.recordings.folders import FolderSource
@@ -45,7 +45,7 @@ def main() -> None:
         frames = [source.read(frame) for frame in listed]
         options = RunOptions(demo=True, out=Path(scratch) / "out")
         make_run_folder(options, KINDS, [frame.name for frame in listed])
-        writer = FrameWriter(OpenRun(options, engine, KINDS))
+        writer = FrameWriter(RunContext(options, engine, KINDS))
         print("| frames | Predictor.predict [MB] |\n|---|---|")
         for done in range(0, arguments.frames + 1, part):
             print(f"| {done} | {resident_mb():.1f} |", flush=True)

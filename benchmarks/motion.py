@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from runtime import Predictor
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.motion import move_points
+from runtime.geometry.motion import compensate_points
 from runtime.geometry.poses import PoseTrack
 from runtime.recordings.images import read_rgb
 from runtime.recordings.poses import read_kitti_poses
@@ -129,7 +129,7 @@ def score_drops(frames: list[DriveFrame], predictor: Predictor) -> dict[str, dic
     errors = {way: {region: ErrorSums() for region in REGIONS} for way in WAYS}
     for number in range(1, len(frames), 2):
         frame, before = frames[number], frames[number - 1].points
-        moved = move_points(before, (number - 1) * STEP_NS, track, number * STEP_NS)
+        moved = compensate_points(before, (number - 1) * STEP_NS, track, number * STEP_NS)
         moving = moving_cars(frame, moved)
         is_fed = scan_line_of(before) % 2 == 0
         fed = {
@@ -158,7 +158,7 @@ def draw_returns(frames: list[DriveFrame]) -> NDArray[np.uint8]:
     panels = []
     for name, points in (
         ("scan before, as it is", before.points),
-        ("moved by poses", move_points(before.points, 0, track, STEP_NS)),
+        ("moved by poses", compensate_points(before.points, 0, track, STEP_NS)),
     ):
         panel = cv2.addWeighted(frame.rgb, 0.7, np.zeros_like(frame.rgb), 0.3, 0)
         depth = frame.calibration.project(points, frame.rgb.shape[:2])

@@ -4,8 +4,9 @@
 
 The scan is that of a 64-line sensor on a street with walls, 115,200 returns all around; the picture
 has 1242 x 375 pixels. The plain and the filtered projection, the projection through each model of a
-lens, and that of returns moved by the poses at their own times (`project_moved`, poses at 100 Hz)
-run interleaved. With --keep-memory, freed memory is kept for the next scan, as ssdnet-run keeps it.
+lens, and that of returns moved by the poses at their own times (`project_compensated`, poses at
+100 Hz) run interleaved. With --keep-memory, freed memory is kept for the next scan, as ssdnet-run
+keeps it.
 """
 
 import argparse
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from runtime import project_points
 from runtime.app.run.pipeline import dedicate_process
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.motion import project_moved
+from runtime.geometry.motion import project_compensated
 from runtime.geometry.poses import PoseTrack
 
 SIZE = (375, 1242)
@@ -88,7 +89,7 @@ def main() -> None:
             )
             for lens, distortion in LENSES.items()
         },
-        "moved and projected": lambda: project_moved(
+        "moved and projected": lambda: project_compensated(
             calibration, points, times, track, 50_000_000, SIZE
         ),
     }

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.alignment.figures import AXES, Figures, figures_of, rotation
+from runtime.alignment.fit_scores import AXES, FitScores, fit_scores, rotation
 from runtime.alignment.mistakes import find_mistake, without
 from runtime.alignment.pairing import find_pairing_fault
 from runtime.alignment.search import Optimum, find_coarse, find_rotation
@@ -80,8 +80,8 @@ class CalibrationResult:
     off_degrees: _Floats | None
     within_degrees: _Floats | None
     mistake: str | None
-    before: Figures
-    after: Figures
+    before: FitScores
+    after: FitScores
     range_m: float
     frames: tuple[str, ...]
     scenes: float
@@ -275,13 +275,13 @@ def count_scenes(views: Sequence[View]) -> float:
     return float(len(views) ** 2 / np.maximum(rows @ rows.T, 0).sum())
 
 
-def _median(views: list[View], best: Optimum | None = None) -> Figures:
+def _median(views: list[View], best: Optimum | None = None) -> FitScores:
     """The figures, medians over the views, as given or turned to the best rotation."""
     if not views:
-        return Figures(0.0, 0.0)
+        return FitScores(0.0, 0.0)
     angles = (0, 0, 0) if best is None else best.angles
-    edge, alike = np.median([figures_of(view, angles) for view in views], axis=0)
-    return Figures(float(edge), float(alike))
+    edge, correlation = np.median([fit_scores(view, angles) for view in views], axis=0)
+    return FitScores(float(edge), float(correlation))
 
 
 def _shift_range(views: list[View]) -> float:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.alignment.figures import LEAST_ALIKE, figures_of
+from runtime.alignment.fit_scores import LEAST_CORRELATION, fit_scores
 from runtime.alignment.view import View
 
 _LEAST_GAIN = 0.1  # least gain of the sum of both figures over the given calibration
@@ -94,9 +94,9 @@ def find_mistake(views: Sequence[View]) -> Mistake | None:
     views = views[:: -(-len(views) // _FRAMES)]
     given, _ = _fit(views)
     fits = [_fit(without(views, each)) for each in USUAL_MISTAKES]
-    total, alike = max(fits)
-    is_clear = alike >= LEAST_ALIKE and total >= given + _LEAST_GAIN
-    return USUAL_MISTAKES[fits.index((total, alike))] if is_clear else None
+    total, correlation = max(fits)
+    is_clear = correlation >= LEAST_CORRELATION and total >= given + _LEAST_GAIN
+    return USUAL_MISTAKES[fits.index((total, correlation))] if is_clear else None
 
 
 def without(views: Sequence[View], mistake: Mistake) -> list[View]:
@@ -106,6 +106,6 @@ def without(views: Sequence[View], mistake: Mistake) -> list[View]:
 
 def _fit(views: Sequence[View]) -> tuple[float, float]:
     """Medians of the sum of both figures and of the depth figure; 0 if returns miss the image."""
-    figures = [figures_of(view) if view.has_structure else (0.0, 0.0) for view in views]
-    edges, alike = np.array(figures).T
-    return float(np.median(edges + alike)), float(np.median(alike))
+    figures = [fit_scores(view) if view.has_structure else (0.0, 0.0) for view in views]
+    edges, correlation = np.array(figures).T
+    return float(np.median(edges + correlation)), float(np.median(correlation))

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.alignment.figures import totals
+from runtime.alignment.fit_scores import total_scores
 from runtime.alignment.search import find_coarse
 from runtime.alignment.view import View
 
@@ -32,7 +32,7 @@ def find_pairing_fault(views: Sequence[View], angles: NDArray[np.float64]) -> st
         if len(pairs) < _LEAST_FRAMES:
             continue
         own, other = (list(each) for each in zip(*pairs, strict=True))
-        of_own, of_other = totals(own, angles), totals(other, find_coarse(other))
+        of_own, of_other = total_scores(own, angles), total_scores(other, find_coarse(other))
         gains = of_other - of_own
         error = gains.std(ddof=1) / np.sqrt(len(gains))
         if gains.mean() > max(_LEAST_GAIN, _ERRORS * error):

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from runtime.alignment.figures import AXES, totals
+from runtime.alignment.fit_scores import AXES, total_scores
 from runtime.alignment.mistakes import find_mistake
 from runtime.alignment.view import View, view_of
 from runtime.engine.prediction import Prediction
@@ -66,11 +66,11 @@ class QuickCheck:
         views = [view for view in self._views if view.has_structure]
         if not views:
             return None
-        given = totals(views, (0, 0, 0))
+        given = total_scores(views, (0, 0, 0))
         turned, changes = {}, {}
         for axis, name in enumerate(_JUDGED):
             turns = (way * _TURN_DEGREES * np.eye(3)[axis] for way in (-1, 1))
-            minus, plus = (totals(views, turn) for turn in turns)
+            minus, plus = (total_scores(views, turn) for turn in turns)
             turned[name] = float(np.median(minus)), float(np.median(plus))
             for sign, figures in (("-", minus), ("+", plus)):
                 change = f"{sign}{_TURN_DEGREES:g} degree of {name}"

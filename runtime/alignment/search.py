@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.alignment.figures import totals
+from runtime.alignment.fit_scores import total_scores
 from runtime.alignment.view import View
 
 # Blur of the boundaries in image heights, step of yaw and pitch [degrees], largest number of
@@ -86,7 +86,7 @@ def _sides(step: float) -> _Floats:
 def _around(views: Sequence[View], angles: _Floats, blur: float, step: float) -> _Floats:
     """The sums of each view, (frames, places of the cube)."""
     places = angles + _CUBE * _sides(step)
-    return np.column_stack([totals(views, place, blur=blur) for place in places])
+    return np.column_stack([total_scores(views, place, blur=blur) for place in places])
 
 
 def _best_of(terms: _Floats) -> _Floats:

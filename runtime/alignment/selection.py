@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from runtime.alignment.view import Neighbours, Points, find_structure, points_in_time
+from runtime.alignment.view import Neighbours, Points, compensated_points, find_structure
 from runtime.base.errors import InputError
 from runtime.recordings.source import ListedFrame, Source
 from runtime.streams.frame import Frame
@@ -50,7 +50,7 @@ def _read(source: Source, listed: Sequence[ListedFrame], place: int) -> tuple[Fr
         frame = source.read(listed[place])
     except InputError:  # the frame is damaged; others can be used
         return None
-    if (points := points_in_time(frame)) is None or frame.calibration is None:
+    if (points := compensated_points(frame)) is None or frame.calibration is None:
         raise InputError(
             "the recording has depth maps, or no calibration: a calibration is checked with raw "
             "scans, --points with --calibration, or a bag or drive with point clouds"

@@ -15,8 +15,8 @@ from runtime.contract.degraded import IMAGE_CONSTANT
 from runtime.engine.prediction import Prediction
 from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.lens import as_key, ray_bounds, to_plane
-from runtime.geometry.motion import Scan, move_points
+from runtime.geometry.lens import cache_key, ray_bounds, to_image_plane
+from runtime.geometry.motion import Scan, compensate_points
 from runtime.geometry.poses import NoPoseError
 from runtime.streams.frame import Frame
 from runtime.streams.health.log_depth import log_depth
@@ -112,7 +112,7 @@ def view_of(
         return None
     if not camera_only.valid or IMAGE_CONSTANT in camera_only.degraded:
         return None
-    if (points := points_in_time(frame)) is None:
+    if (points := compensated_points(frame)) is None:
         return None
     returns, jumps = find_structure(points, calibration, frame.size)
     answers = boundary, log_depth(depth)
@@ -164,14 +164,14 @@ def find_jumps(points: Points) -> NDArray[np.bool_]:
     return np.asarray(farther > np.maximum(_JUMP_M, _JUMP_SHARE * ranges))
 
 
-def points_in_time(frame: Frame) -> Points | None:
+def compensated_points(frame: Frame) -> Points | None:
     """The points of the frame's scan, moved to the time of its image if there are poses."""
     if frame.depth is None or not isinstance(scan := frame.depth.data, Scan):
         return None
     if frame.poses is None or scan.times is None:
         return scan.points
     try:
-        return move_points(scan.points, scan.times, frame.poses, frame.image.stamp_ns)
+        return compensate_points(scan.points, scan.times, frame.poses, frame.image.stamp_ns)
     except NoPoseError:
         return scan.points
 
@@ -179,9 +179,9 @@ def points_in_time(frame: Frame) -> Points | None:
 def _image_bounds(calibration: Calibration, size: tuple[int, int]) -> tuple[float, ...]:
     """The left, right, top and bottom ray of an image."""
     if (lens := calibration.lens_model) is not None:
-        return tuple(map(float, ray_bounds(lens, as_key(calibration.intrinsics), size)[:4]))
+        return tuple(map(float, ray_bounds(lens, cache_key(calibration.intrinsics), size)[:4]))
     height, width = size
-    x, y = to_plane(calibration.intrinsics, np.array([0, width]), np.array([0, height]))
+    x, y = to_image_plane(calibration.intrinsics, np.array([0, width]), np.array([0, height]))
     return float(x[0]), float(x[1]), float(y[0]), float(y[1])
 
 

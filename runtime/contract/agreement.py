@@ -71,7 +71,7 @@ def compare(
     return figures
 
 
-def first_figure(head: str) -> str:
+def limited_figure(head: str) -> str:
     """Return the name of the figure that `Head.tolerance` limits."""
     row = HEADS[head]
     in_metres = row.unit is Unit.METRES and row.difference is Difference.ABSOLUTE
@@ -123,11 +123,11 @@ def worst(figures: Sequence[Mapping[str, float]]) -> dict[str, float]:
 def file_limits(head: str, contract: Contract) -> dict[str, float]:
     """Return the limits for a file's answers compared with PyTorch's on the machine of the export.
 
-    Only `first_figure` has a limit. 8-bit files are judged by their accuracy instead, see
+    Only `limited_figure` has a limit. 8-bit files are judged by their accuracy instead, see
     `export.int8`.
     """
     row = HEADS[head]
-    return _limit(row, first_figure(head), row.limit(contract.max_depth_m), contract)
+    return _limit(row, limited_figure(head), row.limit(contract.max_depth_m), contract)
 
 
 def reference_limits(head: str, contract: Contract, *, from_torch: bool) -> dict[str, float]:

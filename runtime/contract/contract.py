@@ -43,7 +43,7 @@ class ClassInfo:
 
 
 @dataclass(frozen=True)
-class Content:
+class ModelContent:
     """The bytes of a model file before its metadata: their number and SHA-256."""
 
     bytes: int
@@ -96,7 +96,7 @@ class Contract:
     giga_macs: float | None = None
     accuracy: Mapping[str, Any] | None = None
     quantization: Mapping[str, Any] | None = None
-    content: Content = Content(bytes=0, sha256="")
+    content: ModelContent = ModelContent(bytes=0, sha256="")
 
     @property
     def sky(self) -> int | None:
@@ -276,8 +276,8 @@ def _class(entry: Any) -> ClassInfo:
     return ClassInfo(_take(entry, "name"), tuple(_take(entry, "color", list)))
 
 
-def _content(entry: Any) -> Content:
-    return Content(
+def _content(entry: Any) -> ModelContent:
+    return ModelContent(
         check_integer("content.bytes", _take(entry, "bytes"), 0), _take(entry, "sha256", str)
     )
 

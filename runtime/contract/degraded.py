@@ -1,6 +1,6 @@
 """The reasons in `Prediction.degraded` for a usable answer that is less reliable than usual.
 
-`inference.faults` has the reasons that make an answer unusable (`valid` is False).
+`inference.output_faults` has the reasons that make an answer unusable (`valid` is False).
 """
 
 NO_DEPTH = "no_depth"  # no usable return: the answer comes from the camera alone

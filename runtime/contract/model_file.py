@@ -23,7 +23,7 @@ from pathlib import Path
 
 from runtime.base.checks import shown
 from runtime.base.errors import ContractError, InputError
-from runtime.contract.contract import METADATA_KEY, Content, Contract
+from runtime.contract.contract import METADATA_KEY, Contract, ModelContent
 from runtime.files.read_input import read_input
 
 MAX_MODEL_BYTES = 2**31 - 1  # limit of protobuf
@@ -104,7 +104,7 @@ def parse_model_file(content: bytes) -> ModelFile:
     digest = hashlib.sha256(view[: -len(entry)])
     if view[-len(entry) :] != entry:
         raise _damaged("its metadata is not the last entry of the file, or is encoded differently")
-    found = Content(bytes=len(view) - len(entry), sha256=digest.hexdigest())
+    found = ModelContent(bytes=len(view) - len(entry), sha256=digest.hexdigest())
     if found != (known := contract.content):
         raise _damaged(
             f"the model has {found.bytes} bytes (SHA-256 {found.sha256[:12]}), but its metadata "
@@ -124,7 +124,7 @@ def with_contract(content: bytes, contract: Contract) -> bytes:
     Raises:
         ValueError, TypeError: if the contract holds values that JSON cannot represent.
     """
-    described = Content(bytes=len(content), sha256=hashlib.sha256(content).hexdigest())
+    described = ModelContent(bytes=len(content), sha256=hashlib.sha256(content).hexdigest())
     text = dataclasses.replace(contract, content=described).to_json()
     return content + _entry(text)
 

@@ -14,7 +14,7 @@ from runtime.contract.heads import HEADS, Head, Unit
 from runtime.contract.resize import RESIZE
 from runtime.engine.prediction import Latency, Prediction
 from runtime.engine.preprocess import NetworkInput
-from runtime.engine.session import explain
+from runtime.engine.session import describe_error
 
 _ROUNDING = 1e-3  # share of a head's range by which rounding may exceed it
 
@@ -40,7 +40,7 @@ def run_batch(
     except Exception as error:
         several = f"{count} frames" if count > 1 else "a frame"
         raise InferenceError(
-            f"the session failed on {several} of {size[0]} x {size[1]}: {explain(error)}"
+            f"the session failed on {several} of {size[0]} x {size[1]}: {describe_error(error)}"
         ) from error
     for head, values in outputs.items():
         planes = (len(contract.classes),) if HEADS[head].per_class else ()
@@ -76,8 +76,8 @@ def to_prediction(
         stamp: stamp of the frame.
     """
     started = time.perf_counter()
-    found = faults(outputs, contract)
-    heads = to_frame(outputs, frame)
+    found = output_faults(outputs, contract)
+    heads = resize_outputs(outputs, frame)
     latency_ms = *times_ms, (time.perf_counter() - started) * 1e3
     return Prediction(
         heads=heads,
@@ -94,7 +94,9 @@ def to_prediction(
     )
 
 
-def to_frame(outputs: Mapping[str, NDArray[Any]], frame: NetworkInput) -> dict[str, NDArray[Any]]:
+def resize_outputs(
+    outputs: Mapping[str, NDArray[Any]], frame: NetworkInput
+) -> dict[str, NDArray[Any]]:
     """Convert a frame's outputs, head -> array, to metres and to the frame's size, in place."""
     if frame.scale.factor != 1:
         for name, values in outputs.items():
@@ -118,7 +120,7 @@ def to_frame(outputs: Mapping[str, NDArray[Any]], frame: NetworkInput) -> dict[s
     return answers
 
 
-def faults(outputs: Mapping[str, NDArray[Any]], contract: Contract) -> tuple[str, ...]:
+def output_faults(outputs: Mapping[str, NDArray[Any]], contract: Contract) -> tuple[str, ...]:
     """Return the reasons why outputs, head -> array of one frame, cannot be used; () if they can.
 
     The reasons are "HEAD_not_finite", "HEAD_out_of_range" and, for class ids, "HEAD_unknown_class".

@@ -25,7 +25,7 @@ from runtime.engine.preprocess import NetworkInput, preprocess
 from runtime.engine.process_guard import ProcessGuard
 from runtime.engine.session import node_counts
 from runtime.geometry.assumptions import collect_assumptions
-from runtime.geometry.units import check_view
+from runtime.geometry.units import check_field_of_view
 
 _MOST_THREADS = 1024
 _SMALL_SIZE = (64, 64)  # size of the frame that checks a model of free size
@@ -265,7 +265,7 @@ class Predictor:
         """
         focal_px = _check_focal_length(focal_length_px) or self.focal_length_px
         if focal_px is not None:
-            check_view(focal_px, frame_size[1])
+            check_field_of_view(focal_px, frame_size[1])
         return camera_scale(
             self.contract.max_depth_m,
             self.contract.canonical_focal_px,

@@ -93,7 +93,7 @@ def open_session(
     return session
 
 
-def explain(error: Exception) -> str:
+def describe_error(error: Exception) -> str:
     """Return the text of an error of ONNX Runtime or NumPy, with a remedy if memory ran out."""
     if isinstance(error, MemoryError) or _NO_MEMORY.search(str(error)):
         return f"out of memory, choose a smaller size or fewer frames ({error})"
@@ -160,7 +160,7 @@ def _assigned_nodes(session: Any) -> list[tuple[str, str]]:
 
 def _unloadable(error: Exception) -> ContractError:
     """Return the error for a file that ONNX Runtime refuses."""
-    text = explain(error)
+    text = describe_error(error)
     if "external data" in text.lower():
         found = "" if os.devnull in text else f", which cannot be read ({text})"
         return ContractError(

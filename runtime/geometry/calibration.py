@@ -14,12 +14,12 @@ from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.files.read_input import read_toml
 from runtime.geometry.assumptions import assume
-from runtime.geometry.kitti_calibration import NumbersFile, chain, is_kitti, size_of_kitti
-from runtime.geometry.lens import PLUMB_BOB, Lens, as_key, rectifying_maps
+from runtime.geometry.kitti_calibration import NumbersFile, chain, is_kitti, kitti_image_size
+from runtime.geometry.lens import PLUMB_BOB, Lens, cache_key, rectifying_maps
 from runtime.geometry.projection import check_intrinsics, project_points
 from runtime.geometry.region import region_of_images
-from runtime.geometry.rigid import read_rigid
-from runtime.geometry.units import check_mount
+from runtime.geometry.rigid import nearest_rigid
+from runtime.geometry.units import check_mount_distance
 
 RAW_CAMERAS, RAW_SCANNER = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
 # Example of a file, which is filled in for another camera.
@@ -49,7 +49,7 @@ class Calibration:
         distortion: coefficients of the lens, in the order of OpenCV and ROS.
 
     Raises:
-        InputError: if a matrix is invalid, see `read_rigid`, the lens is unknown, or the
+        InputError: if a matrix is invalid, see `nearest_rigid`, the lens is unknown, or the
             coefficients do not fit the lens.
     """
 
@@ -64,7 +64,7 @@ class Calibration:
         """Check the matrices and the lens, and replace nearly rigid matrices by rigid ones."""
         for name in ("extrinsics", "body_from_lidar"):
             if (matrix := getattr(self, name)) is not None:
-                object.__setattr__(self, name, read_rigid(name, matrix))
+                object.__setattr__(self, name, nearest_rigid(name, matrix))
         project_points(
             np.zeros((0, 3), np.float32), self.intrinsics, self.extrinsics, self.size or (1, 1)
         )
@@ -74,7 +74,7 @@ class Calibration:
                 f"coefficients, got lens {shown(self.lens)} and distortion {shown(self.distortion)}"
             )
         _ = self.lens_model
-        check_mount(self.extrinsics, self.body_from_lidar)
+        check_mount_distance(self.extrinsics, self.body_from_lidar)
 
     @property
     def focal_length_px(self) -> float:
@@ -109,7 +109,7 @@ class Calibration:
         self.require_size(size)
         if (lens := self.lens_model) is None:
             return rgb
-        maps = rectifying_maps(lens, as_key(self.intrinsics), size)
+        maps = rectifying_maps(lens, cache_key(self.intrinsics), size)
         return cv2.remap(rgb, *maps, cv2.INTER_LINEAR)  # type: ignore[return-value]
 
     def project(self, points: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
@@ -134,7 +134,7 @@ class Calibration:
         If the size is unknown but the intrinsics are KITTI's, an `AssumptionWarning` is issued for
         other sizes: images may be cut at the bottom and right without new intrinsics.
         """
-        if self.size is None and (known := size_of_kitti(self.intrinsics)) not in (None, size):
+        if self.size is None and (known := kitti_image_size(self.intrinsics)) not in (None, size):
             assume(
                 f"the calibration fits images of {size} (height, width), although KITTI's images "
                 f"with these intrinsics have {known}",

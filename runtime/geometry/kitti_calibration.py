@@ -28,7 +28,7 @@ _SIZES = {
 _SAME_PX = 0.1
 
 
-def size_of_kitti(intrinsics: NDArray[np.floating[Any]]) -> tuple[int, int] | None:
+def kitti_image_size(intrinsics: NDArray[np.floating[Any]]) -> tuple[int, int] | None:
     """The (height, width) of KITTI's images with these intrinsics; None for any other camera."""
     numbers = intrinsics[[0, 0, 1], [0, 2, 2]]
     for known, size in _SIZES.items():

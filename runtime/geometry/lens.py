@@ -166,7 +166,7 @@ class Lens:
         )
 
 
-def to_plane(
+def to_image_plane(
     intrinsics: NDArray[np.floating[Any]], column: NDArray[Any], row: NDArray[Any]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return where pixels lie on the image plane at focal length 1, (x, y).
@@ -180,7 +180,7 @@ def to_plane(
     )
 
 
-def as_key(intrinsics: NDArray[np.floating[Any]]) -> Key:
+def cache_key(intrinsics: NDArray[np.floating[Any]]) -> Key:
     """Return the numbers of a matrix (3, 3), a key for the cached tables of a camera."""
     return tuple(intrinsics.astype(np.float64).ravel().tolist())
 
@@ -205,7 +205,7 @@ def rays(lens: Lens, intrinsics: Key, size: tuple[int, int]) -> Any:
     """
     height, width = size
     row, column = np.mgrid[:height, :width].astype(np.float64)
-    plane = to_plane(np.reshape(intrinsics, (3, 3)), column, row)
+    plane = to_image_plane(np.reshape(intrinsics, (3, 3)), column, row)
     table = np.stack(lens.undistort(*plane), axis=-1).astype(np.float32)
     table.flags.writeable = False
     return table
@@ -220,7 +220,7 @@ def ray_bounds(lens: Lens, intrinsics: Key, size: tuple[int, int]) -> RayBounds:
     across, down = np.arange(width + 1) - 0.5, np.arange(height + 1) - 0.5
     column = np.concatenate([across, across, np.full_like(down, -0.5), 0 * down + width - 0.5])
     row = np.concatenate([np.full_like(across, -0.5), 0 * across + height - 0.5, down, down])
-    x, y = lens.undistort(*to_plane(np.reshape(intrinsics, (3, 3)), column, row))
+    x, y = lens.undistort(*to_image_plane(np.reshape(intrinsics, (3, 3)), column, row))
     bounds = np.array([x.min(), x.max(), y.min(), y.max()])
     if not np.isfinite(bounds).all():  # the image is larger than the field of view of the lens
         bounds = np.array([-farthest, farthest, -farthest, farthest])
@@ -240,7 +240,7 @@ def pixels_of_rays(
     """Return the columns and the rows at which rays meet an image; -1 where the lens sees none."""
     seen = None
     if lens is not None:
-        seen = x * x + y * y <= ray_bounds(lens, as_key(intrinsics), size).radius_2
+        seen = x * x + y * y <= ray_bounds(lens, cache_key(intrinsics), size).radius_2
         x, y = lens.distort(np.where(seen, x, 0), np.where(seen, y, 0))
     lines = intrinsics[:2].astype(x.dtype)
     pixels = [for_x * x + for_y * y + shift for for_x, for_y, shift in lines]
@@ -259,6 +259,6 @@ def rectifying_maps(
     height, width = size
     matrix = np.reshape(intrinsics, (3, 3))
     row, column = np.mgrid[:height, :width].astype(np.float64)
-    pixels = pixels_of_rays(*to_plane(matrix, column, row), lens, matrix, size)
+    pixels = pixels_of_rays(*to_image_plane(matrix, column, row), lens, matrix, size)
     across, down = (each.astype(np.float32) for each in pixels)
     return across, down

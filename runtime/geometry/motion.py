@@ -96,7 +96,7 @@ def _check_clock(after_s: NDArray[np.float64]) -> None:
         )
 
 
-class DepthInTime(NamedTuple):
+class CompensatedDepth(NamedTuple):
     """A sparse depth map.
 
     Attributes:
@@ -113,7 +113,7 @@ class DepthInTime(NamedTuple):
     lost_points: int = 0
 
 
-def project_in_time(
+def compensate_depth(
     calibration: Calibration,
     scan: Scan,
     poses: PoseTrack | None,
@@ -121,8 +121,8 @@ def project_in_time(
     size: tuple[int, int],
     *,
     reused: bool,
-) -> DepthInTime:
-    """Project a scan into an image; if there are poses, move it as `project_moved` does.
+) -> CompensatedDepth:
+    """Project a scan into an image; if there are poses, move it as `project_compensated` does.
 
     Args:
         calibration: calibration of camera and LiDAR.
@@ -140,13 +140,15 @@ def project_in_time(
     reasons += (POINTS_UNTIMED,) if untimed else ()
     if poses is not None and times is not None:
         try:
-            moved = project_moved(calibration, points, times, poses, to, size)
-            return DepthInTime(moved, "scan" if isinstance(times, int) else "each", reasons, lost)
+            moved = project_compensated(calibration, points, times, poses, to, size)
+            return CompensatedDepth(
+                moved, "scan" if isinstance(times, int) else "each", reasons, lost
+            )
         except NoPoseError as error:
             reasons += (DEPTH_UNCOMPENSATED, error.reason)
     elif reused:
         reasons += (DEPTH_UNCOMPENSATED,)
-    return DepthInTime(calibration.project(points, size), "none", reasons, lost)
+    return CompensatedDepth(calibration.project(points, size), "none", reasons, lost)
 
 
 def assume_middle(remedy: str) -> None:
@@ -185,7 +187,7 @@ def point_times(times: Any, count: int, stamp_ns: int) -> NDArray[np.float64]:
     return np.asarray((times.astype(np.int64) - stamp_ns) / 1e9)
 
 
-def move_points(
+def compensate_points(
     points: NDArray[np.float32], times: NDArray[np.int64] | int, poses: PoseTrack, to: int
 ) -> NDArray[np.float32]:
     """Move each return from where the LiDAR was at its own time to where it is at another time.
@@ -214,7 +216,7 @@ def move_points(
     return moved
 
 
-def project_moved(
+def project_compensated(
     calibration: Calibration,
     points: NDArray[np.float32],
     times: NDArray[np.int64] | int,
@@ -222,13 +224,13 @@ def project_moved(
     to: int,
     size: tuple[int, int],
 ) -> NDArray[np.float32]:
-    """Project a scan into an image of the time `to`, see `move_points` and `project_points`.
+    """Project a scan into an image of the time `to`, see `compensate_points` and `project_points`.
 
     Args:
         calibration: calibration of camera and LiDAR.
-        points: see `move_points`.
-        times: see `move_points`.
-        poses: see `move_points`.
+        points: see `compensate_points`.
+        times: see `compensate_points`.
+        poses: see `compensate_points`.
         to: time of the image in nanoseconds.
         size: (height, width) of the image.
 

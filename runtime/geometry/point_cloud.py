@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from runtime.base.checks import check_number
 from runtime.base.errors import InputError
 from runtime.contract.heads import EDGE_BOUNDARY
-from runtime.geometry.lens import Lens, as_key, rays, to_plane
+from runtime.geometry.lens import Lens, cache_key, rays, to_image_plane
 from runtime.geometry.projection import check_intrinsics
 
 _LEAST_VOXEL_M = 0.01
@@ -108,12 +108,12 @@ def to_points(
     if semantic is not None and sky is not None:
         kept &= semantic != sky
     if lens is not None:
-        table = rays(lens, as_key(intrinsics), (depth.shape[0], depth.shape[1]))
+        table = rays(lens, cache_key(intrinsics), (depth.shape[0], depth.shape[1]))
         kept &= np.isfinite(table[..., 0])
     row, column = np.nonzero(kept)
     z = depth[row, column]
     if lens is None:
-        x, y = (place.astype(np.float32) for place in to_plane(intrinsics, column, row))
+        x, y = (place.astype(np.float32) for place in to_image_plane(intrinsics, column, row))
     else:
         x, y = table[row, column].T
     return PointCloud(

@@ -18,7 +18,7 @@ from runtime.base.checks import check_integer, shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import JUMP_BACK_NS, NS_PER_MS
 from runtime.contract.degraded import NO_POSE, POSE_CLOCK, POSE_GAP, POSE_JUMP
-from runtime.geometry.rigid import read_rigid
+from runtime.geometry.rigid import nearest_rigid
 
 MAX_EXTRAPOLATION_MS = 100.0
 # Longest time between two poses over which they are interpolated. A car with 10 m/s² leaves the
@@ -106,7 +106,7 @@ class PoseTrack:
                 raise InputError(
                     f"the stamps of poses must increase, got {stamp_ns} after a later one"
                 )
-            buffer.add(read_rigid("pose", pose), stamp_ns)
+            buffer.add(nearest_rigid("pose", pose), stamp_ns)
         return buffer.whole()
 
     def mounted(self, mount: NDArray[np.float64]) -> "PoseTrack":
@@ -187,7 +187,7 @@ class PoseBuffer:
         return self._poses[-1].stamp_ns if self._poses else None
 
     def add(self, pose: NDArray[np.float64], stamp_ns: int) -> bool:
-        """Add a pose that `read_rigid` returned; return False if it is ignored as not newer."""
+        """Add a pose that `nearest_rigid` returned; return False if it is ignored as not newer."""
         newest_ns = self.newest_ns
         if newest_ns is not None and stamp_ns <= newest_ns:
             if stamp_ns >= newest_ns - JUMP_BACK_NS:

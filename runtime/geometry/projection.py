@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from runtime.base.checks import check_integer, shown
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_SIDE
-from runtime.geometry.lens import Lens, as_key, pixels_of_rays, ray_bounds
+from runtime.geometry.lens import Lens, cache_key, pixels_of_rays, ray_bounds
 from runtime.geometry.returns import axes_of, check_points
-from runtime.geometry.rigid import check_matrix, read_rigid
+from runtime.geometry.rigid import check_matrix, nearest_rigid
 
 _INDEX_BITS = 32
 
@@ -75,7 +75,7 @@ def project_with_rows(
     """Project like `project_points`, and return the point of each pixel; ties keep the first."""
     check_points(points)
     check_intrinsics(intrinsics)
-    extrinsics = read_rigid("extrinsics", extrinsics)
+    extrinsics = nearest_rigid("extrinsics", extrinsics)
     height, width = _check_size(size)
     axes = axes_of(points)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -92,7 +92,7 @@ def project_with_rows(
             u, v = u_z[row] / z, v_z[row] / z
         else:
             x_z, y_z, z = _transform(axes, extrinsics[:3].astype(np.float32))
-            left, right, top, bottom, _ = ray_bounds(lens, as_key(intrinsics), size)
+            left, right, top, bottom, _ = ray_bounds(lens, cache_key(intrinsics), size)
             row = np.flatnonzero(
                 (x_z > left * z) & (x_z < right * z) & (y_z > top * z) & (y_z < bottom * z)
             )

@@ -14,7 +14,7 @@ _LARGEST_M = 1e7
 _NEAR = 0.02  # DAIR-V2X's calibrations are within it, but not a lost sign or a scale
 
 
-def read_rotation(name: str, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+def nearest_rotation(name: str, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a rotation matrix, float64 (3, 3); if it is inexact, return the nearest rotation.
 
     Raises:
@@ -35,12 +35,12 @@ def read_rotation(name: str, rotation: NDArray[np.float64]) -> NDArray[np.float6
     return np.asarray(left @ right)
 
 
-def read_rigid(name: str, matrix: Any) -> NDArray[np.float64]:
-    """Return a rigid transform as a new array, float64 (4, 4), see `read_rotation`.
+def nearest_rigid(name: str, matrix: Any) -> NDArray[np.float64]:
+    """Return a rigid transform as a new array, float64 (4, 4), see `nearest_rotation`.
 
     Raises:
-        InputError: in the cases of `read_rotation`, and if the shape or type is wrong, a number is
-            not finite, the position is beyond 10,000 km, or the last row is not 0, 0, 0, 1.
+        InputError: in the cases of `nearest_rotation`, and if the shape or type is wrong, a number
+            is not finite, the position is beyond 10,000 km, or the last row is not 0, 0, 0, 1.
     """
     check_matrix(name, matrix, 4)
     if not np.array_equal(matrix[3], (0, 0, 0, 1)):
@@ -51,7 +51,7 @@ def read_rigid(name: str, matrix: Any) -> NDArray[np.float64]:
     if not np.abs(matrix[:3, 3]).max() <= _LARGEST_M:
         raise InputError(f"{name} must have a position in metres, got {matrix[:3, 3].tolist()}")
     rigid: NDArray[np.float64] = matrix.astype(np.float64)
-    rigid[:3, :3] = read_rotation(name, rigid[:3, :3])
+    rigid[:3, :3] = nearest_rotation(name, rigid[:3, :3])
     return rigid
 
 

@@ -17,7 +17,7 @@ _WIDEST_DEGREES = 150
 _FARTHEST_SENSOR_M, _FARTHEST_BODY_M = 3.0, 10.0
 
 
-def check_view(focal_px: float, width: int) -> None:
+def check_field_of_view(focal_px: float, width: int) -> None:
     """Warn if a focal length [px] is unlikely for this image width [px], such as millimetres."""
     degrees = 2 * math.degrees(math.atan(width / (2 * focal_px)))
     if degrees > _WIDEST_DEGREES:
@@ -29,7 +29,7 @@ def check_view(focal_px: float, width: int) -> None:
         )
 
 
-def check_mount(
+def check_mount_distance(
     extrinsics: NDArray[np.floating[Any]], body: NDArray[np.floating[Any]] | None
 ) -> None:
     """Warn if the LiDAR is unlikely far from its camera or body, such as in centimetres.

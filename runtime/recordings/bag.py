@@ -40,7 +40,7 @@ from runtime.recordings.ros_poses import (
     transform_poses,
 )
 from runtime.recordings.ros_topics import COMPRESSED_IMAGE, NO_TOPIC, RosTopics
-from runtime.recordings.source import ListedFrame, Source, track_of
+from runtime.recordings.source import ListedFrame, Source, pose_track
 from runtime.streams.frame import MATCHED, Frame, Message, Outcome, Sensor
 from runtime.streams.health.sensor_times import check_clocks
 
@@ -118,7 +118,7 @@ class BagSource(Source):
                     registered=given.registered,
                     rig=rig,
                 )
-                self.calibration = self._sensors.calibrate()
+                self.calibration = self._sensors.read_calibration()
                 self._pose_topic = self._find_poses()
             # Frames need these later, when a second reading would disturb the reader of an MCAP.
             for topic in filter(None, (self._image_topic, self._depth_topic)):
@@ -194,7 +194,7 @@ class BagSource(Source):
             if self.calibration is not None and self.calibration.body_from_lidar is None:
                 mount = self._sensors.tree.between(lidar, body)
                 self.calibration = replace(self.calibration, body_from_lidar=mount)
-            self._poses = track_of(stamped)
+            self._poses = pose_track(stamped)
             return topic
         except InputError as error:
             if self._given.pose_topic is not None:

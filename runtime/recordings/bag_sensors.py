@@ -14,7 +14,7 @@ from runtime.geometry.assumptions import assume, collect_assumptions
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.rig import Rig
 from runtime.recordings.ros_bag import RosBag
-from runtime.recordings.ros_camera import CAMERA_INFO, GIVE, SAME_PX, calibrate
+from runtime.recordings.ros_camera import CAMERA_INFO, GIVE, SAME_PX, read_camera_calibration
 from runtime.recordings.ros_poses import TransformTree, frame_name, is_fixed
 from runtime.recordings.ros_topics import POINT_CLOUD, RosTopics
 
@@ -61,7 +61,7 @@ class BagSensors:
         self._first_frames: dict[str, str] = {}  # of each topic
         self._of_frames: dict[str, Calibration] = {}  # for scans, by their frames
 
-    def calibrate(self) -> Calibration | None:
+    def read_calibration(self) -> Calibration | None:
         """The given calibration, or the one that CameraInfo and /tf_static describe."""
         image, depth = self._image_topic, self._depth_topic
         if depth is None or not (self.has_clouds or self._is_apart(depth)):
@@ -104,7 +104,7 @@ class BagSensors:
             remedy = "give info_topic= in --source, or --calibration"
             raise InputError(f"{self._bag.path} has no CameraInfo beside {topic}: {remedy}")
         stated = self._rectified if is_image else None
-        return calibrate(self._bag, self.tree, topic, info, source, stated)
+        return read_camera_calibration(self._bag, self.tree, topic, info, source, stated)
 
     def frame(self, topic: str) -> str:
         """The frame of the first message of a topic."""

@@ -29,7 +29,7 @@ from runtime.recordings.images import (
 )
 from runtime.recordings.poses import read_poses
 from runtime.recordings.scan import SCAN_SUFFIXES, read_scan
-from runtime.recordings.source import ListedFrame, Source, up_to
+from runtime.recordings.source import ListedFrame, Source, limit_frames
 from runtime.recordings.timestamps import read_timestamps
 from runtime.streams.frame import Frame, Outcome, Sensor
 
@@ -184,7 +184,7 @@ class FolderSource(Source):
             ListedFrame(number, name, images.get(name), depths.get(name), complete=name in whole)
             for number, name in enumerate(names)
         )
-        return up_to(frames, limit)
+        return limit_frames(frames, limit)
 
     def _list_timed(
         self, images: Mapping[str, Path], depths: Mapping[str, Path], limit: int | None

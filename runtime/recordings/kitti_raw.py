@@ -14,11 +14,11 @@ from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration, find_raw_calibration
 from runtime.geometry.kitti_calibration import NumbersFile
 from runtime.geometry.rig import DEFAULT_RIG, Rig
-from runtime.geometry.rigid import read_rigid
+from runtime.geometry.rigid import nearest_rigid
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.images import RGB_SUFFIXES, list_files
 from runtime.recordings.poses import read_oxts_poses
-from runtime.recordings.source import ListedFrame, by_number, track_of
+from runtime.recordings.source import ListedFrame, by_number, pose_track
 from runtime.streams.frame import Sensor
 
 RAW_IMU = "calib_imu_to_velo.txt"
@@ -117,10 +117,12 @@ class KittiRawSource(FolderSource):
             return
         numbers, lidar_from_body = NumbersFile(mount), np.eye(4)
         lidar_from_body[:3] = np.hstack([numbers.matrix("R", 3, 3), numbers.matrix("T", 3, 1)])
-        body_from_lidar = np.linalg.inv(read_rigid(str(mount), lidar_from_body)).astype(np.float64)
+        body_from_lidar = np.linalg.inv(nearest_rigid(str(mount), lidar_from_body)).astype(
+            np.float64
+        )
         stamped = sorted(_read_stamps(Sensor.POSE, folder, (".txt",)), key=lambda each: each[1])
         poses = read_oxts_poses(path for _, _, path in stamped)
-        self._poses = track_of(zip((stamp_ns for _, stamp_ns, _ in stamped), poses, strict=True))
+        self._poses = pose_track(zip((stamp_ns for _, stamp_ns, _ in stamped), poses, strict=True))
         self._oxts = folder
         self.calibration = replace(self.calibration, body_from_lidar=body_from_lidar)
 

@@ -15,7 +15,7 @@ from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import parse_seconds
 from runtime.files.read_input import read_text
-from runtime.geometry.rigid import read_rigid
+from runtime.geometry.rigid import nearest_rigid
 
 _KITTI, _TUM, _OXTS = 12, 8, 30
 _EARTH_RADIUS_M = 6378137.0
@@ -134,7 +134,7 @@ def pose_of(
     """Return the matrix (4, 4) of a position [m] and a unit quaternion x, y, z, w.
 
     Raises:
-        InputError: if the numbers are not finite, and in the cases of `read_rigid`.
+        InputError: if the numbers are not finite, and in the cases of `nearest_rigid`.
     """
     pose = np.eye(4)
     pose[:3, 3] = tuple(position)
@@ -143,7 +143,7 @@ def pose_of(
     with np.errstate(divide="ignore", invalid="ignore"):
         pose[:3, :3] += 2 / norm * (w * cross + cross @ cross)
     pose[:3, :3] *= norm**0.25  # a length off by 1 % makes the matrix off by 1 %
-    return read_rigid(f"{name}, x, y, z and a unit quaternion,", pose)
+    return nearest_rigid(f"{name}, x, y, z and a unit quaternion,", pose)
 
 
 def _lines(path: Path) -> list[str]:

@@ -12,12 +12,17 @@ from runtime.geometry.calibration import Calibration
 from runtime.geometry.point_cloud import PointCloud
 from runtime.geometry.poses import quaternion_of
 from runtime.streams.frame_result import FrameResult
-from runtime.streams.stream_counter import Level, WatchdogState
+from runtime.streams.stream_counter import WatchdogLevel, WatchdogState
 
 # Datatypes of sensor_msgs/PointField for NumPy's types.
 _DATATYPES = {"|u1": 2, "<u4": 6, "<f4": 7}
 # Levels of diagnostic_msgs/DiagnosticStatus for the states of a stream.
-_LEVELS = {Level.OK: 0, Level.WARN: 1, Level.ERROR: 2, Level.NOT_YET: 3}
+_LEVELS = {
+    WatchdogLevel.OK: 0,
+    WatchdogLevel.WARN: 1,
+    WatchdogLevel.ERROR: 2,
+    WatchdogLevel.NOT_YET: 3,
+}
 
 
 class FixedTransform(NamedTuple):
@@ -120,11 +125,11 @@ def status_fields(
     Returns:
         `level`, 0 to 3; `message`; and `values`, a mapping of texts.
     """
-    level, reasons, values = Level.OK, list[str](), {}
+    level, reasons, values = WatchdogLevel.OK, list[str](), {}
     if result is not None:
         prediction = result.prediction
         reasons += [*prediction.degraded, *result.health]
-        level = Level.WARN if reasons else Level.OK
+        level = WatchdogLevel.WARN if reasons else WatchdogLevel.OK
         values = {
             "frame": result.name,
             **{stage: f"{ms:.3f}" for stage, ms in vars(prediction.latency).items()},

@@ -15,7 +15,7 @@ from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume, collect_assumptions
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import Lens
-from runtime.geometry.rigid import read_rotation
+from runtime.geometry.rigid import nearest_rotation
 from runtime.recordings.images import image_size
 from runtime.recordings.ros_answers import FixedTransform, SensorFrames
 from runtime.recordings.ros_bag import RosBag
@@ -36,7 +36,7 @@ SAME_PX = 1.0  # largest difference between equal focal lengths or principal poi
 GIVE = "give --calibration"
 
 
-def calibrate(
+def read_camera_calibration(
     bag: RosBag, tree: TransformTree, topic: str, beside: str, source: str, rectified: bool | None
 ) -> Calibration:
     """Return the calibration of a camera for the points of a sensor.
@@ -70,7 +70,7 @@ def calibrate(
         if rectified is None:
             rectified = is_rectified(fields, topic)
         if np.any(fields["r"]):
-            turn = read_rotation("R", np.reshape(fields["r"], (3, 3)))
+            turn = nearest_rotation("R", np.reshape(fields["r"], (3, 3)))
             if np.abs(turn - np.eye(3)).max() > _TURN:
                 kind = "rectified" if rectified else "raw"
                 assume(f"{frame} is the frame of the {kind} images, so R is not used", GIVE)

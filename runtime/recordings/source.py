@@ -30,7 +30,7 @@ from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.ros_answers import FixedTransform, SensorFrames
 from runtime.streams.frame import MATCHED, Frame, Message, Sensor
 from runtime.streams.health.sensor_times import period_ns_of
-from runtime.streams.matching import Decided, StampMatching
+from runtime.streams.matching import Decided, RecordingMatcher
 
 _WAITING = 64  # messages of a sensor that wait for the other one, which may be recorded later
 
@@ -211,7 +211,7 @@ class Source(ABC):
             measured = Message(frame.depth_stamp_ns, frame.depth_stamp_ns or 0, depth)
         image = Message(frame.image_stamp_ns, frame.image_stamp_ns or 0, rgb)
         found = Frame(image, measured, frame.reused, calibration, poses, frame.name)
-        _ = found.in_time  # projected here, in the thread that reads
+        _ = found.compensated  # projected here, in the thread that reads
         return found
 
     @property
@@ -275,7 +275,7 @@ class Source(ABC):
         camera_only: bool,
         name: Callable[[Message], str] = lambda image: str(image.data.stem),
     ) -> tuple[ListedFrame, ...]:
-        """List the frames of messages, see `StampMatching`.
+        """List the frames of messages, see `RecordingMatcher`.
 
         Args:
             messages: (sensor, stamp in nanoseconds, data) in the order of the recording; the data
@@ -286,9 +286,9 @@ class Source(ABC):
             name: returns the name of an image's frame; the default is for data that are paths.
 
         Raises:
-            InputError: in the cases of `StampMatching`.
+            InputError: in the cases of `RecordingMatcher`.
         """
-        matching = StampMatching(
+        matching = RecordingMatcher(
             max_skew_ms=max_skew_ms, reuse_depth_ms=self._rig.oldest_depth_ms, capacity=_WAITING
         )
         stamps_ns: dict[Sensor, list[int]] = {sensor: [] for sensor in MATCHED}
@@ -313,7 +313,7 @@ class Source(ABC):
                     stamps_ns, own = (image.stamp_ns, depth.stamp_ns), not frame.reused
                     yield ListedFrame(*found, depth.data, *stamps_ns, own, frame.reused)
 
-        frames = up_to(listed(), limit)
+        frames = limit_frames(listed(), limit)
         scans_ns = [f.depth_stamp_ns for f in frames if f.depth_stamp_ns is not None]
         self._period_ns = period_ns_of(scans_ns, FIRST_SCAN_NS)
         self._to_middle_ns = round(self._rig.after_stamp * self._period_ns)
@@ -334,7 +334,7 @@ class Source(ABC):
         self.close()
 
 
-def up_to(frames: Iterable[ListedFrame], limit: int | None) -> tuple[ListedFrame, ...]:
+def limit_frames(frames: Iterable[ListedFrame], limit: int | None) -> tuple[ListedFrame, ...]:
     """The frames up to the `limit`-th complete one."""
     listed: list[ListedFrame] = []
     complete = 0
@@ -367,7 +367,7 @@ def left_out_note(left_out: Mapping[str, int]) -> tuple[str, ...]:
     return (f"left out: {counts}",) if counts else ()
 
 
-def track_of(stamped: Iterable[tuple[int, NDArray[np.float64]]]) -> PoseTrack:
+def pose_track(stamped: Iterable[tuple[int, NDArray[np.float64]]]) -> PoseTrack:
     """Return the track of poses in any order; of equal stamps the first counts.
 
     Raises InputError.

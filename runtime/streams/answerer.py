@@ -102,7 +102,7 @@ class Answerer:
         if frame.own_depth is not None and frame.poses is not None:
             self._posed = frame
             reasons += () if self.pose_fault is None else (IMPLAUSIBLE_POSES,)
-        prediction = prediction.after_reading(reasons, frame.in_time.lost_points)
+        prediction = prediction.after_reading(reasons, frame.compensated.lost_points)
         # `predict` has checked that they fit.
         scan = None if (own := frame.own_depth) is None else own.data
         health = self._health.check(

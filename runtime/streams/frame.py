@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from runtime.contract.degraded import DEPTH_REUSED, DEPTH_UNCOMPENSATED
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.motion import DepthInTime, DepthMotion, Scan, project_in_time
+from runtime.geometry.motion import CompensatedDepth, DepthMotion, Scan, compensate_depth
 from runtime.geometry.poses import PoseTrack
 
 
@@ -113,20 +113,20 @@ class Frame:
     @property
     def sparse_depth(self) -> NDArray[np.float32]:
         """The returns in the image: float32 (H, W), metres along the optical axis, 0 = none."""
-        return self.in_time.sparse_depth
+        return self.compensated.sparse_depth
 
     @property
     def depth_motion(self) -> DepthMotion | None:
-        """How the returns were moved, see `DepthInTime`; None if there is no depth."""
-        return None if self.depth is None else self.in_time.motion
+        """How the returns were moved, see `CompensatedDepth`; None if there is no depth."""
+        return None if self.depth is None else self.compensated.motion
 
     @property
     def degraded(self) -> tuple[str, ...]:
         """Faults of the depth: reasons for `Prediction.degraded`."""
-        return self.in_time.degraded
+        return self.compensated.degraded
 
     @cached_property
-    def in_time(self) -> DepthInTime:
+    def compensated(self) -> CompensatedDepth:
         """The depth at the time of the image; a scan is moved and projected, a map is unchanged.
 
         Raises:
@@ -134,12 +134,12 @@ class Frame:
         """
         depth, image_ns = self.depth, self.image.stamp_ns
         if depth is None:
-            return DepthInTime(np.zeros(self.size, np.float32), "none", ())
+            return CompensatedDepth(np.zeros(self.size, np.float32), "none", ())
         if isinstance(scan := depth.data, Scan):
             assert self.calibration is not None  # required by what takes scans
             given = self.calibration, scan, self.poses, image_ns, self.size
-            return project_in_time(*given, reused=self.reused)
+            return compensate_depth(*given, reused=self.reused)
         is_apart = self.poses is not None and depth.stamp_ns != image_ns
         reasons: tuple[str, ...] = (DEPTH_REUSED,) if self.reused else ()
         reasons += (DEPTH_UNCOMPENSATED,) if self.reused or is_apart else ()
-        return DepthInTime(depth.data, "none", reasons)
+        return CompensatedDepth(depth.data, "none", reasons)

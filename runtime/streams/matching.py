@@ -6,8 +6,8 @@ message can be nearer; the stamps of a sensor are assumed to rise. An image with
 the newest depth map before it that is at most `reuse_ns` old ("reused"). One depth map may serve
 several images, beside the one that it was matched with.
 
-Live streams and recordings differ in how long a message waits for its partner: `Synchronizer` has
-the rules of a live stream, `StampMatching` those of a recording.
+Live streams and recordings differ in how long a message waits for its partner: `LiveMatcher` has
+the rules of a live stream, `RecordingMatcher` those of a recording.
 """
 
 from abc import ABC, abstractmethod
@@ -112,7 +112,7 @@ class _Waiting:
         self.intervals.add(message.stamp_ns)
 
 
-class Matching(ABC):
+class Matcher(ABC):
     """Holds messages that wait for a partner.
 
     Args:
@@ -288,7 +288,7 @@ class Matching(ABC):
                 decided.discarded.append(Discarded(Sensor.DEPTH, kept.depth, kept.outcome))
 
 
-class Synchronizer(Matching):
+class LiveMatcher(Matcher):
     """Matches messages as they arrive; deciding an image discards all older images."""
 
     _is_regular = True
@@ -369,7 +369,7 @@ class Synchronizer(Matching):
                 self._decide_image(decided, newest)
 
 
-class StampMatching(Matching):
+class RecordingMatcher(Matcher):
     """Matches messages in the order of a recording.
 
     If `capacity` messages of a sensor wait and another one arrives, the oldest is decided. This

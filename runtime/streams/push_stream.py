@@ -3,11 +3,11 @@
 The stream's own thread predicts (`stream_thread`). One lock guards all state: that of `_changed`,
 on which all threads wait, and which is notified at every change. Invariants:
 
-1. An accepted message is in one place: in the synchronizer, in `_ready`, in the frame that is being
+1. An accepted message is in one place: in the matcher, in `_ready`, in the frame that is being
    answered, or counted with its outcome. It moves only while the lock is held.
 2. The lock is not held during a prediction, a copy or a callback. A push therefore waits for a few
    comparisons at most, and a callback may call any method.
-3. Memory is bounded: `_ready` and `_unread` hold one frame each, the synchronizer `_WAITING`
+3. Memory is bounded: `_ready` and `_unread` hold one frame each, the matcher `_WAITING`
    messages of a sensor.
 4. `_closed` never becomes False again. Once it is True no message is accepted; the thread decides
    the waiting messages, answers the frames that follow, and ends.
@@ -31,7 +31,7 @@ from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.streams.answerer import Answerer, FramePredictor
 from runtime.streams.frame import Frame, Outcome
 from runtime.streams.frame_result import FrameResult
-from runtime.streams.matching import Decided, Synchronizer
+from runtime.streams.matching import Decided, LiveMatcher
 from runtime.streams.sensor_input import Kind, SensorInput
 from runtime.streams.statistics import Jitter, StreamStatistics
 from runtime.streams.stream_counter import (
@@ -124,7 +124,7 @@ class PushStream:
         self._changed = threading.Condition(threading.RLock())
         self._counter, self._jitter = StreamCounter(deadline_ms, watchdog), Jitter()
         self._sensors = SensorInput(rig, counter=self._counter, lock=self._changed)
-        self._synchronizer = Synchronizer(
+        self._matcher = LiveMatcher(
             max_skew_ms=rig.max_skew_ms,
             max_wait_ms=max_wait_ms,
             reuse_depth_ms=rig.oldest_depth_ms,
@@ -219,10 +219,10 @@ class PushStream:
                     ) from self._failure
                 return
             now_ns = self._clock.now_ns()
-            self._counter.hear(sensor, now_ns)
+            self._counter.record_accepted(sensor, now_ns)
             taken = self._sensors.take(sensor, replace(message, arrived_ns=now_ns))
             if taken is not None:
-                self._queue(self._synchronizer.add(sensor, taken))
+                self._queue(self._matcher.add(sensor, taken))
             self._changed.notify_all()
 
     # --- what the stack calls ------------------------------------------------------------------
@@ -306,9 +306,9 @@ class PushStream:
         with self._changed:
             now_ns = self._clock.now_ns()
             if self._closed:
-                self._queue(self._synchronizer.flush())
+                self._queue(self._matcher.flush())
             else:
-                self._queue(self._synchronizer.advance(now_ns))
+                self._queue(self._matcher.advance(now_ns))
             frame, self._ready = self._ready, None
             if frame is not None:
                 frame = self._sensors.complete(frame)
@@ -332,7 +332,7 @@ class PushStream:
             return 0
         if self._on_state is not None and self._counter.state(now_ns) != self._reported_state:
             return 0
-        due_ns = [self._synchronizer.due_ns(), self._counter.due_ns(now_ns)]
+        due_ns = [self._matcher.due_ns(), self._counter.due_ns(now_ns)]
         return min((each - now_ns for each in due_ns if each is not None), default=None)
 
     def _answer(self, frame: Frame) -> None:
@@ -387,7 +387,7 @@ class PushStream:
 
     def _queue(self, decided: Decided) -> None:
         """Count what was discarded and make the newest complete frame ready."""
-        self._counter.record_decided(decided)
+        self._counter.record_discarded(decided.discarded, jumped_back=decided.jumped_back)
         if decided.jumped_back:
             self._jitter.reset()
         for frame in decided.frames:
@@ -400,7 +400,7 @@ class PushStream:
 
     def _discard_all(self) -> None:
         self._closed = True
-        self._queue(self._synchronizer.flush())
+        self._queue(self._matcher.flush())
         if self._ready is not None:
             self._counter.record_frame(self._ready, Outcome.CLOSED)
             self._ready = None

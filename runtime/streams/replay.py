@@ -18,7 +18,7 @@ from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.streams.answerer import Answerer, FramePredictor
 from runtime.streams.frame import Frame, Message, Sensor
 from runtime.streams.frame_result import FrameResult
-from runtime.streams.matching import StampMatching
+from runtime.streams.matching import Decided, RecordingMatcher
 from runtime.streams.sensor_input import SENSORS, Kind, SensorInput
 from runtime.streams.stream_counter import StreamCounter
 
@@ -100,9 +100,12 @@ def replay(
             if (taken := sensors.take(sensor, checked)) is not None:
                 yield sensor, taken
 
-    matching = StampMatching(
+    matching = RecordingMatcher(
         max_skew_ms=rig.max_skew_ms, reuse_depth_ms=rig.oldest_depth_ms, capacity=_WAITING
     )
+
+    def count(decided: Decided) -> None:
+        counter.record_discarded(decided.discarded, jumped_back=decided.jumped_back)
 
     def answered(frame: Frame) -> Iterator[FrameResult]:
         """Yield the answer to a frame, or nothing after an error."""
@@ -119,7 +122,7 @@ def replay(
     def answers() -> Iterator[FrameResult]:
         """Answer the frames as soon as poses reach them."""
         waiting: deque[Frame] = deque()
-        for frame in matching.match(accepted(), counter.record_decided):
+        for frame in matching.match(accepted(), count):
             waiting.append(frame)
             while waiting and (len(waiting) > _WAITING or sensors.reaches(waiting[0])):
                 yield from answered(waiting.popleft())

@@ -22,7 +22,7 @@ from runtime.geometry.motion import (
 from runtime.geometry.poses import PoseBuffer
 from runtime.geometry.returns import check_points
 from runtime.geometry.rig import Rig
-from runtime.geometry.rigid import read_rigid
+from runtime.geometry.rigid import nearest_rigid
 from runtime.streams.frame import Frame, Message, Outcome, Sensor
 from runtime.streams.health.sensor_times import LiveClocks
 from runtime.streams.matching import Intervals
@@ -93,7 +93,7 @@ class SensorInput:
         if kind == "pose":
             if self._mount is None:
                 raise InputError('poses need Rig(pose_frame="lidar"), "camera" or "body"')
-            return read_rigid("pose", data)
+            return nearest_rigid("pose", data)
         if kind == "points":
             if calibration is None:
                 raise InputError(

@@ -5,7 +5,7 @@ The faults in a row and the silence of a stream decide whether its state is OK, 
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Set
+from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
 
@@ -13,9 +13,8 @@ from runtime.base.checks import check_number, shown
 from runtime.base.errors import InferenceError, InputError, SSDNetError
 from runtime.base.stamp import NS_PER_MS
 from runtime.contract.degraded import DEPTH_REUSED
-from runtime.streams.frame import DROPPED, ERRORS, UNMATCHED, Frame, Outcome, Sensor
+from runtime.streams.frame import DROPPED, ERRORS, UNMATCHED, Frame, Message, Outcome, Sensor
 from runtime.streams.frame_result import FIGURES, FrameResult
-from runtime.streams.matching import Decided
 from runtime.streams.statistics import DurationHistogram, MissCounter, StreamStatistics
 
 _OF_A_RUN = ("read", "write")  # stages of `ssdnet-run` only
@@ -67,7 +66,7 @@ class StreamCounts(MessageCounts):
     jumps_back: int
 
 
-class Level(StrEnum):
+class WatchdogLevel(StrEnum):
     """State of a stream."""
 
     NOT_YET = "n/a"  # no message yet
@@ -85,7 +84,7 @@ class WatchdogState:
         reasons: the names of those limits.
     """
 
-    level: Level
+    level: WatchdogLevel
     reasons: tuple[str, ...] = ()
 
 
@@ -129,14 +128,14 @@ class WatchdogLimits:
 
     def state(self, figures: Mapping[str, float]) -> WatchdogState:
         """Return the state for these figures: name of a limit -> present value."""
-        level, reasons = Level.OK, []
+        level, reasons = WatchdogLevel.OK, []
         for name, figure in figures.items():
             warn, error = getattr(self, name)
             if error is not None and figure >= error:
-                level = Level.ERROR
+                level = WatchdogLevel.ERROR
                 reasons.append(name)
             elif warn is not None and figure >= warn:
-                level = Level.WARN if level is Level.OK else level
+                level = WatchdogLevel.WARN if level is WatchdogLevel.OK else level
                 reasons.append(name)
         return WatchdogState(level, tuple(reasons))
 
@@ -170,7 +169,7 @@ class StreamCounter:
         if outcome is not None:
             self._outcomes[sensor][outcome] += 1
 
-    def hear(self, sensor: Sensor, now_ns: int) -> None:
+    def record_accepted(self, sensor: Sensor, now_ns: int) -> None:
         """Record that a message was accepted; the first one ends the state "n/a"."""
         self._is_started = True
         self._since_ns.setdefault("silence_ms", now_ns)
@@ -178,11 +177,13 @@ class StreamCounter:
         if sensor is not Sensor.POSE:
             self._since_ns["camera_silent" if sensor is Sensor.IMAGE else "lidar_silent"] = now_ns
 
-    def record_decided(self, decided: Decided) -> None:
-        """Count what a step of the matching discarded."""
-        for discarded in decided.discarded:
-            self._outcomes[discarded.sensor][discarded.outcome] += 1
-        self._jumps_back += decided.jumped_back
+    def record_discarded(
+        self, discarded: Iterable[tuple[Sensor, Message, Outcome]], *, jumped_back: bool
+    ) -> None:
+        """Count what a step of the matching discarded, and whether the stamps jumped back."""
+        for sensor, _, outcome in discarded:
+            self._outcomes[sensor][outcome] += 1
+        self._jumps_back += jumped_back
 
     def record_frame(self, frame: Frame, outcome: Outcome, times: int = 1) -> None:
         """Count the outcome of an image and of its own depth; times=-1 subtracts it again."""
@@ -245,7 +246,7 @@ class StreamCounter:
     def state(self, now_ns: int) -> WatchdogState:
         """Return the present state; silence counts only in a live stream."""
         if not self._is_started:
-            return WatchdogState(Level.NOT_YET)
+            return WatchdogState(WatchdogLevel.NOT_YET)
         figures: dict[str, float] = {name: fault.run for name, fault in self._faults.items()}
         for name, since_ns in self._since_ns.items():
             figures[name] = (now_ns - since_ns) / NS_PER_MS

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from runtime.base.errors import InferenceError, InputError
 from runtime.contract.agreement import (
     compare,
-    first_figure,
     less_exact,
+    limited_figure,
     reference_limits,
     within,
     worst,
@@ -187,7 +187,7 @@ def verify(
         lookup = _class_lookup(predictor.contract.classes, recorded.classes)
         limits = _limits_for(predictor.contract, recorded, reference)
     for head, given in tolerances.items():
-        limits[head] = {name or first_figure(head): value for name, value in given.items()}
+        limits[head] = {name or limited_figure(head): value for name, value in given.items()}
     warm: set[tuple[int, ...]] = set()
     checks = tuple(
         _check_frame(predictor, frame, reference.arrays(index), limits, lookup, warm)

@@ -1,8 +1,10 @@
 """What is imported loads no more than it needs: the engine is embedded in other programs."""
 
 import importlib.util
+import inspect
 import subprocess
 import sys
+from typing import get_args, get_type_hints
 
 import pytest
 
@@ -69,6 +71,31 @@ def test_the_public_names_are_there():
     everything: dict[str, object] = {}
     exec("from runtime import *", everything)
     assert set(runtime.__all__) <= set(everything)
+
+
+def types_in(annotation):
+    """The classes of this package in a type hint."""
+    for part in get_args(annotation):
+        yield from types_in(part)
+    if inspect.isclass(annotation) and annotation.__module__.startswith("runtime."):
+        yield annotation
+
+
+def test_every_type_in_a_public_signature_is_public():
+    public = [getattr(runtime, name) for name in runtime.__all__]
+    names = {"Calibration": runtime.Calibration, "PointCloud": runtime.PointCloud}
+    for item in public:
+        members = [item, *vars(item).values()] if inspect.isclass(item) else [item]
+        for member in members:
+            function = getattr(member, "fget", None) or getattr(member, "__func__", member)
+            if not inspect.isclass(function) and not inspect.isfunction(function):
+                continue
+            if function.__name__.startswith("_") and function.__name__ != "__init__":
+                continue
+            names |= vars(inspect.getmodule(function))
+            for name, hint in get_type_hints(function, names).items():
+                missing = [each for each in types_in(hint) if each not in public]
+                assert name.startswith("_") or not missing, (function.__qualname__, name)
 
 
 def test_the_engine_and_the_streams_work_without_what_only_the_commands_need():

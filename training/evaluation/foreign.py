@@ -15,9 +15,9 @@ from runtime.contract.contract import ClassInfo
 from runtime.contract.model_file import read_onnx
 from runtime.contract.network_size import NetworkSize, network_size
 from runtime.contract.resize import Size, resize_nearest
-from runtime.engine.inference import to_frame
+from runtime.engine.inference import resize_outputs
 from runtime.engine.preprocess import NetworkInput, preprocess
-from runtime.engine.session import explain, open_session
+from runtime.engine.session import describe_error, open_session
 from runtime.files.atomic_write import atomic_write
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import IGNORE
@@ -106,8 +106,8 @@ class ForeignNetwork:
         except Exception as error:
             shape = feeds[self._rgb.name].shape
             raise SSDNetError(
-                f"{self.path}: fails on an image {shape}: {explain(error)}: set size or stride in "
-                "its adapter"
+                f"{self.path}: fails on an image {shape}: {describe_error(error)}: set size or "
+                "stride in its adapter"
             ) from error
         rows = slice(corner[0], corner[0] + frame.network_size[0])
         columns = slice(corner[1], corner[1] + frame.network_size[1])
@@ -123,7 +123,7 @@ class ForeignNetwork:
         if self.adapter.depth is not None:
             raw = _enlarge(self._plane(outputs[self.adapter.depth], self.adapter.depth), canvas)
             found["depth"] = self._metres(np.ascontiguousarray(raw[rows, columns]))
-        answer = HeadMaps(**to_frame(found, frame))
+        answer = HeadMaps(**resize_outputs(found, frame))
         return answer if ids is None else answer.with_semantic(ids)
 
     @property

@@ -12,7 +12,7 @@ from runtime.base.errors import SSDNetError
 from runtime.engine.predictor import Predictor
 from runtime.engine.preprocess import check_sparse_depth, clean_sparse_depth
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.lens import EQUIDISTANT, as_key, rays
+from runtime.geometry.lens import EQUIDISTANT, cache_key, rays
 from runtime.geometry.returns import is_measured
 from runtime.recordings.images import holds_metres
 from runtime.recordings.source import ListedFrame, Source
@@ -45,7 +45,9 @@ def find_lens_fault(calibration: Calibration | None, size: tuple[int, int] | Non
     lens = calibration.lens_model if calibration else None
     if calibration is None or lens is None or lens.model == EQUIDISTANT or size is None:
         return None
-    unseen = float(np.isnan(rays(lens, as_key(calibration.intrinsics), size)).any(axis=-1).mean())
+    unseen = float(
+        np.isnan(rays(lens, cache_key(calibration.intrinsics), size)).any(axis=-1).mean()
+    )
     if unseen < _LEAST_UNSEEN:
         return None
     return (

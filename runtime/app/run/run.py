@@ -10,7 +10,7 @@ from runtime.app.run.engine_facts import engine_facts
 from runtime.app.run.options import CLOUD, KINDS, SUFFIXES, RunOptions, saved_heads
 from runtime.app.run.outages import Timeline, find_outages
 from runtime.app.run.outputs.frame_writer import make_run_folder
-from runtime.app.run.outputs.output import OpenRun
+from runtime.app.run.outputs.output import RunContext
 from runtime.app.run.outputs.registry import open_outputs, require_outputs
 from runtime.app.run.pipeline import (
     ReadFrame,
@@ -172,7 +172,7 @@ def _answer(
     """Answer the frames of a camera, and write what was requested."""
     predictor, fault = stream.predictor, stream.fault
     names = [each.name for each in stream.frames]
-    opened = OpenRun(options, predictor, stream.kinds, names, stream.source.sensor_frames)
+    opened = RunContext(options, predictor, stream.kinds, names, stream.source.sensor_frames)
     with open_outputs(opened) as (outputs, recorders):
         answerer = Answerer(
             predictor,

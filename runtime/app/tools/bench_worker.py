@@ -12,7 +12,7 @@ from runtime.base.errors import SSDNetError
 from runtime.contract.model_file import read_onnx
 from runtime.engine.bundled_models import find_model
 from runtime.engine.example_inputs import make_feeds
-from runtime.engine.session import explain, import_onnxruntime, open_session
+from runtime.engine.session import describe_error, import_onnxruntime, open_session
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def _in_words() -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        text = explain(error)
+        text = describe_error(error)
         ours = isinstance(error, SSDNetError) or text != str(error)
         raise RuntimeError(text if ours else f"{type(error).__name__}: {error}") from None
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from runtime.alignment.calibrate import CalibrationResult, Verdict, calibrate
-from runtime.alignment.view import points_in_time
+from runtime.alignment.view import compensated_points
 from runtime.app.run.cli import GroupedCommand, with_run_options
 from runtime.app.run.options import RunOptions, UsageError
 from runtime.app.tools.alignment_picture import draw_alignment
@@ -112,7 +112,7 @@ def describe_result(result: CalibrationResult, transform: tuple[str, ...] = ()) 
         f"calibration: {result.reason}",
         f"{len(result.frames)} frames, as good as {result.scenes:.1f} different scenes",
         f"boundary figure {before.edge:.3f} as given, {after.edge:.3f} at best; depth correlation "
-        f"{before.alike:.3f}, {after.alike:.3f}",
+        f"{before.depth_correlation:.3f}, {after.depth_correlation:.3f}",
     ]
     if result.verdict in (Verdict.RIGHT, Verdict.OFF):
         lines += [f"for the stated position and intrinsics: {each}" for each in result.alternatives]
@@ -134,7 +134,7 @@ def _write_picture(result: CalibrationResult, path: Path) -> None:
     frame, calibrations = result.example, {"as given": result.given}
     if result.verdict is Verdict.OFF and result.refined is not None:
         calibrations["refined"] = result.refined
-    points = points_in_time(frame)
+    points = compensated_points(frame)
     assert points is not None  # `calibrate` only takes frames with scans
     drawn = draw_alignment(frame.rgb, points, calibrations)
     is_png = path.suffix.lower() == ".png"

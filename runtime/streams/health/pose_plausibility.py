@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
-from runtime.geometry.motion import Scan, move_points
+from runtime.geometry.motion import Scan, compensate_points
 from runtime.geometry.poses import NoPoseError, PoseTrack, rotations
 from runtime.geometry.returns import is_return
 from runtime.streams.frame import Frame
@@ -160,7 +160,7 @@ def _compare(before: Frame, frame: Frame, track: PoseTrack) -> dict[str, float] 
         pair = track.at(np.array([from_ns, to], np.int64))
         if np.linalg.norm(pair[1, :3, 3] - pair[0, :3, 3]) < _APART_M and to - from_ns < _APART_NS:
             return None
-        found = {"": _error(*(move_points(*scan, track, to) for scan in scans))}
+        found = {"": _error(*(compensate_points(*scan, track, to) for scan in scans))}
         found["still"] = _error(scans[0][0], scans[1][0])
     except (NoPoseError, InputError):
         return None
@@ -168,7 +168,7 @@ def _compare(before: Frame, frame: Frame, track: PoseTrack) -> dict[str, float] 
         return None
     for name, reading in READINGS.items():
         try:
-            found[name] = _error(*(move_points(*scan, reading(track), to) for scan in scans))
+            found[name] = _error(*(compensate_points(*scan, reading(track), to) for scan in scans))
         except InputError:
             found[name] = None
     return {name: 1.0 if each is None else each for name, each in found.items()}

@@ -9,7 +9,7 @@ import pytest
 from painted_street import EXTRINSICS, street, street_frame
 from runtime import InputError, Predictor, Rig, calibrate, open_source
 from runtime.alignment.calibrate import Verdict, count_scenes, judge, uncertainty_of
-from runtime.alignment.figures import rotation
+from runtime.alignment.fit_scores import rotation
 from runtime.alignment.search import Optimum
 
 TURN = np.array([2.5, -1.5, 0])

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from painted_street import street_frame
 from runtime import InputError
 from runtime.alignment.calibrate import CalibrationResult, Verdict
-from runtime.alignment.figures import Figures, rotation
+from runtime.alignment.fit_scores import FitScores, rotation
 from runtime.app.tools import calibrate as tool
 from runtime.app.tools.calibrate import app
 from runtime.app.tools.calibration_file import format_static_transform, format_toml, quaternion
@@ -46,7 +46,7 @@ def run(tmp_path, monkeypatch):
             refined = frame.calibration
         result = CalibrationResult(
             verdict, "the reason", frame.calibration, refined, angles, angles, None,
-            Figures(0, 0), Figures(0, 0), 10.0, ("0",), 1.0, frame,
+            FitScores(0, 0), FitScores(0, 0), 10.0, ("0",), 1.0, frame,
         )  # fmt: skip
         position = np.array([1.0, 2, 3])
         source = SimpleNamespace(

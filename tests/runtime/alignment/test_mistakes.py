@@ -9,7 +9,7 @@ import pytest
 from painted_street import EXTRINSICS, paint, scan_of, street
 from runtime.alignment import pairing
 from runtime.alignment.calibrate import Verdict, judge
-from runtime.alignment.figures import rotation
+from runtime.alignment.fit_scores import rotation
 from runtime.alignment.mistakes import find_mistake
 from runtime.alignment.search import find_coarse
 
@@ -106,7 +106,7 @@ def test_the_same_scans_beside_a_wrong_calibration_are_no_fault_of_the_pairing()
 ], ids=["clear", "too little", "by chance"])  # fmt: skip
 def test_a_neighbouring_scan_must_fit_clearly_better(monkeypatch, of_neighbours, is_fault):
     figures = iter([np.ones(3), np.array(of_neighbours)])
-    monkeypatch.setattr(pairing, "totals", lambda views, angles: next(figures))
+    monkeypatch.setattr(pairing, "total_scores", lambda views, angles: next(figures))
     monkeypatch.setattr(pairing, "find_coarse", lambda views: np.zeros(3))
     views = [street(seed, neighbours=(street(seed).points, None)) for seed in range(3)]
     assert (pairing.find_pairing_fault(views, np.zeros(3)) is not None) is is_fault

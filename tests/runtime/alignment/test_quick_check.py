@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from painted_street import EXTRINSICS, street_answer, street_frame
-from runtime.alignment.figures import rotation
+from runtime.alignment.fit_scores import rotation
 from runtime.alignment.quick_check import Fit, QuickCheck
 from runtime.app.run.cli import app
 

@@ -8,7 +8,7 @@ import pytest
 from painted_street import scan_of, street_frame
 from runtime import InputError
 from runtime.alignment.selection import choose_frames
-from runtime.alignment.view import points_in_time
+from runtime.alignment.view import compensated_points
 from runtime.geometry.motion import Scan
 from runtime.geometry.poses import PoseTrack
 from runtime.recordings.source import ListedFrame
@@ -55,4 +55,4 @@ def test_scans_are_compared_at_the_time_of_the_image():
     points = scan_of(np.full((120, 360), 10, np.float32))
     image = Message(data=street_frame(0).rgb, stamp_ns=10**8)
     frame = Frame(image, Message(data=Scan(points, 0)), poses=track)
-    assert np.allclose(points_in_time(frame)[:, 0], points[:, 0] - 1, atol=1e-3)
+    assert np.allclose(compensated_points(frame)[:, 0], points[:, 0] - 1, atol=1e-3)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from runtime import ClassInfo, Contract, ContractError
-from runtime.contract.contract import Content
+from runtime.contract.contract import ModelContent
 from runtime.contract.heads import HEADS
 
 
 @pytest.fixture
 def contract(contract: Contract) -> Contract:
-    return dataclasses.replace(contract, content=Content(bytes=7, sha256="1" * 64))
+    return dataclasses.replace(contract, content=ModelContent(bytes=7, sha256="1" * 64))
 
 
 def sealed(document: dict) -> str:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from runtime.contract.canonical_focal import CameraScale
-from runtime.engine.inference import faults, to_frame
+from runtime.engine.inference import output_faults, resize_outputs
 from runtime.engine.preprocess import preprocess
 
 
@@ -14,30 +14,32 @@ def test_one_value_that_is_not_finite_is_found_anywhere(contract, head, bad):
     for at in range(5 * 7):
         values = np.zeros((5, 7), np.float32)
         values.flat[at] = bad
-        assert faults({head: values}, contract) == (f"{head}_not_finite",)
+        assert output_faults({head: values}, contract) == (f"{head}_not_finite",)
 
 
 @pytest.mark.parametrize(("head", "limit"), [("depth", 80.0), ("boundary", 1.0)])
 def test_a_value_out_of_range_is_found_anywhere(contract, head, limit):
     values = np.full((5, 7), limit / 2, np.float32)
     values[0, :2] = 0, limit
-    assert faults({head: values}, contract) == ()
+    assert output_faults({head: values}, contract) == ()
     values[0, :2] = -1e-6 * limit, limit * (1 + 1e-6)  # rounding
-    assert faults({head: values}, contract) == ()
+    assert output_faults({head: values}, contract) == ()
     for at in range(values.size):
         for bad in (-0.01 * limit, 1.01 * limit, -3e38, 3e38):
             wrong = values.copy()
             wrong.flat[at] = bad
-            assert faults({head: wrong}, contract) == (f"{head}_out_of_range",)
+            assert output_faults({head: wrong}, contract) == (f"{head}_out_of_range",)
 
 
 def test_a_negative_uncertainty_is_found_anywhere_and_none_is_too_large(contract):
     for at in range(5 * 7):
         scale = np.zeros((5, 7), np.float32)
         scale.flat[at] = 1e6  # a model may know nothing: of no use, but true
-        assert faults({"depth_uncertainty": scale}, contract) == ()
+        assert output_faults({"depth_uncertainty": scale}, contract) == ()
         scale.flat[at] = -1e-3
-        assert faults({"depth_uncertainty": scale}, contract) == ("depth_uncertainty_out_of_range",)
+        assert output_faults({"depth_uncertainty": scale}, contract) == (
+            "depth_uncertainty_out_of_range",
+        )
 
 
 def test_only_ids_with_a_name_are_valid(contract):
@@ -49,7 +51,7 @@ def test_only_ids_with_a_name_are_valid(contract):
         (255, ("semantic_not_finite",)),
     ):
         semantic[4, 4] = highest
-        assert faults({"semantic": semantic}, contract) == expected
+        assert output_faults({"semantic": semantic}, contract) == expected
 
 
 @pytest.mark.parametrize(("feed", "expected"), [(True, 10.2), (False, 10.0)])
@@ -63,7 +65,7 @@ def test_the_depth_of_a_large_frame_moves_to_its_own_returns(feed, expected):
         scale_for=lambda size: CameraScale(2.0, 80.0, 500.0),
     )
     outputs = {name: np.full((40, 60), 20, np.float32) for name in ("depth", "depth_uncertainty")}
-    answers = to_frame(outputs, frame)
+    answers = resize_outputs(outputs, frame)
     assert answers["depth"].shape == (80, 120)
     np.testing.assert_allclose(answers["depth"][8:-8, 8:-8], expected, rtol=1e-4)
     assert (answers["depth_uncertainty"][8:-8, 8:-8] < 10).all() == feed

@@ -7,8 +7,8 @@ import pytest
 from runtime import InputError, project_points
 from runtime.engine.prediction import Latency, Prediction
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.lens import Lens, as_key, rays
-from runtime.geometry.motion import project_moved
+from runtime.geometry.lens import Lens, cache_key, rays
+from runtime.geometry.motion import project_compensated
 from runtime.geometry.point_cloud import to_points
 from runtime.geometry.poses import PoseTrack
 
@@ -48,7 +48,7 @@ def test_rays_and_pixels_are_those_of_opencv(intrinsics, model, coefficients):
     lens = Lens(model, coefficients)
     points = scattered()
     x, y = (points[:, :2] / points[:, 2:]).T
-    table = rays(lens, as_key(intrinsics), SIZE)
+    table = rays(lens, cache_key(intrinsics), SIZE)
     seen = np.isfinite(table[..., 0])
     assert seen.mean() > 0.95
     row, column = np.nonzero(seen)
@@ -91,7 +91,7 @@ def test_moved_scans_and_predicted_clouds_take_the_lens():
     points = scattered()
     points = points[points[:, 2] > 1]
     for times in (0, np.zeros(len(points), np.int64)):
-        moved = project_moved(calibration, points, times, track, 10**8, SIZE)
+        moved = project_compensated(calibration, points, times, track, 10**8, SIZE)
         nearer = points - np.float32([0, 0, 0.5])
         assert np.mean(moved == calibration.project(nearer, SIZE)) > 0.999  # borders of pixels
 

@@ -11,11 +11,11 @@ from runtime.base.errors import InputError
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import (
     Scan,
+    compensate_depth,
+    compensate_points,
     lidar_mount,
-    move_points,
     point_times,
-    project_in_time,
-    project_moved,
+    project_compensated,
 )
 from runtime.geometry.poses import PoseFrame, PoseTrack
 
@@ -62,7 +62,7 @@ def test_each_return_is_moved_by_the_pose_at_its_own_time(seed, count, start_ns,
     to = int(rng.integers(stamps[0], stamps[-1]))
     track = PoseTrack.of(poses, stamps).mounted(mount)
     before = points.copy()
-    moved = move_points(points, times, track, to)
+    moved = compensate_points(points, times, track, to)
     expected = by_a_slow_loop(points, times, poses, stamps, to, mount)
     assert moved.dtype == np.float32
     # 36 µs of rounded times at 15 m/s and 1.5 rad/s of 100 m.
@@ -74,20 +74,20 @@ def test_each_return_is_moved_by_the_pose_at_its_own_time(seed, count, start_ns,
 def test_a_world_far_away_costs_no_precision():
     poses, stamps = drive(30)
     points = np.array([[10, 0, 0], [0, 80, 1]], np.float32)
-    near = move_points(points, 0, PoseTrack.of(poses, stamps), 200 * MS)
+    near = compensate_points(points, 0, PoseTrack.of(poses, stamps), 200 * MS)
     far = [pose((4.5e6, 5.4e6, 200)) @ each for each in poses]
     np.testing.assert_allclose(
-        move_points(points, 0, PoseTrack.of(far, stamps), 200 * MS), near, atol=1e-4
+        compensate_points(points, 0, PoseTrack.of(far, stamps), 200 * MS), near, atol=1e-4
     )
 
 
 def test_returns_that_are_not_finite_stay_so_and_other_arrays_are_refused():
     track = PoseTrack.of(*drive(30))
     points = np.array([[np.nan, 1, 2], [np.inf, 0, 0], [3e38, 3e38, 0], [1, 1, 1]], np.float32)
-    moved = move_points(points, np.arange(4) * MS, track, 200 * MS)
+    moved = compensate_points(points, np.arange(4) * MS, track, 200 * MS)
     assert np.isfinite(moved).all(axis=1).tolist() == [False, False, False, True]
     with pytest.raises(InputError, match="points"):
-        move_points(np.zeros((3, 2), np.float32), 0, track, 0)
+        compensate_points(np.zeros((3, 2), np.float32), 0, track, 0)
 
 
 def test_a_scan_is_projected_where_the_picture_sees_it():
@@ -96,11 +96,11 @@ def test_a_scan_is_projected_where_the_picture_sees_it():
     track = PoseTrack.of(poses, stamps)
     points = np.array([[10.3, 0, -0.1], [-5, 0, 0]], np.float32)
     for times in (0, np.zeros(2, np.int64)):
-        depth = project_moved(CALIBRATION, points, times, track, 100 * MS, (40, 80))
+        depth = project_compensated(CALIBRATION, points, times, track, 100 * MS, (40, 80))
         assert np.count_nonzero(depth) == 1
         assert depth[20, 40] == pytest.approx(8.5, abs=1e-3)
     with pytest.raises(InputError, match="calibration"):
-        project_moved(CALIBRATION, points, 0, track, 0, (40, 81))
+        project_compensated(CALIBRATION, points, 0, track, 0, (40, 81))
 
 
 @pytest.mark.parametrize("odd", [None, np.nan, np.inf])
@@ -113,9 +113,9 @@ def test_only_what_no_time_brings_before_the_camera_is_left_out(odd):
         points[::7, 1] = odd
     times = rng.integers(0, 1900 * MS, len(points))
     for to in (50 * MS, 500 * MS):
-        whole = CALIBRATION.project(move_points(points, times, track, to), (40, 80))
+        whole = CALIBRATION.project(compensate_points(points, times, track, to), (40, 80))
         assert np.count_nonzero(whole) > 1000
-        depth = project_moved(CALIBRATION, points, times, track, to, (40, 80))
+        depth = project_compensated(CALIBRATION, points, times, track, to, (40, 80))
         np.testing.assert_array_equal(depth, whole)
 
 
@@ -139,7 +139,7 @@ def test_returns_behind_the_lidar_may_be_before_the_camera():
     expected = calibration.project(points, (40, 80))
     assert (expected > 0).sum() == 2
     track = PoseTrack.of(poses, stamps)
-    found = project_moved(calibration, points, times, track, stamps[10], (40, 80))
+    found = project_compensated(calibration, points, times, track, stamps[10], (40, 80))
     np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
@@ -167,7 +167,7 @@ def test_a_point_without_return_and_a_return_without_time_cost_themselves(kind):
     np.testing.assert_array_equal(scan.points[:, 0], [5, 7, 8])
     np.testing.assert_allclose(scan.times - DAY_NS, [0, 50 * MS, 0], atol=10)
     assert (scan.lost, scan.untimed) == (3, True)
-    depth = project_in_time(CALIBRATION, scan, None, 0, (40, 80), reused=False)
+    depth = compensate_depth(CALIBRATION, scan, None, 0, (40, 80), reused=False)
     assert (depth.degraded, depth.lost_points) == (("points_untimed",), 3)
     only_lost = Scan.of(points[:3], point_times(times[:3].astype(kind), 3, DAY_NS), DAY_NS)
     assert (only_lost.lost, only_lost.untimed) == (2, False)

@@ -9,13 +9,13 @@ from scipy.spatial.transform import Rotation, Slerp
 from car_poses import DAY_NS, MS, drive, pose
 from runtime.base.errors import InputError
 from runtime.geometry.poses import NoPoseError, PoseBuffer, PoseTrack
-from runtime.geometry.rigid import read_rigid
+from runtime.geometry.rigid import nearest_rigid
 
 
 def filled(poses, stamps, **options):
     buffer = PoseBuffer(**options)
     for each, stamp in zip(poses, stamps, strict=True):
-        assert buffer.add(read_rigid("pose", each), stamp)
+        assert buffer.add(nearest_rigid("pose", each), stamp)
     return buffer
 
 
@@ -186,4 +186,4 @@ def test_any_sequence_has_rigid_poses_or_a_reason(messages, times):
         why = error.reason
     assert why in {None, "no_pose", "pose_gap", "pose_jump", "pose_clock"}
     for each in found:
-        read_rigid("pose", each)
+        nearest_rigid("pose", each)

@@ -10,7 +10,7 @@ from runtime import InputError
 from runtime.geometry.assumptions import AssumptionWarning
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.poses import PoseTrack
-from runtime.geometry.rigid import read_rigid
+from runtime.geometry.rigid import nearest_rigid
 from runtime.recordings.poses import pose_of
 
 K = np.array([[700.0, 0, 320], [0, 710, 120], [0, 0, 1]])
@@ -46,7 +46,7 @@ def of_kitti(folder, matrix):
 
 
 READERS = {
-    "array": lambda _, matrix: read_rigid("place", matrix),
+    "array": lambda _, matrix: nearest_rigid("place", matrix),
     "toml": of_toml,
     "kitti": of_kitti,
     "body": lambda _, matrix: Calibration(K, np.eye(4), body_from_lidar=matrix).body_from_lidar,

@@ -5,7 +5,7 @@ import pytest
 
 from runtime import Calibration, Predictor
 from runtime.geometry.assumptions import AssumptionWarning
-from runtime.geometry.units import check_view
+from runtime.geometry.units import check_field_of_view
 
 K = np.array([[700.0, 0, 320], [0, 710, 120], [0, 0, 1]])
 
@@ -13,7 +13,7 @@ K = np.array([[700.0, 0, 320], [0, 710, 120], [0, 0, 1]])
 @pytest.mark.parametrize("focal", [18, 4.2, 111])
 def test_a_focal_length_in_millimetres_is_said(focal):
     with pytest.warns(AssumptionWarning, match=f"focal length of {focal:g} px.*degrees"):
-        check_view(focal, 832)
+        check_field_of_view(focal, 832)
 
 
 @pytest.mark.filterwarnings("error")
@@ -21,7 +21,7 @@ def test_a_focal_length_in_millimetres_is_said(focal):
     ("focal", "width"), [(112, 832), (386, 1280), (18, 64), (1280 / 6.28, 1280)]
 )
 def test_wide_lenses_and_panoramas_are_possible(focal, width):
-    check_view(focal, width)
+    check_field_of_view(focal, width)
 
 
 def test_every_way_to_a_predictor_says_it_but_not_its_warm_up(make_frame, recwarn):

@@ -106,7 +106,7 @@ def test_scans_of_several_formats_are_projected_beside_their_images(folders, sca
         expected = project_points(make_scan(int(listed.name)), INTRINSICS, EXTRINSICS, (48, 64))
         assert (expected > 0).sum() > 100
         assert abs(frame.sparse_depth - expected).max() < 0.01
-        assert frame.in_time.lost_points == 10
+        assert frame.compensated.lost_points == 10
     assert (source.inputs["points"], source.inputs["calibration"]) == tuple(map(str, scans))
     assert source.calibration.focal_length_px == 60
 

@@ -10,7 +10,7 @@ from runtime.app.run.options import RunOptions, UsageError
 from runtime.geometry.poses import PoseFrame
 from runtime.geometry.rig import Rig
 from runtime.recordings.registry import SOURCES, detect_source, open_source, parse_source
-from runtime.recordings.source import ListedFrame, Source, up_to
+from runtime.recordings.source import ListedFrame, Source, limit_frames
 
 KINDS = "one of the kinds kitti-raw, kitti-object, video, bag, one-folder, folders"
 
@@ -120,7 +120,7 @@ class ArchiveSource(Source):
 
     def list_frames(self, *, limit=None):
         frames = (ListedFrame(i, f"frame{i}", i, i) for i in range(len(self._rgb)))
-        return up_to(frames, limit)
+        return limit_frames(frames, limit)
 
     def read(self, frame):
         depth = np.float32(self._depth[frame.depth] / self._scale)

@@ -10,7 +10,7 @@ from runtime.recordings.bag import BagSource
 from runtime.recordings.ros_answers import status_fields
 from runtime.recordings.ros_camera import place_sensors
 from runtime.recordings.ros_poses import TransformTree
-from runtime.streams.stream_counter import Level, WatchdogState
+from runtime.streams.stream_counter import WatchdogLevel, WatchdogState
 
 rosbags = pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
 
@@ -76,6 +76,6 @@ def test_without_a_tree_the_calibration_places_the_lidar(record):
 
 def test_a_status_is_the_worst_of_answer_and_stream():
     assert status_fields() == {"level": 0, "message": "ok", "values": {}}
-    late = WatchdogState(Level.ERROR, ("late",))
+    late = WatchdogState(WatchdogLevel.ERROR, ("late",))
     status = status_fields(None, late)
     assert status == {"level": 2, "message": "late", "values": {"state": "ERROR"}}

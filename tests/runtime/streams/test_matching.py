@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from runtime import InputError
 from runtime.streams.frame import Outcome, Sensor
-from runtime.streams.matching import Message, StampMatching, Synchronizer
+from runtime.streams.matching import LiveMatcher, Message, RecordingMatcher
 
 MS = 1_000_000
 IMAGE, DEPTH = Sensor.IMAGE, Sensor.DEPTH
@@ -23,9 +23,9 @@ class Played:
     def __init__(self, *, live, max_skew=20, max_wait=50, capacity=CAPACITY, reuse=0):
         options = {"max_skew_ms": max_skew, "capacity": capacity, "reuse_depth_ms": reuse}
         if live:
-            self.matching = Synchronizer(max_wait_ms=max_wait, **options)
+            self.matching = LiveMatcher(max_wait_ms=max_wait, **options)
         else:
-            self.matching = StampMatching(**options)
+            self.matching = RecordingMatcher(**options)
         self.live, self.now, self.jumps_back = live, 0, 0
         self.pushed, self.frames, self.discarded = [], [], []
 

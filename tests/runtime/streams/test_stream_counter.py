@@ -1,7 +1,7 @@
 import json
 
 from runtime.streams.frame import Frame, Message, Outcome, Sensor
-from runtime.streams.matching import Decided, Discarded
+from runtime.streams.matching import Discarded
 from runtime.streams.statistics import MissedDeadlines
 from runtime.streams.stream_counter import MessageCounts, StreamCounter
 from stream_messages import result
@@ -18,7 +18,7 @@ def test_each_message_is_counted_once_with_its_outcome():
         counter.record_answer(pair, result())
     counter.record_frame(BOTH, Outcome.OVERTAKEN)
     gone = [Discarded(Sensor.DEPTH, SCAN, Outcome.NO_IMAGE)]
-    counter.record_decided(Decided(discarded=gone, jumped_back=True))
+    counter.record_discarded(gone, jumped_back=True)
     counts = counter.counts()
     assert counts.images == MessageCounts(pushed=5, answered=3, dropped={"overtaken": 1})
     assert counts.depths == MessageCounts(

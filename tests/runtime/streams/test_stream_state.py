@@ -2,7 +2,7 @@ import pytest
 
 from runtime.base.errors import InferenceError, InputError
 from runtime.streams.frame import Frame, Message, Sensor
-from runtime.streams.stream_counter import Level, StreamCounter, WatchdogLimits
+from runtime.streams.stream_counter import StreamCounter, WatchdogLevel, WatchdogLimits
 from stream_messages import result
 
 MS = 1_000_000
@@ -21,7 +21,7 @@ def levels(counter, at_ms=0):
 def test_not_available_before_the_first_message():
     counter = StreamCounter()
     assert levels(counter, 10**6) == ("n/a", ())
-    counter.hear(Sensor.POSE, 0)
+    counter.record_accepted(Sensor.POSE, 0)
     assert levels(counter) == ("OK", ())
 
 
@@ -43,7 +43,7 @@ def test_runs_warn_then_are_an_error_and_end(wrong, limits):
 
 def test_frames_that_were_errors_count_as_failed():
     counter = StreamCounter(limits=WatchdogLimits(failed=(1, 2)))
-    counter.hear(Sensor.POSE, 0)
+    counter.record_accepted(Sensor.POSE, 0)
     for level in ("WARN", "ERROR"):
         counter.record_failed(FRAME, InferenceError())
         assert levels(counter) == (level, ("failed",))
@@ -53,8 +53,8 @@ def test_silence_is_reported_by_the_clock_and_ends_with_a_result():
     never = (None, None)
     limits = WatchdogLimits(silence_ms=(500, 2000), camera_silent=never, lidar_silent=never)
     counter = StreamCounter(limits=limits)
-    counter.hear(Sensor.POSE, 0)
-    counter.hear(Sensor.IMAGE, 400 * MS)  # only the first message counts
+    counter.record_accepted(Sensor.POSE, 0)
+    counter.record_accepted(Sensor.IMAGE, 400 * MS)  # only the first message counts
     assert counter.due_ns(0) == 500 * MS
     assert levels(counter, 499) == ("OK", ())
     assert levels(counter, 500) == ("WARN", ("silence_ms",))
@@ -67,18 +67,18 @@ def test_silence_is_reported_by_the_clock_and_ends_with_a_result():
 
 def test_the_sensor_that_is_silent_is_named():
     counter = StreamCounter(limits=WatchdogLimits(silence_ms=(None, None)))
-    counter.hear(Sensor.IMAGE, 0)
+    counter.record_accepted(Sensor.IMAGE, 0)
     assert levels(counter, 499) == ("OK", ())
     assert levels(counter, 500) == ("WARN", ("camera_silent",)), "a LiDAR was never heard of"
-    counter.hear(Sensor.DEPTH, 600 * MS)
-    counter.hear(Sensor.IMAGE, 900 * MS)
+    counter.record_accepted(Sensor.DEPTH, 600 * MS)
+    counter.record_accepted(Sensor.IMAGE, 900 * MS)
     assert counter.due_ns(900 * MS) == 1100 * MS
     assert levels(counter, 1100) == ("WARN", ("lidar_silent",))
     assert levels(counter, 1400) == ("WARN", ("camera_silent", "lidar_silent"))
     assert levels(counter, 2900) == ("ERROR", ("camera_silent", "lidar_silent"))
-    counter.hear(Sensor.IMAGE, 2900 * MS)
+    counter.record_accepted(Sensor.IMAGE, 2900 * MS)
     assert levels(counter, 3000) == ("WARN", ("lidar_silent",)), "no error: the camera answers"
-    counter.hear(Sensor.DEPTH, 3000 * MS)
+    counter.record_accepted(Sensor.DEPTH, 3000 * MS)
     assert levels(counter, 3000) == ("OK", ())
 
 
@@ -97,7 +97,7 @@ def test_the_worst_counts_and_none_is_never():
     counter = StreamCounter(limits=WatchdogLimits(late=(1, 1), degraded=(1, None)))
     for _ in range(100):
         answered(counter, degraded=("no_depth",))
-    assert counter.state(0).level is Level.WARN
+    assert counter.state(0).level is WatchdogLevel.WARN
     answered(counter, late=True, degraded=("no_depth",))
     assert levels(counter) == ("ERROR", ("late", "degraded"))
 

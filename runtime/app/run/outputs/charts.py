@@ -22,7 +22,7 @@ _LEAST_BAR = 0.25  # width of a bar in percent of its strip
 Bar = tuple[float, float, float, float]
 
 
-def marks_of(record: FrameResult) -> set[str]:
+def frame_marks(record: FrameResult) -> set[str]:
     """What is wrong with a frame: its status, "late", `Prediction.degraded`, and health."""
     marks = {*record.health, *(record.prediction.degraded if record.prediction else ())}
     if record.status != OK:
@@ -136,7 +136,7 @@ class Span:
     @cached_property
     def marks(self) -> Counter[str]:
         """Number of frames with each mark."""
-        return Counter(mark for record in self.records for mark in marks_of(record))
+        return Counter(mark for record in self.records for mark in frame_marks(record))
 
     @cached_property
     def mean_returns(self) -> float | None:
@@ -145,7 +145,7 @@ class Span:
         return sum(returns) / len(returns) if returns else None
 
 
-def join_frames(records: Sequence[FrameResult], axis: Axis | None = None) -> list[Span]:
+def group_frames(records: Sequence[FrameResult], axis: Axis | None = None) -> list[Span]:
     """The spans of a run, with one frame each, or with several if there are too many frames.
 
     No span contains a gap. If `axis` is None, the axis counts frames.

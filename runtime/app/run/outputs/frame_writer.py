@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from runtime.app.run.options import CLOUD, OVERLAY, SUFFIXES, RunOptions, saved_heads
-from runtime.app.run.outputs.output import OpenRun
+from runtime.app.run.outputs.output import RunContext
 from runtime.app.run.run_report import FRAMES_FILE, REPORT_FILE, write_report
 from runtime.drawing.encode import ENCODERS, encode_jpeg, encode_ply
 from runtime.files.atomic_write import atomic_write
@@ -17,7 +17,7 @@ from runtime.streams.frame_result import FrameResult
 class FrameWriter:
     """Writes the answers to each frame, with one subfolder per kind; see `open_frame_files`."""
 
-    def __init__(self, run: OpenRun) -> None:
+    def __init__(self, run: RunContext) -> None:
         self._run = run
 
     def write(self, frame: Frame, result: FrameResult) -> None:
@@ -58,7 +58,7 @@ def _file_name(frame: str, kind: str) -> str:
 
 
 @contextlib.contextmanager
-def open_frame_files(run: OpenRun) -> Iterator[FrameWriter | None]:
+def open_frame_files(run: RunContext) -> Iterator[FrameWriter | None]:
     """Make the folder of --out, with the files of --save and, when the block ends, the report.
 
     Yields None if no file of a frame is to be written.

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from runtime.app.run.options import DEFAULT_RATE_HZ, FILE_SUFFIXES, MCAP_VOXEL_M
-from runtime.app.run.outputs.output import OpenRun, camera_of
+from runtime.app.run.outputs.output import RunContext, camera_of
 from runtime.base.errors import OutputError
 from runtime.contract.heads import HEADS, Unit
 from runtime.drawing.encode import METRES_PNG_SCALE, encode_jpeg, encode_ros_image
@@ -30,7 +30,7 @@ _LAST_NS = 2**31 * _S  # a builtin_interfaces/msg/Time has 32 bits for the secon
 class McapWriter:
     """Appends the messages of each frame; see `open_mcap`."""
 
-    def __init__(self, bag: Any, run: OpenRun) -> None:
+    def __init__(self, bag: Any, run: RunContext) -> None:
         from rosbags.typesys import Stores, get_typestore
 
         self._bag, self._run, self._contract = bag, run, run.predictor.contract
@@ -154,7 +154,7 @@ def _latched() -> Any:
 
 
 @contextlib.contextmanager
-def open_mcap(run: OpenRun) -> Iterator[McapWriter]:
+def open_mcap(run: RunContext) -> Iterator[McapWriter]:
     """Make the file of --mcap; frames without stamps are --rate apart, the first of them at 0.
 
     A run without any frame leaves no file.

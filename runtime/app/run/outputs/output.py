@@ -24,7 +24,7 @@ from runtime.streams.frame_result import FrameResult
 
 
 @dataclass
-class OpenRun:
+class RunContext:
     """A run of one camera while it is open, with all that an output may need.
 
     Attributes:

@@ -13,7 +13,7 @@ from typing import Any
 
 from runtime.app.run.outages import Outage
 from runtime.app.run.outputs import charts
-from runtime.app.run.outputs.output import OpenRun
+from runtime.app.run.outputs.output import RunContext
 from runtime.app.run.reasons import LATE, REASONS
 from runtime.app.run.run_report import RunReport, running_providers
 from runtime.command.html import render_template
@@ -96,8 +96,8 @@ class RunPage:
         times_s = None if report.timeline is None else report.timeline.times_s
         ends_s = [each.end_s for each in report.outages if each.end_s is not None]
         axis = charts.Axis.of(len(records), times_s, max(ends_s, default=0.0))
-        spans = charts.join_frames(records, axis)
-        marks = Counter(mark for record in records for mark in charts.marks_of(record))
+        spans = charts.group_frames(records, axis)
+        marks = Counter(mark for record in records for mark in charts.frame_marks(record))
         is_stream, provider = report.options.rate is not None, report.engine["provider"]
         responses = statistics.stages.get("age" if is_stream else "predict")
         values = {
@@ -105,7 +105,7 @@ class RunPage:
             "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
             "contract": self._contract,
             "marks": marks,
-            "flagged": sum(bool(charts.marks_of(record)) for record in records),
+            "flagged": sum(bool(charts.frame_marks(record)) for record in records),
             "response": "age" if is_stream else "prediction",
             "responses": responses,
             "highest": responses and _highest_percentile(responses),
@@ -129,7 +129,7 @@ class RunPage:
 
 
 @contextlib.contextmanager
-def open_page(run: OpenRun) -> Iterator[RunPage]:
+def open_page(run: RunContext) -> Iterator[RunPage]:
     """Make the page of --report, written when the block ends."""
     assert run.options.report is not None
     page = RunPage(run.predictor.contract, len(run.names))

@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Iterator
 
-from runtime.app.run.outputs.output import OpenRun
+from runtime.app.run.outputs.output import RunContext
 from runtime.contract.degraded import STREAM_REASONS
 from runtime.engine.predictor import Predictor
 from runtime.streams.answerer import known_focal_length_px
@@ -37,7 +37,7 @@ class RunReference:
 
 
 @contextlib.contextmanager
-def open_reference(run: OpenRun) -> Iterator[RunReference]:
+def open_reference(run: RunContext) -> Iterator[RunReference]:
     """Make the reference of --record, complete when the block ends, removed after an error."""
     options, predictor = run.options, run.predictor
     assert options.record is not None

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from runtime.app.run.options import SUFFIXES, RunOptions
 from runtime.app.run.outputs.frame_writer import open_frame_files
 from runtime.app.run.outputs.mcap import open_mcap
-from runtime.app.run.outputs.output import OpenRun
+from runtime.app.run.outputs.output import RunContext
 from runtime.app.run.outputs.page import open_page
 from runtime.app.run.outputs.reference import open_reference
 from runtime.app.run.outputs.video import open_video
@@ -31,7 +31,7 @@ from runtime.recordings.source import Source
 #
 # Raises:
 #     OutputError: if it cannot be opened, and, when the block ends, if it is not whole.
-OpenOutput = Callable[[OpenRun], AbstractContextManager[Output | None]]
+OpenOutput = Callable[[RunContext], AbstractContextManager[Output | None]]
 
 
 class OutputRow(NamedTuple):
@@ -102,7 +102,7 @@ def _require_free(path: Path, *, overwrite: bool, inputs: Collection[Path]) -> N
 
 
 @contextlib.contextmanager
-def open_outputs(run: OpenRun) -> Iterator[tuple[list[Output], list[Output]]]:
+def open_outputs(run: RunContext) -> Iterator[tuple[list[Output], list[Output]]]:
     """Open the requested outputs; yields the `outputs` and `recorders` of `run_stream`."""
     opened: dict[bool, list[Output]] = {False: [], True: []}
     with contextlib.ExitStack() as stack:

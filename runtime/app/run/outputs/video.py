@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 
 from runtime.app.run.options import DEFAULT_RATE_HZ
-from runtime.app.run.outputs.output import OpenRun
+from runtime.app.run.outputs.output import RunContext
 from runtime.base.errors import OutputError
 from runtime.files.atomic_write import atomic_path
 from runtime.streams.frame import Frame
@@ -20,7 +20,7 @@ _LARGEST_SIDE = 4096  # pixels that players decode
 class VideoWriter:
     """Appends the overlay of each frame to a video; see `open_video`."""
 
-    def __init__(self, path: Path, run: OpenRun) -> None:
+    def __init__(self, path: Path, run: RunContext) -> None:
         self._path, self._run = path, run
         self._file: cv2.VideoWriter | None = None
         self._size = (0, 0)
@@ -55,7 +55,7 @@ class VideoWriter:
 
 
 @contextlib.contextmanager
-def open_video(run: OpenRun) -> Iterator[VideoWriter]:
+def open_video(run: RunContext) -> Iterator[VideoWriter]:
     """Make the video of --video at --rate; a run without any frame leaves no video."""
     assert run.options.video is not None
     with atomic_path(run.options.video, overwrite=run.options.overwrite) as temporary:

@@ -4,7 +4,7 @@ import pytest
 
 from outcomes import outcome
 from runtime.app.run.outages import Outage, Timeline, find_outages
-from runtime.app.run.outputs.charts import Axis, join_frames, latency_chart, mark_strip
+from runtime.app.run.outputs.charts import Axis, group_frames, latency_chart, mark_strip
 from runtime.streams.frame import Sensor
 
 S = 10**9
@@ -72,7 +72,7 @@ def test_a_chart_has_seconds_and_leaves_gaps_open():
     seconds = [*tenths(0, 10), *tenths(30, 40)]
     records = records_at(seconds, health=lambda number: ("image_black",) if number == 9 else ())
     axis = Axis.of(len(records), Timeline.of(records, {}).times_s)
-    spans = join_frames(records, axis)
+    spans = group_frames(records, axis)
     chart = latency_chart(spans, deadline_ms=None)
     assert chart["unit"] == "s"
     assert [place for _, place in chart["along"]] == pytest.approx([0, 1, 2, 3, 4])
@@ -80,7 +80,7 @@ def test_a_chart_has_seconds_and_leaves_gaps_open():
     assert chart["points"][9][3].startswith("0.90 s: ")
     ((left, width, _, _),) = mark_strip(spans, "image_black")
     assert (left, width) == pytest.approx((100 * 0.9 / 4, 100 * 0.1 / 4))
-    assert latency_chart(join_frames(records), deadline_ms=None)["unit"] == "frame"
+    assert latency_chart(group_frames(records), deadline_ms=None)["unit"] == "frame"
 
 
 def test_an_outage_of_a_camera_of_several_names_it():

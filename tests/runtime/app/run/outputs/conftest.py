@@ -4,7 +4,7 @@ import pytest
 
 from runtime import Predictor
 from runtime.app.run.options import RunOptions
-from runtime.app.run.outputs.output import OpenRun
+from runtime.app.run.outputs.output import RunContext
 from runtime.streams.frame import Frame, Message
 from runtime.streams.frame_result import FrameResult
 
@@ -26,6 +26,6 @@ def open_run(all_heads):
     def make(*, kinds=(), names=(), **options):
         predictor = Predictor(all_heads, focal_length_px=options.get("focal_length"))
         given = RunOptions(**{"demo": True, "overwrite": True, **options})
-        return OpenRun(given, predictor, kinds, names)
+        return RunContext(given, predictor, kinds, names)
 
     return make

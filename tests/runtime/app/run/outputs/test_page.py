@@ -107,7 +107,7 @@ def test_a_run_without_faults_or_without_frames_is_shown_as_such(page_of):
 
 
 def chart(outcomes, deadline_ms=None):
-    drawn = charts.latency_chart(charts.join_frames(outcomes), deadline_ms=deadline_ms)
+    drawn = charts.latency_chart(charts.group_frames(outcomes), deadline_ms=deadline_ms)
     values = {"chart": drawn, "response": "prediction"}
     return ElementTree.fromstring(render_template("runtime.command", "chart.html", values))
 
@@ -187,13 +187,13 @@ def test_everything_lies_within_the_picture(frames):
 
 def test_strips_show_where_a_mark_was_and_how_many_returns_were_used():
     marks = [(), ("a",), ("a", "b"), (), ("a",)]
-    spans = charts.join_frames([outcome(health=each) for each in marks])
+    spans = charts.group_frames([outcome(health=each) for each in marks])
     bars = charts.mark_strip(spans, "a")
     assert [bar[:1] for bar in bars] == [(20,), (40,), (80,)]
     assert [bar[1:] for bar in bars] == [(pytest.approx(20), 100, 1)] * 3
     assert charts.mark_strip(spans, "c") == []
     outcomes = [outcome(returns=100), outcome(status=SKIPPED), outcome(returns=50)]
-    drawn = charts.returns_strip(charts.join_frames(outcomes))
+    drawn = charts.returns_strip(charts.group_frames(outcomes))
     assert [height for _, _, height, _ in drawn] == [100, 50]
     assert drawn[1][0] == pytest.approx(200 / 3)
 

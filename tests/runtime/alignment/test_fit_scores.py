@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from painted_street import EXTRINSICS, scan_of, street, street_answer, street_frame
-from runtime.alignment.figures import Figures, figures_of, pixels_of, rotation
+from runtime.alignment.fit_scores import FitScores, fit_scores, pixels_of, rotation
 from runtime.alignment.search import find_rotation
 from runtime.alignment.view import view_of
 from runtime.contract.degraded import IMAGE_CONSTANT
@@ -44,20 +44,20 @@ def test_returns_meet_the_pixels_of_the_projection(lens):
 
 def test_the_figures_of_the_right_calibration_are_largest():
     view = street(0)
-    edge, alike = figures_of(view)
-    assert alike == pytest.approx(1, abs=0.01)
+    edge, correlation = fit_scores(view)
+    assert correlation == pytest.approx(1, abs=0.01)
     row, column, _ = pixels_of(view, view.jumps, np.eye(3))
     blurred = view.blurred_boundary(2 / 375)
     assert edge < blurred[row, column].mean() - 0.05, "the mean over all returns is subtracted"
     for angles in np.vstack([np.diag([1.5, 3, 5]), -np.diag([1.5, 3, 5])]):
-        assert sum(figures_of(view, angles)) < edge + alike
+        assert sum(fit_scores(view, angles)) < edge + correlation
 
 
 @pytest.mark.parametrize(
-    ("edge", "alike", "fit"), [(0.1, 0.6, True), (0.01, 0.9, False), (0.1, 0.4, False)]
+    ("edge", "correlation", "fit"), [(0.1, 0.6, True), (0.01, 0.9, False), (0.1, 0.4, False)]
 )
-def test_both_figures_must_fit(edge, alike, fit):
-    assert Figures(edge, alike).fit is fit
+def test_both_figures_must_fit(edge, correlation, fit):
+    assert FitScores(edge, correlation).fit is fit
 
 
 def test_a_turn_of_several_degrees_is_measured():

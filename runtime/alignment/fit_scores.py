@@ -21,21 +21,21 @@ _LEAST = 30  # least number of returns, or jumps, inside the image
 _NEAREST_M = 0.1
 # Least medians of returns that fit. Right calibrations have a depth figure of 0.57 and more and an
 # edge figure of 0.07 to 0.16, wrong ones a depth figure of up to 0.07.
-LEAST_ALIKE, _LEAST_EDGE = 0.5, 0.02
+LEAST_CORRELATION, _LEAST_EDGE = 0.5, 0.02
 
 Angles = Sequence[float] | NDArray[np.float64]
 
 
-class Figures(NamedTuple):
+class FitScores(NamedTuple):
     """The edge and the depth figure of a view; 0 if too few returns are inside the image."""
 
     edge: float
-    alike: float
+    depth_correlation: float
 
     @property
     def fit(self) -> bool:
         """Whether returns with these medians fit the images."""
-        return self.alike >= LEAST_ALIKE and self.edge >= _LEAST_EDGE
+        return self.depth_correlation >= LEAST_CORRELATION and self.edge >= _LEAST_EDGE
 
 
 def rotation(angles: Angles) -> NDArray[np.float64]:
@@ -50,22 +50,24 @@ def rotation(angles: Angles) -> NDArray[np.float64]:
     return np.asarray(yaw @ pitch @ roll)
 
 
-def figures_of(view: View, angles: Angles = (0, 0, 0), *, blur: float = BLUR) -> Figures:
+def fit_scores(view: View, angles: Angles = (0, 0, 0), *, blur: float = BLUR) -> FitScores:
     """Return the figures of a view with its returns turned about the LiDAR's origin."""
     boundary, turn = view.blurred_boundary(blur), rotation(angles)
     row, column, depth = pixels_of(view, view.returns, turn)
     at_row, at_column, _ = pixels_of(view, view.jumps, turn)
-    edge = alike = 0.0
+    edge = depth_correlation = 0.0
     if len(row) >= _LEAST:
-        alike = correlation(view.log_depth[row, column], log_depth(depth))
+        depth_correlation = correlation(view.log_depth[row, column], log_depth(depth))
         if len(at_row) >= _LEAST:
             edge = float(boundary[at_row, at_column].mean() - boundary[row, column].mean())
-    return Figures(edge, alike)
+    return FitScores(edge, depth_correlation)
 
 
-def totals(views: Iterable[View], angles: Angles, *, blur: float = BLUR) -> NDArray[np.float64]:
+def total_scores(
+    views: Iterable[View], angles: Angles, *, blur: float = BLUR
+) -> NDArray[np.float64]:
     """Return the sum of both figures of each view, float64 (frames,)."""
-    return np.array([sum(figures_of(view, angles, blur=blur)) for view in views])
+    return np.array([sum(fit_scores(view, angles, blur=blur)) for view in views])
 
 
 def pixels_of(
