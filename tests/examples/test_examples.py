@@ -10,11 +10,13 @@ import cv2
 import numpy as np
 import pytest
 
+from runtime import Calibration
 from runtime.recordings.bundled_stream import bundled_stream
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 TESTED = {
-    *("bare_onnxruntime.py", "callbacks.py", "driving_loop.py", "multi_camera.py", "odometry.py"),
+    *("bare_onnxruntime.py", "callbacks.py", "convert_calibration.py", "driving_loop.py"),
+    *("multi_camera.py", "odometry.py"),
     *("ray_data.py", "rerun_viewer.py", "ros2_node.py"),  # by tests of their own
 }
 
@@ -102,3 +104,32 @@ def test_an_odometry_beside_the_stream(run, tmp_path):
         if 2 <= number < 7:  # the first scan has no motion yet
             assert "moved: scan" in line
             assert "uncompensated" not in line
+
+
+DISTORTION = "[-0.3, 0.1, 0.001, -0.002, 0.0]"
+OTHER_TOOLS = {
+    "left.yaml": "image_width: 640\nimage_height: 240\ncamera_matrix:\n  rows: 3\n  cols: 3\n"
+    "  data: [700, 0, 320, 0, 710, 120, 0, 0, 1]\ndistortion_model: plumb_bob\n"
+    f"distortion_coefficients:\n  rows: 1\n  cols: 5\n  data: {DISTORTION}\n",
+    "camera.yml": "%YAML:1.0\n---\nimage_width: 640\nimage_height: 240\n"
+    "camera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n"
+    "   data: [ 7.0e+02, 0., 320., 0., 7.1e+02, 120., 0., 0., 1. ]\n"
+    "distortion_coefficients: !!opencv-matrix\n   rows: 5\n   cols: 1\n   dt: d\n"
+    f"   data: {DISTORTION}\n",
+    "camchain.yaml": "cam0:\n  camera_model: pinhole\n"
+    "  distortion_coeffs: [-0.3, 0.1, 0.001, -0.002]\n  distortion_model: radtan\n"
+    "  intrinsics: [700, 710, 320, 120]\n  resolution: [640, 240]\n",
+}
+
+
+@pytest.mark.parametrize("name", OTHER_TOOLS)
+def test_calibrations_of_other_tools(run, tmp_path, name):
+    pytest.importorskip("yaml", reason="PyYAML, which the example imports, is not installed")
+    (tmp_path / name).write_text(OTHER_TOOLS[name])
+    lines = run("convert_calibration.py", tmp_path / name)
+    (tmp_path / "car.toml").write_text("\n".join((*lines, "points_in = 'camera'")))
+    calibration = Calibration.from_file(tmp_path / "car.toml")
+    assert calibration.intrinsics.tolist() == [[700, 0, 320], [0, 710, 120], [0, 0, 1]]
+    assert calibration.size == (240, 640)
+    assert calibration.lens == "plumb_bob"
+    assert tuple(calibration.distortion[:4]) == (-0.3, 0.1, 0.001, -0.002)
