@@ -7,9 +7,8 @@
 from models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from models.classes import CAMVID_CLASSES, CLASS_TABLES
 from models.network import Network, NetworkConfig, NetworkOutput
-from models.paper.config import SSDNetConfig
-from models.paper.ssdnet import SSDNet
 from models.registry import create_model, list_models
+from models.ssdnet import SSDNet, SSDNetConfig
 from models.ssdnet_lite import SSDNetLite, SSDNetLiteConfig
 
 __all__ = [

@@ -92,14 +92,6 @@ def shortcut(in_channels: int, out_channels: int, stride: int) -> nn.Module:
     return conv_bn(in_channels, out_channels, kernel=1, stride=stride)
 
 
-def boundary_side(in_channels: int, channels: int, *, separable: bool = False) -> nn.Sequential:
-    """Return a side output of a boundary decoder: features (N, C, H, W) to logits (N, 1, H, W)."""
-    features = ConvBNReLU(in_channels, channels)
-    if separable:
-        features[0] = separable_conv(in_channels, channels)
-    return nn.Sequential(features, nn.Conv2d(channels, 1, 1))
-
-
 class GlobalContext(nn.Module):
     """Adds the projected global mean of the features to them: (N, C, H, W) -> same."""
 

@@ -1,5 +1,8 @@
 """The base of the depth: planes between the returns that pass through the returns on them.
 
+The paper has no such part: its network reads the sparse depth as a fourth channel and has to learn
+to interpolate it. Nothing is learned here, so other cameras and LiDARs get the same result.
+
 The inverse depth of a plane is an affine function of the pixel. For each cell of a grid the affine
 function that fits the returns around it best is found: local linear regression (Cleveland 1979)
 over a pyramid of windows (Gortler et al. 1996). The returns of the smallest window have their full
@@ -7,10 +10,11 @@ weight. All returns of a larger window together have the weight of a third of a 
 matter where the smaller window does not determine a value or a slope. Where the scene is a plane,
 the result is that plane, whatever the pattern of the returns.
 
-A fit needs nine sums over the returns. The sums of larger and of smaller cells, and those around
-other centres, are linear functions of these: convolutions with constant weights. Only the finest
-grid is solved. On a grid of half the cell size, the differences of the returns from their plane are
-then averaged around them and added: `anchor`.
+A fit needs nine moments of the returns: the sums of their coordinates, inverse depths, and products
+of both. The moments of larger and of smaller cells, and those around other centres, are linear
+functions of these: convolutions with constant weights. Only the finest grid is solved. On a grid of
+half the cell size, the residuals of the returns are then averaged around them and added to the
+planes: `add_residuals`.
 """
 
 import math
@@ -40,45 +44,44 @@ FLAT_WEIGHT = 0.002
 # Square of the distance of a cell from the centroid of the returns, in their standard deviations,
 # up to which the slope has its full weight. The weight falls to 0 at a value 1 larger. Larger
 # values continue slopes farther beyond the returns.
-INSIDE = 2.0
+SLOPE_REACH = 2.0
 # The result lies between the nearest and the farthest return of a window; this is the side of the
 # window, in cells of the coarsest grid.
-BOUND_WINDOW = 7
-# The nine sums are those of 1; r, c, z; rr, cc, rc, zr, zc. r is the distance below a centre, c
-# the distance to the right of it, and z the inverse depth. _POWERS has the powers of r and c in
-# the sums without z and in the sums with z; _PLACES has the positions of these sums among the
-# nine.
+CLIP_WINDOW = 7
+# The nine moments are the sums of 1; r, c, z; rr, cc, rc, zr, zc. r is the distance below a centre,
+# c the distance to the right of it, and z the inverse depth. _POWERS has the powers of r and c in
+# the moments without z and in the moments with z; _INDICES has the indices of these moments among
+# the nine.
 _POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1)), ((0, 0), (1, 0), (0, 1))
-_PLACES = (0, 1, 2, 4, 5, 6), (3, 7, 8)
-_SUMS = 9
+_INDICES = (0, 1, 2, 4, 5, 6), (3, 7, 8)
+_NUM_MOMENTS = 9
 # These avoid divisions by 0: a weight below that of one return in a window, and a spread below
 # that of any two returns.
 _LEAST_COUNT, _LEAST_SPREAD = 1e-3, 1e-2
-
-
 # Relative difference of inverse depth up to which a return is on the plane. From twice this
 # difference on, the return is on another surface.
-ON_PLANE = 0.15
-# Weight of the mean difference of coarser cells, in returns, and the number of coarser grids.
-ANCHOR_WEIGHT, ANCHOR_LEVELS = 0.1, 2
+MAX_RESIDUAL = 0.15
+# Weight of the mean residual of coarser cells, in returns, and the number of coarser grids.
+COARSER_RESIDUAL_WEIGHT, RESIDUAL_LEVELS = 0.1, 2
 
 
-class Base(NamedTuple):
+class PlaneFit(NamedTuple):
     """The depth as the returns alone show it.
 
     Attributes:
-        plane: inverse depth at the centres of cells of CELL pixels, (N, 1, h, w), 0 where no return
-            is in reach of the largest window.
-        base: the planes moved to the returns on them, on cells of BASE_CELL pixels.
-        returns: number of measured pixels in a cell of BASE_CELL pixels.
+        inverse_plane: inverse depth of the planes at the centres of cells of CELL pixels,
+            (N, 1, h, w), 0 where no return is in reach of the largest window.
+        inverse_base: inverse depth of the base, which is the planes moved to the returns on them,
+            on cells of BASE_CELL pixels.
+        return_count: number of measured pixels in a cell of BASE_CELL pixels.
     """
 
-    plane: Tensor
-    base: Tensor
-    returns: Tensor
+    inverse_plane: Tensor
+    inverse_base: Tensor
+    return_count: Tensor
 
 
-def fit_base(inverse: Tensor, mask: Tensor, extremes: Tensor) -> Base:
+def fit_base(inverse: Tensor, mask: Tensor, extremes: Tensor) -> PlaneFit:
     """Fit planes, and move them to the returns.
 
     Args:
@@ -94,111 +97,115 @@ def fit_base(inverse: Tensor, mask: Tensor, extremes: Tensor) -> Base:
             return fit_base(inverse, mask, extremes)
     pixels = torch.cat([mask, inverse], dim=1)
     plane = fit_planes(pixels, extremes)
-    sums = _convolve(pixels, _cell_kernel(BASE_CELL)[:4], stride=BASE_CELL)
-    return Base(plane, anchor(upsample(plane, factor=CELL // BASE_CELL), sums), sums[:, :1])
+    moments = _convolve(pixels, _cell_kernel(BASE_CELL)[:4], stride=BASE_CELL)
+    base = add_residuals(upsample(plane, factor=CELL // BASE_CELL), moments)
+    return PlaneFit(plane, base, moments[:, :1])
 
 
 def fit_planes(pixels: Tensor, extremes: Tensor) -> Tensor:
-    """Return the planes of `Base`; pixels: mask and inverse depth, (N, 2, H, W)."""
+    """Return `PlaneFit.inverse_plane`; pixels: mask and inverse depth, (N, 2, H, W)."""
     grids = [_convolve(pixels, _cell_kernel(CELL), stride=CELL)]
     for _ in range(LEVELS):
         grids.append(_convolve(grids[-1], _coarser_kernel(), stride=2))
     largest, smaller = COARSE_WINDOWS
-    around = _sums_around(grids[-1], largest)
-    sums = _sums_around(grids[-1], smaller) + LARGER_WINDOW_WEIGHT * _of_one_return(around)
-    inside = _inside(torch.cat([around, sums])).unflatten(0, (2, -1)).amax(dim=0)
+    around = _window_moments(grids[-1], largest)
+    moments = _window_moments(grids[-1], smaller) + LARGER_WINDOW_WEIGHT * _per_return(around)
+    slope_weight = _slope_weight(torch.cat([around, moments])).unflatten(0, (2, -1)).amax(dim=0)
     for grid in reversed(grids[:-1]):
-        sums = _sums_around(grid, FINE_WINDOW) + _to_finer(_of_one_return(sums))
-    return _bound(_solve(sums, upsample(inside, factor=2**LEVELS)), extremes)
+        moments = _window_moments(grid, FINE_WINDOW) + _finer_moments(_per_return(moments))
+    plane = _solve_planes(moments, upsample(slope_weight, factor=2**LEVELS))
+    return _clip_to_returns(plane, extremes)
 
 
-def anchor(plane: Tensor, sums: Tensor) -> Tensor:
-    """Move planes to the returns on them.
+def add_residuals(plane: Tensor, moments: Tensor) -> Tensor:
+    """Move planes to the returns on them, by residual interpolation (Kiku et al. 2013).
 
-    The differences of the returns from the plane are averaged in a window of cells. The mean of
-    coarser cells counts as ANCHOR_WEIGHT returns. Returns of other surfaces have no weight, see
-    ON_PLANE.
+    The residuals of the returns, which are their differences from the plane, are averaged in a
+    window of cells. The mean of coarser cells counts as COARSER_RESIDUAL_WEIGHT returns. Returns of
+    other surfaces have no weight, see MAX_RESIDUAL.
 
     Args:
         plane: inverse depth at the cells' centres, (N, 1, h, w).
-        sums: the sums of 1, r, c and z over the returns of each cell, (N, 4, h, w), see `_POWERS`.
+        moments: the moments 1, r, c and z of the returns of each cell, (N, 4, h, w), see `_POWERS`.
     """
     around = F.pad(plane, (1, 1, 1, 1), mode="replicate")
-    there = (_convolve(around, _VALUE_AND_SLOPES) * sums[:, :3]).sum(dim=1, keepdim=True)
-    count, difference = sums[:, :1], sums[:, 3:] - there
-    share = ramp(difference.abs() / there.clamp(min=_LEAST_COUNT), -1.0 / ON_PLANE, 2.0)
-    grids = [torch.cat([difference, count], dim=1) * share]
-    for _ in range(ANCHOR_LEVELS):
+    predicted = (_convolve(around, _VALUE_AND_SLOPES) * moments[:, :3]).sum(dim=1, keepdim=True)
+    count, residual = moments[:, :1], moments[:, 3:] - predicted
+    weight = ramp(residual.abs() / predicted.clamp(min=_LEAST_COUNT), -1.0 / MAX_RESIDUAL, 2.0)
+    grids = [torch.cat([residual, count], dim=1) * weight]
+    for _ in range(RESIDUAL_LEVELS):
         grids.append(cell_means(grids[-1], 2) * 4.0)
-    moved: Tensor | None = None
+    mean: Tensor | None = None
     for grid in reversed(grids):
         total, weight = _convolve(grid, _TENTS, padding=1).split(1, dim=1)
-        if moved is not None:
-            total = total + ANCHOR_WEIGHT * upsample(moved)
-        moved = total / (weight + ANCHOR_WEIGHT)
-    assert moved is not None
-    return plane + moved
+        if mean is not None:
+            total = total + COARSER_RESIDUAL_WEIGHT * upsample(mean)
+        mean = total / (weight + COARSER_RESIDUAL_WEIGHT)
+    assert mean is not None
+    return plane + mean
 
 
-# Kernels of `anchor`: (3, 1, 3, 3), a map's value and its slopes down and to the right, and
+# Kernels of `add_residuals`: (3, 1, 3, 3), a map's value and its slopes down and to the right, and
 # (2, 2, 3, 3), a tent over each of two maps.
-_SIDE = np.array([1.0, 2.0, 1.0])
+_TENT = np.array([1.0, 2.0, 1.0])
 _VALUE_AND_SLOPES = np.zeros((3, 1, 3, 3), np.float32)
 _VALUE_AND_SLOPES[0, 0, 1, 1] = 1.0
 _VALUE_AND_SLOPES[1, 0, :, 1] = _VALUE_AND_SLOPES[2, 0, 1, :] = -0.5, 0.0, 0.5
-_TENTS = np.einsum("ab,i,j->abij", np.eye(2), _SIDE, _SIDE / 4).astype(np.float32)
+_TENTS = np.einsum("ab,i,j->abij", np.eye(2), _TENT, _TENT / 4).astype(np.float32)
 
 
-def _of_one_return(sums: Tensor) -> Tensor:
-    """Give all returns of a window together the weight of one return; sums: (N, 9, h, w)."""
-    return sums / sums[:, :1].clamp(min=_LEAST_COUNT)
+def _per_return(moments: Tensor) -> Tensor:
+    """Give all returns of a window together the weight of one return; moments: (N, 9, h, w)."""
+    return moments / moments[:, :1].clamp(min=_LEAST_COUNT)
 
 
-def _inside(sums: Tensor) -> Tensor:
+def _slope_weight(moments: Tensor) -> Tensor:
     """Return the weight of both slopes, (N, 2, h, w): 1 between the returns, 0 beyond them.
 
     Between returns a slope is measured; beyond them it would be extrapolated.
     """
-    _, about, moved = _about_centroid(sums)
-    distance = moved[:, :2] / (about[:, :2] + _LEAST_SPREAD)
-    return ramp(distance, -1.0, INSIDE + 1.0)
+    _, central, shift = _central_moments(moments)
+    distance = shift[:, :2] / (central[:, :2] + _LEAST_SPREAD)
+    return ramp(distance, -1.0, SLOPE_REACH + 1.0)
 
 
-def _about_centroid(sums: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the means of r, c and z; the sums of rr, cc, rc, zr, zc about them; the change.
+def _central_moments(moments: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the means of r, c and z; the moments rr, cc, rc, zr, zc about them; the difference.
+
+    The difference is what the moments about the cell's centre have more than the central ones.
 
     One product computes several channels, so that there are fewer and larger operations.
     """
-    count, first, second = sums.split([1, 3, 5], dim=1)
+    count, first, second = moments.split([1, 3, 5], dim=1)
     mean = first / count.clamp(min=_LEAST_COUNT)
-    moved = _take(mean, (0, 1, 0, 0, 1)) * _take(first, (0, 1, 1, 2, 2))
-    return mean, second - moved, moved
+    shift = _select(mean, (0, 1, 0, 0, 1)) * _select(first, (0, 1, 1, 2, 2))
+    return mean, second - shift, shift
 
 
-def _solve(sums: Tensor, inside: Tensor) -> Tensor:
+def _solve_planes(moments: Tensor, slope_weight: Tensor) -> Tensor:
     """Fit a plane to the returns around each centre: its value there, (N, 1, h, w).
 
-    sums: (N, 9, h, w); inside: the weight of both slopes, see `_inside`.
+    moments: (N, 9, h, w); slope_weight: the weight of both slopes, see `_slope_weight`.
     """
-    mean, about, _ = _about_centroid(sums)
-    flat = (FLAT_WEIGHT, FLAT_WEIGHT, 0.0, 0.0, 0.0)
-    about = about + about.new_tensor(flat).view(1, len(flat), 1, 1)
-    # Cramer's rule for the sums of rr, cc, rc, zr and zc.
-    products = _take(about, (1, 2, 0, 2, 0, 2)) * _take(about, (3, 4, 4, 3, 1, 2))
-    numerators, determinant = _convolve(products, _PAIRS).split([2, 1], dim=1)
-    slopes = numerators * (inside / determinant)
-    place, value = mean.split([2, 1], dim=1)
-    plane: Tensor = value - (place * slopes).sum(dim=1, keepdim=True)
+    mean, central, _ = _central_moments(moments)
+    ridge = (FLAT_WEIGHT, FLAT_WEIGHT, 0.0, 0.0, 0.0)
+    central = central + central.new_tensor(ridge).view(1, len(ridge), 1, 1)
+    # Cramer's rule for the moments rr, cc, rc, zr and zc.
+    products = _select(central, (1, 2, 0, 2, 0, 2)) * _select(central, (3, 4, 4, 3, 1, 2))
+    numerators, determinant = _convolve(products, _DIFFERENCES).split([2, 1], dim=1)
+    slopes = numerators * (slope_weight / determinant)
+    centroid, value = mean.split([2, 1], dim=1)
+    plane: Tensor = value - (centroid * slopes).sum(dim=1, keepdim=True)
     return plane
 
 
 # Kernel (3, 6, 1, 1): the difference of each pair of channels.
-_PAIRS = np.kron(np.eye(3), [1.0, -1.0]).astype(np.float32)[:, :, None, None]
+_DIFFERENCES = np.kron(np.eye(3), [1.0, -1.0]).astype(np.float32)[:, :, None, None]
 
 
-def _bound(plane: Tensor, extremes: Tensor) -> Tensor:
-    """Limit the plane to the inverse depths around it, see BOUND_WINDOW."""
-    around = maxima_around(cell_maxima(extremes, 2**LEVELS), BOUND_WINDOW)
+def _clip_to_returns(plane: Tensor, extremes: Tensor) -> Tensor:
+    """Limit the plane to the inverse depths around it, see CLIP_WINDOW."""
+    around = maxima_around(cell_maxima(extremes, 2**LEVELS), CLIP_WINDOW)
     nearest, farthest = around.split(1, dim=1)
     least = nearest.clamp(max=1.0) / farthest.clamp(min=_LEAST_COUNT)  # 0 without returns
     nearest = torch.where(nearest > 0, nearest, torch.inf)
@@ -209,20 +216,22 @@ def _bound(plane: Tensor, extremes: Tensor) -> Tensor:
     return torch.minimum(torch.maximum(plane, least), nearest)
 
 
-def _sums_around(sums: Tensor, window: int) -> Tensor:
-    """Sum the cells around each, weighted by a tent of half the width `window`."""
-    return _convolve(sums, _window_kernel(window), padding=window - 1)
+def _window_moments(moments: Tensor, window: int) -> Tensor:
+    """Return the moments of a window about each cell: a tent of half the width `window`."""
+    return _convolve(moments, _window_kernel(window), padding=window - 1)
 
 
-def _to_finer(sums: Tensor) -> Tensor:
-    """Return the sums around the centres of cells of half the width, times LARGER_WINDOW_WEIGHT.
+def _finer_moments(moments: Tensor) -> Tensor:
+    """Return the moments about the centres of finer cells, times LARGER_WINDOW_WEIGHT.
 
-    Each is the sum over the four closest cells, with bilinear weights.
+    A finer cell has half the width. Its moments are sums over the four closest cells, with bilinear
+    weights.
     """
-    return F.conv_transpose2d(sums, torch.from_numpy(_finer_kernel()).to(sums), stride=2, padding=1)
+    kernel = torch.from_numpy(_finer_kernel()).to(moments)
+    return F.conv_transpose2d(moments, kernel, stride=2, padding=1)
 
 
-def _take(x: Tensor, channels: tuple[int, ...]) -> Tensor:
+def _select(x: Tensor, channels: tuple[int, ...]) -> Tensor:
     return x.index_select(1, torch.tensor(channels, device=x.device))
 
 
@@ -234,57 +243,57 @@ def _convolve(
 
 @cache
 def _cell_kernel(side: int) -> NDArray[np.float32]:
-    """Kernel (9, 2, side, side): mask and inverse depth of pixels to the sums of their cell."""
-    place = (np.arange(side) + 0.5) / side - 0.5
-    kernel = np.zeros((_SUMS, 2, side, side), np.float32)
-    for channel, (powers, places) in enumerate(zip(_POWERS, _PLACES, strict=True)):
-        for (down, right), index in zip(powers, places, strict=True):
-            kernel[index, channel] = place[:, None] ** down * place[None, :] ** right
+    """Kernel (9, 2, side, side): mask and inverse depth of pixels to the moments of their cell."""
+    coordinate = (np.arange(side) + 0.5) / side - 0.5
+    kernel = np.zeros((_NUM_MOMENTS, 2, side, side), np.float32)
+    for channel, (powers, indices) in enumerate(zip(_POWERS, _INDICES, strict=True)):
+        for (down, right), index in zip(powers, indices, strict=True):
+            kernel[index, channel] = coordinate[:, None] ** down * coordinate[None, :] ** right
     return kernel
 
 
 @cache
 def _coarser_kernel() -> NDArray[np.float32]:
-    """Kernel (9, 9, 2, 2): the sums of four cells to the sums of the cell that they make up."""
-    kernel = np.zeros((_SUMS, _SUMS, 2, 2), np.float32)
+    """Kernel (9, 9, 2, 2): the moments of four cells to those of the cell that they make up."""
+    kernel = np.zeros((_NUM_MOMENTS, _NUM_MOMENTS, 2, 2), np.float32)
     for row, column in np.ndindex(2, 2):
-        kernel[:, :, row, column] = _moved((row - 0.5) / 2, (column - 0.5) / 2, scale=0.5)
+        kernel[:, :, row, column] = _translation((row - 0.5) / 2, (column - 0.5) / 2, scale=0.5)
     return kernel
 
 
 @cache
 def _finer_kernel() -> NDArray[np.float32]:
-    """Kernel (9, 9, 4, 4) of a transposed convolution: the sums of a cell to the finer ones."""
-    kernel = np.zeros((_SUMS, _SUMS, 4, 4), np.float32)
+    """Kernel (9, 9, 4, 4) of a transposed convolution: a cell's moments to those of finer cells."""
+    kernel = np.zeros((_NUM_MOMENTS, _NUM_MOMENTS, 4, 4), np.float32)
     for row, column in np.ndindex(4, 4):
         down, right = 1.5 - row, 1.5 - column  # from the finer cell's centre to the cell's
         weight = LARGER_WINDOW_WEIGHT * (1 - abs(down) / 2) * (1 - abs(right) / 2)
-        kernel[:, :, row, column] = weight * _moved(down, right, scale=2.0).T
+        kernel[:, :, row, column] = weight * _translation(down, right, scale=2.0).T
     return kernel
 
 
 @cache
 def _window_kernel(window: int) -> NDArray[np.float32]:
-    """Kernel (9, 9, 2 w - 1, 2 w - 1): the weighted sums around the centre cell of a window w."""
+    """Kernel (9, 9, 2 w - 1, 2 w - 1): the moments of a window w about its centre cell."""
     side = 2 * window - 1
-    kernel = np.zeros((_SUMS, _SUMS, side, side), np.float32)
+    kernel = np.zeros((_NUM_MOMENTS, _NUM_MOMENTS, side, side), np.float32)
     for row, column in np.ndindex(side, side):
         down, right = row - window + 1, column - window + 1
         weight = (1 - abs(down) / window) * (1 - abs(right) / window)
-        kernel[:, :, row, column] = weight * _moved(down, right)
+        kernel[:, :, row, column] = weight * _translation(down, right)
     return kernel
 
 
-def _moved(down: float, right: float, *, scale: float = 1.0) -> NDArray[Any]:
-    """Return the matrix (9, 9) from sums around one centre to sums around another.
+def _translation(down: float, right: float, *, scale: float = 1.0) -> NDArray[Any]:
+    """Return the matrix (9, 9) from moments about one centre to moments about another.
 
     A position p relative to the old centre is `scale * p + (down, right)` relative to the new
     one; its powers follow from the binomial theorem.
     """
-    matrix = np.zeros((_SUMS, _SUMS))
-    for powers, places in zip(_POWERS, _PLACES, strict=True):
-        for new, row in zip(powers, places, strict=True):
-            for old, column in zip(powers, places, strict=True):
+    matrix = np.zeros((_NUM_MOMENTS, _NUM_MOMENTS))
+    for powers, indices in zip(_POWERS, _INDICES, strict=True):
+        for new, row in zip(powers, indices, strict=True):
+            for old, column in zip(powers, indices, strict=True):
                 matrix[row, column] = np.prod(
                     [
                         math.comb(power, kept) * scale**kept * offset ** (power - kept)

@@ -43,7 +43,7 @@ def maxima_around(x: Tensor, window: int) -> Tensor:
     return F.max_pool2d(columns, (1, window), 1, (0, half))
 
 
-def maxima_beside(x: Tensor) -> Tensor:
+def maxima_of_neighbours(x: Tensor) -> Tensor:
     """Maximum over the 24 pixels around each pixel, 0 beyond the map: (N, 1, H, W) -> same.
 
     Each shift is a channel, which makes two operations in an exported graph.

@@ -16,8 +16,7 @@ from models.baselines.pidnet_s import PIDNetS
 from models.baselines.sparse_conv import SparseConvNet
 from models.baselines.sparse_to_dense import SparseToDense
 from models.network import Network, NetworkConfig, check_fields
-from models.paper.config import SSDNETS
-from models.paper.ssdnet import SSDNet
+from models.ssdnet import SSDNETS, SSDNet
 from models.ssdnet_lite import SSDNET_NANO, SSDNetLite, SSDNetLiteConfig
 from runtime.base.checks import shown
 from runtime.base.entry_points import find_entry, list_entries

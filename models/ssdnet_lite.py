@@ -1,27 +1,40 @@
 """SSDNetLite: SSDNet for real time, whose depth starts from planes between the returns.
 
+Its layout is the paper's: one encoder, a boundary decoder (section 2.1.2), and two task decoders of
+boundary-aware convolutions (Eq. 1, section 2.1.3). It departs from the paper in these parts:
+
+| part | the paper | here | why |
+|---|---|---|---|
+| encoder | VGG at full size | `EfficientNetLite`, `GlobalContext` | a hundredth of the work |
+| skips | concatenated | added, `AddUpBlock` | half of the work |
+| LiDAR | a fourth input channel | `find_candidates`: surfaces and planes | other rigs |
+| depth | regressed at five strides | chosen among candidates, `SurfaceDepthHead` | sharp edges |
+
+The grids of a frame, in the order of `SSDNetLite.predict_coarse`:
+
 | stride | tensor | channels |
 |---|---|---|
-| 1 | RGB; depth and mask; the depth with returns at full size | 3; 2; 1 |
-| 2 | `EfficientNetLite.early`; refined features of classes and depth; the base | 16; 16; 1 |
-| 4 | `early`, with planes and surfaces added; decoders; boundary; geometry | 24; 32; 1; 16 |
-| 8, 16, 32 | `EfficientNetLite.late`; decoders at 8 and 16 | 40, 112, 320; 48, 64 |
+| 2, 4 | `EfficientNetLite.early` | 16, 24 |
+| 2, 4 | `find_candidates`: the base; surfaces and their features, embedded and added at 4 | 1; 6 |
+| 8, 16, 32 | `EfficientNetLite.late`; `GlobalContext` at 32 | 40, 112, 320 |
+| 4 | `BoundaryDecoder`: boundary and, at 4, 8 and 16, the gates of both task decoders | 1 |
+| 16, 8, 4 | `TaskDecoder` of the classes, then of the depth | 64, 48, 32 |
+| 2 | `semantic_refine` and the class scores | 16, 11 |
+| 4, 2, 1 | `SurfaceDepthHead`: geometry at 4, choice and base at 2, returns at 1 | 16; 16; 1 |
 
 `docs/network.png` shows these grids (`benchmarks/network_figure.py` draws it from the modules).
-
-The order of execution: `surfaces.find_candidates` with `planes.fit_base`, the encoder, the boundary
-decoder, which gates both task decoders, and the heads; the head of the depth is
-`surface_depth.SurfaceDepthHead`. `ssdnet-nano` has no features at stride 2 except the encoder's.
+`ssdnet-nano` has no features at stride 2 except the encoder's: it classifies and chooses at 4.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
 from models.blocks import GlobalContext, pad_to_multiple, upsample
+from models.decoders import AddUpBlock, BoundaryDecoder, TaskDecoder
 from models.efficientnet_lite import CHANNELS, WIDTHS, EfficientNetLite
-from models.lite_decoder import BoundaryDecoder, TaskDecoder, UpBlock
 from models.network import (
     Network,
     NetworkConfig,
@@ -37,6 +50,8 @@ from models.surfaces import find_candidates
 _LITE_WIDTHS = (32, 48, 80, 80, 160, 160, *[320] * 3, *[480] * 3, *[896] * 3, 640)
 # Strides of the skips, and of the bottom.
 _SKIPS, _BOTTOM = (4, 8, 16), 32
+# Channels of a side output of the boundary decoder.
+_SIDE_CHANNELS = 16
 
 
 @dataclass(frozen=True)
@@ -125,23 +140,28 @@ class SSDNetLite(Network):
         self.depth_layers = ("depth_decoder", "surface_depth") if config.depth_head else ()
         super().__init__(config)
         self.encoder = EfficientNetLite(config.encoder_widths or WIDTHS)
-        skips, bottom = [CHANNELS[stride] for stride in _SKIPS], CHANNELS[_BOTTOM]
-        self.context = GlobalContext(bottom)
-        self.boundary_decoder = BoundaryDecoder(skips, separable=config.separable_from > 0)
+        self.context = GlobalContext(CHANNELS[_BOTTOM])
+        self.boundary_decoder = BoundaryDecoder(
+            [CHANNELS[stride] for stride in _SKIPS],
+            _SIDE_CHANNELS,
+            separable=config.separable_from > 0,
+            halved=True,
+        )
         if config.semantic_head:
             finest, refined = config.decoder_channels[-1], config.semantic_refine_channels
-            self.semantic_decoder = TaskDecoder(bottom, skips, config.decoder_channels)
+            self.semantic_decoder = _task_decoder(config.decoder_channels)
             self.semantic_head = nn.Conv2d(refined or finest, config.num_classes, 1)
             if refined:
                 # Without the prediction at stride 4 the few channels at stride 2 would hold all of
                 # it, which takes longer to learn.
                 self.semantic_coarse_head = nn.Conv2d(finest, config.num_classes, 1)
-                self.semantic_refine = UpBlock(
+                self.semantic_refine = AddUpBlock(
                     finest, CHANNELS[2], refined, separable=config.separable_from >= 2
                 )
         if config.depth_head:
-            separable = [stride <= config.separable_from for stride in reversed(_SKIPS)]
-            self.depth_decoder = TaskDecoder(bottom, skips, config.decoder_channels, separable)
+            self.depth_decoder = _task_decoder(
+                config.decoder_channels, separable_from=config.separable_from
+            )
             self.surface_depth = SurfaceDepthHead(
                 config.decoder_channels[-1],
                 CHANNELS[2],
@@ -151,15 +171,15 @@ class SSDNetLite(Network):
                 geometry_channels=config.geometry_channels,
                 semantics=config.semantic_head,
                 max_depth_m=config.max_depth_m,
-                farthest_guess=config.target_share,
+                farthest_monocular=config.target_share,
             )
         self.apply(initialise)
         if config.depth_head:
-            self.surface_depth.start_as_base()
+            self.surface_depth.initialise_as_base()
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on the heads' own grids of the padded image, see `Network.predict_coarse`."""
-        at_2, at_4 = self.encoder.early(pad_to_multiple(self.normalise_rgb(rgb), self.stride))
+        stride2, stride4 = self.encoder.early(pad_to_multiple(self.normalise_rgb(rgb), self.stride))
         candidates = None
         if self.config.depth_head:
             padded = pad_to_multiple(sparse_depth, self.stride)
@@ -167,28 +187,35 @@ class SSDNetLite(Network):
             candidates = find_candidates(
                 depth, mask.to(depth.dtype), max_depth_m=self.config.max_depth_m
             )
-            at_4 = at_4 + self.surface_depth.embed(candidates.features)
-        *skips, bottom = at_4, *self.encoder.late(at_4)
+            stride4 = stride4 + self.surface_depth.embed(candidates.features)
+        *skips, bottom = stride4, *self.encoder.late(stride4)
         bottom = self.context(bottom)
         boundary_logits, sides = self.boundary_decoder(skips)
         gates = [torch.sigmoid(side) for side in sides]
-        semantics = logits = depths = scale = None
+        semantics = logits = None
         if self.config.semantic_head:
-            semantics = self.semantic_decoder(bottom, skips, gates)
-            logits = self._classify(semantics, at_2)
-        if candidates is not None:
-            features = self.depth_decoder(bottom, skips, gates)
-            depth, scale, boundary_logits = self.surface_depth(
-                candidates, features, semantics, at_2, boundary_logits
-            )
-            depths = (depth,)
-        return NetworkOutput(logits, depths, boundary_logits, scale)
+            semantics, *_ = self.semantic_decoder(bottom, skips, gates)
+            logits = self._classify(semantics, stride2)
+        if candidates is None:
+            return NetworkOutput(logits, boundary_logits=boundary_logits)
+        features, *_ = self.depth_decoder(bottom, skips, gates)
+        maps = self.surface_depth(candidates, features, semantics, stride2, boundary_logits)
+        return NetworkOutput(logits, (maps.depth,), maps.boundary_logits, maps.scale)
 
-    def _classify(self, semantics: Tensor, at_2: Tensor) -> Tensor:
+    def _classify(self, semantics: Tensor, stride2: Tensor) -> Tensor:
         """Return the class scores on the grid of `semantic_stride`."""
         logits: Tensor
         if self.config.semantic_refine_channels:
-            logits = self.semantic_head(self.semantic_refine(semantics, at_2))
+            logits = self.semantic_head(self.semantic_refine(semantics, stride2))
             return logits + upsample(self.semantic_coarse_head(semantics))
         logits = self.semantic_head(semantics)
         return logits
+
+
+def _task_decoder(channels: Sequence[int], *, separable_from: int = 0) -> TaskDecoder:
+    """Return a decoder of these channels at strides 16, 8 and 4, see `SSDNetLiteConfig`."""
+    below = (CHANNELS[_BOTTOM], *channels[:-1])
+    return TaskDecoder(
+        AddUpBlock(coarser, CHANNELS[stride], finer, separable=stride <= separable_from)
+        for coarser, stride, finer in zip(below, reversed(_SKIPS), channels, strict=True)
+    )

@@ -1,36 +1,38 @@
 """The depth head, which decides among the candidates of `models.surfaces`.
 
+The paper's depth head is one 1x1 convolution and a sigmoid. This head departs from it, because a
+regressed depth depends on the camera and the LiDAR of the training, and is blurred at edges.
+
 Close to returns the depth is the mean of two choices. One is the base, which passes through the
 returns; it departs to the nearest or the farthest surface where the geometry of the returns, the
 boundary and a few class-like channels say so. Unlike features of the image, these are the same on
 other cameras. The other choice reads the features of the image, and decides alone farther from
-returns: among the plane between the returns, both surfaces, and its own guess, for where returns
-end or an object returns nothing. At the image's size each return then replaces the depth of the
-pixels around it, weighted by the network's confidence in it.
+returns: among the plane between the returns, both surfaces, and a monocular depth, for where
+returns end or an object returns nothing. At the image's size each return then replaces the depth of
+the pixels around it, weighted by the network's confidence in it.
 
 In the order of execution: `surfaces.find_candidates`; after the decoders `choose_surface`,
-`join_base`, `surfaces.dilate_returns` and `take_returns`.
+`blend_with_base`, `surfaces.dilate_returns` and `blend_with_returns`.
 """
 
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, TypeVar
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from models.blocks import ConvBNReLU, ramp, upsample
-from models.lite_decoder import UpBlock
+from models.decoders import AddUpBlock
 from models.planes import BASE_CELL, CELL
 from models.surfaces import (
     FEATURE_CHANNELS,
-    MOST_BESIDE,
-    NEAREST,
-    Beside,
+    MAX_BASE_WEIGHT,
+    MIN_DEPTH,
+    BaseRatios,
     Candidates,
-    Returns,
-    Surfaces,
-    apart,
+    DilatedReturns,
     dilate_returns,
+    zero_if_same_surface,
 )
 
 
@@ -66,47 +68,109 @@ _FIRST_CONFIDENCES = (2.5, -4.0, -4.0)
 _CLASS_CHANNELS, _RATIO_CHANNELS = 7, 9
 
 
+class Choices(NamedTuple):
+    """What the features of the image choose among, each (N, 1, h, w).
+
+    Attributes:
+        nearest, farthest, inverse_plane, support, plane_support: see `surfaces.Surfaces`.
+        monocular: normalised depth that is predicted from the image.
+        correction_limit: greatest log of the correction, see `limit_correction`.
+    """
+
+    nearest: Tensor
+    farthest: Tensor
+    inverse_plane: Tensor
+    support: Tensor
+    plane_support: Tensor
+    monocular: Tensor
+    correction_limit: Tensor
+
+
+class Chosen(NamedTuple):
+    """A depth and its uncertainty, each (N, 1, h, w).
+
+    Attributes:
+        inverse: inverse of the normalised depth, 1..1/MIN_DEPTH.
+        scale: scale of the depth's error, of a Laplace distribution, normalised like the depth.
+    """
+
+    inverse: Tensor
+    scale: Tensor
+
+
+class BaseMaps(NamedTuple):
+    """What is upsampled beside the choice, each (N, 1, h, w).
+
+    Attributes:
+        boundary_logits: logit of a boundary.
+        log_offset: log ratio of the depth to the base, see `log_offset`.
+        relative_scale: scale of the base's error, as a share of the depth.
+        weight: weight of the base, see `BaseRatios`.
+    """
+
+    boundary_logits: Tensor
+    log_offset: Tensor
+    relative_scale: Tensor
+    weight: Tensor
+
+
+class DepthMaps(NamedTuple):
+    """The answers of a `SurfaceDepthHead` at the image's size, each (N, 1, H, W).
+
+    Attributes:
+        depth: normalised depth.
+        scale: scale of its error, normalised like the depth.
+        boundary_logits: logit of a boundary.
+    """
+
+    depth: Tensor
+    scale: Tensor
+    boundary_logits: Tensor
+
+
 class SurfaceDepthHead(nn.Module):
     """Depth at the image's size, and the scale of its error, from candidates and features.
 
     Args:
         channels: channels of the decoders' features, at stride 4.
-        at_2_channels: channels of the encoder's features at stride 2.
-        at_4_channels: channels of the encoder's features at stride 4.
+        stride2_channels: channels of the encoder's features at stride 2.
+        stride4_channels: channels of the encoder's features at stride 4.
         refine_channels: channels at stride 2, where the choice is made; 0 = it is made at stride 4.
         separable: whether the BaConv at stride 2 is separable.
         geometry_channels: channels of the convolutions that decide close to returns.
         semantics: whether there are features of the semantic decoder.
         max_depth_m: depth [m] of the normalised depth 1.0.
-        farthest_guess: the farthest normalised depth without a return.
+        farthest_monocular: the farthest normalised depth without a return.
     """
 
     def __init__(
         self,
         channels: int,
-        at_2_channels: int,
-        at_4_channels: int,
+        stride2_channels: int,
+        stride4_channels: int,
         *,
         refine_channels: int,
         separable: bool,
         geometry_channels: int,
         semantics: bool,
         max_depth_m: float,
-        farthest_guess: float,
+        farthest_monocular: float,
     ) -> None:
         super().__init__()
-        self.max_depth_m, self.farthest_guess = max_depth_m, farthest_guess
-        self.embed = nn.Conv2d(FEATURE_CHANNELS, at_4_channels, 1)
-        self.guess = nn.Conv2d(channels, 1, 1)
+        self.max_depth_m, self.farthest_monocular = max_depth_m, farthest_monocular
+        self.embed = nn.Conv2d(FEATURE_CHANNELS, stride4_channels, 1)
+        self.guess = nn.Conv2d(channels, 1, 1)  # the monocular depth; checkpoints have this name
         self.project = nn.Conv2d(FEATURE_CHANNELS, channels, 1)
         # Classes imply surfaces that have no returns: a car has a roof and windows.
         self.semantics = nn.Conv2d(channels, channels, 1) if semantics else None
         self.refinement = None
         if refine_channels:
-            self.refinement = UpBlock(channels, at_2_channels, refine_channels, separable=separable)
+            self.refinement = AddUpBlock(
+                channels, stride2_channels, refine_channels, separable=separable
+            )
             self.coarse_head = nn.Conv2d(channels, HEAD_CHANNELS, 1)
         self.head = nn.Conv2d(refine_channels or channels, HEAD_CHANNELS, 1)
-        self.cell = CELL // 2 if refine_channels else CELL
+        self.head_stride = CELL // 2 if refine_channels else CELL
         # The class scores are not read: fine-tuning for other classes must not change the depth.
         self.classes = nn.Conv2d(channels, _CLASS_CHANNELS, 1) if semantics else None
         self.geometry = nn.Sequential(
@@ -117,8 +181,8 @@ class SurfaceDepthHead(nn.Module):
         )
 
     @torch.no_grad()
-    def start_as_base(self) -> None:
-        """Let a new head answer with base and plane, and with the guess where there are none."""
+    def initialise_as_base(self) -> None:
+        """Let a new head answer with base and plane, and where there are none from the image."""
         last = self.geometry[-1]
         assert isinstance(last, nn.Conv2d)
         last.weight.mul_(0.01)  # within DEAD_ZONE, and the gradient reaches the layers before
@@ -136,70 +200,65 @@ class SurfaceDepthHead(nn.Module):
         candidates: Candidates,
         features: Tensor,
         semantics: Tensor | None,
-        at_2: Tensor,
+        stride2: Tensor,
         boundary_logits: Tensor,
-    ) -> tuple[Tensor, Tensor, Tensor]:
+    ) -> DepthMaps:
         """Return the depth, its error's scale and the boundary's logits at the image's size.
 
         Args:
             candidates: candidates of the frame.
             features: features of the depth decoder, on the grid of CELL.
             semantics: features of the semantic decoder, on the same grid.
-            at_2: features of the encoder at stride 2.
+            stride2: features of the encoder at stride 2.
             boundary_logits: on the grid of CELL; they are upsampled together with the depth.
         """
-        guess = self.farthest_guess * torch.sigmoid(self.guess(features))
-        guess = torch.minimum(guess, candidates.guess_limit).float()
-        beside = candidates.beside
-        ratios = torch.cat([beside.near, beside.far], dim=1)
-        departures = apart(ratios)
-        geometry = self._geometry(candidates, ratios, departures, semantics, boundary_logits)
-        place, log_scale = self.geometry(geometry).float().split(1, dim=1)
+        monocular = self.farthest_monocular * torch.sigmoid(self.guess(features))
+        monocular = torch.minimum(monocular, candidates.monocular_limit).float()
+        ratios, base_weight = candidates.base_ratios, candidates.base_ratios.base_weight
+        both = torch.cat([ratios.nearest, ratios.farthest], dim=1)
+        offsets = zero_if_same_surface(both)
+        geometry = self._geometry(candidates, both, offsets, semantics, boundary_logits)
+        position, log_scale = self.geometry(geometry).float().split(1, dim=1)
         features = features + self.project(candidates.features)
         if self.semantics is not None:
             features = features + self.semantics(semantics)
-        surfaces, boundary_logits = candidates.surfaces, boundary_logits.float()
-        room = correction_room(beside, surfaces.support)
+        boundary_logits = boundary_logits.float()
+        limit = limit_correction(ratios, candidates.surfaces.support)
+        choices = Choices(*candidates.surfaces, monocular, limit)
         if self.training:
-            # At random the share is set to 0, kept, or doubled, so that neither choice learns to
+            # At random the weight is set to 0, kept, or doubled, so that neither choice learns to
             # compensate for the other.
-            beside = beside._replace(share=beside.share * torch.randint(3, ()).to(beside.share))
-        # One upsampling for all maps of a grid: ONNX Runtime splits a Resize by channels.
-        base_maps = [
-            depart(position(place), departures),
-            _relative_scale(log_scale),
-            beside.share,
-        ]
+            base_weight = base_weight * torch.randint(3, ()).to(base_weight)
+        offset = log_offset(soft_threshold(position), offsets)
+        base = BaseMaps(boundary_logits, offset, _relative_scale(log_scale), base_weight)
         if self.refinement is None:
             head = HeadChannels.split(self.head(features).float())
-            chosen = choose_surface(head, guess, surfaces, room, reach=self.farthest_guess)
-            maps = upsample(torch.cat([*chosen, boundary_logits, *base_maps], dim=1))
-            inverse, scale, boundary_logits, *base_maps = maps.split(1, dim=1)
+            chosen = choose_surface(head, choices, farthest_monocular=self.farthest_monocular)
+            chosen, base = _upsample_together(chosen, base)
         else:
-            coarse = [*surfaces, guess, room, boundary_logits, *base_maps]
-            maps = upsample(torch.cat(coarse, dim=1)).split(1, dim=1)
-            surfaces = Surfaces(*maps[: len(surfaces)])
-            guess, room, boundary_logits, *base_maps = maps[len(surfaces) :]
-            refined = self.head(self.refinement(features, at_2))
+            choices, base = _upsample_together(choices, base)
+            refined = self.head(self.refinement(features, stride2))
             head = HeadChannels.split((refined + upsample(self.coarse_head(features))).float())
-            inverse, scale = choose_surface(head, guess, surfaces, room, reach=self.farthest_guess)
-        inverse, scale = join_base(inverse, scale, candidates.base.base, *base_maps)
-        maps = upsample(torch.cat([inverse, scale, boundary_logits], dim=1), factor=BASE_CELL)
+            chosen = choose_surface(head, choices, farthest_monocular=self.farthest_monocular)
+        chosen = blend_with_base(chosen, candidates.inverse_base, base)
+        maps = upsample(torch.cat([*chosen, base.boundary_logits], dim=1), factor=BASE_CELL)
         inverse, scale, boundary_logits = maps.split(1, dim=1)
         # One value a cell is enough: the returns give the position of an edge.
-        in_returns = torch.sigmoid(head.returns)
-        in_returns = F.interpolate(in_returns, scale_factor=float(self.cell), mode="nearest")
-        returns = dilate_returns(candidates.measured)
-        depth, scale = take_returns(
-            inverse, scale, returns, in_returns, max_depth_m=self.max_depth_m
+        confidence = torch.sigmoid(head.returns)
+        confidence = F.interpolate(confidence, scale_factor=float(self.head_stride), mode="nearest")
+        depth, scale = blend_with_returns(
+            Chosen(inverse, scale),
+            dilate_returns(candidates.sparse_depth),
+            confidence,
+            max_depth_m=self.max_depth_m,
         )
-        return depth, scale, boundary_logits
+        return DepthMaps(depth, scale, boundary_logits)
 
     def _geometry(
         self,
         candidates: Candidates,
         ratios: Tensor,
-        departures: Tensor,
+        offsets: Tensor,
         semantics: Tensor | None,
         boundary_logits: Tensor,
     ) -> Tensor:
@@ -207,16 +266,25 @@ class SurfaceDepthHead(nn.Module):
         surfaces, density = candidates.surfaces, candidates.features[:, -1:]
         maps = [
             ratios,
-            5.0 * departures,
+            5.0 * offsets,
             surfaces.support,
-            surfaces.reached,
-            candidates.beside.share * (1.0 / MOST_BESIDE),
+            surfaces.plane_support,
+            candidates.base_ratios.base_weight * (1.0 / MAX_BASE_WEIGHT),
             density,
             torch.sigmoid(boundary_logits.float()),
         ]
         if self.classes is not None:
             maps.append(torch.sigmoid(self.classes(semantics)))
         return torch.cat(maps, dim=1)
+
+
+_Maps = TypeVar("_Maps", Choices, Chosen)
+
+
+def _upsample_together(choice: _Maps, base: BaseMaps) -> tuple[_Maps, BaseMaps]:
+    """Upsample all maps of a grid at once: ONNX Runtime splits a Resize by channels."""
+    maps = upsample(torch.cat([*choice, *base], dim=1)).split(1, dim=1)
+    return type(choice)(*maps[: len(choice)]), BaseMaps(*maps[len(choice) :])
 
 
 # The sigmoid of a confidence is stretched beyond 0 and 1 by so much, and then limited.
@@ -230,98 +298,77 @@ LOG_SCALE = (-6.0, 1.0)
 SPREAD_SHARE = 0.5
 
 
-def choose_surface(
-    head: HeadChannels, guess: Tensor, surfaces: Surfaces, room: Tensor, *, reach: float
-) -> tuple[Tensor, Tensor]:
-    """Choose among the candidates and the guess: the inverse depth, and its error's scale.
+def choose_surface(head: HeadChannels, choices: Choices, *, farthest_monocular: float) -> Chosen:
+    """Choose among the candidates and the monocular depth.
 
-    First the plane replaces the guess, then the farthest surface what was chosen, then the nearest,
-    each weighted by the confidence in it. The result is corrected, by at most `room`, a log ratio.
-    No depth is beyond `reach`, the limit of the guess, unless the farthest surface is.
-
-    Returns:
-        Inverse of the normalised depth, (N, 1, h, w), 1..1/NEAREST, and the scale of the depth's
-        error, of a Laplace distribution.
+    First the plane replaces the monocular depth, then the farthest surface what was chosen, then
+    the nearest, each weighted by the confidence in it. The result is corrected, by at most
+    `correction_limit`. No depth is beyond `farthest_monocular`, unless the farthest surface is.
     """
-    in_plane, in_farthest, in_nearest = confidence(head.surfaces).split(1, dim=1)
-    farthest, nearest, support = surfaces.farthest, surfaces.nearest, surfaces.support
-    depth = guess + in_plane * surfaces.reached * (1.0 / surfaces.plane - guess)
+    in_plane, in_farthest, in_nearest = stretched_sigmoid(head.surfaces).split(1, dim=1)
+    nearest, farthest, inverse_plane, support, plane_support, depth, limit = choices
+    depth = depth + in_plane * plane_support * (1.0 / inverse_plane - depth)
     depth = depth + in_farthest * support * (farthest - depth)
     depth = depth + in_nearest * support * (nearest - depth)
-    depth = (depth * torch.exp(room * torch.tanh(head.correction))).clamp(min=NEAREST)
-    depth = torch.minimum(depth, (farthest * support).clamp(min=reach))
-    return 1.0 / depth, depth.detach() * _relative_scale(head.scale)
+    depth = (depth * torch.exp(limit * torch.tanh(head.correction))).clamp(min=MIN_DEPTH)
+    depth = torch.minimum(depth, (farthest * support).clamp(min=farthest_monocular))
+    return Chosen(1.0 / depth, depth.detach() * _relative_scale(head.scale))
 
 
-def correction_room(beside: Beside, support: Tensor) -> Tensor:
+def limit_correction(ratios: BaseRatios, support: Tensor) -> Tensor:
     """Return the greatest log of the correction: close to returns what the two surfaces differ by.
 
     Where there are no returns it is MAX_LOG_CORRECTION.
     """
-    room = beside.far - beside.near + MAX_LOG_CORRECTION * (1.0 - support)
-    return room.clamp(max=MAX_LOG_CORRECTION)
+    limit = ratios.farthest - ratios.nearest + MAX_LOG_CORRECTION * (1.0 - support)
+    return limit.clamp(max=MAX_LOG_CORRECTION)
 
 
-def confidence(logits: Tensor) -> Tensor:
-    """Return the sigmoid, stretched so that it reaches 0 and 1, at logits of -2.4 and 2.4.
+def stretched_sigmoid(logits: Tensor) -> Tensor:
+    """Return a confidence: the sigmoid, stretched to reach 0 and 1, at logits of -2.4 and 2.4.
 
-    A sigmoid of 0.95 would leave 1.5 % of error where the other candidate is a third off. Beyond
-    the limits the gradient is that of the stretched sigmoid, so that the confidence can return.
+    It is that of the hard concrete distribution (Louizos et al. 2018). A sigmoid of 0.95 would
+    leave 1.5 % of error where the other candidate is a third off. Beyond the limits the gradient is
+    that of the stretched sigmoid, so that the confidence can return.
     """
     share, slope = torch.sigmoid(logits), 1.0 + 2.0 * STRETCH
     limited = ramp(share, slope, -STRETCH)
     if not torch.is_grad_enabled():
         return limited
-    return _with_gradient_of(slope * share - STRETCH, limited)
+    return _straight_through(slope * share - STRETCH, limited)
 
 
 # Position up to which the answer is the base. A position beyond it is reduced by this value.
 DEAD_ZONE = 0.1
 
 
-def position(x: Tensor) -> Tensor:
+def soft_threshold(x: Tensor) -> Tensor:
     """Return x reduced by DEAD_ZONE towards 0 and limited to -1..1; the gradient is that of x."""
     limited = (x - x.clamp(-DEAD_ZONE, DEAD_ZONE)).clamp(-1.0, 1.0)
-    return _with_gradient_of(x, limited) if torch.is_grad_enabled() else limited
+    return _straight_through(x, limited) if torch.is_grad_enabled() else limited
 
 
-def depart(place: Tensor, departures: Tensor) -> Tensor:
+def log_offset(position: Tensor, offsets: Tensor) -> Tensor:
     """Return the log ratio of the depth to the base, (N, 1, h, w).
 
     Args:
-        place: -1 = nearest surface, 0 = base, 1 = farthest, same shape.
-        departures: log ratios of the nearest and of the farthest surface to the base, (N, 2, h, w).
+        position: -1 = nearest surface, 0 = base, 1 = farthest, same shape.
+        offsets: log ratios of the nearest and of the farthest surface to the base, (N, 2, h, w).
     """
-    near, far = departures.split(1, dim=1)
-    departure: Tensor = place.clamp(min=0.0) * far - place.clamp(max=0.0) * near
-    return departure
+    nearest, farthest = offsets.split(1, dim=1)
+    offset: Tensor = position.clamp(min=0.0) * farthest - position.clamp(max=0.0) * nearest
+    return offset
 
 
-def join_base(
-    inverse: Tensor,
-    scale: Tensor,
-    base: Tensor,
-    departure: Tensor,
-    relative_scale: Tensor,
-    share: Tensor,
-) -> tuple[Tensor, Tensor]:
+def blend_with_base(chosen: Chosen, inverse_base: Tensor, base: BaseMaps) -> Chosen:
     """Average the chosen depth with the base, which departs to a surface where there are two.
 
-    Args:
-        inverse: inverse of the chosen normalised depth, (N, 1, H, W), like all others on the grid
-            of BASE_CELL.
-        scale: scale of its error.
-        base: inverse depth of the base.
-        departure: departure from the base, see `depart`.
-        relative_scale: scale of the error of the base, as a share of the depth.
-        share: share of the base, see `Beside`.
-
-    Returns:
-        Inverse depth and the scale of its error, both of the shape of `inverse`.
+    All are on the grid of BASE_CELL; inverse_base is the inverse depth of the base, (N, 1, H, W).
     """
-    measured = (base * torch.exp(-departure)).clamp(1.0, 1.0 / NEAREST)
-    inverse = inverse + share * (measured - inverse)
-    return inverse, scale + share * (relative_scale / inverse.detach() - scale)
+    moved = (inverse_base * torch.exp(-base.log_offset)).clamp(1.0, 1.0 / MIN_DEPTH)
+    inverse = chosen.inverse + base.weight * (moved - chosen.inverse)
+    base_scale = base.relative_scale / inverse.detach()
+    return Chosen(inverse, chosen.scale + base.weight * (base_scale - chosen.scale))
 
 
 # Difference of inverse depths [1/m] up to which a LiDAR beside the camera hardly sees past the
@@ -336,8 +383,8 @@ SLOPE = 0.03
 MAX_SCALE_REDUCTION = 0.9
 
 
-def take_returns(
-    inverse: Tensor, scale: Tensor, returns: Returns, confidence: Tensor, *, max_depth_m: float
+def blend_with_returns(
+    chosen: Chosen, returns: DilatedReturns, confidence: Tensor, *, max_depth_m: float
 ) -> tuple[Tensor, Tensor]:
     """Replace the predicted depth by the closest return, weighted by the confidence in it.
 
@@ -348,8 +395,7 @@ def take_returns(
     the return is farther by more than a slope explains.
 
     Args:
-        inverse: inverse of the predicted depth, which is normalised by `max_depth_m`, (N, 1, H, W).
-        scale: scale of the depth's error, same shape.
+        chosen: the predicted depth, (N, 1, H, W).
         returns: returns around each pixel.
         confidence: sigmoids of `HeadChannels.returns`, (N, 3, H, W).
         max_depth_m: depth [m] of the normalised depth 1.0.
@@ -358,20 +404,22 @@ def take_returns(
         The depth; and the scale, reduced beside a return, plus the spread of the two depths.
     """
     before, behind, reduction = confidence.split(1, dim=1)
-    depth = 1.0 / inverse
+    depth = 1.0 / chosen.inverse
     measured = 1.0 / returns.inverse
     step = measured - depth
-    parallax = (inverse - returns.inverse).abs()
+    parallax = (chosen.inverse - returns.inverse).abs()
     aligned = ramp(parallax, -1.0 / (max_depth_m * PARALLAX), 2.0)
     # It begins at a relative difference of SLOPE and is complete at twice SLOPE.
-    beyond = ramp(measured * inverse, 1.0 / SLOPE, -1.0 / SLOPE - 1.0)
+    farther = ramp(measured * chosen.inverse, 1.0 / SLOPE, -1.0 / SLOPE - 1.0)
     weight = torch.where(step < 0, before, behind)
-    weight = torch.maximum(weight, aligned * torch.maximum(returns.here, beyond)) * returns.near
-    moved = weight * step
+    weight = (
+        torch.maximum(weight, aligned * torch.maximum(returns.at_pixel, farther)) * returns.mask
+    )
+    change = weight * step
     # The mean distance of both depths from their mean is twice this: w (1 - w) |step|.
-    spread = ((1.0 - weight) * moved).abs()
-    scale = scale * ramp(reduction * returns.near, -MAX_SCALE_REDUCTION, 1.0)
-    return depth + moved, scale + SPREAD_SHARE * spread.detach()
+    spread = ((1.0 - weight) * change).abs()
+    scale = chosen.scale * ramp(reduction * returns.mask, -MAX_SCALE_REDUCTION, 1.0)
+    return depth + change, scale + SPREAD_SHARE * spread.detach()
 
 
 def _relative_scale(logits: Tensor) -> Tensor:
@@ -380,6 +428,6 @@ def _relative_scale(logits: Tensor) -> Tensor:
     return torch.exp(least + (greatest - least) * torch.sigmoid(logits))
 
 
-def _with_gradient_of(free: Tensor, limited: Tensor) -> Tensor:
-    """Return the value of `limited` with the gradient of `free`."""
+def _straight_through(free: Tensor, limited: Tensor) -> Tensor:
+    """Return the value of `limited` with the gradient of `free` (Bengio et al. 2013)."""
     return free + (limited - free).detach()

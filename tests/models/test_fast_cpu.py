@@ -76,11 +76,11 @@ def test_a_gate_is_a_product_in_either_layout(shape, layout, dtype):
     )
 
 
-def test_maxima_beside_leave_the_pixel_itself_out():
+def test_maxima_of_neighbours_leave_the_pixel_itself_out():
     x = maps((2, 1, 9, 11)).abs()
     windows = F.unfold(x, 5, padding=2).view(-1, 25, 9, 11)
     windows[:, 12] = 0
-    assert torch.equal(pooling.maxima_beside(x), windows.amax(dim=1, keepdim=True))
+    assert torch.equal(pooling.maxima_of_neighbours(x), windows.amax(dim=1, keepdim=True))
 
 
 def test_the_fast_form_is_that_of_a_cpu_outside_an_exported_graph():

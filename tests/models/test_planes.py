@@ -9,7 +9,7 @@ from torch.nn import functional as F
 
 from models import planes
 from models.blocks import upsample
-from models.planes import BASE_CELL, CELL, Base, fit_base
+from models.planes import BASE_CELL, CELL, PlaneFit, fit_base
 
 SIZE = (128, 192)
 
@@ -43,7 +43,7 @@ def mask_of(pattern):
     return mask
 
 
-def fit(inverse, mask) -> Base:
+def fit(inverse, mask) -> PlaneFit:
     """Fit the base in the cells; `inverse` is 0 where nothing is measured."""
     depth = mask / inverse.clamp(min=1)
     return fit_base(inverse, mask, F.max_pool2d(torch.cat([inverse, depth], dim=1), CELL))
@@ -52,7 +52,7 @@ def fit(inverse, mask) -> Base:
 def fitted(inverse, mask):
     """The base at the pixels, and the number of returns."""
     found = fit(inverse * mask, mask)
-    return upsample(found.base, factor=BASE_CELL), found.returns
+    return upsample(found.inverse_base, factor=BASE_CELL), found.return_count
 
 
 def sums_of(place, values, weights=1.0):
@@ -82,7 +82,7 @@ def test_two_planes_keep_their_slopes_up_to_the_step_between_them():
     distance = (columns[..., 24:-24, 24:-24] - 96).abs()
     assert error[distance > 32].max() < 0.02
     assert error[distance > 12].mean() < 0.05
-    returns, plane = inverse[mask > 0], fit(inverse * mask, mask).plane
+    returns, plane = inverse[mask > 0], fit(inverse * mask, mask).inverse_plane
     assert returns.min() <= plane.min() <= plane.max() <= returns.max()
 
 
@@ -127,7 +127,10 @@ def test_the_base_passes_through_isolated_returns_that_a_plane_misses():
     noise = torch.rand(mask.shape, generator=torch.Generator().manual_seed(0))
     inverse = road() * (0.975 + 0.05 * noise)
     found = fit(inverse * mask, mask)
-    plane, base = upsample(found.plane, factor=CELL), upsample(found.base, factor=BASE_CELL)
+    plane, base = (
+        upsample(found.inverse_plane, factor=CELL),
+        upsample(found.inverse_base, factor=BASE_CELL),
+    )
     missed, passed = ((x / inverse - 1).abs()[mask > 0] for x in (plane, base))
     assert missed.median() > 0.0015
     assert passed.quantile(0.95) < 0.002
@@ -136,12 +139,12 @@ def test_the_base_passes_through_isolated_returns_that_a_plane_misses():
 def test_a_return_of_another_surface_does_not_move_the_plane():
     mask = mask_of("lines")
     mask[..., 33, 96] = 1
-    plane = fit(road() * mask, mask).plane
-    for factor, moved in ((1.1, True), (1.0 + 2.0 * planes.ON_PLANE + 0.05, False)):
+    plane = fit(road() * mask, mask).inverse_plane
+    for factor, moved in ((1.1, True), (1.0 + 2.0 * planes.MAX_RESIDUAL + 0.05, False)):
         sums = torch.zeros(1, 4, SIZE[0] // 2, SIZE[1] // 2)
         sums[0, 0, 16, 48], sums[0, 3, 16, 48] = 1, factor * road()[0, 0, 33, 97]
         flat = upsample(plane)
-        assert bool((planes.anchor(flat, sums) - flat).abs().max() > 0.05) == moved
+        assert bool((planes.add_residuals(flat, sums) - flat).abs().max() > 0.05) == moved
 
 
 def test_the_difference_is_that_of_the_place_of_the_return_in_its_cell():
@@ -153,7 +156,7 @@ def test_the_difference_is_that_of_the_place_of_the_return_in_its_cell():
     pixels = torch.cat([mask, slope * mask], dim=1)
     kernel = planes._cell_kernel(BASE_CELL)[:4]
     sums = planes._convolve(pixels, kernel, stride=BASE_CELL)
-    found = planes.anchor(at_cells, sums)
+    found = planes.add_residuals(at_cells, sums)
     inside = (found / at_cells - 1).abs()[..., 16:-16, 16:-16]
     assert inside.max() < 1e-4
 
@@ -170,7 +173,7 @@ def test_the_sums_of_a_window_are_those_of_a_loop_over_its_returns(level, window
         sums = planes._convolve(sums, planes._coarser_kernel(), stride=2)
     side = CELL * 2**level
     row, column = 1, 3
-    found = planes._sums_around(sums, window)[0, :, row, column].numpy()
+    found = planes._window_moments(sums, window)[0, :, row, column].numpy()
     expected = np.zeros(9)
     for v, u in np.argwhere(mask):
         down = 1 - abs(v // side - row) / window
@@ -191,7 +194,7 @@ def test_sums_of_finer_cells_are_those_of_the_four_closest_around_their_centre()
             for row in range(3)
         ]
     )
-    found = planes._to_finer(torch.from_numpy(cells).permute(2, 0, 1)[None])[0]
+    found = planes._finer_moments(torch.from_numpy(cells).permute(2, 0, 1)[None])[0]
     assert found.shape == (9, 6, 6)
     expected = np.zeros(9)
     for (row, down), (column, right) in itertools.product(
@@ -213,6 +216,6 @@ def test_a_plane_is_solved_by_ridge_regression_towards_no_slope(count):
     expected = np.linalg.lstsq(system, np.append(values, [0, 0]), rcond=None)[0]
     sums = torch.from_numpy(sums_of(place, values)).view(1, 9, 1, 1)
     everywhere = torch.ones(1, 2, 1, 1, dtype=torch.float64)
-    assert planes._solve(sums, everywhere).item() == pytest.approx(expected[0], rel=1e-6)
+    assert planes._solve_planes(sums, everywhere).item() == pytest.approx(expected[0], rel=1e-6)
     # Without slopes it is the mean.
-    assert planes._solve(sums, 0 * everywhere).item() == pytest.approx(values.mean())
+    assert planes._solve_planes(sums, 0 * everywhere).item() == pytest.approx(values.mean())

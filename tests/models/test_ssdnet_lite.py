@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from models import create_model
-from models.lite_decoder import UpBlock
-from models.surfaces import NEAREST
+from models.decoders import AddUpBlock
+from models.surfaces import MIN_DEPTH
 
 
 @pytest.mark.parametrize("name", ["ssdnet-lite", "ssdnet-nano"])
@@ -18,7 +18,7 @@ def test_answers_lie_in_their_range_with_and_without_returns(name):
     assert not torch.equal(found.semantic_logits, none.semantic_logits)  # the encoder reads returns
     for answer in (found, none):
         assert answer.depths[0].isfinite().all()
-        assert NEAREST <= answer.depths[0].min() <= answer.depths[0].max() <= 1.0
+        assert MIN_DEPTH <= answer.depths[0].min() <= answer.depths[0].max() <= 1.0
         assert answer.depth_uncertainty.min() > 0
 
 
@@ -111,7 +111,7 @@ def test_features_that_no_activation_bounds_do_not_drown_what_they_are_added_to(
     """Ten times the features leave the same batch the same: both are normalised."""
     torch.manual_seed(0)
     below, skip = torch.randn(2, 24, 4, 6), torch.randn(2, 40, 8, 12)
-    block = UpBlock(24, 40, 16, separable=True).train()
+    block = AddUpBlock(24, 40, 16, separable=True).train()
     plain = block(below, skip)
     for scaled in (block(below, 10 * skip), block(10 * below, skip)):
         assert torch.allclose(scaled, plain, atol=1e-3)

@@ -1,1 +1,0 @@
-"""SSDNet as published: the paper's network, its ablations and its blocks."""
