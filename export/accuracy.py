@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from runtime.base.errors import InputError
-from training.evaluation.evaluate import evaluate
+from training.evaluation.evaluate import Evaluation, score_models
+from training.evaluation.options import EvaluationOptions
 from training.evaluation.score_report import Row
 
 # LiDAR inputs with which a file is measured: all returns of a frame, 16 scan lines, no returns. If
@@ -52,8 +53,7 @@ def measure_accuracy(
     Raises:
         DatasetError, InputError: if data cannot be read, or hold neither labels nor depth.
     """
-    rows = evaluate([path], data, lidars=lidars, leave_out_fed=True).rows
-    found = [_accuracy(row) for row in rows]
+    found = [_accuracy(row) for row in _score([path], data, lidars).rows]
     if all(item.miou is None and item.mae_m is None for item in found):
         raise InputError(
             "--validate: these sets hold neither labels of the model's classes nor depth, so the "
@@ -70,13 +70,19 @@ def measure_widths(
     single: Path, quantized: Path, data: Sequence[str], lidars: Sequence[str]
 ) -> Widths:
     """Measure how uncertain the difference of two files is on these frames, see `compare`."""
-    found = evaluate([single, quantized], data, lidars=lidars, leave_out_fed=True).differences
+    found = _score([single, quantized], data, lidars).differences
     return {
         (item.data, item.lidar): {
             figure: (each.high - each.low) / 2 for figure, each in item.figures.items()
         }
         for item in found
     }
+
+
+def _score(files: Sequence[Path], data: Sequence[str], lidars: Sequence[str]) -> Evaluation:
+    return score_models(
+        EvaluationOptions(models=files, data=data, lidars=lidars, leave_out_fed=True)
+    )
 
 
 def _accuracy(row: Row) -> Accuracy:

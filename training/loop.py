@@ -2,7 +2,7 @@
 
 import copy
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from typing import Any
@@ -64,12 +64,21 @@ def train(recipe: Recipe, run: TrainingRun) -> RunResult:
     stopped = RunResult(run.out / LAST, stopped=True)
     with join_processes(run.device) as processes, ExitStack() as held, suppress(StopRequested):
         task = open_task(recipe, run, processes, resumed=stopped.path.is_file())
-        loop = _Loop(recipe, run, processes, task)
+        resolved = {
+            "recipe": asdict(recipe),
+            "crop": task.data.augment.crop,
+            "init": None if run.init is None else run.init.name,
+            "teacher": None if run.teacher is None else run.teacher.name,
+            "processes": processes.count,
+        }
         if processes.is_first:
             # Made last: a training that cannot start leaves no folder.
             held.enter_context(lock_folder(run.out))
-            loop.claim_folder()
+            sets = (*recipe.data.source, *recipe.validation.source)
+            files = list_data(run.data, [folder for item in sets for folder in item.folders])
+            prepare_folder(run.out, resolved, files, run.data)
         processes.wait()
+        loop = _Loop(recipe, run, processes, task, resolved)
         loop.state.resume(stopped.path)
         if loop.is_complete and final.path.is_file():
             loop.tell(f"all {loop.steps} steps of {run.out} are done")
@@ -89,17 +98,18 @@ def train(recipe: Recipe, run: TrainingRun) -> RunResult:
 class _Loop:
     """A training in one of its processes: its steps, and what is written between them."""
 
-    def __init__(self, recipe: Recipe, run: TrainingRun, processes: Processes, task: Task) -> None:
+    def __init__(
+        self,
+        recipe: Recipe,
+        run: TrainingRun,
+        processes: Processes,
+        task: Task,
+        resolved: Mapping[str, Any],
+    ) -> None:
         self._recipe, self._run, self._processes, self._task = recipe, run, processes, task
         self.state = TrainingState(recipe, task, processes, run.out)
         self.steps = recipe.schedule.steps
-        self._resolved: dict[str, Any] = {
-            "recipe": asdict(recipe),
-            "crop": task.data.augment.crop,
-            "init": None if run.init is None else run.init.name,
-            "teacher": None if run.teacher is None else run.teacher.name,
-            "processes": processes.count,
-        }
+        self._resolved = resolved
         self._scores: ScoreTable | None = None  # of the first process, which alone writes it
         # Of the last validation ("after"), and of that before the first step.
         self._results: dict[str, Sequence[Result]] = {}
@@ -113,12 +123,6 @@ class _Loop:
         """Print a line above the progress bar; the first process does."""
         if self._processes.is_first:
             tqdm.write(text, file=sys.stderr)
-
-    def claim_folder(self) -> None:
-        """Make the folder that of this training, see `prepare_folder`."""
-        sets = (*self._recipe.data.source, *self._recipe.validation.source)
-        files = list_data(self._run.data, [folder for item in sets for folder in item.folders])
-        prepare_folder(self._run.out, self._resolved, files, self._run.data)
 
     def save(self) -> None:
         """Write last.pt."""

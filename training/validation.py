@@ -89,7 +89,7 @@ def write_validation(
         known: results of `validate` by name of the network; networks without are scored.
         stop: True ends it without a page.
     """
-    from training.evaluation.page import WORST, write_page  # only where a page is made
+    from training.evaluation.page import write_page  # only where a page is made
 
     sets = _open_sets(task, table, stop)
     models = {name: open_network(network, table) for name, network in networks.items()}
@@ -101,7 +101,7 @@ def write_validation(
             for result in known.get(name) or score_set(name, model, data, [_feed(task)])
             if result.row.data == data.title
         ]
-        found = Evaluation.of(results, models, sets, pictures=WORST)
+        found = Evaluation.of(results, models, sets, draw=True)
         write_page(found, path, title=f"Validation of {path.absolute().parent.name}")
         tqdm.write(f"the page of the validation: {path}", file=sys.stderr)
 

@@ -5,7 +5,6 @@ The keys are the fields of `Adapter`. Keys that are left out are read from the O
 
 import ast
 import json
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -18,7 +17,7 @@ from models import CLASS_TABLES
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_CLASSES, MAX_FOCAL_PX, MAX_NAME_LENGTH, MIN_FOCAL_PX
 from runtime.engine.example_inputs import make_feeds
-from runtime.files.read_input import read_text
+from runtime.files.read_input import read_toml
 from training.evaluation.metrics import FARTHEST_M
 from training.limits import STRICT, Positive, Side
 from training.tables import build
@@ -129,10 +128,9 @@ class Adapter:
 
 def read_adapter(path: Path) -> Adapter:
     """Read an adapter. Raises InputError for another kind of file, and a wrong key or value."""
+    table = read_toml(path)
     try:
-        return build(Adapter, tomllib.loads(read_text(path)))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: is not TOML ({error})") from error
+        return build(Adapter, table)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 

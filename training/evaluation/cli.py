@@ -2,13 +2,17 @@
 
 import shutil
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from runtime.base.errors import InputError, OutputError
+from runtime.base.errors import InputError
 from runtime.command.options import Version
 from runtime.command.process import print_result, reported_errors, stop_requested
+from runtime.files.read_input import read_toml
+
+if TYPE_CHECKING:
+    from training.evaluation.options import EvaluationOptions
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 # Characters of a line if the output is not a terminal.
@@ -127,63 +131,64 @@ def evaluate(
 
     Prints a table, and for each model whether it differs from the first beyond chance.
     """
-    if not models and not predictions:
-        raise typer.BadParameter("name a model, the folder of a run, or --predictions DIR")
     with reported_errors("cpu,train"):
         # Heavy imports are here, so that --help answers at once.
         from runtime.contract.network_size import parse_network_size
-        from runtime.files.atomic_write import require_writable
-        from training.evaluation.adapter import MissingAdapterError
-        from training.evaluation.depth_folder import DepthFolder
-        from training.evaluation.evaluate import evaluate as run
-        from training.evaluation.evaluate import read_groups
-        from training.evaluation.page import WORST, write_page
-        from training.evaluation.score_report import format_differences, format_table, write_json
+        from training.evaluation.options import EvaluationOptions
 
-        for file in (json, page):
-            if file is not None:
-                require_writable(file)
-        if page is not None and page.exists() and not overwrite:
-            raise OutputError(f"{page} exists: choose another name, or replace it with --overwrite")
-        folder = None if save is None else DepthFolder(save, overwrite)
-        if folder is not None:
-            folder.require_free()
+        options = EvaluationOptions(
+            models=models or (),
+            data=data or (),
+            lidars=None if lidar is None else _split(lidar),
+            faults=("none", *_split(faults)),  # type: ignore[arg-type]  # checked there
+            predictions=predictions or (),
+            adapters=adapter or (),
+            join=None if join is None else _read_groups(join),
+            device=device,
+            threads=threads,
+            size=parse_network_size(size),
+            limit=limit,
+            farthest_m=farthest,
+            page=page,
+            json=json,
+            save=save,
+            overwrite=overwrite,
+        )
         with stop_requested(interrupts=True):
-            try:
-                found = run(
-                    models or [],
-                    data or [],
-                    lidars=None if lidar is None else [text.strip() for text in lidar.split(",")],
-                    faults=["none", *_parse_faults(faults)],
-                    predictions=predictions or [],
-                    adapters=adapter or [],
-                    join=None if join is None else read_groups(join),
-                    device=device,
-                    threads=threads,
-                    size=parse_network_size(size),
-                    limit=limit,
-                    farthest_m=farthest,
-                    pictures=0 if page is None else WORST,
-                    save=folder,
-                )
-            except MissingAdapterError as error:
-                print_result(error.text)
-                raise
-            width = shutil.get_terminal_size((_WIDTH, 0)).columns
-            text = format_table(found.rows, all_columns=all_columns, width=width)
-            print_result(text + format_differences(found.differences, width=width))
-            if json is not None:
-                write_json(found.rows, json, found.differences)
-            if page is not None:
-                write_page(found, page, overwrite=overwrite)
+            _score(options, all_columns=all_columns)
 
 
-def _parse_faults(text: str) -> list[Any]:
-    from training.lidar.faults import Fault
+def _score(options: "EvaluationOptions", *, all_columns: bool) -> None:
+    """Score, print the tables, and write the files."""
+    from training.evaluation.adapter import MissingAdapterError
+    from training.evaluation.evaluate import score_models
+    from training.evaluation.page import write_page
+    from training.evaluation.score_report import format_differences, format_table, write_json
 
-    known = [fault for fault in get_args(Fault) if fault != "none"]
-    names = [name.strip() for name in text.split(",") if name.strip()]
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        raise InputError(f"--faults {unknown[0]!r}; known: {', '.join(known)}")
-    return names
+    try:
+        found = score_models(options)
+    except MissingAdapterError as error:
+        print_result(error.text)
+        raise
+    width = shutil.get_terminal_size((_WIDTH, 0)).columns
+    text = format_table(found.rows, all_columns=all_columns, width=width)
+    print_result(text + format_differences(found.differences, width=width))
+    if options.json is not None:
+        write_json(found.rows, options.json, found.differences)
+    if options.page is not None:
+        write_page(found, options.page, overwrite=options.overwrite)
+
+
+def _split(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _read_groups(path: Path) -> dict[str, list[str]]:
+    """Read a TOML file of joint classes, `vehicle = ["car", "truck"]`. Raises InputError."""
+    groups = read_toml(path)
+    for group, names in groups.items():
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise InputError(
+                f'{path}: {group} is not a list of classes: write {group} = ["car", "truck"]'
+            )
+    return groups

@@ -1,6 +1,5 @@
 """Scores of every model on every set with every LiDAR and fault, and how the models differ."""
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, fields
@@ -9,16 +8,12 @@ from pathlib import Path
 from runtime.base.errors import ContractError, InputError
 from runtime.contract.network_size import NetworkSize
 from runtime.engine.bundled_models import find_model, list_bundled_models
-from runtime.files.read_input import read_text
-from training.datasets.any_source import parse_data
-from training.datasets.class_mapping import ClassTable
 from training.datasets.source_recipe import SourceRecipe
-from training.distributed import parse_device
 from training.evaluation.classical import METHODS
-from training.evaluation.depth_folder import DepthFolder
 from training.evaluation.differences import Difference, compare
 from training.evaluation.evaluated_run import EvaluatedRun, read_run
 from training.evaluation.metrics import FARTHEST_M
+from training.evaluation.options import EvaluationOptions
 from training.evaluation.score_report import Row, format_differences, format_table
 from training.evaluation.score_set import EvaluatedSet, Result, score_set
 from training.evaluation.scored_model import (
@@ -65,11 +60,11 @@ class Evaluation:
         models: Mapping[str, ScoredModel],
         sets: Sequence[EvaluatedSet],
         *,
-        pictures: int,
+        draw: bool,
     ) -> "Evaluation":
-        """Compare the results of open models on open sets, and draw pictures, see `evaluate`."""
-        worst = draw_worst(results, models, sets, count=pictures) if pictures else ()
-        return cls(results, compare(results), list(worst))
+        """Compare the results of open models on open sets, and draw the worst frames if asked."""
+        worst = list(draw_worst(results, models, sets)) if draw else ()
+        return cls(results, compare(results), worst)
 
 
 def evaluate(
@@ -85,9 +80,6 @@ def evaluate(
     threads: int = 2,
     size: NetworkSize = None,
     limit: int | None = None,
-    pictures: int = 0,
-    save: DepthFolder | None = None,
-    leave_out_fed: bool = False,
     farthest_m: float | None = None,
 ) -> Evaluation:
     """Score models, predictions and classical methods of depth completion on data sets.
@@ -115,11 +107,6 @@ def evaluate(
         threads: threads of the processor.
         size: size at which models with a free size run, as `Predictor` takes it.
         limit: number of frames of each set, evenly spread; None: all.
-        pictures: number of the worst frames to draw for each model, set and head, with the first
-            input.
-        save: where the depth of every answer is written; None: nowhere.
-        leave_out_fed: a LiDAR that feeds the depth to score has no row, instead of raising an
-            error.
         farthest_m: farthest true depth [m] that is scored; None: that of the run's validation, or
             `FARTHEST_M`.
 
@@ -132,44 +119,54 @@ def evaluate(
         MissingAdapterError: if a network of others has no adapter.
         InputError: if an argument is invalid, if a LiDAR feeds the depth to score, if labels have
             no names where the models' classes differ, or if no set can give any of the LiDARs.
-        OutputError: if depth cannot be written.
     """
-    parse_device(device)  # also for methods, which have no device
-    known = {*METHODS, *list_bundled_models()}
-    runs = {
-        str(name): read_run(Path(name))
-        for name in models
-        if str(name) not in known and Path(name).is_dir()
-    }
-    run = next(iter(runs.values()), None)
-    sets = [parse_data(item) if isinstance(item, str) else item for item in data]
-    own = None if sets else run  # the run whose validation sets are scored
-    if own is not None:
-        sets = list(own.sets)
+    return score_models(
+        EvaluationOptions(
+            models=models,
+            data=data,
+            lidars=lidars,
+            faults=faults,
+            predictions=predictions,
+            adapters=adapters,
+            join=join,
+            device=device,
+            threads=threads,
+            size=size,
+            limit=limit,
+            farthest_m=farthest_m,
+        )
+    )
+
+
+def score_models(options: EvaluationOptions) -> Evaluation:
+    """Score what the options name, see `evaluate`; for a page the worst frames are drawn.
+
+    Raises OutputError if depth cannot be written, and the errors of `evaluate`.
+    """
+    runs = _read_runs(options.models)
+    # The run whose validation sets are scored.
+    own = None if options.sets else next(iter(runs.values()), None)
+    sets = options.sets if own is None else own.sets
     if not sets:
         raise InputError(
             "no data to score on: give --data KIND:FOLDER, or the folder of a run whose recipe has "
             "validation sets"
         )
-    asked = lidars or ["own" if own is None else own.lidar]
-    inputs = [LidarInput.parse(item) if isinstance(item, str) else item for item in asked]
-    feeds = [(lidar, fault) for lidar in dict.fromkeys(inputs) for fault in dict.fromkeys(faults)]
+    feeds = options.feeds("own" if own is None else own.lidar)
     with ExitStack() as stack:
-        scored = _open_all(
-            *(models, runs, predictions, adapters, stack),
-            device=device,
-            threads=threads,
-            size=size,
-        )
-        ids = None if own is None else own.table
-        farthest_m = farthest_m or (FARTHEST_M if own is None else own.farthest_m)
-        opened = _open_sets(sets, scored, ids=ids, join=join, limit=limit, farthest_m=farthest_m)
+        models = _open_models(options, runs, stack)
+        opened = _open_sets(options, sets, own, models)
         results = [
             result
             for data in opened
-            for name, model in scored.items()
+            for name, model in models.items()
             for result in score_set(
-                name, model, data, feeds, save=save, leave_out_fed=leave_out_fed
+                name,
+                model,
+                data,
+                feeds,
+                save=options.depth_folder,
+                leave_out_fed=options.leave_out_fed,
             )
         ]
         if not results:
@@ -178,54 +175,44 @@ def evaluate(
                 "lines need intrinsics, or a recorded scan, every second line of which remains the "
                 "target; use random:0.05 or none, which every set provides"
             )
-        return Evaluation.of(results, scored, opened, pictures=pictures)
+        return Evaluation.of(results, models, opened, draw=options.page is not None)
+
+
+def _read_runs(models: Sequence[str | Path]) -> dict[str, EvaluatedRun]:
+    """Read those of the models that are folders of runs, by their names."""
+    known = {*METHODS, *list_bundled_models()}
+    names = [str(name) for name in models if str(name) not in known]
+    return {name: read_run(Path(name)) for name in names if Path(name).is_dir()}
 
 
 def _open_sets(
+    options: EvaluationOptions,
     recipes: Sequence[SourceRecipe],
+    run: EvaluatedRun | None,
     models: Mapping[str, ScoredModel],
-    *,
-    ids: ClassTable | None = None,
-    join: Mapping[str, Sequence[str]] | None = None,
-    limit: int | None = None,
-    farthest_m: float = FARTHEST_M,
 ) -> list[EvaluatedSet]:
-    """Open sets with the classes that they share with the models, see `evaluate`.
+    """Open sets with the classes that they share with the models.
 
     Args:
+        options: what is asked of the sets.
         recipes: recipes of the sets.
+        run: the run that has them for its validation; None if they were named.
         models: the models by name.
-        ids: see `share_classes`.
-        join: see `evaluate`.
-        limit: see `evaluate`.
-        farthest_m: farthest true depth [m] that is scored.
     """
+    ids = None if run is None else run.table
+    farthest_m = options.farthest_m or (FARTHEST_M if run is None else run.farthest_m)
     tables = {name: model.table for name, model in models.items() if model.table}
     own = [recipe.label_table or ids or () for recipe in recipes]
-    joined = join_names(join or {}, [*own, *tables.values()])
+    joined = join_names(options.join or {}, [*own, *tables.values()])
     folders = short_names([Path(recipe.path) for recipe in recipes])
     opened = []
     for recipe, folder in zip(recipes, folders, strict=True):
         title = recipe.name or " ".join([folder, *_changed_keys(recipe)])
         classes = share_classes(recipe, title, tables, ids=ids, joined=joined)
         source = open_dataset(recipe, [Path()], classes=classes.table)
-        indices = spread_indices(source, limit or len(source))
+        indices = spread_indices(source, options.limit or len(source))
         opened.append(EvaluatedSet(title, source, classes, indices, farthest_m))
     return opened
-
-
-def read_groups(path: Path) -> dict[str, list[str]]:
-    """Read a TOML file of joint classes, `vehicle = ["car", "truck"]`. Raises InputError."""
-    try:
-        groups = tomllib.loads(read_text(path))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(
-            f'{path}: is not TOML ({error}); expected lines such as vehicle = ["car"]'
-        ) from error
-    for group, names in groups.items():
-        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-            raise InputError(f'{path}: {group} is not a list of classes, such as ["car", "truck"]')
-    return groups
 
 
 def short_names(paths: Sequence[Path]) -> list[str]:
@@ -238,19 +225,11 @@ def short_names(paths: Sequence[Path]) -> list[str]:
     return names
 
 
-def _open_all(
-    models: Sequence[str | Path],
-    runs: Mapping[str, EvaluatedRun],
-    predictions: Sequence[str],
-    adapters: Sequence[Path],
-    stack: ExitStack,
-    *,
-    device: str,
-    threads: int,
-    size: NetworkSize,
+def _open_models(
+    options: EvaluationOptions, runs: Mapping[str, EvaluatedRun], stack: ExitStack
 ) -> dict[str, ScoredModel]:
     """Return the models by title, in the order of the arguments; the stack closes them."""
-    names = list(dict.fromkeys(map(str, models)))
+    names = list(dict.fromkeys(map(str, options.models)))
     paths = {
         name: runs[name].model if name in runs else _find_file(name)
         for name in names
@@ -259,26 +238,28 @@ def _open_all(
     # A run is called like its folder: all have a model.pt.
     titled = [Path(name).resolve() if name in runs else path for name, path in paths.items()]
     titles = dict(zip(paths, short_names(titled), strict=True))
-    left = list(adapters)
+    left = list(options.adapters)
     scored: dict[str, ScoredModel] = {}
     for name in names:
         if name in METHODS:
             scored[name] = open_method(name)
             continue
         opened = open_scored_model(
-            paths[name], device=device, threads=threads, size=size, adapters=left
+            paths[name],
+            device=options.device,
+            threads=options.threads,
+            size=options.size,
+            adapters=left,
         )
         scored[titles[name]] = stack.enter_context(opened)
     if left:
         raise InputError(
             f"--adapter {left[0]}: every model has its own description; leave the adapter out"
         )
-    answers = [open_predictions(text) for text in predictions]
+    answers = [open_predictions(text) for text in options.predictions]
     folders = short_names([item.recorded.folder for item in answers if item.recorded])
     for folder, item in zip(folders, answers, strict=True):
         scored[folder if folder not in scored else f"{folder} (predictions)"] = item
-    if not scored:
-        raise InputError("nothing to score: name a model, a method or --predictions DIR")
     return scored
 
 

@@ -19,8 +19,6 @@ from training.evaluation.score_report import COLUMNS, difference_rows, table_not
 from training.evaluation.score_set import Result
 from training.evaluation.worst_frames import WRONG_SHARE, WorstFrame
 
-# Number of frames that are drawn for each model, set and head.
-WORST = 10
 _TICKS = 5
 _LEAST = 0.005  # least share of a label that is written in the confusion
 

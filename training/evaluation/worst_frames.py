@@ -19,6 +19,8 @@ from training.evaluation.scoring import HeadMaps
 from training.evaluation.shared_classes import ScoredClasses
 
 _WIDEST, _QUALITY = 420, 80  # of a panel
+# Number of frames that are drawn for each model, set and head.
+WORST = 10
 # Depth is wrong from this share of the true depth on.
 WRONG_SHARE = 0.1
 _GOLDEN = 0.618  # of a turn of the hue, between two classes without a colour
@@ -64,8 +66,6 @@ def draw_worst(
     results: Sequence[Result],
     models: Mapping[str, ScoredModel],
     sets: Sequence[EvaluatedSet],
-    *,
-    count: int,
 ) -> Iterator[WorstFrame]:
     """Draw the frames with the largest errors of each model, set and head, with the first input.
 
@@ -75,7 +75,6 @@ def draw_worst(
         results: see `compare`.
         models: the open models by title.
         sets: the open sets.
-        count: number of frames.
     """
     for data in sets:
         found = [result for result in results if result.row.data == data.title]
@@ -84,7 +83,7 @@ def draw_worst(
             other = next((item for item in first if item is not result), None)
             pair = [item for item in (result, other) if item is not None]
             for head in ("semantic", "depth"):
-                yield from _draw(pair, models, data, head, count)
+                yield from _draw(pair, models, data, head)
 
 
 def _draw(
@@ -92,7 +91,6 @@ def _draw(
     models: Mapping[str, ScoredModel],
     data: EvaluatedSet,
     head: str,
-    count: int,
 ) -> Iterator[WorstFrame]:
     errors = [
         {frame.index: error for frame in item.frames if (error := frame.error(head)) is not None}
@@ -105,7 +103,7 @@ def _draw(
     overlay = Overlay(colors, data.farthest_m)
     legend = [(info.name, info.color) for info in colors] if head == "semantic" else ()
     row = pair[0].row
-    for index in sorted(errors[0], key=lambda index: -errors[0][index])[:count]:
+    for index in sorted(errors[0], key=lambda index: -errors[0][index])[:WORST]:
         sample, _ = data.read(index)
         ((_, _, frame, fed),) = split_feeds(sample, index, [pair[0].feed], leave_out_fed=False)
         answers = [data.answer(models[item.row.model], sample, fed, index) for item in drawn]

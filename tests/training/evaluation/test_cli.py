@@ -205,7 +205,7 @@ def test_frames_of_one_place_count_as_one_in_the_mean_over_places(scored, tmp_pa
 @pytest.mark.parametrize(("model", "options", "text"), [
     ("lite.pt", ["--data", "camvid"], "KIND:FOLDER"),
     ("lite.pt", ["--data", "rendered:nothing"], "'nothing'"), ("lite.pt", ["--lidar", "5"], "'5'"),
-    ("lite.pt", ["--faults", "rain"], "known: nan"),
+    ("lite.pt", ["--faults", "rain"], "give one of nan"),
     *((model, ["--device", "gpu"], "'gpu'") for model in ("lite.pt", "lite.onnx", "linear")),
     ("x.tflite", [], "x.tflite"), ("x.pt", [], "x.pt"),
     ("no.pt", ["--json", "no/x.json"], "no/x.json"),

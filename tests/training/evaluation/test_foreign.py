@@ -224,7 +224,7 @@ def test_depth_of_an_exporter_opens_with_three_lines(tmp_path):
     ('depth = "output0"\nrgb = "image"', "its inputs are images"),
     ('depth = "output0"\ncolour = 1', "unknown key colour"),
     ('semantic = "output0"\nclasses = ["road"]\nnormalize = "0..1"', "class id 2"),
-    ("depth", "is not TOML"),
+    ("depth", "is not valid TOML"),
 ])  # fmt: skip
 def test_adapters_that_do_not_fit_say_why(tmp_path, lines, text):
     data, path = red(tmp_path), tmp_path / "net.onnx"

@@ -1,0 +1,92 @@
+"""What is asked of an evaluation, checked before anything is opened."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import get_args
+
+from runtime.base.errors import InputError, OutputError
+from runtime.contract.network_size import NetworkSize
+from runtime.files.atomic_write import require_writable
+from training.datasets.any_source import parse_data
+from training.datasets.source_recipe import SourceRecipe
+from training.distributed import parse_device
+from training.evaluation.depth_folder import DepthFolder
+from training.lidar.faults import Fault
+from training.lidar.split import LidarInput
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationOptions:
+    """The options of `ssdnet-eval`; `evaluate` describes those that it takes, too.
+
+    Attributes:
+        leave_out_fed: a LiDAR that feeds the depth to score has no row, instead of raising an
+            error.
+        page: HTML page to write, for which the worst frames are drawn; None: none.
+        json: file to which all figures are written; None: none.
+        save: folder to which the depth of every answer is written; None: none.
+        overwrite: whether the page, and depth of the same names, are replaced.
+
+    Raises:
+        InputError: if an option is invalid by itself.
+        OutputError: if a file exists or cannot be written.
+    """
+
+    models: Sequence[str | Path] = ()
+    data: Sequence[str | SourceRecipe] = ()
+    lidars: Sequence[str | LidarInput] | None = None
+    faults: Sequence[Fault] = ("none",)
+    predictions: Sequence[str] = ()
+    adapters: Sequence[Path] = ()
+    join: Mapping[str, Sequence[str]] | None = None
+    device: str = "cpu"
+    threads: int = 2
+    size: NetworkSize = None
+    limit: int | None = None
+    farthest_m: float | None = None
+    leave_out_fed: bool = False
+    page: Path | None = None
+    json: Path | None = None
+    save: Path | None = None
+    overwrite: bool = False
+
+    def __post_init__(self) -> None:
+        """Check each option by itself."""
+        if not self.models and not self.predictions:
+            raise InputError("nothing to score: name a model, a method or --predictions DIR")
+        parse_device(self.device)  # also for methods, which have no device
+        if unknown := [fault for fault in self.faults if fault not in get_args(Fault)]:
+            known = ", ".join(fault for fault in get_args(Fault) if fault != "none")
+            raise InputError(f"--faults {unknown[0]!r}: is unknown: give one of {known}")
+        _ = self.sets, self.feeds("own")
+        for file in (self.json, self.page):
+            if file is not None:
+                require_writable(file)
+        if self.page is not None and self.page.exists() and not self.overwrite:
+            raise OutputError(
+                f"{self.page} exists: choose another name, or replace it with --overwrite"
+            )
+        if self.depth_folder is not None:
+            self.depth_folder.require_free()
+
+    @cached_property
+    def sets(self) -> list[SourceRecipe]:
+        """The recipes of the data sets that are named."""
+        return [parse_data(item) if isinstance(item, str) else item for item in self.data]
+
+    def feeds(self, default: str) -> list[tuple[LidarInput, Fault]]:
+        """Return every LiDAR input with every fault; without a named input `default`."""
+        inputs = [
+            LidarInput.parse(item) if isinstance(item, str) else item
+            for item in self.lidars or [default]
+        ]
+        return [
+            (each, fault) for each in dict.fromkeys(inputs) for fault in dict.fromkeys(self.faults)
+        ]
+
+    @property
+    def depth_folder(self) -> DepthFolder | None:
+        """The folder in `save`."""
+        return None if self.save is None else DepthFolder(self.save, self.overwrite)
