@@ -1,16 +1,13 @@
 """Bags of ROS 1 and ROS 2 and MCAP files, written by rosbags: what becomes a frame."""
 
 import builtins
-import os
 
 import cv2
 import numpy as np
 import pytest
-from small_rig import INTRINSICS, MS, OPTICAL, SIZE, START_NS, projected
+from small_rig import MS, SIZE, START_NS, projected
 
 from runtime import InputError
-from runtime.geometry.calibration import Calibration
-from runtime.geometry.rig import Rig
 from runtime.recordings.bag import BagSource
 
 pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
@@ -127,22 +124,6 @@ def test_topics_that_cannot_be_guessed_are_listed(record, make_frame):
             BagSource(record(images=images, scans=scans).write(name))
 
 
-def test_clouds_need_a_calibration_and_take_a_file(record, make_scan, tmp_path):
-    bag = record("ros2", images=1, scans=1, tree=False)
-    bag.static_transform("base", "camera", OPTICAL, (0, 0, 0))
-    path, own = bag.write(), tmp_path / "own.toml"
-    (tmp_path / "camera.txt").write_text("60 0 32 0 60 24 0 0 1")
-    extrinsics = [[0, -1.0, 0, 0], [0, 0, -1, -0.3], [1, 0, 0, -0.5], [0, 0, 0, 1]]
-    own.write_text(f"intrinsics = {INTRINSICS}\nextrinsics = {extrinsics}\n")
-    for rig in (Rig(), Rig(calibration=tmp_path / "camera.txt")):
-        with pytest.raises(InputError, match=r"lidar|intrinsics alone"):
-            BagSource(path, rig)
-    for calibration in (own, Calibration.from_file(own)):
-        with BagSource(path, Rig(calibration=calibration)) as source:
-            depth = source.read(source.list_frames()[0]).sparse_depth
-        assert abs(depth - projected(make_scan(0), ahead_m=0.5)).max() < 0.01
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_broken_message_costs_its_frame(record, kind):
     bag = record(kind, images=N, scans=N)
@@ -194,15 +175,6 @@ def test_a_bag_that_is_damaged_anywhere_is_frames_or_an_input_error(record, kind
         except InputError:
             outcomes.add("input error")
     assert outcomes == {"frames", "input error"}
-
-
-@pytest.mark.parametrize("name", ["metadata.yaml", "drive-ros2.db3"])
-def test_a_pipe_in_a_bag_is_not_waited_for(record, name):
-    path = record("ros2").write()
-    (path / name).unlink()
-    os.mkfifo(path / name)
-    with pytest.raises(InputError, match="not a regular file"):
-        BagSource(path)
 
 
 @pytest.mark.parametrize(("error", "remedy"), [

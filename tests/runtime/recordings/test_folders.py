@@ -268,16 +268,6 @@ def listed(rgb, depth, **options):
     return FolderSource(rgb, depth=depth).list_frames(**options)
 
 
-def test_pairs_come_in_natural_order(empty_folders):
-    rgb = ["f10.png", "f9.jpg", "f1.png", "f100.JPEG", "a2b10.png", "a2b9.png"]
-    depth = ["f9.png", "f10.png", "f1.png", "f100.PNG", "a2b9.png", "a2b10.png"]
-    frames = listed(*empty_folders(rgb, depth))
-    assert [frame.name for frame in frames] == ["a2b9", "a2b10", "f1", "f9", "f10", "f100"]
-    assert all(frame.complete for frame in frames)
-    assert frames[3].image.name == "f9.jpg"
-    assert frames[3].depth.name == "f9.png"
-
-
 def test_names_that_are_times_are_in_their_order(empty_folders, tmp_path):
     names = [str(1700000000 + 0.05 * number) for number in range(9)]
     rgb, _ = empty_folders([f"{name}.png" for name in names], ["0.png"])

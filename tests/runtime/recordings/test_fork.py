@@ -51,16 +51,3 @@ def test_a_video(tmp_path):
     writer.release()
     with open_source("video", path) as source:
         require_guarded(source)
-
-
-def test_folders_hold_nothing_open(tmp_path, make_frame):
-    for index in range(2):
-        cv2.imwrite(str(tmp_path / f"{index}.png"), make_frame(seed=index)[0])
-    source = open_source("folders", tmp_path)
-    frames = source.list_frames()
-
-    def read():
-        if source.read(frames[1]).rgb.any():
-            raise InputError("forked, in each process")  # it could be read
-
-    assert refused_in_child(read)

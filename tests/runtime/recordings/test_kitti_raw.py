@@ -215,10 +215,3 @@ def test_a_drive_says_why_its_poses_are_not_used(drive, make_scan, missing):
     frame = source.read(source.list_frames()[1])
     assert agree(frame.sparse_depth, projected(make_scan(1), left_m=0.05))
     assert any(f"{Path(missing).name} is missing" in line for line in source.notes)
-
-
-def test_a_transform_of_the_imu_that_is_not_rigid_is_an_error(drive):
-    write_oxts(drive)
-    (drive / "../calib_imu_to_velo.txt").write_text("R: 2 0 0 0 2 0 0 0 2\nT: 0 0 0\n")
-    with pytest.raises(InputError, match=r"calib_imu_to_velo\.txt"):
-        KittiRawSource(drive)

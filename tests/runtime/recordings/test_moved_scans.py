@@ -46,13 +46,11 @@ def folders(tmp_path, make_frame, make_scan, write_rgb):
     return tmp_path
 
 
-def write_poses(path, *, frame="lidar"):
+def write_poses(path):
     lines = []
     for metres in 0.05 * SPEED * np.arange(2 * N):
         pose = np.eye(4)
         pose[0, 3] = metres
-        if frame == "camera":  # of the camera, in the frame of its first pose
-            pose = EXTRINSICS @ pose @ np.linalg.inv(EXTRINSICS)
         lines.append(" ".join(f"{number:.17g}" for number in pose[:3].ravel()))
     path.write_text("\n".join(lines) + "\n")
 
@@ -89,23 +87,6 @@ def test_a_run_moves_the_scans_of_images_at_twice_their_rate(folders, run, make_
     assert answers.report["frames"]["depth"] == depth
     assert answers.report["stages"]["depth_age"]["max_ms"] == 50
     assert answers.report["stages"]["skew"]["n"] == N, "of own scans alone"
-
-
-@pytest.mark.parametrize("frame", PoseFrame)
-def test_poses_may_be_of_each_frame(folders, make_scan, frame):
-    write_poses(folders / "poses.txt", frame=frame)
-    frames = read(folders, pose_frame=frame)
-    assert [each.degraded for each in frames] == REUSED
-    for number in (1, 6, 11):
-        expected = seen(make_scan(number - number % 2), 0.05 * SPEED * (number % 2))
-        assert agree(frames[number].sparse_depth, expected)
-
-
-@pytest.mark.parametrize(("stamp", "after_s"), [("start", 0.05), ("middle", 0), ("end", -0.05)])
-def test_a_scan_is_of_its_middle(folders, make_scan, stamp, after_s):
-    """Scans take 100 ms, as long as it is between two of them."""
-    frames = read(folders, scan_stamp=stamp)
-    assert agree(frames[5].sparse_depth, seen(make_scan(4), SPEED * (0.05 - after_s)))
 
 
 def test_without_poses_an_older_scan_is_flagged_as_it_is(folders, make_scan):

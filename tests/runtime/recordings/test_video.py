@@ -171,15 +171,3 @@ def test_a_turned_video_is_said_and_read_as_it_is_stored(video, run, degrees):
     with VideoSource(video) as source:
         assert np.array_equal(source.read(source.list_frames()[0]).rgb, stored)
         assert f"the video's header turns them by {degrees} degrees" in "".join(source.notes)
-
-
-def test_turned_images_are_said_by_a_run(tmp_path, run, make_frame):
-    exif = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x03\0\0" + bytes(4)
-    jpeg = cv2.imencode(".jpg", make_frame()[0])[1].tobytes()
-    segment = b"\xff\xe1" + struct.pack(">H", len(exif) + 8) + b"Exif\0\0" + exif
-    for index in range(2):
-        (tmp_path / f"{index}.jpg").write_bytes(jpeg[:2] + segment + jpeg[2:])
-    answers = run("--rgb", tmp_path)
-    assert answers.exit_code == 0, answers.text
-    assert answers.text.count("warning: assumed pixels are upright") == 1
-    assert len(answers.report["inputs"]["assumptions"]) == 1
