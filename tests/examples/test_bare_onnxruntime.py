@@ -18,14 +18,11 @@ HEADS = ("semantic", "depth", "boundary", "depth_uncertainty")
 bare = runpy.run_path(str(EXAMPLE))
 
 
-@pytest.mark.parametrize(
-    ("fixed", "frame_size", "focal_px"),
-    [
-        (None, (50, 64), None),  # not a quarter more: its own size
-        (None, (333, 401), 350.0),  # to 40 rows
-        ((40, 200), (96, 129), 1400.0),  # one side shrinks, one grows
-    ],
-)
+@pytest.mark.parametrize(("fixed", "frame_size", "focal_px"), [
+    (None, (50, 64), None),  # not a quarter more: its own size
+    (None, (333, 401), 350.0),  # to 40 rows
+    ((40, 200), (96, 129), 1400.0),  # one side shrinks, one grows
+])  # fmt: skip
 def test_the_answers_are_the_engines_to_the_bit(
     model_file, make_frame, contract, fixed, frame_size, focal_px
 ):

@@ -186,13 +186,10 @@ def test_it_gives_the_engines_answer_to_a_bundled_frame(page, name):
     assert np.abs(answer["boundary"] - prediction.boundary).max() <= 0.01
 
 
-@pytest.mark.parametrize(
-    ("fixed", "frame_size", "network_size", "focal_px"),
-    [
-        (None, (50, 64), (50, 64), None),  # not a quarter more than the trained height
-        ((40, 200), (96, 129), (40, 200), 350.0),
-    ],
-)
+@pytest.mark.parametrize(("fixed", "frame_size", "network_size", "focal_px"), [
+    (None, (50, 64), (50, 64), None),  # not a quarter more than the trained height
+    ((40, 200), (96, 129), (40, 200), 350.0),
+])  # fmt: skip
 def test_returns_are_fed_as_the_engine_feeds_them(
     page, by_hand, frame_files, fixed, frame_size, network_size, focal_px
 ):

@@ -132,16 +132,13 @@ def test_a_dry_run_shows_the_recipe(mine):
     assert {path.name for path in (mine / "run").iterdir()} == {"batch.png", "recipe.toml"}
 
 
-@pytest.mark.parametrize(
-    ("rows", "found"),
-    [
-        ([40], "trained_height = 48 "),  # runs at its own size
-        ([70], "size = 48\n"),  # the engine would run it at 48 rows
-        ([34], "size = 48\n"),
-        ([97, 40, 23], "warning: .* 2 of 20 images .* the 48 rows of the others, such as 97; all"),
-        ([97, 97, 97], "error: .* 3 of 20 images .* such as 97: train on a folder of each size"),
-    ],
-)
+@pytest.mark.parametrize(("rows", "found"), [
+    ([40], "trained_height = 48 "),  # runs at its own size
+    ([70], "size = 48\n"),  # the engine would run it at 48 rows
+    ([34], "size = 48\n"),
+    ([97, 40, 23], "warning: .* 2 of 20 images .* the 48 rows of the others, such as 97; all"),
+    ([97, 97, 97], "error: .* 3 of 20 images .* such as 97: train on a folder of each size"),
+])  # fmt: skip
 def test_images_of_other_sizes_keep_their_aspect(mine, rows, found):
     """The first image, which is narrow, does not speak for the others."""
     for index, height in enumerate(rows):

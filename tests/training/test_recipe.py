@@ -52,26 +52,23 @@ def test_changes_come_last_and_in_order(read):
     assert recipe.data.batch_size == 4
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "text"),
-    [
-        ("batch_size = 4", "batchsize = 4", "unknown key data.batchsize; known here: source, aug"),
-        ("batch_size = 4", 'batch_size = "4"', "data.batch_size = '4': "),
-        ("steps = 10", "", "missing key schedule.steps"),
-        ("steps = 10", "steps = 10\n[loss]\nunknown = 1", "unknown key loss.unknown"),
-        (
-            'kind = "camvid"',
-            'kind = "kitty"',
-            r"data.source\[0\] = .*'kitty'.*: unknown kind .*cityscapes",
-        ),
-        ("scale = [1, 2]", "scale = [1]", r"missing key data.source\[0\].scale\[1\]"),
-        ("scale = [1, 2]", "scale = [2, 1]", r"data.source\[0\].scale = \[2, 1\]: "),
-        ("scale = [1, 2]", "size = [1.5, 64]", r"source\[0\].size\[0\] = 1.5: "),
-        ("scale = [1, 2]", "size = 5", r"source\[0\]\.size = 5: "),
-        ('path = "camvid"', "path = 1999-12-31", "expected text, numbers, true or false"),
-        ("scale = [1, 2]", "scale = [1,", "not valid TOML"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "text"), [
+    ("batch_size = 4", "batchsize = 4", "unknown key data.batchsize; known here: source, aug"),
+    ("batch_size = 4", 'batch_size = "4"', "data.batch_size = '4': "),
+    ("steps = 10", "", "missing key schedule.steps"),
+    ("steps = 10", "steps = 10\n[loss]\nunknown = 1", "unknown key loss.unknown"),
+    (
+        'kind = "camvid"',
+        'kind = "kitty"',
+        r"data.source\[0\] = .*'kitty'.*: unknown kind .*cityscapes",
+    ),
+    ("scale = [1, 2]", "scale = [1]", r"missing key data.source\[0\].scale\[1\]"),
+    ("scale = [1, 2]", "scale = [2, 1]", r"data.source\[0\].scale = \[2, 1\]: "),
+    ("scale = [1, 2]", "size = [1.5, 64]", r"source\[0\].size\[0\] = 1.5: "),
+    ("scale = [1, 2]", "size = 5", r"source\[0\]\.size = 5: "),
+    ('path = "camvid"', "path = 1999-12-31", "expected text, numbers, true or false"),
+    ("scale = [1, 2]", "scale = [1,", "not valid TOML"),
+])  # fmt: skip
 def test_mistakes_are_named(read, old, new, text):
     with pytest.raises(InputError, match=text):
         read(text=MINIMAL.replace(old, new))

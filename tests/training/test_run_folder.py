@@ -47,23 +47,19 @@ def test_a_key_that_a_release_added_counts_with_its_default(tmp_path):
         prepare_folder(tmp_path, resolved(other), FILES)
 
 
-@pytest.mark.parametrize(
-    ("changes", "text"),
-    [
-        ({"processes": 2}, "processes was 1, now it is 2"),
-        ({"init": "a.pt (sha256 0)"}, r"init was None, now it is 'a\.pt"),
-        ({"recipe": {"schedule": {"steps": 10}}}, r"schedule\.steps was 9, now it is 10"),
-        (
-            {"recipe": {"data": {"source": (SET, SET)}}},
-            r"data\.source\[1\]\.kind was None, now it is 'camvid'",
-        ),
-        (
-            {"recipe": {"validation": {"lidar": "none"}}},
-            r"validation\.lidar was 'own', now it is 'none'",
-        ),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize(("changes", "text"), [
+    ({"processes": 2}, "processes was 1, now it is 2"),
+    ({"init": "a.pt (sha256 0)"}, r"init was None, now it is 'a\.pt"),
+    ({"recipe": {"schedule": {"steps": 10}}}, r"schedule\.steps was 9, now it is 10"),
+    (
+        {"recipe": {"data": {"source": (SET, SET)}}},
+        r"data\.source\[1\]\.kind was None, now it is 'camvid'",
+    ),
+    (
+        {"recipe": {"validation": {"lidar": "none"}}},
+        r"validation\.lidar was 'own', now it is 'none'",
+    ),
+], ids=str)  # fmt: skip
 def test_what_changes_them_is_named(tmp_path, changes, text):
     prepare_folder(tmp_path, resolved(), FILES)
     before = (tmp_path / RECIPE).read_bytes()

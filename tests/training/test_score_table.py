@@ -36,16 +36,13 @@ def test_a_resumed_run_has_no_step_twice(tmp_path):
     assert not ScoreTable(path, 4).add(6, {"a": {"miou": 0.9}}, "")
 
 
-@pytest.mark.parametrize(
-    ("best", "figure", "values", "expected"),
-    [
-        ("", "miou", [0.2, 0.1, 0.3, 0.3], [True, False, True, False]),
-        ("", "mae_m", [2.0, 3.0, 1.0, 1.0], [True, False, True, False]),
-        ("a/b/irmse_per_km", "irmse_per_km", [2.0, 3.0, 1.0], [True, False, True]),
-        ("a/b/iou_car", "iou_car", [float("nan"), 0.1, float("nan"), 0.2], [False, True] * 2),
-        ("", "boundary_f", [0.1, 0.2], [False, False]),  # nothing to choose by
-    ],
-)
+@pytest.mark.parametrize(("best", "figure", "values", "expected"), [
+    ("", "miou", [0.2, 0.1, 0.3, 0.3], [True, False, True, False]),
+    ("", "mae_m", [2.0, 3.0, 1.0, 1.0], [True, False, True, False]),
+    ("a/b/irmse_per_km", "irmse_per_km", [2.0, 3.0, 1.0], [True, False, True]),
+    ("a/b/iou_car", "iou_car", [float("nan"), 0.1, float("nan"), 0.2], [False, True] * 2),
+    ("", "boundary_f", [0.1, 0.2], [False, False]),  # nothing to choose by
+])  # fmt: skip
 def test_the_best_is_the_highest_score_or_the_smallest_error(
     tmp_path, best, figure, values, expected
 ):

@@ -115,16 +115,12 @@ def test_a_silent_fall_back_to_the_cpu_is_an_error(fake_runtime, capsys):
     assert capsys.readouterr().out == "", "the library printed"
 
 
-@pytest.mark.parametrize(
-    ("cuda", "cpu", "error", "text"),
-    [
-        (fake_session([CUDA, CPU], [(CPU, "Conv")]), None, ProviderError, "Conv on CPUExecution"),
-        (RuntimeError("no CUDA device"), fake_session([CPU], []), ProviderError, "no CUDA device"),
-        # A damaged model is not blamed on the GPU.
-        (*[RuntimeError("Protobuf parsing failed")] * 2, ContractError, "Protobuf parsing failed"),
-    ],
-    ids=["a convolution on the CPU", "no GPU", "a damaged model"],
-)
+@pytest.mark.parametrize(("cuda", "cpu", "error", "text"), [
+    (fake_session([CUDA, CPU], [(CPU, "Conv")]), None, ProviderError, "Conv on CPUExecution"),
+    (RuntimeError("no CUDA device"), fake_session([CPU], []), ProviderError, "no CUDA device"),
+    # A damaged model is not blamed on the GPU.
+    (*[RuntimeError("Protobuf parsing failed")] * 2, ContractError, "Protobuf parsing failed"),
+], ids=["a convolution on the CPU", "no GPU", "a damaged model"])  # fmt: skip
 def test_cuda_that_cannot_run_the_model(fake_runtime, cuda, cpu, error, text):
     fake_runtime({CUDA: cuda, CPU: cpu})
     with pytest.raises(error, match=text):

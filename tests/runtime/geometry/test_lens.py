@@ -115,7 +115,7 @@ def test_moved_scans_and_predicted_clouds_take_the_lens():
 def test_nothing_folds_back_into_the_image(model, coefficients, end_deg):
     intrinsics = np.array([[150.0, 0, 319.5], [0, 150, 239.5], [0, 0, 1]])
     lens = Lens(model, coefficients)
-    angle = np.deg2rad(np.arange(0.5, 89.5, 0.25))
+    angle = np.deg2rad(np.arange(0.5, 89.5, 1.0))
     points = np.stack([np.tan(angle), 0 * angle, 1 + 0 * angle], axis=1).astype(np.float32)
     seen = [project_points(p[None], intrinsics, np.eye(4), SIZE, lens=lens) for p in points]
     columns = [np.nonzero(depth)[1] for depth in seen]

@@ -35,7 +35,7 @@ angles = st.tuples(*[st.floats(-1.5, 1.5)] * 3)
 places = st.tuples(*[st.floats(-3, 3)] * 3)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(rotvecs=st.lists(angles, min_size=2, max_size=6), data=st.data())
 def test_between_poses_it_is_scipys_slerp_and_a_straight_line(rotvecs, data):
     positions = [data.draw(places) for _ in rotvecs]
@@ -105,7 +105,7 @@ def test_a_jump_of_the_odometry_is_found_and_nothing_is_moved_over_it(far):
 @pytest.mark.parametrize("step_ms", [1, 10, 100])
 def test_a_hard_drive_with_noise_is_no_jump(step_ms):
     rng = np.random.default_rng(0)
-    poses, stamps = drive(3000 // step_ms, step_ms=step_ms, speed=20, turn=0.5)
+    poses, stamps = drive(1000 // step_ms, step_ms=step_ms, speed=20, turn=0.5)
     for each in poses:
         each[:3, 3] += rng.normal(0, 0.02, 3)
     assert len(at(filled(poses, stamps), *stamps)) == len(stamps)
@@ -168,7 +168,7 @@ messages = st.lists(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(messages=messages, times=st.lists(st.integers(-400, 400), min_size=1, max_size=5))
 def test_any_sequence_has_rigid_poses_or_a_reason(messages, times):
     buffer = PoseBuffer(capacity=8)

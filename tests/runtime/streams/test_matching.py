@@ -276,7 +276,7 @@ def nearest_by_a_plain_loop(images, depths, *, max_skew):
 rising = st.lists(st.integers(1, 80), max_size=12).map(lambda steps: np.cumsum(steps).tolist())
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(images=rising, depths=rising, turns=st.randoms(use_true_random=False))
 def test_recorded_messages_match_as_a_plain_loop_in_any_order_of_the_sensors(images, depths, turns):
     played = Played(live=False)
@@ -301,7 +301,7 @@ anything = st.lists(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(
     messages=anything,
     live=st.booleans(),

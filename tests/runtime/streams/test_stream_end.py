@@ -6,8 +6,6 @@ import sys
 import threading
 import weakref
 
-import pytest
-
 from runtime.streams.push_stream import PushStream
 
 EXIT_WITH_AN_OPEN_STREAM = """
@@ -17,7 +15,7 @@ from runtime import Predictor, PushStream
 predictor = Predictor("ssdnet-nano", threads=1, warmup=0)
 stream = PushStream(predictor, max_wait_ms=0)
 stream.push_image(np.zeros((375, 1242, 3), np.uint8), 0)
-time.sleep(MOMENT_S)
+time.sleep(0.01)
 print("end")
 """
 
@@ -38,10 +36,7 @@ def test_dropped_streams_end_their_threads(checked_predictor):
         assert not worker.is_alive()
 
 
-@pytest.mark.parametrize("moment_s", [0.01, 0.02])
-def test_the_interpreter_may_exit_with_a_stream_open(moment_s):
-    program = EXIT_WITH_AN_OPEN_STREAM.replace("MOMENT_S", str(moment_s))
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
-    )
+def test_the_interpreter_may_exit_with_a_stream_open():
+    command = [sys.executable, "-c", EXIT_WITH_AN_OPEN_STREAM]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (0, "end\n", "")

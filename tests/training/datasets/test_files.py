@@ -61,31 +61,28 @@ def test_a_palette_is_read_as_its_indices(tmp_path, bits, colors, more):
     np.testing.assert_array_equal(read_gray(path, np.uint8, IDS.shape), ids)
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (
-            lambda path: png(path, IDS % 2, bits=1, color=PALETTE, colors=[[0] * 3, [255] * 3]),
-            "palette is of grays that are not its indices.*convert it to 8-bit gray",
+@pytest.mark.parametrize(("make", "message"), [
+    (
+        lambda path: png(path, IDS % 2, bits=1, color=PALETTE, colors=[[0] * 3, [255] * 3]),
+        "palette is of grays that are not its indices.*convert it to 8-bit gray",
+    ),
+    (lambda path: png(path, IDS + 256, bits=16), "expected one channel of uint8, or a palette"),
+    (
+        lambda path: png(path, np.zeros((5, 9, 3), int), bits=8, color=COLOR),
+        "expected one channel of uint8, or a palette",
+    ),
+    (
+        lambda path: path.write_bytes(cv2.imencode(".jpg", np.uint8(IDS))[1].tobytes()),
+        "expected one channel of uint8.*in a PNG",
+    ),
+    (
+        lambda path: path.write_bytes(
+            png(path, IDS, bits=8, color=PALETTE, colors=VOC).read_bytes()[:-20]
         ),
-        (lambda path: png(path, IDS + 256, bits=16), "expected one channel of uint8, or a palette"),
-        (
-            lambda path: png(path, np.zeros((5, 9, 3), int), bits=8, color=COLOR),
-            "expected one channel of uint8, or a palette",
-        ),
-        (
-            lambda path: path.write_bytes(cv2.imencode(".jpg", np.uint8(IDS))[1].tobytes()),
-            "expected one channel of uint8.*in a PNG",
-        ),
-        (
-            lambda path: path.write_bytes(
-                png(path, IDS, bits=8, color=PALETTE, colors=VOC).read_bytes()[:-20]
-            ),
-            "truncated or damaged",
-        ),
-        (lambda path: png(path, IDS.T, bits=8), "its size 9x5 differs from the frame's 5x9"),
-    ],
-)
+        "truncated or damaged",
+    ),
+    (lambda path: png(path, IDS.T, bits=8), "its size 9x5 differs from the frame's 5x9"),
+])  # fmt: skip
 def test_other_labels_are_refused(tmp_path, make, message):
     path = tmp_path / "a.png"
     make(path)

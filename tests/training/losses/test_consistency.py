@@ -54,15 +54,10 @@ FALSE = ALL.clone()
 FALSE[0, 50, 60] = 3.0
 
 
-@pytest.mark.parametrize(
-    ("lidars", "weight"),
-    [
-        ((NONE, NONE), FAR_WEIGHT),
-        ((ALL, ALL), NEAR_WEIGHT),
-        ((ALL, FALSE), FAR_WEIGHT),
-        ((ALL, NONE), 0.0),  # a view without LiDAR may have another depth
-    ],
-)
+@pytest.mark.parametrize(("lidars", "weight"), [
+    ((NONE, NONE), FAR_WEIGHT), ((ALL, ALL), NEAR_WEIGHT), ((ALL, FALSE), FAR_WEIGHT),
+    ((ALL, NONE), 0.0),  # a view without LiDAR may have another depth
+])  # fmt: skip
 def test_depth_that_agrees_costs_nothing_and_a_ratio_its_log(lidars, weight):
     first, second = (view[None] + 0.1 for view in views(scene_of()))
     first.requires_grad_()

@@ -89,17 +89,12 @@ def test_depth_at_scale_is_the_mean_of_valid_pixels():
     assert not known[0, 0, 0, 0]
 
 
-@pytest.mark.parametrize(
-    ("size", "grid", "side"),
-    [
-        ((125, 414), (125, 414), 1),
-        ((125, 414), (63, 207), 2),
-        ((125, 414), (8, 26), 16),
-        ((33, 33), (8, 8), 8),  # a network that pads 33 to 64
-        ((8, 414), (1, 26), 16),  # the height alone would do with 8
-        ((320, 448), (80, 112), 4),
-    ],
-)
+@pytest.mark.parametrize(("size", "grid", "side"), [
+    ((125, 414), (125, 414), 1), ((125, 414), (63, 207), 2), ((125, 414), (8, 26), 16),
+    ((33, 33), (8, 8), 8),  # a network that pads 33 to 64
+    ((8, 414), (1, 26), 16),  # the height alone would do with 8
+    ((320, 448), (80, 112), 4),
+])  # fmt: skip
 def test_block_side_of_a_grid(size, grid, side):
     blocks, found = split_into_blocks(torch.ones(1, 1, *size), grid)
     assert found == side

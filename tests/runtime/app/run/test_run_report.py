@@ -37,14 +37,11 @@ def records_of(*statuses):
     return [outcome(number, status) for number, status in enumerate(statuses)]
 
 
-@pytest.mark.parametrize(
-    ("statuses", "rate"),
-    [
-        ((OK, OK, OK), 6.0),
-        ((OK, INVALID), 4.0),  # was predicted, though not usable
-        ((SKIPPED,), None),
-    ],
-)
+@pytest.mark.parametrize(("statuses", "rate"), [
+    ((OK, OK, OK), 6.0),
+    ((OK, INVALID), 4.0),  # was predicted, though not usable
+    ((SKIPPED,), None),
+])  # fmt: skip
 def test_skipped_frames_are_no_frames_a_second(report_of, statuses, rate):
     assert report_of(*records_of(*statuses)).frames_per_second == rate
 

@@ -26,8 +26,8 @@ def street():
     """Points of posts and of the ground, float64 (N, 4), of the world."""
     rng = np.random.default_rng(0)
     feet = rng.uniform([-5, -25], [60, 25], (60, 2))
-    posts = np.repeat(feet, 120, axis=0) + rng.uniform(-0.4, 0.4, (7200, 2))
-    ground = rng.uniform([-5, -25], [60, 25], (4000, 2))
+    posts = np.repeat(feet, 60, axis=0) + rng.uniform(-0.4, 0.4, (3600, 2))
+    ground = rng.uniform([-5, -25], [60, 25], (2000, 2))
     points = np.vstack([
         np.c_[posts, rng.uniform(-1.7, 4, len(posts))], np.c_[ground, np.full(len(ground), -1.7)]
     ])  # fmt: skip
