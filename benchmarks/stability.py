@@ -54,16 +54,16 @@ def changed_share(predict: Predict, frames: Iterable[Sample], *, sky: int | None
     """Return the share of the compared pixels whose depth changes, see the module's docstring."""
     changed = compared = 0
     for frame in frames:
-        assert frame.sparse_depth is not None
-        whole = predict(frame.rgb, frame.sparse_depth, frame.focal_length_px)
+        assert frame.returns is not None
+        whole = predict(frame.rgb, frame.returns, frame.focal_length_px)
         assert whole.depth is not None
-        counted = distance_px(frame.sparse_depth > 0) > NEAR_RETURN_PX
+        counted = distance_px(frame.returns > 0) > NEAR_RETURN_PX
         if sky is not None:
             counted &= whole.semantic != sky
         for columns in CUT_COLUMNS:
             cut = predict(
                 np.ascontiguousarray(frame.rgb[:, columns:]),
-                np.ascontiguousarray(frame.sparse_depth[:, columns:]),
+                np.ascontiguousarray(frame.returns[:, columns:]),
                 frame.focal_length_px,
             )
             assert cut.depth is not None

@@ -51,7 +51,7 @@ from torch import nn
 from models import Network, NetworkConfig, NetworkOutput
 from models.blocks import pad_to_multiple
 from models.registry import Entry
-from training.datasets.sample import Sample
+from training.datasets.sample import Sample, make_frame
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
 from training.losses.semantic import labelled_mean
@@ -87,7 +87,7 @@ class Streets:
         rgb[SIZE[0] // 2 :] += 180
         free = (rgb[..., 0] > 100).astype(np.float32)
         free[:, : SIZE[1] // 3] = np.nan
-        return Sample(rgb, {"drivable": free}, None, str(index), weights={"drivable": 0.5})
+        return Sample(make_frame(rgb, str(index)), {"drivable": free}, weights={"drivable": 0.5})
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)

@@ -20,7 +20,7 @@ from pydantic.dataclasses import dataclass
 from torch import nn
 from models import Network, NetworkConfig, NetworkOutput
 from models.registry import Entry
-from training.datasets.sample import Sample
+from training.datasets.sample import Sample, make_frame
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT, Positive
 from training.losses.terms import Term
@@ -58,7 +58,7 @@ class Distances:
     def __getitem__(self, index):
         depth = np.full((40, 64), float(self.files[index].read_text()) * self.unit_m, np.float32)
         rgb = np.full((40, 64, 3), 128, np.uint8)
-        return Sample(rgb, {"depth": depth}, None, self.files[index].stem)
+        return Sample(make_frame(rgb, self.files[index].stem), {"depth": depth})
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)

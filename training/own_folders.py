@@ -20,7 +20,7 @@ from runtime.contract.network_size import LARGEST_RATIO, network_size
 from runtime.files.atomic_write import atomic_write
 from runtime.files.read_input import MAX_FILE_BYTES, open_input, read_text
 from runtime.recordings.images import image_size, read_rgb
-from training.datasets.folders import Folders, FoldersRecipe
+from training.datasets.folders import FoldersRecipe
 from training.initial_weights import Weights
 from training.run_folder import folder_errors
 
@@ -122,7 +122,7 @@ class OwnFolders:
             keys["depth_scale"] = self.depth_scale
         if self.intrinsics is not None:
             keys["intrinsics"] = self.intrinsics
-        frames = Folders(images, FoldersRecipe(**keys), classes or "camvid")
+        frames = FoldersRecipe(**keys).open(images, classes or "camvid")
         count = len(frames)
         if count < _VALIDATION:
             raise InputError(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stability import changed_share
-from training.datasets.sample import Sample
+from training.datasets.sample import Sample, make_frame
 from training.evaluation.scoring import HeadMaps
 
 ROAD, SKY = 3, 0
@@ -22,7 +22,7 @@ def test_changes_far_from_returns_and_below_the_sky_are_counted():
         semantic[:10] = SKY
         return HeadMaps(semantic=semantic, depth=depth)
 
-    frames = [Sample(rgb, {}, None, "a", sparse_depth=returns)] * 2
+    frames = [Sample(make_frame(rgb, "a", returns=returns), {})] * 2
     counted = [100 - 32 - columns - 13 for columns in (1, 2, 3, 5, 8)]
     by_three_columns_and_more = sum(counted[2:]) / sum(counted)
     assert changed_share(predict, frames, sky=SKY) == pytest.approx(

@@ -259,7 +259,7 @@ def test_what_is_not_fed_is_the_target(rig, weights, tmp_path):
     returns = sample.depth > 0
     for seed in range(8):
         drawn = draw_lidar(sample, recipe.data.augment, np.random.default_rng(seed))
-        fed, target = drawn.sparse_depth > 0, drawn.depth > 0
+        fed, target = drawn.returns > 0, drawn.depth > 0
         assert 0.02 < fed.sum() / returns.sum() < 0.9
         assert target.any()
         assert not (fed & target).any()

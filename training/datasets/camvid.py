@@ -1,14 +1,16 @@
 """CamVid in the split and the eleven classes of the SegNet papers (Brostow et al. 2009)."""
 
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, Literal
 
 from pydantic.dataclasses import dataclass
 
 from models import CLASS_TABLES
+from runtime.recordings.folders import FolderSource
 from training.datasets.class_mapping import ClassTable, LabelFiles
-from training.datasets.files import list_images, read_rgb, require_folder
-from training.datasets.sample import FrameList, Sample
+from training.datasets.files import dataset_errors, require_folder
+from training.datasets.recording import RecordedFrames, SetFrame
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
 
@@ -29,37 +31,26 @@ class CamVidRecipe(SourceRecipe):
     kind: Literal["camvid"] = "camvid"
     split: str = "train"
 
-    def open(self, folder: Path, classes: ClassTable) -> "CamVid":
-        """See `SourceRecipe.open`."""
-        return CamVid(folder, self, classes)
+    @dataset_errors()
+    def open(self, folder: Path, classes: ClassTable) -> RecordedFrames:
+        """Open the images of `folder/<split>` with labels of `folder/<split>annot`.
 
+        The labels are uint8 PNGs, 11 = none. The set has no depth and no calibration.
 
-class CamVid(FrameList):
-    """Frames of `root/<split>` with labels of `root/<split>annot` (uint8 PNG, 11 = none).
-
-    The set has no depth and no calibration.
-
-    Raises:
-        DatasetError: if a folder or the label file of an image is missing, or if a file is
-            unreadable or has the wrong size.
-    """
-
-    def __init__(self, root: Path, recipe: CamVidRecipe, classes: ClassTable) -> None:
-        self._labels = LabelFiles("camvid", classes, LABELS)
-        images = list_images(root / recipe.split, "CamVid's images")
-        annotations = root / f"{recipe.split}annot"
-        labels = [f"{image.stem}.png" for image in images]
-        require_folder(annotations, "CamVid's label images", files=labels)
-        self._frames = [(image, annotations / f"{image.stem}.png") for image in images]
-        self.images = images
-
-    def __getitem__(self, index: int) -> Sample:
-        image_path, label_path = self._frames[index]
-        rgb = read_rgb(image_path)
-        size = (rgb.shape[0], rgb.shape[1])
-        return Sample(
-            rgb=rgb,
-            targets={"semantic": self._labels.read(label_path, size)},
-            intrinsics=None,
-            name=f"camvid/{image_path.stem}",
+        Raises:
+            DatasetError: if a folder or the label file of an image is missing.
+        """
+        labels = LabelFiles("camvid", classes, LABELS)
+        source = FolderSource(require_folder(folder / self.split, "CamVid's images"))
+        listed, annotations = source.list_frames(), folder / f"{self.split}annot"
+        files = [f"{frame.name}.png" for frame in listed]
+        require_folder(annotations, "CamVid's label images", files=files)
+        return RecordedFrames(
+            SetFrame(
+                source,
+                frame,
+                f"camvid/{frame.name}",
+                {"semantic": partial(labels.read, annotations / file)},
+            )
+            for frame, file in zip(listed, files, strict=True)
         )

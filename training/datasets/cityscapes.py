@@ -13,7 +13,7 @@ from runtime.base.errors import DatasetError
 from runtime.files.read_input import read_text
 from training.datasets.class_mapping import ClassTable, LabelFiles
 from training.datasets.files import dataset_errors, read_gray, read_rgb, require_folder
-from training.datasets.sample import FrameList, Sample
+from training.datasets.sample import FrameList, Sample, make_frame
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
 
@@ -96,13 +96,8 @@ class Cityscapes(FrameList):
             intrinsics, focal_baseline = _read_camera(paths["camera"])
             stored = read_gray(paths["disparity"], np.uint16, size)
             targets["depth"] = disparity_to_depth(stored, focal_baseline)
-        return Sample(
-            rgb=rgb,
-            targets=targets,
-            intrinsics=intrinsics,
-            name=f"{self._name}/{stem}",
-            focal_baseline_px_m=focal_baseline,
-        )
+        frame = make_frame(rgb, f"{self._name}/{stem}", intrinsics=intrinsics)
+        return Sample(frame, targets, focal_baseline_px_m=focal_baseline)
 
 
 def disparity_to_depth(

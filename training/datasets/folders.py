@@ -3,12 +3,13 @@
 import os
 import sys
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 from tqdm import tqdm
 
@@ -28,8 +29,7 @@ from training.datasets.files import (
     require_folder,
 )
 from training.datasets.labels import Folder, LabelledRecipe, LabelReader
-from training.datasets.recording import RecordedFrames, Targets
-from training.datasets.sample import Sample, nothing_known
+from training.datasets.recording import RecordedFrames, SetFrame
 from training.limits import STRICT, Positive
 
 # Approximate number of photos whose EXIF orientation is examined.
@@ -82,143 +82,142 @@ class FoldersRecipe(LabelledRecipe):
         """The folders of a frame's files, relative to `path`."""
         return [n for n in (self.rgb, self.depth, self.sparse_depth, self.labels) if n is not None]
 
-    def open(self, folder: Path, classes: ClassTable) -> "Folders":
-        """See `SourceRecipe.open`."""
-        return Folders(folder, self, classes)
-
-
-class Folders(RecordedFrames):
-    """The images of `root/<recipe.rgb>` with depth and labels, in natural order: 9 before 10.
-
-    An image a.jpg has its depth in a.png of the depth folder, and so on. Every folder in the recipe
-    must have a file for every image or, with `missing = "skip-target"`, for at least one image.
-
-    Raises:
-        DatasetError: if a folder or a partner of an image is missing, if a file has another kind or
-            size, or if the class table lacks an id.
-    """
-
     @dataset_errors()
-    def __init__(self, root: Path, recipe: FoldersRecipe, classes: ClassTable) -> None:
-        self._root, self._recipe = root, recipe
-        self._labels = LabelReader(recipe, classes)
-        depth = None if recipe.depth is None else self._root / recipe.depth
+    def open(self, folder: Path, classes: ClassTable) -> RecordedFrames:
+        """Open the images of `folder/<rgb>` with depth and labels, in natural order: 9 before 10.
+
+        An image a.jpg has its depth in a.png of the depth folder, and so on. Every folder in the
+        recipe must have a file for every image or, with `missing = "skip-target"`, for at least one
+        image.
+
+        Raises:
+            DatasetError: if a folder or a partner of an image is missing, or if the class table
+                lacks an id.
+        """
+        images, lidar = folder / self.rgb, self.depth if self.scan else self.sparse_depth
         rig = Rig()
-        if recipe.intrinsics is not None:
-            fx, fy, cx, cy = recipe.intrinsics
+        if self.intrinsics is not None:
+            fx, fy, cx, cy = self.intrinsics
             camera = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
             rig = Rig(calibration=Calibration(camera, np.eye(4)))
-        source = FolderSource(
-            self._root / recipe.rgb, rig, depth=depth, depth_scale=recipe.depth_scale
-        )
+        scans = None if lidar is None else require_folder(folder / lidar, "a PNG for every image")
+        source = FolderSource(images, rig, depth=scans, depth_scale=self.depth_scale)
         listed = source.list_frames()
-        source.camera_alone = recipe.missing == "skip-target"
-        taken = recipe.take(
-            [frame for frame in listed if frame.image is not None], self._root / recipe.rgb
-        )
-        super().__init__(
-            [(source, frame, f"{root.name}/{frame.name}") for frame in taken],
-            "bands" if recipe.scan else "none",
-            {"semantic": recipe.semantic_weight},
-        )
-        if depth is not None:
-            self._require_files(depth, [frame.name for frame in taken if not frame.depth])
-        every = {frame.name for frame in listed if frame.image is not None}
-        unpaired = {"depth": {frame.name for frame in listed} - every}
-        # For each key of the recipe: the files by stem, whatever the case of their suffix.
-        self._files: dict[str, dict[str, Path]] = {}
-        for key, below in (("sparse_depth", recipe.sparse_depth), ("labels", recipe.labels)):
-            if below is None:
-                continue
-            folder = require_folder(self._root / below, "a PNG for every image")
-            has_any = any(path.suffix.lower() == ".png" for path in list_entries(folder))
-            self._files[key] = list_files(folder, (".png",)) if has_any else {}
-            unpaired[key] = self._files[key].keys() - every
-            lacking = [frame.name for frame in taken if frame.name not in self._files[key]]
-            self._require_files(folder, lacking)
-        self._report_unread(unpaired)
-
-    def _report_unread(self, unpaired: Mapping[str, Collection[str]]) -> None:
-        """Warn about images of other types, files without an image, and turned photos.
-
-        Sets in the same folder that only differ in `first` and `last` give the warning once.
-        """
-        recipe = self._recipe
-        folder = self._root / recipe.rgb
-        own = [(self._root / name).resolve() for name in recipe.named]
-        below = [
-            path.name
-            for path in list_entries(folder)
-            if path.is_dir()
-            and path.resolve() not in own
-            and any(each.suffix.lower() in RGB_SUFFIXES for each in list_entries(path))
-        ]
-        others = Counter(
-            path.suffix.lower()
-            for path in list_entries(folder)
-            if path.suffix.lower() not in RGB_SUFFIXES and path.is_file()
-        )
-        texts = []
-        if below:
-            texts.append(f"{folder}: images in {list_names(below)} are not read; move them up")
-        if others:
-            kinds = ", ".join(
-                f"{number} {kind or 'without a suffix'}" for kind, number in others.items()
-            )
-            texts.append(
-                f"{folder}: files that are no PNG or JPEG are not read ({kinds}); convert images"
-            )
-        for key, names in unpaired.items():
-            if names:
-                first = in_natural_order(names)[0]
-                texts.append(
-                    f"{self._root / str(getattr(recipe, key))}: {len(names)} files have no image "
-                    f"of their name and are not used, such as {first}"
+        source.camera_alone = True
+        frames = [frame for frame in listed if frame.image is not None]
+        taken = self.take(frames, images)
+        readers: dict[str, tuple[str, Callable[..., NDArray[Any]]]] = {}
+        if self.depth is not None and not self.scan:
+            readers["depth"] = self.depth, partial(read_depth, depth_scale=self.depth_scale)
+        if self.labels is not None:
+            readers["semantic"] = self.labels, LabelReader(self, classes).read
+        # The files of each folder by stem, whatever the case of their suffix.
+        files = {below: _list_pngs(folder / below) for below, _ in readers.values()}
+        if lidar is not None:
+            files[lidar] = {frame.name: frame.depth for frame in listed if frame.depth is not None}
+        for below in filter(None, (self.depth, self.sparse_depth, self.labels)):
+            self._require_files(folder / below, taken, files[below])
+        _report_unread(self, folder, [frame.image for frame in taken], frames, files)
+        return RecordedFrames(
+            [
+                SetFrame(
+                    source,
+                    frame,
+                    f"{folder.name}/{frame.name}",
+                    {
+                        target: partial(read, files[below][frame.name])
+                        for target, (below, read) in readers.items()
+                        if frame.name in files[below]
+                    },
                 )
-        step = max(1, len(self.images) // _ORIENTED)
-        if recipe.labels or recipe.depth:
-            labels = list(self._files.get("labels", {}).values())
-            examined = [*self.images[::step], *labels[::step]]
-            turned = find_orientations(examined)
-            for path, orientation in list(turned.items())[:1]:
-                texts.append(
-                    f"{path}: has the EXIF orientation {orientation}, like {len(turned)} of "
-                    f"{len(examined)} files; pixels are used as they are stored, so "
-                    "labels and depth must be stored like them: turn the pixels of photos that "
-                    "were labelled upright, or remove the tag"
-                )
-        for text in texts:
-            if text not in _reported:
-                _reported.add(text)
-                tqdm.write(f"warning: {text}", file=sys.stderr)
+                for frame in taken
+            ],
+            "bands" if self.scan else "none",
+            semantic_weight=self.semantic_weight,
+            has_lidar=self.sparse_depth is not None,
+        )
 
-    def _require_files(self, folder: Path, lacking: Sequence[str]) -> None:
+    def _require_files(
+        self, folder: Path, frames: Sequence[ListedFrame], files: Collection[str]
+    ) -> None:
         """Raise DatasetError for images without a file; report their number if that is allowed.
 
         A folder without a file for any image is an error.
         """
+        lacking = [frame.name for frame in frames if frame.name not in files]
         if not lacking:
             return
-        count = len(self._frames)
-        text = f"{folder}: has no file of the frame {lacking[0]} ({len(lacking)} of {count} frames"
-        text += " lack it)"
-        if len(lacking) == count or self._recipe.missing == "error":
+        text = f"{folder}: has no file of the frame {lacking[0]} ({len(lacking)} of {len(frames)} "
+        text += "frames lack it)"
+        if len(lacking) == len(frames) or self.missing == "error":
             raise DatasetError(
                 f"{text}: add the files, or leave the folder out; where single files are missing, "
                 'missing = "skip-target" leaves out the target of their frames'
             )
         tqdm.write(f"warning: {text}: not a target, or no LiDAR, there", file=sys.stderr)
 
-    def _read_truth(self, listed: ListedFrame, size: tuple[int, int]) -> Targets:
-        path = self._files.get("labels", {}).get(listed.name)
-        return {} if path is None else {"semantic": self._labels.read(path, size)}
 
-    @dataset_errors()
-    def __getitem__(self, index: int) -> Sample:
-        sample, files = super().__getitem__(index), self._files.get("sparse_depth")
-        if files is None:
-            return sample
-        sparse_depth, path = nothing_known(sample.size), files.get(self._frames[index][1].name)
-        if path is not None:
-            sparse_depth = read_depth(path, sample.size, depth_scale=self._recipe.depth_scale)
-        return replace(sample, sparse_depth=sparse_depth)
+def _list_pngs(folder: Path) -> Mapping[str, Path]:
+    require_folder(folder, "a PNG for every image")
+    has_any = any(path.suffix.lower() == ".png" for path in list_entries(folder))
+    return list_files(folder, (".png",)) if has_any else {}
+
+
+def _report_unread(
+    recipe: FoldersRecipe,
+    root: Path,
+    taken: Sequence[Path],
+    frames: Sequence[ListedFrame],
+    files: Mapping[str, Mapping[str, Path]],
+) -> None:
+    """Warn about images of other types, files without an image, and turned photos.
+
+    Sets in the same folder that only differ in `first` and `last` give the warning once.
+    """
+    folder = root / recipe.rgb
+    own = [(root / name).resolve() for name in recipe.named]
+    inner = [
+        path.name
+        for path in list_entries(folder)
+        if path.is_dir()
+        and path.resolve() not in own
+        and any(each.suffix.lower() in RGB_SUFFIXES for each in list_entries(path))
+    ]
+    others = Counter(
+        path.suffix.lower()
+        for path in list_entries(folder)
+        if path.suffix.lower() not in RGB_SUFFIXES and path.is_file()
+    )
+    texts = []
+    if inner:
+        texts.append(f"{folder}: images in {list_names(inner)} are not read; move them up")
+    if others:
+        kinds = ", ".join(
+            f"{number} {kind or 'without a suffix'}" for kind, number in others.items()
+        )
+        texts.append(
+            f"{folder}: files that are no PNG or JPEG are not read ({kinds}); convert images"
+        )
+    for below, found in files.items():
+        if names := found.keys() - {frame.name for frame in frames}:
+            first = in_natural_order(names)[0]
+            texts.append(
+                f"{root / below}: {len(names)} files have no image of their name and are not used, "
+                f"such as {first}"
+            )
+    step = max(1, len(taken) // _ORIENTED)
+    if recipe.labels or recipe.depth:
+        labels = list(files.get(recipe.labels or "", {}).values())
+        examined = [*taken[::step], *labels[::step]]
+        turned = find_orientations(examined)
+        for path, orientation in list(turned.items())[:1]:
+            texts.append(
+                f"{path}: has the EXIF orientation {orientation}, like {len(turned)} of "
+                f"{len(examined)} files; pixels are used as they are stored, so "
+                "labels and depth must be stored like them: turn the pixels of photos that "
+                "were labelled upright, or remove the tag"
+            )
+    for text in texts:
+        if text not in _reported:
+            _reported.add(text)
+            tqdm.write(f"warning: {text}", file=sys.stderr)

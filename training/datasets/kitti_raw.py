@@ -1,6 +1,7 @@
 """KITTI raw data (Geiger et al. 2013): synced drives, whose scans are projected here."""
 
 from collections.abc import Mapping
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,10 +11,9 @@ from pydantic.dataclasses import dataclass
 from runtime.base.errors import DatasetError
 from runtime.geometry.rig import Rig
 from runtime.recordings.kitti_raw import KittiRawSource
-from runtime.recordings.source import ListedFrame, Source
 from training.datasets.class_mapping import ClassTable
 from training.datasets.files import dataset_errors, require_folder
-from training.datasets.recording import RecordedFrames
+from training.datasets.recording import RecordedFrames, SetFrame
 from training.datasets.source_recipe import Names, SourceRecipe
 from training.limits import STRICT
 
@@ -36,44 +36,35 @@ class KittiRawRecipe(SourceRecipe):
     drives: Names | None = None
     cameras: Annotated[tuple[Literal[2, 3], ...], Field(min_length=1, max_length=2)] = (2,)
 
-    def open(self, folder: Path, classes: ClassTable) -> "KittiRaw":
-        """See `SourceRecipe.open`; there are no classes."""
-        return KittiRaw(folder, self)
+    def open(self, folder: Path, classes: ClassTable) -> RecordedFrames:
+        """Open `folder/<date>/<drive>/image_0<camera>/data/<number>.png` with their scans.
 
+        The scan of a frame is `<drive>/velodyne_points/data/<number>.bin`, and the calibration is
+        `<date>/calib_cam_to_cam.txt` and `calib_velo_to_cam.txt`. The depth is every return in
+        view, with its scan line; of several returns in a pixel it is the nearest. There are no
+        classes.
 
-class KittiRaw(RecordedFrames):
-    """Frames of `root/<date>/<drive>/image_0<camera>/data/<number>.png` with their scans.
-
-    The scan of a frame is `<drive>/velodyne_points/data/<number>.bin`, and the calibration is
-    `<date>/calib_cam_to_cam.txt` and `calib_velo_to_cam.txt`. The depth is every return in view,
-    with its scan line; of several returns in a pixel it is the nearest. There are no classes.
-
-    Raises:
-        DatasetError: if a folder or the scan of a frame is missing, if a scan is truncated, if a
-            calibration is incomplete, or if an image does not have the calibration's size.
-    """
-
-    def __init__(self, root: Path, recipe: KittiRawRecipe) -> None:
-        found = {path.name: path for path in sorted(root.glob("*/*_sync")) if path.is_dir()}
-        unknown = sorted(set(recipe.drives or ()) - set(found))
+        Raises:
+            DatasetError: if a folder or the scan of a frame is missing, or if a calibration is
+                incomplete.
+        """
+        found = {path.name: path for path in sorted(folder.glob("*/*_sync")) if path.is_dir()}
+        unknown = sorted(set(self.drives or ()) - set(found))
         if unknown or not found:
             raise DatasetError(
-                f"{root}: no drive {unknown[0] if unknown else '<date>/<date>_drive_*_sync'}; "
+                f"{folder}: no drive {unknown[0] if unknown else '<date>/<date>_drive_*_sync'}; "
                 f"found {len(found)} drives"
             )
-        frames: list[tuple[Source, ListedFrame, str]] = []
-        for name, drive in found.items():
-            if recipe.drives is None or name in recipe.drives:
-                for camera in recipe.cameras:
-                    frames += _frames_of(drive, camera)
-        super().__init__(frames, "ordered")
+        drives = [path for name, path in found.items() if name in (self.drives or found)]
+        frames = (_frames_of(drive, camera) for drive in drives for camera in self.cameras)
+        return RecordedFrames(chain.from_iterable(frames), "ordered")
 
 
 @dataset_errors()
-def _frames_of(drive: Path, camera: int) -> list[tuple[Source, ListedFrame, str]]:
+def _frames_of(drive: Path, camera: int) -> list[SetFrame]:
     source = KittiRawSource(drive, Rig(calibration=drive.parent), camera=camera, by_number=True)
     without = _WITHOUT_SCAN.get(drive.name, frozenset())
     frames = [frame for frame in source.list_frames() if frame.name not in without]
     scans = [f"{frame.name}.bin" for frame in frames]
     require_folder(drive / "velodyne_points" / "data", "scans", files=scans)
-    return [(source, frame, f"{drive.name}/{camera}/{frame.name}") for frame in frames]
+    return [SetFrame(source, frame, f"{drive.name}/{camera}/{frame.name}") for frame in frames]

@@ -1,9 +1,10 @@
 """A recording of a camera and a LiDAR, read as the engine reads it, and truth beside it."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,68 +13,89 @@ from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import InputError
 from runtime.geometry.motion import Scan
+from runtime.geometry.returns import is_measured
+from runtime.recordings.folders import FolderSource
 from runtime.recordings.images import KITTI_DEPTH_SCALE, list_files
 from runtime.recordings.registry import detect_source, open_source, parse_source
 from runtime.recordings.source import ListedFrame, Source
-from runtime.streams.frame import Frame
+from runtime.streams.frame import Frame, Message
 from training.datasets.class_mapping import ClassTable
 from training.datasets.files import dataset_errors, read_depth, require_size
 from training.datasets.labels import Folder, LabelledRecipe, LabelReader
-from training.datasets.sample import FrameList, Sample
+from training.datasets.sample import FrameList, Sample, nothing_known
 from training.lidar.scan import elevation_bands, project_lines
 from training.limits import STRICT, Index, Positive
 
 # How the scan lines of returns are numbered: by the order of a scan's points, which KITTI's scanner
 # sends line after line; by bands of elevation; or not at all.
 Lines = Literal["ordered", "bands", "none"]
-Targets = dict[str, NDArray[Any]]
+# Reads the labels of a frame of (height, width).
+Truth = Callable[[tuple[int, int]], NDArray[Any]]
+
+
+class SetFrame(NamedTuple):
+    """A frame that a source of the engine reads, and the truth beside it.
+
+    Attributes:
+        source: reads image and returns.
+        listed: the frame in the list of the source.
+        name: name of the set and the frame.
+        truth: what reads the labels of each target.
+        facts: further attributes of the `Sample`.
+    """
+
+    source: Source
+    listed: ListedFrame
+    name: str
+    truth: Mapping[str, Truth] = {}
+    facts: Mapping[str, Any] = {}
 
 
 class RecordedFrames(FrameList):
-    """Frames that sources of the engine read; their returns are the depth target.
-
-    A subclass adds the truth beside a recording in `_read_truth`.
+    """Frames of recordings. Their returns are the input, and the target where truth has no depth.
 
     Args:
-        frames: source, listed frame and name of each.
+        frames: the frames.
         lines: how scan lines are numbered.
-        weights: see `Sample.weights`.
+        semantic_weight: weight of the classes, see `Sample.weights`.
+        has_lidar: whether a frame without returns is one of a LiDAR that measured nothing, so that
+            no input is simulated for it.
+
+    Raises:
+        DatasetError: when a frame is read, if one of its files is damaged or has another size.
     """
+
+    _frames: Sequence[SetFrame]
 
     def __init__(
         self,
-        frames: Iterable[tuple[Source, ListedFrame, str]],
-        lines: Lines,
-        weights: Mapping[str, float] | None = None,
+        frames: Iterable[SetFrame],
+        lines: Lines = "none",
+        *,
+        semantic_weight: float | None = None,
+        has_lidar: bool = False,
     ) -> None:
         self._frames = list(frames)
-        self._lines, self._weights = lines, weights or {}
-        listed = [frame.image for _, frame, _ in self._frames]
+        self._lines, self._has_lidar = lines, has_lidar
+        self._weights = {} if semantic_weight is None else {"semantic": semantic_weight}
+        listed = [frame.listed.image for frame in self._frames]
         self.images = [image for image in listed if isinstance(image, Path)]
         # See `Source.is_stream`.
-        self.is_stream = any(source.is_stream for source, _, _ in self._frames)
-
-    def _read_truth(self, listed: ListedFrame, size: tuple[int, int]) -> Targets:
-        """Return targets of a frame of (height, width); depth replaces the returns as target."""
-        return {}
+        self.is_stream = any(frame.source.is_stream for frame in self._frames)
 
     @dataset_errors()
     def __getitem__(self, index: int) -> Sample:
-        source, listed, name = self._frames[index]
-        frame = _read_named(source, listed)
-        calibration, has_returns = frame.calibration, frame.depth is not None
-        depth, scan_line = _returns(frame, self._lines)
-        require_size(Path(str(listed.depth)), depth.shape, frame.size)
-        truth = self._read_truth(listed, frame.size)
-        return Sample(
-            rgb=frame.rgb,
-            targets={"depth": depth, **truth} if has_returns else truth,
-            intrinsics=None if calibration is None else calibration.intrinsics,
-            name=name,
-            sparse_depth=depth if has_returns and "depth" in truth else None,
-            scan_line=scan_line,
-            weights=self._weights,
-        )
+        recorded = self._frames[index]
+        frame, scan_line = _read_named(recorded.source, recorded.listed), None
+        if frame.depth is not None:
+            returns, scan_line = _returns(frame, self._lines)
+            require_size(Path(str(recorded.listed.depth)), returns.shape, frame.size)
+            frame = replace(frame, depth=replace(frame.depth, data=returns))
+        elif self._has_lidar:
+            frame = replace(frame, depth=Message(data=nothing_known(frame.size)))
+        truth = {target: read(frame.size) for target, read in recorded.truth.items()}
+        frame = replace(frame, poses=None, name=recorded.name)
+        return Sample(frame, truth, scan_line, self._weights, **recorded.facts)
 
 
 def _read_named(source: Source, listed: ListedFrame) -> Frame:
@@ -93,7 +115,7 @@ def _returns(frame: Frame, lines: Lines) -> tuple[NDArray[np.float32], NDArray[n
         assert calibration is not None  # it has projected the scan
         points = frame.depth.data.points
         return project_lines(points, calibration.intrinsics, calibration.extrinsics, frame.size)
-    depth = frame.sparse_depth
+    depth = np.where(is_measured(frame.sparse_depth), frame.sparse_depth, np.float32(0))
     if lines != "bands":
         return depth, None
     return depth, elevation_bands(depth, None if calibration is None else calibration.intrinsics)
@@ -149,49 +171,39 @@ class RecordingRecipe(LabelledRecipe):
         return open_source(found.kind, found.path, rig, **given, **found.keys)
 
     @dataset_errors()
-    def open(self, folder: Path, classes: ClassTable) -> "Recording":
-        """See `SourceRecipe.open`."""
-        return Recording(folder, self, classes)
+    def open(self, folder: Path, classes: ClassTable) -> RecordedFrames:
+        """Open the frames that have returns or truth, in the order of the recording.
 
-
-class Recording(RecordedFrames):
-    """The frames of a recording that have returns or truth, in the order of the recording.
-
-    Raises:
-        DatasetError: for a recording that cannot be opened or has no such frames.
-    """
-
-    def __init__(self, path: Path, recipe: RecordingRecipe, classes: ClassTable) -> None:
-        source, base = recipe.open_source(path), beside(path)
-        self._labels = LabelReader(recipe, classes)
-        self._scale = recipe.truth_scale
-        below = {"depth": recipe.truth, "semantic": recipe.labels}
-        self._files = {
-            name: list_files(base / folder, (".png",)) for name, folder in below.items() if folder
+        Raises:
+            DatasetError: for a recording that cannot be opened or has no such frames.
+        """
+        source, labels = self.open_source(folder), LabelReader(self, classes)
+        if isinstance(source, FolderSource):
+            source.camera_alone = True
+        readers: dict[str, tuple[str | None, Callable[..., NDArray[Any]]]] = {
+            "depth": (self.truth, partial(read_depth, depth_scale=self.truth_scale)),
+            "semantic": (self.labels, labels.read),
         }
-        with_truth = {name for files in self._files.values() for name in files}
-        chosen = None if recipe.frames is None else set(recipe.frames)
+        truth: dict[str, dict[str, Truth]] = {}
+        for target, (below, read) in readers.items():
+            files = list_files(beside(folder) / below, (".png",)) if below else {}
+            for name, path in files.items():
+                truth.setdefault(name, {})[target] = partial(read, path)
         frames = [
             frame
             for frame in source.list_frames()
             if frame.image is not None
-            and (chosen is None or frame.sequence in chosen)
-            and ((frame.complete and frame.depth is not None) or frame.name in with_truth)
+            and (self.frames is None or frame.sequence in self.frames)
+            and ((frame.complete and frame.depth is not None) or frame.name in truth)
         ]
-        weights = {"semantic": recipe.semantic_weight}
-        named = [
-            (source, frame, f"{path.name}/{frame.name}") for frame in recipe.take(frames, path)
-        ]
-        super().__init__(named, "bands", weights)
-
-    def _read_truth(self, listed: ListedFrame, size: tuple[int, int]) -> Targets:
-        found = {name: files.get(listed.name) for name, files in self._files.items()}
-        targets: Targets = {}
-        if (path := found.get("depth")) is not None:
-            targets["depth"] = read_depth(path, size, depth_scale=self._scale)
-        if (path := found.get("semantic")) is not None:
-            targets["semantic"] = self._labels.read(path, size)
-        return targets
+        return RecordedFrames(
+            [
+                SetFrame(source, each, f"{folder.name}/{each.name}", truth.get(each.name, {}))
+                for each in self.take(frames, folder)
+            ],
+            "bands",
+            semantic_weight=self.semantic_weight,
+        )
 
 
 def beside(path: Path) -> Path:

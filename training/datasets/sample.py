@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from runtime.contract.contract import NO_CLASS
 from runtime.contract.heads import HEADS, ResizeRule
+from runtime.geometry.calibration import Calibration
+from runtime.streams.frame import Frame, Message
 
 IGNORE = NO_CLASS
 
@@ -57,19 +59,20 @@ def labelled(name: str, values: NDArray[Any]) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Sample:
-    """One frame; H and W are the sides of its image.
+    """A frame as its sensors measured it, and what is known to be true of it.
+
+    The frame is the engine's, but its returns are always a depth map in the image, and not a scan:
+    whatever changes the pixels of a sample moves its returns with them. For the same reason the
+    calibration of a changed frame holds intrinsics alone. Samples are arrays; `Batch` makes tensors
+    of them.
 
     Attributes:
-        rgb: uint8 (H, W, 3), RGB.
+        frame: image, returns and calibration; H and W are the sides of its image. The depth is None
+            if the frame has no returns. Its name is that of the set and of the frame.
         targets: ground truth (H, W) by head or auxiliary target, see `target_kind`; "semantic"
             holds class ids, "depth" metres. Targets that the set lacks are missing.
-        intrinsics: float64 (3, 3), pixels; None if unknown.
-        name: name of the set and the frame, for messages.
-        sparse_depth: input of the network, float32 (H, W), metres along the optical axis, 0 = no
-            measurement. A data set fills it with an input that was recorded in addition to the
-            depth, which can be thinned; None: the input is sampled from the depth.
-        scan_line: int16 (H, W), the LiDAR scan line that measured each pixel of `sparse_depth` or,
-            if that is None, of the depth; -1 = none. None if no lines are known.
+        scan_line: int16 (H, W), the LiDAR scan line that measured each return, -1 = none. None if
+            no lines are known.
         weights: weight of each target in the loss, below 1 for labels that a network made; 1 if it
             is not here.
         focal_baseline_px_m: focal length times stereo baseline [px m] if depth was measured as
@@ -77,20 +80,33 @@ class Sample:
         place: which of the set's places the frame shows; None if the set does not know.
     """
 
-    rgb: NDArray[np.uint8]
+    frame: Frame
     targets: Mapping[str, NDArray[Any]]
-    intrinsics: NDArray[np.float64] | None
-    name: str
-    sparse_depth: NDArray[np.float32] | None = None
     scan_line: NDArray[np.int16] | None = None
     weights: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     focal_baseline_px_m: float | None = None
     place: str | None = None
 
+    @property
+    def is_scan(self) -> bool:
+        """Whether some of the returns are the input, and the others are the target.
+
+        It is so for returns of known scan lines without a depth target beside them.
+        """
+        has_lines = self.frame.depth is not None and self.scan_line is not None
+        return has_lines and "depth" not in self.targets
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """The names of the targets, with the depth of a scan."""
+        return ("depth", *self.targets) if self.is_scan else tuple(self.targets)
+
     def target(self, name: str) -> NDArray[Any]:
         """Return the labels of a target, (H, W); if the set lacks them, all are unlabelled."""
         if name in self.targets:
             return self.targets[name]
+        if name == "depth" and self.is_scan:
+            return self.frame.sparse_depth
         kind = target_kind(name)
         return np.full(self.size, kind.unlabelled, dtype=kind.dtype)
 
@@ -98,9 +114,34 @@ class Sample:
         """Return the frame with other labels of some targets."""
         return replace(self, targets={**self.targets, **targets})
 
+    def with_returns(self, returns: NDArray[np.float32] | None) -> "Sample":
+        """Return the frame with other returns, float32 (H, W) [m], 0 = none."""
+        depth = None if returns is None else Message(data=returns)
+        return replace(self, frame=replace(self.frame, depth=depth))
+
+    @property
+    def name(self) -> str:
+        """Name of the set and the frame, for messages."""
+        return self.frame.name
+
+    @property
+    def rgb(self) -> NDArray[np.uint8]:
+        """The image, uint8 (H, W, 3), RGB."""
+        return self.frame.rgb
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width) of the image."""
+        return self.frame.size
+
+    @property
+    def returns(self) -> NDArray[np.float32] | None:
+        """The returns, float32 (H, W), metres along the optical axis, 0 = none; None: no LiDAR."""
+        return None if self.frame.depth is None else self.frame.sparse_depth
+
     @property
     def depth(self) -> NDArray[np.float32]:
-        """The depth from which LiDAR inputs are drawn, float32 (H, W), metres; 0 = unknown."""
+        """The depth target, or the returns of a scan: float32 (H, W), metres; 0 = unknown."""
         return self.target("depth")
 
     @property
@@ -109,14 +150,34 @@ class Sample:
         return self.target("semantic")
 
     @property
-    def size(self) -> tuple[int, int]:
-        """(height, width) of the image."""
-        return self.rgb.shape[0], self.rgb.shape[1]
+    def intrinsics(self) -> NDArray[np.float64] | None:
+        """The camera's intrinsics, float64 (3, 3), pixels; None if unknown."""
+        return None if self.frame.calibration is None else self.frame.calibration.intrinsics
 
     @property
     def focal_length_px(self) -> float | None:
         """Focal length fx [px]; None if the intrinsics are unknown."""
-        return None if self.intrinsics is None else float(self.intrinsics[0, 0])
+        return None if self.frame.calibration is None else self.frame.calibration.focal_length_px
+
+
+def make_frame(
+    rgb: NDArray[np.uint8],
+    name: str,
+    *,
+    returns: NDArray[np.float32] | None = None,
+    intrinsics: NDArray[np.float64] | None = None,
+) -> Frame:
+    """Return the frame of an image with its returns as a depth map, see `Sample`.
+
+    Args:
+        rgb: uint8 (H, W, 3), RGB.
+        name: name of the set and the frame.
+        returns: float32 (H, W), metres along the optical axis, 0 = none; None: no LiDAR.
+        intrinsics: float64 (3, 3), pixels; None if unknown.
+    """
+    depth = None if returns is None else Message(data=returns)
+    calibration = None if intrinsics is None else Calibration(intrinsics, np.eye(4))
+    return Frame(Message(data=rgb), depth, calibration=calibration, name=name)
 
 
 class SampleSource(Protocol):

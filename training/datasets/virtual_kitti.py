@@ -27,7 +27,7 @@ from training.datasets.files import (
     require_folder,
     require_size,
 )
-from training.datasets.sample import FrameList, Sample
+from training.datasets.sample import FrameList, Sample, make_frame
 from training.datasets.source_recipe import Names, SourceRecipe
 from training.datasets.virtual_kitti_split import Selection, Split
 from training.lidar.scan import project_lines
@@ -133,22 +133,14 @@ class VirtualKitti(FrameList):
         rgb = read_rgb(frame.rgb)
         size = (rgb.shape[0], rgb.shape[1])
         depth = read_depth(frame.depth, size, depth_scale=_UNITS_A_METRE)
-        sparse_depth = scan_line = None
+        returns = scan_line = None
         if frame.scan is not None:
             path, to_camera = frame.scan
             points = read_points(path)
-            sparse_depth, scan_line = project_lines(points, frame.intrinsics, to_camera, size)
-        return Sample(
-            rgb=rgb,
-            targets={
-                "depth": depth,
-                "semantic": _read_classes(frame.labels, self._colors[frame.colors], size),
-            },
-            sparse_depth=sparse_depth,
-            scan_line=scan_line,
-            intrinsics=frame.intrinsics,
-            name=frame.name,
-        )
+            returns, scan_line = project_lines(points, frame.intrinsics, to_camera, size)
+        labels = _read_classes(frame.labels, self._colors[frame.colors], size)
+        measured = make_frame(rgb, frame.name, returns=returns, intrinsics=frame.intrinsics)
+        return Sample(measured, {"depth": depth, "semantic": labels}, scan_line)
 
 
 @dataset_errors()

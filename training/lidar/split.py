@@ -256,21 +256,22 @@ def split_lidar(
         The split, or None if the frame cannot give this input.
     """
     lines = lidar.lines if lidar.kind == "lines" else None
-    if sample.sparse_depth is not None:
-        if lines is not None and sample.scan_line is None:
+    returns, scan_line = sample.returns, sample.scan_line
+    if returns is not None and not sample.is_scan:
+        if lines is not None and scan_line is None:
             return None
-        fed = _thin(sample.sparse_depth, sample.scan_line, lidar, rng, first_line)
+        fed = _thin(returns, scan_line, lidar, rng, first_line)
         return LidarSplit(sample, fed, sample.depth)
-    if sample.scan_line is not None:
+    if returns is not None and scan_line is not None:
         half = SENSOR_LINES // 2
         if lines is not None and lines > half:
             return None
-        to_feed = sample.depth
+        to_feed = returns
         if same_target or lidar.kind == "own":
-            to_feed = masked(sample.depth, is_kept(sample.scan_line + first_line, half))
-        fed = _thin(to_feed, sample.scan_line, lidar, rng, first_line)
-        target = masked(sample.depth, (to_feed if same_target else fed) == 0)
-        return LidarSplit(sample, fed, OcclusionFilter().apply(target, sample.depth))
+            to_feed = masked(returns, is_kept(scan_line + first_line, half))
+        fed = _thin(to_feed, scan_line, lidar, rng, first_line)
+        target = masked(returns, (to_feed if same_target else fed) == 0)
+        return LidarSplit(sample, fed, OcclusionFilter().apply(target, returns))
     if lidar.kind in ("own", "lines") and sample.depth.any():
         if sample.intrinsics is None:
             return None

@@ -6,6 +6,7 @@ from dataclasses import replace
 from numpy.random import Generator
 
 from runtime.contract.contract import MAX_RETURN_M
+from runtime.streams.frame import Message
 from training.datasets.sample import Sample, nothing_known
 from training.lidar.faults import add_false_returns
 from training.loading.augment_config import AugmentConfig
@@ -46,7 +47,8 @@ def augment(
     sample = draw_lidar(sample, config, rng)
     if canonical_focal_px is not None:
         sample = canonical_depth(sample, canonical_focal_px, max_depth_m)
-    return replace(sample, rgb=change_colors(sample.rgb, config, rng))
+    image = Message(data=change_colors(sample.rgb, config, rng))
+    return replace(sample, frame=replace(sample.frame, image=image))
 
 
 def with_margin(config: AugmentConfig) -> AugmentConfig:
@@ -67,11 +69,11 @@ def take_views(
     """
     top, left = (step * int(count) for count in rng.integers(0, config.pair_shift // step + 1, 2))
     draw = rng.random()
-    fed = sample.sparse_depth
+    fed = sample.returns
     if draw < config.pair_lidar_missing:
         fed = nothing_known(sample.size)
     elif draw < config.pair_lidar_missing + config.pair_lidar_false:
         assert fed is not None
         fed = add_false_returns(fed, rng)
-    second = cut(replace(sample, sparse_depth=fed), top, left, config.size)
+    second = cut(sample.with_returns(fed), top, left, config.size)
     return cut(sample, 0, 0, config.size), second, (top, left)

@@ -1,7 +1,6 @@
 """Changes of a sample's depth: its unit, the size of the world, and the sky."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -29,7 +28,7 @@ def scale_world(
     beyond `max_depth_m`, in the unit of the samples, are clipped to it.
     """
     low, high = config.world_scale
-    fed = (view.sparse_depth for view in views)
+    fed = (view.returns for view in views)
     if low == high == 1 or not all(depth is not None and depth.any() for depth in fed):
         return tuple(views)
     factor = float(np.exp(rng.uniform(*np.log((low, high)))))
@@ -48,9 +47,8 @@ def canonical_depth(sample: Sample, focal_px: float, max_depth_m: float) -> Samp
     if focal is None:
         return sample
     factor = focal_px / focal
-    if (fed := sample.sparse_depth) is not None:  # `farthest_return` is in metres
-        fed = masked(fed, fed <= farthest_return(max_depth_m / factor))
-        sample = replace(sample, sparse_depth=fed)
+    if (fed := sample.returns) is not None:  # `farthest_return` is in metres
+        sample = sample.with_returns(masked(fed, fed <= farthest_return(max_depth_m / factor)))
     return scale_depth(sample, factor, max_depth_m)
 
 
@@ -58,10 +56,10 @@ def scale_depth(sample: Sample, factor: float, farthest: float = np.inf) -> Samp
     """Multiply all depth by a factor; returns then beyond `farthest` are set to it."""
     if "depth" in sample.targets:
         sample = sample.with_targets(depth=sample.depth * np.float32(factor))
-    if sample.sparse_depth is None:
+    if sample.returns is None:
         return sample
-    fed = np.minimum(sample.sparse_depth * np.float32(factor), np.float32(farthest))
-    return replace(sample, sparse_depth=fed)
+    fed = np.minimum(sample.returns * np.float32(factor), np.float32(farthest))
+    return sample.with_returns(fed)
 
 
 def far_sky(sample: Sample, sky: int, depth_m: float) -> Sample:
@@ -75,8 +73,8 @@ def far_sky(sample: Sample, sky: int, depth_m: float) -> Sample:
     if not sample.depth.any():
         return sample
     unmeasured = sample.depth == 0
-    if sample.sparse_depth is not None:
-        unmeasured &= sample.sparse_depth == 0
+    if sample.returns is not None:
+        unmeasured &= sample.returns == 0
     margin = SKY_MARGIN_PX if sample.weights.get("semantic", 1) == 1 else PSEUDO_SKY_MARGIN_PX
     window = np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)
     inner = cv2.erode((sample.semantic == sky).astype(np.uint8), window) > 0
@@ -86,6 +84,5 @@ def far_sky(sample: Sample, sky: int, depth_m: float) -> Sample:
 
 def has_dense_depth(sample: Sample) -> bool:
     """Whether the depth is known for most surfaces, as rendered depth is, and not a scan."""
-    is_scan = sample.scan_line is not None and sample.sparse_depth is None
     known = int(np.count_nonzero(sample.depth))
-    return not is_scan and known > _DENSE_SHARE * sample.depth.size
+    return not sample.is_scan and known > _DENSE_SHARE * sample.depth.size

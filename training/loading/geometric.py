@@ -16,7 +16,7 @@ from runtime.contract.resize import (
     resize_image,
     resize_nearest,
 )
-from training.datasets.sample import Sample, target_kind
+from training.datasets.sample import Sample, make_frame, target_kind
 from training.loading.augment_config import AugmentConfig
 from training.loading.depth_values import has_dense_depth, scale_depth
 
@@ -62,14 +62,17 @@ def _change_maps(
 
     return replace(
         sample,
-        rgb=change(sample.rgb, _FILL_RGB),
-        sparse_depth=change_known(sample.sparse_depth, 0),
+        frame=make_frame(
+            change(sample.rgb, _FILL_RGB),
+            sample.name,
+            returns=change_known(sample.returns, 0),
+            intrinsics=intrinsics,
+        ),
         scan_line=change_known(sample.scan_line, -1),
         targets={
             name: change(labels, target_kind(name).unlabelled)
             for name, labels in sample.targets.items()
         },
-        intrinsics=intrinsics,
     )
 
 
@@ -101,33 +104,23 @@ def resize(sample: Sample, size: tuple[int, int], *, is_dense: bool | None = Non
         intrinsics = np.array(
             [[intrinsics[0, 0] * fx, 0, cx], [0, intrinsics[1, 1] * fy, cy], [0, 0, 1]]
         )
-    sparse_depth, scan_line = sample.sparse_depth, sample.scan_line
-    if sparse_depth is not None:
+    returns, scan_line = sample.returns, sample.scan_line
+    rules = {name: RESIZE[target_kind(name).resize] for name in sample.targets}
+    if "depth" in rules:
         if is_dense is None:
             is_dense = has_dense_depth(sample)
-        depth = (resize_nearest if is_dense else move_returns)(sample.depth, size)
-        if scan_line is None:
-            sparse_depth = move_returns(sparse_depth, size)
-        else:
-            sparse_depth, scan_line = move_scan_lines(sparse_depth, scan_line, size)
-    elif scan_line is not None:
-        depth, scan_line = move_scan_lines(sample.depth, scan_line, size)
-    else:
-        depth = resize_nearest(sample.depth, size)
-    targets = {
-        name: RESIZE[target_kind(name).resize](labels, size)
-        for name, labels in sample.targets.items()
-        if name != "depth"
-    }
-    if "depth" in sample.targets:
-        targets["depth"] = depth
+        rules["depth"] = move_returns if returns is not None and not is_dense else resize_nearest
+    if returns is not None and scan_line is not None:
+        returns, scan_line = move_scan_lines(returns, scan_line, size)
+    elif returns is not None:
+        returns = move_returns(returns, size)
     return replace(
         sample,
-        rgb=resize_image(sample.rgb, size),
-        sparse_depth=sparse_depth,
-        targets=targets,
+        frame=make_frame(
+            resize_image(sample.rgb, size), sample.name, returns=returns, intrinsics=intrinsics
+        ),
+        targets={name: rules[name](labels, size) for name, labels in sample.targets.items()},
         scan_line=scan_line,
-        intrinsics=intrinsics,
     )
 
 

@@ -25,11 +25,11 @@ def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
     lidar = _choose_lidar(sample, config, rng)
     first_line = int(rng.integers(SENSOR_LINES))
     if lidar.lines > SENSOR_LINES:  # more than any recorded scan has: simulated
-        sample = replace(sample, sparse_depth=None, scan_line=None)
+        sample = replace(sample.with_returns(None), scan_line=None)
     split = split_lidar(sample, lidar, rng, same_target=False, first_line=first_line)
     assert split is not None  # `_choose_lidar` takes what the sample has
     fed = _disturb(split.fed, sample, config, rng)
-    return replace(sample, sparse_depth=fed).with_targets(depth=split.target)
+    return sample.with_returns(fed).with_targets(depth=split.target)
 
 
 def _disturb(
@@ -54,7 +54,7 @@ def _choose_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Lida
     lines = int(rng.choice(config.lines))
     if lines > SENSOR_LINES and (sample.intrinsics is None or not has_dense_depth(sample)):
         lines = SENSOR_LINES
-    is_recorded = sample.sparse_depth is not None or sample.scan_line is not None
+    is_recorded = sample.returns is not None
     if missing:
         return LidarInput("none")
     if random or not (is_recorded or sample.intrinsics is not None):
@@ -63,7 +63,7 @@ def _choose_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Lida
         return LidarInput("random", share=share)
     if is_recorded and sample.scan_line is None and lines <= SENSOR_LINES:
         return LidarInput("own")
-    if sample.sparse_depth is None and sample.scan_line is not None:
+    if sample.is_scan:
         # All lines of the sensor would leave no target: at least every second is withheld.
         lines = min(lines, SENSOR_LINES // 2)
     return LidarInput("lines", lines=lines)

@@ -45,7 +45,7 @@ class CachedSource:
 
 
 def _bytes_of(sample: Sample) -> int:
-    arrays = (sample.rgb, sample.sparse_depth, sample.scan_line, *sample.targets.values())
+    arrays = (sample.rgb, sample.returns, sample.scan_line, *sample.targets.values())
     return sum({id(array): array.nbytes for array in arrays if array is not None}.values())
 
 
@@ -106,7 +106,7 @@ class Batch:
         samples = [
             view for part in zip(*(item.views for item in drawn), strict=True) for view in part
         ]
-        sparse_depth = torch.from_numpy(np.stack([view.sparse_depth for view in samples])[:, None])
+        sparse_depth = torch.from_numpy(np.stack([view.returns for view in samples])[:, None])
         pair = None
         if len(samples) > len(drawn):
             pair = Pair(torch.tensor([item.offset for item in drawn]), *sparse_depth.chunk(2))

@@ -49,8 +49,8 @@ class CheckedSource:
 
     def __getitem__(self, index: int) -> Sample:
         sample = self._source[index]
-        for target, values in sample.targets.items():
-            kind = target_kind(target)
+        for target in sample.known:
+            values, kind = sample.target(target), target_kind(target)
             if values.dtype != kind.dtype or values.shape != sample.size:
                 raise DatasetError(
                     f"{sample.name}: the reader {type(self._source).__name__} returned {target} = "
@@ -219,7 +219,7 @@ def survey(
             seen = np.bincount(sample.semantic.ravel(), minlength=256)[: len(class_names)]
             weight = sample.weights.get("semantic", 1.0) * wanted / len(frames)
             counts += seen * weight / sample.semantic.size
-            learned = {name: _count_learned(sample, name, config) for name in sample.targets}
+            learned = {name: _count_learned(sample, name, config) for name in sample.known}
             targets |= {name for name, count in learned.items() if count}
             empty.update(name for name, count in learned.items() if not count)
             near += learned.get("depth", 0)
@@ -248,7 +248,7 @@ def _count_learned(sample: Sample, target: str, config: NetworkConfig) -> int:
     """Return the number of a frame's labels of a target that count in the loss."""
     if not sample.weights.get(target, 1.0) > 0:
         return 0
-    known = labelled(target, sample.targets[target])
+    known = labelled(target, sample.target(target))
     if target == "depth":
         known &= sample.depth <= _farthest_m(sample, config)
     return int(known.sum())

@@ -25,7 +25,7 @@ def test_camvid_gives_rgb_and_ignores_unlabelled(tmp_path):
     assert (first.semantic[1:] == 255).all()
     assert (second.semantic[1:] == 3).all()
     assert not first.depth.any()
-    assert first.sparse_depth is None
+    assert first.returns is None
 
 
 @pytest.mark.skipif("SSDNET_DATA" not in os.environ, reason="names no folder of recordings")

@@ -46,7 +46,7 @@ def test_depth_is_focal_length_times_baseline_over_disparity(cityscapes):
     assert sample.depth[:5, 7] == pytest.approx(expected, rel=1e-6)
     assert sample.depth[5, 7] == pytest.approx(focal_baseline * 256 / 65534, rel=1e-6)
     assert (sample.depth == sample.depth[:, :1]).all()
-    assert sample.sparse_depth is None
+    assert sample.returns is None
     assert sample.focal_baseline_px_m == pytest.approx(focal_baseline)
     assert sample.intrinsics.tolist() == [
         [2262.52, 0, 1096.98],
@@ -59,7 +59,7 @@ def test_without_stereo_there_are_classes_alone(tmp_path):
     write_frame(tmp_path)
     sample = Cityscapes(tmp_path, "cityscapes")[0]
     assert not sample.depth.any()
-    assert sample.sparse_depth is None
+    assert sample.returns is None
     assert sample.intrinsics is None
     assert sample.focal_baseline_px_m is None
     assert (sample.semantic[:, 7] == 0).all()

@@ -57,7 +57,7 @@ def test_everything_is_paired_by_stem(mine):
     assert first.depth.dtype == np.float32
     assert (first.depth[:10] == 0).all()
     assert (first.depth[10:] == 2.5).all()
-    assert (first.sparse_depth[10:] == 1.25).all()
+    assert (first.returns[10:] == 1.25).all()
     assert (first.semantic[:4] == 255).all()
     assert (first.semantic[4:] == (np.arange(64) >= 30)).all()
     assert first.intrinsics.tolist() == [[50, 0, 32], [0, 51, 16], [0, 0, 1]]
@@ -70,7 +70,7 @@ def test_everything_is_paired_by_stem(mine):
 
 def test_the_depth_may_be_a_scan(mine):
     sample = opened(mine, depth="depth", depth_scale=1000, scan=True)[0]
-    assert sample.sparse_depth is None
+    assert sample.is_scan
     np.testing.assert_array_equal(sample.scan_line >= 0, sample.depth > 0)
     assert np.unique(sample.scan_line).size > 10
 
@@ -82,7 +82,7 @@ def test_the_case_of_a_suffix_does_not_matter(mine, suffix, capsys):
             path.rename(path.with_suffix(suffix))
     sample = opened(mine, depth="depth", sparse_depth="scans", labels="labels")[0]
     assert sample.targets.keys() == {"depth", "semantic"}
-    assert sample.sparse_depth.any()
+    assert sample.returns.any()
     assert capsys.readouterr().err == ""
 
 
@@ -218,9 +218,9 @@ def test_frames_without_a_target_may_be_skipped(mine, capsys):
     assert said == ["depth", "scans", "labels"]
     first, second = source[0], source[1]
     assert first.targets.keys() == {"depth", "semantic"}
-    assert first.sparse_depth.any()
+    assert first.returns.any()
     assert not second.targets
-    assert not second.sparse_depth.any()
+    assert not second.returns.any()
     (mine / "labels" / "a.png").unlink()
     with pytest.raises(DatasetError, match="2 of 2"):
         opened(mine, missing="skip-target", **keys)

@@ -13,9 +13,9 @@ KittiDepth = partial(open_set, "kitti-depth")
 
 
 def assert_depth_is_of_both_maps(sample):
-    assert sample.sparse_depth.dtype == sample.depth.dtype == np.float32
-    assert np.count_nonzero(sample.sparse_depth) == 1
-    assert sample.sparse_depth[2, 3] == 10.25
+    assert sample.returns.dtype == sample.depth.dtype == np.float32
+    assert np.count_nonzero(sample.returns) == 1
+    assert sample.returns[2, 3] == 10.25
     assert np.count_nonzero(sample.depth) == 2
     assert sample.depth[2, 3] == 1 / 256
     assert sample.depth[4, 7] == 65534 / 256

@@ -36,7 +36,7 @@ def test_returns_fall_where_the_calibration_puts_them_and_the_nearest_wins(raw):
         (30, 5): 0,
         (20, 9): 1,
     }
-    assert sample.sparse_depth is None
+    assert sample.is_scan
     assert (sample.rgb == (200, 20, 42)).all()
     assert (sample.semantic == 255).all()
     assert sample.intrinsics.tolist() == [[10, 0, 24], [0, 10, 12], [0, 0, 1]]

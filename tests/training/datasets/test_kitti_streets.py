@@ -28,14 +28,14 @@ def test_the_scan_is_the_input_and_the_disparity_the_target(streets):
     assert sample.name == "kitti_streets/000002"
     assert sample.rgb.shape == (HEIGHT, WIDTH, 3)
     assert np.abs(sample.rgb.astype(int) - (200, 20, 40)).max() <= 4  # JPEG
-    assert sample.depth.dtype == sample.sparse_depth.dtype == np.float32
+    assert sample.depth.dtype == sample.returns.dtype == np.float32
     assert (sample.depth[:, :8] == 10.0).all()  # 40 px m / 4 px
     assert not sample.depth[:, 8:].any()
-    assert {
-        (int(u), int(v)): sample.scan_line[v, u] for v, u in np.argwhere(sample.sparse_depth)
-    } == {(u, v): line for line, v in enumerate((1, 3, 5, 7)) for u in (2, 6, 12)}
-    assert sample.sparse_depth[1, 12] == pytest.approx(10.0)
-    assert ((sample.scan_line >= 0) == (sample.sparse_depth > 0)).all()
+    assert {(int(u), int(v)): sample.scan_line[v, u] for v, u in np.argwhere(sample.returns)} == {
+        (u, v): line for line, v in enumerate((1, 3, 5, 7)) for u in (2, 6, 12)
+    }
+    assert sample.returns[1, 12] == pytest.approx(10.0)
+    assert ((sample.scan_line >= 0) == (sample.returns > 0)).all()
     assert sample.intrinsics.tolist() == [[10, 0, 8], [0, 10, 4], [0, 0, 1]]
     assert sample.focal_baseline_px_m == 40
     assert (sample.semantic == 255).all()
@@ -43,8 +43,8 @@ def test_the_scan_is_the_input_and_the_disparity_the_target(streets):
 
 def test_the_returns_of_the_frame_may_be_the_target_instead(streets):
     accumulated, scan = KittiStreets(streets)[0], KittiStreets(streets, truth="scan")[0]
-    assert scan.sparse_depth is None
-    np.testing.assert_array_equal(scan.depth, accumulated.sparse_depth)
+    assert scan.is_scan
+    np.testing.assert_array_equal(scan.depth, accumulated.returns)
     np.testing.assert_array_equal(scan.scan_line, accumulated.scan_line)
 
 
@@ -93,8 +93,8 @@ def test_recorded_streets_agree_with_their_truth():
         sample = validation[index]
         assert sample.size == (375, 1242)
         assert sample.scan_line.max() == 45  # of the 64 lines, those in the camera's view
-        assert 0.03 < np.mean(sample.sparse_depth > 0) < 0.05
+        assert 0.03 < np.mean(sample.returns > 0) < 0.05
         assert 0.1 < np.mean(sample.depth > 0) < 0.3
-        both = (sample.sparse_depth > 0) & (sample.depth > 0)
-        error = np.abs(sample.sparse_depth[both] / sample.depth[both] - 1)
+        both = (sample.returns > 0) & (sample.depth > 0)
+        error = np.abs(sample.returns[both] / sample.depth[both] - 1)
         assert np.median(error) < 0.01

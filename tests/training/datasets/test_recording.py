@@ -42,17 +42,17 @@ def test_returns_are_the_target_or_the_input_of_denser_truth(root):
     frames = [alone[index] for index in range(len(alone))]
     assert [frame.name for frame in frames] == [f"drive/{number}" for number in range(4)]
     assert [frame.depth[20, 5 + number] for number, frame in enumerate(frames)] == [1, 2, 3, 4]
-    assert [frame.sparse_depth for frame in frames] == [None] * 4
+    assert [frame.is_scan for frame in frames] == [True] * 4
     assert all((frame.scan_line >= 0).sum() == 1 for frame in frames)
     assert {frame.focal_length_px for frame in frames} == {30.0}
 
     beside = open_drive(root, truth="dense", labels="ids", frames=(1, 2, 3), semantic_weight=0.5)
     dense, labelled, plain = beside[0], beside[1], beside[2]
     assert np.unique(dense.depth).tolist() == [9.0]
-    assert dense.sparse_depth[20, 6] == 2.0
+    assert dense.returns[20, 6] == 2.0
     assert (dense.semantic == 1).all()
     assert np.count_nonzero(labelled.depth) == 1
-    assert labelled.sparse_depth is None
+    assert labelled.is_scan
     assert "semantic" not in plain.targets
     assert plain.weights["semantic"] == 0.5
 

@@ -39,7 +39,7 @@ def test_a_frame_is_read_as_it_was_rendered(scene):
     np.testing.assert_array_equal(frame.depth > 0, written.depth > 0)
     np.testing.assert_allclose(frame.depth, written.depth, atol=0.00501)  # whole centimetres
     np.testing.assert_allclose(frame.intrinsics, written.intrinsics, rtol=1e-5)
-    assert written.sparse_depth is None
+    assert written.returns is None
     _, jpeg = cv2.imencode(".jpg", frame.rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 92])
     np.testing.assert_array_equal(cv2.imdecode(jpeg, cv2.IMREAD_COLOR_RGB), written.rgb)
     assert len(np.unique(written.semantic)) > 3
@@ -52,9 +52,9 @@ def test_the_scans_that_were_rendered_are_the_input(scene):
     expected = project_points(
         frame.scan.points, frame.intrinsics, frame.scan.to_camera, sample.size
     )
-    np.testing.assert_allclose(sample.sparse_depth, expected, atol=1e-3)
+    np.testing.assert_allclose(sample.returns, expected, atol=1e-3)
     assert np.count_nonzero(expected) > 300
-    assert ((sample.scan_line >= 0) == (sample.sparse_depth > 0)).all()
+    assert ((sample.scan_line >= 0) == (sample.returns > 0)).all()
     np.testing.assert_array_equal(sample.depth, open_set("rendered", folder)[0].depth)
     (folder / "Scene03/fog/frames/lidar/Camera_0/lidar_00000.bin").unlink()
     with pytest.raises(DatasetError, match=r"lidar_00000\.bin"):

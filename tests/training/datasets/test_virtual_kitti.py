@@ -46,7 +46,7 @@ def test_a_frame_is_metres_without_the_sky(tmp_path, edition):
     assert not sample.depth[0].any()
     assert sample.depth[1] == pytest.approx(655.34)
     assert sample.depth[2:] == pytest.approx(12.35)
-    assert sample.sparse_depth is None
+    assert sample.returns is None
     assert sample.intrinsics.tolist() == intrinsics
 
 

@@ -9,7 +9,7 @@ import torch
 from models import NetworkOutput, SSDNetLiteConfig, create_model
 from runtime.base.errors import InputError, SSDNetError
 from runtime.contract.heads import HEADS
-from training.datasets.sample import AUXILIARY, Sample
+from training.datasets.sample import AUXILIARY, Sample, make_frame
 from training.evaluation.pictures import draw_pictures
 from training.evaluation.scoring import HeadMaps, score, split_frames, torch_predict
 from training.lidar.split import LidarInput
@@ -27,7 +27,9 @@ def sample(**changes):
     rgb = np.zeros((60, 120, 3), np.uint8)
     targets = {"depth": depth, "semantic": semantic}
     targets |= {name: changes.pop(name) for name in [*changes] if name in (*HEADS, *AUXILIARY)}
-    return replace(Sample(rgb, targets, K, "wall"), **changes)
+    keys = {key: changes.pop(key) for key in ("intrinsics", "returns") if key in changes}
+    frame = make_frame(rgb, "wall", **{"intrinsics": K, **keys})
+    return replace(Sample(frame, targets), **changes)
 
 
 def recorded():
@@ -35,7 +37,7 @@ def recorded():
     measured = (rows % 2 == 0) & (rows >= 10)
     depth = np.where(measured, 10 + rows / 10, 0).astype(np.float32)
     line = np.where(measured, rows // 2, -1).astype(np.int16)
-    return sample(depth=depth, scan_line=line)
+    return replace(sample(returns=depth, scan_line=line), targets={"semantic": sample().semantic})
 
 
 def split_lidar(sample, lidar="own", index=0):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from runtime.base.errors import InputError
-from training.datasets.sample import Sample
+from training.datasets.sample import Sample, make_frame
 from training.lidar.split import LidarInput, OcclusionFilter, split_lidar
 
 SIZE = (48, 160)
@@ -22,12 +22,8 @@ def rng():
 def dense():
     depth = np.full(SIZE, 20.0, np.float32)
     depth[:5] = 0
-    return Sample(
-        rgb=np.zeros((*SIZE, 3), np.uint8),
-        targets={"depth": depth, "semantic": np.zeros(SIZE, np.uint8)},
-        intrinsics=K,
-        name="dense",
-    )
+    frame = make_frame(np.zeros((*SIZE, 3), np.uint8), "dense", intrinsics=K)
+    return Sample(frame, {"depth": depth, "semantic": np.zeros(SIZE, np.uint8)})
 
 
 @pytest.fixture
@@ -35,7 +31,7 @@ def scanned(dense):
     """A recorded scan: row r is line r, nothing hidden."""
     lines = np.repeat(np.arange(SIZE[0], dtype=np.int16)[:, None], SIZE[1], axis=1)
     depth = np.full(SIZE, 20.0, np.float32)
-    return replace(dense, scan_line=lines).with_targets(depth=depth)
+    return replace(dense.with_returns(depth), targets={}, scan_line=lines)
 
 
 @pytest.mark.parametrize("text", ["own", "none", "64", "32", "16", "4", "1", "random:0.05"])
@@ -88,7 +84,7 @@ def test_a_recorded_scan_keeps_its_odd_lines_for_scoring(scanned, rng):
 
 def test_a_recorded_input_is_fed_as_it_is_or_thinned(dense, rng):
     recorded = np.where(np.indices(SIZE).sum(axis=0) % 3 == 0, np.float32(7), np.float32(0))
-    sample = replace(dense, sparse_depth=recorded)
+    sample = dense.with_returns(recorded)
     own = split(sample, "own", rng)
     assert (own.fed == recorded).all()
     assert own.target is sample.depth
@@ -103,7 +99,7 @@ def test_a_recorded_input_is_fed_as_it_is_or_thinned(dense, rng):
 def test_lines_of_a_recorded_input_can_be_chosen_where_they_are_known(dense, scanned, rng):
     """The target beside it stays whole, all 64 lines too may be fed."""
     seen = scanned.depth + 1
-    sample = replace(dense, sparse_depth=seen, scan_line=scanned.scan_line)
+    sample = replace(dense.with_returns(seen), scan_line=scanned.scan_line)
     for text, step in (("own", 1), ("64", 1), ("32", 2), ("16", 4)):
         frame = split(sample, text, rng)
         rows = np.arange(SIZE[0]) % step == 0
@@ -132,14 +128,14 @@ def test_nothing_that_is_fed_of_a_recorded_scan_is_a_target(scanned, rng, text, 
 def test_returns_hidden_behind_nearer_ones_are_no_target(scanned, rng):
     depth = scanned.depth.copy()
     depth[20, 80] = 5.0
-    frame = split(scanned.with_targets(depth=depth), "own", rng)
+    frame = split(scanned.with_returns(depth), "own", rng)
     assert not frame.target[19, 76:85].any()
     assert not frame.target[27, 76:85].any()
     assert frame.target[29, 80] == frame.target[19, 85] == 20
 
 
 def test_simulated_lines_need_intrinsics_and_a_random_share_none(dense, rng):
-    blind = replace(dense, intrinsics=None)
+    blind = replace(dense, frame=replace(dense.frame, calibration=None))
     assert split(blind, "own", rng) is split(blind, "16", rng) is None
     assert split(blind, "random:0.1", rng).fed.any()
 

@@ -9,7 +9,7 @@ import pytest
 from runtime.base.errors import InputError
 from runtime.contract.resize import move_returns, resize_image, resize_nearest
 from runtime.engine.preprocess import clean_sparse_depth
-from training.datasets.sample import IGNORE, Sample
+from training.datasets.sample import IGNORE, Sample, make_frame
 from training.loading.augment import augment
 from training.loading.augment_config import AugmentConfig, with_crop
 from training.loading.colors import change_colors
@@ -31,7 +31,13 @@ def plane(height=48, width=64):
     depth = (5 + 0.25 * u + 0.1 * v).astype(np.float32)
     semantic = (u // 8 % 8).astype(np.uint8)
     rgb = np.stack([semantic * 30, v * 4, depth * 8], axis=-1).astype(np.uint8)
-    return Sample(rgb, {"depth": depth, "semantic": semantic}, K.copy(), "plane")
+    frame = make_frame(rgb, "plane", intrinsics=K.copy())
+    return Sample(frame, {"depth": depth, "semantic": semantic})
+
+
+def with_intrinsics(sample, intrinsics):
+    frame = make_frame(sample.rgb, sample.name, returns=sample.returns, intrinsics=intrinsics)
+    return replace(sample, frame=frame)
 
 
 def recorded(height=48, width=64):
@@ -41,7 +47,8 @@ def recorded(height=48, width=64):
     measured = rows % 3 == 0
     depth = np.where(measured, sample.depth, 0).astype(np.float32)
     line = np.where(measured, rows // 3, -1).astype(np.int16)
-    return replace(sample, scan_line=line).with_targets(depth=depth)
+    scan = replace(sample.with_returns(depth), scan_line=line)
+    return replace(scan, targets={"semantic": sample.semantic})
 
 
 def recorded_beside_its_target(height=48, width=64):
@@ -50,7 +57,7 @@ def recorded_beside_its_target(height=48, width=64):
     v, u = np.mgrid[:height, :width]
     depth = np.where((u + v) % 4 == 0, sample.depth, 0).astype(np.float32)
     seen = np.where((u % 4 == 1) & (v % 3 == 0), sample.depth + 0.5, 0).astype(np.float32)
-    return replace(sample, sparse_depth=seen).with_targets(depth=depth)
+    return sample.with_returns(seen).with_targets(depth=depth)
 
 
 def test_flip_twice_is_the_same_and_once_moves_everything():
@@ -89,7 +96,7 @@ def test_window_beyond_the_image_is_unknown():
 def test_few_returns_are_drawn_as_often_as_many():
     config = AugmentConfig(lidar_missing=0, lidar_random=1, random_share=(0.002, 0.08))
     rng = np.random.default_rng(0)
-    shares = [np.mean(draw_lidar(plane(), config, rng).sparse_depth > 0) for _ in range(200)]
+    shares = [np.mean(draw_lidar(plane(), config, rng).returns > 0) for _ in range(200)]
     assert min(shares) < 0.003
     assert np.median(shares) == pytest.approx((0.002 * 0.08) ** 0.5, rel=0.3)
 
@@ -98,7 +105,7 @@ def test_input_and_target_recorded_apart_stay_apart_when_enlarged():
     sample = recorded_beside_its_target()
     large = resize(sample, (144, 192))
     # Every return is at the middle of the three times three pixels it was, and nowhere else.
-    for name in ("sparse_depth", "depth"):
+    for name in ("returns", "depth"):
         expected = np.zeros((144, 192), np.float32)
         expected[1::3, 1::3] = getattr(sample, name)
         np.testing.assert_array_equal(getattr(large, name), expected)
@@ -111,7 +118,7 @@ def test_all_lines_of_a_recorded_scan_are_never_fed(seed):
     sample = recorded()
     config = AugmentConfig(lidar_missing=0, lidar_random=0, lines=(64,))
     out = draw_lidar(sample, config, np.random.default_rng(seed))
-    assert np.count_nonzero(out.sparse_depth) == np.count_nonzero(sample.depth) / 2
+    assert np.count_nonzero(out.returns) == np.count_nonzero(sample.depth) / 2
     # The others, less what hides behind nearer ones.
     assert np.count_nonzero(out.depth) > 0.4 * np.count_nonzero(sample.depth)
 
@@ -120,15 +127,15 @@ def test_lines_of_a_recorded_input_are_chosen_and_survive_every_change():
     """The plane's truth, and a scan of it whose lines are known, 0.5 m too far."""
     scan = recorded()
     seen = np.where(scan.depth > 0, scan.depth + 0.5, 0).astype(np.float32)
-    sample = replace(plane(), sparse_depth=seen, scan_line=scan.scan_line)
+    sample = replace(plane().with_returns(seen), scan_line=scan.scan_line)
     moved = flip(resize(cut(sample, 2, 0, (40, 64)), (80, 128)))
-    assert ((moved.scan_line >= 0) == (moved.sparse_depth > 0)).all()
+    assert ((moved.scan_line >= 0) == (moved.returns > 0)).all()
     config = AugmentConfig(lidar_missing=0, lidar_random=0, lines=(64, 16))
     kept = set()
     for seed in range(8):
         out = draw_lidar(moved, config, np.random.default_rng(seed))
-        lines = set(moved.scan_line[out.sparse_depth > 0])
-        every = set(moved.scan_line[moved.sparse_depth > 0])
+        lines = set(moved.scan_line[out.returns > 0])
+        every = set(moved.scan_line[moved.returns > 0])
         residues = {line % 4 for line in lines}
         assert lines == {line for line in every if line % 4 in residues}
         assert len(residues) in (1, 4)
@@ -141,7 +148,8 @@ def test_lines_of_a_recorded_input_are_chosen_and_survive_every_change():
 def test_training_resizes_as_the_engine_does(size):
     """Pictures by area where they shrink, returns one by one with their scan lines."""
     noise = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
-    measured = replace(recorded(), rgb=noise)
+    scan = recorded()
+    measured = replace(scan, frame=make_frame(noise, "scan", returns=scan.returns))
     out = resize(measured, size)
     np.testing.assert_array_equal(out.rgb, resize_image(noise, size))
     np.testing.assert_array_equal(out.depth, move_returns(measured.depth, size))
@@ -175,8 +183,8 @@ def test_result_has_the_crop_size_and_is_reproducible():
         a, b = (augment(sample, config, np.random.default_rng(7)) for _ in range(2))
         other = augment(sample, config, np.random.default_rng(8))
         assert a.rgb.shape == (40, 56, 3)
-        assert a.depth.dtype == a.sparse_depth.dtype == np.float32
-        for name in ("rgb", "depth", "sparse_depth", "semantic"):
+        assert a.depth.dtype == a.returns.dtype == np.float32
+        for name in ("rgb", "depth", "returns", "semantic"):
             np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
         assert not np.array_equal(a.rgb, other.rgb)
         for name in ("rgb", "depth", "semantic"):  # the input is not touched
@@ -207,8 +215,8 @@ def test_gray_removes_the_colour():
 def test_canonical_returns_beyond_the_range_are_those_of_the_engine(max_depth_m):
     fed = np.zeros((48, 64), np.float32)
     fed[0, :5] = 40, 240, 260, 500, 655.35
-    sample = replace(plane(), intrinsics=np.diag([200.0, 200.0, 1.0]), sparse_depth=fed)
-    out = canonical_depth(sample, 100.0, max_depth_m).sparse_depth
+    sample = with_intrinsics(plane(), np.diag([200.0, 200.0, 1.0])).with_returns(fed)
+    out = canonical_depth(sample, 100.0, max_depth_m).returns
     engine, *_ = clean_sparse_depth(fed, max_depth_m=2 * max_depth_m)
     np.testing.assert_allclose(out, engine / 2)
     assert np.count_nonzero(out) == (4 if max_depth_m == 300 else 2)
@@ -219,14 +227,14 @@ def test_augmented_samples_are_in_canonical_depth(known, factor):
     """Magnified by 2, of 50 px or as if of 200 px: all depth is as the canonical camera's."""
     sample = recorded_beside_its_target()
     if not known:
-        sample = replace(sample, intrinsics=None)
+        sample = with_intrinsics(sample, None)
     config = AugmentConfig(crop=(32, 32), scale=(2.0, 2.0), lidar_missing=0, lidar_random=0)
     metres = augment(sample, config, np.random.default_rng(3))
     canonical = augment(sample, config, np.random.default_rng(3), canonical_focal_px=200.0)
     assert metres.depth.any()
-    assert metres.sparse_depth.any()
+    assert metres.returns.any()
     np.testing.assert_allclose(canonical.depth, metres.depth * factor, rtol=1e-6)
-    np.testing.assert_allclose(canonical.sparse_depth, metres.sparse_depth * factor, rtol=1e-6)
+    np.testing.assert_allclose(canonical.returns, metres.returns * factor, rtol=1e-6)
     np.testing.assert_array_equal(canonical.rgb, metres.rgb)
 
 
@@ -235,9 +243,8 @@ def test_sky_is_far_where_nothing_was_measured():
     depth[1, 2], fed[1, 3] = 7, 5
     semantic = np.full((3, 40), 4, np.uint8)
     semantic[:, 30:] = 3
-    sample = Sample(
-        np.zeros((3, 40, 3), np.uint8), {"depth": depth, "semantic": semantic}, None, "sky", fed
-    )
+    frame = make_frame(np.zeros((3, 40, 3), np.uint8), "sky", returns=fed)
+    sample = Sample(frame, {"depth": depth, "semantic": semantic})
 
     def sky_columns(sample):
         """Columns of the middle row whose depth is the sky's."""
@@ -245,13 +252,13 @@ def test_sky_is_far_where_nothing_was_measured():
 
     inner = set(range(30 - SKY_MARGIN_PX))
     assert sky_columns(sample) == inner - {2, 3}
-    assert sky_columns(replace(sample, sparse_depth=None)) == inner - {2}
+    assert sky_columns(sample.with_returns(None)) == inner - {2}
     made_by_a_network = replace(sample, weights={"semantic": 0.2})
     assert sky_columns(made_by_a_network) == set(range(30 - PSEUDO_SKY_MARGIN_PX)) - {2, 3}
     out = far_sky(sample, 4, 80.0)
     assert out.depth.dtype == np.float32
     assert out.depth[1, 2] == 7
-    assert out.sparse_depth is fed
+    assert out.returns is fed
     assert (depth == 80).sum() == 0
 
 
@@ -259,7 +266,7 @@ def rendered(height=48, width=64):
     """The plane's dense truth, and a scan of it whose lines are known, 0.5 m too far."""
     scan = recorded(height, width)
     seen = np.where(scan.depth > 0, scan.depth + 0.5, 0).astype(np.float32)
-    return replace(plane(height, width), sparse_depth=seen, scan_line=scan.scan_line)
+    return replace(plane(height, width).with_returns(seen), scan_line=scan.scan_line)
 
 
 ALWAYS = AugmentConfig(lidar_missing=0, lidar_random=0, lines=(64,))
@@ -268,19 +275,18 @@ ALWAYS = AugmentConfig(lidar_missing=0, lidar_random=0, lines=(64,))
 def test_128_lines_are_drawn_from_dense_truth_and_are_64_of_a_recorded_scan():
     config = replace(ALWAYS, lines=(128,))
     camera = np.array([[500.0, 0, 159.5], [0, 500.0, 40.0], [0, 0, 1]])
-    sample = replace(rendered(240, 320), intrinsics=camera)
-    seen = draw_lidar(sample, config, np.random.default_rng(0)).sparse_depth
+    sample = with_intrinsics(rendered(240, 320), camera)
+    seen = draw_lidar(sample, config, np.random.default_rng(0)).returns
     known = seen > 0
     np.testing.assert_allclose(seen[known], sample.depth[known], atol=0.15)  # not + 0.5
     drawn = draw_lidar(
-        replace(sample, sparse_depth=None, scan_line=None), ALWAYS, np.random.default_rng(0)
+        replace(sample.with_returns(None), scan_line=None), ALWAYS, np.random.default_rng(0)
     )
-    assert known.sum() > 1.7 * np.count_nonzero(drawn.sparse_depth)
-    for scan in (recorded(), recorded_beside_its_target(), replace(rendered(), intrinsics=None)):
+    assert known.sum() > 1.7 * np.count_nonzero(drawn.returns)
+    for scan in (recorded(), recorded_beside_its_target(), with_intrinsics(rendered(), None)):
         thin = scan.with_targets(depth=np.where(scan.depth % 4 < 1, scan.depth, 0))
         of_128, of_64 = (
-            draw_lidar(thin, item, np.random.default_rng(0)).sparse_depth
-            for item in (config, ALWAYS)
+            draw_lidar(thin, item, np.random.default_rng(0)).returns for item in (config, ALWAYS)
         )
         np.testing.assert_array_equal(of_128, of_64)
 

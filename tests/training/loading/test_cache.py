@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from runtime.base.errors import DatasetError
-from training.datasets.sample import Sample
+from training.datasets.sample import Sample, make_frame
 from training.loading.mixture import CachedSource
 from training.loading.open_dataset import CheckedSource
 
@@ -28,7 +28,7 @@ class Counted:
         line = np.zeros(size, np.int16) if self.with_lines else None
         rgb, semantic = np.zeros((*size, 3), np.uint8), np.zeros(size, np.uint8)
         targets = {"depth": depth, "semantic": semantic}
-        return Sample(rgb, targets, None, str(index), scan_line=line)
+        return Sample(make_frame(rgb, str(index)), targets, line)
 
 
 def read(source, order):

@@ -7,7 +7,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from training.datasets.sample import Sample
+from training.datasets.sample import Sample, make_frame
 from training.loading.augment_config import AugmentConfig
 from training.loading.mixture import Batch, DepthTarget, Drawn, Mixture, MixturePart
 from training.losses.consistency import semantic_consistency_loss
@@ -25,7 +25,7 @@ class Numbered:
     def __getitem__(self, index):
         value = self.offset + index
         rgb = np.full((40, 40, 3), value, np.uint8)
-        return Sample(rgb, {"semantic": np.zeros((40, 40), np.uint8)}, None, str(value))
+        return Sample(make_frame(rgb, str(value)), {"semantic": np.zeros((40, 40), np.uint8)})
 
 
 def mixture(length=400, seed=0):
@@ -67,14 +67,15 @@ class Street:
         semantic = np.where(depth > 0, 3, 0).astype(np.uint8)
         intrinsics = np.array([[50.0, 0, 20], [0, 50.0, 20], [0, 0, 1]])
         targets = {"depth": depth, "semantic": semantic}
-        return Sample(np.zeros((40, 40, 3), np.uint8), targets, intrinsics, "street")
+        rgb = np.zeros((40, 40, 3), np.uint8)
+        return Sample(make_frame(rgb, "street", intrinsics=intrinsics), targets)
 
 
 def drawn(data, canonical_focal_px=None):
     config = AugmentConfig(crop=(40, 40), scale=(1.0, 1.0), lidar_missing=0)
     depth = DepthTarget(canonical_focal_px, 0 if data else None, **data)
     (view,) = Mixture([MixturePart(Street(), 1.0, config)], length=1, seed=0, depth=depth)[0].views
-    return {name: set(getattr(view, name).flat) for name in ("depth", "sparse_depth")}
+    return {name: set(getattr(view, name).flat) for name in ("depth", "returns")}
 
 
 def test_the_recipe_sets_the_unit_of_the_depth():
@@ -83,15 +84,15 @@ def test_the_recipe_sets_the_unit_of_the_depth():
     # Far in the target only: no LiDAR measures the sky. Close to another label it stays unknown.
     far = drawn({"sky_depth_m": 90.0})
     assert far["depth"] == {0, 20, 90}
-    assert far["sparse_depth"] == plain["sparse_depth"]
+    assert far["returns"] == plain["returns"]
     # The depth of the sky is canonical already.
     both = drawn({"sky_depth_m": 100.0}, canonical_focal_px=75.0)
     assert both["depth"] == {0, 30, 100}
-    assert 28 < max(both["sparse_depth"]) < 32
+    assert 28 < max(both["returns"]) < 32
 
 
 def test_targets_are_batched_and_unlabelled_where_a_set_lacks_them():
-    street = replace(Street()[0], sparse_depth=np.zeros((40, 40), np.float32))
+    street = Street()[0].with_returns(np.zeros((40, 40), np.float32))
     mask = np.where(np.arange(40)[:, None] < 20, 0, 1) * np.ones((40, 40), np.uint8)
     masked = replace(
         street, targets={"road_mask": mask.astype(np.uint8)}, weights={"semantic": 0.2}
@@ -118,7 +119,8 @@ class Streets:
         depth = rng.uniform(20, 60, (300, 320)).astype(np.float32)
         labels = rng.integers(0, 11, (300, 320)).astype(np.uint8)
         targets = {"depth": depth, "semantic": labels, "road_mask": (labels == 3).astype(np.uint8)}
-        return Sample(rgb, targets, np.array([[900.0, 0, 160], [0, 900, 10], [0, 0, 1]]), "")
+        intrinsics = np.array([[900.0, 0, 160], [0, 900, 10], [0, 0, 1]])
+        return Sample(make_frame(rgb, "", intrinsics=intrinsics), targets)
 
 
 def pairs(pair_step=4, **options):
@@ -130,7 +132,7 @@ def pairs(pair_step=4, **options):
 
 
 def maps_of(view):
-    return {"rgb": view.rgb, "sparse_depth": view.sparse_depth, **view.targets}
+    return {"rgb": view.rgb, "returns": view.returns, **view.targets}
 
 
 def test_two_views_show_the_same_frame_from_the_offset_on():
@@ -140,7 +142,7 @@ def test_two_views_show_the_same_frame_from_the_offset_on():
     assert all(part % 4 == 0 and part <= 32 for offset in offsets for part in offset)
     for views, (rows, columns) in drawn:
         first, second = map(maps_of, views)
-        assert first.keys() == {"rgb", "sparse_depth", "depth", "semantic", "road_mask"}
+        assert first.keys() == {"rgb", "returns", "depth", "semantic", "road_mask"}
         for key, values in first.items():
             assert values.shape[:2] == (128, 160)
             shared = second[key][: 128 - rows, : 160 - columns]
@@ -173,7 +175,7 @@ def test_a_perfect_network_agrees_with_itself_whatever_the_grid_of_its_classes(s
 def test_the_lidar_of_the_second_view_is_missing_or_has_false_returns(missing, false):
     for index in range(6):
         views, (rows, columns) = pairs(pair_lidar_missing=missing, pair_lidar_false=false)[index]
-        first, second = (view.sparse_depth for view in views)
+        first, second = (view.returns for view in views)
         assert first.any()
         assert (not second.any()) == bool(missing)
         changed = first[rows:, columns:] != second[: 128 - rows, : 160 - columns]
@@ -187,11 +189,11 @@ def test_a_world_of_another_scale_looks_the_same_and_is_farther():
     plain, scaled = pairs(), pairs(world_scale=(1.5, 1.5))
     for index in range(6):
         for before, after in zip(plain[index].views, scaled[index].views, strict=True):
-            assert before.sparse_depth.any()
+            assert before.returns.any()
             assert np.array_equal(after.rgb, before.rgb)
             assert np.array_equal(after.semantic, before.semantic)
             assert np.allclose(after.depth, 1.5 * before.depth)
-            assert np.allclose(after.sparse_depth, 1.5 * before.sparse_depth)
+            assert np.allclose(after.returns, 1.5 * before.returns)
     factors = [
         drawn.views[0].depth.max() / before.views[0].depth.max()
         for drawn, before in zip(pairs(world_scale=(0.5, 2.0)), plain, strict=True)
@@ -214,7 +216,7 @@ def test_a_scaled_world_keeps_the_range_of_returns_and_the_sky():
     )
     depth = DepthTarget(sky=0, sky_depth_m=100.0, max_depth_m=90.0)
     (view,) = Mixture([MixturePart(Skies(), 1.0, config)], length=1, seed=3, depth=depth)[0].views
-    assert view.sparse_depth.max() == 90
+    assert view.returns.max() == 90
     assert view.depth.max() > 110
     inner = view.semantic[2:-2] == 0
     assert np.median(view.depth[2:-2][inner]) == 100
