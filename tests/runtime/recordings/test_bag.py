@@ -51,20 +51,6 @@ def test_frames_are_read_again_and_back(record, make_frame, kind):
         assert np.array_equal(source.read(first).rgb, make_frame(*SIZE)[0])
 
 
-def test_the_order_of_recording_does_not_matter(record, make_scan):
-    """Scans are recorded 300 ms after they were taken, pictures at once."""
-    bag = record("ros2", images=20, scans=0)
-    for index in range(20):
-        stamp_ns = START_NS + (100 * index + 7) * MS
-        bag.cloud("/lidar/points", make_scan(index), stamp_ns, recorded_ns=stamp_ns + 300 * MS)
-    with BagSource(bag.write()) as source:
-        frames = source.list_frames()
-        assert [f.depth_stamp_ns - f.image_stamp_ns for f in frames] == [7 * MS] * 20
-        for index in (*range(10), 13, 16, 19):  # as a part of the whole passes frames over
-            read = source.read(frames[index])
-            assert abs(read.sparse_depth - projected(make_scan(index), ahead_m=0.5)).max() < 0.001
-
-
 def test_messages_without_a_stamp_have_the_time_of_recording(make_bag, make_frame):
     bag = make_bag("ros1")
     for index in range(3):

@@ -171,16 +171,6 @@ def test_scans_need_extrinsics_and_paths_may_be_text(folders, scans, tmp_path):
     assert open_source("folders", folders[0], Rig(calibration=numbers)).calibration is not None
 
 
-def test_an_image_and_its_scan_are_one_frame(folders, scans, make_scan):
-    rows = np.pad(make_scan(), ((0, 0), (0, 2)))
-    options = {"points": scans[0] / "0.bin", "point_columns": 6}
-    rows.tofile(options["points"])
-    source = open_source("folders", folders[0] / "0.png", Rig(calibration=scans[1]), **options)
-    (listed,) = source.list_frames()
-    expected = project_points(make_scan(), INTRINSICS, EXTRINSICS, (48, 64))
-    np.testing.assert_array_equal(source.read(listed).sparse_depth, expected)
-
-
 def test_scans_take_the_place_of_depth_maps(folders, scans):
     images, maps, _ = folders
     for options in ({"depth": maps, "points": scans[0]}, {"points": maps}):

@@ -89,6 +89,13 @@ def test_a_run_moves_the_scans_of_images_at_twice_their_rate(folders, run, make_
     assert answers.report["stages"]["skew"]["n"] == N, "of own scans alone"
 
 
+@pytest.mark.parametrize(("stamp", "after_s"), [("start", 0.05), ("middle", 0), ("end", -0.05)])
+def test_a_scan_is_of_its_middle(folders, make_scan, stamp, after_s):
+    """Scans take 100 ms, as long as it is between two of them."""
+    frames = read(folders, scan_stamp=stamp)
+    assert agree(frames[5].sparse_depth, seen(make_scan(4), SPEED * (0.05 - after_s)))
+
+
 def test_without_poses_an_older_scan_is_flagged_as_it_is(folders, make_scan):
     frames = read(folders, poses=None, pose_frame=None)
     assert [each.degraded for each in frames] == [(), ("depth_reused", "depth_uncompensated")] * N

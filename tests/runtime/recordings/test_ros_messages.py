@@ -67,7 +67,7 @@ def written_clouds(draw):
     return cloud(fields=fields, **shape, **content), np.array(points, np.float32)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(written_clouds())
 def test_points_are_those_of_a_plain_loop(written):
     message, points = written

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from runtime import InputError
 from runtime.streams.frame import Outcome, Sensor
 from runtime.streams.matching import LiveMatcher, Message, RecordingMatcher
 
@@ -60,15 +59,6 @@ class Played:
 
 def stamps(frames):
     return [(frame.image.stamp, frame.depth and frame.depth.stamp) for frame in frames]
-
-
-@pytest.mark.parametrize("live", [True, False], ids=["live", "recorded"])
-def test_equal_stamps_are_matched_at_once(live):
-    played = Played(live=live)
-    assert played.image(100) == []
-    assert played.depth(100) == [(100, 100)]
-    assert played.depth(200) == []
-    assert played.image(200) == [(200, 200)]
 
 
 @pytest.mark.parametrize("live", [True, False], ids=["live", "recorded"])
@@ -150,23 +140,6 @@ def test_live_memory_is_bounded_by_dropping_the_oldest():
 
 
 # --- the options of a recording ------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("order", [1, -1])
-def test_a_silent_sensor_does_not_block(order):
-    played = Played(live=False)
-    parts = [(IMAGE, 100 * i) for i in range(1000)], [(DEPTH, 500_000 + i) for i in range(600)]
-    for sensor, stamp in [message for part in parts[::order] for message in part]:
-        played.push(sensor, stamp)
-    played.flush()
-    assert stamps(played.frames) == [(100 * i, None) for i in range(1000)]
-    assert played.outcomes() == [(*message, Outcome.NO_IMAGE) for message in parts[1]]
-
-
-@pytest.mark.parametrize("skew", [-1, float("nan"), 1e9])
-def test_an_invalid_skew(skew):
-    with pytest.raises(InputError, match="max_skew_ms"):
-        Played(live=False, max_skew=skew)
 
 
 # --- images without depth of their own -----------------------------------------------------------

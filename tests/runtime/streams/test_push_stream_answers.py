@@ -10,8 +10,6 @@ from runtime.geometry.rig import Rig
 from runtime.streams.push_stream import PushStream
 from stream_messages import depth, image, push_pair
 
-MS = 1_000_000
-
 
 def test_answers_of_the_engine_come_back_with_both_stamps(model_file, make_frame):
     rgb, sparse_depth = make_frame()
@@ -102,18 +100,6 @@ def test_the_watchdog_reports_changes_and_its_present_state(setup):
     made.stream.close()
     silent = ("silence_ms", "camera_silent", "lidar_silent")
     assert reported[:3] == [("OK", ()), ("WARN", ("late",)), ("WARN", ("late", *silent))]
-
-
-def test_stamps_that_jump_back_are_no_jitter(setup):
-    made = setup()
-    for number in (100, 0):
-        push_pair(made.stream, number)
-        next(made.stream)
-    assert made.stream.counts.jumps_back == 1
-    assert made.stream.statistics.stages["jitter"] is None
-    push_pair(made.stream, 1)
-    next(made.stream)
-    assert made.stream.statistics.stages["jitter"].n == 1
 
 
 # --- health and calibration --------------------------------------------------------------------

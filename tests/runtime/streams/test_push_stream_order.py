@@ -37,17 +37,3 @@ def test_a_complete_frame_is_not_overtaken_by_one_without_depth(setup):
     assert "overtaken" not in dropped
     made.stream.close()
     assert next(made.stream).image_stamp == 0.3
-
-
-def test_an_image_without_depth_is_answered_from_the_camera_alone(setup):
-    made = setup(max_wait_ms=50)
-    made.stream.push_image(image(), 5)
-    made.clock.advance_ms(49)
-    assert made.stream.counts.pending == 1
-    made.clock.advance_ms(1)
-    result = next(made.stream)
-    assert (result.image_stamp, result.depth_stamp, result.skew_ms) == (5, None, None)
-    assert result.prediction.degraded == ("no_depth",)
-    assert result.latency_ms == 50
-    counts = add_up(made.stream.counts)
-    assert (counts.images.answered, counts.camera_only) == (1, 1)

@@ -130,22 +130,6 @@ def test_the_image_of_an_answer_is_read_only(replay):
 # --- reuse and poses -----------------------------------------------------------------------------
 
 
-def test_a_camera_of_20_hz_and_a_lidar_of_10_hz_have_depth_in_every_answer(replay):
-    answers, counts = replay(drive(until=1000), POSED)
-    assert image_ms(answers) == list(range(0, 1000, 50))
-    for answer in answers:
-        time_ms = answer.image_stamp // MS
-        own = time_ms % 100 == 0
-        assert measured(answer) == expected(time_ms), time_ms
-        assert answer.prediction.degraded == (() if own else ("depth_reused",))
-        assert (answer.depth_reused, answer.depth_motion) == (not own, "scan")
-        assert answer.depth_age_ms == -answer.skew_ms == (0 if own else 50)
-        assert answer.depth_stamp == time_ms // 100 * 100 * MS
-    assert (counts.images.answered, counts.depths.answered) == (20, 10)
-    assert (counts.camera_only, counts.reused) == (0, 10)
-    assert (counts.poses.pushed, counts.poses.answered, counts.poses.pending) == (100, 100, 0)
-
-
 @pytest.mark.parametrize("pose_frame", [None, "lidar"])
 @pytest.mark.parametrize("times", [False, True])
 def test_points_without_a_return_or_a_time_are_left_out_and_counted(replay, pose_frame, times):
