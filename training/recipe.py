@@ -156,7 +156,7 @@ class DataRecipe:
         """Check the crop, and that there are classes to choose it for."""
         crop = self.augment.size
         if min(crop) < MIN_SIDE:
-            raise ValueError(f"augment.crop = {list(crop)}; both must be at least {MIN_SIDE}")
+            raise ValueError(f"augment.crop = {list(crop)}: both must be at least {MIN_SIDE}")
         if self.augment.rare_crops and not self.rare_classes:
             raise ValueError("augment.rare_crops needs rare_classes, names of model.classes")
 
@@ -270,7 +270,7 @@ class ValidationRecipe:
         if twice:
             raise ValueError(
                 f"source has two sets with the title {twice[0]!r}, so their scores could not be "
-                "told apart; give each its own `name`"
+                "told apart: give each its own `name`"
             )
         if self.best and self.best.rpartition("/")[0] not in titles:
             raise ValueError(
@@ -380,7 +380,7 @@ def change(table: Mapping[str, Any], changes: Sequence[str]) -> dict[str, Any]:
             changed = merge(changed, tomllib.loads(text))
         except tomllib.TOMLDecodeError as error:
             raise InputError(
-                f"{text!r} is not 'table.key = value' in TOML ({error}); text needs quotes"
+                f"{text!r} is not 'table.key = value' in TOML ({error}): put text in quotes"
             ) from error
     steps = _warmup(changed, "steps")
     if steps < _warmup(table, "steps") and steps < warmup == _warmup(changed):

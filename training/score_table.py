@@ -86,9 +86,9 @@ class ScoreTable:
             loss = (last - first) * (1 if _is_error(name) else -1)
             if loss > _TOLERANCE * first:
                 yield (
-                    f"warning: {name} became worse, from {first:.4g} to {last:.4g}. Compare the "
+                    f"warning: {name} became worse, from {first:.4g} to {last:.4g}: compare the "
                     "data and the loss with those of --init, or lower optimizer.learning_rate; "
-                    "best.pt is chosen by validation.best alone."
+                    "best.pt is chosen by validation.best alone"
                 )
 
 

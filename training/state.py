@@ -157,8 +157,8 @@ class TrainingState:
             atomic_write(path, json.dumps(document, indent=2).encode())
         return NonFiniteLossError(
             f"step {self.step}: the loss ({values['total']}) or its gradient is not finite; the "
-            f"terms and the {len(frames)} frames of the batch are in {path}. Check them, or start "
-            "a new --out with a lower optimizer.learning_rate."
+            f"terms and the {len(frames)} frames of the batch are in {path}: check them, or start "
+            "a new --out with a lower optimizer.learning_rate"
         )
 
 

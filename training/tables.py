@@ -49,7 +49,7 @@ def build(kind: type[T], table: object) -> T:
         # Through JSON: there a list may be a tuple, and "3" is not 3.
         return TypeAdapter(kind).validate_json(json.dumps(table))
     except TypeError as error:  # dates and times
-        raise InputError(f"{error}; expected text, numbers, true or false") from error
+        raise InputError(f"{error}: write text, numbers, true or false") from error
     except ValidationError as error:
         errors = error.errors(include_url=False)
         unknown = [item for item in errors if item["type"] == "unexpected_keyword_argument"]
@@ -95,15 +95,15 @@ def _describe(error: Mapping[str, Any], kind: Any) -> str:
     match error["type"]:
         case "unexpected_keyword_argument":
             known = ", ".join(item.name for item in fields(_table_at(kind, place[:-1])))
-            return f"unknown key {key}; known here: {known}. Correct its name."
+            return f"unknown key {key}; known here: {known}: correct its name"
         case "registered":  # the keys of another package's data set, checked by `build`
             return f"{key}: {error['ctx']['text']}"
         case "missing":
-            return f"missing key {key}."
+            return f"missing key {key}: add it"
         case "value_error" if isinstance(error["input"], dict):  # its text starts with the key
-            return f"{key + '.' * bool(key)}{error['ctx']['error']}."
+            return f"{key + '.' * bool(key)}{error['ctx']['error']}"
         case _:
-            return f"{key} = {shown(error['input'], 200)}: {error['msg']}."
+            return f"{key} = {shown(error['input'], 200)}: {error['msg']}"
 
 
 def _table_at(kind: Any, place: Sequence[str | int]) -> Any:

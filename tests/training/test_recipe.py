@@ -66,7 +66,7 @@ def test_changes_come_last_and_in_order(read):
     ("scale = [1, 2]", "scale = [2, 1]", r"data.source\[0\].scale = \[2, 1\]: "),
     ("scale = [1, 2]", "size = [1.5, 64]", r"source\[0\].size\[0\] = 1.5: "),
     ("scale = [1, 2]", "size = 5", r"source\[0\]\.size = 5: "),
-    ('path = "camvid"', "path = 1999-12-31", "expected text, numbers, true or false"),
+    ('path = "camvid"', "path = 1999-12-31", "write text, numbers, true or false"),
     ("scale = [1, 2]", "scale = [1,", "not valid TOML"),
 ])  # fmt: skip
 def test_mistakes_are_named(read, old, new, text):
@@ -79,7 +79,7 @@ OWN_CLASSES, VALIDATION = f"model.classes = [{CLASS}]", f"validation.source = [{
 
 
 @pytest.mark.parametrize(("changes", "text"), [
-    (["model.name = ssdnet"], "'model.name = ssdnet' is not .* text needs quotes"),
+    (["model.name = ssdnet"], "'model.name = ssdnet' is not .* put text in quotes"),
     (["model.nam = 'ssdnet'"], r"r\.toml: unknown key model\.nam"), (["model = 3"], "model = 3: "),
     (["model.name = 'foo'"], "model.name: unknown model 'foo'; known: ssdnet, "),
     (["model.config.max_depth_m = -1"], "model.config: max_depth_m "),

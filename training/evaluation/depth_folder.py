@@ -45,12 +45,14 @@ class DepthFolder:
         """
         if depth is None:
             raise InputError(
-                f"{parts[0]} predicts no depth to write with --save; leave that model out"
+                f"{parts[0]} predicts no depth to write with --save: leave that model out"
             )
         names = [re.sub(r"[^\w.-]+", "_", part).lstrip(".") or "_" for part in parts]
         path = self.folder.joinpath(*names[:-1], f"{names[-1]}.png")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise OutputError(f"{path.parent}: cannot be made: {error.strerror}") from error
+            raise OutputError(
+                f"{path.parent}: cannot be made: {error.strerror}: choose another --save"
+            ) from error
         atomic_write(path, encode_metres(depth), overwrite=self.overwrite)

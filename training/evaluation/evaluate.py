@@ -171,9 +171,9 @@ def score_models(options: EvaluationOptions) -> Evaluation:
         ]
         if not results:
             raise InputError(
-                "nothing could be scored: these sets provide none of the requested --lidar inputs: "
-                "lines need intrinsics, or a recorded scan, every second line of which remains the "
-                "target; use random:0.05 or none, which every set provides"
+                "nothing could be scored: these sets provide none of the requested --lidar inputs "
+                "(lines need intrinsics, or a recorded scan, every second line of which remains "
+                "the target): use random:0.05 or none, which every set provides"
             )
         return Evaluation.of(results, models, opened, draw=options.page is not None)
 
@@ -254,7 +254,7 @@ def _open_models(
         scored[titles[name]] = stack.enter_context(opened)
     if left:
         raise InputError(
-            f"--adapter {left[0]}: every model has its own description; leave the adapter out"
+            f"--adapter {left[0]}: every model has its own description: leave the adapter out"
         )
     answers = [open_predictions(text) for text in options.predictions]
     folders = short_names([item.recorded.folder for item in answers if item.recorded])

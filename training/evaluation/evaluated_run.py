@@ -82,7 +82,7 @@ def _read(path: Path) -> tuple[Recipe, list[Path]]:
         document = json.loads(path.read_text(encoding="utf-8"))
         recipe = build(Recipe, document["recipe"])
     except (OSError, ValueError, KeyError, InputError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); give --data instead") from error
+        raise InputError(f"{path}: cannot be read ({error}): give --data instead") from error
     return recipe, [Path(root) for root in document.get(DATA_FOLDERS, ())]
 
 

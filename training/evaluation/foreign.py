@@ -63,8 +63,8 @@ class ForeignNetwork:
         fed = {self._rgb.name, self.adapter.sparse_depth}
         if left := [item.name for item in self.session.get_inputs() if item.name not in fed]:
             raise InputError(
-                f"{self.path}: its input {left[0]!r} is fed by no key of the adapter; it can have "
-                "rgb and sparse_depth"
+                f"{self.path}: its input {left[0]!r} is fed by no key of the adapter: name it as "
+                "rgb or sparse_depth"
             )
         if len(self._rgb.shape) != 4 or self._rgb.type not in _TYPES:
             raise InputError(
@@ -201,7 +201,7 @@ class ForeignNetwork:
         if values.ndim != 4 or values.shape[1] != count:
             raise InputError(
                 f"{self.path}: its output {self.adapter.semantic!r} is {values.shape}, and its "
-                f"adapter names {count} classes; correct classes or semantic"
+                f"adapter names {count} classes: correct classes or semantic"
             )
         return self._finite(values[0].astype(np.float32), self.adapter.semantic)
 
@@ -216,7 +216,7 @@ class ForeignNetwork:
             if plane.min() < 0 or plane.max() > IGNORE:
                 raise InputError(
                     f"{self.path}: its output {self.adapter.semantic!r} has values from "
-                    f"{plane.min():g} to {plane.max():g}, which are no class ids; correct "
+                    f"{plane.min():g} to {plane.max():g}, which are no class ids: correct "
                     "semantic_is or semantic"
                 )
             ids = np.rint(plane).astype(np.uint8)
@@ -226,7 +226,9 @@ class ForeignNetwork:
         """Return an output that has one plane as (h, w)."""
         plane = values.reshape([side for side in values.shape if side != 1])
         if plane.ndim != 2:
-            raise InputError(f"{self.path}: its output {name!r} is {values.shape}; expected a map")
+            raise InputError(
+                f"{self.path}: its output {name!r} is {values.shape}; expected a map: name another output"
+            )
         return self._finite(plane.astype(np.float32), name)
 
     def _metres(self, values: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -114,7 +114,7 @@ class Predictions:
         below = [head for head in _HEADS if (self.folder / head).is_dir()]
         found = {head: _list_files(self.folder / head) for head in below or [""]}
         if empty := [self.folder / head for head, files in found.items() if not files]:
-            raise DatasetError(f"{empty[0]}: has no .png and no .npy files; expected one a frame")
+            raise DatasetError(f"{empty[0]}: has no .png and no .npy files: add one for each frame")
         return found
 
     @cached_property
@@ -172,7 +172,7 @@ def _read_array(
         if head == "semantic":
             raise DatasetError(f"{path}: has floats; expected class ids: write integers")
         if not np.isfinite(values).all():
-            raise DatasetError(f"{path}: has depth that is not finite; write 0 for no depth")
+            raise DatasetError(f"{path}: has depth that is not finite: write 0 for no depth")
         return np.asarray(values, np.float32)
     if head == "depth":
         return np.asarray(values / depth_scale, np.float32)

@@ -36,5 +36,5 @@ def create_method(name: str) -> CompletionMethod:
         InputError: if the name is unknown.
     """
     if name not in METHODS:
-        raise InputError(f"unknown method {shown(name)}; known: {', '.join(METHODS)}")
+        raise InputError(f"unknown method {shown(name)}: give one of {', '.join(METHODS)}")
     return METHODS[name]()
