@@ -71,7 +71,9 @@ def test_before_and_after_name_what_became_worse(tmp_path):
         ["c/mae_m", "1.0000", "0.5000"],
     ]
     texts = ["a/b/miou became worse, from 0.5 to 0.47", "a/b/mae_m became worse, from 0.5 to 2.25"]
-    assert [line.split(". ")[0] for line in lines[5:]] == [f"warning: {text}" for text in texts]
+    assert [line.split(": compare")[0] for line in lines[5:]] == [
+        f"warning: {text}" for text in texts
+    ]
     random_start = ScoreTable(tmp_path / "other.csv", 0)
     random_start.add(4, {"a": {"miou": 0.5}}, "")
     assert not list(random_start.compare())

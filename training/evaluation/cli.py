@@ -131,6 +131,8 @@ def evaluate(
 
     Prints a table, and for each model whether it differs from the first beyond chance.
     """
+    if not models and not predictions:
+        raise typer.BadParameter("name a model, the folder of a run, or --predictions DIR")
     with reported_errors("cpu,train"):
         # Heavy imports are here, so that --help answers at once.
         from runtime.contract.network_size import parse_network_size

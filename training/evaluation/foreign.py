@@ -227,7 +227,8 @@ class ForeignNetwork:
         plane = values.reshape([side for side in values.shape if side != 1])
         if plane.ndim != 2:
             raise InputError(
-                f"{self.path}: its output {name!r} is {values.shape}; expected a map: name another output"
+                f"{self.path}: its output {name!r} is {values.shape}; expected a map: name another "
+                "output"
             )
         return self._finite(plane.astype(np.float32), name)
 
