@@ -35,6 +35,7 @@ import numpy as np
 import torch
 
 from models import load_checkpoint
+from models.checkpoint import RECIPE
 from runtime.files.atomic_write import atomic_file, atomic_write
 from training.chosen_recipe import read_stages
 from training.datasets.any_source import parse_data
@@ -43,7 +44,7 @@ from training.lidar.split import LidarInput
 from training.loading.open_dataset import open_dataset
 from training.recipes.ablation import ROWS
 from training.run import TrainingRun
-from training.run_folder import RECIPE, require_same
+from training.run_folder import require_same
 from training.stages import train_stages
 
 mpl.use("Agg")

@@ -41,6 +41,7 @@ from comparison_entries import (
 from comparison_tables import to_tables
 from export.deploy import DeployGraph
 from export.exporter import count_giga_macs, export_checkpoint
+from models.checkpoint import FINAL, RECIPE
 from random_weights import TRACED_AT, count_params_m, export_graph
 from runtime.app.tools.bench import BenchOptions, bench
 from runtime.app.tools.bench_worker import time_runs
@@ -59,7 +60,7 @@ from training.evaluation.classical import create_method
 from training.evaluation.evaluate import evaluate
 from training.loop import train
 from training.run import TrainingRun
-from training.run_folder import FINAL, RECIPE, require_same
+from training.run_folder import require_same
 from training.stop_signal import stop_signal
 
 Size = tuple[int, int]  # (height, width)

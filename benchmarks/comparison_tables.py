@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from comparison_entries import ONNX, SCORES, TIMES, Entry, Heads, read_json
-from training.run_folder import RECIPE
+from models.checkpoint import RECIPE
 
 # Titles of the columns for "set lidar" among the scores.
 DEPTH_COLUMNS = {

@@ -17,6 +17,9 @@ from runtime.base.checks import shown
 from runtime.base.errors import CheckpointError, OutputError
 from runtime.files.atomic_write import atomic_file
 
+# Files in the folder of a training: its recipe, the finished network, the best one so far, and the
+# state from which the training resumes.
+RECIPE, FINAL, BEST, LAST = "recipe.json", "model.pt", "best.pt", "last.pt"
 FORMAT = "ssdnet-checkpoint"
 VERSION = 2
 _ZIP_START = b"PK\x03\x04"
@@ -47,6 +50,12 @@ class Checkpoint:
             return TrainingFacts.from_dict(self.training)
         except ValueError as error:
             raise CheckpointError(f"the checkpoint's {error}: train again") from error
+
+
+def run_folder(path: Path) -> Path | None:
+    """Return the folder of the training that wrote a checkpoint; None for any other file."""
+    folder = path.resolve().parent
+    return folder if path.name in (FINAL, BEST, LAST) and (folder / RECIPE).is_file() else None
 
 
 def save_checkpoint(

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models import Network, load_checkpoint, save_checkpoint
+from models.checkpoint import FINAL, LAST, RECIPE
 from runtime.base.errors import InputError
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 from training.adaptation_frames import find_frames
@@ -32,7 +33,7 @@ from training.losses.terms import DEPTH_ALONE
 from training.recipe import Recipe, build_recipe
 from training.release import mix_weights
 from training.run import RunResult, TrainingRun
-from training.run_folder import FINAL, LAST, RECIPE, folder_errors
+from training.run_folder import folder_errors
 from training.stop_signal import Stop, StopRequested, Watched, never
 
 Depth = NDArray[np.float32]

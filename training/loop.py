@@ -10,6 +10,7 @@ from typing import Any
 from tqdm import tqdm
 
 from models import Network, save_checkpoint
+from models.checkpoint import BEST, FINAL, LAST
 from models.training_facts import TrainingFacts
 from training.distributed import Processes, join_processes
 from training.evaluation.score_set import Result
@@ -18,17 +19,7 @@ from training.loading.mixture import Batch
 from training.recipe import Recipe
 from training.release import adjust_logits
 from training.run import RunResult, TrainingRun
-from training.run_folder import (
-    BEST,
-    FINAL,
-    LAST,
-    PAGE,
-    SCORES,
-    TENSORBOARD,
-    list_data,
-    lock_folder,
-    prepare_folder,
-)
+from training.run_folder import PAGE, SCORES, TENSORBOARD, list_data, lock_folder, prepare_folder
 from training.score_table import ScoreTable
 from training.state import TrainingState
 from training.stop_signal import StopRequested

@@ -15,16 +15,13 @@ from typing import Any
 
 from tqdm import tqdm
 
+from models.checkpoint import BEST, FINAL, LAST, RECIPE
 from runtime.base.errors import InputError
 from runtime.files.atomic_write import atomic_write
 from runtime.files.own_folder import mark_folder
 from training.recipe import Recipe
 from training.tables import build
 
-RECIPE = "recipe.json"
-LAST = "last.pt"
-FINAL = "model.pt"
-BEST = "best.pt"
 SCORES = "scores.csv"
 PAGE = "validation.html"
 TENSORBOARD = "tensorboard"

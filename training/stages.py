@@ -8,6 +8,7 @@ from pathlib import Path
 from torch import Tensor
 
 from models import Network, load_checkpoint, save_checkpoint
+from models.checkpoint import FINAL, RECIPE
 from runtime.base.errors import InputError
 from runtime.files.atomic_write import atomic_write
 from training.distributed import join_processes
@@ -16,7 +17,7 @@ from training.loading.open_dataset import open_dataset, spread_pictures
 from training.loop import train
 from training.recipe import Recipe
 from training.run import RunResult, TrainingRun
-from training.run_folder import FINAL, RECIPE, folder_errors
+from training.run_folder import folder_errors
 
 # The file in a stage's folder with the result of its call on the trained weights.
 RESULT = "result.pt"

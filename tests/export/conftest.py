@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from export import exporter
+from export import build
 from export.deploy import DeployGraph
 from export.exporter import export_checkpoint
 from export.probe_frames import probe_frames
@@ -99,7 +99,7 @@ def lite_model(lite):
 def exported(lite_checkpoint, beside, lite_model, tmp_path_factory):
     """The report of an export."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(exporter, "trace", lambda *_, **__: copy.deepcopy(lite_model))
+        patch.setattr(build, "trace", lambda *_, **__: copy.deepcopy(lite_model))
         return export_checkpoint(
             lite_checkpoint,
             tmp_path_factory.mktemp("exported") / "lite.onnx",
@@ -112,14 +112,14 @@ def exported(lite_checkpoint, beside, lite_model, tmp_path_factory):
 @pytest.fixture
 def traced(exported, lite_model, monkeypatch):
     """Exports of `lite_checkpoint` at SIZE take graph and work of `exported`: both take seconds."""
-    monkeypatch.setattr(exporter, "trace", lambda *_, **__: copy.deepcopy(lite_model))
-    monkeypatch.setattr(exporter, "count_giga_macs", lambda *_: exported.contract.giga_macs)
+    monkeypatch.setattr(build, "trace", lambda *_, **__: copy.deepcopy(lite_model))
+    monkeypatch.setattr(build, "count_giga_macs", lambda *_: exported.contract.giga_macs)
 
 
 @pytest.fixture
 def traced_for_any_size(dynamic_network, dynamic_model, tmp_path, monkeypatch):
     """The checkpoint of `dynamic_network`, of which exports take the graph `dynamic_model`."""
-    monkeypatch.setattr(exporter, "trace", lambda *_, **__: copy.deepcopy(dynamic_model))
+    monkeypatch.setattr(build, "trace", lambda *_, **__: copy.deepcopy(dynamic_model))
     path = tmp_path / "any-size.pt"
     save_checkpoint(path, dynamic_network)
     return path

@@ -11,16 +11,16 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 from typer.testing import CliRunner
 
-from export import exporter
+from export import build, exporter, verify
 from export.cli import app
 from export.errors import ExportError
 from export.exporter import export_checkpoint
 from export.parity import measure_parity
 from export.probe_frames import probe_frames
 from models import CAMVID_CLASSES, load_checkpoint, save_checkpoint
+from models.checkpoint import FINAL, RECIPE
 from runtime import InputError, OutputError, Predictor
 from runtime.contract.model_file import with_contract
-from training.run_folder import RECIPE
 
 SIZE = (64, 96)
 FIXED = ("--height", "64", "--width", "96")
@@ -58,7 +58,7 @@ def test_contract_says_where_the_file_comes_from(exported, lite_checkpoint):
 
 
 def test_a_recording_that_exists_is_refused_before_any_work(lite_checkpoint, tmp_path, monkeypatch):
-    monkeypatch.setattr(exporter, "trace", lambda *_, **__: pytest.fail("traced first"))
+    monkeypatch.setattr(build, "trace", lambda *_, **__: pytest.fail("traced first"))
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken/file").touch()
     result = run(lite_checkpoint, tmp_path / "m.onnx", "--record", str(tmp_path / "taken"))
@@ -66,23 +66,17 @@ def test_a_recording_that_exists_is_refused_before_any_work(lite_checkpoint, tmp
     assert str(tmp_path / "taken") in result.output.splitlines()[-1]
 
 
-def test_a_file_of_a_run_is_named_after_the_run(tmp_path):
-    name = exporter._model_name
-    assert name(None, tmp_path / "model.pt") is None  # so that it has the network's name
-    (tmp_path / RECIPE).touch()
-    assert name(None, tmp_path / "model.pt") == tmp_path.name
-    assert name(None, tmp_path / "ssdnet-lite.pt") is None
-    assert name("van-7", tmp_path / "model.pt") == "van-7"
-    with pytest.raises(InputError, match="name"):
-        name("", tmp_path / "model.pt")
-
-
 @pytest.mark.usefixtures("traced")
-def test_what_it_was_trained_for_goes_from_the_checkpoint_into_the_file(lite_checkpoint, tmp_path):
-    network = load_checkpoint(lite_checkpoint).model
+@pytest.mark.parametrize(("name", "expected"), [(None, "van-7"), ("bus-8", "bus-8")])
+def test_what_a_run_knows_goes_into_the_file(lite_checkpoint, tmp_path, name, expected):
+    """The folder of a run is exported, and names the model unless a name is given."""
+    network, run = load_checkpoint(lite_checkpoint).model, tmp_path / "van-7"
     network.config = replace(network.config, canonical_focal_px=721.5)
-    save_checkpoint(tmp_path / "c.pt", network, training={"trained_height": 375})
-    contract = export_checkpoint(tmp_path / "c.pt", tmp_path / "m.onnx", size=SIZE).contract
+    save_checkpoint(run / FINAL, network, training={"trained_height": 375})
+    (run / RECIPE).touch()
+    report = export_checkpoint(run, tmp_path / "m.onnx", size=SIZE, name=name)
+    contract = report.contract
+    assert contract.model_name == expected
     assert (contract.trained_height, contract.canonical_focal_px) == (375, 721.5)
 
 
@@ -102,7 +96,7 @@ def test_a_file_of_any_size_is_verified_at_the_frames_own(traced_for_any_size, t
 def small_frames(monkeypatch):
     """Exports are verified with one frame, of SIZE unless another size is asked for."""
     monkeypatch.setattr(
-        exporter, "_frames", lambda size, **_: probe_frames(size, max_depth_m=100.0)[:1]
+        verify, "frames_of", lambda size, **_: probe_frames(size, max_depth_m=100.0)[:1]
     )
     monkeypatch.setattr(exporter, "DEFAULT_SIZE", SIZE)
 
@@ -243,6 +237,8 @@ def test_what_cannot_be_written_is_refused(lite_checkpoint, tmp_path):
     for size in ((16, 64), (64, 16_385), (16_384, 16_384)):
         with pytest.raises(InputError, match="size"):
             export_checkpoint(lite_checkpoint, tmp_path / "m.onnx", size=size)
+    with pytest.raises(InputError, match="name"):
+        export_checkpoint(lite_checkpoint, tmp_path / "m.onnx", name="")
     (tmp_path / "link.onnx").symlink_to(lite_checkpoint)
     before = lite_checkpoint.read_bytes()
     for target, message in (

@@ -7,7 +7,7 @@ import onnx
 import pytest
 from typer.testing import CliRunner
 
-from export import exporter
+from export import build, exporter, verify
 from export.errors import ExportError
 from runtime.app.tools.verify import app as verify_app
 from runtime.verification.reference import read_reference
@@ -50,8 +50,8 @@ def test_an_export_that_fails_leaves_nothing(lite_checkpoint, tmp_path, monkeypa
         assert [entry.suffix for entry in tmp_path.iterdir()] == [".part", ".part"]
         raise ExportError("differs")
 
-    monkeypatch.setattr(exporter, "trace", lambda *args, **options: onnx.ModelProto(ir_version=10))
-    monkeypatch.setattr(exporter, "measure_parity", fail)
+    monkeypatch.setattr(build, "trace", lambda *args, **options: onnx.ModelProto(ir_version=10))
+    monkeypatch.setattr(verify, "measure_parity", fail)
     with pytest.raises(ExportError, match="differs"):
         exporter.export_checkpoint(
             lite_checkpoint,

@@ -78,7 +78,7 @@ def export_int8(lite_checkpoint, data, tmp_path, traced):
 
 
 def test_too_few_frames_are_refused_before_any_work(export_int8, data, tmp_path, monkeypatch):
-    monkeypatch.setattr("export.exporter.trace", lambda *_, **__: pytest.fail("traced first"))
+    monkeypatch.setattr("export.build.trace", lambda *_, **__: pytest.fail("traced first"))
     again = [f"folders:{data.parent}/other/street,name=again{number}" for number in range(33)]
     for options in ([], [word for text in again for word in ("--calibrate", text)]):
         result = export_int8(*options)

@@ -112,7 +112,7 @@ def test_half_precision_that_answers_otherwise_is_refused(lite_checkpoint, tmp_p
                 weight.CopyFrom(numpy_helper.from_array(values, weight.name))
         return half
 
-    monkeypatch.setattr("export.exporter.to_half", coarse)
+    monkeypatch.setattr("export.verify.to_half", coarse)
     with pytest.raises(ExportError, match="leave out --precision fp16"):
         export_checkpoint(
             lite_checkpoint, tmp_path / "half.onnx", size=SIZE, precision=Precision.FP16

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from models import SSDNetLite, SSDNetLiteConfig, load_checkpoint, save_checkpoint
-from models.checkpoint import Checkpoint
+from models.checkpoint import Checkpoint, run_folder
 from models.classes import CAMVID_CLASSES, numbered_classes
 from runtime.base.errors import CheckpointError
 
@@ -137,6 +137,14 @@ def test_failed_write_keeps_the_old_file_and_leaves_no_other(path, mount_disk):
         save_checkpoint(target, SSDNetLite(SMALL))
     assert load_checkpoint(target).training["data"] == ["old"]
     assert list(target.parent.iterdir()) == [target]
+
+
+def test_a_checkpoint_belongs_to_a_run_by_its_name_and_the_recipe_beside_it(tmp_path):
+    assert run_folder(tmp_path / "model.pt") is None
+    (tmp_path / "recipe.json").touch()
+    assert run_folder(tmp_path / "ssdnet-lite.pt") is None
+    for name in ("model.pt", "best.pt", "last.pt"):
+        assert run_folder(tmp_path / name) == tmp_path
 
 
 def test_the_trained_height_is_a_valid_image_height():

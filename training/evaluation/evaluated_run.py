@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from models.checkpoint import BEST, FINAL, RECIPE
 from runtime.base.errors import DatasetError, InputError
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import SampleSource
 from training.datasets.source_recipe import SourceRecipe
 from training.loading.open_dataset import open_dataset
 from training.recipe import Recipe
-from training.run_folder import BEST, DATA_FOLDERS, FINAL, RECIPE
+from training.run_folder import DATA_FOLDERS
 from training.tables import build
 
 
