@@ -83,14 +83,10 @@ def make_model(
     """
     height, width = size or ("H", "W")
     initializers = {
-        "red_at": np.array(0),
-        "green_at": np.array(1),
-        "blue_at": np.array(2),
-        "half": np.float32(128),
-        "offset": np.float32(DEPTH_OFFSET_M),
-        "sixteenth": np.float32(1 / 16),
-        "channel_axis": np.array([1]),
-    }
+        "red_at": np.array(0), "green_at": np.array(1), "blue_at": np.array(2),
+        "half": np.float32(128), "offset": np.float32(DEPTH_OFFSET_M),
+        "sixteenth": np.float32(1 / 16), "channel_axis": np.array([1]),
+    }  # fmt: skip
     nodes = [
         helper.make_node("Cast", ["rgb"], ["colors"], to=TensorProto.FLOAT),
         *(

@@ -84,12 +84,9 @@ for name, processes, options in json.loads(sys.argv[2]):
     assert [os.waitpid(child, 0)[1] for child in children] == [0] * processes, name
 """
 RUNS = [
-    ("one", 1, {"batch": 4, "parts": 2}),
-    ("two", 2, {"parts": 2}),
-    ("whole", 2, {}),
-    ("stopped", 2, {"stop_rank": "1"}),
-    ("resumed", 2, {}),
-]
+    ("one", 1, {"batch": 4, "parts": 2}), ("two", 2, {"parts": 2}), ("whole", 2, {}),
+    ("stopped", 2, {"stop_rank": "1"}), ("resumed", 2, {}),
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")

@@ -57,12 +57,9 @@ def run(tmp_path, monkeypatch):
         monkeypatch.setattr(tool, "_open_source", lambda _: nullcontext(source))
         cv2.imwrite(str(tmp_path / "image.png"), frame.rgb)
         given = [
-            str(tmp_path / "image.png"),
-            "--out",
-            str(tmp_path / "out.toml"),
-            "--picture",
+            str(tmp_path / "image.png"), "--out", str(tmp_path / "out.toml"), "--picture",
             str(tmp_path / "x.png"),
-        ]
+        ]  # fmt: skip
         return CliRunner().invoke(app, given)
 
     return invoke

@@ -20,12 +20,9 @@ from runtime.recordings.scan import read_scan
 from runtime.recordings.video import VideoSource
 
 READERS = {
-    "rgb": read_rgb,
-    "scan": read_scan,
-    "calibration": Calibration.from_file,
-    "video": VideoSource,
+    "rgb": read_rgb, "scan": read_scan, "calibration": Calibration.from_file, "video": VideoSource,
     "bag": BagSource,
-}
+}  # fmt: skip
 
 
 @pytest.fixture

@@ -163,10 +163,8 @@ def longer() -> bytes:
 
 BILLION = 10**9
 HOSTILE = {
-    "cut.bin": bytes(1602),
-    "cut.pcd.bin": bytes(1604),
-    "endless.ply": b"ply\n" * 10**5 + b"end_header\n",
-    "cut.pcd": FILES["binary.pcd"][:-1],
+    "cut.bin": bytes(1602), "cut.pcd.bin": bytes(1604),
+    "endless.ply": b"ply\n" * 10**5 + b"end_header\n", "cut.pcd": FILES["binary.pcd"][:-1],
     "cut-ascii.pcd": FILES["ascii.pcd"].rstrip().rpartition(b"\n")[0],
     "cut-line.pcd": FILES["ascii.pcd"].rpartition(b" ")[0],
     "cut-compressed.pcd": FILES["compressed.pcd"][:-1],
@@ -175,21 +173,17 @@ HOSTILE = {
     "digits.pcd": pcd(OF_PCD, "binary", POINTS="9" * 5000),
     "negative.pcd": pcd(OF_PCD, "binary", -1),
     "headless.ply": FILES["little.ply"].removeprefix(b"ply\n"),
-    "longer.pcd": pcd(longer(), "binary_compressed"),
-    "more.pcd": pcd(OF_PCD, "binary", 49),
-    "unfinished.pcd": pcd(OF_PCD, "binary", 0),
-    "more-ascii.pcd": FILES["ascii.pcd"] + b"1 2 3 4\n",
-    "other.pcd": pcd(OF_PCD, "zip"),
-    "short.pcd": pcd(OF_PCD, "binary", SIZE="1 4"),
+    "longer.pcd": pcd(longer(), "binary_compressed"), "more.pcd": pcd(OF_PCD, "binary", 49),
+    "unfinished.pcd": pcd(OF_PCD, "binary", 0), "more-ascii.pcd": FILES["ascii.pcd"] + b"1 2 3 4\n",
+    "other.pcd": pcd(OF_PCD, "zip"), "short.pcd": pcd(OF_PCD, "binary", SIZE="1 4"),
     "minus.pcd": pcd(OF_PCD, "binary", **NO_BYTE, COUNT="3 -1 1 1 1"),
     "lacks.pcd": pcd(OF_PCD, "binary", TYPE="", POINTS=""),
     "no-x.ply": ply(OF_PCD, "ascii", header=HEADERS["no x"]),
     "list.ply": ply(OF_PCD, "ascii", header=HEADERS["list"]),
     "face.ply": ply(OF_PCD, "ascii", header=HEADERS["face first"]),
-    "flat.npy": saved(POINTS.ravel()),
-    "radar.npy": saved(np.zeros((18, 125), np.float32)),
+    "flat.npy": saved(POINTS.ravel()), "radar.npy": saved(np.zeros((18, 125), np.float32)),
     "int.npy": saved(np.zeros((50, 3), np.int32)),
-}
+}  # fmt: skip
 
 
 @pytest.mark.filterwarnings("error")
@@ -241,13 +235,10 @@ PACKED["xyz"] = sweep(3)
 AHEAD = sweep(4)[np.abs(sweep(4)[:, 1]) < sweep(4)[:, 0]]  # as from a LiDAR that looks ahead
 SIX = sweep(6, points=6400)
 OTHERS = {
-    "29 bytes": PACKED,
-    "float64": sweep(4).astype("<f8"),
-    "int32": (1000 * sweep(4)).astype("<i4"),
-    "padded": padded(AHEAD),
-    "x, then y": np.ascontiguousarray(sweep(4).T),
+    "29 bytes": PACKED, "float64": sweep(4).astype("<f8"), "int32": (1000 * sweep(4)).astype("<i4"),
+    "padded": padded(AHEAD), "x, then y": np.ascontiguousarray(sweep(4).T),
     "6 columns, the first rings empty": np.where(np.arange(6400)[:, None] < 2400, 0, SIX),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", OTHERS)

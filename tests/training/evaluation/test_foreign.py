@@ -86,16 +86,11 @@ def run(*arguments):
 def adapter(folder, name, depth_is):
     contract = load_model_file(find_model(NATIVE)).contract
     lines = [
-        'normalize = "imagenet"',
-        'sparse_depth = "lidar"',
-        'semantic = "scores"',
-        f"classes = {[info.name for info in contract.classes]}",
-        f"class_stride = {CLASS_STRIDE}",
-        'depth = "distance"',
-        f'depth_is = "{depth_is}"',
-        f"max_depth_m = {contract.max_depth_m}",
+        'normalize = "imagenet"', 'sparse_depth = "lidar"', 'semantic = "scores"',
+        f"classes = {[info.name for info in contract.classes]}", f"class_stride = {CLASS_STRIDE}",
+        'depth = "distance"', f'depth_is = "{depth_is}"', f"max_depth_m = {contract.max_depth_m}",
         f"canonical_focal_px = {contract.canonical_focal_px}",
-    ]
+    ]  # fmt: skip
     (folder / f"{name}.toml").write_text("\n".join(lines))
 
 

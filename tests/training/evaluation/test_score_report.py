@@ -44,15 +44,8 @@ def test_main_figures_are_a_line_a_row_and_the_others_are_counted():
 def test_a_table_that_is_too_wide_is_several(all_columns):
     """Nothing is lost, the first columns are repeated, and every line fits."""
     names = (
-        "miou",
-        "accuracy",
-        "mae_m",
-        "rmse_m",
-        "boundary_f",
-        "mae_px",
-        "road_iou",
-        "coverage_1",
-    )
+        "miou", "accuracy", "mae_m", "rmse_m", "boundary_f", "mae_px", "road_iou", "coverage_1",
+    )  # fmt: skip
     rows = [replace(ROW, model=f"model-{n}", figures=dict.fromkeys(names, 0.5)) for n in range(9)]
     wide = format_table(rows, all_columns=all_columns)
     narrow = format_table(rows, all_columns=all_columns, width=64)

@@ -8,22 +8,12 @@ from layouts.pictures import write
 
 # colors.txt of the second edition: name and RGB.
 COLORS = {
-    "Terrain": (210, 0, 200),
-    "Sky": (90, 200, 255),
-    "Tree": (0, 199, 0),
-    "Vegetation": (90, 240, 0),
-    "Building": (140, 140, 140),
-    "Road": (100, 60, 100),
-    "GuardRail": (250, 100, 255),
-    "TrafficSign": (255, 255, 0),
-    "TrafficLight": (200, 200, 0),
-    "Pole": (255, 130, 0),
-    "Misc": (80, 80, 80),
-    "Truck": (160, 60, 60),
-    "Car": (255, 127, 80),
-    "Van": (0, 139, 139),
-    "Undefined": (0, 0, 0),
-}
+    "Terrain": (210, 0, 200), "Sky": (90, 200, 255), "Tree": (0, 199, 0),
+    "Vegetation": (90, 240, 0), "Building": (140, 140, 140), "Road": (100, 60, 100),
+    "GuardRail": (250, 100, 255), "TrafficSign": (255, 255, 0), "TrafficLight": (200, 200, 0),
+    "Pole": (255, 130, 0), "Misc": (80, 80, 80), "Truck": (160, 60, 60), "Car": (255, 127, 80),
+    "Van": (0, 139, 139), "Undefined": (0, 0, 0),
+}  # fmt: skip
 HEIGHT, WIDTH = 8, 15
 RED = (200, 20, 40)
 

@@ -121,14 +121,9 @@ def test_skipped_frames_are_counted_named_and_exit_code_3(tmp_path, run, stream)
     assert "degraded: no_depth: 1" in result.stdout
     rows = {row["name"]: row for row in rows_of(tmp_path / "out")}
     reasons = {
-        "f0": "is empty",
-        "f1": "no depth map",
-        "f2": "no image",
-        "f3": "no depth map",
-        "f4": "truncated",
-        "f6": "got uint8",
-        "f8": "(40, 64)",
-    }
+        "f0": "is empty", "f1": "no depth map", "f2": "no image", "f3": "no depth map",
+        "f4": "truncated", "f6": "got uint8", "f8": "(40, 64)",
+    }  # fmt: skip
     assert {name for name, row in rows.items() if row["status"] == "skipped"} == set(reasons)
     for name, reason in reasons.items():
         assert reason in rows[name]["reason"]

@@ -47,16 +47,10 @@ def test_the_page_shows_the_run_and_loads_nothing(tmp_path, page_of, stream):
     result, page, text = page_of("--deadline-ms", 60_000)
     assert result.exit_code == 3
     expected = {
-        "frames": "12",
-        "missed deadlines": "0",
-        "flagged frames": "6",
-        "no_depth": "3 of 12",
-        "image_frozen": "1 of 12",
-        "skipped": "2 of 12",
-        "name": "by-hand",
-        "answers": "semantic, depth, boundary, depth_uncertainty",
-        "requested": "cpu",
-    }
+        "frames": "12", "missed deadlines": "0", "flagged frames": "6", "no_depth": "3 of 12",
+        "image_frozen": "1 of 12", "skipped": "2 of 12", "name": "by-hand",
+        "answers": "semantic, depth, boundary, depth_uncertainty", "requested": "cpu",
+    }  # fmt: skip
     assert {label: page.after(label) for label in expected} == expected
     frames = json.loads((tmp_path / "out" / "report.json").read_text())["frames"]
     assert frames["health"] == {"image_frozen": 1, "lidar_empty": 3}, "as on the page"
