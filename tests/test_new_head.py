@@ -1,4 +1,7 @@
-"""A head that no code knows by name comes from a package of one's own, and goes all the way."""
+"""A package of one's own adds a head, a network, a loss and a data set by entry points.
+
+No code knows the head by name, and it goes all the way.
+"""
 
 import csv
 import json
@@ -13,13 +16,15 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from export.exporter import export_checkpoint
-from models import create_model, load_checkpoint, save_checkpoint
-from runtime import ContractError, Predictor
+from models import create_model, list_models, load_checkpoint, save_checkpoint
+from runtime import ContractError, InputError, Predictor
 from runtime.contract.heads import HEADS
 from runtime.drawing.encode import ENCODERS
 from runtime.verification.reference import read_reference
 from runtime.verification.verify import verify
 from training import evaluate, train
+from training.chosen_recipe import read_stages
+from training.datasets.any_source import parse_data
 
 # The row alone, which the engine needs: it imports no torch.
 ROW = """
@@ -53,7 +58,7 @@ from models.blocks import pad_to_multiple
 from models.registry import Entry
 from training.datasets.sample import Sample, make_frame
 from training.datasets.source_recipe import SourceRecipe
-from training.limits import STRICT
+from training.limits import STRICT, Positive
 from training.losses.semantic import labelled_mean
 from training.losses.terms import head_term
 
@@ -79,8 +84,11 @@ class Drivable(Network):
 
 class Streets:
     # Frames whose lower half is bright and free; a third of their columns is not labelled.
+    def __init__(self, count):
+        self.count = count
+
     def __len__(self):
-        return 4
+        return self.count
 
     def __getitem__(self, index):
         rgb = np.random.default_rng(index).integers(0, 60, (*SIZE, 3), dtype=np.uint8)
@@ -93,9 +101,10 @@ class Streets:
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class StreetsRecipe(SourceRecipe):
     kind: Literal["lab-streets"] = "lab-streets"
+    count: Positive = 1.0
 
     def open(self, folder, classes):
-        return Streets()
+        return Streets(int(self.count))
 
 
 def drivable_loss(logits, labels, weights):
@@ -113,6 +122,8 @@ drivable = lab_head:DRIVABLE
 misnamed = lab_head:DRIVABLE
 [ssdnet.networks]
 lab-drivable = lab_parts:NETWORK
+lab-broken = lab_parts:nothing
+lab-wrong = lab_parts:LOSS
 [ssdnet.losses]
 drivable = lab_parts:LOSS
 [ssdnet.datasets]
@@ -128,9 +139,9 @@ loss.weights.drivable = 2.0
 batch_size = 4
 workers = 0
 augment = { crop = [32, 48], scale = [0.5, 1.0] }
-source = [{ kind = "lab-streets", path = "." }]
+source = [{ kind = "lab-streets", path = ".", count = 4 }]
 [validation]
-source = [{ kind = "lab-streets", path = ".", name = "streets" }]
+source = [{ kind = "lab-streets", path = ".", name = "streets", count = 4 }]
 lidar = "none"
 best = "streets/mean_error_drivable"
 """
@@ -159,7 +170,7 @@ def folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(folder))
         save_checkpoint(folder / "c.pt", create_model("lab-drivable").eval(), training={})
-        options = {"size": SIZE, "dynamic": True, "record_dir": folder / "exported"}
+        options = {"size": SIZE, "record_dir": folder / "exported"}
         report = export_checkpoint(folder / "c.pt", folder / "m.onnx", **options)
         assert report.heads == ("drivable",)
         assert report.parity["drivable"].figures["max_abs"] <= HEADS["drivable"].tolerance
@@ -179,15 +190,13 @@ def test_its_row_is_enough_for_the_engine(folder, tmp_path, frame):
         report = verify(predictor, recording, tolerances={})
         assert report.checks
         assert report.passed
+        resized = predictor.predict(rgb[:48, :72], depth[:48, :72])
+    assert resized.network_size == SIZE
+    assert resized.heads["drivable"].shape == (48, 72)
     answer = prediction.heads["drivable"]
     assert prediction.valid
     assert (answer.shape, answer.dtype) == (SIZE, np.float32)
     assert 0 < answer.min() < answer.max() < 1
-
-    with Predictor(folder / "m.onnx", size=32) as predictor:
-        resized = predictor.predict(rgb, depth)
-    assert resized.network_size == (32, 48)
-    assert resized.heads["drivable"].shape == SIZE
 
     drawn = prediction.draw(rgb)[24:64, 96:192]  # below the title of the second panel
     np.testing.assert_allclose(drawn, np.repeat(answer[24:, :, None] * 255, 3, axis=2), atol=1)
@@ -212,7 +221,7 @@ def test_a_broken_answer_of_it_is_invalid(folder, frame, change_run):
 
 def test_ssdnet_run_saves_and_records_it(folder, tmp_path):
     out, recording = tmp_path / "out", tmp_path / "r"
-    arguments = ["--demo", "--limit", "1", "--model", folder / "m.onnx", "--size", "64"]
+    arguments = ["--demo", "--limit", "1", "--model", folder / "m.onnx"]
     arguments += ["--out", out, "--record", recording]
     command = "from runtime.app.tools.commands import run; run()"
     result = subprocess.run(
@@ -230,7 +239,12 @@ def test_ssdnet_run_saves_and_records_it(folder, tmp_path):
 
 def test_it_is_trained_and_scored(folder, tmp_path):
     run = tmp_path / "run"
-    trained = load_checkpoint(train(folder / "recipe.toml", data=folder, out=run).path).model
+    checkpoint = load_checkpoint(train(folder / "recipe.toml", data=folder, out=run).path)
+    recipe, trained = checkpoint.facts.recipe, checkpoint.model
+    assert recipe["loss"]["weights"]["drivable"] == 2.0
+    assert recipe["data"]["source"][0]["count"] == 4
+    assert "lab-drivable" in list_models()
+    assert parse_data("lab-streets:far,count=3").count == 3
     events = EventAccumulator(str(run / "tensorboard"))
     events.Reload()
     shown = {
@@ -251,6 +265,27 @@ def test_it_is_trained_and_scored(folder, tmp_path):
     assert row.figures["mean_error_drivable"] == pytest.approx(
         float(scores["mean_error_drivable"]), abs=1e-6
     )
+
+
+@pytest.mark.parametrize(("change", "text"), [
+    ("data.source = [{kind = 'lab-streets', path = '.', count = 0.0}]", "count = 0.0: "),
+    ("data.source = [{kind = 'lab-streets', path = '.', counts = 1}]", "unknown key counts;"),
+    ("loss.weights.lab-third = 1", "loss.weights.lab-third: unknown term; known: depth,"),
+])  # fmt: skip
+def test_its_keys_are_checked_like_those_of_this_package(folder, change, text):
+    with pytest.raises(InputError, match=text):
+        read_stages(str(folder / "recipe.toml"), [change])
+
+
+@pytest.mark.parametrize(("name", "text"), [
+    ("lab-none", "unknown model 'lab-none'; known: ssdnet.*, lab-drivable"),
+    ("lab-broken", "ssdnet.networks: lab-broken = lab_parts:nothing: .*no attribute 'nothing'"),
+    ("lab-wrong", "lab-wrong = lab_parts:LOSS is a Term; expected one of the type Entry"),
+])  # fmt: skip
+@pytest.mark.usefixtures("folder")
+def test_what_cannot_be_loaded_is_named(name, text):
+    with pytest.raises(ValueError, match=text):
+        create_model(name)
 
 
 def test_a_package_that_cannot_be_imported_is_named(folder, monkeypatch):

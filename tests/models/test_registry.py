@@ -103,7 +103,7 @@ source = [{{ kind = "rendered", path = "rendered" }}]
 
 @pytest.mark.slow
 def test_a_network_of_one_head_goes_through_every_tool(tmp_path):
-    """It predicts classes alone; test_new_network.py has a network of depth alone."""
+    """It predicts classes alone; test_new_head.py has a network of another head alone."""
     name = "tiny-semantic"
     virtual_kitti.write_second_edition(tmp_path / "rendered", magnify=5)
     recipe = tmp_path / "tiny.toml"
