@@ -130,7 +130,7 @@ def _adapt(
     # The mean over the feeds of MAE and of RMSE.
     figures = {name: np.mean(list(found.values()), axis=0)[:2] for name, found in scores.items()}
     ratio = {name: float((figures[name] / figures["before"]).mean()) for name in models}
-    change = {name: bundled_change(network, models[name]) for name in ("between", "after")}
+    change = bundled_changes(network, {name: models[name] for name in ("between", "after")})
     allowed = ["before", *(name for name, share in change.items() if share <= MOST_CHANGE)]
     best = min(allowed, key=lambda name: ratio[name])  # ties keep the model before
     paid = best != "before"
@@ -241,15 +241,20 @@ def _table(scores: Mapping[str, Mapping[str, Any]], frames: int) -> Iterator[str
         yield f"{feed:20}" + "".join(f"{cell:>22}" for cell in cells)
 
 
-def bundled_change(before: Network, after: Network) -> float:
-    """Return the mean relative change of the depth on the recording installed with the engine."""
-    predicts, changes = (torch_predict(before), torch_predict(after)), []
-    for frame in bundled_frames():
-        old, new = (
+def bundled_changes(before: Network, models: Mapping[str, Network]) -> dict[str, float]:
+    """Return each model's mean relative change of the depth on the engine's bundled recording."""
+
+    def depths(network: Network) -> list[Depth]:
+        predict = torch_predict(network)
+        answers = (
             predict(frame.rgb, frame.sparse_depth, BUNDLED_FOCAL_LENGTH_PX).depth
-            for predict in predicts
+            for frame in bundled_frames()
         )
-        assert old is not None
-        assert new is not None
-        changes.append(float(np.abs(new / old - 1).mean()))
-    return float(np.mean(changes))
+        return [depth for depth in answers if depth is not None]
+
+    old = depths(before)
+    changes = {}
+    for name, model in models.items():
+        pairs = zip(depths(model), old, strict=True)
+        changes[name] = float(np.mean([float(np.abs(new / was - 1).mean()) for new, was in pairs]))
+    return changes

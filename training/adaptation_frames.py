@@ -4,7 +4,7 @@ import json
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -70,23 +70,20 @@ def describe_recording(recording: str, **files: str | Path | None) -> tuple[Reco
     Raises:
         InputError: if the text names an unknown key, or a value is wrong.
     """
-    source, path = None, Path(recording)
+    source, path, keys = None, Path(recording), dict[str, Any]()
     if is_named(recording):
         found = parse_source(recording)
-        given = {each.name: getattr(found.rig, each.name) for each in fields(found.rig)}
-        stated = {name: given[name] for name in found.rig.given} | dict(found.keys)
-        pairs = (
-            f"{name}={str(value).lower() if isinstance(value, bool) else value}"
-            for name, value in stated.items()
-        )
-        source, path = ",".join((found.kind, *pairs)), found.path
+        source, path = found.kind, found.path
+        given = {**found.keys, **{name: getattr(found.rig, name) for name in found.rig.given}}
+        # Numbers and truth values stay; paths and kinds become text.
+        keys = {n: v if isinstance(v, int | float) else str(v) for n, v in given.items()}
     path = path.absolute()
     below: dict[str, Any] = {
         name: os.path.relpath(Path(file).absolute(), beside(path))
         for name, file in files.items()
         if file is not None
     }
-    return RecordingRecipe(path=path.name, source=source, **below), path.parent
+    return RecordingRecipe(path=path.name, source=source, keys=keys, **below), path.parent
 
 
 def find_frames(

@@ -112,10 +112,23 @@ def test_only_layers_of_the_depth_alone_are_trained(rig, weights, tmp_path):
 
 def test_a_change_is_relative_to_the_depth_before(monkeypatch):
     depths = {"before": np.float32([[10, 20]]), "after": np.float32([[11, 19]])}
-    monkeypatch.setattr(
-        adapting, "torch_predict", lambda name: lambda *frame: HeadMaps(depth=depths[name])
+    asked = []
+    monkeypatch.setattr(adapting, "torch_predict", lambda name: asked.append(name) or (
+        lambda *frame: HeadMaps(depth=depths[name])
+    ))  # fmt: skip
+    changes = adapting.bundled_changes("before", {"a": "after", "b": "before"})
+    assert changes == {"a": pytest.approx((0.1 + 0.05) / 2), "b": 0}
+    assert asked == ["before", "after", "before"]
+
+
+def test_keys_of_a_named_kind_are_kept_as_values(rig):
+    recording, root = describe_recording(
+        f"folders:{rig}/images,depth_scale=128,scan_stamp=end", depth=rig / "lidar"
     )
-    assert adapting.bundled_change("before", "after") == pytest.approx((0.1 + 0.05) / 2)
+    assert recording.source == "folders"
+    assert recording.keys == {"depth_scale": 128, "scan_stamp": "end"}
+    with recording.open_source(root / recording.path) as source:
+        assert (source.depth_scale, source.inputs["scan_stamp"]) == (128, "end")
 
 
 @pytest.fixture
@@ -123,14 +136,16 @@ def scored(monkeypatch):
     """Give a function that sets the errors that `score` finds, and what is forgotten."""
 
     def set_scores(errors, forgotten=(0.0, 0.0)):
-        errors, forgotten = iter((9.0, *errors)), iter(forgotten)  # the first are of "linear"
+        errors = iter((9.0, *errors))  # the first are of "linear"
 
         def score(predict, samples, stop):
             assert len(samples) == 2  # of twelve, in the last tenth of the time
             return dict.fromkeys(FEEDS, np.full(3, next(errors)))
 
         monkeypatch.setattr(adapting, "score", score)
-        monkeypatch.setattr(adapting, "bundled_change", lambda *_: next(forgotten))
+        monkeypatch.setattr(
+            adapting, "bundled_changes", lambda _, models: dict(zip(models, forgotten, strict=True))
+        )
 
     return set_scores
 

@@ -1,7 +1,7 @@
 """A recording of a camera and a LiDAR, read as the engine reads it, and truth beside it."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
@@ -14,9 +14,10 @@ from pydantic.dataclasses import dataclass
 from runtime.base.errors import InputError
 from runtime.geometry.motion import Scan
 from runtime.geometry.returns import is_measured
+from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.images import KITTI_DEPTH_SCALE, list_files
-from runtime.recordings.registry import detect_source, open_source, parse_source
+from runtime.recordings.registry import detect_source, open_source
 from runtime.recordings.source import ListedFrame, Source
 from runtime.streams.frame import Frame, Message
 from training.datasets.class_mapping import ClassTable
@@ -128,8 +129,9 @@ class RecordingRecipe(LabelledRecipe):
     The paths of other files and folders are relative to `path` or, if it is a file, to its folder.
 
     Attributes:
-        source: kind of the recording and its keys, KIND[,KEY=VALUE...] as in `--source` of
-            `ssdnet-run`; None: the path tells the kind.
+        source: kind of the recording, as in `--source` of `ssdnet-run`; None: the path tells the
+            kind.
+        keys: values of the keys of `--source`.
         depth: folder of depth maps of a folder of images.
         points: folder of scans of a folder of images.
         calibration: calibration of camera and LiDAR.
@@ -146,6 +148,7 @@ class RecordingRecipe(LabelledRecipe):
 
     kind: Literal["recording"] = "recording"
     source: Annotated[str, Field(min_length=1)] | None = None
+    keys: Mapping[str, bool | int | float | str] = Field(default_factory=dict)
     depth: Folder | None = None
     points: Folder | None = None
     calibration: Folder | None = None
@@ -160,15 +163,12 @@ class RecordingRecipe(LabelledRecipe):
         Raises:
             InputError: as `runtime.recordings.registry.open_source`.
         """
-        kind, _, keys = (self.source or "").partition(",")
-        text = f"{kind}:{path}" + (f",{keys}" if keys else "")
-        found = parse_source(text) if kind else detect_source(path)
-        files = {name: getattr(self, name) for name in ("depth", "points", "poses")}
-        given = {name: beside(path) / file for name, file in files.items() if file}
-        rig = found.rig
-        if self.calibration:
-            rig = replace(rig, calibration=beside(path) / self.calibration)
-        return open_source(found.kind, found.path, rig, **given, **found.keys)
+        files = {name: getattr(self, name) for name in ("depth", "points", "poses", "calibration")}
+        given: dict[str, Any] = {**self.keys}
+        given |= {name: beside(path) / file for name, file in files.items() if file}
+        of_rig = {each.name for each in fields(Rig)} & given.keys()
+        rig = Rig(**{name: given.pop(name) for name in of_rig})
+        return open_source(self.source or detect_source(path).kind, path, rig, **given)
 
     @dataset_errors()
     def open(self, folder: Path, classes: ClassTable) -> RecordedFrames:

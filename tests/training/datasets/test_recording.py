@@ -58,11 +58,11 @@ def test_returns_are_the_target_or_the_input_of_denser_truth(root):
 
 
 def test_keys_and_ranges_are_those_of_the_engine_and_of_other_sets(root):
-    source = "folders,depth_scale=128"
-    found = open_drive(root, "drive/images", source=source, depth="../depth", first=1, last=2)
+    keys = {"source": "folders", "keys": {"depth_scale": 128}}
+    found = open_drive(root, "drive/images", depth="../depth", first=1, last=2, **keys)
     assert [found[index].depth.max() for index in range(len(found))] == [4.0, 6.0]
     for keys, text in (
-        ({"source": "folders,scale=2"}, "not scale"),
+        ({"keys": {"scale": 2}}, "not --scale"),
         ({"depth": "none"}, "cannot list the folder"),
         ({"first": 9}, "4 images, none of them in 9"),
     ):
