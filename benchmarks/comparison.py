@@ -297,7 +297,7 @@ def time_method(name: str, size: Size, rounds: int) -> float:
     method = create_method(name)
     rgb = make_input("rgb", "tensor(uint8)", (*size, 3))
     sparse_depth = make_input("sparse_depth", "tensor(float)", size)
-    times_ms = time_runs(lambda: method.complete(rgb, sparse_depth), rounds + 1, None)[1:]
+    times_ms = time_runs(lambda: method.complete(rgb, sparse_depth), rounds + 1)[1:]
     return statistics.median(times_ms)
 
 

@@ -70,16 +70,6 @@ def main(
     rounds: Annotated[
         int, typer.Option(min=1, help="Measured runs of each model; p99 needs 100.")
     ] = 100,
-    rate: Annotated[
-        float | None,
-        typer.Option(
-            metavar="HZ",
-            min=1e-3,
-            max=1e6,
-            help="Frames arrive at this rate; the models take turns of one second, and the "
-            "latency is measured from when a frame is due. [default: turns of one run]",
-        ),
-    ] = None,
     provider: Annotated[
         Provider, typer.Option(help="Execution provider of the models.")
     ] = Provider.cpu,
@@ -89,7 +79,7 @@ def main(
     cases = tuple(map(_size, size)), tuple(threads or [available_cores()]), tuple(batch)
     with reported_errors("cpu"):
         with stop_requested(interrupts=True):
-            report = bench(BenchOptions(tuple(models), *cases, rounds, rate, provider.value))
+            report = bench(BenchOptions(tuple(models), *cases, rounds, provider.value))
         print_result(to_markdown(report))
         if report.interrupted:
             raise typer.Exit(INTERRUPTED)
@@ -113,7 +103,6 @@ class BenchOptions:
     threads: tuple[int, ...]  # within an operator
     batches: tuple[int, ...] = (1,)  # frames per run, for models with a free batch
     rounds: int = 100  # measured runs of each model
-    rate_hz: float | None = None  # of frames; a turn takes a second; None: one run
     provider: str = "cpu"
 
 
@@ -167,9 +156,6 @@ def bench(options: BenchOptions) -> BenchReport:
 
 def _measure(group: Sequence[BenchRow], options: BenchOptions) -> None:
     """Open the models of a group, then run them in turn."""
-    rounds, period_s, most = options.rounds, None, 1
-    if options.rate_hz is not None:
-        period_s, most = 1 / options.rate_hz, max(2, math.ceil(options.rate_hz))
     with contextlib.ExitStack() as stack:
         workers = []
         for row in group:
@@ -180,11 +166,10 @@ def _measure(group: Sequence[BenchRow], options: BenchOptions) -> None:
             case = row.model, row.size, row.batch, row.threads, options.provider
             row.opened = _answer(row, executor, open_for_timing, *case)
         for row, executor in workers:
-            _answer(row, executor, time_model, _WARM_UP, period_s)
-        for at in range(0, rounds, most):
+            _answer(row, executor, time_model, _WARM_UP)
+        for _ in range(options.rounds):
             for row, executor in workers:
-                frames = min(most, rounds - at)
-                row.times_ms += _answer(row, executor, time_model, frames, period_s) or []
+                row.times_ms += _answer(row, executor, time_model, 1) or []
 
 
 def _answer(row: BenchRow, executor: Executor, call: Callable[..., Any], *arguments: Any) -> Any:
@@ -204,11 +189,10 @@ def _answer(row: BenchRow, executor: Executor, call: Callable[..., Any], *argume
 def to_markdown(report: BenchReport) -> str:
     """One line on the machine, and a table for each size, number of threads and batch."""
     options, machine = report.options, report.machine
-    how = "runs in turn" if options.rate_hz is None else f"frames at {options.rate_hz:g} Hz"
     parts = [
         f"{machine.processor}, {machine.logical_cores} logical cores, load {report.load:.2f} "
         f"at the start, onnxruntime {report.onnxruntime} on {options.provider}, Python "
-        f"{machine.python}; {options.rounds} {how}{', interrupted' * report.interrupted}"
+        f"{machine.python}; {options.rounds} runs in turn{', interrupted' * report.interrupted}"
     ]
     for group in report.groups:
         first = next((row for row in group if row.times_ms), group[0])

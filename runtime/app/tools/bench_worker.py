@@ -41,15 +41,15 @@ def open_for_timing(
         load_ms = (time.perf_counter() - started) * 1e3
         feeds, notes = make_feeds(session.get_inputs(), size=size, batch=batch)
         _process.run = lambda: session.run(None, feeds)
-        first_ms = time_runs(_process.run, 2, None)[0]
+        first_ms = time_runs(_process.run, 2)[0]
         shapes = {name: values.shape for name, values in feeds.items()}
         return Opened(shapes, notes, load_ms, first_ms, _peak_memory_mb())
 
 
-def time_model(frames: int, period_s: float | None) -> list[float]:
+def time_model(frames: int) -> list[float]:
     """Return the `time_runs` of the open model. Raises RuntimeError."""
     with _in_words():
-        return time_runs(_process.run, frames, period_s)
+        return time_runs(_process.run, frames)
 
 
 @contextlib.contextmanager
@@ -63,21 +63,13 @@ def _in_words() -> Iterator[None]:
         raise RuntimeError(text if ours else f"{type(error).__name__}: {error}") from None
 
 
-def time_runs(run: Callable[[], object], frames: int, period_s: float | None) -> list[float]:
-    """Return the latency of each run [ms].
-
-    With a period, the latency of a frame counts from the time at which it is due, even if the run
-    before took longer.
-    """
+def time_runs(run: Callable[[], object], runs: int) -> list[float]:
+    """Return the time of each run [ms]."""
     times_ms = []
-    started = time.perf_counter()
-    for frame in range(frames):
-        due = time.perf_counter()
-        if period_s is not None:
-            due = started + frame * period_s
-            time.sleep(max(0.0, due - time.perf_counter()))
+    for _ in range(runs):
+        started = time.perf_counter()
         run()
-        times_ms.append((time.perf_counter() - due) * 1e3)
+        times_ms.append((time.perf_counter() - started) * 1e3)
     return times_ms
 
 

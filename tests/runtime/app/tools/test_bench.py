@@ -5,7 +5,6 @@ import signal
 import sys
 import threading
 import time
-from types import SimpleNamespace
 
 import numpy as np
 import onnx
@@ -110,23 +109,17 @@ def test_weights_beside_a_foreign_model_are_read(run, tmp_path):
 def test_models_take_turns_after_runs_that_do_not_count(run, model_file, monkeypatch):
     order = []
 
-    def record(run, frames, period_s):
-        order.append((threading.get_ident(), frames, period_s))
+    def record(run, frames):
+        order.append((threading.get_ident(), frames))
         return [float(len(order))] * frames
 
     monkeypatch.setattr(bench_worker, "time_runs", record)
     _, (_, first, second) = run(model_file(), model_file(), "--rounds", 3)
     a, b = order[0][0], order[1][0]
-    assert [ident for ident, _, _ in order] == [a, b] * 5
-    assert [frames for _, frames, _ in order] == [2] * 4 + [1] * 6
+    assert [ident for ident, _ in order] == [a, b] * 5
+    assert [frames for _, frames in order] == [2] * 4 + [1] * 6
     assert (first[2], second[2]) == ("7.00", "8.00")  # medians of 5, 7, 9 and 6, 8, 10
     assert second[4:6] == ["1.14", "1.13 to 1.17"]  # of 6 / 5, 8 / 7, 10 / 9
-
-    order.clear()
-    result, _ = run(model_file(), model_file(), "--rounds", 50, "--rate", 20)
-    assert "50 frames at 20 Hz" in result.output
-    a, b = order[0][0], order[1][0]
-    assert order[4:] == [(x, n, 0.05) for n in (20, 20, 10) for x in (a, b)]
 
 
 def test_a_failure_between_the_runs_takes_the_row_and_leaves_the_others(
@@ -146,22 +139,6 @@ def test_a_failure_between_the_runs_takes_the_row_and_leaves_the_others(
     assert (good[4], "b.onnx" in titles[4]) == ("1.00", True)
 
 
-@pytest.mark.parametrize(
-    ("period_s", "latencies"), [(None, [30, 30, 30]), (0.05, [30, 30, 30]), (0.02, [30, 40, 50])]
-)
-def test_a_latency_counts_from_when_the_frame_is_due(monkeypatch, period_s, latencies):
-    """Each run takes 30 ms."""
-    now = [100.0]
-
-    def advance(seconds):
-        now[0] += seconds
-
-    clock = SimpleNamespace(perf_counter=lambda: now[0], sleep=advance)
-    monkeypatch.setattr(bench_worker, "time", clock)
-    times_ms = bench_worker.time_runs(lambda: advance(0.03), 3, period_s)
-    assert times_ms == pytest.approx(latencies)
-
-
 def test_ctrl_c_prints_what_there_is(run, model_file, monkeypatch):
     real, calls = bench_worker.time_runs, iter(range(100))
 
@@ -178,9 +155,7 @@ def test_ctrl_c_prints_what_there_is(run, model_file, monkeypatch):
     assert [float(row[2]) > 0 for row in cells[1:]] == [True, True]
 
 
-@pytest.mark.parametrize(
-    "options", [["--size", "32"], ["--size", "0x5"], ["--rate", "0"], ["--rounds", "0"]]
-)
+@pytest.mark.parametrize("options", [["--size", "32"], ["--size", "0x5"], ["--rounds", "0"]])
 def test_invalid_options_are_usage_errors(run, options):
     assert run("ssdnet-lite", *options)[0].exit_code == 2
 
