@@ -34,8 +34,8 @@ class KittiObjectSource(FolderSource):
         path: the folder, such as training.
         rig: without a calibration in it, calib/ is read; see `FolderSource`.
         camera: 2 is the left and 3 the right colour camera.
-        points: folder of the scans; None: velodyne/.
-        point_columns: numbers per point of .bin scans; None: the default of `read_scan`.
+        **options: `points` and `point_columns` of `FolderSource`; without `points`, velodyne/ is
+            read.
 
     Raises:
         InputError: if the images are missing, or if a calibration cannot be read.
@@ -52,8 +52,7 @@ class KittiObjectSource(FolderSource):
         rig: Rig = DEFAULT_RIG,
         *,
         camera: int = 2,
-        points: Path | None = None,
-        point_columns: int | None = None,
+        **options: Any,
     ) -> None:
         images = path / f"image_{camera}"
         if not os.path.isdir(images):
@@ -61,14 +60,10 @@ class KittiObjectSource(FolderSource):
                 f"{path} is not in KITTI's object layout: {images} is missing; give a folder like "
                 "training, or another camera= in --source"
             )
-        scans = path / "velodyne"
-        super().__init__(
-            images,
-            replace(rig, calibration=rig.calibration or path / "calib"),
-            points=points or (scans if os.path.isdir(scans) else None),
-            point_columns=point_columns,
-            camera=camera,
-        )
+        scans, rig = path / "velodyne", replace(rig, calibration=rig.calibration or path / "calib")
+        if options.get("points") is None:
+            options["points"] = scans if os.path.isdir(scans) else None
+        super().__init__(images, rig, camera=camera, **options)
         if self._depth is None:
             self._note("no velodyne folder, so only the camera is used; --points names the scans")
 

@@ -16,7 +16,7 @@ from runtime.engine.process_guard import SHARED_FILES, ProcessGuard
 from runtime.files.read_input import require_regular
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.folders import FolderSource
-from runtime.recordings.images import DEPTH_SUFFIXES, KITTI_DEPTH_SCALE, list_files, require_pixels
+from runtime.recordings.images import DEPTH_SUFFIXES, list_files, require_pixels
 from runtime.recordings.orientation import check_turn
 from runtime.recordings.source import ListedFrame, by_number
 from runtime.streams.frame import Frame, Message
@@ -33,9 +33,8 @@ class VideoSource(FolderSource):
     Args:
         path: a file that OpenCV's FFmpeg decodes.
         rig: the sensors of the car; its calibration is used.
-        depth: folder of depth maps, see `read_sparse_depth`, whose names end in the frame's number
-            (7.png, depth_0007.png); None: only the camera is used.
-        depth_scale: units of 16-bit depth maps per metre.
+        **options: `depth` and `depth_scale` of `FolderSource`; the names of depth maps end in the
+            frame's number (7.png, depth_0007.png).
 
     Raises:
         InputError: if the video or the calibration cannot be read.
@@ -46,16 +45,9 @@ class VideoSource(FolderSource):
     options = ("depth", "depth_scale")
     rig_options = ("calibration",)
 
-    def __init__(
-        self,
-        path: Path,
-        rig: Rig = DEFAULT_RIG,
-        *,
-        depth: Path | None = None,
-        depth_scale: float = KITTI_DEPTH_SCALE,
-    ) -> None:
+    def __init__(self, path: Path, rig: Rig = DEFAULT_RIG, **options: Any) -> None:
         require_regular(path)
-        super().__init__(path, rig, depth=depth, depth_scale=depth_scale)
+        super().__init__(path, rig, **options)
         self.recordings = (path,)
         self._guard = ProcessGuard("VideoSource", SHARED_FILES, InputError)
         self._video = _open(path)

@@ -4,7 +4,6 @@ import math
 import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,25 +27,6 @@ from runtime.verification.reference import Reference, ReferenceFrame
 # A value or a limit for each figure of `agreement.compare`, by head.
 Figures = Mapping[str, Mapping[str, float]]
 _ANSWERED_BY_TORCH = "torch"
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """The answers to one frame, compared with the recorded ones.
-
-    Attributes:
-        name: name of the frame.
-        figures: how far the answer of each head is from the recorded one.
-        beyond: heads with a figure beyond its limit.
-        faults: what else differs, in words.
-        predict_ms: time of the prediction now; None if there was none.
-    """
-
-    name: str
-    figures: Figures
-    beyond: tuple[str, ...] = ()
-    faults: tuple[str, ...] = ()
-    predict_ms: float | None = None
 
 
 @dataclass(frozen=True)
@@ -85,30 +65,19 @@ class VerifyReport:
 
     Attributes:
         reference: the reference that was compared.
-        limits: limits of the figures of each head.
-        checks: comparisons of the frames, in order.
+        failed: number of frames whose answers differ.
+        figures: the worst value of each limited figure, in the order of the limits.
+        faults: the differences besides the values of heads, each text once.
+        slowdown: the median time now divided by the recorded one; None if no times were recorded.
         max_slowdown: limit of `slowdown`; infinity: times are not compared.
     """
 
     reference: Reference
-    limits: Figures
-    checks: tuple[Comparison, ...]
+    failed: int
+    figures: tuple[WorstFigure, ...]
+    faults: tuple[Fault, ...]
+    slowdown: float | None
     max_slowdown: float
-
-    @property
-    def failed(self) -> list[Comparison]:
-        """Frames whose answers differ."""
-        return [check for check in self.checks if check.beyond or check.faults]
-
-    @cached_property
-    def slowdown(self) -> float | None:
-        """The median time now divided by the recorded one; None if no times were recorded."""
-        now_ms = [each.predict_ms for each in self.checks if each.predict_ms is not None]
-        recorded = [each.predict_ms for each in self.reference.frames]
-        recorded_ms = [each for each in recorded if each is not None]
-        if not now_ms or not recorded_ms:
-            return None
-        return statistics.median(now_ms) / max(statistics.median(recorded_ms), 1e-9)
 
     @property
     def slow(self) -> bool:
@@ -118,37 +87,7 @@ class VerifyReport:
     @property
     def passed(self) -> bool:
         """Whether there are answers, and all agree with the recorded ones within `max_slowdown`."""
-        return bool(self.checks) and not self.slow and not self.failed
-
-    @property
-    def figures(self) -> list[WorstFigure]:
-        """The worst value of each limited figure, in the order of the limits."""
-        found = []
-        for head, limits in self.limits.items():
-            of_head = [(each.name, each.figures[head]) for each in self.checks]
-            of_head = [each for each in of_head if each[1]]
-            for name, limit in limits.items():
-                worst_value = frame = None
-                if of_head:
-                    worst_value = worst([figures for _, figures in of_head])[name]
-                    frame = next(
-                        each
-                        for each, figures in of_head
-                        # A NaN does not equal itself.
-                        if figures[name] == worst_value or math.isnan(figures[name])
-                    )
-                beyond = sum(not within(figures, {name: limit}) for _, figures in of_head)
-                found.append(WorstFigure(head, name, worst_value, limit, frame, beyond))
-        return found
-
-    @property
-    def faults(self) -> list[Fault]:
-        """The differences besides the values of heads, each text once."""
-        frames: dict[str, list[str]] = {}
-        for check in self.checks:
-            for text in check.faults:
-                frames.setdefault(text, []).append(check.name)
-        return [Fault(text, len(names), names[0]) for text, names in frames.items()]
+        return bool(self.reference.frames) and not self.slow and not self.failed
 
 
 def verify(
@@ -189,16 +128,45 @@ def verify(
     for head, given in tolerances.items():
         limits[head] = {name or limited_figure(head): value for name, value in given.items()}
     warm: set[tuple[int, ...]] = set()
-    checks = tuple(
-        _check_frame(predictor, frame, reference.arrays(index), limits, lookup, warm)
-        for index, frame in enumerate(reference.frames)
-    )
-    report = VerifyReport(reference, limits, checks, max_slowdown)
-    if max_slowdown < math.inf and report.slowdown is None:
+    of_heads: dict[str, list[tuple[str, Mapping[str, float]]]] = {head: [] for head in limits}
+    of_texts: dict[str, list[str]] = {}  # text -> names of the frames
+    failed, times_ms = 0, list[float]()
+    for index, frame in enumerate(reference.frames):
+        arrays = reference.arrays(index)
+        figures, texts = _compare_frame(predictor, frame, arrays, limits, lookup, warm, times_ms)
+        for head, each in figures.items():
+            of_heads[head].append((frame.name, each))
+        for text in texts:
+            of_texts.setdefault(text, []).append(frame.name)
+        failed += bool(texts) or any(not within(figures[head], limits[head]) for head in figures)
+    recorded_ms = [each.predict_ms for each in reference.frames if each.predict_ms is not None]
+    slowdown = None
+    if times_ms and recorded_ms:
+        slowdown = statistics.median(times_ms) / max(statistics.median(recorded_ms), 1e-9)
+    if max_slowdown < math.inf and slowdown is None:
         raise InputError(
             "--max-slowdown needs times, and this reference has none: record with ssdnet-run"
         )
-    return report
+    rows = tuple(
+        _worst_figure(head, name, limit, of_heads[head])
+        for head, each in limits.items()
+        for name, limit in each.items()
+    )
+    faults = tuple(Fault(text, len(names), names[0]) for text, names in of_texts.items())
+    return VerifyReport(reference, failed, rows, faults, slowdown, max_slowdown)
+
+
+def _worst_figure(
+    head: str, name: str, limit: float, found: Sequence[tuple[str, Mapping[str, float]]]
+) -> WorstFigure:
+    """Return the worst value of a figure; `found` are the figures of the head by frame."""
+    if not found:
+        return WorstFigure(head, name, None, limit, None, 0)
+    value = worst([figures for _, figures in found])[name]
+    # A NaN does not equal itself.
+    frame = next(f for f, each in found if each[name] == value or math.isnan(each[name]))
+    beyond = sum(not within(each, {name: limit}) for _, each in found)
+    return WorstFigure(head, name, value, limit, frame, beyond)
 
 
 def _limits_for(now: Contract, recorded: Contract, reference: Reference) -> dict[str, Any]:
@@ -253,24 +221,30 @@ def _by_recorded_id(
     return answer[np.argsort(lookup[: len(answer)])] if row.per_class else answer
 
 
-def _check_frame(
+def _compare_frame(
     predictor: Predictor,
     frame: ReferenceFrame,
     arrays: dict[str, NDArray[Any]],
     limits: Figures,
     lookup: NDArray[np.uint8] | None,
     warm: set[tuple[int, ...]],
-) -> Comparison:
-    """Predict a frame again; `warm` holds the shapes of pictures that were predicted before."""
+    times_ms: list[float],
+) -> tuple[Figures, list[str]]:
+    """Predict a frame again; return the figures of its heads, and what else differs, in words.
+
+    `warm` holds the shapes of pictures that were predicted before; the time of the prediction is
+    added to `times_ms`.
+    """
     rgb, sparse_depth = arrays.pop("rgb"), arrays.pop("sparse_depth")
-    figures: dict[str, dict[str, float]] = {head: {} for head in limits}
+    figures: dict[str, dict[str, float]] = {}
     try:
         if rgb.shape not in warm:
             predictor.predict(rgb, sparse_depth, focal_length_px=frame.focal_length_px)
             warm.add(rgb.shape)
         prediction = predictor.predict(rgb, sparse_depth, focal_length_px=frame.focal_length_px)
     except InferenceError as error:
-        return Comparison(frame.name, figures, faults=(str(error),))
+        return figures, [str(error)]
+    times_ms.append(prediction.latency.total_ms)
     degraded = prediction.degraded if frame.degraded is None else frame.degraded
     pairs = {
         "valid": (str(prediction.valid), str(frame.valid)),
@@ -282,7 +256,6 @@ def _check_frame(
         for name, (now, then) in pairs.items()
         if now != then
     ]
-    beyond = []
     for head, expected in arrays.items():
         answer = prediction.heads.get(head)
         if answer is None:
@@ -292,8 +265,4 @@ def _check_frame(
             continue
         answer = _by_recorded_id(head, answer, lookup)
         figures[head] = compare(head, answer, expected, limits[head])
-        if not within(figures[head], limits[head]):
-            beyond.append(head)
-    return Comparison(
-        frame.name, figures, tuple(beyond), tuple(faults), prediction.latency.total_ms
-    )
+    return figures, faults

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.geometry.calibration import Calibration
+from runtime.geometry.poses import quaternion_of
 
 
 def format_toml(calibration: Calibration, *comments: str) -> str:
@@ -32,28 +33,10 @@ def format_static_transform(
         frames: names of the frames of camera and LiDAR.
     """
     values = zip(("x", "y", "z"), position, strict=True)
-    turns = zip(("qx", "qy", "qz", "qw"), quaternion(rotation), strict=True)
+    turns = zip(("qw", "qx", "qy", "qz"), quaternion_of(rotation), strict=True)
     numbers = " ".join(f"--{name} {value:.9g}" for name, value in (*values, *turns))
     camera, lidar = frames
     return (
         f"ros2 run tf2_ros static_transform_publisher {numbers} --frame-id {camera} "
         f"--child-frame-id {lidar}"
     )
-
-
-def quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a rotation (3, 3) as a quaternion x, y, z, w, whose w is not negative.
-
-    It is the eigenvector of Bar-Itzhack (2000), which is exact to rounding for every angle.
-    """
-    r = rotation
-    matrix = np.array(
-        [
-            [r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2], r[2, 1] - r[1, 2]],
-            [r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2], r[0, 2] - r[2, 0]],
-            [r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
-            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], np.trace(r)],
-        ]
-    )
-    vector = np.linalg.eigh(matrix)[1][:, -1]
-    return np.asarray(vector if vector[3] >= 0 else -vector)

@@ -142,11 +142,11 @@ def _origin(report: VerifyReport) -> str:
 
 def _table(report: VerifyReport, predictor: Predictor) -> str:
     """One line per limit with the worst value over all frames, then one line per other fault."""
-    reference, checks, failed = report.reference, report.checks, report.failed
+    reference, frames = report.reference, len(report.reference.frames)
     contract, is_same = predictor.contract, predictor.digest == reference.model_sha256
     now = f"now {contract.model_name} {contract.precision} sha256:{predictor.digest[:12]}"
     lines = [
-        f"{len(checks)} frames: {reference.model_name} sha256:{reference.model_sha256[:12]} by "
+        f"{frames} frames: {reference.model_name} sha256:{reference.model_sha256[:12]} by "
         f"{_origin(report)}",
         f"{now} on {predictor.provider}, {'' if is_same else 'NOT '}the recorded one",
         "",
@@ -164,10 +164,10 @@ def _table(report: VerifyReport, predictor: Predictor) -> str:
     for fault in report.faults:
         lines.append(f"  {fault.text} ({fault.frames} frames, the first is {fault.first_frame})")
     lines.append("")
-    if not checks:
+    if not frames:
         lines.append("the reference holds no frames: nothing was compared")
-    elif failed:
-        lines.append(f"{len(failed)} of {len(checks)} frames differ from the reference")
+    elif report.failed:
+        lines.append(f"{report.failed} of {frames} frames differ from the reference")
     elif is_same:
         lines.append("the same answers")
     else:
@@ -185,8 +185,8 @@ def _to_json(report: VerifyReport, predictor: Predictor) -> dict[str, Any]:
     reference, contract = report.reference, predictor.contract
     return {
         "passed": report.passed,
-        "frames": len(report.checks),
-        "frames_beyond": len(report.failed),
+        "frames": len(reference.frames),
+        "frames_beyond": report.failed,
         "recorded": {
             "model": reference.model_name,
             "sha256": reference.model_sha256,

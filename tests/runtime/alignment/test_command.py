@@ -14,8 +14,9 @@ from runtime.alignment.calibrate import CalibrationResult, Verdict
 from runtime.alignment.fit_scores import FitScores, rotation
 from runtime.app.tools import calibrate as tool
 from runtime.app.tools.calibrate import app
-from runtime.app.tools.calibration_file import format_static_transform, format_toml, quaternion
+from runtime.app.tools.calibration_file import format_static_transform, format_toml
 from runtime.geometry.calibration import Calibration
+from runtime.geometry.poses import quaternion_of
 
 
 def test_the_written_calibration_is_the_right_one(tmp_path, recording, frames, turned):
@@ -130,7 +131,7 @@ def test_a_calibration_survives_its_file(tmp_path):
 )
 def test_the_transform_of_ros_is_the_matrix(angles):
     matrix = rotation(angles)
-    x, y, z, w = quaternion(matrix)
+    w, x, y, z = quaternion_of(matrix)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
@@ -138,6 +139,6 @@ def test_the_transform_of_ros_is_the_matrix(angles):
     ]
     assert np.allclose(rows, matrix, atol=1e-9)
     line = format_static_transform(matrix, np.array([1, 2, 3.5]), ("cam", "velo"))
-    assert "--x 1 --y 2 --z 3.5 --qx" in line
+    assert "--x 1 --y 2 --z 3.5 --qw" in line
     assert line.endswith("--frame-id cam --child-frame-id velo")
     assert f"--qw {w:.9g} " in line
