@@ -13,6 +13,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from export.deploy import DeployGraph
 from export.errors import ExportError
+from export.options import ExportOptions
 from export.trace import trace
 from models import Checkpoint, Network, load_checkpoint
 from models.answers import check_output
@@ -65,25 +66,16 @@ def read_checkpoint(path: Path) -> Checkpoint:
     return checkpoint
 
 
-def build_draft(
-    checkpoint: Checkpoint,
-    path: Path,
-    *,
-    name: str | None,
-    size: tuple[int, int],
-    dynamic: bool,
-    opset: int,
-    with_logits: bool,
-) -> Draft:
-    """Trace the network of the checkpoint at `path`; without a name it has that of the network."""
-    network, config = checkpoint.model, checkpoint.model.config
-    graph = DeployGraph(network, with_logits=with_logits)
-    model = trace(graph, size=size, dynamic=dynamic, opset=opset)
-    with path.open("rb") as stream:
+def build_draft(checkpoint: Checkpoint, options: ExportOptions) -> Draft:
+    """Trace the network of a checkpoint, and describe it."""
+    network, config, size = checkpoint.model, checkpoint.model.config, options.native_size
+    graph = DeployGraph(network, with_logits=options.with_logits)
+    model = trace(graph, size=size, dynamic=options.any_size, opset=options.opset)
+    with options.source.open("rb") as stream:
         digest = hashlib.file_digest(stream, "sha256").hexdigest()
     contract = Contract(
         schema_version=SCHEMA_VERSION,
-        model_name=name or config.name,
+        model_name=options.model_name or config.name,
         classes=config.classes,
         max_depth_m=config.max_depth_m,
         native_size=size,
@@ -94,7 +86,7 @@ def build_draft(
             "ssdnet": __version__,
             "torch": str(torch.__version__),
             "onnx": str(onnx.__version__),
-            "opset": str(opset),
+            "opset": str(options.opset),
         },
         parity={},
         checkpoint_sha256=digest,
@@ -102,7 +94,7 @@ def build_draft(
         canonical_focal_px=config.canonical_focal_px,
         giga_macs=count_giga_macs(network, size),
     )
-    return Draft(network, graph.heads, model, contract, dynamic)
+    return Draft(network, graph.heads, model, contract, options.any_size)
 
 
 def count_giga_macs(model: Network, size: tuple[int, int]) -> float:

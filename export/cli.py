@@ -128,30 +128,29 @@ def export(
         raise typer.BadParameter("--precision int8 and --calibrate go together")
     if calibrate and not validate:
         raise typer.BadParameter("--precision int8 needs --validate")
-    size = None if height is None or width is None else (height, width)
     with reported_errors("export,train,cpu" if validate else "export,cpu"):
-        from export.exporter import export_checkpoint  # slow, and --help needs no PyTorch
+        from export.exporter import run_export  # slow, and --help needs no PyTorch
+        from export.options import ExportOptions
 
-        options = Int8Options(
+        int8 = Int8Options(
             tuple(calibrate or ()), max_drop_miou=max_drop_miou, max_rise_mae=max_rise_mae
         )
-
+        options = ExportOptions(
+            checkpoint=checkpoint,
+            target=model,
+            size=None if height is None or width is None else (height, width),
+            dynamic=dynamic,
+            opset=opset,
+            with_logits=with_logits,
+            record_dir=record_dir,
+            triton_dir=triton_dir,
+            precision=int8 if precision is _Choice.INT8 else Precision(precision),
+            validate=validate or (),
+            name=name,
+            overwrite=overwrite,
+        )
         with stop_requested(interrupts=True):
-            report = export_checkpoint(
-                checkpoint,
-                model,
-                size=size,
-                dynamic=dynamic,
-                opset=opset,
-                with_logits=with_logits,
-                record_dir=record_dir,
-                triton_dir=triton_dir,
-                precision=options if precision is _Choice.INT8 else Precision(precision),
-                validate=tuple(validate or ()),
-                name=name,
-                overwrite=overwrite,
-                report=_print_stage,
-            )
+            report = run_export(options, _print_stage)
     free = ", any size accepted" if report.dynamic else ""
     shape = f"{report.size[0]} x {report.size[1]}{free}"
     typer.echo(f"{report.path}: {report.num_bytes / 1e6:.1f} MB, {shape}, opset {opset}")

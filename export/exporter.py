@@ -6,16 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from export.build import Draft, build_draft, read_checkpoint
+from export.options import ExportOptions
 from export.parity import HeadParity, reference
 from export.precision import Int8Options, Precision
 from export.probe_frames import ProbeFrame
 from export.progress import Report, Stages
 from export.trace import DEFAULT_OPSET
-from export.triton import require_model_folder, write_triton_model
+from export.triton import write_triton_model
 from export.verify import verify
-from models.checkpoint import FINAL, run_folder
-from runtime import Contract, InputError, OutputError
-from runtime.contract.contract import check_name, check_size
+from runtime import Contract
 from runtime.files.atomic_write import atomic_file
 from runtime.verification.reference import (
     PredictorSettings,
@@ -23,10 +22,6 @@ from runtime.verification.reference import (
     ReferenceWriter,
     write_reference,
 )
-
-# (height, width) at which a model of any size is verified: half the size of Cityscapes, as in the
-# paper.
-DEFAULT_SIZE = (512, 1024)
 
 
 @dataclass(frozen=True)
@@ -105,82 +100,72 @@ def export_checkpoint(
             PyTorch by more than rounding, or if the gate is missed.
         DatasetError: if data cannot be read.
     """
-    if isinstance(precision, Int8Options) and not validate:
-        raise InputError("int8 needs data: give validate, data sets with ground truth")
-    dynamic, size = dynamic or size is None, size or DEFAULT_SIZE
-    source, target = Path(checkpoint_path), Path(onnx_path)
-    if source.is_dir():
-        source /= FINAL
-    if name is None and (run := run_folder(source)) is not None:
-        name = run.name
-    _check_facts(name, size)
-    triton_folder = None if triton_dir is None else Path(triton_dir) / target.stem
-    _check_targets(target, triton_folder, source, overwrite=overwrite)
+    options = ExportOptions(
+        checkpoint=Path(checkpoint_path),
+        target=Path(onnx_path),
+        size=size,
+        dynamic=dynamic,
+        opset=opset,
+        with_logits=with_logits,
+        record_dir=None if record_dir is None else Path(record_dir),
+        triton_dir=None if triton_dir is None else Path(triton_dir),
+        precision=precision,
+        validate=validate,
+        name=name,
+        overwrite=overwrite,
+    )
+    return run_export(options, report)
+
+
+def run_export(options: ExportOptions, report: Report) -> ExportReport:
+    """Build, verify and publish a file, see `export_checkpoint`."""
+    precision, target, overwrite = options.precision, options.target, options.overwrite
     int8 = isinstance(precision, Int8Options)
-    further = (int8, precision is not Precision.FP32, validate and not int8, record_dir, triton_dir)
+    further = (
+        *(int8, precision is not Precision.FP32, options.validate and not int8),
+        *(options.record_dir, options.triton_dir),
+    )
     stages = Stages(2 + sum(map(bool, further)), report)
     stages.begin("tracing the graph")
-    checkpoint = read_checkpoint(source)
+    checkpoint = read_checkpoint(options.source)
     warnings: Sequence[str] = ()
     if isinstance(precision, Int8Options):
         from export.int8 import require_frames  # needs the packages of training
 
-        warnings = require_frames(precision, validate, checkpoint, source.resolve().parent)
-    settings = PredictorSettings("ssdnet-export", "frame" if dynamic else None, provider="torch")
+        folder = options.source.resolve().parent
+        warnings = require_frames(precision, options.validate, checkpoint, folder)
+    settings = PredictorSettings(
+        "ssdnet-export", "frame" if options.any_size else None, provider="torch"
+    )
     with contextlib.ExitStack() as written:
         temporary = written.enter_context(atomic_file(target, overwrite=overwrite, durable=True))
         file = Path(temporary.name)
         recorder = None
-        if record_dir is not None:
+        if options.record_dir is not None:
             recorder = written.enter_context(
-                write_reference(Path(record_dir), settings, overwrite=overwrite)
+                write_reference(options.record_dir, settings, overwrite=overwrite)
             )
-        draft = build_draft(
-            *(checkpoint, source),
-            name=name,
-            size=size,
-            dynamic=dynamic,
-            opset=opset,
-            with_logits=with_logits,
-        )
-        draft, parity, frames = verify(draft, file, precision, validate, warnings, stages)
+        draft = build_draft(checkpoint, options)
+        draft, parity, frames = verify(draft, file, precision, options.validate, warnings, stages)
         num_bytes = draft.write(file)
         if recorder is not None:
             stages.begin("recording PyTorch's answers")
             _record(draft, frames, recorder)
             recorder.finish(file)
-        if triton_folder is not None:
+        if options.triton_folder is not None:
             stages.begin("writing the Triton model")
-            write_triton_model(triton_folder, draft.model, file.read_bytes(), overwrite=overwrite)
+            content = file.read_bytes()
+            write_triton_model(options.triton_folder, draft.model, content, overwrite=overwrite)
     return ExportReport(
-        target, size, dynamic, draft.heads, parity, len(frames), num_bytes, draft.contract
+        target,
+        options.native_size,
+        options.any_size,
+        draft.heads,
+        parity,
+        len(frames),
+        num_bytes,
+        draft.contract,
     )
-
-
-def _check_facts(name: str | None, size: tuple[int, int]) -> None:
-    """Raise InputError for a name or a size that no model file can have."""
-    try:
-        check_size(size)
-        if name is not None:
-            check_name(name, "name")
-    except ValueError as error:
-        raise InputError(str(error)) from error
-
-
-def _check_targets(
-    target: Path, triton_folder: Path | None, checkpoint: Path, *, overwrite: bool
-) -> None:
-    """Raise OutputError if the file or the folder cannot be written."""
-    if target.is_dir():
-        raise OutputError(f"{target} is a folder: give the name of a file")
-    if target.exists() and checkpoint.exists() and target.samefile(checkpoint):
-        raise OutputError(f"{target} is the checkpoint itself: choose another name")
-    if target.exists() and not overwrite:
-        raise OutputError(f"{target} exists: choose another name, or replace it with --overwrite")
-    if not target.parent.is_dir():
-        raise OutputError(f"{target.parent} is not a folder: create it first")
-    if triton_folder is not None:
-        require_model_folder(triton_folder, overwrite=overwrite)
 
 
 def _record(draft: Draft, frames: Sequence[ProbeFrame], recorder: ReferenceWriter) -> None:

@@ -11,7 +11,7 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 from typer.testing import CliRunner
 
-from export import build, exporter, verify
+from export import build, verify
 from export.cli import app
 from export.errors import ExportError
 from export.exporter import export_checkpoint
@@ -98,7 +98,7 @@ def small_frames(monkeypatch):
     monkeypatch.setattr(
         verify, "frames_of", lambda size, **_: probe_frames(size, max_depth_m=100.0)[:1]
     )
-    monkeypatch.setattr(exporter, "DEFAULT_SIZE", SIZE)
+    monkeypatch.setattr("export.options.DEFAULT_SIZE", SIZE)
 
 
 @pytest.mark.usefixtures("small_frames")
