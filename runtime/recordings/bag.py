@@ -309,19 +309,13 @@ class BagSource(Source):
         return given | {"left_out": dict(self._left_out)}
 
     @property
-    def transform_frames(self) -> tuple[str, str]:
-        """See `Source.transform_frames`."""
+    def lidar_place(self) -> tuple[str, str, NDArray[np.float64] | None]:
+        """See `Source.lidar_place`: as in /tf_static, without the baseline of a stereo pair."""
         topics = self._image_topic, self._depth_topic or self._image_topic
         camera, lidar = map(self._sensors.frame, topics)
-        return camera, lidar
-
-    @property
-    def lidar_position(self) -> NDArray[np.float64] | None:
-        """See `Source.lidar_position`: as in /tf_static, without the baseline of a stereo pair."""
         if self._rig.calibration is not None or not self._sensors.has_clouds:
-            return super().lidar_position
-        camera, lidar = self.transform_frames
-        return self._sensors.tree.between(lidar, camera)[:3, 3]
+            return camera, lidar, super().lidar_place[2]
+        return camera, lidar, self._sensors.tree.between(lidar, camera)[:3, 3]
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -220,14 +220,13 @@ class Source(ABC):
         """The inputs for report.json; after listing, with the counts of skipped messages."""
 
     @property
-    def transform_frames(self) -> tuple[str, str]:
-        """The names of the frames of camera and LiDAR, for a transform between them."""
-        return "camera", "lidar"
+    def lidar_place(self) -> tuple[str, str, NDArray[np.float64] | None]:
+        """Names of the frames of camera and LiDAR, and the LiDAR's position in the camera's [m].
 
-    @property
-    def lidar_position(self) -> NDArray[np.float64] | None:
-        """The LiDAR's position in the camera's frame [m], float64 (3,); None if unknown."""
-        return None if self.calibration is None else self.calibration.extrinsics[:3, 3]
+        The position is float64 (3,), or None if it is unknown.
+        """
+        known = self.calibration
+        return "camera", "lidar", None if known is None else known.extrinsics[:3, 3]
 
     @property
     def notes(self) -> tuple[str, ...]:

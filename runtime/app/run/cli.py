@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from runtime.app.run.model_table import describe_bundled_models
 from runtime.app.run.options import OPTION, RunOptions, UsageError
 from runtime.app.run.run import OnRecord, run
 from runtime.app.run.run_report import describe_run, list_results
@@ -56,13 +55,6 @@ def with_run_options(
     return command
 
 
-def _print_models(wanted: bool) -> None:
-    if wanted:
-        with reported_errors("cpu"):
-            print_result(describe_bundled_models())
-        raise typer.Exit
-
-
 @app.command(
     cls=GroupedCommand,
     epilog="Exit codes: 0 done; 1 error; 2 usage; 3 finished, but frames were skipped, answers "
@@ -74,12 +66,6 @@ def _print_models(wanted: bool) -> None:
 @with_run_options
 def main(
     *,
-    _list_models: Annotated[
-        bool,
-        typer.Option(
-            "--list-models", callback=_print_models, is_eager=True, help="List the bundled models."
-        ),
-    ] = False,
     _version: Version = False,
     **given: Any,
 ) -> None:

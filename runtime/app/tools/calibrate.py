@@ -127,11 +127,10 @@ def _transform(result: CalibrationResult, source: Source) -> tuple[str, ...]:
     """Lines with the command of ROS that publishes the refined calibration, if there is one."""
     if (refined := result.refined) is None:
         return ()
-    position = refined.extrinsics[:3, 3]
-    if result.mistake is None and source.lidar_position is not None:
-        position = source.lidar_position  # the position without the baseline of a stereo pair
-    rotation = refined.extrinsics[:3, :3]
-    return (format_static_transform(rotation, position, source.transform_frames),)
+    camera, lidar, position = source.lidar_place
+    if result.mistake is not None or position is None:
+        position = refined.extrinsics[:3, 3]
+    return (format_static_transform(refined.extrinsics[:3, :3], position, (camera, lidar)),)
 
 
 def _write_picture(result: CalibrationResult, path: Path) -> None:

@@ -51,7 +51,7 @@ def run(tmp_path, monkeypatch):
         )  # fmt: skip
         position = np.array([1.0, 2, 3])
         source = SimpleNamespace(
-            notes=(), lidar_position=position, transform_frames=("cam", "velo"), close=lambda: None
+            notes=(), lidar_place=("cam", "velo", position), close=lambda: None
         )
         monkeypatch.setattr(tool, "calibrate", lambda *_, **__: result)
         monkeypatch.setattr(tool, "Predictor", lambda **_: nullcontext())

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import re
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -11,10 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cli_runs import files_in, rows_of
-from runtime import list_bundled_models
 from runtime.app.run.cli import app
-from runtime.contract.model_file import load_model_file
-from runtime.engine.bundled_models import find_model
 
 
 @pytest.mark.parametrize(("size", "runs_at"), [("auto", (40, 53)), ("33x70", (33, 70))])
@@ -81,29 +77,6 @@ def test_wrong_usage_is_exit_code_2_and_names_the_option(given, said, tmp_path, 
     result = CliRunner().invoke(app, given.split())
     assert (result.exit_code, list(tmp_path.iterdir())) == (2, [])
     assert said in " ".join(result.output.split())
-
-
-def test_the_bundled_models_are_listed():
-    """The list has their size, work and accuracy, and what these were measured on."""
-    result = CliRunner().invoke(app, ["--list-models"])
-    assert result.exit_code == 0
-    heading, *lines = result.stdout.splitlines()
-    assert heading.split() == ["model", "MB", "GMACs", "mIoU", "%", "MAE", "mm"]
-    rows = {name: [float(cell) for cell in cells] for name, *cells in map(str.split, lines[:4])}
-    assert list(rows) == list_bundled_models()
-    for name, row in rows.items():
-        measured = load_model_file(find_model(name)).contract.accuracy["rows"]
-        miou = next(each["miou"] for each in measured if each["miou"])
-        mae_m = next(each["mae_m"] for each in measured if each["mae_m"])
-        size_mb = find_model(name).stat().st_size / 1e6
-        expected = [size_mb, 4.3 if "lite" in name else 2.0, 100 * miou, 1000 * mae_m]
-        assert row == [pytest.approx(value, abs=0.51 if value > 99 else 0.06) for value in expected]
-    assert lines[4:7] == [
-        "GMACs of a frame of 512 x 1024",
-        "mIoU % on camvid split=val, LiDAR none",
-        "MAE mm on kitti_streets first=70 last=98, LiDAR own",
-    ]
-    assert Path(lines[7].partition(": ")[2]).is_file()
 
 
 def test_the_focal_length_reaches_the_model(tmp_path, run, model_file, contract):

@@ -1,22 +1,42 @@
 """ssdnet-info prints what the file says, and refuses what is no model."""
 
 import dataclasses
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from runtime import list_bundled_models
 from runtime.app.tools.info import app
+from runtime.contract.model_file import load_model_file
+from runtime.engine.bundled_models import find_model
 
 
 def run(*arguments):
     return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
-def test_without_a_model_the_bundled_ones_are_listed():
-    models = list_bundled_models()
-    _, *lines = run().output.splitlines()
-    assert [line.split()[0] for line in lines[: len(models)]] == models
+def test_the_bundled_models_are_listed():
+    """The list has their size, work and accuracy, and what these were measured on."""
+    result = run()
+    assert result.exit_code == 0
+    heading, *lines = result.stdout.splitlines()
+    assert heading.split() == ["model", "MB", "GMACs", "mIoU", "%", "MAE", "mm"]
+    rows = {name: [float(cell) for cell in cells] for name, *cells in map(str.split, lines[:4])}
+    assert list(rows) == list_bundled_models()
+    for name, row in rows.items():
+        measured = load_model_file(find_model(name)).contract.accuracy["rows"]
+        miou = next(each["miou"] for each in measured if each["miou"])
+        mae_m = next(each["mae_m"] for each in measured if each["mae_m"])
+        size_mb = find_model(name).stat().st_size / 1e6
+        expected = [size_mb, 4.3 if "lite" in name else 2.0, 100 * miou, 1000 * mae_m]
+        assert row == [pytest.approx(value, abs=0.51 if value > 99 else 0.06) for value in expected]
+    assert lines[4:7] == [
+        "GMACs of a frame of 512 x 1024",
+        "mIoU % on camvid split=val, LiDAR none",
+        "MAE mm on kitti_streets first=70 last=98, LiDAR own",
+    ]
+    assert Path(lines[7].partition(": ")[2]).is_file()
 
 
 def test_the_lines_hold_what_the_metadata_and_the_tensors_say(model_file, contract):
