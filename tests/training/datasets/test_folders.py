@@ -1,6 +1,5 @@
 """Data of one's own: pictures, depth and labels by stem, with a class table in the recipe."""
 
-import os
 import re
 from dataclasses import fields
 from pathlib import Path
@@ -105,16 +104,6 @@ def test_files_that_are_not_used_are_counted(mine, names, said, capsys):
     assert len(source) == 2
     err = capsys.readouterr().err
     assert said in err if said else err == ""
-
-
-@pytest.mark.parametrize("names", [
-    ["1", "2", "9", "10", "11"], ["cam_8", "cam_9", "cam_10"], ["a2b1", "a2b10", "a10b1"],
-])  # fmt: skip
-def test_frames_are_in_natural_order(tmp_path, names):
-    for name in names:
-        write(tmp_path / "images" / f"{name}.png", np.zeros((40, 64, 3), np.uint8))
-    source = opened(tmp_path, first=1)
-    assert [path.stem for path in source.images] == names[1:]
 
 
 @pytest.mark.parametrize(("orientation", "tagged"), [
@@ -224,24 +213,6 @@ def test_frames_without_a_target_may_be_skipped(mine, capsys):
     (mine / "labels" / "a.png").unlink()
     with pytest.raises(DatasetError, match="2 of 2"):
         opened(mine, missing="skip-target", **keys)
-
-
-@pytest.mark.skipif("SSDNET_DATA" not in os.environ, reason="names no recordings")
-def test_recorded_pictures_with_labels_of_a_network():
-    recipe = FoldersRecipe(
-        path="nuscenes_boston", rgb="image", labels="pseudo_semantic", label_classes="cityscapes"
-    )
-    source = recipe.open(Path(os.environ["SSDNET_DATA"]) / recipe.path, "camvid")
-    assert len(source) == 199
-    counts = np.zeros(256, np.int64)
-    for index in range(0, 199, 20):
-        sample = source[index]
-        assert sample.size == (450, 800)
-        assert (sample.semantic[440:] == 255).all()  # the bonnet
-        counts += np.bincount(sample.semantic.ravel(), minlength=256)
-    shares = counts / counts.sum()
-    assert shares[[0, 1, 3, 8]].min() > 0.02  # sky, buildings, road, cars
-    assert shares[:11].sum() > 0.6
 
 
 def test_the_docs_name_every_key():

@@ -42,17 +42,6 @@ def test_returns_fall_where_the_calibration_puts_them_and_the_nearest_wins(raw):
     assert sample.intrinsics.tolist() == [[10, 0, 24], [0, 10, 12], [0, 0, 1]]
 
 
-def test_the_right_camera_has_its_own_projection(raw):
-    source = KittiRaw(raw, cameras=(2, 3))
-    left, right = source[0], source[1]
-    assert (len(source), right.name) == (2, f"{DRIVE}/3/0000000000")
-    assert (right.rgb == (200, 20, 43)).all()
-    # Two metres to the right move a return by 20 px m / depth: 2 px at 10 m, 3.33 px at 6 m.
-    assert right.depth[5, 18] == pytest.approx(10.0)
-    assert right.depth[9, 17] == pytest.approx(6.0)
-    assert left.depth[5, 18] == right.depth[5, 20] == 0
-
-
 def test_drives_are_all_or_those_named(tmp_path):
     other = f"{DATE}_drive_0002_sync"
     for drive in (other, DRIVE):

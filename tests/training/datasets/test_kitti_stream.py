@@ -80,19 +80,6 @@ def test_object_data_has_a_calibration_a_frame_and_some_scans(tmp_path):
 
 
 @recorded
-def test_real_object_data_is_read():
-    source = KittiStream(DATA / "kitti_object")
-    samples = [source[index] for index in range(len(source))]
-    assert len(samples) == 18
-    assert sum(bool(sample.depth.any()) for sample in samples) == 5
-    first = samples[0]
-    assert first.name == "kitti_object/000004"
-    assert 15_000 < np.count_nonzero(first.depth) < 25_000
-    assert 40 <= first.scan_line.max() <= 63
-    assert all((sample.semantic != 255).mean() > 0.5 for sample in samples)
-
-
-@recorded
 def test_real_stream_has_lines_labels_and_the_projected_depth():
     source = KittiStream(DATA / "kitti_stream", first=50, last=51, semantic_weight=0.2)
     sample = source[0]
