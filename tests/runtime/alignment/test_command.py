@@ -1,7 +1,7 @@
 """`ssdnet-calibrate`, and the files that it writes."""
 
 from contextlib import nullcontext
-from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import cv2
 import numpy as np
@@ -9,7 +9,6 @@ import pytest
 from typer.testing import CliRunner
 
 from painted_street import street_frame
-from runtime import InputError
 from runtime.alignment.calibrate import CalibrationResult, Verdict
 from runtime.alignment.fit_scores import FitScores, rotation
 from runtime.app.tools import calibrate as tool
@@ -17,6 +16,7 @@ from runtime.app.tools.calibrate import app
 from runtime.app.tools.calibration_file import format_static_transform, format_toml
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.poses import quaternion_of
+from runtime.recordings.source import Source
 
 
 def test_the_written_calibration_is_the_right_one(tmp_path, recording, frames, turned):
@@ -38,30 +38,26 @@ def test_the_written_calibration_is_the_right_one(tmp_path, recording, frames, t
 
 @pytest.fixture
 def run(tmp_path, monkeypatch):
-    """Run the command on a source whose result is known."""
+    """Run the command on cameras whose result is known."""
 
-    def invoke(verdict):
+    def invoke(verdict, *more, cameras=1):
         frame, angles = street_frame(200), np.array([2.0, 0, 0])
-        refined = None
-        if verdict in (Verdict.RIGHT, Verdict.OFF):
-            refined = frame.calibration
+        refined = frame.calibration if verdict in (Verdict.RIGHT, Verdict.OFF) else None
         result = CalibrationResult(
             verdict, "the reason", frame.calibration, refined, angles, angles, None,
             FitScores(0, 0), FitScores(0, 0), 10.0, ("0",), 1.0, frame,
         )  # fmt: skip
-        position = np.array([1.0, 2, 3])
-        source = SimpleNamespace(
-            notes=(), lidar_place=("cam", "velo", position), close=lambda: None
-        )
+        source = MagicMock(notes=(), lidar_place=("cam", "velo", np.array([1.0, 2, 3])))
+        source.__enter__.return_value = source
+        invoke.source = source
         monkeypatch.setattr(tool, "calibrate", lambda *_, **__: result)
         monkeypatch.setattr(tool, "Predictor", lambda **_: nullcontext())
-        monkeypatch.setattr(tool, "_open_source", lambda _: nullcontext(source))
+        opened = {str(number): source for number in range(cameras)}
+        monkeypatch.setattr(Source, "open_cameras", lambda *_, **__: opened)
         cv2.imwrite(str(tmp_path / "image.png"), frame.rgb)
-        given = [
-            str(tmp_path / "image.png"), "--out", str(tmp_path / "out.toml"), "--picture",
-            str(tmp_path / "x.png"),
-        ]  # fmt: skip
-        return CliRunner().invoke(app, given)
+        files = {"--out": tmp_path / "out.toml", "--picture": tmp_path / "x.png"}
+        given = [word for item in files.items() for word in map(str, item)]
+        return CliRunner().invoke(app, [str(tmp_path / "image.png"), *given, *more])
 
     return invoke
 
@@ -87,19 +83,14 @@ def test_each_verdict_has_its_exit_code_and_files(tmp_path, run, verdict, code, 
     assert 0.05 < is_image.mean() < 0.9, "returns are drawn on the image"
 
 
-def test_a_camera_is_checked_by_itself_and_rectified_on_request(monkeypatch):
-    done = []
-    source = SimpleNamespace(
-        close=lambda: done.append("closed"), rectify_images=lambda: done.append("rectified")
-    )
-    cameras = {"left": source, "right": source}
-    options = SimpleNamespace(open_cameras=lambda: cameras, rectify=True)
-    with pytest.raises(InputError, match="2 cameras are named: check each by itself"):
-        tool._open_source(options)
-    assert done == ["closed", "closed"]
-    del cameras["right"]
-    assert tool._open_source(options) is source
-    assert done[2:] == ["rectified"]
+def test_a_camera_is_checked_by_itself_and_rectified_on_request(run):
+    result = run(Verdict.RIGHT, cameras=2)
+    assert result.exit_code == 1
+    assert "2 cameras are named: check each by itself" in result.output
+    assert run.source.close.call_count == 2
+    for options in ([], ["--rectify"]):
+        assert run(Verdict.RIGHT, *options).exit_code == 0
+        assert run.source.rectify_images.called == bool(options)
 
 
 @pytest.mark.parametrize(("more", "words"), [

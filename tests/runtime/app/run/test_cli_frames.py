@@ -14,7 +14,6 @@ import runtime.recordings.bundled_stream
 from cli_runs import N, arguments, files_in, rows_of
 from runtime.app.run.cli import app
 from runtime.app.run.options import KINDS
-from runtime.recordings.folders import FolderSource
 from runtime.verification.reference import read_reference
 
 
@@ -164,15 +163,6 @@ def test_a_picture_of_another_size_than_the_calibrations_is_skipped(tmp_path, ru
     assert len(list((tmp_path / "out/cloud").iterdir())) == N - 1
 
 
-def test_folders_that_make_no_stream_are_exit_code_1(tmp_path, run, stream):
-    for path in stream[1].iterdir():
-        path.rename(path.with_stem(path.stem + "70"))
-    result = run()
-    assert result.exit_code == 1
-    assert "no name occurs in both" in result.stderr
-    assert not (tmp_path / "out").exists()
-
-
 @pytest.mark.parametrize("n", [19, 21])
 def test_a_stream_that_is_refused_from_the_start_is_an_error(tmp_path, make_stream, all_heads, n):
     folders = make_stream(n)
@@ -187,18 +177,3 @@ def test_a_stream_that_is_refused_from_the_start_is_an_error(tmp_path, make_stre
         assert "error: none of the first 20 frames can be predicted" in result.stderr
         assert "20 frames, first f0: sparse_depth must have the shape" in result.stderr
         assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("given", [(), ("--shard", "2/3")])
-def test_each_frame_is_read_once(tmp_path, run, given, monkeypatch):
-    """This includes the first frames, on which the run warms up and checks the depth."""
-    names, read = [], FolderSource.read
-
-    def count(self, listed):
-        names.append(listed.name)
-        return read(self, listed)
-
-    monkeypatch.setattr(FolderSource, "read", count)
-    assert run("--save", "none", *given).exit_code == 0
-    assert {row["name"] for row in rows_of(tmp_path / "out")} <= {*names}
-    assert len(names) == len({*names})
