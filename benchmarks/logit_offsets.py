@@ -45,7 +45,7 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
     network = load_checkpoint(arguments.checkpoint).model
-    names = [info.name for info in network.config.classes or ()]
+    names = [info.name for info in network.config.classes]
     sets = {}
     for name, split, (first, last) in (
         ("training frames", "train", TRAIN_STREETS),

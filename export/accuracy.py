@@ -69,7 +69,10 @@ Widths = Mapping[tuple[str, str], Mapping[str, float]]
 def measure_widths(
     single: Path, quantized: Path, data: Sequence[str], lidars: Sequence[str]
 ) -> Widths:
-    """Measure how uncertain the difference of two files is on these frames, see `compare`."""
+    """Measure how uncertain the difference of two files is on these frames.
+
+    `training.evaluation.differences` describes the intervals, of which half is returned.
+    """
     found = _score([single, quantized], data, lidars).differences
     return {
         (item.data, item.lidar): {

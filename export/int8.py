@@ -53,7 +53,7 @@ _FINE_STRIDE = 2
 # Limits without an option: loss of a class's IoU [points], loss of boundary F (0..1), and change of
 # the share of errors within one scale of the uncertainty [points].
 MAX_DROP_CLASS_IOU, MAX_DROP_BOUNDARY_F, MAX_CHANGE_COVERAGE = 3.0, 0.01, 3.0
-# The figure of each head in `Accuracy`; "scores" has that of the classes.
+# The figure of each head in `Accuracy`.
 _FIGURES = {
     "semantic": "miou",
     "semantic_logits": "miou",

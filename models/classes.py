@@ -86,10 +86,11 @@ def numbered_classes(count: int) -> tuple[ClassInfo, ...]:
 
     They serve networks whose class names are unknown.
     """
-    return tuple(ClassInfo(f"class_{index}", _voc_color(index)) for index in range(count))
+    return tuple(ClassInfo(f"class_{index}", voc_color(index)) for index in range(count))
 
 
-def _voc_color(index: int) -> tuple[int, int, int]:
+def voc_color(index: int) -> tuple[int, int, int]:
+    """Return the colour of a class in the palette of PASCAL VOC, without that of index 0."""
     value = index + 1  # VOC's index 0 is black, the colour of unlabelled pixels
     red, green, blue = (
         sum((value >> 3 * place + channel & 1) << 7 - place for place in range(8))

@@ -55,9 +55,9 @@ CLIP_WINDOW = 7
 _POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1)), ((0, 0), (1, 0), (0, 1))
 _INDICES = (0, 1, 2, 4, 5, 6), (3, 7, 8)
 _NUM_MOMENTS = 9
-# These avoid divisions by 0: a weight below that of one return in a window, and a spread below
-# that of any two returns.
-_LEAST_COUNT, _LEAST_SPREAD = 1e-3, 1e-2
+# These avoid divisions by 0: a weight below that of one return in a window, a spread below that of
+# any two returns, and an inverse depth below that of any return.
+_LEAST_COUNT, _LEAST_SPREAD, _LEAST_INVERSE = 1e-3, 1e-2, 1e-3
 # Relative difference of inverse depth up to which a return is on the plane. From twice this
 # difference on, the return is on another surface.
 MAX_RESIDUAL = 0.15
@@ -131,7 +131,7 @@ def add_residuals(plane: Tensor, moments: Tensor) -> Tensor:
     around = F.pad(plane, (1, 1, 1, 1), mode="replicate")
     predicted = (_convolve(around, _VALUE_AND_SLOPES) * moments[:, :3]).sum(dim=1, keepdim=True)
     count, residual = moments[:, :1], moments[:, 3:] - predicted
-    weight = ramp(residual.abs() / predicted.clamp(min=_LEAST_COUNT), -1.0 / MAX_RESIDUAL, 2.0)
+    weight = ramp(residual.abs() / predicted.clamp(min=_LEAST_INVERSE), -1.0 / MAX_RESIDUAL, 2.0)
     grids = [torch.cat([residual, count], dim=1) * weight]
     for _ in range(RESIDUAL_LEVELS):
         grids.append(cell_means(grids[-1], 2) * 4.0)
@@ -207,7 +207,7 @@ def _clip_to_returns(plane: Tensor, extremes: Tensor) -> Tensor:
     """Limit the plane to the inverse depths around it, see CLIP_WINDOW."""
     around = maxima_around(cell_maxima(extremes, 2**LEVELS), CLIP_WINDOW)
     nearest, farthest = around.split(1, dim=1)
-    least = nearest.clamp(max=1.0) / farthest.clamp(min=_LEAST_COUNT)  # 0 without returns
+    least = nearest.clamp(max=1.0) / farthest.clamp(min=_LEAST_INVERSE)  # 0 without returns
     nearest = torch.where(nearest > 0, nearest, torch.inf)
     bounds = torch.cat([least, nearest], dim=1)
     least, nearest = F.interpolate(bounds, scale_factor=float(2**LEVELS), mode="nearest").split(

@@ -109,7 +109,7 @@ def start_from(network: Network, init: Weights, *, resumed: bool = False) -> Non
     known = source.state_dict() if type(source) is type(network) else {}
     wanted = {k: v for k, v in network.state_dict().items() if k not in _SETTINGS}
     names, known_names = (
-        [info.name for info in model.config.classes or ()] for model in (network, source)
+        [info.name for info in model.config.classes] for model in (network, source)
     )
     taken = {
         name: known[name]

@@ -13,6 +13,7 @@ from typing import Any
 from tqdm import tqdm
 
 from models import Network
+from models.classes import voc_color
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.contract.contract import ClassInfo
@@ -207,7 +208,7 @@ def _read_classes(path: Path) -> tuple[ClassInfo, ...]:
                 f"{path}: line {line} names {fault}; expected one class a line, whose name differs "
                 "beyond upper and lower case"
             )
-    return tuple(ClassInfo(name, _color(index + 1)) for index, name in enumerate(names))
+    return tuple(ClassInfo(name, voc_color(index)) for index, name in enumerate(names))
 
 
 def keep_recipe(text: str, out: Path) -> None:
@@ -229,12 +230,3 @@ def _quoted(value: Any) -> str:
     if isinstance(value, Mapping):
         return f"{{ {', '.join(f'{key} = {_quoted(text)}' for key, text in value.items())} }}"
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _color(index: int) -> tuple[int, int, int]:
-    """Return the colour of a class in the palette of PASCAL VOC."""
-    red, green, blue = (
-        sum((index >> (3 * level + channel) & 1) << (7 - level) for level in range(3))
-        for channel in range(3)
-    )
-    return red, green, blue

@@ -56,7 +56,7 @@ def add_offsets(network: Network, offsets: Mapping[str, float]) -> Network:
     Raises:
         InputError: for a class that the network does not have.
     """
-    names = [info.name for info in network.config.classes or ()]
+    names = [info.name for info in network.config.classes]
     if unknown := [name for name in offsets if name not in names]:
         raise InputError(
             f"offsets of logits: {shown(unknown[0])} is not a class of the network; its classes "

@@ -2,7 +2,8 @@
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 from runtime.command.process import stop_requested
 from training.datasets.sample import Sample, SampleSource
@@ -25,6 +26,7 @@ class Watched:
 
     def __init__(self, source: SampleSource, stop: Stop) -> None:
         self._source, self._stop = source, stop
+        self.images: Sequence[Path] = getattr(source, "images", ())  # frames are grouped by them
 
     def __len__(self) -> int:
         return len(self._source)

@@ -2,7 +2,9 @@
 
 import signal
 
-from training.stop_signal import stop_signal
+import pytest
+
+from training.stop_signal import StopRequested, Watched, never, stop_signal
 
 
 def test_two_signals_of_one_key_do_not_cut_torchrun_s_processes_short(monkeypatch):
@@ -13,3 +15,15 @@ def test_two_signals_of_one_key_do_not_cut_torchrun_s_processes_short(monkeypatc
         for _ in range(2):
             signal.raise_signal(signal.SIGINT)
         assert stop()
+
+
+class Frames(list):
+    """A data set that knows its files."""
+
+    images = ("street/0.png", "street/1.png")
+
+
+def test_a_watched_set_keeps_its_files_by_which_frames_are_grouped():
+    assert Watched(Frames("ab"), never).images == Frames.images
+    with pytest.raises(StopRequested):
+        Watched(Frames("ab"), lambda: True)[0]

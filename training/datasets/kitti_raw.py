@@ -28,7 +28,7 @@ class KittiRawRecipe(SourceRecipe):
     """Options of KITTI raw data in a recipe.
 
     Attributes:
-        drives: names like "2011_09_26_drive_0001_sync"; empty: all drives.
+        drives: names like "2011_09_26_drive_0001_sync"; None: all drives.
         cameras: numbers of the cameras: 2 = left, 3 = right.
     """
 

@@ -38,7 +38,7 @@ class SourceRecipe:
         size: (height, width) to which every frame is resized first, or a number of rows, with which
             the aspect is kept; None: its own size.
         scale: range of the random magnification; None: the common range.
-        name: name in scores, curves and files; "": the path.
+        name: name in scores, curves and files; None: the path.
     """
 
     labelled: ClassVar[str] = ""

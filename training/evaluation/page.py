@@ -34,9 +34,7 @@ _MARKS = (
 )
 
 
-def write_page(
-    found: Evaluation, path: Path, *, overwrite: bool = True, title: str = "", command: str = ""
-) -> None:
+def write_page(found: Evaluation, path: Path, *, overwrite: bool = True, title: str = "") -> None:
     """Write the page, HTML in UTF-8 without external resources.
 
     Args:
@@ -44,7 +42,6 @@ def write_page(
         path: path of the file.
         overwrite: whether an existing file is replaced.
         title: title of the page; "": the names of the models.
-        command: command that made it; "": that of this process.
 
     Raises:
         OutputError: if the file cannot be written.
@@ -53,7 +50,7 @@ def write_page(
     names = list(dict.fromkeys(row.model for row in found.rows))
     values = {
         "title": title or f"Evaluation of {', '.join(names)}",
-        "command": command or shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "machine": f"{facts.processor}, {facts.logical_cores} logical cores",
         "differences": [
             (item.model, item.data, *cells, *_judged(verdict, item.against))

@@ -1,4 +1,4 @@
-"""From data sets to batches: frames are checked, cached, drawn from a mixture and collated."""
+"""From data sets to batches: frames are cached, drawn from a mixture and collated."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -55,7 +55,7 @@ class Pair(NamedTuple):
     Attributes:
         offset: row and column of the second view's upper left corner in the first view, int64 (N,
             2).
-        first_lidar: liDAR input of the views, float32 (N, 1, H, W), metres, 0 = no return.
+        first_lidar: LiDAR input of the views, float32 (N, 1, H, W), metres, 0 = no return.
     """
 
     offset: Tensor

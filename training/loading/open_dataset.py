@@ -34,8 +34,8 @@ _FAR_SHARE = 0.1
 class CheckedSource:
     """A data set whose targets have their type and size.
 
-    The frames are resized to `size` with `augment.resize`, if a size is given, see
-    `SourceRecipe.size`. A DatasetError about a frame names the reader and the frame.
+    The frames are resized to `size` with `training.loading.geometric.resize`, if a size is given,
+    see `SourceRecipe.size`. A DatasetError about a frame names the reader and the frame.
     """
 
     def __init__(self, source: SampleSource, size: tuple[int, int] | int | None) -> None:
@@ -182,15 +182,13 @@ class Survey(NamedTuple):
     """Counts of about `FREQUENCY_SAMPLES` frames without augmentation, by the sets' weights.
 
     Attributes:
-        frames: number of frames that were read.
-        smallest: the least height and the least width of the frames.
+        smallest: the least height and the least width of the frames that were read.
         classes: pixels of each class, in millionths of a frame; labels that a network made count by
             their weight.
         targets: targets for which a frame has labels that are trained.
         notes: for each target, the labels that are not trained, in words.
     """
 
-    frames: int
     smallest: tuple[int, int]
     classes: NDArray[np.float64]
     targets: Collection[str]
@@ -233,15 +231,15 @@ def survey(
             text += f"({item.unit_key})" + ", or the focal length" * bool(sample.focal_length_px)
             notes.append(("depth", text))
     counts = np.round(counts * 1_000_000)
-    never = [name for name, count in zip(class_names, counts, strict=True) if not count]
-    if never:
-        text = f"is labelled {', '.join(never)}: such a class is not trained"
-        if len(never) == len(class_names):
+    unlabelled = [name for name, count in zip(class_names, counts, strict=True) if not count]
+    if unlabelled:
+        text = f"is labelled {', '.join(unlabelled)}: such a class is not trained"
+        if len(unlabelled) == len(class_names):
             text = "is labelled: classes and boundaries are not trained"
         titles = ", ".join(item.title for item in recipes)
         notes.append(("semantic", f"no pixel of {len(sizes)} frames of {titles} {text}"))
     height, width = np.min(sizes, axis=0).tolist()
-    return Survey(len(sizes), (height, width), counts, targets, notes)
+    return Survey((height, width), counts, targets, notes)
 
 
 def _count_learned(sample: Sample, target: str, config: NetworkConfig) -> int:

@@ -253,9 +253,9 @@ def head_term(head: str, loss: HeadLoss, weight: float = 1.0) -> Term:
     return Term(frozenset({head}), head, compare, weight)
 
 
-# Heads, target, loss and weight of each term. The first five and their weights are Eq. 12, Eq. 4,
-# 5, 6, 8 and 11; with the soft form of Eq. 8 and 11, training at weight 1 often collapses to one
-# class, and 0.03 is used instead (docs/results.md).
+# Heads, target, loss and weight of each term. Those of the paper are Eq. 4, 5, 6, 8 and 11, whose
+# weight is 1; their sum is Eq. 12. With the soft form of Eq. 8 and 11, training at weight 1 often
+# collapses to one class, and 0.03 is used instead (docs/results.md).
 TERMS: dict[str, Term] = {
     name: Term(frozenset(heads.split()), target, loss, weight)
     for name, heads, target, loss, weight in (
