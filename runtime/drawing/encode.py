@@ -80,21 +80,15 @@ def encode_ply(cloud: PointCloud, classes: Sequence[ClassInfo] = ()) -> bytes:
         classes: the classes in the order of their ids; their names and colours become comments in
             the header.
     """
-    columns: list[tuple[str, str, NDArray[Any]]] = [
-        (axis, "<f4", cloud.points[:, index]) for index, axis in enumerate("xyz")
-    ]
+    columns: dict[str, NDArray[Any]] = dict(zip("xyz", cloud.points.T, strict=True))
     if cloud.rgb is not None:
-        columns += [
-            (color, "|u1", cloud.rgb[:, index])
-            for index, color in enumerate(("red", "green", "blue"))
-        ]
+        columns |= zip(("red", "green", "blue"), cloud.rgb.T, strict=True)
     if cloud.semantic is not None:
-        columns.append(("label", "|u1", cloud.semantic))
+        columns["label"] = cloud.semantic
     if cloud.uncertainty is not None:
-        columns.append(("uncertainty", "<f4", cloud.uncertainty))
-    vertices = np.empty(len(cloud.points), dtype=[(name, kind) for name, kind, _ in columns])
-    for name, _, values in columns:
-        vertices[name] = values
+        columns["uncertainty"] = cloud.uncertainty
+    kinds = [(name, each.dtype) for name, each in columns.items()]
+    vertices = np.rec.fromarrays(list(columns.values()), dtype=kinds)
     header = [
         "ply",
         "format binary_little_endian 1.0",
@@ -104,7 +98,7 @@ def encode_ply(cloud: PointCloud, classes: Sequence[ClassInfo] = ()) -> bytes:
             for index, info in enumerate(classes if cloud.semantic is not None else ())
         ),
         f"element vertex {len(vertices)}",
-        *(f"property {_PLY_TYPES[kind]} {name}" for name, kind, _ in columns),
+        *(f"property {_PLY_TYPES[each.dtype.str]} {name}" for name, each in columns.items()),
         "end_header",
     ]
     return "\n".join(header).encode("ascii") + b"\n" + vertices.tobytes()

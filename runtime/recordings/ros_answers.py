@@ -67,23 +67,19 @@ def cloud_fields(cloud: PointCloud) -> dict[str, Any]:
 
     Colours are packed as PCL packs them: 0x00RRGGBB in the bits of a float32.
     """
-    columns: dict[str, tuple[str, NDArray[Any]]] = {
-        axis: ("<f4", cloud.points[:, place]) for place, axis in enumerate("xyz")
-    }
+    columns: dict[str, NDArray[Any]] = dict(zip("xyz", cloud.points.T, strict=True))
     if cloud.rgb is not None:
         red, green, blue = cloud.rgb.astype(np.uint32).T
-        columns["rgb"] = "<f4", ((red << 16) | (green << 8) | blue).view(np.float32)
+        columns["rgb"] = ((red << 16) | (green << 8) | blue).view(np.float32)
     if cloud.semantic is not None:
-        columns["class"] = "|u1", cloud.semantic
+        columns["class"] = cloud.semantic
     if cloud.uncertainty is not None:
-        columns["uncertainty"] = "<f4", cloud.uncertainty
-    points = np.empty(len(cloud.points), [(name, kind) for name, (kind, _) in columns.items()])
-    for name, (_, values) in columns.items():
-        points[name] = values
-    layout: Any = points.dtype.fields
+        columns["uncertainty"] = cloud.uncertainty
+    kinds = [(name, each.dtype) for name, each in columns.items()]
+    points: Any = np.rec.fromarrays(list(columns.values()), dtype=kinds)
     fields = [
-        {"name": name, "offset": layout[name][1], "datatype": _DATATYPES[kind], "count": 1}
-        for name, (kind, _) in columns.items()
+        {"name": name, "offset": offset, "datatype": _DATATYPES[kind.str], "count": 1}
+        for name, (kind, offset) in points.dtype.fields.items()
     ]
     return {
         "height": 1,
