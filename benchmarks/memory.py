@@ -15,7 +15,7 @@ import psutil
 from runtime import Predictor
 from runtime.app.run.options import KINDS, RunOptions
 from runtime.app.run.outputs.frame_writer import FrameWriter, make_run_folder
-from runtime.app.run.outputs.output import RunContext
+from runtime.app.run.outputs.run_context import RunContext
 from runtime.app.run.pipeline import dedicate_process, frame_reader, run_stream
 from runtime.recordings.bundled_stream import bundled_stream
 from runtime.recordings.folders import FolderSource

@@ -10,8 +10,8 @@ from runtime.app.run.engine_facts import engine_facts
 from runtime.app.run.options import CLOUD, KINDS, SUFFIXES, RunOptions, saved_heads
 from runtime.app.run.outages import Timeline, find_outages
 from runtime.app.run.outputs.frame_writer import make_run_folder
-from runtime.app.run.outputs.output import RunContext
 from runtime.app.run.outputs.registry import open_outputs, require_outputs
+from runtime.app.run.outputs.run_context import RunContext
 from runtime.app.run.pipeline import (
     ReadFrame,
     StreamResult,

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from runtime.app.run.options import CLOUD, OVERLAY, SUFFIXES, RunOptions, saved_heads
-from runtime.app.run.outputs.output import RunContext
+from runtime.app.run.outputs.run_context import RunContext
 from runtime.app.run.run_report import FRAMES_FILE, REPORT_FILE, write_report
 from runtime.drawing.encode import ENCODERS, encode_jpeg, encode_ply
 from runtime.files.atomic_write import atomic_write

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from runtime.app.run.options import DEFAULT_RATE_HZ, FILE_SUFFIXES, MCAP_VOXEL_M
-from runtime.app.run.outputs.output import RunContext, camera_of
+from runtime.app.run.outputs.run_context import RunContext, camera_of
 from runtime.base.errors import OutputError
 from runtime.contract.heads import HEADS, Unit
 from runtime.drawing.encode import METRES_PNG_SCALE, encode_jpeg, encode_ros_image

@@ -13,7 +13,7 @@ from typing import Any
 
 from runtime.app.run.outages import Outage
 from runtime.app.run.outputs import charts
-from runtime.app.run.outputs.output import RunContext
+from runtime.app.run.outputs.run_context import RunContext
 from runtime.app.run.reasons import LATE, REASONS
 from runtime.app.run.run_report import RunReport, running_providers
 from runtime.command.html import render_template

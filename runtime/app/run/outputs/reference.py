@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Iterator
 
-from runtime.app.run.outputs.output import RunContext
+from runtime.app.run.outputs.run_context import RunContext
 from runtime.contract.degraded import STREAM_REASONS
 from runtime.engine.predictor import Predictor
 from runtime.streams.answerer import known_focal_length_px

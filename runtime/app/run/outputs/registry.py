@@ -11,9 +11,9 @@ from typing import NamedTuple
 from runtime.app.run.options import SUFFIXES, RunOptions
 from runtime.app.run.outputs.frame_writer import open_frame_files
 from runtime.app.run.outputs.mcap import open_mcap
-from runtime.app.run.outputs.output import RunContext
 from runtime.app.run.outputs.page import open_page
 from runtime.app.run.outputs.reference import open_reference
+from runtime.app.run.outputs.run_context import RunContext
 from runtime.app.run.outputs.video import open_video
 from runtime.app.run.pipeline import Output
 from runtime.base.errors import OutputError, install_command

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 
 from runtime.app.run.options import DEFAULT_RATE_HZ
-from runtime.app.run.outputs.output import RunContext
+from runtime.app.run.outputs.run_context import RunContext
 from runtime.base.errors import OutputError
 from runtime.files.atomic_write import atomic_path
 from runtime.streams.frame import Frame

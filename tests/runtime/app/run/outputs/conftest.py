@@ -4,7 +4,7 @@ import pytest
 
 from runtime import Predictor
 from runtime.app.run.options import RunOptions
-from runtime.app.run.outputs.output import RunContext
+from runtime.app.run.outputs.run_context import RunContext
 from runtime.streams.frame import Frame, Message
 from runtime.streams.frame_result import FrameResult
 
