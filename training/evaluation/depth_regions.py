@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.metrics import FARTHEST_M, Accumulator, ErrorSums, scored
+from training.evaluation.metrics import Accumulator, DepthErrors, ErrorSums, scored
 
 RETURN_REACH_PX = 12
 EDGE_REACH_PX = 3
@@ -49,32 +49,17 @@ class DepthRegionScores(Accumulator):
     Frames without dense ground truth do not count in the `REGIONS`.
     """
 
-    def __init__(self, farthest_m: float = FARTHEST_M) -> None:
-        self._farthest_m = farthest_m
+    def __init__(self) -> None:
         self._sums = {region: ErrorSums() for region in (*RETURN_DISTANCES, *REGIONS)}
 
-    def update(
-        self,
-        prediction: NDArray[np.floating],
-        depth: NDArray[np.floating],
-        fed: NDArray[np.floating],
-    ) -> None:
-        """Count a frame.
-
-        Args:
-            prediction: float (H, W) [m].
-            depth: the true depth, float (H, W) [m]; 0, negative or not finite = unknown.
-            fed: the depth that was fed, float (H, W) [m]; 0 = no return.
-        """
-        depth = np.where(depth <= self._farthest_m, depth, 0)
-        known = scored(depth, self._farthest_m)
-        error = np.abs(prediction[known].astype(np.float64) - depth[known])
+    def update(self, errors: DepthErrors, fed: NDArray[np.floating]) -> None:
+        """Count a frame by its errors and the depth that was fed, float (H, W), 0 = no return."""
         to_return_px = distance_px(fed > 0)
         regions = split_distances(to_return_px)
-        if is_dense(depth):
-            regions |= split_regions(depth, to_return_px)
+        if is_dense(errors.depth):
+            regions |= split_regions(errors.depth, to_return_px)
         for region, mask in regions.items():
-            self._sums[region].add(error[mask[known]])
+            self._sums[region].add(errors.error[mask[errors.known]])
 
     def figures(self) -> dict[str, float]:
         """Return the errors [m] of all frames so far."""

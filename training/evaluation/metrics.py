@@ -205,46 +205,66 @@ class ErrorSums(Accumulator):
         return {f"mae_{name}": absolute / pixels, f"rmse_{name}": math.sqrt(square / pixels)}
 
 
+class DepthErrors:
+    """The errors of an answer to one frame, where its true depth is scored.
+
+    Args:
+        answer: float (H, W) [m]; 0, "no answer", is scored as a depth.
+        depth: the true depth, float (H, W) [m]; 0, negative or not finite = unknown.
+        farthest_m: farthest true depth that is scored [m].
+
+    Attributes:
+        known: bool (H, W), the N pixels that are scored.
+        depth: the true depth, float (H, W) [m], 0 where it is not scored.
+        truth: the true depth of the scored pixels, float64 (N,) [m].
+        answer: the answer there, float64 (N,) [m].
+        error: answer minus truth, float64 (N,) [m].
+        unscored: number of pixels with a farther true depth, and of all with a true depth.
+    """
+
+    def __init__(
+        self,
+        answer: NDArray[np.floating],
+        depth: NDArray[np.floating],
+        farthest_m: float = FARTHEST_M,
+    ) -> None:
+        self.known = scored(depth, farthest_m)
+        self.depth = np.where(self.known, depth, 0)
+        self.truth = depth[self.known].astype(np.float64)
+        self.answer = answer[self.known].astype(np.float64)
+        self.error = self.answer - self.truth
+        self.unscored = np.count_nonzero(depth > farthest_m), np.count_nonzero(depth > 0)
+
+
 class DepthScores(Accumulator):
     """MAE, RMSE and median of depth, MAE and RMSE of its inverse, and MAE and RMSE within ranges.
 
-    A range contains the true depths above its first and up to its last value [m]. Pixels whose true
-    depth is beyond `farthest_m` are not scored. The median comes from a histogram and is exact to
-    0.3 %. Inverse depth is scored like KITTI scores depth completion [1/km], and where focal length
-    and baseline are known also as disparity, d = f * b / depth, like the paper on Cityscapes, in
-    pixels of the data set's images.
+    A range contains the true depths above its first and up to its last value [m]; the last one ends
+    at `farthest_m`, if that is beyond `FARTHEST_M`. The median comes from a histogram and is exact
+    to 0.3 %. Inverse depth is scored like KITTI scores depth completion [1/km], and where focal
+    length and baseline are known also as disparity, d = f * b / depth, like the paper on
+    Cityscapes, in pixels of the data set's images.
 
     Attributes:
         unscored: int64 (2,), pixels with such depths, and all pixels with a true depth.
     """
 
     def __init__(self, farthest_m: float = FARTHEST_M) -> None:
-        self._farthest_m = farthest_m
         self.unscored: NDArray[np.int64] = np.zeros(2, dtype=np.int64)
         self._metres, self._per_km, self._px = ErrorSums(), ErrorSums(), ErrorSums()
         beyond = ((FARTHEST_M, farthest_m),) if farthest_m > FARTHEST_M else ()
         self._ranges = {item: ErrorSums() for item in (*RANGES_M, *beyond)}
         self._histogram = np.zeros(len(_ERROR_BINS_M) - 1)
 
-    def update(
-        self,
-        prediction: NDArray[np.floating],
-        depth: NDArray[np.floating],
-        focal_baseline_px_m: float | None = None,
-    ) -> None:
+    def update(self, errors: DepthErrors, focal_baseline_px_m: float | None = None) -> None:
         """Count a frame.
 
         Args:
-            prediction: float (H, W) [m]; 0, "no answer", is scored as a depth. Before depth is
-                inverted, values below 0.1 m become 0.1 m.
-            depth: the true depth, float (H, W) [m]; 0, negative or not finite = unknown.
+            errors: its errors. Before depth is inverted, values below 0.1 m become 0.1 m.
             focal_baseline_px_m: focal length times baseline [px m]; None: there is no disparity.
         """
-        known = scored(depth, self._farthest_m)
-        self.unscored += np.count_nonzero(depth > self._farthest_m), np.count_nonzero(depth > 0)
-        truth = depth[known].astype(np.float64)
-        answer = prediction[known].astype(np.float64)
-        error = answer - truth
+        truth, error = errors.truth, errors.error
+        self.unscored += errors.unscored
         self._metres.add(error)
         # Errors beyond the bins count in the last one.
         self._histogram += np.histogram(
@@ -252,7 +272,7 @@ class DepthScores(Accumulator):
         )[0]
         for (above, limit), sums in self._ranges.items():
             sums.add(error[(truth > above) & (truth <= limit)])
-        inverse = 1 / np.maximum(answer, _NEAREST_M) - 1 / truth
+        inverse = 1 / np.maximum(errors.answer, _NEAREST_M) - 1 / truth
         self._per_km.add(1000 * inverse)
         if focal_baseline_px_m is not None:
             self._px.add(focal_baseline_px_m * inverse)

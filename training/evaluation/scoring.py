@@ -24,6 +24,7 @@ from training.evaluation.metrics import (
     FARTHEST_M,
     Accumulator,
     BoundaryScores,
+    DepthErrors,
     DepthScores,
     ErrorSums,
     RoadScores,
@@ -106,13 +107,14 @@ class Scores(Accumulator):
     """
 
     def __init__(self, num_classes: int, farthest_m: float = FARTHEST_M) -> None:
+        self._farthest_m = farthest_m
         self.frames = 0
         self.heads: set[str] = set()  # heads that were answered
         self.semantic = SemanticScores(num_classes)
         self.depth = DepthScores(farthest_m)
         self.boundary = BoundaryScores()
-        self.regions = DepthRegionScores(farthest_m)
-        self.uncertainty = UncertaintyScores(farthest_m)
+        self.regions = DepthRegionScores()
+        self.uncertainty = UncertaintyScores()
         self.road = RoadScores(num_classes)
         self.others: dict[str, ErrorSums] = {}  # of heads without other figures
 
@@ -127,10 +129,11 @@ class Scores(Accumulator):
         if answer.semantic is not None and "road_mask" in sample.targets:
             self.road.update(answer.semantic, sample.targets["road_mask"])
         if answer.depth is not None and frame.target.any():
-            self.depth.update(answer.depth, frame.target, sample.focal_baseline_px_m)
-            self.regions.update(answer.depth, frame.target, frame.fed)
+            errors = DepthErrors(answer.depth, frame.target, self._farthest_m)
+            self.depth.update(errors, sample.focal_baseline_px_m)
+            self.regions.update(errors, frame.fed)
             if answer.depth_uncertainty is not None:
-                self.uncertainty.update(answer.depth_uncertainty, answer.depth, frame.target)
+                self.uncertainty.update(answer.depth_uncertainty, errors)
         if answer.boundary is not None and has_classes:
             self.boundary.update(answer.boundary, sample.semantic)
         for head in answer.heads.keys() & sample.targets.keys() - {"semantic", "depth"}:

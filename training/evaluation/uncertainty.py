@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.metrics import FARTHEST_M, Accumulator, scored
+from training.evaluation.metrics import Accumulator, DepthErrors
 
 # Shares of a Laplace distribution within one and two of its scales b: 1 - exp(-1), 1 - exp(-2).
 LAPLACE_COVERAGE = (0.632, 0.865)
@@ -18,33 +18,19 @@ _LOWEST_M, _HIGHEST_M, _BINS = 1e-3, 1e3, 4096
 class UncertaintyScores(Accumulator):
     """Error of the most confident shares of the pixels of all frames together, and coverage.
 
-    The pixels are those of `DepthScores`. The pixels of all frames are ranked together with a
+    The pixels of all frames are ranked together with a
     histogram of `_BINS` bins over the logarithm of the uncertainty, so that memory is bounded. If a
     share ends within a bin, a part of the bin is taken, as if its pixels had equal errors.
     """
 
-    def __init__(self, farthest_m: float = FARTHEST_M) -> None:
-        self._farthest_m = farthest_m
+    def __init__(self) -> None:
         # The columns are number of pixels and sum |e|.
         self._bins = np.zeros((_BINS, 2))
         self._within = np.zeros(2)  # pixels whose error is at most one and two scales
 
-    def update(
-        self,
-        uncertainty: NDArray[np.floating],
-        prediction: NDArray[np.floating],
-        depth: NDArray[np.floating],
-    ) -> None:
-        """Count a frame.
-
-        Args:
-            uncertainty: scale of a Laplace distribution around the prediction, float (H, W) [m].
-            prediction: see `DepthScores.update`, also for the depth.
-            depth: the true depth.
-        """
-        known = scored(depth, self._farthest_m)
-        scale = uncertainty[known].astype(np.float64)
-        error = np.abs(prediction[known].astype(np.float64) - depth[known])
+    def update(self, uncertainty: NDArray[np.floating], errors: DepthErrors) -> None:
+        """Count a frame by the scale of its Laplace distributions, float (H, W) [m], and errors."""
+        scale, error = uncertainty[errors.known].astype(np.float64), np.abs(errors.error)
         place = np.log(np.clip(scale, _LOWEST_M, _HIGHEST_M) / _LOWEST_M)
         index = (place / np.log(_HIGHEST_M / _LOWEST_M) * (_BINS - 1)).astype(np.intp)
         self._bins[:, 0] += np.bincount(index, minlength=_BINS)

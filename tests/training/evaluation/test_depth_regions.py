@@ -13,6 +13,7 @@ from training.evaluation.depth_regions import (
     split_distances,
     split_regions,
 )
+from training.evaluation.metrics import DepthErrors
 
 
 def house():
@@ -68,8 +69,8 @@ def test_errors_by_hand_and_merged():
     answer[masks["uncovered"]] -= 4
     answer[20, 10] += 2  # 3 m off
     scores, other = DepthRegionScores(), DepthRegionScores()
-    scores.update(answer, depth, fed)
-    other.update(depth, depth, fed)
+    scores.update(DepthErrors(answer, depth), fed)
+    other.update(DepthErrors(depth, depth), fed)
     figures = scores.figures()
     count = int((masks["interior"] & known).sum())
     assert figures["mae_m_interior"] == pytest.approx((count + 2) / count)
@@ -80,7 +81,7 @@ def test_errors_by_hand_and_merged():
     scores.merge(other)
     assert scores.figures()["mae_m_uncovered"] == 2
     scanned = DepthRegionScores()
-    scanned.update(answer, np.where(fed > 0, fed, 0), fed)
+    scanned.update(DepthErrors(answer, np.where(fed > 0, fed, 0)), fed)
     assert scanned.figures().keys() == {"mae_m_return_0_px", "rmse_m_return_0_px"}
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from training.evaluation.differences import compare
-from training.evaluation.metrics import DepthScores
+from training.evaluation.metrics import DepthErrors, DepthScores
 from training.evaluation.score_report import Row, format_differences
 from training.evaluation.score_set import FrameScore, Result
 from training.lidar.split import LidarInput
@@ -15,7 +15,7 @@ def result(model, errors_m, *, hits=None, groups=None):
     frames = []
     for index, error in enumerate(errors_m):
         depth = DepthScores()
-        depth.update(np.array([[10.0 + error]]), np.array([[10.0]]))
+        depth.update(DepthErrors(np.array([[10.0 + error]]), np.array([[10.0]])))
         hit = 0 if hits is None else hits[index]
         confusion = np.array([[hit, 10 - hit, 0], [0, 5, 0]]) * (hits is not None)
         group = "" if groups is None else groups[index]

@@ -5,7 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from training.evaluation.metrics import BoundaryScores, DepthScores, RoadScores, SemanticScores
+from training.evaluation.metrics import (
+    BoundaryScores,
+    DepthErrors,
+    DepthScores,
+    RoadScores,
+    SemanticScores,
+)
 
 
 def test_semantic_metrics_by_hand():
@@ -81,10 +87,9 @@ def test_road_iou_by_hand():
 
 def test_depth_metrics_by_hand():
     scores = DepthScores()
-    scores.update(
-        np.array([[12.0, 19.0, 44.0, 90.0, 5.0, 5.0, 5.0, 5.0]], dtype=np.float32),
-        np.array([[10.0, 20.0, 40.0, 80.0, 0.0, np.nan, 100.5, np.inf]], dtype=np.float32),
-    )
+    answer = np.array([[12.0, 19.0, 44.0, 90.0, 5.0, 5.0, 5.0, 5.0]], dtype=np.float32)
+    truth = np.array([[10.0, 20.0, 40.0, 80.0, 0.0, np.nan, 100.5, np.inf]], dtype=np.float32)
+    scores.update(DepthErrors(answer, truth))
     inverse = [1000 / 10 - 1000 / 12, 1000 / 19 - 1000 / 20, 1000 / 40 - 1000 / 44, 12.5 - 100 / 9]
     figures = scores.figures()  # errors 2, 1, 4, 10
     assert 2 * 0.997 < figures.pop("median_m") < 2 * 1.003  # the lower middle
@@ -106,7 +111,8 @@ def test_depth_metrics_by_hand():
     )
     assert scores.unscored.tolist() == [2, 6]
     farther = DepthScores(farthest_m=400.0)
-    farther.update(np.array([[5.0, 300.0, 5.0]]), np.array([[10.0, 290.0, 401.0]]))
+    answer, truth = np.array([[5.0, 300.0, 5.0]]), np.array([[10.0, 290.0, 401.0]])
+    farther.update(DepthErrors(answer, truth, 400.0))
     figures = farther.figures()
     assert (figures["mae_m"], figures["mae_m_100_400"]) == (7.5, 10.0)
     assert DepthScores().figures() == {}
@@ -119,7 +125,7 @@ def test_depth_is_scored_over_the_pixels_of_all_frames_together():
     merged = DepthScores()
     for answer, truth in zip(answers, depth, strict=True):
         one = DepthScores()
-        one.update(answer, truth)
+        one.update(DepthErrors(answer, truth))
         merged.merge(one)
     error = np.abs(np.concatenate(answers, axis=1) - np.concatenate(depth, axis=1))
     figures = merged.figures()
@@ -131,7 +137,7 @@ def test_depth_is_scored_over_the_pixels_of_all_frames_together():
 @pytest.mark.parametrize(("answer", "mae_m", "per_km"), [(0.0, 10.0, 9900.0), (10.0, 0.0, 0.0)])
 def test_no_answer_is_scored_as_a_depth_and_a_right_one_has_no_error(answer, mae_m, per_km):
     scores = DepthScores()
-    scores.update(np.full((1, 1), answer), np.full((1, 1), 10.0))
+    scores.update(DepthErrors(np.full((1, 1), answer), np.full((1, 1), 10.0)))
     figures = scores.figures()
     assert figures["mae_m"] == mae_m == pytest.approx(figures["median_m"], rel=0.003)
     assert figures["imae_per_km"] == pytest.approx(per_km)
@@ -141,8 +147,8 @@ def test_disparity_errors_equal_the_hand_computed_ones():
     depth = np.array([[10.0, 20.0, 0.0, 40.0, 100.5]])
     answer = np.array([[20.0, 20.0, 5.0, 0.0, 5.0]])
     scores, other = DepthScores(), DepthScores()
-    scores.update(answer[:, :2], depth[:, :2], 400.0)
-    other.update(answer[:, 2:], depth[:, 2:], 400.0)
+    scores.update(DepthErrors(answer[:, :2], depth[:, :2]), 400.0)
+    other.update(DepthErrors(answer[:, 2:], depth[:, 2:]), 400.0)
     scores.merge(other)
     # 400 / 10 - 400 / 20 = 20 px; 0; unknown; 0 m is taken as 0.1 m: 4000 - 10 px; too far.
     assert scores.sums[0] == 3

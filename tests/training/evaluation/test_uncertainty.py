@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from training.evaluation.metrics import DepthErrors
 from training.evaluation.uncertainty import LAPLACE_COVERAGE, UncertaintyScores
 
 
@@ -19,7 +20,7 @@ def test_the_most_confident_pixels_are_those_of_all_frames_sorted():
     scores, other = UncertaintyScores(), UncertaintyScores()
     scales, errors = [], []
     for index, (scale, prediction, depth) in enumerate(frames(np.random.default_rng(0))):
-        (other if index else scores).update(scale, prediction, depth)
+        (other if index else scores).update(scale, DepthErrors(prediction, depth))
         scales.append(scale[depth > 0])
         errors.append(np.abs(prediction - depth)[depth > 0])
     scores.merge(other)
@@ -34,8 +35,8 @@ def test_the_most_confident_pixels_are_those_of_all_frames_sorted():
 def test_coverage_of_a_true_scale_is_that_of_laplace_and_of_others_is_not():
     right, small = UncertaintyScores(), UncertaintyScores()
     for scale, prediction, depth in frames(np.random.default_rng(1)):
-        right.update(scale, prediction, depth)
-        small.update(scale / 2, prediction, depth)
+        right.update(scale, DepthErrors(prediction, depth))
+        small.update(scale / 2, DepthErrors(prediction, depth))
     figures = right.figures()
     assert [figures[f"coverage_{n}"] for n in (1, 2)] == pytest.approx(LAPLACE_COVERAGE, abs=0.01)
     assert small.figures()["coverage_2"] == pytest.approx(LAPLACE_COVERAGE[0], abs=0.01)
