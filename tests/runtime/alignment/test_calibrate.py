@@ -107,17 +107,6 @@ def test_without_enough_frames_nothing_is_said():
     assert result.reason.startswith("not visible: 2 frames have structure")
 
 
-def test_a_source_is_judged_by_its_frames(recording, frames, predictor, turned):
-    images, _, points, _, calibration, *_ = recording([turned(each, (0, 2, 0)) for each in frames])
-    done = []
-    with open_source("folders", images, Rig(calibration=calibration), points=points) as source:
-        result = calibrate(source, predictor, frames=4, on_frame=lambda: done.append(1))
-    assert result.verdict is Verdict.OFF, result.reason
-    assert abs(result.off_degrees[1] - 2) < result.within_degrees[1]
-    assert len(done) == len(result.frames) == 4
-    assert len(set(result.frames)) == 4
-
-
 def test_models_without_boundaries_and_frames_without_scans_are_refused(
     recording, frames, model_file, predictor
 ):

@@ -26,6 +26,7 @@ def test_the_written_calibration_is_the_right_one(tmp_path, recording, frames, t
     result = CliRunner().invoke(app, given)
     assert result.exit_code == 4, result.output
     assert "calibration: off by yaw +" in result.stdout
+    assert "\n4 frames, as good as " in result.stdout
     assert "--frame-id camera --child-frame-id lidar" in result.stdout
     right, known = Calibration.from_file(out), frames[0].calibration
     between = right.extrinsics[:3, :3] @ known.extrinsics[:3, :3].T

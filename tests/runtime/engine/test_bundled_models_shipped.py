@@ -37,13 +37,12 @@ def test_contract_of_a_bundled_model(model):
     assert contract.parity["semantic"]
 
 
-@bundled
-def test_it_sees_the_street(model):
+def test_the_default_model_sees_the_street():
     """Road in front, sky or trees above, and depth close to the returns it was given."""
     frames = bundled_frames()
     assert len(frames) == 20
     frame = frames[0]
-    with Predictor(model) as predictor:
+    with Predictor(threads=1) as predictor:
         prediction = predictor.predict(
             frame.rgb, frame.sparse_depth, focal_length_px=BUNDLED_FOCAL_LENGTH_PX
         )
