@@ -3,8 +3,6 @@
 import subprocess
 import sys
 
-import pytest
-
 import training
 
 
@@ -18,8 +16,3 @@ def test_the_names_are_loaded_on_first_use():
     )
     subprocess.run([sys.executable, "-c", code], check=True)
     assert set(training.__all__) <= set(dir(training))
-
-
-def test_another_name_is_an_error():
-    with pytest.raises(AttributeError, match="no attribute 'learn'"):
-        _ = training.learn

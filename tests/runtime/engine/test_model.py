@@ -68,16 +68,3 @@ def test_an_answer_of_another_rank_is_one_of_another_shape(model_file):
     edit = behind("depth", helper.make_node("Squeeze", ["before", "axis"], ["depth"]), axis=[0])
     with pytest.raises(InferenceError, match="depth"):
         Predictor(model_file(edit=edit, heads=HEADS))
-
-
-@pytest.mark.parametrize(
-    ("head", "offset"), [("depth", -500.0), ("boundary", 500.0), ("depth_uncertainty", -500.0)]
-)
-def test_impossible_values_make_a_frame_invalid(model_file, make_frame, head, offset):
-    edit = behind(
-        head, helper.make_node("Add", ["before", "too_far"], [head]), too_far=np.float32(offset)
-    )
-    with Predictor(model_file(edit=edit, heads=HEADS)) as predictor:
-        prediction = predictor.predict(*make_frame())
-    assert not prediction.valid
-    assert prediction.degraded == (f"{head}_out_of_range",)

@@ -118,22 +118,6 @@ def test_a_model_of_free_size_runs_at_the_size_asked_for(
     assert prediction.semantic_logits.shape == (2, *frame)
 
 
-def test_impossible_depth_is_no_measurement(model_file, make_frame):
-    rgb, depth = make_frame()
-    clean = depth.copy()
-    places = [(1, 2), (3, 4), (5, 6), (7, 8), (9, 10)]
-    for (row, column), bad in zip(places, [np.nan, np.inf, -np.inf, -3.0, 250.5], strict=True):
-        depth[row, column], clean[row, column] = bad, 0
-    with Predictor(model_file()) as predictor:
-        prediction = predictor.predict(rgb, depth)
-    assert_right(prediction, rgb, clean)
-    assert prediction.valid
-    cleaned = prediction.cleaned
-    kinds = (cleaned.nan, cleaned.infinite, cleaned.negative, cleaned.too_far)
-    assert kinds == (1, 2, 1, 1)
-    assert prediction.depth_returns == np.count_nonzero(clean)
-
-
 @pytest.mark.parametrize("size", [None, (40, 40)])
 def test_nan_and_inf_in_an_answer_are_never_passed_on_silently(model_file, make_frame, size):
     rgb, depth = make_frame()

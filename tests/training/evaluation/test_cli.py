@@ -280,17 +280,6 @@ def test_classes_are_compared_by_name(named_model, scored, tmp_path):
     assert [line for line in output.splitlines() if line.endswith(left_out)]
 
 
-def test_a_model_of_its_own_classes_is_scored_on_camvid(named_model, scored, tmp_path):
-    """Class 0 of the model is the road, class 0 of CamVid is the sky."""
-    rgb = np.full((40, 64, 3), (20, 10, 20), np.uint8)
-    rgb[:, :32, 0] = 200
-    label = np.where(rgb[..., 0] == 200, 8, 3).astype(np.uint8)  # CamVid's car and road
-    camvid.write_frame(tmp_path, rgb, label)
-    (row,), _ = scored(named_model("own.onnx", "road", "car"), "--data", f"camvid:{tmp_path}")
-    ious = {key: value for key, value in row["figures"].items() if key.startswith("iou_")}
-    assert ious == {"iou_road": 1, "iou_car": 1}
-
-
 def test_numbers_without_names_are_no_classes_of_several_models(named_model, tmp_path):
     models = named_model("one.onnx", "road", "car"), named_model("other.onnx", "car", "road")
     result = run(*models, "--data", write_halves(tmp_path))

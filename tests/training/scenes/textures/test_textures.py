@@ -6,10 +6,9 @@ import pytest
 pytest.importorskip("embreex", reason="the renderer needs the train extra")
 
 from training.scenes.names import SceneClass
-from training.scenes.textures.noise import fractal_noise, value_noise
 from training.scenes.textures.paint import Stripe, band, paint_cover
 from training.scenes.textures.surface import SurfaceKind
-from training.scenes.things.mesh import Look, ellipsoid, polygon, tube
+from training.scenes.things.mesh import Look, polygon
 from training.scenes.things.vehicles import make_bus, make_car, make_truck, make_van
 
 PLAIN = Look(SurfaceKind.PLAIN, (0.5, 0.4, 0.3), SceneClass.MISC, (2.0, 3.0))
@@ -42,28 +41,6 @@ def test_a_dashed_line_is_painted_where_its_dashes_are():
     d, at, sharp = f32(-3.8, -3.2, -2.8, 0.3, 0.7), f32(*[20.5] * 5), f32(*[0.01] * 5)
     assert np.round(paint_cover(zebra, at, d, sharp, sharp)).tolist() == [1, 0, 1, 1, 0]
     assert not paint_cover(zebra, at + 1.5, d, sharp, sharp).any()
-
-
-def test_noise_is_smooth_bounded_and_fades_with_distance():
-    u = np.linspace(-500, 500, 200001, dtype=np.float32)
-    v = np.full_like(u, 3.7)
-    noise = value_noise(u, v)
-    assert np.abs(noise).max() <= 1.0
-    assert noise.std() > 0.2
-    assert np.abs(np.diff(noise)).max() < 0.05
-    near = fractal_noise(u, v, wavelength=0.5, octaves=3, footprint=np.full_like(u, 0.01))
-    far = fractal_noise(u, v, wavelength=0.5, octaves=3, footprint=np.full_like(u, 2.0))
-    assert near.std() > 0.15
-    assert not far.any()
-
-
-def test_normals_point_outwards():
-    for mesh, centre in (
-        (ellipsoid((1, 2, 3), (0.5, 1.0, 2.0), PLAIN, detail=2), (1, 2, 3)),
-        (tube((0, 0, 0), (0, 0, 2), (0.5, 0.3), PLAIN, rounded=True), (0, 0, 1)),
-    ):
-        outward = mesh.positions.mean(axis=1) - np.array(centre)
-        assert ((mesh.normals.mean(axis=1) * outward).sum(axis=1) > 0).all()
 
 
 def test_a_mesh_turns_and_keeps_its_texture():
