@@ -67,7 +67,7 @@ class View:
     @property
     def shrink(self) -> int:
         """Side, in pixels of the image, of the square that one value of `boundary` covers."""
-        return shrink_of(self.size)
+        return shrink_factor(self.size)
 
     @property
     def has_structure(self) -> bool:
@@ -116,13 +116,13 @@ def view_of(
         return None
     returns, jumps = find_structure(points, calibration, frame.size)
     answers = boundary, log_depth(depth)
-    edges, depths = (_shrunk(each, shrink_of(frame.size)) for each in answers)
+    edges, depths = (_shrunk(each, shrink_factor(frame.size)) for each in answers)
     return View(
         frame.name, points, returns, jumps, calibration, frame.size, edges, depths, neighbours
     )
 
 
-def shrink_of(size: tuple[int, int]) -> int:
+def shrink_factor(size: tuple[int, int]) -> int:
     """Factor by which the answers to an image of this size are shrunk."""
     return max(1, size[0] // _ROWS)
 

@@ -36,7 +36,7 @@ def numbers_in(names: Iterable[str]) -> dict[str, tuple[Decimal, ...]]:
     return {name: tuple(map(Decimal, numbers.findall(name))) for name in names}
 
 
-def hold_decimals(names: Iterable[str]) -> bool | None:
+def contain_decimals(names: Iterable[str]) -> bool | None:
     """Return whether numbers with a point in these names are decimals; None if it is not clear.
 
     They are decimals if the digits before the point are seconds since 1970. They are also decimals
@@ -56,4 +56,4 @@ def hold_decimals(names: Iterable[str]) -> bool | None:
 
 
 def _pattern(names: list[str]) -> re.Pattern[str]:
-    return _WHOLE if hold_decimals(names) is False else _NUMBERS
+    return _WHOLE if contain_decimals(names) is False else _NUMBERS

@@ -17,7 +17,7 @@ from runtime.drawing.overlay import Overlay
 from runtime.engine.prediction import Prediction
 from runtime.files.atomic_write import atomic_write
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.returns import kind_of
+from runtime.geometry.returns import array_dtype
 
 _PICTURES, _ARRAYS, _CLOUD = (".png", ".jpg", ".jpeg"), ".npz", ".ply"
 
@@ -74,9 +74,10 @@ def _draw(prediction: Prediction, rgb: NDArray[np.uint8] | None) -> NDArray[np.u
             "what Predictor.predict returns, or set contract=predictor.contract"
         )
     expected = (*prediction.frame_size, 3)
-    if rgb is not None and (kind_of(rgb) != np.uint8 or rgb.shape != expected):
+    if rgb is not None and (array_dtype(rgb) != np.uint8 or rgb.shape != expected):
         raise InputError(
-            f"rgb must be the frame's image, uint8 {expected}, got {kind_of(rgb)} {np.shape(rgb)}"
+            f"rgb must be the frame's image, uint8 {expected}, got {array_dtype(rgb)} "
+            f"{np.shape(rgb)}"
         )
     return _overlay(contract.classes, contract.max_depth_m).draw(rgb, prediction)
 

@@ -208,14 +208,14 @@ class Prediction(HeadArrays):
         if self.depth is None or not self.valid:
             reason = ", ".join(self.degraded) if self.depth is not None else "it has no such head"
             raise InputError(f"the prediction has no usable depth: {reason}")
-        from runtime.geometry.point_cloud import thin_to_voxels, to_points  # on demand
+        from runtime.geometry.point_cloud import depth_to_cloud, thin_to_voxels  # on demand
 
         matrix: Any = intrinsics
         lens = None
         if hasattr(matrix, "lens_model"):  # a Calibration, which is not imported here
             matrix.require_size(self.depth.shape)
             matrix, lens = matrix.intrinsics, matrix.lens_model
-        cloud = to_points(
+        cloud = depth_to_cloud(
             self.depth,
             matrix,
             lens=lens,

@@ -15,7 +15,7 @@ from runtime.contract.contract import MIN_SIDE, farthest_return
 from runtime.contract.degraded import IMAGE_CONSTANT, NO_DEPTH, SPARSE_DEPTH_LOW
 from runtime.contract.resize import Size, move_returns, resize_image
 from runtime.engine.prediction import Cleaned
-from runtime.geometry.returns import drop_saturated, kind_of
+from runtime.geometry.returns import array_dtype, drop_saturated
 
 _CONSTANT_STEP = 16  # every 16th pixel usually rules out a constant image
 # The image is divided into a fixed number of cells. 16 of KITTI's 64 lines have returns in 6.6 %
@@ -113,7 +113,7 @@ def preprocess(
 
 def check_rgb(rgb: Any) -> NDArray[np.uint8]:
     """Return `rgb`, contiguous; InputError unless it is uint8 (H, W, 3), each side >= MIN_SIDE."""
-    if (kind := kind_of(rgb)) != np.uint8:
+    if (kind := array_dtype(rgb)) != np.uint8:
         raise InputError(
             f"rgb must be a plain numpy array of uint8, values 0..255, got {kind}: give the "
             "camera's pixels as they are, the network normalises them itself"
@@ -134,7 +134,7 @@ def check_rgb(rgb: Any) -> NDArray[np.uint8]:
 
 def check_sparse_depth(sparse_depth: Any, *, size: tuple[int, int]) -> NDArray[np.float32]:
     """Return `sparse_depth`, contiguous; InputError unless it is float32 (H, W) of `size`."""
-    if (kind := kind_of(sparse_depth)) != np.float32:
+    if (kind := array_dtype(sparse_depth)) != np.float32:
         hint = "use np.asarray(sparse_depth, np.float32), of a masked array its .filled(0)"
         if "int" in str(kind):
             hint = (

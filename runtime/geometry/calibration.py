@@ -14,7 +14,12 @@ from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.files.read_input import read_toml
 from runtime.geometry.assumptions import assume
-from runtime.geometry.kitti_calibration import NumbersFile, chain, is_kitti, kitti_image_size
+from runtime.geometry.kitti_calibration import (
+    NumbersFile,
+    compose_matrices,
+    is_kitti,
+    kitti_image_size,
+)
 from runtime.geometry.lens import PLUMB_BOB, Lens, cache_key, rectifying_maps
 from runtime.geometry.projection import check_intrinsics, project_points
 from runtime.geometry.region import region_of_images
@@ -212,7 +217,7 @@ class Calibration:
         projection, is_odometry = numbers.matrix(f"P{camera}", 3, 4), "Tr" in numbers
         rectify = np.eye(3) if is_odometry else numbers.matrix("R0_rect", 3, 3)
         to_camera = numbers.matrix("Tr" if is_odometry else "Tr_velo_to_cam", 3, 4)
-        return cls(*chain(projection, rectify, to_camera))
+        return cls(*compose_matrices(projection, rectify, to_camera))
 
     @classmethod
     def _from_kitti_raw(cls, folder: Path, camera: str, *, rectified: bool) -> "Calibration":
@@ -223,7 +228,7 @@ class Calibration:
         if rectified:
             projection = cameras.matrix(f"P_rect_{camera}", 3, 4)
             rectify = cameras.matrix("R_rect_00", 3, 3)
-            return cls(*chain(projection, rectify, to_camera), (height, width))
+            return cls(*compose_matrices(projection, rectify, to_camera), (height, width))
         beside = np.eye(4)
         beside[:3, :3] = cameras.matrix(f"R_{camera}", 3, 3)
         beside[:3, 3] = cameras.matrix(f"T_{camera}", 1, 3)[0]

@@ -84,7 +84,7 @@ def is_kitti(numbers: NumbersFile) -> bool:
     return any(name in numbers for name in _NAMES)
 
 
-def chain(
+def compose_matrices(
     projection: NDArray[np.float64],
     rectify: NDArray[np.float64],
     to_camera: NDArray[np.float64],

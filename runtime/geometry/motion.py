@@ -13,7 +13,7 @@ from runtime.contract.degraded import DEPTH_REUSED, DEPTH_UNCOMPENSATED, POINTS_
 from runtime.geometry.assumptions import assume
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.poses import NoPoseError, PoseFrame, PoseTrack, check_pose_frame
-from runtime.geometry.returns import axes_of, check_points, is_return
+from runtime.geometry.returns import check_points, coordinates_of, is_return
 
 DepthMotion = Literal["each", "scan", "none"]
 # The instant of a scan that its stamp marks.
@@ -212,7 +212,7 @@ def compensate_points(
     moved = points.copy()
     if len(points):
         each = np.broadcast_to(np.int64(times), len(points))
-        _move(axes_of(points), each, _table(each, poses, to), moved)
+        _move(coordinates_of(points), each, _table(each, poses, to), moved)
     return moved
 
 
@@ -248,7 +248,7 @@ def project_compensated(
         (moved,) = relative_poses(poses, np.array([times], np.int64), to)
         extrinsics = extrinsics @ moved
     elif len(points):
-        table, xyz = _table(times, poses, to), axes_of(points)
+        table, xyz = _table(times, poses, to), coordinates_of(points)
         rows = _in_front(xyz, table, extrinsics)
         points = np.empty((3, len(rows)), np.float32).T  # read fastest by the projection
         _move(xyz.take(rows, axis=1), times.take(rows), table, points)

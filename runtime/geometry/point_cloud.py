@@ -49,7 +49,7 @@ class PointCloud:
         return PointCloud(**taken)
 
 
-def to_points(
+def depth_to_cloud(
     depth: NDArray[np.float32],
     intrinsics: NDArray[np.floating[Any]],
     *,

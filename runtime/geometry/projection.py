@@ -14,7 +14,7 @@ from runtime.base.checks import check_integer, shown
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_SIDE
 from runtime.geometry.lens import Lens, cache_key, pixels_of_rays, ray_bounds
-from runtime.geometry.returns import axes_of, check_points
+from runtime.geometry.returns import check_points, coordinates_of
 from runtime.geometry.rigid import check_matrix, nearest_rigid
 
 _INDEX_BITS = 32
@@ -77,7 +77,7 @@ def project_with_rows(
     check_intrinsics(intrinsics)
     extrinsics = nearest_rigid("extrinsics", extrinsics)
     height, width = _check_size(size)
-    axes = axes_of(points)
+    axes = coordinates_of(points)
     with np.errstate(over="ignore", invalid="ignore"):
         product = intrinsics.astype(np.float64) @ extrinsics[:3].astype(np.float64)
         matrix = product.astype(np.float32)

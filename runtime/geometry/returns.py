@@ -73,7 +73,7 @@ def check_farthest(depth: NDArray[np.float32]) -> None:
 
 def check_points(points: Any) -> None:
     """Raise InputError if `points` is not a scan, float32 (N, 3) or wider."""
-    if (kind := kind_of(points)) != np.float32:
+    if (kind := array_dtype(points)) != np.float32:
         hint = "use points.astype(np.float32)"
         raise InputError(f"points must be a plain float32 array [m], got {kind}: {hint}")
     hint = ": use points.T" if is_transposed(points.shape) else ""
@@ -151,14 +151,14 @@ def _without_misses(
     return returns
 
 
-def axes_of(points: NDArray[np.float32]) -> NDArray[np.float32]:
+def coordinates_of(points: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return x, y and z of a scan, float32 (3, N), contiguous; NaN where there is no return."""
     axes = np.ascontiguousarray(points[:, :3].T)
     returns = is_return(points)
     return axes if returns.all() else np.where(returns, axes, np.float32(np.nan))
 
 
-def kind_of(array: Any) -> Any:
+def array_dtype(array: Any) -> Any:
     """Return the dtype of a plain NumPy array, or the name of any other type."""
     if isinstance(array, np.ndarray) and not isinstance(array, np.ma.MaskedArray | np.matrix):
         return array.dtype

@@ -63,12 +63,12 @@ class Rig:
                 check_number(name, value, 0, 1e6, "milliseconds", error=InputError)
 
     @property
-    def oldest_depth_ms(self) -> float:
+    def max_depth_age_ms(self) -> float:
         """`reuse_depth_ms`, or the default for streams."""
         return DEFAULT_REUSE_DEPTH_MS if self.reuse_depth_ms is None else self.reuse_depth_ms
 
     @property
-    def after_stamp(self) -> float:
+    def stamp_to_middle(self) -> float:
         """Time from the stamp of a scan to its middle, in scan durations."""
         return MIDDLE_AFTER[self.scan_stamp or "middle"]
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume
-from runtime.geometry.returns import kind_of
+from runtime.geometry.returns import array_dtype
 
 _EXACT = 1e-3  # covers the error of float32, and of files with four digits
 _LARGEST_M = 1e7
@@ -57,7 +57,7 @@ def nearest_rigid(name: str, matrix: Any) -> NDArray[np.float64]:
 
 def check_matrix(name: str, matrix: Any, side: int) -> None:
     """Raise InputError unless `matrix` is a plain array of finite floats, (side, side)."""
-    kind = kind_of(matrix)
+    kind = array_dtype(matrix)
     if not (isinstance(kind, np.dtype) and kind.kind == "f"):
         raise InputError(f"{name} must be an array of floats, got {kind}")
     if matrix.shape != (side, side):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume, collect_assumptions
 from runtime.geometry.motion import Scan
-from runtime.geometry.point_cloud import to_points
+from runtime.geometry.point_cloud import depth_to_cloud
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.bag_messages import BagMessages
 from runtime.recordings.bag_sensors import ODOMETRY, TRANSFORMS, BagSensors
@@ -290,7 +290,7 @@ class BagSource(Source):
         if (camera := self._sensors.depth_camera) is None:
             return depth
         camera.require_size(depth.shape)
-        return Scan.of(to_points(depth, camera.intrinsics, lens=camera.lens_model).points)
+        return Scan.of(depth_to_cloud(depth, camera.intrinsics, lens=camera.lens_model).points)
 
     @property
     def _topics(self) -> dict[str, str | None]:
@@ -305,7 +305,7 @@ class BagSource(Source):
     def inputs(self) -> dict[str, Any]:
         """See `Source.inputs`."""
         given = {"bag": str(self._bag.path), **self._given._asdict(), **self._topics}
-        given |= {**self._rig_facts, "reuse_depth_ms": self._rig.oldest_depth_ms}
+        given |= {**self._rig_facts, "reuse_depth_ms": self._rig.max_depth_age_ms}
         return given | {"left_out": dict(self._left_out)}
 
     @property

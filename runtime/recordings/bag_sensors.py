@@ -15,7 +15,7 @@ from runtime.geometry.calibration import Calibration
 from runtime.geometry.rig import Rig
 from runtime.recordings.ros_bag import RosBag
 from runtime.recordings.ros_camera import CAMERA_INFO, GIVE, SAME_PX, read_camera_calibration
-from runtime.recordings.ros_poses import TransformTree, frame_name, is_fixed
+from runtime.recordings.ros_poses import TransformTree, frame_name, is_world_frame
 from runtime.recordings.ros_topics import POINT_CLOUD, RosTopics
 
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -77,7 +77,7 @@ class BagSensors:
             frame = self.frame(depth)
             if not self.has_clouds:
                 self.depth_camera = self.camera(depth)
-            elif frame in self._fixed_frames or is_fixed(frame):
+            elif frame in self._fixed_frames or is_world_frame(frame):
                 what = f"{depth} lies in the frame of the LiDAR, although {frame} is fixed and "
                 assume(f"{what}the LiDAR moves in it", "choose the raw scans by depth_topic=")
             given = self._rig.read_calibration(for_scans=True)

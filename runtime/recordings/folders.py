@@ -283,7 +283,7 @@ class FolderSource(Source):
         given = {"rgb": self._rgb, **self._given._asdict(), **self._rig_facts}
         del given["camera"], given["depth" if self._has_scans else "points"]
         given["depth_scale"] = self.depth_scale
-        given["reuse_depth_ms"] = self._rig.oldest_depth_ms if self._is_timed else None
+        given["reuse_depth_ms"] = self._rig.max_depth_age_ms if self._is_timed else None
         inputs = {
             name: value if value is None or isinstance(value, int | float) else str(value)
             for name, value in given.items()

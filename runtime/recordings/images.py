@@ -107,7 +107,7 @@ def read_sparse_depth(path: Path, *, depth_scale: float = KITTI_DEPTH_SCALE) -> 
     return to_metres(depth, depth_scale if kind == "u2" else 1)
 
 
-def holds_metres(path: Path) -> bool:
+def is_in_metres(path: Path) -> bool:
     """Whether a depth map holds floats, which are metres. Raises InputError."""
     return path.suffix.lower() != ".png" and _read_map(path).dtype.kind == "f"
 

@@ -18,7 +18,7 @@ from runtime.geometry.rigid import nearest_rigid
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.images import RGB_SUFFIXES, list_files
 from runtime.recordings.poses import read_oxts_poses
-from runtime.recordings.source import ListedFrame, by_number, pose_track
+from runtime.recordings.source import ListedFrame, files_by_number, pose_track
 from runtime.streams.frame import Sensor
 
 RAW_IMU = "calib_imu_to_velo.txt"
@@ -136,7 +136,7 @@ class KittiRawSource(FolderSource):
             "drive": str(self._drive),
             "camera": self._given.camera,
             "max_skew_ms": self._rig.max_skew_ms if self._stamped else None,
-            "reuse_depth_ms": self._rig.oldest_depth_ms,
+            "reuse_depth_ms": self._rig.max_depth_age_ms,
             "poses": self._oxts and str(self._oxts),
         }
 
@@ -149,7 +149,7 @@ def _read_stamps(
     The list is empty if there is no file of time stamps. Raises InputError if a line is not a time,
     and if a file's number has no line.
     """
-    numbers = by_number(list_files(folder / "data", suffixes))
+    numbers = files_by_number(list_files(folder / "data", suffixes))
     path = folder / _STAMPS
     if not os.path.lexists(path):
         return []

@@ -156,7 +156,7 @@ def transform_poses(
     if carrier is None:
         raise InputError(f"/tf moves none of the frames {', '.join(carriers):.300}")
     fixed = parents[carrier]
-    if fixed in parents and not is_fixed(fixed):
+    if fixed in parents and not is_world_frame(fixed):
         raise InputError(
             f"/tf moves {carrier!r:.80} in {fixed!r:.80}, which moves itself in "
             f"{parents[fixed]!r:.80}: expected one of {', '.join(_FIXED)}"
@@ -230,7 +230,7 @@ class TransformTree:
         return matrices
 
 
-def is_fixed(frame: str) -> bool:
+def is_world_frame(frame: str) -> bool:
     """Whether the name of a frame says that it does not move with the car."""
     return frame.rpartition("/")[2] in _FIXED
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
-from runtime.base.natural_order import hold_decimals
+from runtime.base.natural_order import contain_decimals
 from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import (
@@ -288,7 +288,7 @@ class Source(ABC):
             InputError: in the cases of `RecordingMatcher`.
         """
         matching = RecordingMatcher(
-            max_skew_ms=max_skew_ms, reuse_depth_ms=self._rig.oldest_depth_ms, capacity=_WAITING
+            max_skew_ms=max_skew_ms, reuse_depth_ms=self._rig.max_depth_age_ms, capacity=_WAITING
         )
         stamps_ns: dict[Sensor, list[int]] = {sensor: [] for sensor in MATCHED}
         self.stamps_ns = stamps_ns
@@ -315,7 +315,7 @@ class Source(ABC):
         frames = limit_frames(listed(), limit)
         scans_ns = [f.depth_stamp_ns for f in frames if f.depth_stamp_ns is not None]
         self._period_ns = period_ns_of(scans_ns, FIRST_SCAN_NS)
-        self._to_middle_ns = round(self._rig.after_stamp * self._period_ns)
+        self._to_middle_ns = round(self._rig.stamp_to_middle * self._period_ns)
         return frames
 
     def has_lidar(self, frames: Iterable[ListedFrame]) -> bool:
@@ -345,10 +345,10 @@ def limit_frames(frames: Iterable[ListedFrame], limit: int | None) -> tuple[List
     return tuple(listed)
 
 
-def by_number(files: Mapping[str, Path]) -> dict[int, Path]:
+def files_by_number(files: Mapping[str, Path]) -> dict[int, Path]:
     """Map the number at the end of each file's stem to the file. Raises InputError."""
     numbers: dict[int, Path] = {}
-    are_times = hold_decimals(files)
+    are_times = contain_decimals(files)
     for stem, path in files.items():
         digits = re.search("[0-9]+$", stem)
         if digits is None or are_times:

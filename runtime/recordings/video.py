@@ -18,7 +18,7 @@ from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.images import DEPTH_SUFFIXES, list_files, require_pixels
 from runtime.recordings.orientation import check_turn
-from runtime.recordings.source import ListedFrame, by_number
+from runtime.recordings.source import ListedFrame, files_by_number
 from runtime.streams.frame import Frame, Message
 
 _SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm")
@@ -85,7 +85,7 @@ class VideoSource(FolderSource):
         return {_name(number): number for number in range(self._count)}
 
     def _list_depths(self, folder: Path) -> dict[str, Path]:
-        maps = by_number(list_files(folder, DEPTH_SUFFIXES))
+        maps = files_by_number(list_files(folder, DEPTH_SUFFIXES))
         if self._count in maps and 0 not in maps:
             raise InputError(
                 f"{maps[self._count]} is the depth of a frame beyond the {self._count} frames of "

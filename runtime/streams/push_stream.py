@@ -127,7 +127,7 @@ class PushStream:
         self._matcher = LiveMatcher(
             max_skew_ms=rig.max_skew_ms,
             max_wait_ms=max_wait_ms,
-            reuse_depth_ms=rig.oldest_depth_ms,
+            reuse_depth_ms=rig.max_depth_age_ms,
             capacity=_WAITING,
         )
         self._reported_state = self._counter.state(0)

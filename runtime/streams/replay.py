@@ -101,7 +101,7 @@ def replay(
                 yield sensor, taken
 
     matching = RecordingMatcher(
-        max_skew_ms=rig.max_skew_ms, reuse_depth_ms=rig.oldest_depth_ms, capacity=_WAITING
+        max_skew_ms=rig.max_skew_ms, reuse_depth_ms=rig.max_depth_age_ms, capacity=_WAITING
     )
 
     def count(decided: Decided) -> None:

@@ -60,7 +60,7 @@ class SensorInput:
         if not isinstance(rig, Rig):
             raise InputError(f"rig must be a Rig, such as Rig(calibration=...), got {shown(rig)}")
         self._calibration, self._counter, self._lock = rig.read_calibration(), counter, lock
-        self._middle_after = rig.after_stamp
+        self._middle_after = rig.stamp_to_middle
         self._is_middle_assumed = rig.scan_stamp is None
         self._scans, self._clocks = Intervals(), LiveClocks()
         self._poses = PoseBuffer()

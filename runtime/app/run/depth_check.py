@@ -14,7 +14,7 @@ from runtime.engine.preprocess import check_sparse_depth, clean_sparse_depth
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import EQUIDISTANT, cache_key, rays
 from runtime.geometry.returns import is_measured
-from runtime.recordings.images import holds_metres
+from runtime.recordings.images import is_in_metres
 from runtime.recordings.source import ListedFrame, Source
 from runtime.streams.answerer import known_focal_length_px
 from runtime.streams.frame import Sensor
@@ -93,7 +93,7 @@ def find_depth_fault(
                 fit.add(frame, camera_only)
             if has_returns and camera_only is not None:
                 check.add(camera_only, frame.sparse_depth)
-                if depth_scale is not None and holds_metres(listed.depth):
+                if depth_scale is not None and is_in_metres(listed.depth):
                     depth_scale = None
             size_check.add(
                 camera_only if has_returns else None, frame.sparse_depth, frame.calibration

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from runtime.contract.degraded import IMAGE_CONSTANT
 from runtime.engine.prediction import Prediction
 from runtime.geometry.returns import is_measured
-from runtime.streams.health.log_depth import BANDS, correlations, log_depth, without_bands
+from runtime.streams.health.log_depth import BANDS, correlations, log_depth, subtract_band_means
 
 FIRST_FRAMES = 5  # frames checked when a stream starts; later the median of the last 5 counts
 _LEAST_RETURNS, _MOST_RETURNS = 200, 50_000  # denser maps are subsampled
@@ -105,7 +105,7 @@ class DepthPlausibility:
         band = row * BANDS // len(depth)
         overall, alike = correlations(band, measured, seen)
         _, alike_mirrored = correlations(band, measured, mirrored)
-        spread = float(min(without_bands(band, each).std() for each in (measured, seen)))
+        spread = float(min(subtract_band_means(band, each).std() for each in (measured, seen)))
         log_ratio = float(np.median(measured - seen))
         self._figures.append(_Figures(log_ratio, overall, alike, alike_mirrored, spread))
 

@@ -29,11 +29,11 @@ def correlation(first: Floats, second: Floats) -> float:
 
 def correlations(band: NDArray[np.intp], measured: Floats, seen: Floats) -> tuple[float, float]:
     """Correlation of two log depths, as they are and without the mean of each band of rows."""
-    in_bands = correlation(without_bands(band, measured), without_bands(band, seen))
+    in_bands = correlation(subtract_band_means(band, measured), subtract_band_means(band, seen))
     return correlation(measured, seen), in_bands
 
 
-def without_bands(band: NDArray[np.intp], values: Floats) -> NDArray[np.float64]:
+def subtract_band_means(band: NDArray[np.intp], values: Floats) -> NDArray[np.float64]:
     """The values minus the mean of their band of rows."""
     count = np.maximum(np.bincount(band, minlength=BANDS), 1)
     return np.asarray(values - (np.bincount(band, values, BANDS) / count)[band])

@@ -5,7 +5,7 @@ from random import Random
 
 import pytest
 
-from runtime.base.natural_order import hold_decimals, in_natural_order, numbers_in
+from runtime.base.natural_order import contain_decimals, in_natural_order, numbers_in
 
 # Names in the right order, and whether they prove their decimals.
 ORDERED = {
@@ -28,7 +28,7 @@ def test_names_are_in_the_order_of_their_numbers(case):
     names, proved = ORDERED[case]
     mixed = Random(0).sample(names, len(names))
     assert in_natural_order(mixed) == names
-    assert hold_decimals(mixed) is proved
+    assert contain_decimals(mixed) is proved
 
 
 def test_numbers_of_names_are_equal_however_they_are_written():

@@ -9,7 +9,7 @@ from runtime.engine.prediction import Latency, Prediction
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import Lens, cache_key, rays
 from runtime.geometry.motion import project_compensated
-from runtime.geometry.point_cloud import to_points
+from runtime.geometry.point_cloud import depth_to_cloud
 from runtime.geometry.poses import PoseTrack
 
 K = np.array([[420.0, 0.4, 318.3], [0, 418, 243.6], [0, 0, 1]])
@@ -71,13 +71,13 @@ def test_a_cloud_goes_back_along_the_rays(intrinsics, model, coefficients):
     lens = Lens(model, coefficients)
     depth = np.random.default_rng(2).uniform(1, 20, SIZE).astype(np.float32)
     depth[0, :3] = 0, np.nan, np.inf
-    cloud = to_points(depth, intrinsics, lens=lens)
+    cloud = depth_to_cloud(depth, intrinsics, lens=lens)
     pixels = by_opencv(cloud.points, intrinsics, model, coefficients)
     np.testing.assert_allclose(pixels, np.column_stack([cloud.columns, cloud.rows]), atol=5e-3)
     back = project_points(cloud.points, intrinsics, np.eye(4), SIZE, lens=lens)
     at = cloud.rows, cloud.columns
     np.testing.assert_allclose(back[at], depth[at], rtol=1e-6)
-    again = to_points(back, intrinsics, lens=lens)
+    again = depth_to_cloud(back, intrinsics, lens=lens)
     np.testing.assert_allclose(again.points, cloud.points, atol=1e-3)
 
 
@@ -97,7 +97,7 @@ def test_moved_scans_and_predicted_clouds_take_the_lens():
 
     depth = np.full(SIZE, 7, np.float32)
     prediction = Prediction({"depth": depth}, SIZE, SIZE, Latency(0, 0, 0, 0))
-    expected = to_points(depth, FISHEYE, lens=calibration.lens_model)
+    expected = depth_to_cloud(depth, FISHEYE, lens=calibration.lens_model)
     np.testing.assert_array_equal(prediction.points(calibration).points, expected.points)
     with pytest.raises(InputError, match="scale the intrinsics"):
         prediction.points(Calibration(K, np.eye(4), (240, 320)))
@@ -126,7 +126,7 @@ def test_nothing_folds_back_into_the_image(model, coefficients, end_deg):
     assert (found > 319).all()
     # Pixels that no ray meets have no point.
     depth = np.ones(SIZE, np.float32)
-    cloud = to_points(depth, intrinsics, lens=lens)
+    cloud = depth_to_cloud(depth, intrinsics, lens=lens)
     farthest = np.rad2deg(np.arctan(np.hypot(cloud.points[:, 0], cloud.points[:, 1])).max())
     assert farthest <= end_deg + 0.01
 

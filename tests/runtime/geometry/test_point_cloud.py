@@ -7,7 +7,7 @@ import pytest
 
 from runtime import Predictor, project_points
 from runtime.base.errors import InputError
-from runtime.geometry.point_cloud import thin_to_voxels, to_points
+from runtime.geometry.point_cloud import depth_to_cloud, thin_to_voxels
 
 K = np.array([[60.0, 0.5, 31.5], [0, 62, 20.25], [0, 0, 1]])
 SIZE = (48, 64)
@@ -21,7 +21,7 @@ def depth_map(seed=0):
 
 def test_points_fall_back_into_their_pixels():
     depth = depth_map()
-    cloud = to_points(depth, K)
+    cloud = depth_to_cloud(depth, K)
     assert cloud.points.dtype == np.float32
     assert cloud.points.shape == (48 * 64 - 5, 3)
     assert cloud.rgb is cloud.semantic is None
@@ -37,7 +37,7 @@ def test_colours_and_labels_are_those_of_the_pixels_and_edges_have_no_point():
     semantic = rng.integers(0, 9, SIZE, dtype=np.uint8)
     boundary = rng.random(SIZE, dtype=np.float32)
     options = {"rgb": rgb, "semantic": semantic, "boundary": boundary}
-    cloud = to_points(depth_map(), K, **options)
+    cloud = depth_to_cloud(depth_map(), K, **options)
     at = cloud.rows, cloud.columns
     np.testing.assert_array_equal(cloud.rgb, rgb[at])
     np.testing.assert_array_equal(cloud.semantic, semantic[at])
@@ -45,10 +45,10 @@ def test_colours_and_labels_are_those_of_the_pixels_and_edges_have_no_point():
     assert len(cloud.points) == (boundary[depth_map() > 0] <= 0.25).sum() - (
         boundary[0, 3] <= 0.25  # infinity
     )
-    assert len(to_points(depth_map(), K, **options, edge_boundary=None).points) == 48 * 64 - 5
+    assert len(depth_to_cloud(depth_map(), K, **options, edge_boundary=None).points) == 48 * 64 - 5
     for bad in ({"rgb": rgb.astype(float)}, {"rgb": rgb[1:]}, {"semantic": semantic[..., None]}):
         with pytest.raises(InputError, match=next(iter(bad))):
-            to_points(depth_map(), K, **bad)
+            depth_to_cloud(depth_map(), K, **bad)
 
 
 def test_a_prediction_gives_its_cloud(model_file, make_frame):
@@ -68,11 +68,11 @@ def test_a_prediction_gives_its_cloud(model_file, make_frame):
 def test_the_boundary_of_a_model_without_classes_is_not_halved():
     """Every pixel was an edge where it says less than even odds."""
     depth, boundary = np.full((8, 8), 5, np.float32), np.full((8, 8), 0.3, np.float32)
-    assert len(to_points(depth, K, boundary=boundary).points) == 64
-    assert len(to_points(depth, K, boundary=2 * boundary).points) == 0
-    assert len(to_points(depth, K, boundary=boundary, edge_boundary=0.25).points) == 0
+    assert len(depth_to_cloud(depth, K, boundary=boundary).points) == 64
+    assert len(depth_to_cloud(depth, K, boundary=2 * boundary).points) == 0
+    assert len(depth_to_cloud(depth, K, boundary=boundary, edge_boundary=0.25).points) == 0
     labels = np.zeros((8, 8), np.uint8)
-    assert len(to_points(depth, K, boundary=boundary, semantic=labels).points) == 0
+    assert len(depth_to_cloud(depth, K, boundary=boundary, semantic=labels).points) == 0
 
 
 def test_the_sky_has_no_points_unless_asked_for(model_file, make_frame, contract):
@@ -91,20 +91,20 @@ def test_the_sky_has_no_points_unless_asked_for(model_file, make_frame, contract
 def test_points_of_a_large_share_of_uncertainty_are_left_out():
     depth = np.abs(np.nan_to_num(depth_map(), posinf=1, neginf=1)) + 1
     uncertainty = np.random.default_rng(2).uniform(0, 20, SIZE).astype(np.float32)
-    cloud = to_points(depth, K, uncertainty=uncertainty, max_uncertainty=0.2)
+    cloud = depth_to_cloud(depth, K, uncertainty=uncertainty, max_uncertainty=0.2)
     kept = uncertainty <= 0.2 * depth
     np.testing.assert_array_equal(cloud.uncertainty, uncertainty[kept])
     assert 0 < len(cloud.points) < kept.size
     for options in ({"max_uncertainty": 0.2}, {"uncertainty": uncertainty, "max_uncertainty": -1}):
         with pytest.raises(InputError, match="max_uncertainty"):
-            to_points(depth, K, **options)
+            depth_to_cloud(depth, K, **options)
 
 
 def test_of_each_cube_the_surest_point_is_kept():
     rng = np.random.default_rng(3)
     depth = np.full(SIZE, 10, np.float32) + rng.uniform(-0.4, 0.4, SIZE).astype(np.float32)
     uncertainty = rng.uniform(0, 1, SIZE).astype(np.float32)
-    whole = to_points(depth, K, uncertainty=uncertainty)
+    whole = depth_to_cloud(depth, K, uncertainty=uncertainty)
     thin = thin_to_voxels(whole, 1.0)
     best = {}
     for index, point in enumerate(whole.points):
@@ -115,10 +115,10 @@ def test_of_each_cube_the_surest_point_is_kept():
     assert 10 < len(chosen) < 400
     np.testing.assert_array_equal(thin.points, whole.points[chosen])
     np.testing.assert_array_equal(thin.rows * SIZE[1] + thin.columns, chosen)
-    first = thin_to_voxels(to_points(depth, K), 1.0)
+    first = thin_to_voxels(depth_to_cloud(depth, K), 1.0)
     assert len(first.points) == len(thin.points)
     assert first.rows[0] == first.columns[0] == 0, "without uncertainty the first"
-    nothing = to_points(0 * depth, K, uncertainty=uncertainty)
+    nothing = depth_to_cloud(0 * depth, K, uncertainty=uncertainty)
     assert len(thin_to_voxels(nothing, 1.0).points) == 0
     with pytest.raises(InputError, match="voxel_m"):
         thin_to_voxels(whole, 0)

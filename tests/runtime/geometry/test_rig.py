@@ -32,4 +32,4 @@ def test_what_was_given_is_known():
     assert Rig().given == ()
     rig = Rig(calibration=Path("car.toml"), scan_stamp="end", reuse_depth_ms=0)
     assert rig.given == ("calibration", "scan_stamp", "reuse_depth_ms")
-    assert (Rig().oldest_depth_ms, rig.oldest_depth_ms) == (150, 0)
+    assert (Rig().max_depth_age_ms, rig.max_depth_age_ms) == (150, 0)

@@ -11,7 +11,7 @@ from runtime.geometry.calibration import Calibration
 from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.registry import open_source
-from runtime.recordings.source import by_number
+from runtime.recordings.source import files_by_number
 
 
 @pytest.fixture
@@ -271,8 +271,8 @@ def test_names_that_are_times_are_in_their_order(empty_folders, tmp_path):
 def test_times_are_no_numbers_of_frames(names):
     files = {name: Path(f"{name}.png") for name in names}
     with pytest.raises(InputError, match="must end in the number of its frame"):
-        by_number(files)
-    assert list(by_number({"left.07": Path("left.07.png")})) == [7]
+        files_by_number(files)
+    assert list(files_by_number({"left.07": Path("left.07.png")})) == [7]
 
 
 @pytest.mark.parametrize(("rgb", "depth"), [
