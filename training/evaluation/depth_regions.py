@@ -1,15 +1,4 @@
-"""Depth errors by region: by distance to the nearest return, and by depth edges.
-
-`RETURN_DISTANCES` are regions of every frame. The others need dense ground truth, such as that of
-rendered scenes:
-
-- A depth edge is a pixel for which the farthest true depth in the 3 x 3 pixels around it is more
-  than `EDGE_RATIO` times the nearest. Pixels of unknown depth (sky), and those that are not scored,
-  make no edge.
-- "interior" is at most `RETURN_REACH_PX` from a return that was fed, and farther than
-  `EDGE_REACH_PX` from every depth edge.
-- "edge" is as near to a return, and at most `EDGE_REACH_PX` from a depth edge.
-- "uncovered" is the rest, where only the image can help.
+"""Depth errors by the distance of a pixel to the nearest return that was fed.
 
 Distances are Euclidean between the centres of pixels, at the size of the frame.
 """
@@ -21,14 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.metrics import Accumulator, DepthErrors, ErrorSums, scored
+from training.evaluation.metrics import Accumulator, DepthErrors, ErrorSums
 
-RETURN_REACH_PX = 12
-EDGE_REACH_PX = 3
-EDGE_RATIO = 1.1
-
-REGIONS = ("interior", "edge", "uncovered")
-# Largest distance [px] of each region to the nearest return that was fed.
+# Largest distance [px] of each region.
 RETURN_DISTANCES: Mapping[str, float] = {
     "return_0_px": 0,
     "return_1_2_px": 2,
@@ -36,29 +20,16 @@ RETURN_DISTANCES: Mapping[str, float] = {
     "return_over_6_px": math.inf,
 }
 
-# Least share of known pixels around the known pixels of a dense true depth. Rendered depth has
-# 0.99, the accumulated scans of KITTI's streets have 0.5.
-_DENSE_SHARE = 0.9
-_AROUND = (3, 3)
-_BEYOND_M = 1e6  # replaces unknown depth in minima
-
 
 class DepthRegionScores(Accumulator):
-    """MAE and RMSE of `RETURN_DISTANCES` and `REGIONS`, over the same pixels as `DepthScores`.
-
-    Frames without dense ground truth do not count in the `REGIONS`.
-    """
+    """MAE and RMSE of each of the `RETURN_DISTANCES`."""
 
     def __init__(self) -> None:
-        self._sums = {region: ErrorSums() for region in (*RETURN_DISTANCES, *REGIONS)}
+        self._sums = {region: ErrorSums() for region in RETURN_DISTANCES}
 
     def update(self, errors: DepthErrors, fed: NDArray[np.floating]) -> None:
         """Count a frame by its errors and the depth that was fed, float (H, W), 0 = no return."""
-        to_return_px = distance_px(fed > 0)
-        regions = split_distances(to_return_px)
-        if is_dense(errors.depth):
-            regions |= split_regions(errors.depth, to_return_px)
-        for region, mask in regions.items():
+        for region, mask in split_distances(distance_px(fed > 0)).items():
             self._sums[region].add(errors.error[mask[errors.known]])
 
     def figures(self) -> dict[str, float]:
@@ -67,15 +38,6 @@ class DepthRegionScores(Accumulator):
         for region, sums in self._sums.items():
             figures |= sums.figures(f"m_{region}")
         return figures
-
-
-def is_dense(depth: NDArray[np.floating]) -> bool:
-    """Return whether a true depth (H, W) [m] is dense where it is known; False if none is known."""
-    known = scored(depth, math.inf)
-    if not known.any():
-        return False
-    around = cv2.blur(known.astype(np.float32), _AROUND, borderType=cv2.BORDER_REPLICATE)
-    return bool(around[known].mean() >= _DENSE_SHARE)
 
 
 def split_distances(to_return_px: NDArray[np.float32]) -> dict[str, NDArray[np.bool_]]:
@@ -88,28 +50,6 @@ def split_distances(to_return_px: NDArray[np.float32]) -> dict[str, NDArray[np.b
         masks[region] = (to_return_px > above) & (to_return_px <= limit)
         above = limit
     return masks
-
-
-def split_regions(
-    depth: NDArray[np.floating], to_return_px: NDArray[np.float32]
-) -> dict[str, NDArray[np.bool_]]:
-    """Return the mask, bool (H, W), of each of the `REGIONS`; every pixel is in one of them.
-
-    `depth` is the dense true depth, and `to_return_px` is that of `split_distances`.
-    """
-    covered = to_return_px <= RETURN_REACH_PX
-    at_edge = distance_px(depth_edges(depth)) <= EDGE_REACH_PX
-    return {"interior": covered & ~at_edge, "edge": covered & at_edge, "uncovered": ~covered}
-
-
-def depth_edges(depth: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Return where a dense true depth (H, W) [m] has an edge."""
-    known = scored(depth, math.inf)
-    window = np.ones(_AROUND, np.uint8)
-    far = cv2.dilate(np.where(known, depth, 0).astype(np.float32), window)
-    near = cv2.erode(np.where(known, depth, _BEYOND_M).astype(np.float32), window)
-    edges: NDArray[np.bool_] = far > EDGE_RATIO * near
-    return edges
 
 
 def distance_px(mask: NDArray[np.bool_]) -> NDArray[np.float32]:

@@ -215,7 +215,6 @@ class DepthErrors:
 
     Attributes:
         known: bool (H, W), the N pixels that are scored.
-        depth: the true depth, float (H, W) [m], 0 where it is not scored.
         truth: the true depth of the scored pixels, float64 (N,) [m].
         answer: the answer there, float64 (N,) [m].
         error: answer minus truth, float64 (N,) [m].
@@ -229,7 +228,6 @@ class DepthErrors:
         farthest_m: float = FARTHEST_M,
     ) -> None:
         self.known = scored(depth, farthest_m)
-        self.depth = np.where(self.known, depth, 0)
         self.truth = depth[self.known].astype(np.float64)
         self.answer = answer[self.known].astype(np.float64)
         self.error = self.answer - self.truth

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from runtime.files.atomic_write import atomic_write
-from training.evaluation.depth_regions import REGIONS, RETURN_DISTANCES
+from training.evaluation.depth_regions import RETURN_DISTANCES
 from training.evaluation.metrics import FARTHEST_M, RANGES_M
 from training.evaluation.scoring import scored_classes
 
@@ -62,11 +62,6 @@ COLUMNS = (
     *(_metres(f"rmse_m_{a:g}_{b:g}", f"RMSE at {a:g}-{b:g} m,") for a, b in RANGES_M[:2]),
     Column("imae_per_km", "iMAE 1/km", 1.0, 3),
     Column("irmse_per_km", "iRMSE 1/km", 1.0, 3),
-    *(
-        _metres(f"{error}_m_{region}", f"{region} {error.upper()}")
-        for region in REGIONS
-        for error in ("mae", "rmse")
-    ),
     *(
         _metres(f"mae_m_confident_{share}", f"MAE of the most confident {share} %,")
         for share in (50, 80, 100)

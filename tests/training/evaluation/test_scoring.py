@@ -86,7 +86,7 @@ def test_each_figure_has_its_own_name():
         "iou_c3": 0.7,
         "iou_c8": 0.7,
     }
-    in_metres = [f"m{among}" for among in ("", "_0_20", "_0_50", "_0_10", "_interior")]
+    in_metres = [f"m{among}" for among in ("", "_0_20", "_0_50", "_0_10")]
     assert {name: round(value, 3) for name, value in result.items()} == {
         "miou": 0.6,
         "accuracy": 0.75,
