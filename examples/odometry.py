@@ -45,7 +45,7 @@ def main() -> None:
             age = "none" if answer.depth_age_ms is None else f"{answer.depth_age_ms:.0f} ms old"
             flags = " ".join(answer.prediction.degraded)
             print(f"{answer.image_stamp:.1f} s: depth {age}, moved: {answer.depth_motion} {flags}")
-    counts = counter.counts()
+    counts = counter.counts
     print(f"{counts.images.answered} answers, {counts.reused} with the scan before")
 
 

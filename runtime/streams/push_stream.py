@@ -231,13 +231,13 @@ class PushStream:
     def counts(self) -> StreamCounts:
         """The outcomes of all messages so far."""
         with self._changed:
-            return self._counter.counts()
+            return self._counter.counts
 
     @property
     def statistics(self) -> StreamStatistics:
         """Latency, age, skew, jitter and missed deadlines of all answers so far."""
         with self._changed:
-            return self._counter.statistics()
+            return self._counter.statistics
 
     @property
     def state(self) -> WatchdogState:

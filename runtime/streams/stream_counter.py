@@ -221,8 +221,9 @@ class StreamCounter:
         self.record_frame(frame, Outcome.ANSWERED, -1)
         self.record_frame(frame, Outcome.UNREAD)
 
+    @property
     def counts(self) -> StreamCounts:
-        """Return a copy of the present counts."""
+        """A copy of the present counts."""
         both = self._outcomes[Sensor.IMAGE] + self._outcomes[Sensor.DEPTH]
         pushed = self._pushed[Sensor.IMAGE] + self._pushed[Sensor.DEPTH]
         return StreamCounts(
@@ -235,8 +236,9 @@ class StreamCounter:
             jumps_back=self._jumps_back,
         )
 
+    @property
     def statistics(self) -> StreamStatistics:
-        """Return the statistics of the answers so far."""
+        """Statistics of the answers so far."""
         return StreamStatistics(
             stages={name: each.statistics() for name, each in self._histograms.items()},
             deadline_ms=self._deadline_ms,

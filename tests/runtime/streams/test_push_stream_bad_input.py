@@ -87,7 +87,7 @@ def test_bad_messages_are_refused_or_flagged_and_accounted_for(checked_predictor
         recording = [message[:3] for message in messages]
         options = {"rig": rig, "on_error": refused.append, "counter": counter}
         answers += replay(checked_predictor(), recording, **options)
-        counts = add_up(counter.counts())
+        counts = add_up(counter.counts)
     else:
         options = {"rig": rig, "on_result": answers.append}
         stream = PushStream(checked_predictor(), max_wait_ms=0, **options)

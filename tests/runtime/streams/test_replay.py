@@ -67,7 +67,7 @@ def replay(checked_predictor):
             counter=counter,
             **options,
         )
-        answers, counts = list(answers), add_up(counter.counts())
+        answers, counts = list(answers), add_up(counter.counts)
         assert (counts.pending, counts.images.answered) == (0, len(answers))
         return answers, counts
 

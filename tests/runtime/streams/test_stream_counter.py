@@ -19,7 +19,7 @@ def test_each_message_is_counted_once_with_its_outcome():
     counter.record_frame(BOTH, Outcome.OVERTAKEN)
     gone = [Discarded(Sensor.DEPTH, SCAN, Outcome.NO_IMAGE)]
     counter.record_discarded(gone, jumped_back=True)
-    counts = counter.counts()
+    counts = counter.counts
     assert counts.images == MessageCounts(pushed=5, answered=3, dropped={"overtaken": 1})
     assert counts.depths == MessageCounts(
         pushed=3, answered=1, dropped={"overtaken": 1}, unmatched={"no_image": 1}
@@ -36,7 +36,7 @@ def test_an_answer_that_was_not_fetched_counts_as_dropped():
     for pair in (BOTH, ALONE, REUSED):
         counter.record_answer(pair, result())
         counter.record_unread(pair)
-    counts = counter.counts()
+    counts = counter.counts
     assert (counts.answered, counts.camera_only, counts.reused) == (0, 0, 0)
     assert (counts.images.dropped, counts.depths.dropped) == ({"unread": 3}, {"unread": 1})
 
@@ -45,14 +45,14 @@ def test_every_outcome_is_of_one_kind():
     for outcome in Outcome:
         counter = StreamCounter()
         counter.push(Sensor.DEPTH, outcome)
-        assert counter.counts().pending == 0, outcome
+        assert counter.counts.pending == 0, outcome
 
 
 def test_misses_and_their_longest_run():
     counter = StreamCounter(50.0)
     for number, met in enumerate([True, False, False, True, False]):
         counter.record_answer(BOTH, result(number, deadline_met=met))
-    statistics = counter.statistics()
+    statistics = counter.statistics
     assert statistics.missed == MissedDeadlines(count=3, longest_run=2)
     assert (statistics.stages["latency"].n, statistics.stages["jitter"]) == (5, None)
     deadline = {"deadline_ms": 50.0, "count": 3, "longest_run": 2}
