@@ -53,7 +53,7 @@ def measure_accuracy(
     Raises:
         DatasetError, InputError: if data cannot be read, or hold neither labels nor depth.
     """
-    found = [_accuracy(row) for row in _score([path], data, lidars).rows]
+    found = [accuracy_of(row) for row in _score([path], data, lidars).rows]
     if all(item.miou is None and item.mae_m is None for item in found):
         raise InputError(
             "--validate: these sets hold neither labels of the model's classes nor depth, so the "
@@ -88,7 +88,8 @@ def _score(files: Sequence[Path], data: Sequence[str], lidars: Sequence[str]) ->
     )
 
 
-def _accuracy(row: Row) -> Accuracy:
+def accuracy_of(row: Row) -> Accuracy:
+    """Return the figures of a row of `ssdnet-eval` that the gate compares."""
     known = {key: value for key, value in row.figures.items() if not math.isnan(value)}
     often = [
         name

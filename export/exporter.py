@@ -130,7 +130,7 @@ def run_export(options: ExportOptions, report: Report) -> ExportReport:
     checkpoint = read_checkpoint(options.source)
     warnings: Sequence[str] = ()
     if isinstance(precision, Int8Options):
-        from export.int8 import require_frames  # needs the packages of training
+        from export.calibration_frames import require_frames  # needs the packages of training
 
         folder = options.source.resolve().parent
         warnings = require_frames(precision, options.validate, checkpoint, folder)

@@ -49,7 +49,7 @@ def verify(
         file: the file to which the graph is written, so that the engine can run it.
         precision: the requested precision.
         validate: data sets that the accuracy is measured on, if any.
-        warnings: of `int8.require_frames`, for the metadata of int8.
+        warnings: of `calibration_frames.require_frames`, for the metadata of int8.
         stages: where the stages are reported.
 
     Raises:

@@ -2,11 +2,12 @@
 
 import copy
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
 
-from export import build
+from export import build, verify
 from export.deploy import DeployGraph
 from export.exporter import export_checkpoint
 from export.probe_frames import probe_frames
@@ -110,14 +111,21 @@ def exported(lite_checkpoint, beside, lite_model, tmp_path_factory):
 
 
 @pytest.fixture
-def traced(exported, lite_model, monkeypatch):
+def one_frame(monkeypatch):
+    """Exports are verified with one frame of the native size; `exported` with all frames."""
+    frames = partial(probe_frames, max_depth_m=100.0)
+    monkeypatch.setattr(verify, "frames_of", lambda size, **_: frames(size)[:1])
+
+
+@pytest.fixture
+def traced(exported, lite_model, one_frame, monkeypatch):
     """Exports of `lite_checkpoint` at SIZE take graph and work of `exported`: both take seconds."""
     monkeypatch.setattr(build, "trace", lambda *_, **__: copy.deepcopy(lite_model))
     monkeypatch.setattr(build, "count_giga_macs", lambda *_: exported.contract.giga_macs)
 
 
 @pytest.fixture
-def traced_for_any_size(dynamic_network, dynamic_model, tmp_path, monkeypatch):
+def traced_for_any_size(dynamic_network, dynamic_model, one_frame, tmp_path, monkeypatch):
     """The checkpoint of `dynamic_network`, of which exports take the graph `dynamic_model`."""
     monkeypatch.setattr(build, "trace", lambda *_, **__: copy.deepcopy(dynamic_model))
     path = tmp_path / "any-size.pt"

@@ -11,7 +11,7 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 from typer.testing import CliRunner
 
-from export import build, verify
+from export import build
 from export.cli import app
 from export.errors import ExportError
 from export.exporter import export_checkpoint
@@ -92,18 +92,11 @@ def test_a_file_of_any_size_is_verified_at_the_frames_own(traced_for_any_size, t
         assert predictor.network_size(SIZE) == (40, 60)
 
 
-@pytest.fixture
-def small_frames(monkeypatch):
-    """Exports are verified with one frame, of SIZE unless another size is asked for."""
-    monkeypatch.setattr(
-        verify, "frames_of", lambda size, **_: probe_frames(size, max_depth_m=100.0)[:1]
-    )
-    monkeypatch.setattr("export.options.DEFAULT_SIZE", SIZE)
-
-
-@pytest.mark.usefixtures("small_frames")
 @pytest.mark.parametrize("arguments", [(), ("--dynamic", *FIXED)], ids=["default", "dynamic"])
-def test_a_file_takes_any_size_unless_one_is_fixed(traced_for_any_size, tmp_path, arguments):
+def test_a_file_takes_any_size_unless_one_is_fixed(
+    traced_for_any_size, tmp_path, monkeypatch, arguments
+):
+    monkeypatch.setattr("export.options.DEFAULT_SIZE", SIZE)
     result = run(traced_for_any_size, tmp_path / "m.onnx", "--with-logits", *arguments)
     assert result.exit_code == 0, result.output
     assert "any size accepted" in result.output
@@ -111,7 +104,7 @@ def test_a_file_takes_any_size_unless_one_is_fixed(traced_for_any_size, tmp_path
         assert (predictor.size, predictor.contract.native_size) == (None, SIZE)
 
 
-@pytest.mark.usefixtures("small_frames", "traced")
+@pytest.mark.usefixtures("traced")
 def test_a_fixed_size_is_the_only_one(lite_checkpoint, tmp_path):
     result = run(lite_checkpoint, tmp_path / "m.onnx", *FIXED)
     assert result.exit_code == 0, result.output

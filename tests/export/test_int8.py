@@ -9,8 +9,8 @@ import onnx
 import pytest
 from typer.testing import CliRunner
 
-from export import accuracy, int8
-from export.accuracy import Accuracy, without_folders
+from export import accuracy, calibration_frames, gate, int8
+from export.accuracy import without_folders
 from export.cli import app
 from export.exporter import export_checkpoint
 from export.precision import Int8Options
@@ -21,8 +21,6 @@ from runtime.app.tools.info import app as info_app
 from runtime.app.tools.verify import app as verify_app
 from runtime.contract.model_file import load_model_file
 from runtime.verification.reference import read_reference
-from training.evaluation.score_report import Row
-from training.evaluation.scoring import Scores
 
 SIZE = (64, 96)
 
@@ -56,13 +54,13 @@ def data(exported, tmp_path_factory):
 def loose(monkeypatch):
     """Int8 may change what no option limits: the small network has random weights."""
     for name in ("MAX_DROP_CLASS_IOU", "MAX_DROP_BOUNDARY_F", "MAX_CHANGE_COVERAGE"):
-        monkeypatch.setattr(int8, name, 1000.0)
+        monkeypatch.setattr(gate, name, 1000.0)
 
 
 @pytest.fixture
 def few(monkeypatch):
     """Three frames are enough: each takes time."""
-    monkeypatch.setattr(int8, "LEAST_FRAMES", 3)
+    monkeypatch.setattr(calibration_frames, "LEAST_FRAMES", 3)
 
 
 @pytest.fixture
@@ -84,7 +82,7 @@ def test_too_few_frames_are_refused_before_any_work(export_int8, data, tmp_path,
         result = export_int8(*options)
         assert result.exit_code == 1
         assert "--calibrate: 3 frames in all, expected 30 or more" in result.output
-    monkeypatch.setattr(int8, "LEAST_FRAMES", 3)
+    monkeypatch.setattr(calibration_frames, "LEAST_FRAMES", 3)
     result = export_int8(target="depth=depth,first=1")
     assert "--validate: 2 frames in all, expected 3 or more" in result.output
     assert list(tmp_path.iterdir()) == []
@@ -107,7 +105,7 @@ def test_int8_is_not_validated_on_what_it_is_calibrated_on(export_int8, data, tm
     ("sizes", "counts"), [((367, 65), [64, 64]), ((10, 1000), [10, 118]), ((50, 60), [50, 60])]
 )
 def test_calibration_frames_are_from_every_set(sizes, counts):
-    assert int8.share_frames(sizes, 128) == counts
+    assert calibration_frames.share_frames(sizes, 128) == counts
 
 
 @pytest.mark.usefixtures("loose", "few")
@@ -155,7 +153,7 @@ def test_an_int8_file_states_how_it_was_made(export_int8, tmp_path, exported):
 @pytest.mark.usefixtures("few")
 def test_a_missed_gate_writes_nothing_and_names_the_head(export_int8, tmp_path, monkeypatch):
     """Whatever is left in float, the classes are worse than before."""
-    measured = []
+    measured, widths = [], []
 
     def measure(path, *options):
         if len(measured) < 2:  # in float, the second time with the LiDAR that the frames lack
@@ -163,9 +161,15 @@ def test_a_missed_gate_writes_nothing_and_names_the_head(export_int8, tmp_path, 
             return measured[-1]
         return [replace(row, miou=row.miou / 2) for row in measured[-1]]
 
+    def measure_once(*arguments):
+        if not widths:
+            widths.append(accuracy.measure_widths(*arguments))
+        return widths[0]
+
     monkeypatch.setattr(int8, "measure_accuracy", measure)
+    monkeypatch.setattr(int8, "measure_widths", measure_once)
     monkeypatch.setattr(int8, "quantize", lambda model, *_, **__: model)
-    monkeypatch.setattr(int8, "_rank", lambda model, alone, names, *_: list(names))
+    monkeypatch.setattr(int8, "rank_convolutions", lambda model, alone, names, *_: list(names))
     result = export_int8("--max-rise-mae", "1000")
     assert result.exit_code == 1
     assert "semantic loses" in result.output
@@ -195,7 +199,7 @@ def test_convolutions_are_ranked_by_what_each_alone_changes(monkeypatch, head):
 
     monkeypatch.setattr(int8, "trunk", lambda model: list(errors))
     feeds = [{"x": np.array([0, 0.95, 2.5, 3], np.float32)}]
-    ranked = int8._rank(sum_of(errors), sum_of, ["c", "a", "b"], feeds, head)
+    ranked = int8.rank_convolutions(sum_of(errors), sum_of, ["c", "a", "b"], feeds, head)
     assert ranked == (["b", "a", "c"] if head == "depth" else ["a", "b", "c"])
 
 
@@ -227,11 +231,11 @@ def test_convolutions_on_fine_grids_are_left_in_float_before_any_is_ranked(monke
         "measure_ranges": lambda model, feeds: Ranges(None, frozenset({"c5"})),
         "measure_accuracy": lambda *arguments: [],
         "quantize": try_in_float,
-        "_feeds": lambda path, options: [{}],
+        "calibration_feeds": lambda path, options: [{}],
         "strides": lambda model, feed: {"x": 1, "c0": 2, **dict.fromkeys(convolutions[1:], 4)},
         "measure_widths": lambda *arguments: {},
-        "_missed": missed,
-        "_rank": rank,
+        "find_missed": missed,
+        "rank_convolutions": rank,
     }.items():
         monkeypatch.setattr(int8, name, value)
     found = int8.quantize_within(
@@ -276,76 +280,12 @@ def test_a_file_in_single_precision_states_its_accuracy(lite_checkpoint, data, t
     assert load_model_file(exported.path).contract.accuracy is None
 
 
-ROW = Accuracy("street", "own", 120, 0.7, 0.5, 0.6, 0.63, {"tree": 0.9})
-
-
-@pytest.mark.parametrize(
-    ("kept", "missed", "words"),
-    [
-        ({"miou": 0.696}, {"miou": 0.694}, "semantic loses 0.60 points of mIoU on street"),
-        ({"mae_m": 0.509}, {"mae_m": 0.511}, "depth's MAE rises by 2.20 % on street, LiDAR own"),
-        ({"boundary_f": 0.591}, {"boundary_f": 0.589}, "boundary loses 0.0110 of F on street"),
-        ({"coverage_1": 0.601}, {"coverage_1": 0.599}, "depth_uncertainty changes by 3.10 points"),
-        ({"coverage_1": 0.659}, {"coverage_1": 0.661}, "depth_uncertainty changes by 3.10 points"),
-        ({"class_iou": {"tree": 0.871}}, {"class_iou": {"tree": 0.869}}, "3.10 points of the IoU"),
-    ],
-)
-def test_the_gate_holds_what_each_head_loses(kept, missed, words):
-    options = Int8Options(())
-    assert not int8._missed([ROW], [replace(ROW, **kept)], options)
-    (text,) = int8._missed([ROW], [replace(ROW, **missed)], options).values()
-    assert words in text
-
-
-def test_few_frames_widen_the_limits_by_the_interval_of_the_difference():
-    after = replace(ROW, miou=0.694, mae_m=0.511)
-    widths = {("street", "own"): {"miou": 0.002, "mae_m": 0.002}}
-    assert not int8._missed([ROW], [after], Int8Options(()), widths)
-    assert len(int8._missed([ROW], [replace(after, miou=0.692)], Int8Options(()), widths)) == 1
-
-
-def test_the_head_that_misses_most_comes_first():
-    after = replace(ROW, miou=0.68, boundary_f=0.58, mae_m=0.6)
-    assert list(int8._missed([ROW], [after], Int8Options(()))) == ["depth", "semantic", "boundary"]
-
-
-@pytest.mark.parametrize(
-    ("unknown", "message"),
-    [
-        ({"miou": None}, "no set has labels of the model's classes, so the loss of the semantic"),
-        ({"mae_m": None}, "no set has depth, so the loss of the depth"),
-    ],
-)
-def test_each_head_needs_truth(unknown, message):
-    heads = ("semantic", "depth", "boundary")
-    int8._require_rows(heads, [ROW, replace(ROW, **unknown)])
-    int8._require_rows(("boundary",), [replace(ROW, **unknown)])
-    with pytest.raises(InputError, match=message):
-        int8._require_rows(heads, [replace(ROW, **unknown)])
-
-
 @pytest.mark.usefixtures("few")
 def test_sets_without_any_truth_are_refused_and_nothing_is_written(export_int8, tmp_path):
     result = export_int8(target="labels=none")
     assert result.exit_code == 1
     assert "neither labels of the model's classes nor depth" in result.output
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("frames", "pixels", "compared"), [(10, 2000, True), (9, 3000, False), (10, 1999, False)]
-)
-def test_a_class_is_compared_from_so_many_pixels_and_frames(frames, pixels, compared):
-    scores = Scores(3)
-    for _ in range(frames):
-        labels = np.full((1, 3000), 255, np.uint8)
-        labels[:, :pixels] = 1
-        scores.semantic.update(np.where(labels == 255, 0, labels), labels)
-    names = ["road", "tree", "sky"]
-    figures, labelled = scores.figures(names), scores.labelled(names)
-    assert labelled == {"tree": (frames * pixels, frames)}
-    row = Row("m", "e", "d", "own", "none", frames, figures, labelled=labelled)
-    assert accuracy._accuracy(row).class_iou == ({"tree": 1.0} if compared else {})
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 import numpy as np
 import onnx
-import onnxruntime
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 from typer.testing import CliRunner
@@ -11,30 +10,38 @@ from export.errors import ExportError
 from export.exporter import export_checkpoint
 from export.half import to_half
 from export.precision import Precision
-from export.probe_frames import probe_frames
+from export.probe_frames import probe_frames, recorded_frames
 from export.quantize import measure_ranges, quantize, strides
 from export.trunk import trunk
 from runtime.app.tools.verify import app as verify_app
 from runtime.contract.agreement import compare
+from runtime.engine.session import open_session
 from training.initial_weights import find_weights
 
 SIZE = (64, 96)
 
 
-def run(model, feed):
-    session = onnxruntime.InferenceSession(
-        model.SerializeToString(), providers=["CPUExecutionProvider"]
-    )
-    answers = session.run(None, feed)
-    return {
-        output.name: answer for output, answer in zip(session.get_outputs(), answers, strict=True)
-    }
+def run(model, feeds):
+    """The answers to each feed, by the names of the outputs."""
+    session = open_session(model.SerializeToString(), threads=1)
+    names = [output.name for output in session.get_outputs()]
+    return [dict(zip(names, session.run(names, feed), strict=True)) for feed in feeds]
 
 
 @pytest.fixture(scope="module")
 def feeds():
     frames = probe_frames(SIZE, max_depth_m=100.0)
-    return [{"rgb": f.rgb[None], "sparse_depth": f.sparse_depth[None]} for f in frames[:3]]
+    return [{"rgb": f.rgb[None], "sparse_depth": f.sparse_depth[None]} for f in frames[1:3]]
+
+
+@pytest.fixture(scope="module")
+def expected(lite_model, feeds):
+    return run(lite_model, feeds)
+
+
+@pytest.fixture(scope="module")
+def ranges(lite_model, feeds):
+    return measure_ranges(lite_model, feeds)
 
 
 def test_the_trunk_is_what_lies_between_the_sensors_and_the_answers(lite_model):
@@ -63,7 +70,7 @@ def test_the_trunk_is_what_lies_between_the_sensors_and_the_answers(lite_model):
     assert not {output.name for output in graph.output} & {node.output[0] for node in inside}
 
 
-def test_half_precision_keeps_inputs_outputs_and_answers(lite_model, feeds):
+def test_half_precision_keeps_inputs_outputs_and_answers(lite_model, feeds, expected):
     half = to_half(lite_model)
     onnx.checker.check_model(half, full_check=True)
     assert list(half.graph.input) == list(lite_model.graph.input)
@@ -76,11 +83,10 @@ def test_half_precision_keeps_inputs_outputs_and_answers(lite_model, feeds):
         if node.op_type == "Conv":
             kind = TensorProto.FLOAT16 if node.name in inside else TensorProto.FLOAT
             assert kinds[node.input[1]] == kind
-    for feed in feeds:
-        expected, found = run(lite_model, feed), run(half, feed)
-        assert compare("semantic", found["semantic"], expected["semantic"])["agreement"] > 0.99
-        assert compare("depth", found["depth"], expected["depth"])["mean_abs_m"] < 0.1
-        assert not np.array_equal(found["depth"], expected["depth"])
+    for found, right in zip(run(half, feeds), expected, strict=True):
+        assert compare("semantic", found["semantic"], right["semantic"])["agreement"] > 0.99
+        assert compare("depth", found["depth"], right["depth"])["mean_abs_m"] < 0.1
+        assert not np.array_equal(found["depth"], right["depth"])
 
 
 @pytest.mark.slow
@@ -113,6 +119,7 @@ def test_half_precision_that_answers_otherwise_is_refused(lite_checkpoint, tmp_p
         return half
 
     monkeypatch.setattr("export.verify.to_half", coarse)
+    monkeypatch.setattr("export.verify.recorded_frames", lambda size: recorded_frames(size)[:1])
     with pytest.raises(ExportError, match="leave out --precision fp16"):
         export_checkpoint(
             lite_checkpoint, tmp_path / "half.onnx", size=SIZE, precision=Precision.FP16
@@ -120,8 +127,8 @@ def test_half_precision_that_answers_otherwise_is_refused(lite_checkpoint, tmp_p
     assert list(tmp_path.iterdir()) == []
 
 
-def test_quantised_answers_are_close_to_the_float_ones(lite_model, feeds):
-    quantized = quantize(lite_model, measure_ranges(lite_model, feeds))
+def test_quantised_answers_are_close_to_the_float_ones(lite_model, feeds, expected, ranges):
+    quantized = quantize(lite_model, ranges)
     onnx.checker.check_model(quantized, full_check=True)
     assert quantized.ir_version == lite_model.ir_version
     # A Clip in float between two 8-bit convolutions would cost more than they gain.
@@ -129,10 +136,9 @@ def test_quantised_answers_are_close_to_the_float_ones(lite_model, feeds):
     clips = {n.name for n in lite_model.graph.node if n.op_type == "Clip"} & names
     assert clips
     assert not clips & {n.name for n in quantized.graph.node if n.op_type == "Clip"}
-    for feed in feeds:
-        expected, found = run(lite_model, feed), run(quantized, feed)
-        assert compare("semantic", found["semantic"], expected["semantic"])["agreement"] > 0.9
-        assert compare("depth", found["depth"], expected["depth"])["mean_abs_m"] < 1.0
+    for found, right in zip(run(quantized, feeds), expected, strict=True):
+        assert compare("semantic", found["semantic"], right["semantic"])["agreement"] > 0.9
+        assert compare("depth", found["depth"], right["depth"])["mean_abs_m"] < 1.0
 
 
 def test_what_is_large_on_few_frames_is_uneven():
@@ -154,10 +160,10 @@ def test_what_is_large_on_few_frames_is_uneven():
         assert [float(edge) for edge in ranges.data["y"].range_value] == [1.0, values[count - 1]]
 
 
-def test_convolutions_named_stay_in_float(lite_model, feeds):
+def test_convolutions_named_stay_in_float(lite_model, ranges):
     names = set(trunk(lite_model))
     kept, *_ = [n.name for n in lite_model.graph.node if n.name in names and n.op_type == "Conv"]
-    quantized = quantize(lite_model, measure_ranges(lite_model, feeds), keep_float=[kept])
+    quantized = quantize(lite_model, ranges, keep_float=[kept])
     weights = {weight.name for weight in quantized.graph.initializer}
     in_float = {
         n.name for n in quantized.graph.node if n.op_type == "Conv" and n.input[1] in weights
@@ -200,9 +206,10 @@ def test_8_bit_products_do_not_saturate_in_16_bits():
         opset_imports=[helper.make_opsetid("", 18)],
         ir_version=10,
     )
-    feed = {"x": np.ones((1, channels, 16, 16), np.float32)}
-    quantized = quantize(model, measure_ranges(model, [feed]))
-    np.testing.assert_allclose(run(quantized, feed)["y"], run(model, feed)["y"], rtol=0.01)
+    feeds = [{"x": np.ones((1, channels, 16, 16), np.float32)}]
+    quantized = quantize(model, measure_ranges(model, feeds))
+    (found,), (right,) = run(quantized, feeds), run(model, feeds)
+    np.testing.assert_allclose(found["y"], right["y"], rtol=0.01)
     for weight in quantized.graph.initializer:
         if weight.data_type == TensorProto.INT8:
             assert np.abs(numpy_helper.to_array(weight).astype(int)).max() <= 64

@@ -128,29 +128,29 @@ class Halved(nn.Module):
         return NetworkOutput(semantic_logits=x[:, :, ::2, ::2])
 
 
-@pytest.fixture(scope="module")
-def halved():
-    """Graphs of `Halved` for frames of one size: rows -> model; an odd number must be padded."""
-    rows = HEIGHT, HEIGHT - 1
-    return {n: trace(DeployGraph(Halved(), with_logits=True), size=(n, WIDTH)) for n in rows}
+def count_pads_and_cuts(graph):
+    heads = {head.name for head in graph.output}
+    cuts = [n for n in graph.node if n.op_type == "Slice" and n.output[0] in heads]
+    return sum(node.op_type == "Pad" for node in graph.node), len(cuts)
 
 
-def test_fixed_graph_pads_and_cuts_only_where_needed(halved):
-    for rows, expected in ((HEIGHT, 0), (HEIGHT - 1, 1)):
-        graph = halved[rows].graph
-        assert sum(node.op_type == "Pad" for node in graph.node) == expected
-        heads = {head.name for head in graph.output}
-        cut = [n for n in graph.node if n.op_type == "Slice" and n.output[0] in heads]
-        assert bool(cut) == bool(expected)
-        frame = probe_frames((rows, WIDTH), max_depth_m=80.0)[0]
-        logits = run(open_model(halved[rows]), [frame])["semantic_logits"][0]
-        rgb = torch.from_numpy(frame.rgb).permute(2, 0, 1)[None].float()
-        answer = repeat(rgb[:, :, ::2, ::2], 2)[0, :, :rows]
-        np.testing.assert_allclose(logits, answer, atol=1e-3)
+def test_a_fixed_size_that_fits_the_stride_needs_no_pad_and_no_cut(lite_model):
+    assert count_pads_and_cuts(lite_model.graph) == (2, 0)  # of the surfaces, none of the image
 
 
-def test_fixed_graph_takes_several_frames_of_its_size_only(halved):
-    session = open_model(halved[HEIGHT])
+def test_another_fixed_size_is_padded_and_cut():
+    rows = HEIGHT - 1
+    model = trace(DeployGraph(Halved(), with_logits=True), size=(rows, WIDTH))
+    assert count_pads_and_cuts(model.graph) == (1, 2)
+    frame = probe_frames((rows, WIDTH), max_depth_m=80.0)[0]
+    logits = run(open_model(model), [frame])["semantic_logits"][0]
+    rgb = torch.from_numpy(frame.rgb).permute(2, 0, 1)[None].float()
+    answer = repeat(rgb[:, :, ::2, ::2], 2)[0, :, :rows]
+    np.testing.assert_allclose(logits, answer, atol=1e-3)
+
+
+def test_fixed_graph_takes_several_frames_of_its_size_only(lite_model):
+    session = open_model(lite_model)
     assert session.get_inputs()[0].shape == ["batch", HEIGHT, WIDTH, 3]
     frames = probe_frames((HEIGHT, WIDTH), max_depth_m=100.0)[:3]
     assert run(session, frames)["semantic"].shape == (3, HEIGHT, WIDTH)
