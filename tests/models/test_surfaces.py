@@ -45,6 +45,7 @@ from small_returns import (
         (5, 0.1, {(63, 81): 0.1 / (0.99 * OUTLIER_RATIO)}, RANGE_M, 0),  # not much nearer
         (5, 0.2, {(63, 81): 0.3}, RANGE_M, 0),  # behind
         (5, 0.2, {(60, 80): 0.03, (65, 80): 0.03}, RANGE_M, 0),  # a pole in two scan lines
+        (12, 0.2, {(58, 81): 0.03}, RANGE_M, 1),  # ten cells of two lines
         (20, 0.2, {(60, 80): 0.03}, RANGE_M, 0),  # five cells of a line confirm nothing
         (5, 0.2, {(63, 81): 0.04}, 160.0, 1),  # 6.4 m
         (5, 0.2, {(63, 81): 0.04}, 320.0, 0),  # 12.8 m
