@@ -14,10 +14,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from export.build import count_giga_macs
 from export.deploy import DeployGraph
-from export.exporter import count_giga_macs
 from export.trace import trace
-from models import Network, SSDNetConfig, SSDNetLiteConfig, create_model
+from models import SSDNetConfig, SSDNetLiteConfig, create_model
 from models.blocks import upsample
 from models.classes import numbered_classes
 from models.registry import NETWORKS
@@ -59,13 +59,9 @@ def main() -> None:
     for name in arguments.names:
         graph = random_graph(name)
         atomic_write(arguments.folder / f"{name}.onnx", export_graph(graph))
-        print(f"{name}: {count_params_m(graph.model):.3g} M parameters", end=", ")
+        params_m = sum(weights.numel() for weights in graph.model.parameters()) / 1e6
+        print(f"{name}: {params_m:.3g} M parameters", end=", ")
         print(f"{count_giga_macs(graph.model, COUNTED_AT):.3g} GMACs")
-
-
-def count_params_m(network: Network) -> float:
-    """Return the number of parameters in millions."""
-    return sum(weights.numel() for weights in network.parameters()) / 1e6
 
 
 def random_graph(name: str) -> DeployGraph:

@@ -24,9 +24,9 @@ from typing import Any
 
 import cv2
 import numpy as np
+import psutil
 from numpy.typing import NDArray
 
-from memory import resident_mb
 from runtime import InputError, Predictor, PushStream
 from runtime.app.run.pipeline import dedicate_process
 from runtime.contract.resize import move_returns
@@ -38,6 +38,11 @@ from runtime.streams.stream_counter import StreamCounts
 _LARGEST_GROWTH_MB = 64
 _FAULTY = 0.1  # share of the messages that are faulty
 _LOAD = 1.5  # rate divided by the rate that the model reaches
+
+
+def resident_mb() -> float:
+    """Return the memory of this process that is in use, MB."""
+    return float(psutil.Process().memory_info().rss / 1e6)
 
 
 class ReaderKilledError(Exception):
