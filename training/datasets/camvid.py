@@ -1,6 +1,5 @@
 """CamVid in the split and the eleven classes of the SegNet papers (Brostow et al. 2009)."""
 
-from functools import partial
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -8,9 +7,9 @@ from pydantic.dataclasses import dataclass
 
 from models import CLASS_TABLES
 from runtime.recordings.folders import FolderSource
-from training.datasets.class_mapping import ClassTable, LabelFiles
-from training.datasets.files import dataset_errors, require_folder
-from training.datasets.recording import RecordedFrames, SetFrame
+from training.datasets.class_mapping import ClassTable, LabelReader
+from training.datasets.files import dataset_errors, require_files, require_folder
+from training.datasets.recording import RecordedFrames, Truth, pair
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
 
@@ -40,17 +39,10 @@ class CamVidRecipe(SourceRecipe):
         Raises:
             DatasetError: if a folder or the label file of an image is missing.
         """
-        labels = LabelFiles("camvid", classes, LABELS)
         source = FolderSource(require_folder(folder / self.split, "CamVid's images"))
         listed, annotations = source.list_frames(), folder / f"{self.split}annot"
-        files = [f"{frame.name}.png" for frame in listed]
-        require_folder(annotations, "CamVid's label images", files=files)
+        files = require_files(annotations, "CamVid's labels", [frame.name for frame in listed])
+        labels = LabelReader.of("camvid", classes, LABELS)
         return RecordedFrames(
-            SetFrame(
-                source,
-                frame,
-                f"camvid/{frame.name}",
-                {"semantic": partial(labels.read, annotations / file)},
-            )
-            for frame, file in zip(listed, files, strict=True)
+            pair(source, listed, "camvid", {"semantic": Truth(files, labels.read)})
         )

@@ -11,8 +11,14 @@ from pydantic.dataclasses import dataclass
 from models import CLASS_TABLES
 from runtime.base.errors import DatasetError
 from runtime.files.read_input import read_text
-from training.datasets.class_mapping import ClassTable, LabelFiles
-from training.datasets.files import dataset_errors, read_gray, read_rgb, require_folder
+from training.datasets.class_mapping import ClassTable, LabelReader
+from training.datasets.files import (
+    dataset_errors,
+    read_gray,
+    read_rgb,
+    require_files,
+    require_folder,
+)
 from training.datasets.sample import FrameList, Sample, make_frame
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
@@ -67,27 +73,28 @@ class Cityscapes(FrameList):
         images = require_folder(
             root / "leftImg8bit" / recipe.split, "Cityscapes' images, one folder per city"
         )
-        self._labels = LabelFiles("cityscapes", classes, _LABELS)
+        self._labels = LabelReader.of("cityscapes", classes, _LABELS)
         self._name = f"cityscapes/{recipe.split}"
         with_depth = (root / "disparity").is_dir()
-        kinds = [kind for kind in _SUFFIXES if with_depth or kind not in ("disparity", "camera")]
-        self._frames: list[tuple[str, dict[str, Path]]] = []
+        self._frames: list[dict[str, Path]] = []
         for city in sorted(path.name for path in images.iterdir() if path.is_dir()):
             found = (images / city).glob(f"*{_SUFFIXES['leftImg8bit']}")
             stems = sorted(path.name.removesuffix(_SUFFIXES["leftImg8bit"]) for path in found)
-            folders = {kind: root / kind / recipe.split / city for kind in kinds}
-            for kind, folder in folders.items():
-                files = [stem + _SUFFIXES[kind] for stem in stems]
-                require_folder(folder, f"{kind}'s files", files=files)
-            for stem in stems:
-                paths = {kind: folders[kind] / (stem + _SUFFIXES[kind]) for kind in kinds}
-                self._frames.append((stem, paths))
+            files = {
+                kind: require_files(
+                    root / kind / recipe.split / city, f"{kind}'s files", stems, "{}" + suffix
+                )
+                for kind, suffix in _SUFFIXES.items()
+                if with_depth or kind not in ("disparity", "camera")
+            }
+            self._frames += [{kind: files[kind][stem] for kind in files} for stem in stems]
         if not self._frames:
             raise DatasetError(f"{images}: no <city>/*{_SUFFIXES['leftImg8bit']} in it")
-        self.images = [paths["leftImg8bit"] for _, paths in self._frames]
+        self.images = [paths["leftImg8bit"] for paths in self._frames]
 
     def __getitem__(self, index: int) -> Sample:
-        stem, paths = self._frames[index]
+        paths = self._frames[index]
+        stem = paths["leftImg8bit"].name.removesuffix(_SUFFIXES["leftImg8bit"])
         rgb = read_rgb(paths["leftImg8bit"])
         size = (rgb.shape[0], rgb.shape[1])
         targets: dict[str, NDArray[Any]] = {"semantic": self._labels.read(paths["gtFine"], size)}

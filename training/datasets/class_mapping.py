@@ -5,8 +5,9 @@ of data set and table that is missing here has no mapping. For example, CamVid's
 and buses, which are separate classes of Cityscapes.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,23 +142,42 @@ def id_lookup(labels: str, table: ClassTable, order: Sequence[str | None]) -> ND
     return lookup
 
 
-class LabelFiles:
-    """Reads a data set's label files, uint8 PNG, as ids of a class table, 255 = ignored.
+class LabelReader:
+    """Reads label files, uint8 PNG, as ids of a class table, 255 = ignored.
 
-    `order` holds the labels in the order of the files' ids, from 0, None: ignored. Raises
-    DatasetError if the labels are not mapped to the table.
+    Args:
+        ids: the class of each id in the files.
+        advise: returns what to do about ids that are not among these, besides correcting the file;
+            None: the original files are needed.
     """
 
-    def __init__(self, labels: str, classes: ClassTable, order: Sequence[str | None]) -> None:
-        self._lookup, self._count = id_lookup(labels, classes, order), len(order)
+    def __init__(
+        self,
+        ids: Mapping[int, int],
+        advise: Callable[[Sequence[int]], str] | None = None,
+    ) -> None:
+        self._ids, self._advise = ids, advise
+        self._lookup = np.full(256, IGNORE, np.uint8)
+        self._lookup[list(ids)] = list(ids.values())
+        self._known = np.isin(np.arange(256), list(ids))
+
+    @classmethod
+    def of(cls, labels: str, classes: ClassTable, order: Sequence[str | None]) -> Self:
+        """Return the reader of a data set's files; `order` as in `id_lookup`."""
+        return cls(dict(enumerate(id_lookup(labels, classes, order)[: len(order)].tolist())))
 
     def read(self, path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
-        """Read a file of this (height, width). Raises DatasetError for another file or id."""
+        """Read the class ids of an image of (height, width): uint8 (H, W).
+
+        Raises DatasetError for another kind of file or size, and for ids without a meaning.
+        """
         label = read_gray(path, np.uint8, size)
-        if label.max() >= self._count:
+        unknown = np.unique(label[~self._known[label]]).tolist()
+        if unknown:
+            advice = self._advise(unknown) if self._advise else "give the original files"
             raise DatasetError(
-                f"{path}: class id {label.max()}, expected 0..{self._count - 1}: give the "
-                "original files, not those of another numbering"
+                f"{path}: class id {unknown[-1]}, expected {', '.join(map(str, self._ids))}: "
+                f"correct the file, or {advice}"
             )
-        ids: NDArray[np.uint8] = self._lookup[label]
-        return ids
+        classes: NDArray[np.uint8] = self._lookup[label]
+        return classes

@@ -2,7 +2,7 @@
 
 import io
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from PIL import ExifTags, Image
 
 from runtime.base.errors import DatasetError, InputError
-from runtime.base.natural_order import in_natural_order
 from runtime.files.read_input import read_input
-from runtime.recordings import images, scan
+from runtime.recordings import images
 
 
 @contextmanager
@@ -27,9 +26,8 @@ def dataset_errors() -> Iterator[None]:
         raise DatasetError(str(error)) from error
 
 
-# The readers of the engine with such errors.
+# A reader of the engine with such errors.
 read_rgb = dataset_errors()(images.read_rgb)
-read_points = dataset_errors()(scan.read_scan)
 
 
 @dataset_errors()
@@ -97,27 +95,29 @@ def require_size(path: Path, size: tuple[int, ...], expected: tuple[int, int]) -
         )
 
 
-def require_folder(path: Path, purpose: str, *, files: Sequence[str] = ()) -> Path:
-    """Return `path`; raise a DatasetError if it is not a folder or lacks one of these files."""
+def require_folder(path: Path, purpose: str) -> Path:
+    """Return `path`; raise a DatasetError if it is not a folder."""
     if not os.path.isdir(path):
         beside = [item.name for item in path.parent.glob("[!.]*/")]
         raise DatasetError(
             f"{path}: no such folder; expected {purpose}; folders there: {list_names(beside)}"
         )
-    there = {file.name for file in path.iterdir()} if files else set()
-    missing = [name for name in files if name not in there]
-    if missing:
-        raise DatasetError(
-            f"{path / missing[0]}: missing ({len(missing)} of {len(files)} frames lack it)"
-        )
     return path
 
 
-@dataset_errors()
-def list_images(folder: Path, purpose: str) -> list[Path]:
-    """Return a folder's PNG and JPEG images in natural order; DatasetError if there are none."""
-    listed = images.list_files(require_folder(folder, purpose))
-    return [listed[name] for name in in_natural_order(listed)]
+def require_files(
+    folder: Path, purpose: str, names: Iterable[str], name: str = "{}.png"
+) -> dict[str, Path]:
+    """Return the file of each frame in a folder, `name` with the frame's name in it.
+
+    Raises a DatasetError if the folder or one of the files is missing.
+    """
+    there = {file.name for file in require_folder(folder, purpose).iterdir()}
+    files = {frame: folder / name.format(frame) for frame in names}
+    missing = [file for file in files.values() if file.name not in there]
+    if missing:
+        raise DatasetError(f"{missing[0]}: missing ({len(missing)} of {len(files)} frames lack it)")
+    return files
 
 
 def find_orientations(paths: Sequence[Path]) -> dict[Path, int]:

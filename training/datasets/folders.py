@@ -3,13 +3,12 @@
 import os
 import sys
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 from tqdm import tqdm
 
@@ -28,8 +27,8 @@ from training.datasets.files import (
     read_depth,
     require_folder,
 )
-from training.datasets.labels import Folder, LabelledRecipe, LabelReader
-from training.datasets.recording import RecordedFrames, SetFrame
+from training.datasets.labels import Folder, LabelledRecipe
+from training.datasets.recording import RecordedFrames, Truth, pair
 from training.limits import STRICT, Positive
 
 # Approximate number of photos whose EXIF orientation is examined.
@@ -106,32 +105,29 @@ class FoldersRecipe(LabelledRecipe):
         source.camera_alone = True
         frames = [frame for frame in listed if frame.image is not None]
         taken = self.take(frames, images)
-        readers: dict[str, tuple[str, Callable[..., NDArray[Any]]]] = {}
+        truth = dict[str, Truth]()
         if self.depth is not None and not self.scan:
-            readers["depth"] = self.depth, partial(read_depth, depth_scale=self.depth_scale)
+            read = partial(read_depth, depth_scale=self.depth_scale)
+            truth["depth"] = Truth(_list_pngs(folder / self.depth), read)
         if self.labels is not None:
-            readers["semantic"] = self.labels, LabelReader(self, classes).read
+            files = _list_pngs(folder / self.labels)
+            truth["semantic"] = Truth(files, self.open_labels(classes).read)
+        returns = {frame.name: frame.depth for frame in listed if frame.depth is not None}
         # The files of each folder by stem, whatever the case of their suffix.
-        files = {below: _list_pngs(folder / below) for below, _ in readers.values()}
-        if lidar is not None:
-            files[lidar] = {frame.name: frame.depth for frame in listed if frame.depth is not None}
-        for below in filter(None, (self.depth, self.sparse_depth, self.labels)):
-            self._require_files(folder / below, taken, files[below])
-        _report_unread(self, folder, [frame.image for frame in taken], frames, files)
+        found = {
+            below: truth[target].files if target in truth else returns
+            for target, below in (
+                ("depth", self.depth),
+                ("returns", self.sparse_depth),
+                ("semantic", self.labels),
+            )
+            if below is not None
+        }
+        for below, files in found.items():
+            self._require_files(folder / below, taken, files)
+        _report_unread(self, folder, [frame.image for frame in taken], frames, found)
         return RecordedFrames(
-            [
-                SetFrame(
-                    source,
-                    frame,
-                    f"{folder.name}/{frame.name}",
-                    {
-                        target: partial(read, files[below][frame.name])
-                        for target, (below, read) in readers.items()
-                        if frame.name in files[below]
-                    },
-                )
-                for frame in taken
-            ],
+            pair(source, taken, folder.name, truth),
             "bands" if self.scan else "none",
             semantic_weight=self.semantic_weight,
             has_lidar=self.sparse_depth is not None,

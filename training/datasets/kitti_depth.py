@@ -1,6 +1,6 @@
 """KITTI's depth completion benchmark (Uhrig et al. 2017)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
@@ -18,8 +18,8 @@ from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.images import KITTI_DEPTH_SCALE
 from training.datasets.class_mapping import ClassTable
-from training.datasets.files import dataset_errors, read_depth, require_folder
-from training.datasets.recording import RecordedFrames, SetFrame, Truth
+from training.datasets.files import dataset_errors, read_depth, require_files, require_folder
+from training.datasets.recording import RecordedFrames, SetFrame, Truth, pair
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
 
@@ -54,8 +54,7 @@ class KittiDepthRecipe(SourceRecipe):
         return RecordedFrames(_list_drives(folder, self.split, self.cameras))
 
 
-def _read_truth(path: Path) -> Mapping[str, Truth]:
-    return {"depth": partial(read_depth, path, depth_scale=KITTI_DEPTH_SCALE)}
+_read_truth = partial(read_depth, depth_scale=KITTI_DEPTH_SCALE)
 
 
 def _rig(intrinsics: NDArray[np.float64] | None) -> Rig:
@@ -72,24 +71,17 @@ def _list_drives(root: Path, split: str, cameras: Sequence[int]) -> list[SetFram
             truth = require_folder(drive / "proj_depth" / "groundtruth" / side, "ground truth")
             velodyne = drive / "proj_depth" / "velodyne_raw" / side
             images = root / "raw" / date / drive.name / side / "data"
-            names = {path.name for path in truth.glob("*.png")}
-            require_folder(velodyne, "LiDAR maps", files=sorted(names))
-            require_folder(images, "images of the raw data", files=sorted(names))
+            files = {path.stem: path for path in truth.glob("*.png")}
+            require_files(velodyne, "LiDAR maps", sorted(files))
+            require_files(images, "images of the raw data", sorted(files))
             calibration, intrinsics = root / "raw" / date / "calib_cam_to_cam.txt", None
             if calibration.is_file():
                 matrix = NumbersFile(calibration).matrix(f"P_rect_{camera:02d}", 3, 4)
                 intrinsics = matrix[:, :3]
             source = FolderSource(images, _rig(intrinsics), depth=velodyne)
-            frames += [
-                SetFrame(
-                    source,
-                    listed,
-                    f"{drive.name}/{camera}/{listed.name}",
-                    _read_truth(truth / f"{listed.name}.png"),
-                )
-                for listed in source.list_frames()
-                if f"{listed.name}.png" in names
-            ]
+            listed = [frame for frame in source.list_frames() if frame.name in files]
+            name = f"{drive.name}/{camera}"
+            frames += pair(source, listed, name, {"depth": Truth(files, _read_truth)})
     if not frames:
         raise DatasetError(f"{folder}: no drive with frames of cameras {list(cameras)} in it")
     return frames
@@ -102,21 +94,21 @@ def _list_selection(root: Path) -> list[SetFrame]:
     if not stems:
         raise DatasetError(f"{images}: no *_image_0<camera>.png in it")
 
-    partners = []
+    partners = {}
     for kind, word, suffix in (
         ("velodyne_raw", "velodyne_raw", ".png"),
         ("groundtruth_depth", "groundtruth_depth", ".png"),
         ("intrinsics", "image", ".txt"),
     ):
         # The drive's name does not contain "_image_", so the first one marks the kind of the file.
-        names = [stem.replace("_image_", f"_{word}_", 1) + suffix for stem in stems]
-        other = require_folder(folder / kind, f"the selection's {kind}", files=names)
-        partners.append([other / name for name in names])
+        names = [stem.replace("_image_", f"_{word}_", 1) for stem in stems]
+        found = require_files(folder / kind, f"the selection's {kind}", names, "{}" + suffix)
+        partners[kind] = found.values()
     frames = []
-    for stem, lidar, truth, matrix in zip(stems, *partners, strict=True):
+    for stem, lidar, truth, matrix in zip(stems, *partners.values(), strict=True):
         source = FolderSource(images / f"{stem}.png", _rig(_read_intrinsics(matrix)), depth=lidar)
         (listed,) = source.list_frames()
-        frames.append(SetFrame(source, listed, stem, _read_truth(truth)))
+        frames.append(SetFrame(source, listed, stem, {"depth": partial(_read_truth, truth)}))
     return frames
 
 

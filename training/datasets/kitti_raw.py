@@ -12,8 +12,8 @@ from runtime.base.errors import DatasetError
 from runtime.geometry.rig import Rig
 from runtime.recordings.kitti_raw import KittiRawSource
 from training.datasets.class_mapping import ClassTable
-from training.datasets.files import dataset_errors, require_folder
-from training.datasets.recording import RecordedFrames, SetFrame
+from training.datasets.files import dataset_errors, require_files
+from training.datasets.recording import RecordedFrames, SetFrame, pair
 from training.datasets.source_recipe import Names, SourceRecipe
 from training.limits import STRICT
 
@@ -65,6 +65,6 @@ def _frames_of(drive: Path, camera: int) -> list[SetFrame]:
     source = KittiRawSource(drive, Rig(calibration=drive.parent), camera=camera, by_number=True)
     without = _WITHOUT_SCAN.get(drive.name, frozenset())
     frames = [frame for frame in source.list_frames() if frame.name not in without]
-    scans = [f"{frame.name}.bin" for frame in frames]
-    require_folder(drive / "velodyne_points" / "data", "scans", files=scans)
-    return [SetFrame(source, frame, f"{drive.name}/{camera}/{frame.name}") for frame in frames]
+    scans, names = drive / "velodyne_points" / "data", [frame.name for frame in frames]
+    require_files(scans, "scans", names, "{}.bin")
+    return pair(source, frames, f"{drive.name}/{camera}", {})

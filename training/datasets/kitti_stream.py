@@ -1,19 +1,16 @@
 """Recorded KITTI frames: the left colour camera, and LiDAR returns with their scan lines."""
 
-from functools import partial
 from pathlib import Path
 from typing import ClassVar, Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
 from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource
 from training.datasets.cityscapes import TRAIN_LABELS
-from training.datasets.class_mapping import ClassTable, id_lookup
-from training.datasets.files import dataset_errors, read_gray, require_folder
-from training.datasets.recording import RecordedFrames, SetFrame
+from training.datasets.class_mapping import ClassTable, LabelReader
+from training.datasets.files import dataset_errors, require_files, require_folder
+from training.datasets.recording import RecordedFrames, Truth, pair
 from training.datasets.source_recipe import RangeRecipe
 from training.limits import STRICT, Share
 
@@ -44,7 +41,9 @@ class KittiStreamRecipe(RangeRecipe):
         Raises:
             DatasetError: if a folder or file is missing or damaged.
         """
-        lookup = id_lookup("cityscapes", classes, TRAIN_LABELS)
+        # Other ids than trainIds are ignored.
+        order = (*TRAIN_LABELS, *[None] * (256 - len(TRAIN_LABELS)))
+        labels = LabelReader.of("cityscapes", classes, order)
         is_object = (folder / "calib").is_dir()
         images = folder / ("image_2" if is_object else "image_02")
         scans = require_folder(folder / "velodyne_fov", "the stream's .bin LiDAR returns")
@@ -57,26 +56,8 @@ class KittiStreamRecipe(RangeRecipe):
         source.camera_alone = is_object
         listed = self.take([f for f in source.list_frames() if f.image is not None], images)
         if not is_object:
-            require_folder(scans, "returns", files=[f"{frame.name}.bin" for frame in listed])
+            require_files(scans, "returns", [frame.name for frame in listed], "{}.bin")
         name = "kitti_object" if is_object else "kitti_stream"
-        labels = {path.stem: path for path in (folder / "pseudo_semantic").glob("*.png")}
-        return RecordedFrames(
-            [
-                SetFrame(
-                    source,
-                    frame,
-                    f"{name}/{frame.name}",
-                    {"semantic": partial(_read_labels, labels[frame.name], lookup)}
-                    if frame.name in labels
-                    else {},
-                )
-                for frame in listed
-            ],
-            "ordered",
-            semantic_weight=self.semantic_weight,
-        )
-
-
-def _read_labels(path: Path, lookup: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
-    ids: NDArray[np.uint8] = lookup[read_gray(path, np.uint8, size)]
-    return ids
+        files = {path.stem: path for path in (folder / "pseudo_semantic").glob("*.png")}
+        paired = pair(source, listed, name, {"semantic": Truth(files, labels.read)})
+        return RecordedFrames(paired, "ordered", semantic_weight=self.semantic_weight)

@@ -1,11 +1,10 @@
 """Streets of KITTI stereo 2015 (Menze and Geiger 2015), each with its whole LiDAR scan."""
 
-import contextlib
 from bisect import bisect_right
-from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +14,12 @@ from runtime.base.errors import DatasetError
 from runtime.geometry.kitti_calibration import NumbersFile
 from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource
+from runtime.recordings.images import list_files
 from training.datasets.camvid import LABELS
 from training.datasets.cityscapes import disparity_to_depth
-from training.datasets.class_mapping import ClassTable, LabelFiles
-from training.datasets.files import dataset_errors, list_images, read_gray, require_folder
-from training.datasets.recording import RecordedFrames, SetFrame
+from training.datasets.class_mapping import ClassTable, LabelReader
+from training.datasets.files import dataset_errors, read_gray, require_files, require_folder
+from training.datasets.recording import RecordedFrames, Truth, pair
 from training.datasets.sample import IGNORE
 from training.datasets.source_recipe import RangeRecipe
 from training.limits import STRICT
@@ -71,40 +71,25 @@ class KittiStreetsRecipe(RangeRecipe):
             if frame.image is not None and frame.name.isdecimal()
         ]
         taken = self.take(found, images, lambda frame: int(frame.name))
-        focal_baseline = _read_focal_baseline(folder / "calib.txt")
-        # The folders that have a file for every frame, with their readers.
-        whole = {"velodyne_fov": ".bin", "disp_occ_0": ".png"}
-        readers: dict[str, tuple[str, Callable[..., NDArray[Any]]]] = {}
+        names = [frame.name for frame in taken]
+        require_files(scans, "velodyne_fov's .bin files", names, "{}.bin")
+        disparities = require_files(folder / "disp_occ_0", "the disparities", names)
+        focal_baseline, truth = _read_focal_baseline(folder / "calib.txt"), dict[str, Truth]()
         if self.truth == "accumulated":
-            readers["depth"] = "disp_occ_0", partial(_read_disparity, focal_baseline)
+            truth["depth"] = Truth(disparities, partial(_read_disparity, focal_baseline))
         if (folder / "road_mask").is_dir():
-            whole["road_mask"] = ".png"
-            readers["road_mask"] = "road_mask", _read_mask
-        for below, suffix in whole.items():
-            files = [f"{frame.name}{suffix}" for frame in taken]
-            require_folder(folder / below, f"{below}'s {suffix} files", files=files)
-        labelled = set()
+            masks = require_files(folder / "road_mask", "the road's masks", names)
+            truth["road_mask"] = Truth(masks, _read_mask)
         if (folder / "semantic").is_dir():
-            labelled = {path.stem for path in list_images(folder / "semantic", "labels")}
-            with contextlib.suppress(DatasetError):  # with another table, depth and road remain
-                readers["semantic"] = "semantic", LabelFiles("camvid", classes, LABELS).read
-        return RecordedFrames(
-            [
-                SetFrame(
-                    source,
-                    frame,
-                    f"kitti_streets/{frame.name}",
-                    {
-                        target: partial(read, folder / below / f"{frame.name}.png")
-                        for target, (below, read) in readers.items()
-                        if target != "semantic" or frame.name in labelled
-                    },
-                    {"focal_baseline_px_m": focal_baseline, "place": _place(int(frame.name))},
-                )
-                for frame in taken
-            ],
-            "ordered",
-        )
+            labels = list_files(folder / "semantic")
+            with suppress(DatasetError):  # with another table, depth and road remain
+                truth["semantic"] = Truth(labels, LabelReader.of("camvid", classes, LABELS).read)
+        frames = []
+        for frame in pair(source, taken, "kitti_streets", truth):
+            place = _place(int(frame.listed.name))
+            facts = {"focal_baseline_px_m": focal_baseline, "place": place}
+            frames.append(frame._replace(facts=facts))
+        return RecordedFrames(frames, "ordered")
 
 
 def _read_disparity(

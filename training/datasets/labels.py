@@ -1,20 +1,17 @@
-"""Labels in PNGs: the keys that say what their numbers mean, and their reader."""
+"""Labels in PNGs: the keys of a recipe that say what their numbers mean."""
 
 import json
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Annotated, Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import DatasetError
 from runtime.contract.contract import ClassInfo
 from training.datasets.cityscapes import TRAIN_LABELS
-from training.datasets.class_mapping import ClassTable, id_lookup, list_classes
-from training.datasets.files import read_gray
+from training.datasets.class_mapping import ClassTable, LabelReader, id_lookup, list_classes
 from training.datasets.sample import IGNORE
 from training.datasets.source_recipe import RangeRecipe
 from training.limits import STRICT, Share
@@ -61,60 +58,41 @@ class LabelledRecipe(RangeRecipe):
         own = tuple(ClassInfo(name, (0, 0, 0)) for name in dict.fromkeys(named))
         return own or self.label_classes
 
+    def open_labels(self, classes: ClassTable) -> LabelReader:
+        """Return the reader of the labels.
 
-class LabelReader:
-    """Reads PNGs of labels as ids of a class table.
-
-    Raises:
-        DatasetError: for names of classes that the table does not have.
-    """
-
-    def __init__(self, recipe: LabelledRecipe, classes: ClassTable) -> None:
-        self._is_order = recipe.label_classes is None
-        self._names = [info.name for info in list_classes(classes)]
-        self._ids = _label_ids(recipe, classes)
-        self._lookup = np.full(256, IGNORE, np.uint8)
-        self._lookup[list(self._ids)] = list(self._ids.values())
-        self._known = np.isin(np.arange(256), list(self._ids))
-
-    def read(self, path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
-        """Read the class ids of an image of (height, width): uint8 (H, W), 255 = unknown.
-
-        Raises DatasetError for another kind of file or size, and for ids without a meaning.
+        Raises:
+            DatasetError: for names of classes that the table does not have.
         """
-        label = read_gray(path, np.uint8, size)
-        unknown = np.unique(label[~self._known[label]]).tolist()
-        if unknown:
-            advice = "give trainIds"
-            if self._is_order:
-                names = dict(enumerate(self._names))
-                known = {id_: names.get(index, "ignore") for id_, index in self._ids.items()}
-                # Ids that no key names may still follow the order of the classes.
-                known |= {id_: names.get(id_, "ignore") for id_ in unknown}
-                pairs = ", ".join(f"{id_} = {json.dumps(name)}" for id_, name in known.items())
-                advice = f"name the ids in the recipe: label_ids = {{ {pairs} }}"
-            raise DatasetError(
-                f"{path}: class id {unknown[-1]}, expected {', '.join(map(str, self._ids))}: "
-                f"correct the file, or {advice}"
-            )
-        classes: NDArray[np.uint8] = self._lookup[label]
-        return classes
+        names = [info.name for info in list_classes(classes)]
+        ids = self._read_ids(classes, names)
+        return LabelReader(ids, partial(_advise, None if self.label_classes else names, ids))
+
+    def _read_ids(self, classes: ClassTable, names: Sequence[str]) -> Mapping[int, int]:
+        """Return the id in the class table for each id in the files, `IGNORE` for none."""
+        if self.label_ids:
+            ids = {"ignore": IGNORE, **{name: index for index, name in enumerate(names)}}
+            if unknown := [name for name in self.label_ids.values() if name not in ids]:
+                raise DatasetError(
+                    f"label_ids: {unknown[0]!r} is no class of model.classes; expected one of "
+                    f"{', '.join(ids)}"
+                )
+            named = {index: ids[name] for index, name in self.label_ids.items()}
+            return {self.ignore: IGNORE, **named}
+        order = list(range(len(names)))
+        if self.label_classes is not None:
+            lookup = id_lookup(self.label_classes, classes, TRAIN_LABELS)
+            order = lookup[: len(TRAIN_LABELS)].tolist()
+        return {**dict(enumerate(order)), self.ignore: IGNORE}
 
 
-def _label_ids(recipe: LabelledRecipe, classes: ClassTable) -> dict[int, int]:
-    """Return the id in the class table for each id in the files, `IGNORE` for none."""
-    names = [info.name for info in list_classes(classes)]
-    if recipe.label_ids:
-        ids = {"ignore": IGNORE, **{name: index for index, name in enumerate(names)}}
-        unknown = [name for name in recipe.label_ids.values() if name not in ids]
-        if unknown:
-            raise DatasetError(
-                f"label_ids: {unknown[0]!r} is no class of model.classes; expected one of "
-                f"{', '.join(ids)}"
-            )
-        named = {index: ids[name] for index, name in recipe.label_ids.items()}
-        return {recipe.ignore: IGNORE, **named}
-    order = list(range(len(names)))
-    if recipe.label_classes is not None:
-        order = id_lookup(recipe.label_classes, classes, TRAIN_LABELS)[: len(TRAIN_LABELS)].tolist()
-    return {**dict(enumerate(order)), recipe.ignore: IGNORE}
+def _advise(names: Sequence[str] | None, ids: Mapping[int, int], unknown: Sequence[int]) -> str:
+    """Advise to name ids in the recipe if they are those of `model.classes`, which has names."""
+    if names is None:
+        return "give trainIds"
+    by_id = dict(enumerate(names))
+    known = {id_: by_id.get(index, "ignore") for id_, index in ids.items()}
+    # Ids that no key names may still follow the order of the classes.
+    known |= {id_: by_id.get(id_, "ignore") for id_ in unknown}
+    pairs = ", ".join(f"{id_} = {json.dumps(name)}" for id_, name in known.items())
+    return f"name the ids in the recipe: label_ids = {{ {pairs} }}"

@@ -22,7 +22,7 @@ from runtime.recordings.source import ListedFrame, Source
 from runtime.streams.frame import Frame, Message
 from training.datasets.class_mapping import ClassTable
 from training.datasets.files import dataset_errors, read_depth, require_size
-from training.datasets.labels import Folder, LabelledRecipe, LabelReader
+from training.datasets.labels import Folder, LabelledRecipe
 from training.datasets.sample import FrameList, Sample, nothing_known
 from training.lidar.scan import elevation_bands, project_lines
 from training.limits import STRICT, Index, Positive
@@ -30,26 +30,55 @@ from training.limits import STRICT, Index, Positive
 # How the scan lines of returns are numbered: by the order of a scan's points, which KITTI's scanner
 # sends line after line; by bands of elevation; or not at all.
 Lines = Literal["ordered", "bands", "none"]
-# Reads the labels of a frame of (height, width).
-Truth = Callable[[tuple[int, int]], NDArray[Any]]
+
+
+class Truth(NamedTuple):
+    """The labels of a target.
+
+    Attributes:
+        files: the files by the names of the source's frames; a frame without a file lacks them.
+        read: reads the labels of a file for an image of (height, width).
+    """
+
+    files: Mapping[str, Path]
+    read: Callable[[Path, tuple[int, int]], NDArray[Any]]
 
 
 class SetFrame(NamedTuple):
-    """A frame that a source of the engine reads, and the truth beside it.
+    """A frame of a data set, which a source of the engine reads, and the truth beside it.
 
     Attributes:
         source: reads image and returns.
         listed: the frame in the list of the source.
         name: name of the set and the frame.
-        truth: what reads the labels of each target.
+        truth: what reads the labels of each target for an image of (height, width).
         facts: further attributes of the `Sample`.
     """
 
     source: Source
     listed: ListedFrame
     name: str
-    truth: Mapping[str, Truth] = {}
+    truth: Mapping[str, Callable[[tuple[int, int]], NDArray[Any]]]
     facts: Mapping[str, Any] = {}
+
+
+def pair(
+    source: Source, listed: Iterable[ListedFrame], name: str, truth: Mapping[str, Truth]
+) -> list[SetFrame]:
+    """Return frames of the set `name` with the files of their truth, by target."""
+    return [
+        SetFrame(
+            source,
+            frame,
+            f"{name}/{frame.name}",
+            {
+                target: partial(read, files[frame.name])
+                for target, (files, read) in truth.items()
+                if frame.name in files
+            },
+        )
+        for frame in listed
+    ]
 
 
 class RecordedFrames(FrameList):
@@ -177,33 +206,27 @@ class RecordingRecipe(LabelledRecipe):
         Raises:
             DatasetError: for a recording that cannot be opened or has no such frames.
         """
-        source, labels = self.open_source(folder), LabelReader(self, classes)
+        source = self.open_source(folder)
         if isinstance(source, FolderSource):
             source.camera_alone = True
-        readers: dict[str, tuple[str | None, Callable[..., NDArray[Any]]]] = {
-            "depth": (self.truth, partial(read_depth, depth_scale=self.truth_scale)),
-            "semantic": (self.labels, labels.read),
+        truth = {
+            target: Truth(list_files(beside(folder) / below, (".png",)), read)
+            for target, below, read in (
+                ("depth", self.truth, partial(read_depth, depth_scale=self.truth_scale)),
+                ("semantic", self.labels, self.open_labels(classes).read),
+            )
+            if below is not None
         }
-        truth: dict[str, dict[str, Truth]] = {}
-        for target, (below, read) in readers.items():
-            files = list_files(beside(folder) / below, (".png",)) if below else {}
-            for name, path in files.items():
-                truth.setdefault(name, {})[target] = partial(read, path)
+        with_truth = {name for files, _ in truth.values() for name in files}
         frames = [
             frame
             for frame in source.list_frames()
             if frame.image is not None
             and (self.frames is None or frame.sequence in self.frames)
-            and ((frame.complete and frame.depth is not None) or frame.name in truth)
+            and ((frame.complete and frame.depth is not None) or frame.name in with_truth)
         ]
-        return RecordedFrames(
-            [
-                SetFrame(source, each, f"{folder.name}/{each.name}", truth.get(each.name, {}))
-                for each in self.take(frames, folder)
-            ],
-            "bands",
-            semantic_weight=self.semantic_weight,
-        )
+        paired = pair(source, self.take(frames, folder), folder.name, truth)
+        return RecordedFrames(paired, "bands", semantic_weight=self.semantic_weight)
 
 
 def beside(path: Path) -> Path:

@@ -5,7 +5,8 @@
 
 import dataclasses
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -17,20 +18,23 @@ from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import DatasetError
 from runtime.files.read_input import read_text
+from runtime.geometry.calibration import Calibration
 from runtime.geometry.kitti_calibration import NumbersFile
+from runtime.geometry.rig import Rig
+from runtime.recordings.folders import FolderSource
+from runtime.recordings.source import ListedFrame
 from training.datasets.class_mapping import ClassTable, class_ids
 from training.datasets.files import (
     dataset_errors,
     read_depth,
-    read_points,
     read_rgb,
+    require_files,
     require_folder,
     require_size,
 )
-from training.datasets.sample import FrameList, Sample, make_frame
+from training.datasets.recording import RecordedFrames, SetFrame, Truth, pair
 from training.datasets.source_recipe import Names, SourceRecipe
 from training.datasets.virtual_kitti_split import Selection, Split
-from training.lidar.scan import project_lines
 from training.limits import STRICT
 
 _RGB_1, _DEPTH_1, _CLASSES_1 = (f"vkitti_1.3.1_{kind}" for kind in ("rgb", "depthgt", "scenegt"))
@@ -66,10 +70,10 @@ class VirtualKittiRecipe(_SelectionRecipe):
     split: Split = "train"
     cameras: Annotated[tuple[Literal[0, 1], ...], Field(min_length=1, max_length=2)] = (0,)
 
-    def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti":
+    def open(self, folder: Path, classes: ClassTable) -> RecordedFrames:
         """See `SourceRecipe.open`."""
         selection = Selection(self.split, self.scenes, self.variants)
-        return VirtualKitti(_list_second_edition(folder, selection, self.cameras), classes)
+        return RecordedFrames(_list_second_edition(folder, classes, selection, self.cameras))
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -84,10 +88,11 @@ class RenderedRecipe(_SelectionRecipe):
     kind: Literal["rendered"] = "rendered"
     scans: bool = False
 
-    def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti":
+    def open(self, folder: Path, classes: ClassTable) -> RecordedFrames:
         """See `SourceRecipe.open`."""
         selection = Selection("all", self.scenes, self.variants)
-        return VirtualKitti(_list_second_edition(folder, selection, scans=self.scans), classes)
+        frames = _list_second_edition(folder, classes, selection, scans=self.scans)
+        return RecordedFrames(frames, "ordered")
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -97,105 +102,81 @@ class VirtualKitti1Recipe(_SelectionRecipe):
     kind: Literal["virtual-kitti-1"] = "virtual-kitti-1"
     split: Split = "train"
 
-    def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti":
+    def open(self, folder: Path, classes: ClassTable) -> RecordedFrames:
         """See `SourceRecipe.open`."""
         selection = Selection(self.split, self.scenes, self.variants)
-        return VirtualKitti(_list_first_edition(folder, selection), classes)
+        return RecordedFrames(_list_first_edition(folder, classes, selection))
 
 
-@dataclasses.dataclass(frozen=True)
-class _Frame:
-    """The files of a frame; `scan` is that of a rendered LiDAR, with its matrix to the camera."""
-
-    name: str
-    rgb: Path
-    depth: Path
-    labels: Path
-    colors: Path
-    intrinsics: NDArray[np.float64]
-    scan: tuple[Path, NDArray[np.float64]] | None = None
-
-
-class VirtualKitti(FrameList):
-    """Frames of either edition.
-
-    Raises:
-        DatasetError: if a file is unreadable, a colour is unknown, or a size is wrong.
-    """
-
-    def __init__(self, frames: Sequence[_Frame], classes: ClassTable) -> None:
-        self._frames = frames
-        self.images = [frame.rgb for frame in frames]
-        self._colors = {path: _read_colors(path, classes) for path in {f.colors for f in frames}}
-
-    def __getitem__(self, index: int) -> Sample:
-        frame = self._frames[index]
-        rgb = read_rgb(frame.rgb)
-        size = (rgb.shape[0], rgb.shape[1])
-        depth = read_depth(frame.depth, size, depth_scale=_UNITS_A_METRE)
-        returns = scan_line = None
-        if frame.scan is not None:
-            path, to_camera = frame.scan
-            points = read_points(path)
-            returns, scan_line = project_lines(points, frame.intrinsics, to_camera, size)
-        labels = _read_classes(frame.labels, self._colors[frame.colors], size)
-        measured = make_frame(rgb, frame.name, returns=returns, intrinsics=frame.intrinsics)
-        return Sample(measured, {"depth": depth, "semantic": labels}, scan_line)
+_read_depth = partial(read_depth, depth_scale=_UNITS_A_METRE)
 
 
 @dataset_errors()
 def _list_second_edition(
-    root: Path, selection: Selection, cameras: Sequence[int] = (0,), *, scans: bool = False
-) -> list[_Frame]:
+    root: Path,
+    classes: ClassTable,
+    selection: Selection,
+    cameras: Sequence[int] = (0,),
+    *,
+    scans: bool = False,
+) -> list[SetFrame]:
     """List `root/<scene>/<variant>/frames/{rgb,depth,classSegmentation}/Camera_<n>`.
 
     With `scans`, `frames/lidar/Camera_<n>` and `calib.txt`, which ssdnet-render writes, are listed,
     too.
     """
     require_folder(root, "scenes in the Virtual KITTI 2 layout")
-    frames: list[_Frame] = []
     variants = [variant for scene in _folders(root) for variant in _folders(scene)]
-    for variant in variants:
-        scene = variant.parent.name
-        for camera in cameras if selection.takes_variant(scene, variant.name) else ():
-            folders = {
-                kind: variant / "frames" / kind / f"Camera_{camera}"
-                for kind in ("rgb", "depth", "classSegmentation", "lidar")
-            }
-            images = require_folder(folders["rgb"], "the images").glob("rgb_*.jpg")
-            found = sorted(path.stem.removeprefix("rgb_") for path in images)
-            numbers = [n for n in found if n.isdecimal() and selection.takes(scene, n)]
-            parts = {"depth": "depth_{}.png", "classSegmentation": "classgt_{}.png"}
-            if scans:
-                parts["lidar"] = "lidar_{}.bin"
-                to_camera = NumbersFile(variant / "calib.txt").matrix("Tr_velo_to_cam", 3, 4)
-                to_camera = np.vstack([to_camera, np.eye(4)[3]])
-            for kind, name in parts.items():
-                require_folder(folders[kind], name, files=[name.format(n) for n in numbers])
-            intrinsics = _read_intrinsics(variant / "intrinsic.txt", camera)
-            for number in numbers:
-                if int(number) not in intrinsics:
-                    raise DatasetError(
-                        f"{variant / 'intrinsic.txt'}: no row {_INTRINSICS_ROW} of frame "
-                        f"{int(number)}, camera {camera}: restore the file"
-                    )
-                frames.append(
-                    _Frame(
-                        f"{scene}/{variant.name}/{number}" + (f"/{camera}" if camera else ""),
-                        folders["rgb"] / f"rgb_{number}.jpg",
-                        folders["depth"] / f"depth_{number}.png",
-                        folders["classSegmentation"] / f"classgt_{number}.png",
-                        variant / "colors.txt",
-                        intrinsics[int(number)],
-                        (folders["lidar"] / f"lidar_{number}.bin", to_camera) if scans else None,
-                    )
-                )
+    frames = [
+        frame
+        for variant in variants
+        for camera in cameras
+        if selection.takes_variant(variant.parent.name, variant.name)
+        for frame in _list_camera(variant, camera, classes, selection, scans=scans)
+    ]
     selection.require_frames(frames, variants, root)
     return frames
 
 
+def _list_camera(
+    variant: Path, camera: int, classes: ClassTable, selection: Selection, *, scans: bool
+) -> Iterator[SetFrame]:
+    scene, kinds = variant.parent.name, ("rgb", "depth", "classSegmentation", "lidar")
+    rgb, depth, labels, lidar = (variant / "frames" / k / f"Camera_{camera}" for k in kinds)
+    images = sorted(require_folder(rgb, "the images").glob("rgb_*.jpg"))
+    pictures = {path.stem.removeprefix("rgb_"): path for path in images}
+    numbers = [n for n in pictures if n.isdecimal() and selection.takes(scene, n)]
+    colors = _read_colors(variant / "colors.txt", classes)
+    truth = {
+        "depth": Truth(require_files(depth, "depth", numbers, "depth_{}.png"), _read_depth),
+        "semantic": Truth(
+            require_files(labels, "classes", numbers, "classgt_{}.png"),
+            partial(_read_classes, colors),
+        ),
+    }
+    returns, to_camera = dict[str, Path](), np.eye(4)
+    if scans:
+        to_camera[:3] = NumbersFile(variant / "calib.txt").matrix("Tr_velo_to_cam", 3, 4)
+        returns = require_files(lidar, "scans", numbers, "lidar_{}.bin")
+    intrinsics = _read_intrinsics(variant / "intrinsic.txt", camera)
+    sources: dict[bytes, FolderSource] = {}  # by the camera's matrix, of which there is mostly one
+    for number in numbers:
+        matrix = intrinsics.get(int(number))
+        if matrix is None:
+            raise DatasetError(
+                f"{variant / 'intrinsic.txt'}: no row {_INTRINSICS_ROW} of frame {int(number)}, "
+                f"camera {camera}: restore the file"
+            )
+        if (key := matrix.tobytes()) not in sources:
+            rig = Rig(calibration=Calibration(matrix, to_camera))
+            sources[key] = FolderSource(rgb, rig, points=lidar if scans else None)
+        listed = ListedFrame(0, number, pictures[number], returns.get(number))
+        for frame in pair(sources[key], [listed], f"{scene}/{variant.name}", truth):
+            yield frame._replace(name=f"{frame.name}/{camera}") if camera else frame
+
+
 @dataset_errors()
-def _list_first_edition(root: Path, selection: Selection) -> list[_Frame]:
+def _list_first_edition(root: Path, classes: ClassTable, selection: Selection) -> list[SetFrame]:
     """List `root/vkitti_1.3.1_{rgb,depthgt,scenegt}/<scene>/<variant>/<number>.png`.
 
     Colours are in `vkitti_1.3.1_scenegt/<scene>_<variant>_scenegt_rgb_encoding.txt`; scenes are
@@ -203,22 +184,31 @@ def _list_first_edition(root: Path, selection: Selection) -> list[_Frame]:
     """
     for kind in (_RGB_1, _DEPTH_1, _CLASSES_1):
         require_folder(root / kind, "a folder of Virtual KITTI 1.3.1")
-    frames: list[_Frame] = []
+    frames: list[SetFrame] = []
+    rig = Rig(calibration=Calibration(_INTRINSICS_1, np.eye(4)))
     variants = sorted(path for path in (root / _RGB_1).glob("*/*") if path.is_dir())
     for variant in variants:
         scene = variant.parent.name
         if not selection.takes_variant(scene, variant.name):
             continue
-        numbers = sorted(path.stem for path in variant.glob("*.png"))
-        numbers = [n for n in numbers if n.isdecimal() and selection.takes(scene, n)]
-        depth, labels = (root / kind / scene / variant.name for kind in (_DEPTH_1, _CLASSES_1))
-        for folder in (depth, labels):
-            require_folder(folder, "its frames", files=[f"{n}.png" for n in numbers])
-        colors = root / _CLASSES_1 / f"{scene}_{variant.name}_scenegt_rgb_encoding.txt"
-        for number in numbers:
-            name = f"{scene}/{variant.name}/{number}"
-            rgb, *others = (folder / f"{number}.png" for folder in (variant, depth, labels))
-            frames.append(_Frame(name, rgb, others[0], others[1], colors, _INTRINSICS_1))
+        source, place = FolderSource(variant, rig), Path(scene, variant.name)
+        listed = [
+            frame
+            for frame in source.list_frames()
+            if frame.name.isdecimal() and selection.takes(scene, frame.name)
+        ]
+        names = [frame.name for frame in listed]
+        depth, labels = (
+            require_files(root / kind / place, "its frames", names)
+            for kind in (_DEPTH_1, _CLASSES_1)
+        )
+        file = f"{scene}_{variant.name}_scenegt_rgb_encoding.txt"
+        colors = _read_colors(root / _CLASSES_1 / file, classes)
+        truth = {
+            "depth": Truth(depth, _read_depth),
+            "semantic": Truth(labels, partial(_read_classes, colors)),
+        }
+        frames += pair(source, listed, str(place), truth)
     selection.require_frames(frames, variants, root / _RGB_1)
     return frames
 
@@ -283,7 +273,7 @@ def _read_colors(path: Path, classes: ClassTable) -> _Colors:
     return _Colors(path, np.array(colors, dtype=np.int32), ids)
 
 
-def _read_classes(path: Path, table: _Colors, size: tuple[int, int]) -> NDArray[np.uint8]:
+def _read_classes(table: _Colors, path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
     """Return the class ids, uint8 (H, W), of a colour image; DatasetError for other colours."""
     label = read_rgb(path)
     require_size(path, label.shape, size)

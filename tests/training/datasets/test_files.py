@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from runtime.base.errors import DatasetError
-from training.datasets.files import list_images, read_gray
+from training.datasets.files import read_gray
 
 GREY, COLOR, PALETTE = 0, 2, 3
 IDS = np.arange(5 * 9).reshape(5, 9)
@@ -95,10 +95,3 @@ def test_disparities_have_16_bits(tmp_path):
     np.testing.assert_array_equal(read_gray(path, np.uint16, IDS.shape), IDS + 256)
     with pytest.raises(DatasetError, match="expected one channel of uint16"):
         read_gray(png(path, IDS, bits=8), np.uint16, IDS.shape)
-
-
-def test_images_are_in_the_order_of_the_engine(tmp_path):
-    names = ["0.05.png", "0.1.png", "0.15.png", "2.png", "10.png"]
-    for name in names:
-        (tmp_path / name).touch()
-    assert [path.name for path in list_images(tmp_path, "images")] == names
