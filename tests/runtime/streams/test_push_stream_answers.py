@@ -4,31 +4,9 @@ import threading
 
 import numpy as np
 
-from runtime.engine.predictor import Predictor
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.rig import Rig
-from runtime.streams.push_stream import PushStream
 from stream_messages import depth, image, push_pair
-
-
-def test_answers_of_the_engine_come_back_with_both_stamps(model_file, make_frame):
-    rgb, sparse_depth = make_frame()
-    with Predictor(model_file(), threads=1) as predictor:
-        expected = predictor.predict(rgb, sparse_depth)
-        with PushStream(predictor, Rig(max_skew_ms=20), deadline_ms=1e6) as stream:
-            stream.push_image(rgb, 1.0)
-            stream.push_depth(sparse_depth, 1_000_000_000)
-            result = next(iter(stream))
-            stream.close()
-            assert list(stream) == []
-    for head in predictor.heads:
-        np.testing.assert_array_equal(
-            getattr(result.prediction, head), getattr(expected, head), strict=True
-        )
-    np.testing.assert_array_equal(result.rgb, rgb)
-    assert (result.sequence, result.image_stamp, result.depth_stamp) == (0, 1.0, 1_000_000_000)
-    assert (result.skew_ms, result.deadline_met) == (0, True)
-    assert result.age_ms == result.latency_ms > 0
 
 
 def test_latency_age_and_deadline(setup):

@@ -94,7 +94,7 @@ def test_integer_stamps_of_another_unit_are_said(replay, unit, said):
 # --- as the live stream --------------------------------------------------------------------------
 
 
-def test_answers_are_those_of_a_live_stream(model_file, make_frame, replay):
+def test_answers_are_those_of_the_engine_and_of_a_live_stream(model_file, make_frame, replay):
     recording = [
         message
         for number, (rgb, sparse_depth) in enumerate(make_frame(seed=seed) for seed in range(3))
@@ -111,8 +111,13 @@ def test_answers_are_those_of_a_live_stream(model_file, make_frame, replay):
                     assert answer.latency_ms == answer.prediction.latency.total_ms
                     for name in vars(answer).keys() - {"prediction", "rgb", *TIMES}:
                         assert getattr(answer, name) == getattr(live, name)
-                    np.testing.assert_array_equal(answer.rgb, live.rgb)
-                    np.testing.assert_array_equal(answer.prediction.depth, live.prediction.depth)
+                    pair = [given for _, given, _ in recording[2 * live.sequence :][:2]]
+                    expected = predictor.predict(*pair)
+                    np.testing.assert_array_equal(answer.rgb, pair[0])
+                    np.testing.assert_array_equal(live.rgb, pair[0])
+                    for head, values in expected.heads.items():
+                        np.testing.assert_array_equal(answer.prediction.heads[head], values)
+                        np.testing.assert_array_equal(live.prediction.heads[head], values)
                     assert answer.prediction.degraded == live.prediction.degraded
         assert counts == stream.counts
 
