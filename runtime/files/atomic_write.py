@@ -83,11 +83,12 @@ def atomic_path(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
             path.unlink(missing_ok=True)
 
 
-def require_writable(path: Path) -> None:
+def require_writable(path: Path, *, overwrite: bool = True, make_parents: bool = False) -> None:
     """Raise the OutputError of `atomic_file` if the file cannot be written; no file is left."""
-    with temporary_path(path):
-        if path.is_dir():
+    with temporary_path(path, make_parents=make_parents):
+        if path.is_dir() and not path.is_symlink():
             raise OutputError(f"{path} is a folder: name a file to write")
+        _require_replaceable(path, overwrite=overwrite)
 
 
 def remove_leftover(path: Path) -> None:
@@ -155,19 +156,22 @@ def _lock(folder: Path) -> int:
         os.close(handle)
 
 
-def _require_replaceable(path: Path) -> None:
-    """Raise OutputError for devices, pipes and sockets, which root could otherwise replace."""
+def _require_replaceable(path: Path, *, overwrite: bool = True) -> None:
+    """Raise OutputError if a file exists there that may not be replaced.
+
+    Devices, pipes and sockets, which root could otherwise replace, never may.
+    """
     try:
         mode = path.lstat().st_mode
     except FileNotFoundError:
         return
     if not (stat.S_ISREG(mode) or stat.S_ISLNK(mode) or stat.S_ISDIR(mode)):
         raise OutputError(f"{path} exists and is no regular file: choose another name")
+    if not overwrite:
+        raise OutputError(f"{path} exists: choose another name, or replace it with --overwrite")
 
 
 def _publish(made: Path, path: Path, *, overwrite: bool) -> None:
     """Rename `made` to `path`, whose hidden folder is locked; OutputError if `path` exists."""
-    _require_replaceable(path)
-    if not overwrite and os.path.lexists(path):
-        raise OutputError(f"{path} exists: choose another name, or replace it with --overwrite")
+    _require_replaceable(path, overwrite=overwrite)
     os.replace(made, path)

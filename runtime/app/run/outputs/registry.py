@@ -3,9 +3,8 @@
 import contextlib
 import importlib.util
 import os
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
-from pathlib import Path
 from typing import NamedTuple
 
 from runtime.app.run.options import SUFFIXES, RunOptions
@@ -17,7 +16,7 @@ from runtime.app.run.outputs.run_context import RunContext
 from runtime.app.run.outputs.video import open_video
 from runtime.app.run.pipeline import Output
 from runtime.base.errors import OutputError, install_command
-from runtime.files.atomic_write import atomic_path
+from runtime.files.atomic_write import require_writable
 from runtime.files.own_folder import require_folder_free
 from runtime.recordings.source import Source
 
@@ -81,24 +80,14 @@ def require_outputs(options: RunOptions, source: Source) -> None:
                 f"--{option} needs the package {row.package}, which is not installed: "
                 f"{install_command(row.extra)}"
             )
+    inputs = {os.path.realpath(read) for read in source.recordings}
     for path in options.named_files.values():
-        _require_free(path, overwrite=options.overwrite, inputs=source.recordings)
+        require_writable(path, overwrite=options.overwrite, make_parents=True)
+        target = os.path.realpath(path)
+        if os.path.lexists(path) and {target, os.path.dirname(target)} & inputs:
+            raise OutputError(f"{path} is what the run reads: choose another name")
     if options.record is not None:
         require_folder_free(options.record, overwrite=options.overwrite)
-
-
-def _require_free(path: Path, *, overwrite: bool, inputs: Collection[Path]) -> None:
-    """Raise OutputError unless a file can be made there that replaces none of `inputs`."""
-    if os.path.isdir(path) and not os.path.islink(path):
-        raise OutputError(f"{path} is a folder: name a file to write")
-    if os.path.lexists(path):
-        if not overwrite:
-            raise OutputError(f"{path} exists: choose another name, or replace it with --overwrite")
-        target = os.path.realpath(path)
-        if {target, os.path.dirname(target)} & {os.path.realpath(read) for read in inputs}:
-            raise OutputError(f"{path} is what the run reads: choose another name")
-    with atomic_path(path, overwrite=False):  # only tests whether it could be made
-        pass
 
 
 @contextlib.contextmanager
