@@ -23,7 +23,7 @@ from runtime.geometry.kitti_calibration import (
 from runtime.geometry.lens import PLUMB_BOB, Lens, cache_key, rectifying_maps
 from runtime.geometry.projection import check_intrinsics, project_points
 from runtime.geometry.region import region_of_images
-from runtime.geometry.rigid import nearest_rigid
+from runtime.geometry.rigid import finite_matrix, nearest_rigid
 from runtime.geometry.units import check_mount_distance
 
 RAW_CAMERAS, RAW_SCANNER = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
@@ -268,7 +268,7 @@ class Calibration:
         fields = {str(key).lower(): value for key, value in info.items()}
         distortion = fields.get("d", ())
         lens = None if rectified else Lens.of_ros(fields.get("distortion_model"), distortion)
-        projection = _matrix("P of the CameraInfo", fields.get("p", [0] * 12), 3, 4)
+        projection = finite_matrix("P of the CameraInfo", fields.get("p", [0] * 12), 3, 4)
         shift = np.eye(4)
         if projection.any() and (rectified or not np.any(fields.get("k", 0))):
             intrinsics = projection[:, :3]
@@ -276,7 +276,7 @@ class Calibration:
             # P = K [I | t], where t is the baseline to the first camera of a stereo pair.
             shift[:3, 3] = np.linalg.solve(intrinsics, projection[:, 3])
         elif "k" in fields:
-            intrinsics = _matrix("K of the CameraInfo", fields["k"], 3, 3)
+            intrinsics = finite_matrix("K of the CameraInfo", fields["k"], 3, 3)
             if rectified and np.any(distortion):
                 raise InputError(
                     "the CameraInfo has distortion but no P of rectified images: give the P of "
@@ -287,7 +287,7 @@ class Calibration:
         intrinsics, size = region_of_images(fields, intrinsics, size)
         return cls(
             intrinsics,
-            shift @ _matrix("extrinsics", extrinsics, 4, 4),
+            shift @ finite_matrix("extrinsics", extrinsics, 4, 4),
             size,
             lens=None if lens is None else lens.model,
             distortion=None if lens is None else lens.coefficients,
@@ -318,10 +318,10 @@ class Calibration:
             )
         size, body = keys.get("size"), keys.get("body_from_lidar")
         return cls(
-            _matrix(f"intrinsics of {path}", keys["intrinsics"], 3, 3),
-            _matrix(f"extrinsics of {path}", keys.get("extrinsics", np.eye(4)), 4, 4),
+            finite_matrix(f"intrinsics of {path}", keys["intrinsics"], 3, 3),
+            finite_matrix(f"extrinsics of {path}", keys.get("extrinsics", np.eye(4)), 4, 4),
             tuple(size) if isinstance(size, list) else size,
-            body_from_lidar=None if body is None else _matrix(f"body of {path}", body, 4, 4),
+            body_from_lidar=None if body is None else finite_matrix(f"body of {path}", body, 4, 4),
             lens=keys.get("lens"),
             distortion=keys.get("distortion"),
         )
@@ -331,13 +331,3 @@ def find_raw_calibration(drive: Path) -> Path | None:
     """Return the folder of KITTI raw data's calibration, `drive` or its parent, or None."""
     folders = (drive, Path(os.path.realpath(drive)).parent)
     return next((each for each in folders if os.path.exists(each / RAW_CAMERAS)), None)
-
-
-def _matrix(name: str, numbers: Any, rows: int, columns: int) -> NDArray[np.float64]:
-    try:
-        matrix = np.asarray(numbers, dtype=np.float64)
-    except (OverflowError, TypeError, ValueError):
-        matrix = np.empty(0)
-    if matrix.size != rows * columns or not np.isfinite(matrix).all():
-        raise InputError(f"{name} must be {rows} x {columns} finite numbers, got {shown(numbers)}")
-    return matrix.reshape(rows, columns)

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.files.read_input import read_text
 from runtime.geometry.projection import check_intrinsics
+from runtime.geometry.rigid import finite_matrix
 
 # Names by which a file of object or odometry data is recognised; it has at least one of them.
 _NAMES = ("P0", "P1", "P2", "P3", "R0_rect", "Tr_velo_to_cam", "Tr")
@@ -66,15 +66,7 @@ class NumbersFile:
                 f"{self.path} has no line '{name}:'; expected {count} numbers under it, it has "
                 f"{', '.join(self._entries) or 'no lines'}"
             )
-        try:
-            text = self._entries[name].strip()
-            numbers = np.array(text.split(), dtype=np.float64)
-        except ValueError:
-            numbers = np.full(count, np.nan)
-        if numbers.size != count or not np.isfinite(numbers).all():
-            fault = f"must be {count} finite numbers, got {shown(text)}"
-            raise InputError(f"{self.path}: '{name}' {fault}")
-        return numbers.reshape(rows, columns)
+        return finite_matrix(f"{self.path}: '{name}'", self._entries[name].split(), rows, columns)
 
 
 def is_kitti(numbers: NumbersFile) -> bool:

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume
 from runtime.geometry.returns import array_dtype
@@ -64,3 +65,17 @@ def check_matrix(name: str, matrix: Any, side: int) -> None:
         raise InputError(f"{name} must have the shape ({side}, {side}), got {matrix.shape}")
     if not np.isfinite(matrix).all():
         raise InputError(f"{name} must be finite: check the calibration")
+
+
+def finite_matrix(name: str, numbers: Any, rows: int, columns: int) -> NDArray[np.float64]:
+    """Return numbers of any type, or their texts, as a matrix (rows, columns).
+
+    Raises InputError if they are not so many finite numbers.
+    """
+    try:
+        matrix = np.asarray(numbers, dtype=np.float64)
+    except (OverflowError, TypeError, ValueError):
+        matrix = np.empty(0)
+    if matrix.size != rows * columns or not np.isfinite(matrix).all():
+        raise InputError(f"{name} must be {rows} x {columns} finite numbers, got {shown(numbers)}")
+    return matrix.reshape(rows, columns)

@@ -15,7 +15,7 @@ from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import parse_seconds
 from runtime.files.read_input import read_text
-from runtime.geometry.rigid import nearest_rigid
+from runtime.geometry.rigid import finite_matrix, nearest_rigid
 
 _KITTI, _TUM, _OXTS = 12, 8, 30
 _EARTH_RADIUS_M = 6378137.0
@@ -153,15 +153,8 @@ def _lines(path: Path) -> list[str]:
 
 def _numbers(path: Path, count: int) -> NDArray[np.float64]:
     """The numbers of a text file, float64 (lines, count); "#" begins a comment."""
-    rows = []
-    for number, line in enumerate(_lines(path), 1):
-        try:
-            row = [float(word) for word in line.split()]
-        except ValueError:
-            row = []
-        if len(row) != count or not np.isfinite(row).all():
-            raise InputError(
-                f"line {number} of {path} must have {count} finite numbers, got {shown(line)}"
-            )
-        rows.append(row)
+    rows = [
+        finite_matrix(f"line {number} of {path}", line.split(), 1, count)
+        for number, line in enumerate(_lines(path), 1)
+    ]
     return np.array(rows).reshape(-1, count)
