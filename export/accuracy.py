@@ -75,7 +75,7 @@ def measure_widths(
     """
     found = _score([single, quantized], data, lidars).differences
     return {
-        (item.data, item.lidar): {
+        (item.row.data, item.row.lidar): {
             figure: (each.high - each.low) / 2 for figure, each in item.figures.items()
         }
         for item in found

@@ -13,7 +13,6 @@ from training.distributed import join_processes
 from training.evaluation.pictures import draw_batch
 from training.loading.batches import read_batches
 from training.loading.open_dataset import spread_indices
-from training.recipe import Recipe
 from training.run import RunResult, TrainingRun
 from training.run_folder import BATCH, folder_errors
 from training.stages import Stage, next_stage
@@ -35,7 +34,7 @@ def dry_run(stages: Sequence[Stage], run: TrainingRun) -> RunResult:
     recipe = stage.recipe
     with join_processes(run.device) as processes:
         task = open_task(recipe, run, processes)
-        with read_batches(recipe, task, processes, step=0) as batches:
+        with read_batches(task, processes, step=0) as batches:
             batch = next(batches)
         if processes.is_first:
             with folder_errors(run.out):
@@ -46,12 +45,12 @@ def dry_run(stages: Sequence[Stage], run: TrainingRun) -> RunResult:
             atomic_write(run.out / BATCH, encode_png(draw_batch(batch, overlay, count=_DRAWN)))
         processes.wait()
     path = run.out / BATCH
-    return RunResult(path, lines=(*_describe(recipe, task), str(path)))
+    return RunResult(path, lines=(*_describe(task), str(path)))
 
 
-def _describe(recipe: Recipe, task: Task) -> Iterator[str]:
+def _describe(task: Task) -> Iterator[str]:
     """Describe the sets of the mixture by some frames of each."""
-    height, width = task.data.augment.size
+    recipe, (height, width) = task.recipe, task.data.augment.size
     yield f"crops of {height} x {width} px"
     for item, source in zip(recipe.data.source, task.sources, strict=True):
         yield from _describe_set(item.title, source, recipe.model.class_names)

@@ -69,7 +69,7 @@ def train(recipe: Recipe, run: TrainingRun) -> RunResult:
             files = list_data(run.data, [folder for item in sets for folder in item.folders])
             prepare_folder(run.out, resolved, files, run.data)
         processes.wait()
-        loop = _Loop(recipe, run, processes, task, resolved)
+        loop = _Loop(run, processes, task, resolved)
         loop.state.resume(stopped.path)
         if loop.is_complete and final.path.is_file():
             loop.tell(f"all {loop.steps} steps of {run.out} are done")
@@ -90,16 +90,11 @@ class _Loop:
     """A training in one of its processes: its steps, and what is written between them."""
 
     def __init__(
-        self,
-        recipe: Recipe,
-        run: TrainingRun,
-        processes: Processes,
-        task: Task,
-        resolved: Mapping[str, Any],
+        self, run: TrainingRun, processes: Processes, task: Task, resolved: Mapping[str, Any]
     ) -> None:
-        self._recipe, self._run, self._processes, self._task = recipe, run, processes, task
-        self.state = TrainingState(recipe, task, processes, run.out)
-        self.steps = recipe.schedule.steps
+        self._recipe, self._run, self._processes, self._task = task.recipe, run, processes, task
+        self.state = TrainingState(task, processes, run.out)
+        self.steps = task.recipe.schedule.steps
         self._resolved = resolved
         self._scores: ScoreTable | None = None  # of the first process, which alone writes it
         # Of the last validation ("after"), and of that before the first step.
@@ -133,7 +128,7 @@ class _Loop:
                 mininterval=1.0 if sys.stderr.isatty() else 30.0,  # a line of a log file
                 disable=not is_first,
             ) as bar,
-            read_batches(self._recipe, self._task, self._processes, first) as batches,
+            read_batches(self._task, self._processes, first) as batches,
         ):
             self._score_start(board)
             self._take_steps(batches, board, bar)
@@ -154,7 +149,6 @@ class _Loop:
                 self._results.pop("before", None)  # it was another network's
         write_validation(
             networks,
-            self._recipe.model.class_table,
             self._task,
             self._run.out / PAGE,
             known=self._results,
@@ -195,20 +189,18 @@ class _Loop:
 
     def _score(self, name: str, network: Network, board: Board) -> None:
         """Validate; the first process alone writes the table and the best weights."""
-        recipe, step = self._recipe.validation, self.state.step
+        step = self.state.step
         self._results[name] = validate(
             name,
             network,
-            self._recipe.model.class_table,
             self._task,
             self._processes,
             board,
             step,
-            pictures=recipe.pictures,
             stop=self._run.stop,
         )
         figures = {result.row.data: result.row.figures for result in self._results[name]}
-        if self._scores and self._scores.add(step, figures, recipe.best):
+        if self._scores and self._scores.add(step, figures, self._recipe.validation.best):
             save_checkpoint(self._run.out / BEST, network, training=self._facts())
 
     def _released(self) -> Network:

@@ -17,7 +17,7 @@ from runtime.base.errors import CheckpointError, InputError, SSDNetError
 from runtime.files.atomic_write import atomic_write
 from training.distributed import Processes, share_network
 from training.loading.mixture import Batch
-from training.recipe import Recipe, ScheduleRecipe
+from training.recipe import ScheduleRecipe
 from training.task import Task
 
 # `Network.forward`, or its distributed wrapper.
@@ -45,20 +45,19 @@ class TrainingState:
     """Network, loss, optimiser and averaged weights at a step.
 
     Args:
-        recipe: the recipe.
         task: what it trains on what.
         processes: the processes that train together.
         out: folder of the run, for errors.
     """
 
-    def __init__(self, recipe: Recipe, task: Task, processes: Processes, out: Path) -> None:
+    def __init__(self, task: Task, processes: Processes, out: Path) -> None:
         self.step = 0
-        self._recipe, self._processes, self._out = recipe, processes, out
+        self._recipe, self._processes, self._out = task.recipe, processes, out
         self._network, self.criterion, self._teacher = task.network, task.criterion, task.teacher
         self._optimizer = task.optimizer
         self._peaks = [group["lr"] for group in task.optimizer.param_groups]
         # Buffers are averaged too: batch statistics must fit the averaged weights.
-        update = exponential_average(recipe.loop.ema_decay)
+        update = exponential_average(task.recipe.loop.ema_decay)
         self._average = AveragedModel(task.network, multi_avg_fn=update, use_buffers=True)
         self._forward = share_network(task.network, processes)
 

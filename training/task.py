@@ -41,7 +41,7 @@ from training.losses import SSDNetLoss, class_weights
 from training.losses.terms import Term
 from training.network import build_network
 from training.optimizer import build_optimizer
-from training.recipe import DataRecipe, OptimizerRecipe, Recipe
+from training.recipe import DataRecipe, OptimizerRecipe, Recipe, ValidationRecipe
 from training.run import TrainingRun
 from training.stop_signal import Stop, Watched
 
@@ -54,11 +54,10 @@ class Task:
     """An opened recipe.
 
     Attributes:
+        recipe: the recipe as it was given.
         data: the data of the recipe, with a crop for its sets and no more workers than cores.
         sources: the sets of the mixture.
         validation: the validation sets by title.
-        lidar: the LiDAR input of the validation.
-        farthest_m: the farthest true depth [m] that the validation scores.
         network: on the device of the process; only the parts that are trained have gradients.
         criterion: the loss, on the same device.
         optimizer: the optimiser of network and loss, at the recipe's rates.
@@ -69,11 +68,10 @@ class Task:
         teacher: the network whose answers are learned, on the same device; None: no teacher.
     """
 
+    recipe: Recipe
     data: DataRecipe
     sources: Sequence[SampleSource]
     validation: Mapping[str, SampleSource]
-    lidar: LidarInput
-    farthest_m: float
     network: Network
     criterion: SSDNetLoss
     optimizer: torch.optim.Optimizer
@@ -120,11 +118,10 @@ def open_task(
     for text in warnings if processes.is_first else ():
         tqdm.write(f"warning: {text}", file=sys.stderr)
     task = Task(
+        recipe=recipe,
         data=decided,
         sources=sets.sources,
         validation=sets.validation,
-        lidar=LidarInput.parse(recipe.validation.lidar),
-        farthest_m=recipe.validation.farthest_m,
         network=network,
         criterion=criterion,
         optimizer=optimizer,
@@ -220,10 +217,8 @@ def _doubts_of_validation(
                 f"{count} of the {len(source)} frames of {title} are also trained on: its "
                 "scores do not hold for other frames"
             )
-    lidar = LidarInput.parse(recipe.validation.lidar)
     for title, source in sets.validation.items():
-        seen = Watched(source, stop)
-        if not _gives_scores(recipe.validation.best, network, title, seen, lidar):
+        if not _gives_scores(recipe.validation, network, title, Watched(source, stop)):
             yield f"{title} has no ground truth for a head: it gives no scores"
 
 
@@ -297,13 +292,14 @@ def _learning_heads(network: Network, rates: OptimizerRecipe) -> set[str]:
 
 
 def _gives_scores(
-    best: str, network: Network, title: str, source: SampleSource, lidar: LidarInput
+    recipe: ValidationRecipe, network: Network, title: str, source: SampleSource
 ) -> bool:
     """Return whether a set gives scores.
 
     Raises InputError if it lacks the LiDAR, or the score of `validation.best`.
     """
-    name, _, figure = best.rpartition("/")
+    name, _, figure = recipe.best.rpartition("/")
+    lidar = LidarInput.parse(recipe.lidar)
     for count in (_SCORED, FREQUENCY_SAMPLES):  # mostly few frames are enough
         spread = range(0, len(source), math.ceil(len(source) / count))
         known = figure_names(network, source, spread, lidar)
@@ -311,6 +307,7 @@ def _gives_scores(
             return True
     if name == title:
         raise InputError(
-            f"validation.best = {best!r}; {title} gives {', '.join(known)}: choose one of these"
+            f"validation.best = {recipe.best!r}; {title} gives {', '.join(known)}: choose one of "
+            "these"
         )
     return False

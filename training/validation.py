@@ -12,7 +12,6 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from models import Network
-from training.datasets.class_mapping import ClassTable, list_classes
 from training.distributed import Processes
 from training.evaluation.evaluate import Evaluation
 from training.evaluation.pictures import draw_pictures
@@ -20,6 +19,7 @@ from training.evaluation.score_set import EvaluatedSet, Feed, Result, score_set
 from training.evaluation.scored_model import open_network
 from training.evaluation.scoring import scored_classes
 from training.evaluation.shared_classes import ScoredClasses
+from training.lidar.split import LidarInput
 from training.run_folder import folder_errors
 from training.score_table import SHOWN
 from training.state import Step
@@ -72,7 +72,6 @@ class Board:
 
 def write_validation(
     networks: Mapping[str, Network],
-    table: ClassTable,
     task: Task,
     path: Path,
     *,
@@ -82,8 +81,7 @@ def write_validation(
     """Write the page of networks on the validation sets, see `training.evaluation.page`.
 
     Args:
-        networks: name -> network, of the same classes; the first is what others are compared with.
-        table: their classes.
+        networks: name -> network, of the recipe's classes; others are compared with the first.
         task: the task that holds the sets.
         path: path of the page.
         known: results of `validate` by name of the network; networks without are scored.
@@ -91,7 +89,7 @@ def write_validation(
     """
     from training.evaluation.page import write_page  # only where a page is made
 
-    sets = _open_sets(task, table, stop)
+    sets, table = _open_sets(task, stop), task.recipe.model.class_table
     models = {name: open_network(network, table) for name, network in networks.items()}
     with suppress(StopRequested):
         results = [
@@ -106,28 +104,28 @@ def write_validation(
         tqdm.write(f"the page of the validation: {path}", file=sys.stderr)
 
 
-def _open_sets(task: Task, table: ClassTable, stop: Stop) -> list[EvaluatedSet]:
-    classes = ScoredClasses(table, tuple(info.name for info in list_classes(table)))
+def _open_sets(task: Task, stop: Stop) -> list[EvaluatedSet]:
+    recipe = task.recipe
+    classes = ScoredClasses(recipe.model.class_table, tuple(recipe.model.class_names))
+    farthest_m = recipe.validation.farthest_m
     return [
-        EvaluatedSet(name, Watched(source, stop), classes, range(len(source)), task.farthest_m)
+        EvaluatedSet(name, Watched(source, stop), classes, range(len(source)), farthest_m)
         for name, source in task.validation.items()
     ]
 
 
 def _feed(task: Task) -> Feed:
-    return task.lidar, "none"
+    return LidarInput.parse(task.recipe.validation.lidar), "none"
 
 
 def validate(
     name: str,
     network: Network,
-    table: ClassTable,
     task: Task,
     processes: Processes,
     board: Board,
     step: int,
     *,
-    pictures: int,
     stop: Stop,
 ) -> list[Result]:
     """Score the network, each process on its share of the frames; show scores and pictures.
@@ -138,8 +136,8 @@ def validate(
     Returns:
         The result of each set, named `name`.
     """
-    sets = _open_sets(task, table, processes.own_stop(stop))
-    model = open_network(network, table)
+    sets = _open_sets(task, processes.own_stop(stop))
+    model = open_network(network, task.recipe.model.class_table)
     results = [
         result
         for data in sets
@@ -159,7 +157,8 @@ def validate(
     text = ", ".join(f"{key} {score:.4f}{words.get(key, '')}" for key, score in shown.items())
     tqdm.write(f"step {step}: {text}", file=sys.stderr)
     for data in sets:
-        drawn = draw_pictures(model.predict, data.source, network, lidar=task.lidar, count=pictures)
+        (lidar, _), count = _feed(task), task.recipe.validation.pictures
+        drawn = draw_pictures(model.predict, data.source, network, lidar=lidar, count=count)
         for frame, picture in drawn:
             board.add_picture(f"{data.title}/{frame}", picture, step)
     return results

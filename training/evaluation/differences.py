@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from training.evaluation.metrics import class_iou
+from training.evaluation.score_report import Row
 from training.evaluation.score_set import FrameScore, Result
 
 # Number of draws, and their seed.
@@ -39,30 +40,22 @@ class Difference:
     """A model compared with another on the frames of one set with one input.
 
     Attributes:
-        model: the model that is judged.
+        row: the score of the model that is judged.
         against: the model with which it is compared.
-        data: the set.
-        lidar: the LiDAR input.
-        fault: fault of the input.
-        frames: number of frames.
         groups: number of places or drives that were drawn; 0 if single frames were drawn.
         figures: for "miou", "mae_m" and "rmse_m", the value of the model minus that of the other,
             if both have it.
     """
 
-    model: str
+    row: Row
     against: str
-    data: str
-    lidar: str
-    fault: str
-    frames: int
     groups: int
     figures: Mapping[str, Interval] = field(default_factory=dict)
 
     def verdict(self, figure: str) -> str:
         """Return "better", "worse", "not distinguishable on N frames" or "too few frames"."""
-        if self.frames < LEAST_DRAWN:
-            return f"too few frames: {self.frames}, at least {LEAST_DRAWN} are needed"
+        if self.row.frames < LEAST_DRAWN:
+            return f"too few frames: {self.row.frames}, at least {LEAST_DRAWN} are needed"
         _, low, high = self.figures[figure]
         if low <= 0 <= high:
             return f"not distinguishable on {self.sample}"
@@ -71,7 +64,7 @@ class Difference:
     @property
     def sample(self) -> str:
         """The basis of the verdict, in words."""
-        return f"{self.frames} frames" + f" of {self.groups} places" * bool(self.groups)
+        return f"{self.row.frames} frames" + f" of {self.groups} places" * bool(self.groups)
 
 
 def compare(results: Sequence[Result]) -> list[Difference]:
@@ -87,14 +80,8 @@ def compare(results: Sequence[Result]) -> list[Difference]:
         first = firsts.setdefault((row.data, row.lidar, row.fault), result)
         if first is not result and (figures := dict(_differences(first, result))):
             groups = len({frame.group for frame in result.frames})
-            found.append(
-                Difference(
-                    *(row.model, first.row.model, row.data, row.lidar, row.fault),
-                    frames=len(result.frames),
-                    groups=groups if groups >= LEAST_DRAWN else 0,
-                    figures=figures,
-                )
-            )
+            groups = groups if groups >= LEAST_DRAWN else 0
+            found.append(Difference(row, first.row.model, groups, figures))
     return found
 
 

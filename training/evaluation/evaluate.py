@@ -152,7 +152,7 @@ def score_models(options: EvaluationOptions) -> Evaluation:
             "no data to score on: give --data KIND:FOLDER, or the folder of a run whose recipe has "
             "validation sets"
         )
-    feeds = options.feeds("own" if own is None else own.lidar)
+    feeds = options.feeds("own" if own is None else own.recipe.validation.lidar)
     with ExitStack() as stack:
         models = _open_models(options, runs, stack)
         opened = _open_sets(options, sets, own, models)
@@ -199,8 +199,9 @@ def _open_sets(
         run: the run that has them for its validation; None if they were named.
         models: the models by name.
     """
-    ids = None if run is None else run.table
-    farthest_m = options.farthest_m or (FARTHEST_M if run is None else run.farthest_m)
+    ids, farthest_m = None, FARTHEST_M
+    if run is not None:
+        ids, farthest_m = run.recipe.model.class_table, run.recipe.validation.farthest_m
     tables = {name: model.table for name, model in models.items() if model.table}
     own = [recipe.label_table or ids or () for recipe in recipes]
     joined = join_names(options.join or {}, [*own, *tables.values()])
@@ -211,7 +212,9 @@ def _open_sets(
         classes = share_classes(recipe, title, tables, ids=ids, joined=joined)
         source = open_dataset(recipe, [Path()], classes=classes.table)
         indices = spread_indices(source, options.limit or len(source))
-        opened.append(EvaluatedSet(title, source, classes, indices, farthest_m))
+        opened.append(
+            EvaluatedSet(title, source, classes, indices, options.farthest_m or farthest_m)
+        )
     return opened
 
 

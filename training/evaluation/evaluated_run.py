@@ -8,7 +8,6 @@ from pathlib import Path
 
 from models.checkpoint import BEST, FINAL, RECIPE
 from runtime.base.errors import DatasetError, InputError
-from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import SampleSource
 from training.datasets.source_recipe import SourceRecipe
 from training.loading.open_dataset import open_dataset
@@ -24,16 +23,12 @@ class EvaluatedRun:
     Attributes:
         model: its checkpoint, model.pt, or best.pt if the run is not finished.
         sets: its validation sets, with absolute paths.
-        lidar: the LiDAR input of its validation.
-        table: the classes of its labels.
-        farthest_m: farthest true depth [m] that its validation scores.
+        recipe: its recipe.
     """
 
     model: Path
     sets: Sequence[SourceRecipe]
-    lidar: str
-    table: ClassTable
-    farthest_m: float
+    recipe: Recipe
 
 
 def read_run(folder: Path) -> EvaluatedRun:
@@ -56,8 +51,7 @@ def read_run(folder: Path) -> EvaluatedRun:
         )
     recipe, roots = _read(path)
     sets = [_find(source, roots, folder) for source in recipe.validation.source]
-    scored = recipe.validation
-    return EvaluatedRun(model, sets, scored.lidar, recipe.model.class_table, scored.farthest_m)
+    return EvaluatedRun(model, sets, recipe)
 
 
 def open_training_sets(folder: Path) -> list[SampleSource]:

@@ -53,7 +53,7 @@ def write_page(found: Evaluation, path: Path, *, overwrite: bool = True, title: 
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "machine": f"{facts.processor}, {facts.logical_cores} logical cores",
         "differences": [
-            (item.model, item.data, *cells, *_judged(verdict, item.against))
+            (item.row.model, item.row.data, *cells, *_judged(verdict, item.against))
             for item, cells, verdict in difference_rows(found.differences)
         ],
         "groups": list(_groups(found.results)),
@@ -231,10 +231,9 @@ def _ticks(end: float) -> list[float]:
 def _worst(frames: Sequence[WorstFrame]) -> Iterator[tuple[str, list[Any], list[dict[str, Any]]]]:
     """Yield heading, legend and frames for each model, set and head."""
     marks = dict(_MARKS)
-    for (model, data, lidar, head), group in groupby(
-        frames, lambda frame: (frame.model, frame.data, frame.lidar, frame.head)
-    ):
+    for (key, head), group in groupby(frames, lambda frame: (frame.row.key, frame.head)):
         found = list(group)
+        model, data, lidar, _ = key
         what = "classes" if head == "semantic" else "depth"
         yield (
             f"Worst {what} of {model} on {data}, LiDAR {lidar}",

@@ -174,7 +174,7 @@ def format_differences(differences: "Sequence[Difference]", *, width: int | None
         found = [item for item in differences if item.against == against]
         cells = [["model", "data", "LiDAR", "figure", "change", "95 % interval", f"than {against}"]]
         for item, row, verdict in difference_rows(found):
-            cells.append([item.model, item.data, *row, verdict])
+            cells.append([item.row.model, item.row.data, *row, verdict])
         lines += ["", "", *_markdown(cells, keys=4, width=width)]
     return "\n".join(lines)
 
@@ -184,7 +184,7 @@ def difference_rows(
 ) -> "Iterator[tuple[Difference, list[str], str]]":
     """Yield each difference with input, figure, change and interval in words, and its verdict."""
     for item in differences:
-        lidar = item.lidar if item.fault == "none" else f"{item.lidar}, {item.fault}"
+        lidar = item.row.lidar + f", {item.row.fault}" * (item.row.fault != "none")
         for column in (column for column in COLUMNS if column.key in item.figures):
             values = [column.factor * each for each in item.figures[column.key]]
             change, low, high = (f"{value:+.{column.digits}f}" for value in values)
@@ -293,7 +293,7 @@ def write_json(rows: Sequence[Row], path: Path, differences: "Sequence[Differenc
     for row in rows:
         document = asdict(row)
         for item in differences:
-            if (item.model, item.data, item.lidar, item.fault) == row.key:
+            if item.row.key == row.key:
                 document["against"] = item.against
                 document["differences"] = {
                     figure: {**each._asdict(), "verdict": item.verdict(figure)}

@@ -13,6 +13,7 @@ from runtime.drawing.encode import encode_jpeg
 from runtime.drawing.overlay import Overlay
 from training.datasets.class_mapping import list_classes
 from training.datasets.sample import IGNORE, Sample
+from training.evaluation.score_report import Row
 from training.evaluation.score_set import EvaluatedSet, Result, split_feeds
 from training.evaluation.scored_model import ScoredModel
 from training.evaluation.scoring import HeadMaps
@@ -38,10 +39,8 @@ class WorstFrame:
     """A frame with a large error of a model.
 
     Attributes:
-        model: the model with the error.
+        row: the score of the model with the error on the set.
         other: the model that is drawn beside it; "" if there is none.
-        data: the set.
-        lidar: the LiDAR input.
         head: "semantic" or "depth".
         name: name of the frame.
         error: share of wrong pixels, or MAE [m].
@@ -50,10 +49,8 @@ class WorstFrame:
         legend: name and colour (red, green, blue) of the classes; () for the depth.
     """
 
-    model: str
+    row: Row
     other: str
-    data: str
-    lidar: str
     head: str
     name: str
     error: float
@@ -110,7 +107,7 @@ def _draw(
         target = np.where(frame.target <= data.farthest_m, frame.target, np.float32(0))
         other = drawn[1].row.model if len(drawn) > 1 else ""
         yield WorstFrame(
-            *(row.model, other, data.title, row.lidar, head, sample.name),
+            *(row, other, head, sample.name),
             errors[0][index],
             errors[1].get(index) if other else None,
             _panels(overlay, sample, target, answers, head, [row.model, other]),

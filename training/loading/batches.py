@@ -14,20 +14,19 @@ from runtime.command.process import leave_signals_to_parent
 from training.datasets.sample import SampleSource
 from training.distributed import Processes
 from training.loading.mixture import Batch, CachedSource, Mixture, MixturePart
-from training.recipe import DataRecipe, Recipe
+from training.recipe import DataRecipe
 from training.task import Task
 
 
 @contextmanager
-def read_batches(
-    recipe: Recipe, task: Task, processes: Processes, step: int
-) -> Iterator[Iterator[Batch]]:
+def read_batches(task: Task, processes: Processes, step: int) -> Iterator[Iterator[Batch]]:
     """Yield this process's batches from a step to the end, and end the workers with the block.
 
     Workers ignore SIGTERM: while a traceback keeps the iterator, Python would wait for them at
     exit for ever.
     """
-    steps, batch = recipe.schedule.steps, task.data.batch_size
+    recipe, batch = task.recipe, task.data.batch_size
+    steps = recipe.schedule.steps
     per_step = recipe.loop.accumulate * batch * processes.count
     parts = _list_parts(task.data, task.sources)
     loader = DataLoader(

@@ -31,7 +31,7 @@ def test_differences_are_of_the_sums_of_all_frames_and_their_signs_are_judged():
     better = result("b", base - 0.1, hits=[8] * 40)
     other = result("c", base + rng.normal(0, 0.1, 40), hits=[5] * 40)
     good, same = compare([first, better, other])
-    assert (good.model, good.against, good.frames, good.groups) == ("b", "a", 40, 0)
+    assert (good.row.model, good.against, good.row.frames, good.groups) == ("b", "a", 40, 0)
     assert good.figures["mae_m"] == pytest.approx((-0.1, -0.1, -0.1))  # of every pair alike
     # Of ten pixels of road and five of car: 8 / 10 and 5 / 7, before 5 / 10 and 5 / 10.
     assert good.figures["miou"].value == pytest.approx((8 / 10 + 5 / 7) / 2 - 1 / 2)
