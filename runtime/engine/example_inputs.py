@@ -24,7 +24,9 @@ _NAMES = {"C": "c|.*channels?", "H": "h|rows|.*height", "W": "w|columns|.*width"
 def make_feeds(
     inputs: Sequence[Any], *, size: tuple[int, int], batch: int
 ) -> tuple[Feeds, tuple[str, ...]]:
-    """Fill a session's inputs; return them and `Opened.notes`. Raises InputError.
+    """Fill a session's inputs; return them, and what of `size` and `batch` no input takes.
+
+    Raises InputError.
 
     Free axes are the batch, height, width and 3 channels, see `_free_axes`; other axes are fixed.
     The name of an axis has the same meaning in all inputs.

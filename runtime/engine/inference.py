@@ -77,7 +77,7 @@ def to_prediction(
     """
     started = time.perf_counter()
     found = output_faults(outputs, contract)
-    heads = resize_outputs(outputs, frame)
+    heads = at_frame_size(outputs, frame)
     latency_ms = *times_ms, (time.perf_counter() - started) * 1e3
     return Prediction(
         heads=heads,
@@ -94,10 +94,14 @@ def to_prediction(
     )
 
 
-def resize_outputs(
+def at_frame_size(
     outputs: Mapping[str, NDArray[Any]], frame: NetworkInput
 ) -> dict[str, NDArray[Any]]:
-    """Convert a frame's outputs, head -> array, to metres and to the frame's size, in place."""
+    """Return a frame's outputs, head -> array, in metres and at the frame's size.
+
+    The depth is moved to the frame's own returns, see `move_to_returns`; the given arrays may be
+    changed.
+    """
     if frame.scale.factor != 1:
         for name, values in outputs.items():
             if HEADS[name].unit is Unit.METRES:

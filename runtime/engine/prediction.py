@@ -28,7 +28,10 @@ class Latency:
 
 @dataclass(frozen=True)
 class Cleaned:
-    """Numbers of sparse depth pixels that were changed; the first three kinds were set to 0."""
+    """Numbers of depth pixels that were changed, and of points that were left out.
+
+    The first three kinds of pixels were set to 0.
+    """
 
     nan: int = 0  # also 65535 in 16 bits, which marks pixels without a measurement
     infinite: int = 0
@@ -93,7 +96,7 @@ class Prediction(HeadArrays):
         valid: False if an output holds NaN, Inf, an unknown class or a value out of its range;
             `degraded` then has the reason.
         degraded: reasons why the answer is less reliable than usual; () in the normal case.
-        cleaned: numbers of depth pixels that were changed.
+        cleaned: numbers of depth pixels that were changed, and of points that were left out.
         depth_returns: number of depth pixels used.
         range_m: depth range of the frame in metres; no answer is farther.
         stamp: the stamp that was given to `predict`.

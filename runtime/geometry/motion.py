@@ -1,6 +1,5 @@
 """Motion compensation: the returns of a scan are moved to the time of an image."""
 
-from dataclasses import replace
 from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
@@ -13,6 +12,7 @@ from runtime.contract.degraded import DEPTH_REUSED, DEPTH_UNCOMPENSATED, POINTS_
 from runtime.geometry.assumptions import assume
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.poses import NoPoseError, PoseFrame, PoseTrack, check_pose_frame
+from runtime.geometry.projection import project_points
 from runtime.geometry.returns import check_points, coordinates_of, is_return
 
 DepthMotion = Literal["each", "scan", "none"]
@@ -252,7 +252,10 @@ def project_compensated(
         rows = _in_front(xyz, table, extrinsics)
         points = np.empty((3, len(rows)), np.float32).T  # read fastest by the projection
         _move(xyz.take(rows, axis=1), times.take(rows), table, points)
-    return replace(calibration, extrinsics=extrinsics).project(points, size)
+    # The transform holds the car's motion, too, which a calibration would take for the mount.
+    return project_points(
+        points, calibration.intrinsics, extrinsics, size, lens=calibration.lens_model
+    )
 
 
 class _Table(NamedTuple):

@@ -74,7 +74,7 @@ SOURCE_KEYS = {
     "info_topic": SourceKey("a topic", _text),
     "pose_topic": SourceKey("a topic or none", _text),
 }
-_PATHS = ("depth", "points", "timestamps", "poses")  # options whose values are paths
+_PATHS = ("depth", "points", "poses")  # options whose values are paths
 _RIG_NAMES = {each.name for each in fields(Rig)}
 
 

@@ -58,13 +58,13 @@ DROPPED = frozenset(Outcome) - UNMATCHED - ERRORS - {Outcome.ANSWERED}
 
 @dataclass(frozen=True, eq=False)
 class Message:
-    """An image, a scan or a depth map.
+    """A message of a sensor: an image, a scan, a depth map or a pose.
 
     Attributes:
         stamp: the stamp that was given, see `Stamp`; nanoseconds in a recording; None: not known.
         stamp_ns: the same in nanoseconds; 0 = not known.
-        data: uint8 (H, W, 3), a `Scan`, or float32 (H, W) in metres. While messages of a recording
-            are matched, this is the place where the source finds the data.
+        data: uint8 (H, W, 3), a `Scan`, float32 (H, W) in metres, or a pose, 4 x 4. While messages
+            of a recording are matched, this is the place where the source finds the data.
         arrived_ns: time when the message was pushed, by the clock of the stream.
     """
 

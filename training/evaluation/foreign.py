@@ -15,7 +15,7 @@ from runtime.contract.contract import ClassInfo
 from runtime.contract.model_file import read_onnx
 from runtime.contract.network_size import NetworkSize, network_size
 from runtime.contract.resize import Size, resize_nearest
-from runtime.engine.inference import resize_outputs
+from runtime.engine.inference import at_frame_size
 from runtime.engine.preprocess import NetworkInput, preprocess
 from runtime.engine.session import describe_error, open_session
 from runtime.files.atomic_write import atomic_write
@@ -123,7 +123,7 @@ class ForeignNetwork:
         if self.adapter.depth is not None:
             raw = _enlarge(self._plane(outputs[self.adapter.depth], self.adapter.depth), canvas)
             found["depth"] = self._metres(np.ascontiguousarray(raw[rows, columns]))
-        answer = HeadMaps(**resize_outputs(found, frame))
+        answer = HeadMaps(**at_frame_size(found, frame))
         return answer if ids is None else answer.with_semantic(ids)
 
     @property

@@ -15,7 +15,7 @@ from runtime.contract.canonical_focal import camera_scale
 from runtime.contract.contract import NO_CLASS
 from runtime.contract.heads import HEADS
 from runtime.contract.resize import Size
-from runtime.engine.inference import resize_outputs
+from runtime.engine.inference import at_frame_size
 from runtime.engine.prediction import HeadArrays
 from runtime.engine.preprocess import preprocess
 from training.datasets.sample import IGNORE, SampleSource, labelled
@@ -95,7 +95,7 @@ def torch_predict(
                     f"the network's {head} is not finite: its training diverged: take earlier "
                     "weights, such as best.pt of its run"
                 )
-        return HeadMaps(**resize_outputs(heads, frame))
+        return HeadMaps(**at_frame_size(heads, frame))
 
     return predict
 

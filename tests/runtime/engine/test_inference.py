@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from runtime.contract.canonical_focal import CameraScale
-from runtime.engine.inference import output_faults, resize_outputs
+from runtime.engine.inference import at_frame_size, output_faults
 from runtime.engine.preprocess import preprocess
 
 
@@ -65,7 +65,7 @@ def test_the_depth_of_a_large_frame_moves_to_its_own_returns(feed, expected):
         scale_for=lambda size: CameraScale(2.0, 80.0, 500.0),
     )
     outputs = {name: np.full((40, 60), 20, np.float32) for name in ("depth", "depth_uncertainty")}
-    answers = resize_outputs(outputs, frame)
+    answers = at_frame_size(outputs, frame)
     assert answers["depth"].shape == (80, 120)
     np.testing.assert_allclose(answers["depth"][8:-8, 8:-8], expected, rtol=1e-4)
     assert (answers["depth_uncertainty"][8:-8, 8:-8] < 10).all() == feed

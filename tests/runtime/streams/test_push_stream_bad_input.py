@@ -77,6 +77,8 @@ def any_messages(random, count):
         yield kind, arrays[place[0]], stamps[place[1]], arrays is good[kind], stamps is STAMPS
 
 
+# Stamps are wrong on purpose: they may be those of two clocks.
+@pytest.mark.filterwarnings("ignore::runtime.geometry.assumptions.AssumptionWarning")
 @pytest.mark.parametrize("way", ["one thread", "three threads", "replay"])
 @pytest.mark.parametrize("seed", range(3))
 def test_bad_messages_are_refused_or_flagged_and_accounted_for(checked_predictor, way, seed):

@@ -22,7 +22,7 @@ def push(stream, sensor, time_ms, **options):
 
 
 def test_a_camera_of_20_hz_and_a_lidar_of_10_hz_have_depth_in_every_answer(setup):
-    made = setup(rig=Rig(calibration=CALIBRATION, pose_frame="lidar"))
+    made = setup(rig=Rig(calibration=CALIBRATION, pose_frame="lidar", scan_stamp="middle"))
     for time_ms, _, sensor in messages(until=1500):
         made.clock.advance_ms(time_ms - made.clock.now_ns() / MS)
         push(made.stream, sensor, time_ms)
@@ -44,7 +44,7 @@ def test_a_camera_of_20_hz_and_a_lidar_of_10_hz_have_depth_in_every_answer(setup
 
 
 def test_poses_that_arrive_late_are_extrapolated_live_for_100_ms(setup):
-    made = setup(rig=Rig(calibration=CALIBRATION, pose_frame="lidar"))
+    made = setup(rig=Rig(calibration=CALIBRATION, pose_frame="lidar", scan_stamp="middle"))
     for late_ms, fine in ((100, True), (101, False)):
         base = 1000 if fine else 1500
         for stamp in range(base, base + 200, 10):
@@ -62,7 +62,7 @@ def test_poses_that_arrive_late_are_extrapolated_live_for_100_ms(setup):
 
 
 def test_poses_are_accounted_for(setup):
-    made = setup(rig=Rig(calibration=CALIBRATION, pose_frame="lidar"))
+    made = setup(rig=Rig(calibration=CALIBRATION, pose_frame="lidar", scan_stamp="middle"))
     stream = made.stream
     for stamp in (0, 10, 10, 5, 2000, 30):
         push(stream, "pose", stamp)
