@@ -5,8 +5,8 @@ from torch import Tensor, nn
 
 from models import Network
 from models.answers import class_ids, head_maps, to_unit, with_thin_boundary
-from models.blocks import repeat, upsample
-from models.network import class_scores
+from models.blocks import upsample, upsample_nearest
+from models.network import to_class_grid
 from runtime.contract.heads import HEADS, Unit
 
 
@@ -51,12 +51,12 @@ class DeployGraph(nn.Module):
         answers = {}
         maps = head_maps(coarse)
         if "semantic" in maps:
-            scores, stride = class_scores(maps.pop("semantic"), self.model.semantic_stride)
+            scores, stride = to_class_grid(maps.pop("semantic"), self.model.semantic_stride)
             # Repeat and crop class ids (1 byte), not scores (4 bytes a class).
-            ids = repeat(class_ids(scores)[:, None], stride)
+            ids = upsample_nearest(class_ids(scores)[:, None], stride)
             answers["semantic"] = _crop(ids.squeeze(1), rgb)
             if self.with_logits:
-                answers["semantic_logits"] = _crop(repeat(scores, stride), rgb)
+                answers["semantic_logits"] = _crop(upsample_nearest(scores, stride), rgb)
 
         grids: dict[int, dict[str, Tensor]] = {}
         for head, values in maps.items():

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from models.blocks import repeat
+from models.blocks import upsample_nearest
 from models.network import CLASS_STRIDE, Network, NetworkOutput
 from runtime.contract.contract import NO_CLASS
 from runtime.contract.heads import HEADS, Unit
@@ -83,7 +83,7 @@ def with_thin_boundary(found: dict[str, Tensor]) -> dict[str, Tensor]:
     signs = ids.new_tensor([1.0, -1.0]).view(1, 2, 1, 1)
     differences = F.max_pool2d(ids * signs, 3, 1, 1).sum(dim=1, keepdim=True).clamp(0.5, 1.0)
     height, width = found["boundary"].shape[-2:]
-    differences = repeat(differences, CLASS_STRIDE)[:, 0, :height, :width]
+    differences = upsample_nearest(differences, CLASS_STRIDE)[:, 0, :height, :width]
     return found | {"boundary": found["boundary"] * differences}
 
 

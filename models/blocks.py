@@ -1,4 +1,4 @@
-"""Building blocks of the networks."""
+"""Building blocks of the networks; `BaConv` is Eq. 1 of the paper, the others are common ones."""
 
 import torch
 from torch import Tensor, nn
@@ -76,7 +76,7 @@ def conv_bn(
     )
 
 
-def double_bn_relu(in_channels: int, out_channels: int, *, bias: bool = True) -> nn.Sequential:
+def up_conv_bn_relu(in_channels: int, out_channels: int, *, bias: bool = True) -> nn.Sequential:
     """A transposed 3x3 convolution to twice the size, batch normalisation, ReLU."""
     return nn.Sequential(
         nn.ConvTranspose2d(in_channels, out_channels, 3, 2, 1, output_padding=1, bias=bias),
@@ -109,21 +109,21 @@ def upsample(x: Tensor, *, factor: int = 2, size: tuple[int, int] | None = None)
     """Bilinear upsampling with half-pixel centres, by an integer factor or to (height, width)."""
     if size is not None:
         return F.interpolate(x, size=size, mode="bilinear", align_corners=False)
-    return x if factor == 1 else _enlarge(x, factor)
+    return x if factor == 1 else enlarge(x, factor)
 
 
 @fast_on_cpu(fast_cpu.enlarge)
-def _enlarge(x: Tensor, factor: int) -> Tensor:
+def enlarge(x: Tensor, factor: int) -> Tensor:
     return F.interpolate(x, scale_factor=float(factor), mode="bilinear", align_corners=False)
 
 
-def repeat(x: Tensor, factor: int) -> Tensor:
+def upsample_nearest(x: Tensor, factor: int) -> Tensor:
     """Repeat each pixel of (N, C, h, w) `factor` times along both sides."""
     return x if factor == 1 else F.interpolate(x, scale_factor=float(factor), mode="nearest")
 
 
-def ramp(x: Tensor, slope: float, offset: float) -> Tensor:
-    """`slope * x + offset` limited to 0..1: in an exported graph one operation, not three."""
+def hard_sigmoid(x: Tensor, slope: float, offset: float) -> Tensor:
+    """`slope * x + offset` limited to 0..1: in an exported graph one HardSigmoid, not three."""
     if torch.compiler.is_exporting():
         return torch.onnx.ops.symbolic(
             "HardSigmoid", [x], {"alpha": slope, "beta": offset}, dtype=x.dtype, shape=x.shape

@@ -52,7 +52,7 @@ def _join_cells(x: Tensor, side: int, join: Callable[[Tensor, Tensor], Tensor]) 
     return x
 
 
-def means_around(x: Tensor, window: int) -> Tensor:
+def window_means(x: Tensor, window: int) -> Tensor:
     """Sums of shifted maps, see `cell_means`."""
     half = window // 2
     x = F.pad(x, (half, half, half, half))
@@ -65,7 +65,7 @@ def means_around(x: Tensor, window: int) -> Tensor:
     return x / window**2
 
 
-def maxima_around(x: Tensor, window: int) -> Tensor:
+def window_maxima(x: Tensor, window: int) -> Tensor:
     """Maxima of shifted maps, see `cell_means`; each step doubles the window."""
     half = window // 2
     x = F.pad(x, (half, half, half, half), value=float("-inf"))
@@ -115,11 +115,11 @@ class _EnlargeFew(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
         gradient = gradients[0].float().contiguous()
         for dim in (2, 3):
-            gradient = _sum_under_tents(gradient, dim, ctx.factor)
+            gradient = _upsampling_gradient(gradient, dim, ctx.factor)
         return gradient.to(gradients[0].dtype), None
 
 
-def _sum_under_tents(gradient: Tensor, dim: int, factor: int) -> Tensor:
+def _upsampling_gradient(gradient: Tensor, dim: int, factor: int) -> Tensor:
     """Adjoint of linear upsampling along one dimension."""
     cells = gradient.unflatten(dim, (-1, factor))
     count = cells.shape[dim]

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from models.blocks import repeat, upsample
+from models.blocks import upsample, upsample_nearest
 from models.classes import CAMVID_CLASSES
 from runtime.base.checks import shown
 from runtime.contract.contract import (
@@ -205,7 +205,7 @@ class Network(nn.Module):
         logits, depths, boundary = coarse.semantic_logits, coarse.depths, coarse.boundary_logits
         scale, side = coarse.depth_uncertainty, self.semantic_stride
         if logits is not None and upsample_semantic:
-            logits = repeat(*class_scores(logits, side))[:, :, :height, :width]
+            logits = upsample_nearest(*to_class_grid(logits, side))[:, :, :height, :width]
         elif logits is not None:
             logits = logits[:, :, : -(-height // side), : -(-width // side)]
         if depths is not None:
@@ -244,7 +244,7 @@ class Network(nn.Module):
         return torch.where(valid_mask, sparse_depth.clamp(max=limit), 0.0) / limit, valid_mask
 
 
-def class_scores(logits: Tensor, stride: int) -> tuple[Tensor, int]:
+def to_class_grid(logits: Tensor, stride: int) -> tuple[Tensor, int]:
     """Upsample the class scores to the grid on which classes are decided, and return its stride.
 
     logits: (N, C, h, w), on a grid of `stride`. See CLASS_STRIDE.

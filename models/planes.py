@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
-from models.blocks import ramp, upsample
-from models.pooling import cell_maxima, cell_means, maxima_around
+from models.blocks import hard_sigmoid, upsample
+from models.pooling import cell_maxima, cell_means, window_maxima
 
 # Side of a cell of the planes [pixels], and how often their grid is halved: up to a stride of 32.
 CELL, LEVELS = 4, 3
@@ -97,23 +97,23 @@ def fit_base(inverse: Tensor, mask: Tensor, extremes: Tensor) -> PlaneFit:
             return fit_base(inverse, mask, extremes)
     pixels = torch.cat([mask, inverse], dim=1)
     plane = fit_planes(pixels, extremes)
-    moments = _convolve(pixels, _cell_kernel(BASE_CELL)[:4], stride=BASE_CELL)
+    moments = cell_moments(pixels, BASE_CELL, 4)
     base = add_residuals(upsample(plane, factor=CELL // BASE_CELL), moments)
     return PlaneFit(plane, base, moments[:, :1])
 
 
 def fit_planes(pixels: Tensor, extremes: Tensor) -> Tensor:
     """Return `PlaneFit.inverse_plane`; pixels: mask and inverse depth, (N, 2, H, W)."""
-    grids = [_convolve(pixels, _cell_kernel(CELL), stride=CELL)]
+    grids = [cell_moments(pixels, CELL)]
     for _ in range(LEVELS):
-        grids.append(_convolve(grids[-1], _coarser_kernel(), stride=2))
+        grids.append(coarser_moments(grids[-1]))
     largest, smaller = COARSE_WINDOWS
-    around = _window_moments(grids[-1], largest)
-    moments = _window_moments(grids[-1], smaller) + LARGER_WINDOW_WEIGHT * _per_return(around)
+    around = window_moments(grids[-1], largest)
+    moments = window_moments(grids[-1], smaller) + LARGER_WINDOW_WEIGHT * _per_return(around)
     slope_weight = _slope_weight(torch.cat([around, moments])).unflatten(0, (2, -1)).amax(dim=0)
     for grid in reversed(grids[:-1]):
-        moments = _window_moments(grid, FINE_WINDOW) + _finer_moments(_per_return(moments))
-    plane = _solve_planes(moments, upsample(slope_weight, factor=2**LEVELS))
+        moments = window_moments(grid, FINE_WINDOW) + finer_moments(_per_return(moments))
+    plane = solve_planes(moments, upsample(slope_weight, factor=2**LEVELS))
     return _clip_to_returns(plane, extremes)
 
 
@@ -131,7 +131,8 @@ def add_residuals(plane: Tensor, moments: Tensor) -> Tensor:
     around = F.pad(plane, (1, 1, 1, 1), mode="replicate")
     predicted = (_convolve(around, _VALUE_AND_SLOPES) * moments[:, :3]).sum(dim=1, keepdim=True)
     count, residual = moments[:, :1], moments[:, 3:] - predicted
-    weight = ramp(residual.abs() / predicted.clamp(min=_LEAST_INVERSE), -1.0 / MAX_RESIDUAL, 2.0)
+    relative = residual.abs() / predicted.clamp(min=_LEAST_INVERSE)
+    weight = hard_sigmoid(relative, -1.0 / MAX_RESIDUAL, 2.0)
     grids = [torch.cat([residual, count], dim=1) * weight]
     for _ in range(RESIDUAL_LEVELS):
         grids.append(cell_means(grids[-1], 2) * 4.0)
@@ -166,7 +167,7 @@ def _slope_weight(moments: Tensor) -> Tensor:
     """
     _, central, shift = _central_moments(moments)
     distance = shift[:, :2] / (central[:, :2] + _LEAST_SPREAD)
-    return ramp(distance, -1.0, SLOPE_REACH + 1.0)
+    return hard_sigmoid(distance, -1.0, SLOPE_REACH + 1.0)
 
 
 def _central_moments(moments: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -182,7 +183,7 @@ def _central_moments(moments: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return mean, second - shift, shift
 
 
-def _solve_planes(moments: Tensor, slope_weight: Tensor) -> Tensor:
+def solve_planes(moments: Tensor, slope_weight: Tensor) -> Tensor:
     """Fit a plane to the returns around each centre: its value there, (N, 1, h, w).
 
     moments: (N, 9, h, w); slope_weight: the weight of both slopes, see `_slope_weight`.
@@ -205,7 +206,7 @@ _DIFFERENCES = np.kron(np.eye(3), [1.0, -1.0]).astype(np.float32)[:, :, None, No
 
 def _clip_to_returns(plane: Tensor, extremes: Tensor) -> Tensor:
     """Limit the plane to the inverse depths around it, see CLIP_WINDOW."""
-    around = maxima_around(cell_maxima(extremes, 2**LEVELS), CLIP_WINDOW)
+    around = window_maxima(cell_maxima(extremes, 2**LEVELS), CLIP_WINDOW)
     nearest, farthest = around.split(1, dim=1)
     least = nearest.clamp(max=1.0) / farthest.clamp(min=_LEAST_INVERSE)  # 0 without returns
     nearest = torch.where(nearest > 0, nearest, torch.inf)
@@ -216,12 +217,22 @@ def _clip_to_returns(plane: Tensor, extremes: Tensor) -> Tensor:
     return torch.minimum(torch.maximum(plane, least), nearest)
 
 
-def _window_moments(moments: Tensor, window: int) -> Tensor:
+def cell_moments(pixels: Tensor, side: int, count: int = _NUM_MOMENTS) -> Tensor:
+    """Return the first `count` moments of each cell; pixels as in `fit_planes`."""
+    return _convolve(pixels, _cell_kernel(side)[:count], stride=side)
+
+
+def coarser_moments(moments: Tensor) -> Tensor:
+    """Return the moments of cells of twice the width."""
+    return _convolve(moments, _coarser_kernel(), stride=2)
+
+
+def window_moments(moments: Tensor, window: int) -> Tensor:
     """Return the moments of a window about each cell: a tent of half the width `window`."""
     return _convolve(moments, _window_kernel(window), padding=window - 1)
 
 
-def _finer_moments(moments: Tensor) -> Tensor:
+def finer_moments(moments: Tensor) -> Tensor:
     """Return the moments about the centres of finer cells, times LARGER_WINDOW_WEIGHT.
 
     A finer cell has half the width. Its moments are sums over the four closest cells, with bilinear

@@ -24,14 +24,14 @@ def cell_maxima(x: Tensor, side: int) -> Tensor:
     return F.max_pool2d(x, side)
 
 
-@fast_on_cpu(fast_cpu.means_around)
-def means_around(x: Tensor, window: int) -> Tensor:
+@fast_on_cpu(fast_cpu.window_means)
+def window_means(x: Tensor, window: int) -> Tensor:
     """Mean over the square window around each pixel, 0 beyond the map."""
     return F.avg_pool2d(x, window, 1, window // 2)
 
 
-@fast_on_cpu(fast_cpu.maxima_around)
-def maxima_around(x: Tensor, window: int) -> Tensor:
+@fast_on_cpu(fast_cpu.window_maxima)
+def window_maxima(x: Tensor, window: int) -> Tensor:
     """Maximum over the square window around each pixel.
 
     It is taken over columns first and then over rows, which is faster from 5 pixels on.
@@ -43,7 +43,7 @@ def maxima_around(x: Tensor, window: int) -> Tensor:
     return F.max_pool2d(columns, (1, window), 1, (0, half))
 
 
-def maxima_of_neighbours(x: Tensor) -> Tensor:
+def neighbour_maxima(x: Tensor) -> Tensor:
     """Maximum over the 24 pixels around each pixel, 0 beyond the map: (N, 1, H, W) -> same.
 
     Each shift is a channel, which makes two operations in an exported graph.

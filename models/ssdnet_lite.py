@@ -5,8 +5,8 @@ boundary-aware convolutions (Eq. 1, section 2.1.3). It departs from the paper in
 
 | part | the paper | here | why |
 |---|---|---|---|
-| encoder | VGG at full size | `EfficientNetLite`, `GlobalContext` | a hundredth of the work |
-| skips | concatenated | added, `AddUpBlock` | half of the work |
+| encoder | VGG at full size | `EfficientNetLite`, `GlobalContext` | a 62nd of the work |
+| skips | concatenated | added, `AddUpBlock` | less work |
 | LiDAR | a fourth input channel | `find_candidates`: surfaces and planes | other rigs |
 | depth | regressed at five strides | chosen among candidates, `SurfaceDepthHead` | sharp edges |
 

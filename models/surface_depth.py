@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from models.blocks import ConvBNReLU, ramp, upsample
+from models.blocks import ConvBNReLU, hard_sigmoid, upsample
 from models.decoders import AddUpBlock
 from models.planes import BASE_CELL, CELL
 from models.surfaces import (
@@ -332,7 +332,7 @@ def stretched_sigmoid(logits: Tensor) -> Tensor:
     that of the stretched sigmoid, so that the confidence can return.
     """
     share, slope = torch.sigmoid(logits), 1.0 + 2.0 * STRETCH
-    limited = ramp(share, slope, -STRETCH)
+    limited = hard_sigmoid(share, slope, -STRETCH)
     if not torch.is_grad_enabled():
         return limited
     return _straight_through(slope * share - STRETCH, limited)
@@ -388,8 +388,8 @@ def blend_with_returns(
 ) -> tuple[Tensor, Tensor]:
     """Replace the predicted depth by the closest return, weighted by the confidence in it.
 
-    At an edge the choice on a coarser grid is a ramp; a return is on one side of it. A LiDAR beside
-    the camera sees past near edges, so returns before and behind the predicted depth have
+    An edge is blurred on the coarser grid of the choice; a return is on one side of it. A LiDAR
+    beside the camera sees past near edges, so returns before and behind the predicted depth have
     confidences of their own. Where the parallax between both depths is too small for that, the
     return's depth is used without confidence: at the pixel of the return itself, and beside it if
     the return is farther by more than a slope explains.
@@ -408,9 +408,9 @@ def blend_with_returns(
     measured = 1.0 / returns.inverse
     step = measured - depth
     parallax = (chosen.inverse - returns.inverse).abs()
-    aligned = ramp(parallax, -1.0 / (max_depth_m * PARALLAX), 2.0)
+    aligned = hard_sigmoid(parallax, -1.0 / (max_depth_m * PARALLAX), 2.0)
     # It begins at a relative difference of SLOPE and is complete at twice SLOPE.
-    farther = ramp(measured * chosen.inverse, 1.0 / SLOPE, -1.0 / SLOPE - 1.0)
+    farther = hard_sigmoid(measured * chosen.inverse, 1.0 / SLOPE, -1.0 / SLOPE - 1.0)
     weight = torch.where(step < 0, before, behind)
     weight = (
         torch.maximum(weight, aligned * torch.maximum(returns.at_pixel, farther)) * returns.mask
@@ -418,7 +418,7 @@ def blend_with_returns(
     change = weight * step
     # The mean distance of both depths from their mean is twice this: w (1 - w) |step|.
     spread = ((1.0 - weight) * change).abs()
-    scale = chosen.scale * ramp(reduction * returns.mask, -MAX_SCALE_REDUCTION, 1.0)
+    scale = chosen.scale * hard_sigmoid(reduction * returns.mask, -MAX_SCALE_REDUCTION, 1.0)
     return depth + change, scale + SPREAD_SHARE * spread.detach()
 
 

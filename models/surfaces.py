@@ -17,14 +17,14 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from models.blocks import ramp
+from models.blocks import hard_sigmoid
 from models.planes import BASE_CELL, CELL, PlaneFit, fit_base
 from models.pooling import (
     cell_maxima,
     cell_means,
-    maxima_around,
-    maxima_of_neighbours,
-    means_around,
+    neighbour_maxima,
+    window_maxima,
+    window_means,
 )
 
 # Least normalised depth of a surface.
@@ -135,11 +135,11 @@ def remove_outliers(depth: Tensor, mask: Tensor, *, max_depth_m: float) -> Spars
     inverse = mask / depth.clamp(min=MIN_DEPTH)
     cells = cell_maxima(inverse, CELL)
     occupied = cells.clamp(max=1.0)  # an inverse depth is at least 1
-    count = 25.0 * means_around(occupied, 5) - occupied
+    count = 25.0 * window_means(occupied, 5) - occupied
     # Inverse depth beyond which a return is an outlier.
     limit = torch.where(
         count > OUTLIER_CELLS - 0.5,
-        (OUTLIER_RATIO * maxima_of_neighbours(cells)).clamp(min=max_depth_m / OUTLIER_M),
+        (OUTLIER_RATIO * neighbour_maxima(cells)).clamp(min=max_depth_m / OUTLIER_M),
         1.0 / MIN_DEPTH,
     )
     limit = F.interpolate(limit, scale_factor=float(CELL), mode="nearest")
@@ -162,10 +162,10 @@ def propagate_surfaces(sparse_depth: SparseDepth) -> tuple[Surfaces, PlaneFit]:
     extremes = cell_maxima(torch.cat([inverse, depth], dim=1), CELL)
     dilated = extremes
     for window in DILATION_WINDOWS:
-        dilated = torch.where(dilated > 0, dilated, maxima_around(dilated, window))
+        dilated = torch.where(dilated > 0, dilated, window_maxima(dilated, window))
     inverse_nearest, farthest = dilated.split(1, dim=1)
     support = inverse_nearest.clamp(max=1.0)  # an inverse depth is at least 1
-    maps = means_around(torch.cat([inverse_nearest, support], dim=1), 3)
+    maps = window_means(torch.cat([inverse_nearest, support], dim=1), 3)
     inverse_mean, supported = maps.split(1, dim=1)
     nearest = supported.clamp(min=1e-6) / inverse_mean.clamp(min=1e-6)
     fit = fit_base(inverse, mask, extremes)
@@ -228,7 +228,7 @@ MAX_BASE_WEIGHT = 0.5
 def compare_with_base(surfaces: Surfaces, fit: PlaneFit) -> BaseRatios:
     """Compare the surfaces with the base."""
     occupied = fit.return_count.clamp(max=1.0)
-    weight = (MAX_BASE_WEIGHT / 2) * (maxima_around(occupied, 3) + maxima_around(occupied, 5))
+    weight = (MAX_BASE_WEIGHT / 2) * (window_maxima(occupied, 3) + window_maxima(occupied, 5))
     maps = cell_means(torch.cat([fit.inverse_base, weight], dim=1), CELL // BASE_CELL)
     inverse_base, weight = maps.split(1, dim=1)
     nearest = torch.log(surfaces.nearest * inverse_base).clamp(-MAX_LOG_RATIO, 0.0)
@@ -238,7 +238,7 @@ def compare_with_base(surfaces: Surfaces, fit: PlaneFit) -> BaseRatios:
 
 def zero_if_same_surface(log_ratio: Tensor) -> Tensor:
     """Return 0 for one surface, the log ratio itself for two, see SAME_SURFACE."""
-    return log_ratio * ramp(log_ratio.abs(), 1.0 / SAME_SURFACE, -1.0)
+    return log_ratio * hard_sigmoid(log_ratio.abs(), 1.0 / SAME_SURFACE, -1.0)
 
 
 # Radius [pixels] of the square around a return in which it may replace the depth.
@@ -264,6 +264,6 @@ def dilate_returns(sparse_depth: SparseDepth) -> DilatedReturns:
     """Dilate the returns by RETURN_RADIUS pixels."""
     inverse, mask = sparse_depth.inverse, sparse_depth.mask
     for _ in range(RETURN_RADIUS):
-        inverse = inverse + (1.0 - mask) * maxima_around(inverse, 3)
+        inverse = inverse + (1.0 - mask) * window_maxima(inverse, 3)
         mask = inverse.clamp(max=1.0)  # an inverse depth is at least 1
     return DilatedReturns(inverse.clamp(min=1.0), mask, sparse_depth.mask)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from models.blocks import double_bn_relu, extend_to_multiple
+from models.blocks import extend_to_multiple, up_conv_bn_relu
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 # Dilations of the residual blocks at an eighth of the image.
@@ -32,10 +32,10 @@ class ERFNet(Network):
             *(Factorized(128, dilation=dilation, dropout=0.3) for dilation in _DILATIONS),
         )
         self.decoder = nn.Sequential(
-            double_bn_relu(128, 64),
+            up_conv_bn_relu(128, 64),
             Factorized(64),
             Factorized(64),
-            double_bn_relu(64, 16),
+            up_conv_bn_relu(64, 16),
             Factorized(16),
             Factorized(16),
         )

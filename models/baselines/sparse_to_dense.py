@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from models.baselines.residual import BasicBlock
-from models.blocks import ConvBNReLU, conv_bn, double_bn_relu, pad_to_multiple
+from models.blocks import ConvBNReLU, conv_bn, pad_to_multiple, up_conv_bn_relu
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 # Channels of ResNet-18's stages; each has two blocks (He et al. 2016).
@@ -40,7 +40,7 @@ class SparseToDense(Network):
         self.encoder = nn.Sequential(*layers, *conv_bn(in_channels, _DECODER[0], kernel=1))
         ups: list[nn.Module] = []
         for in_channels, channels in pairwise(_DECODER):
-            ups += double_bn_relu(in_channels, channels, bias=False)
+            ups += up_conv_bn_relu(in_channels, channels, bias=False)
         self.decoder = nn.Sequential(*ups)
         self.depth_head = nn.Conv2d(_DECODER[-1], 1, 3, padding=1)
         self.apply(initialise)

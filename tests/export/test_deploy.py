@@ -11,7 +11,7 @@ from torch import nn
 from export.deploy import DeployGraph
 from export.trace import trace
 from models import NetworkOutput
-from models.blocks import repeat
+from models.blocks import upsample_nearest
 from runtime.contract.contract import NO_CLASS
 from runtime.engine.session import open_session
 
@@ -68,7 +68,7 @@ def test_a_pixel_with_scores_that_are_not_finite_has_no_class(zero_at, answer_by
     coarse = network.predict_coarse(
         torch.from_numpy(rgb).permute(0, 3, 1, 2).float(), torch.zeros(3, 1, 32, 48)
     )
-    scores = repeat(coarse.semantic_logits, STRIDE)
+    scores = upsample_nearest(coarse.semantic_logits, STRIDE)
     expected = scores.argmax(dim=1).to(torch.uint8).numpy()
     unknown = semantic == NO_CLASS
     assert unknown[~torch.isfinite(scores).all(dim=1).numpy()].all()

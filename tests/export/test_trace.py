@@ -16,7 +16,7 @@ from export.parity import reference
 from export.probe_frames import probe_frames
 from export.trace import check_standard, trace
 from models import NetworkOutput
-from models.blocks import pad_to_multiple, repeat
+from models.blocks import pad_to_multiple, upsample_nearest
 from runtime.engine.session import open_session
 
 HEIGHT, WIDTH = 64, 96  # a multiple of the small network's stride, which is 8
@@ -145,7 +145,7 @@ def test_another_fixed_size_is_padded_and_cut():
     frame = probe_frames((rows, WIDTH), max_depth_m=80.0)[0]
     logits = run(open_model(model), [frame])["semantic_logits"][0]
     rgb = torch.from_numpy(frame.rgb).permute(2, 0, 1)[None].float()
-    answer = repeat(rgb[:, :, ::2, ::2], 2)[0, :, :rows]
+    answer = upsample_nearest(rgb[:, :, ::2, ::2], 2)[0, :, :rows]
     np.testing.assert_allclose(logits, answer, atol=1e-3)
 
 

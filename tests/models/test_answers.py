@@ -10,7 +10,7 @@ from torch.nn import functional as F
 from models import create_model
 from models.answers import answers, check_output, class_ids, with_thin_boundary
 from models.blocks import pad_to_multiple
-from models.network import CLASS_STRIDE, Network, NetworkConfig, NetworkOutput, class_scores
+from models.network import CLASS_STRIDE, Network, NetworkConfig, NetworkOutput, to_class_grid
 from runtime.contract.contract import NO_CLASS
 
 
@@ -48,10 +48,10 @@ def test_pixels_of_scores_that_are_not_finite_have_no_class():
 def test_classes_are_decided_on_a_grid_of_at_most_two_pixels():
     scores = torch.randn(1, 3, 4, 5)
     for stride, factor in ((1, 1), (2, 1), (4, 2), (8, 4)):
-        finer, decided = class_scores(scores, stride)
+        finer, decided = to_class_grid(scores, stride)
         assert decided == min(stride, CLASS_STRIDE)
         assert finer.shape[2:] == (4 * factor, 5 * factor)
-    assert torch.equal(class_scores(scores, 2)[0], scores)
+    assert torch.equal(to_class_grid(scores, 2)[0], scores)
 
 
 class Small(Network):

@@ -16,13 +16,13 @@ def interpolate(x, factor):
 CASES = [
     (pooling.cell_means, F.avg_pool2d, (1, 2, 4, 8)),
     (pooling.cell_maxima, F.max_pool2d, (1, 2, 4, 8)),
-    (pooling.means_around, lambda x, window: F.avg_pool2d(x, window, 1, window // 2), (3, 5, 9)),
+    (pooling.window_means, lambda x, window: F.avg_pool2d(x, window, 1, window // 2), (3, 5, 9)),
     (
-        pooling.maxima_around,
+        pooling.window_maxima,
         lambda x, window: F.max_pool2d(x, window, 1, window // 2),
         (3, 5, 7, 9, 15),
     ),
-    (blocks._enlarge, interpolate, (2, 4, 8)),
+    (blocks.enlarge, interpolate, (2, 4, 8)),
 ]
 SHAPES = [(1, 1, 8, 16), (2, 2, 16, 24), (2, 8, 24, 8), (1, 9, 8, 8)]
 ROUNDED = {"rtol": 2e-2, "atol": 4e-2}
@@ -61,7 +61,7 @@ def test_both_forms_are_pytorchs(operation, expected, arguments, shape, layout):
 @pytest.mark.parametrize("shape", SHAPES)
 def test_upsampling_in_bfloat16_is_as_exact_as_the_type(shape):
     x = maps(shape, torch.bfloat16)
-    assert_equal_forward_and_backward(blocks._enlarge, interpolate, [x], 4, **ROUNDED)
+    assert_equal_forward_and_backward(blocks.enlarge, interpolate, [x], 4, **ROUNDED)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
@@ -80,7 +80,7 @@ def test_maxima_of_neighbours_leave_the_pixel_itself_out():
     x = maps((2, 1, 9, 11)).abs()
     windows = F.unfold(x, 5, padding=2).view(-1, 25, 9, 11)
     windows[:, 12] = 0
-    assert torch.equal(pooling.maxima_of_neighbours(x), windows.amax(dim=1, keepdim=True))
+    assert torch.equal(pooling.neighbour_maxima(x), windows.amax(dim=1, keepdim=True))
 
 
 def test_the_fast_form_is_that_of_a_cpu_outside_an_exported_graph():

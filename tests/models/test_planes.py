@@ -55,8 +55,8 @@ def fitted(inverse, mask):
     return upsample(found.inverse_base, factor=BASE_CELL), found.return_count
 
 
-def sums_of(place, values, weights=1.0):
-    """Sums of returns at places (K, 2), below and to the right of the centre: (9,)."""
+def moments_of(place, values, weights=1.0):
+    """Moments of returns at places (K, 2), below and to the right of the centre: (9,)."""
     r, c = place.T
     ones = np.ones(len(place))
     terms = np.stack([ones, r, c, values, r * r, c * c, r * c, values * r, values * c])
@@ -113,7 +113,7 @@ def test_each_frame_of_a_batch_is_fitted_alone():
         assert torch.allclose(found[1:], expected, rtol=1e-5)
 
 
-def test_reduced_precision_around_it_does_not_reach_the_sums():
+def test_reduced_precision_around_it_does_not_reach_the_moments():
     mask = mask_of("lines")
     expected, _ = fitted(road(), mask)
     with torch.autocast("cpu", torch.bfloat16):
@@ -141,10 +141,10 @@ def test_a_return_of_another_surface_does_not_move_the_plane():
     mask[..., 33, 96] = 1
     plane = fit(road() * mask, mask).inverse_plane
     for factor, moved in ((1.1, True), (1.0 + 2.0 * planes.MAX_RESIDUAL + 0.05, False)):
-        sums = torch.zeros(1, 4, SIZE[0] // 2, SIZE[1] // 2)
-        sums[0, 0, 16, 48], sums[0, 3, 16, 48] = 1, factor * road()[0, 0, 33, 97]
+        moments = torch.zeros(1, 4, SIZE[0] // 2, SIZE[1] // 2)
+        moments[0, 0, 16, 48], moments[0, 3, 16, 48] = 1, factor * road()[0, 0, 33, 97]
         flat = upsample(plane)
-        assert bool((planes.add_residuals(flat, sums) - flat).abs().max() > 0.05) == moved
+        assert bool((planes.add_residuals(flat, moments) - flat).abs().max() > 0.05) == moved
 
 
 def test_the_difference_is_that_of_the_place_of_the_return_in_its_cell():
@@ -154,47 +154,45 @@ def test_the_difference_is_that_of_the_place_of_the_return_in_its_cell():
     at_cells = F.avg_pool2d(slope, BASE_CELL)
     mask = mask_of("at random")
     pixels = torch.cat([mask, slope * mask], dim=1)
-    kernel = planes._cell_kernel(BASE_CELL)[:4]
-    sums = planes._convolve(pixels, kernel, stride=BASE_CELL)
-    found = planes.add_residuals(at_cells, sums)
+    found = planes.add_residuals(at_cells, planes.cell_moments(pixels, BASE_CELL, 4))
     inside = (found / at_cells - 1).abs()[..., 16:-16, 16:-16]
     assert inside.max() < 1e-4
 
 
 @pytest.mark.parametrize("level", [0, 2])
 @pytest.mark.parametrize("window", [2, 4])
-def test_the_sums_of_a_window_are_those_of_a_loop_over_its_returns(level, window):
+def test_the_moments_of_a_window_are_those_of_a_loop_over_its_returns(level, window):
     rng = np.random.default_rng(1)
     mask = (rng.random(SIZE) < 0.05).astype(np.float32)
     inverse = rng.uniform(1, 50, SIZE).astype(np.float32) * mask
     pixels = torch.from_numpy(np.stack([mask, inverse]))[None]
-    sums = planes._convolve(pixels, planes._cell_kernel(CELL), stride=CELL)
+    moments = planes.cell_moments(pixels, CELL)
     for _ in range(level):
-        sums = planes._convolve(sums, planes._coarser_kernel(), stride=2)
+        moments = planes.coarser_moments(moments)
     side = CELL * 2**level
     row, column = 1, 3
-    found = planes._window_moments(sums, window)[0, :, row, column].numpy()
+    found = planes.window_moments(moments, window)[0, :, row, column].numpy()
     expected = np.zeros(9)
     for v, u in np.argwhere(mask):
         down = 1 - abs(v // side - row) / window
         right = 1 - abs(u // side - column) / window
         if down > 0 and right > 0:
             place = np.array([[(v + 0.5) / side - row - 0.5, (u + 0.5) / side - column - 0.5]])
-            expected += sums_of(place, inverse[v, u : u + 1], down * right)
+            expected += moments_of(place, inverse[v, u : u + 1], down * right)
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-3)
 
 
-def test_sums_of_finer_cells_are_those_of_the_four_closest_around_their_centre():
+def test_moments_of_finer_cells_are_those_of_the_four_closest_around_their_centre():
     rng = np.random.default_rng(3)
     shape = (3, 3)
     places, values = rng.uniform(-0.5, 0.5, (*shape, 6, 2)), rng.uniform(1, 9, (*shape, 6))
     cells = np.stack(
         [
-            [sums_of(places[row, column], values[row, column]) for column in range(3)]
+            [moments_of(places[row, column], values[row, column]) for column in range(3)]
             for row in range(3)
         ]
     )
-    found = planes._finer_moments(torch.from_numpy(cells).permute(2, 0, 1)[None])[0]
+    found = planes.finer_moments(torch.from_numpy(cells).permute(2, 0, 1)[None])[0]
     assert found.shape == (9, 6, 6)
     expected = np.zeros(9)
     for (row, down), (column, right) in itertools.product(
@@ -202,7 +200,7 @@ def test_sums_of_finer_cells_are_those_of_the_four_closest_around_their_centre()
     ):
         # The finer cell 2, 3 is the upper right of cell 1, 1; its side is 1.
         place = 2 * (places[row, column] + (row, column)) - (2 - 0.5, 3 - 0.5)
-        expected += sums_of(place, values[row, column], down * right)
+        expected += moments_of(place, values[row, column], down * right)
     expected *= planes.LARGER_WINDOW_WEIGHT
     np.testing.assert_allclose(found[:, 2, 3], expected, rtol=1e-6, atol=1e-6)
 
@@ -214,8 +212,8 @@ def test_a_plane_is_solved_by_ridge_regression_towards_no_slope(count):
     system = np.concatenate([np.insert(place, 0, 1, axis=1), np.zeros((2, 3))])
     system[-2:, 1:] = np.sqrt(planes.FLAT_WEIGHT) * np.eye(2)
     expected = np.linalg.lstsq(system, np.append(values, [0, 0]), rcond=None)[0]
-    sums = torch.from_numpy(sums_of(place, values)).view(1, 9, 1, 1)
+    moments = torch.from_numpy(moments_of(place, values)).view(1, 9, 1, 1)
     everywhere = torch.ones(1, 2, 1, 1, dtype=torch.float64)
-    assert planes._solve_planes(sums, everywhere).item() == pytest.approx(expected[0], rel=1e-6)
+    assert planes.solve_planes(moments, everywhere).item() == pytest.approx(expected[0], rel=1e-6)
     # Without slopes it is the mean.
-    assert planes._solve_planes(sums, 0 * everywhere).item() == pytest.approx(values.mean())
+    assert planes.solve_planes(moments, 0 * everywhere).item() == pytest.approx(values.mean())

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from models.pooling import maxima_around
+from models.pooling import window_maxima
 from training.distributed import sum_over_processes
 from training.limits import PAIR_BORDER_PX
 from training.loading.mixture import Pair
@@ -48,7 +48,7 @@ def depth_consistency_loss(first: Tensor, second: Tensor, pair: Pair) -> Tensor:
     only one view has LiDAR input. If the LiDAR inputs of both views differ (one has false returns),
     all pixels have FAR_WEIGHT, because false returns must not change the depth around them.
     """
-    near = maxima_around((pair.first_lidar > 0).to(first.dtype), 2 * NEAR_PX + 1)
+    near = window_maxima((pair.first_lidar > 0).to(first.dtype), 2 * NEAR_PX + 1)
     losses = []
     for index, offset in enumerate(pair.offset.tolist()):
         maps = (pair.first_lidar[index], pair.second_lidar[index])
