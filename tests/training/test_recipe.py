@@ -149,7 +149,7 @@ def test_output_follows_the_number_of_steps_unless_stated(read, steps, every):
     ("folders:x,name=2011-09-26", "name", "2011-09-26"), ("folders:x,labels=1e3", "labels", "1e3"),
     ('folders:x,name="a b"', "name", "a b"), ("folders:x,depth_scale=1000", "depth_scale", 1000),
     ("folders:x,size=[400, 640]", "size", (400, 640)), ("folders:2011-09-26", "path", "2011-09-26"),
-    ('kitti-raw:x,drives=["a_sync"]', "drives", ("a_sync",)),
+    ("kitti-depth:x,cameras=[3]", "cameras", (3,)),
 ])  # fmt: skip
 def test_a_value_of_data_is_text_where_its_key_takes_text(text, key, value):
     assert getattr(parse_data(text), key) == value

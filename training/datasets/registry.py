@@ -8,7 +8,6 @@ from training.datasets.camvid import CamVidRecipe
 from training.datasets.cityscapes import CityscapesRecipe
 from training.datasets.folders import FoldersRecipe
 from training.datasets.kitti_depth import KittiDepthRecipe
-from training.datasets.kitti_raw import KittiRawRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.recording import RecordingRecipe
@@ -20,7 +19,6 @@ DATASETS: dict[str, type[SourceRecipe]] = {
     "cityscapes": CityscapesRecipe,
     "folders": FoldersRecipe,
     "kitti-depth": KittiDepthRecipe,
-    "kitti-raw": KittiRawRecipe,
     "kitti-stream": KittiStreamRecipe,
     "kitti-streets": KittiStreetsRecipe,
     "recording": RecordingRecipe,

@@ -16,7 +16,7 @@ from training.limits import STRICT, FactorRange, Index, Positive, Side
 T = TypeVar("T")
 
 SetName = Annotated[str, Field(min_length=1, max_length=MAX_NAME_LENGTH)]
-# Names of scenes, variants or drives.
+# Names of scenes or variants.
 Names = Annotated[tuple[str, ...], Field(min_length=1, max_length=10_000)]
 
 

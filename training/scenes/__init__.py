@@ -23,6 +23,4 @@ import only `scene_job`. The files in the order of execution:
 | rendering/lidar_scan | the LiDAR's returns |
 | textures/surfaces | the material of the hit points, from the file of each kind of surface |
 | vkitti_writer | the folder of the scene |
-
-bundled_stream_maker is a separate command, which made the recording that is installed.
 """
