@@ -294,9 +294,9 @@ def int8_recording(tmp_path_factory) -> Path:
         write_reference(folder, settings) as recorder,
     ):
         for frame in bundled_frames()[::10][:2]:
-            prediction = predictor.predict(frame.rgb, frame.sparse_depth)
-            heads = prediction.heads
-            recorder.add(ReferenceFrame(frame.name), frame.rgb, frame.sparse_depth, heads)
+            rgb, depth = frame.rgb[-128:, :416], frame.sparse_depth[-128:, :416]
+            heads = predictor.predict(rgb, depth).heads
+            recorder.add(ReferenceFrame(frame.name), rgb, depth, heads)
         recorder.finish(find_model("ssdnet-nano-int8"))
     return folder
 
