@@ -24,21 +24,18 @@ The run of docs/results.md:
 import argparse
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from statistics import mean, stdev
 from typing import NamedTuple
 
 import torch
 
-from models import load_checkpoint
 from models.checkpoint import RECIPE
 from runtime.files.atomic_write import atomic_write
 from training.chosen_recipe import read_stages
 from training.datasets.any_source import parse_data
-from training.evaluation.scoring import score, split_frames, torch_predict
-from training.lidar.split import LidarInput
-from training.loading.open_dataset import open_dataset
+from training.evaluation.evaluate import evaluate
 from training.recipes.ablation import ROWS
 from training.run import TrainingRun
 from training.run_folder import require_same
@@ -107,15 +104,18 @@ def run(row: str, seed: int, arguments: argparse.Namespace) -> dict[str, float]:
         require_same({**before, "recipe": trained["recipe"]}, settings, place)  # no mix
         return {key: value for key, value in known.items() if key not in settings}
     training = TrainingRun(arguments.data, out, device=arguments.device)
-    network = load_checkpoint(train_stages(stages, training).path).model.to(arguments.device)
+    checkpoint = train_stages(stages, training).path
     test = parse_data(arguments.test)
-    source = open_dataset(test, arguments.data, classes=recipe.model.class_table)
-    counted = score(
-        torch_predict(network),
-        split_frames(source, range(len(source)), LidarInput.parse(arguments.lidar)),
-        num_classes=network.config.num_classes,
-    )
-    figures = counted.figures([info.name for info in network.config.classes])
+    root = next(root for root in arguments.data if (root / test.path).exists())
+    (scored,) = evaluate(
+        [checkpoint],
+        [replace(test, path=str(root / test.path))],
+        lidars=[arguments.lidar],
+        device=arguments.device,
+        threads=arguments.threads,
+        size="frame",
+    ).rows
+    figures = scored.figures
     kept = {**figures, "test": arguments.test, "lidar": arguments.lidar}
     atomic_write(scores, json.dumps(kept, indent=2).encode())
     return figures

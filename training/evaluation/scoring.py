@@ -193,21 +193,6 @@ def figures_over_places(places: Iterable[Mapping[str, float]]) -> dict[str, floa
     return {key: sum(items) / len(items) for key, items in values.items()}
 
 
-def score(
-    predict: Predict,
-    frames: Iterable[LidarSplit],
-    *,
-    num_classes: int,
-    farthest_m: float = FARTHEST_M,
-) -> Scores:
-    """Score a predictor on frames; missing heads and targets are left out."""
-    scores = Scores(num_classes, farthest_m)
-    for frame in frames:
-        sample = frame.sample
-        scores.update(predict(sample.rgb, frame.fed, sample.focal_length_px), frame)
-    return scores
-
-
 def split_frames(
     source: SampleSource, indices: Iterable[int], lidar: LidarInput
 ) -> Iterator[LidarSplit]:
@@ -237,11 +222,9 @@ def figure_names(
     Raises:
         InputError: if a frame cannot give the LiDAR.
     """
-
-    def answer(rgb: NDArray[np.uint8], _: object, __: object) -> HeadMaps:
-        ones = {head: np.ones(rgb.shape[:2], HEADS[head].dtype) for head in network.heads}
-        return HeadMaps(**ones)
-
-    frames = split_frames(source, indices, lidar)
-    scores = score(answer, frames, num_classes=network.config.num_classes)
+    scores = Scores(network.config.num_classes)
+    for frame in split_frames(source, indices, lidar):
+        size = frame.sample.size
+        ones = {head: np.ones(size, HEADS[head].dtype) for head in network.heads}
+        scores.update(HeadMaps(**ones), frame)
     return list(scores.figures([info.name for info in network.config.classes]))

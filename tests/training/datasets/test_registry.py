@@ -71,7 +71,7 @@ def test_every_kind_goes_to_a_worker_process_even_after_it_was_read(kind, tmp_pa
     np.testing.assert_array_equal(sample.rgb, expected.rgb)
     np.testing.assert_array_equal(sample.depth, expected.depth)
     assert len(pickle.dumps(source)) < 20_000  # no decoded frames
-    assert len(source) == len(source._source.images)  # which tell whether sets share frames
+    assert len(source) == len(source.images)  # which tell whether sets share frames
 
 
 # In place of a file's content: the file is cut short.

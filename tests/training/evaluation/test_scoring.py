@@ -11,7 +11,8 @@ from runtime.base.errors import InputError, SSDNetError
 from runtime.contract.heads import HEADS
 from training.datasets.sample import AUXILIARY, Sample, make_frame
 from training.evaluation.pictures import draw_pictures
-from training.evaluation.scoring import HeadMaps, score, split_frames, torch_predict
+from training.evaluation.scored_model import ScoredModel
+from training.evaluation.scoring import HeadMaps, Scores, split_frames, torch_predict
 from training.lidar.split import LidarInput
 
 K = np.array([[300.0, 0, 60], [0, 300.0, 20], [0, 0, 1]])
@@ -54,8 +55,8 @@ def test_a_lidar_that_the_set_cannot_give_is_refused():
 
 
 def figures(answer, frame=None):
-    split = split_lidar(frame or sample())
-    scores = score(lambda *_: answer, [split], num_classes=11)
+    scores = Scores(11)
+    scores.update(answer, split_lidar(frame or sample()))
     return scores.figures([*(f"c{i}" for i in range(10)), "Road"])
 
 
@@ -164,7 +165,8 @@ def test_frames_are_scored_with_their_own_focal_length():
         return HeadMaps(depth=sample().depth)
 
     frames = [split_lidar(sample(), "random:0.1"), split_lidar(sample(intrinsics=None), "none")]
-    score(predict, frames, num_classes=11)
+    for frame in frames:
+        ScoredModel(predict, "none").predict_frame(frame.sample, frame.fed, None)
     assert seen == [300.0, None]
     source = [sample(), sample(intrinsics=None)]
     network = create_model("ssdnet-lite")
