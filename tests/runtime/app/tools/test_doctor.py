@@ -32,7 +32,7 @@ def one_frame(monkeypatch):
     ["ssdnet-nano-int8"], pytest.param(list_bundled_models(), marks=pytest.mark.slow),
 ], ids=["one model", "all models"])  # fmt: skip
 def test_what_is_installed_here_works(monkeypatch, models):
-    monkeypatch.setattr("runtime.app.tools.doctor.list_bundled_models", lambda: models)
+    monkeypatch.setattr("runtime.engine.bundled_models.list_bundled_models", lambda: models)
     result = CliRunner().invoke(app, [])
     assert result.exit_code == 0, result.output
     *lines, verdict = result.output.splitlines()
