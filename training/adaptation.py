@@ -6,7 +6,7 @@ training are scored on frames that were kept apart, and the better model is kept
 """
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -26,7 +26,7 @@ from training.evaluation.metrics import FARTHEST_M, frame_errors
 from training.evaluation.scored_model import method_predict, trained_classes
 from training.evaluation.scoring import Predict, torch_predict
 from training.initial_weights import Weights
-from training.lidar.split import SENSOR_LINES, OcclusionFilter, is_kept, masked, random_share
+from training.lidar.split import SENSOR_LINES, LidarInput, LidarSplit, split_lidar
 from training.loading.open_dataset import open_dataset
 from training.loop import train
 from training.losses.terms import DEPTH_ALONE
@@ -201,34 +201,30 @@ def score(
     """
     found: dict[str, list[tuple[float, float, float]]] = {name: [] for name in FEEDS}
     for number, sample in enumerate(samples):
-        for name, feed in FEEDS.items():
+        for name, lidar in FEEDS.items():
             if stop():
                 raise StopRequested
-            fed = feed(sample, number)
-            truth = OcclusionFilter().apply(masked(sample.depth, fed == 0), sample.depth)
-            if ((truth > 0) & (truth <= FARTHEST_M)).any():
-                answer = predict(sample.rgb, fed, sample.focal_length_px).depth
+            split = split_fed(sample, lidar, number)
+            if ((split.target > 0) & (split.target <= FARTHEST_M)).any():
+                answer = predict(sample.rgb, split.fed, sample.focal_length_px).depth
                 assert answer is not None
-                found[name].append(frame_errors(answer, truth))
+                found[name].append(frame_errors(answer, split.target))
     return {name: np.mean(figures, axis=0) for name, figures in found.items() if figures}
 
 
-def _some(share: float) -> Callable[[Sample, int], Depth]:
-    return lambda sample, number: random_share(
-        sample.depth, share, np.random.default_rng([number, round(1 / share)])
-    )
+def split_fed(sample: Sample, lidar: LidarInput, number: int) -> LidarSplit:
+    """Split the returns of the frame of a number; of two frames, the second lacks other lines."""
+    rng = np.random.default_rng([number, round(1 / lidar.share) if lidar.share else 0])
+    split = split_lidar(sample, lidar, rng, same_target=False, first_line=number)
+    assert split is not None  # every scan has half of the lines
+    return split
 
 
-def every_second_line(sample: Sample, number: int) -> Depth:
-    """Keep every second band of elevation: about every second line of a scan."""
-    assert sample.scan_line is not None
-    return masked(sample.depth, is_kept(sample.scan_line + number, SENSOR_LINES // 2))
-
-
-FEEDS: Mapping[str, Callable[[Sample, int], Depth]] = {
-    "half of the returns": _some(0.5),
-    "every second line": every_second_line,
-    "a quarter": _some(0.25),
+# Lines of a recording are bands of elevation: every second one is about every second line.
+FEEDS = {
+    "half of the returns": LidarInput("random", share=0.5),
+    "every second line": LidarInput("lines", lines=SENSOR_LINES // 2),
+    "a quarter": LidarInput("random", share=0.25),
 }
 
 

@@ -14,7 +14,7 @@ from runtime.base.errors import InputError
 from runtime.recordings.bundled_stream import bundled_frames
 from runtime.recordings.source import ListedFrame
 from training import adaptation as adapting
-from training.adaptation import FEEDS, adapt, every_second_line, make_recipe
+from training.adaptation import FEEDS, adapt, make_recipe, split_fed
 from training.adaptation_frames import (
     LEAST_FRAMES,
     LEAST_RETURNS,
@@ -279,7 +279,9 @@ def test_what_is_not_fed_is_the_target(rig, weights, tmp_path):
         assert target.any()
         assert not (fed & target).any()
         assert not ((fed | target) & ~returns).any()
-    first, second = (every_second_line(sample, number) > 0 for number in (0, 1))
+    first, second = (
+        split_fed(sample, FEEDS["every second line"], number).fed > 0 for number in (0, 1)
+    )
     np.testing.assert_array_equal(first ^ second, returns)
 
 
