@@ -1,15 +1,8 @@
 """`ssdnet-export`, also as `python -m export`."""
 
-from runtime.command.process import begin_command
+from runtime.command.process import command_in
 
-
-def main() -> None:
-    """Entry point of the command."""
-    begin_command()
-    from export.cli import app
-
-    app()
-
+main = command_in("export.cli")
 
 if __name__ == "__main__":
     main()

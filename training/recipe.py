@@ -16,7 +16,7 @@ from models.registry import find_network
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_CLASSES, MAX_NAME_LENGTH, MIN_SIDE, ClassInfo
 from training.datasets.any_source import AnySource
-from training.datasets.class_mapping import ClassTable, list_classes
+from training.datasets.class_mapping import ClassTable, TableName, list_classes
 from training.lidar.split import LidarInput
 from training.limits import (
     STRICT,
@@ -69,7 +69,7 @@ class ModelRecipe:
 
     name: str
     classes: Annotated[
-        Annotated[Literal["camvid", "cityscapes", "virtual_kitti"], Tag(_NAMED)]
+        Annotated[TableName, Tag(_NAMED)]
         | Annotated[
             tuple[ClassRecipe, ...], Field(min_length=1, max_length=MAX_CLASSES), Tag(_OWN)
         ],

@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from enum import StrEnum
+from importlib import import_module
 from types import FrameType
 from typing import Any
 
@@ -41,6 +42,16 @@ def begin_command() -> None:
     _handle(lambda number, frame: os._exit(INTERRUPTED))
     with reported_errors(""):
         os.getcwd()
+
+
+def command_in(module: str) -> Callable[[], None]:
+    """Return the entry point of the command whose `app` is in a module, which it imports late."""
+
+    def start() -> None:
+        begin_command()
+        import_module(module).app()
+
+    return start
 
 
 def leave_signals_to_parent() -> None:

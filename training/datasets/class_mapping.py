@@ -5,9 +5,9 @@ of data set and table that is missing here has no mapping. For example, CamVid's
 and buses, which are separate classes of Cityscapes.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from training.datasets.sample import IGNORE
 
 # A name in `models.CLASS_TABLES`, or a table.
 ClassTable = str | tuple[ClassInfo, ...]
+
+# The names of these tables, as options take them.
+TableName = Literal["camvid", "cityscapes", "virtual_kitti"]
 
 _Names = Mapping[str, str | None]
 
@@ -92,6 +95,13 @@ _MAPPINGS: Mapping[tuple[str, str], _Names] = {
         }
     ),
 }
+
+
+def named_table(classes: str | Iterable[str]) -> ClassTable:
+    """Return a table by its name, or one of classes with these names, without colours."""
+    if isinstance(classes, str):
+        return classes
+    return tuple(ClassInfo(name, (0, 0, 0)) for name in classes)
 
 
 def list_classes(table: ClassTable) -> tuple[ClassInfo, ...]:

@@ -9,9 +9,14 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import DatasetError
-from runtime.contract.contract import ClassInfo
 from training.datasets.cityscapes import TRAIN_LABELS
-from training.datasets.class_mapping import ClassTable, LabelReader, id_lookup, list_classes
+from training.datasets.class_mapping import (
+    ClassTable,
+    LabelReader,
+    id_lookup,
+    list_classes,
+    named_table,
+)
 from training.datasets.sample import IGNORE
 from training.datasets.source_recipe import RangeRecipe
 from training.limits import STRICT, Share
@@ -55,7 +60,7 @@ class LabelledRecipe(RangeRecipe):
         if self.labels is None:
             return ()
         named = [name for name in (self.label_ids or {}).values() if name != "ignore"]
-        own = tuple(ClassInfo(name, (0, 0, 0)) for name in dict.fromkeys(named))
+        own = named_table(dict.fromkeys(named))
         return own or self.label_classes
 
     def open_labels(self, classes: ClassTable) -> LabelReader:

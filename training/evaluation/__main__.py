@@ -1,15 +1,8 @@
 """`ssdnet-eval`, also as `python -m training.evaluation`."""
 
-from runtime.command.process import begin_command
+from runtime.command.process import command_in
 
-
-def main() -> None:
-    """Entry point of the command."""
-    begin_command()
-    from training.evaluation.cli import app
-
-    app()
-
+main = command_in("training.evaluation.cli")
 
 if __name__ == "__main__":
     main()

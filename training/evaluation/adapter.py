@@ -18,6 +18,7 @@ from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_CLASSES, MAX_FOCAL_PX, MAX_NAME_LENGTH, MIN_FOCAL_PX
 from runtime.engine.example_inputs import make_feeds
 from runtime.files.read_input import read_toml
+from training.datasets.class_mapping import TableName, list_classes, named_table
 from training.evaluation.metrics import FARTHEST_M
 from training.limits import STRICT, Positive, Side
 from training.tables import build
@@ -93,10 +94,7 @@ class Adapter:
     sparse_depth_scale: Positive = 1.0
     semantic: _Name | None = None
     semantic_is: Literal["scores", "ids"] | None = None
-    classes: (
-        Literal["camvid", "cityscapes", "virtual_kitti"]
-        | Annotated[tuple[_Name, ...], Field(max_length=MAX_CLASSES)]
-    ) = ()
+    classes: TableName | Annotated[tuple[_Name, ...], Field(max_length=MAX_CLASSES)] = ()
     class_stride: Annotated[int, Field(ge=1, le=64)] | None = None
     depth: _Name | None = None
     depth_is: Literal["depth", "inverse"] = "depth"
@@ -114,9 +112,7 @@ class Adapter:
     @property
     def names(self) -> tuple[str, ...]:
         """The names of the classes."""
-        if isinstance(self.classes, str):
-            return tuple(info.name for info in CLASS_TABLES[self.classes])
-        return self.classes
+        return tuple(info.name for info in list_classes(named_table(self.classes)))
 
     @property
     def color_scale(self) -> tuple[Channels, Channels]:

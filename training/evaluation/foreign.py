@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from runtime.base.errors import InputError, SSDNetError
 from runtime.contract.canonical_focal import CameraScale, camera_scale
-from runtime.contract.contract import ClassInfo
 from runtime.contract.model_file import read_onnx
 from runtime.contract.network_size import NetworkSize, network_size
 from runtime.contract.resize import Size, resize_nearest
@@ -19,7 +18,7 @@ from runtime.engine.inference import at_frame_size
 from runtime.engine.preprocess import NetworkInput, preprocess
 from runtime.engine.session import describe_error, open_session
 from runtime.files.atomic_write import atomic_write
-from training.datasets.class_mapping import ClassTable
+from training.datasets.class_mapping import ClassTable, named_table
 from training.datasets.sample import IGNORE
 from training.evaluation.adapter import (
     Adapter,
@@ -75,11 +74,7 @@ class ForeignNetwork:
     @property
     def table(self) -> ClassTable:
         """The classes; () if there are none."""
-        if self.adapter.semantic is None:
-            return ()
-        if isinstance(self.adapter.classes, str):
-            return self.adapter.classes
-        return tuple(ClassInfo(name, (0, 0, 0)) for name in self.adapter.names)
+        return () if self.adapter.semantic is None else named_table(self.adapter.classes)
 
     def __call__(
         self,

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,8 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass as checked
 
 from runtime.base.errors import DatasetError, InputError
-from runtime.contract.contract import ClassInfo
 from runtime.recordings.images import KITTI_DEPTH_SCALE
-from training.datasets.class_mapping import ClassTable
+from training.datasets.class_mapping import ClassTable, TableName, named_table
 from training.datasets.files import read_depth, read_gray, require_folder, require_size
 from training.datasets.sample import Sample
 from training.evaluation.scoring import HeadMaps
@@ -36,11 +35,9 @@ class PredictionOptions:
         depth_scale: units of 16-bit PNGs and integers per metre.
     """
 
-    classes: (
-        Literal["camvid", "cityscapes", "virtual_kitti"]
-        | Annotated[tuple[str, ...], Field(min_length=1, max_length=255)]
-        | None
-    ) = None
+    classes: TableName | Annotated[tuple[str, ...], Field(min_length=1, max_length=255)] | None = (
+        None
+    )
     depth_scale: Positive = KITTI_DEPTH_SCALE
 
 
@@ -69,10 +66,7 @@ class Predictions:
     @property
     def table(self) -> ClassTable:
         """The classes of the ids; () stands for those of the set."""
-        classes = self.options.classes or ()
-        if isinstance(classes, str):
-            return classes
-        return tuple(ClassInfo(name, (0, 0, 0)) for name in classes)
+        return named_table(self.options.classes or ())
 
     def read(self, sample: Sample, image_name: str | None) -> HeadMaps:
         """Return the answers to a frame.

@@ -1,15 +1,8 @@
 """`ssdnet-render`, also as `python -m training.scenes`."""
 
-from runtime.command.process import begin_command
+from runtime.command.process import command_in
 
-
-def main() -> None:
-    """Entry point of the command."""
-    begin_command()
-    from training.scenes.cli import app
-
-    app()
-
+main = command_in("training.scenes.cli")
 
 if __name__ == "__main__":
     main()

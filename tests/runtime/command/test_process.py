@@ -161,7 +161,8 @@ def type_in(monkeypatch, capfd):
         module, function = SCRIPTS[name].split(":")
         if not module.startswith("runtime.") and importlib.util.find_spec("torch") is None:
             pytest.skip("the engine alone is installed")
-        monkeypatch.setattr(f"{module}.begin_command", lambda: None)  # pytest has its own signals
+        # pytest has its own signals.
+        monkeypatch.setattr("runtime.command.process.begin_command", lambda: None)
         monkeypatch.setattr(sys, "argv", [name, *arguments])
         with pytest.raises(SystemExit) as ended:
             getattr(importlib.import_module(module), function)()
