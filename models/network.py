@@ -97,11 +97,6 @@ class NetworkConfig:
         """Largest depth [m] that can be learned without a return."""
         return self.max_depth_m
 
-    @property
-    def target_share(self) -> float:
-        """`target_depth_m` as a share of `max_depth_m`."""
-        return self.target_depth_m / self.max_depth_m
-
     def to_dict(self) -> dict[str, Any]:
         """Return the configuration as plain Python values."""
         return asdict(self)

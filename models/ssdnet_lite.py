@@ -171,7 +171,7 @@ class SSDNetLite(Network):
                 geometry_channels=config.geometry_channels,
                 semantics=config.semantic_head,
                 max_depth_m=config.max_depth_m,
-                farthest_monocular=config.target_share,
+                farthest_monocular=config.target_depth_m / config.max_depth_m,
             )
         self.apply(initialise)
         if config.depth_head:

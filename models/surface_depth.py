@@ -212,13 +212,16 @@ class SurfaceDepthHead(nn.Module):
             stride2: features of the encoder at stride 2.
             boundary_logits: on the grid of CELL; they are upsampled together with the depth.
         """
+        # The monocular depth, for where nothing is measured.
         monocular = self.farthest_monocular * torch.sigmoid(self.guess(features))
         monocular = torch.minimum(monocular, candidates.monocular_limit).float()
+        # Close to returns: a position between the nearest surface, the base and the farthest one.
         ratios, base_weight = candidates.base_ratios, candidates.base_ratios.base_weight
         both = torch.cat([ratios.nearest, ratios.farthest], dim=1)
         offsets = zero_if_same_surface(both)
         geometry = self._geometry(candidates, both, offsets, semantics, boundary_logits)
         position, log_scale = self.geometry(geometry).float().split(1, dim=1)
+        # The choice from the features of the image, at stride 4 or 2.
         features = features + self.project(candidates.features)
         if self.semantics is not None:
             features = features + self.semantics(semantics)
@@ -240,11 +243,18 @@ class SurfaceDepthHead(nn.Module):
             refined = self.head(self.refinement(features, stride2))
             head = HeadChannels.split((refined + upsample(self.coarse_head(features))).float())
             chosen = choose_surface(head, choices, farthest_monocular=self.farthest_monocular)
+        # Both on the grid of the base, then the returns at the image's size.
         chosen = blend_with_base(chosen, candidates.inverse_base, base)
-        maps = upsample(torch.cat([*chosen, base.boundary_logits], dim=1), factor=BASE_CELL)
+        return self._add_returns(chosen, base.boundary_logits, head.returns, candidates)
+
+    def _add_returns(
+        self, chosen: Chosen, boundary_logits: Tensor, returns: Tensor, candidates: Candidates
+    ) -> DepthMaps:
+        """Upsample to the image's size and blend with the returns; see `HeadChannels.returns`."""
+        maps = upsample(torch.cat([*chosen, boundary_logits], dim=1), factor=BASE_CELL)
         inverse, scale, boundary_logits = maps.split(1, dim=1)
         # One value a cell is enough: the returns give the position of an edge.
-        confidence = torch.sigmoid(head.returns)
+        confidence = torch.sigmoid(returns)
         confidence = F.interpolate(confidence, scale_factor=float(self.head_stride), mode="nearest")
         depth, scale = blend_with_returns(
             Chosen(inverse, scale),

@@ -7,7 +7,10 @@ from network_figure import COLUMNS, find_boxes
 def test_boxes_are_the_grids_of_the_modules():
     network = create_model("ssdnet-nano")
     titles = [title for title, _ in COLUMNS]
-    boxes = [box for box in find_boxes(network) if box.column == titles.index("classes")]
+    found = find_boxes(network)
+    assert [box.stride for box in found[:3]] == [1, 2, 4], "the candidates of the depth come first"
+    assert found[-1].name == "surface_depth"
+    boxes = [box for box in found if box.column == titles.index("classes")]
     *decoder, head = [(box.stride, box.channels) for box in boxes]
     assert decoder == list(zip((16, 8, 4), network.config.decoder_channels, strict=True))
     assert head == (network.semantic_stride, network.config.num_classes)
