@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from runtime.alignment.quick_check import QuickCheck, QuickFinding
 from runtime.app.run.depth_check import NoDepth, find_depth_fault, find_lens_fault
@@ -19,7 +19,13 @@ from runtime.app.run.pipeline import (
     frame_reader,
     run_stream,
 )
-from runtime.app.run.run_report import RunReport, describe_predictor, group_reasons, write_report
+from runtime.app.run.run_report import (
+    RunReport,
+    group_reasons,
+    running_providers,
+    size_text,
+    write_report,
+)
 from runtime.base.errors import InputError, SSDNetError
 from runtime.command.process import stop_requested
 from runtime.contract.canonical_focal import CameraScale
@@ -94,7 +100,7 @@ def run(
                     if camera:
                         make_run_folder(options, kinds=(), names=())
                     stop = opened.enter_context(stop_requested())
-                reports[camera] = _answer(stream, options.of_camera(camera), camera, on_start, stop)
+                reports[camera] = stream.answer(options.of_camera(camera), camera, on_start, stop)
             except InputError as error:
                 if not camera:
                     raise
@@ -108,7 +114,7 @@ def run(
 
 
 @dataclass(frozen=True)
-class _Stream:
+class _CameraStream:
     """The stream of a camera before its first frame is answered.
 
     Attributes:
@@ -137,15 +143,96 @@ class _Stream:
 
     @property
     def about(self) -> str:
-        """The lines that are printed before the first frame."""
-        lines = [*self.source.notes]
-        lines.append(describe_predictor(self.predictor, self.frame_size, self.focal_px, self.scale))
-        faults = (find_lens_fault(self.source.calibration, self.frame_size), self.fault)
+        """The lines that are printed before the first frame: notes, model, sizes, range, faults."""
+        predictor, scale, size = self.predictor, self.scale, self.frame_size
+        running = ", ".join(running_providers(predictor.providers, predictor.node_counts))
+        network = predictor.network_size(size) if size else None
+        lines = [
+            *self.source.notes,
+            f"{predictor.contract.model_name} sha256:{predictor.digest[:12]} | {running} | "
+            f"threads {predictor.threads} | frames {size_text(size)}, "
+            f"network at {size_text(network)}",
+        ]
+        if scale is not None:
+            used = f"{self.focal_px:g} px" if self.focal_px else "not known: give --focal-length"
+            if scale.focal_length_px is None and self.focal_px is not None:
+                used += ", not used by this model"
+            lines.append(f"focal length {used}; depth up to {scale.range_m:.4g} m")
         lines += [] if self.fit is None else [self.fit.text]
+        faults = (find_lens_fault(self.source.calibration, size), self.fault)
         return "\n".join([*lines, *(f"warning: {each}" for each in faults if each)])
 
+    def answer(
+        self, options: RunOptions, camera: str, on_start: OnStart, stop: Callable[[], bool]
+    ) -> RunReport:
+        """Answer the frames of a camera, and write what was requested."""
+        predictor, fault = self.predictor, self.fault
+        names = [each.name for each in self.frames]
+        opened = RunContext(options, predictor, self.kinds, names, self.source.sensor_frames)
+        with open_outputs(opened) as (outputs, recorders):
+            answerer = Answerer(
+                predictor,
+                check_depth=False,
+                has_lidar=self.source.has_lidar(self.frames),
+                is_implausible=fault is not None and not isinstance(fault, NoDepth),
+            )
+            about = f"{camera}: {self.about}" if camera else self.about
+            with self.source.collecting():
+                result = run_stream(
+                    answerer,
+                    self.frames,
+                    self.read,
+                    options,
+                    outputs=outputs,
+                    recorders=recorders,
+                    on_record=on_start(about, len(self.frames)),
+                    stop=stop,
+                )
+            answers = [each.prediction for each in result.records if each.prediction]
+            if fault is NoDepth.NO_RETURNS and any(answer.depth_returns for answer in answers):
+                fault = None  # the LiDAR has only started later
+            opened.report = self._report(opened, result, fault, answerer.pose_fault)
+        return opened.report
 
-def _prepare(options: RunOptions, source: Source, predictor: Predictor) -> _Stream:
+    def _report(
+        self, run: RunContext, result: StreamResult, depth: str | None, poses: str | None
+    ) -> RunReport:
+        """Report a run, with why its depth and its poses cannot be right."""
+        options, source, scale = run.options, self.source, self.scale
+        inputs = {
+            "source": f"{options.source_path.kind}:{options.source_path.path}",
+            **source.inputs,
+            "focal_length_px": self.focal_px,
+            "used_focal_length_px": scale and scale.focal_length_px,
+            "depth_range_m": scale and round(scale.range_m, 2),
+            "lens": source.calibration and source.calibration.lens,
+            "distortion": source.calibration and source.calibration.distortion,
+            "camera_frame": source.sensor_frames.camera,
+            "frames_from": source.sensor_frames.origin or None,
+            "assumptions": [note for note in source.notes if note.startswith("warning: ")],
+            "rectified_by_this_run": options.rectify,
+            "shard": options.shard,
+            "warmup": options.warmup,
+        }
+        timeline = Timeline.of(result.records, source.stamps_ns)
+        whole = options.limit is None and not result.interrupted
+        outages = find_outages(result.records, source.stamps_ns, timeline, whole=whole)
+        return RunReport(
+            engine_facts(self.predictor),
+            options,
+            inputs,
+            self.kinds,
+            result,
+            implausible_depth=depth,
+            implausible_poses=poses,
+            calibration_fits={} if self.fit is None else {"": self.fit},
+            outages=outages,
+            timeline=timeline,
+            beyond_png=run.beyond_png,
+        )
+
+
+def _prepare(options: RunOptions, source: Source, predictor: Predictor) -> _CameraStream:
     """List the frames, read the first ones, and warm up; nothing is written."""
     if options.rectify:
         source.rectify_images()
@@ -159,47 +246,9 @@ def _prepare(options: RunOptions, source: Source, predictor: Predictor) -> _Stre
     fit = QuickCheck()
     fault = find_depth_fault(predictor, listed, source, read, fit)
     found = None if fault else fit.finding()
-    return _Stream(source, frames, read, predictor, kinds, size, focal_px, scale, fault, found)
-
-
-def _answer(
-    stream: _Stream,
-    options: RunOptions,
-    camera: str,
-    on_start: OnStart,
-    stop: Callable[[], bool],
-) -> RunReport:
-    """Answer the frames of a camera, and write what was requested."""
-    predictor, fault = stream.predictor, stream.fault
-    names = [each.name for each in stream.frames]
-    opened = RunContext(options, predictor, stream.kinds, names, stream.source.sensor_frames)
-    with open_outputs(opened) as (outputs, recorders):
-        answerer = Answerer(
-            predictor,
-            check_depth=False,
-            has_lidar=stream.source.has_lidar(stream.frames),
-            is_implausible=fault is not None and not isinstance(fault, NoDepth),
-        )
-        about = f"{camera}: {stream.about}" if camera else stream.about
-        with stream.source.collecting():
-            result = run_stream(
-                answerer,
-                stream.frames,
-                stream.read,
-                options,
-                outputs=outputs,
-                recorders=recorders,
-                on_record=on_start(about, len(stream.frames)),
-                stop=stop,
-            )
-        answers = [each.prediction for each in result.records if each.prediction]
-        if fault is NoDepth.NO_RETURNS and any(answer.depth_returns for answer in answers):
-            fault = None  # the LiDAR has only started later
-        opened.report = replace(
-            _report(stream, options, result, fault, answerer.pose_fault),
-            beyond_png=opened.beyond_png,
-        )
-    return opened.report
+    return _CameraStream(
+        source, frames, read, predictor, kinds, size, focal_px, scale, fault, found
+    )
 
 
 def _answered_kinds(
@@ -256,43 +305,3 @@ def _warm_up(
             + "; ".join(group_reasons(reasons))
         )
     return None
-
-
-def _report(
-    stream: _Stream,
-    options: RunOptions,
-    result: StreamResult,
-    implausible_depth: str | None,
-    implausible_poses: str | None,
-) -> RunReport:
-    source, scale = stream.source, stream.scale
-    inputs = {
-        "source": f"{options.source_path.kind}:{options.source_path.path}",
-        **source.inputs,
-        "focal_length_px": stream.focal_px,
-        "used_focal_length_px": scale and scale.focal_length_px,
-        "depth_range_m": scale and round(scale.range_m, 2),
-        "lens": source.calibration and source.calibration.lens,
-        "distortion": source.calibration and source.calibration.distortion,
-        "camera_frame": source.sensor_frames.camera,
-        "frames_from": source.sensor_frames.origin or None,
-        "assumptions": [note for note in source.notes if note.startswith("warning: ")],
-        "rectified_by_this_run": options.rectify,
-        "shard": options.shard,
-        "warmup": options.warmup,
-    }
-    timeline = Timeline.of(result.records, source.stamps_ns)
-    whole = options.limit is None and not result.interrupted
-    outages = find_outages(result.records, source.stamps_ns, timeline, whole=whole)
-    return RunReport(
-        engine_facts(stream.predictor),
-        options,
-        inputs,
-        stream.kinds,
-        result,
-        implausible_depth=implausible_depth,
-        implausible_poses=implausible_poses,
-        calibration_fits={} if stream.fit is None else {"": stream.fit},
-        outages=outages,
-        timeline=timeline,
-    )

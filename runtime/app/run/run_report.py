@@ -16,11 +16,9 @@ from runtime.app.run.options import OVERLAY, RunOptions
 from runtime.app.run.outages import Outage, Timeline
 from runtime.app.run.pipeline import StreamResult
 from runtime.app.run.reasons import LATE
-from runtime.contract.canonical_focal import CameraScale
 from runtime.contract.degraded import IMPLAUSIBLE_DEPTH, IMPLAUSIBLE_POSES
 from runtime.drawing.encode import METRES_PNG_MAX_M, METRES_PNG_SCALE
 from runtime.engine.prediction import Cleaned, Prediction
-from runtime.engine.predictor import Predictor
 from runtime.files.atomic_write import atomic_write
 from runtime.streams.frame_result import FIGURES, OK, FrameResult
 from runtime.streams.statistics import MissCounter, StreamStatistics, latency_statistics
@@ -163,7 +161,7 @@ class RunReport:
     @property
     def by_network_size(self) -> Counter[str]:
         """Number of frames for each size at which the network ran."""
-        return Counter(_size_text(each.network_size) for each in self.predictions)
+        return Counter(size_text(each.network_size) for each in self.predictions)
 
     @property
     def reasons(self) -> Counter[str]:
@@ -278,7 +276,7 @@ class RunReport:
         return fits.get("", fits) or None
 
 
-def _size_text(size: tuple[int, int] | None) -> str:
+def size_text(size: tuple[int, int] | None) -> str:
     """A (height, width) in words; None stands for any size."""
     return "any size" if size is None else f"{size[0]} x {size[1]}"
 
@@ -326,28 +324,6 @@ def frames_csv(report: RunReport) -> str:
             + [_depth_source(record), record.depth_motion]
         )
     return text.getvalue()
-
-
-def describe_predictor(
-    predictor: Predictor,
-    frame_size: tuple[int, int] | None,
-    focal_px: float | None,
-    scale: CameraScale | None,
-) -> str:
-    """Lines on model, providers, threads, sizes of frames and network, focal length and range."""
-    network_size = predictor.network_size(frame_size) if frame_size else None
-    running = ", ".join(running_providers(predictor.providers, predictor.node_counts))
-    text = (
-        f"{predictor.contract.model_name} sha256:{predictor.digest[:12]} | {running} | "
-        f"threads {predictor.threads} | frames {_size_text(frame_size)}, "
-        f"network at {_size_text(network_size)}"
-    )
-    if scale is None:
-        return text
-    used = "not known: give --focal-length" if focal_px is None else f"{focal_px:g} px"
-    if scale.focal_length_px is None and focal_px is not None:
-        used += ", not used by this model"
-    return f"{text}\nfocal length {used}; depth up to {scale.range_m:.4g} m"
 
 
 def running_providers(names: Sequence[str], nodes: Mapping[str, int]) -> list[str]:
