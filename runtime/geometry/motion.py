@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import NS_PER_MS
-from runtime.contract.degraded import DEPTH_REUSED, DEPTH_UNCOMPENSATED, POINTS_UNTIMED
 from runtime.geometry.assumptions import assume
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.poses import NoPoseError, PoseFrame, PoseTrack, check_pose_frame
+from runtime.geometry.poses import PoseFrame, PoseTrack, check_pose_frame
 from runtime.geometry.projection import project_points
 from runtime.geometry.returns import check_points, coordinates_of, is_return
 
@@ -94,61 +93,6 @@ def _check_clock(after_s: NDArray[np.float64]) -> None:
             f"they are {apart_s:.2g} s apart, where a scan has its points at its stamp: let the "
             "driver stamp both by one clock, or read the scans without times or poses",
         )
-
-
-class CompensatedDepth(NamedTuple):
-    """A sparse depth map.
-
-    Attributes:
-        sparse_depth: float32 (H, W), metres, 0 = no return.
-        motion: "each" if each return was moved by its own time, "scan" if the scan was moved as a
-            whole, "none" if it was not moved.
-        degraded: reasons as in `Prediction.degraded`.
-        lost_points: see `Cleaned`.
-    """
-
-    sparse_depth: NDArray[np.float32]
-    motion: DepthMotion
-    degraded: tuple[str, ...]
-    lost_points: int = 0
-
-
-def compensate_depth(
-    calibration: Calibration,
-    scan: Scan,
-    poses: PoseTrack | None,
-    to: int,
-    size: tuple[int, int],
-    *,
-    reused: bool,
-) -> CompensatedDepth:
-    """Project a scan into an image; if there are poses, move it as `project_compensated` does.
-
-    Args:
-        calibration: calibration of camera and LiDAR.
-        scan: the scan; its times are not None if there are poses.
-        poses: poses of the LiDAR; None if the car has no poses.
-        to: time of the image in nanoseconds.
-        size: (height, width) of the image.
-        reused: whether the scan is older than the image's own.
-
-    Raises:
-        InputError: if the size is not the calibration's.
-    """
-    points, times, lost, untimed = scan
-    reasons: tuple[str, ...] = (DEPTH_REUSED,) if reused else ()
-    reasons += (POINTS_UNTIMED,) if untimed else ()
-    if poses is not None and times is not None:
-        try:
-            moved = project_compensated(calibration, points, times, poses, to, size)
-            return CompensatedDepth(
-                moved, "scan" if isinstance(times, int) else "each", reasons, lost
-            )
-        except NoPoseError as error:
-            reasons += (DEPTH_UNCOMPENSATED, error.reason)
-    elif reused:
-        reasons += (DEPTH_UNCOMPENSATED,)
-    return CompensatedDepth(calibration.project(points, size), "none", reasons, lost)
 
 
 def assume_middle(remedy: str) -> None:

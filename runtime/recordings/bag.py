@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from runtime.geometry.motion import Scan
 from runtime.geometry.point_cloud import depth_to_cloud
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.bag_messages import BagMessages
-from runtime.recordings.bag_sensors import ODOMETRY, TRANSFORMS, BagSensors
+from runtime.recordings.bag_sensors import ODOMETRY, TRANSFORMS, BagOptions, BagSensors
 from runtime.recordings.ros_answers import SensorFrames
 from runtime.recordings.ros_bag import RosBag
 from runtime.recordings.ros_camera import (
@@ -45,34 +45,6 @@ from runtime.streams.frame import MATCHED, Frame, Message, Outcome, Sensor
 from runtime.streams.health.sensor_times import check_clocks
 
 _SUFFIXES = (".bag", ".db3", ".mcap")
-
-
-class BagOptions(NamedTuple):
-    """The options of a `BagSource`.
-
-    Attributes:
-        image_topic: topic of Image or CompressedImage messages; None: the bag has only one.
-        depth_topic: topic of PointCloud2 messages, or of Image messages in 16UC1 or mono16 [mm] or
-            32FC1 [m]; "none": only the camera is used; None: the only such topic, topics that
-            `role_of` doubts not counted.
-        info_topic: topic of CameraInfo messages; None: the one in the namespace of the images.
-        rectified: whether the images are rectified; None: the CameraInfo and the name of the topic
-            decide.
-        registered: whether the pixels of depth images lie on those of the images; None: they do if
-            both topics have one frame, with a warning if their CameraInfo differ. Depth images that
-            are not registered are moved with their CameraInfo and /tf_static or the rig's
-            calibration.
-        pose_topic: topic of Odometry messages, or of TFMessage messages such as /tf, whose poses
-            move clouds to the time of the image; "none": clouds are not moved; None: the only
-            Odometry topic, else /tf, if there is one and /tf_static connects it to the LiDAR.
-    """
-
-    image_topic: str | None = None
-    depth_topic: str | None = None
-    info_topic: str | None = None
-    rectified: bool | None = None
-    registered: bool | None = None
-    pose_topic: str | None = None
 
 
 class BagSource(Source):
@@ -109,15 +81,7 @@ class BagSource(Source):
             with collect_assumptions(self._notes):
                 both = topics.find(given.image_topic, given.depth_topic)
                 self._image_topic, self._depth_topic = both
-                self._sensors = BagSensors(
-                    self._bag,
-                    topics,
-                    *both,
-                    info_topic=given.info_topic,
-                    rectified=given.rectified,
-                    registered=given.registered,
-                    rig=rig,
-                )
+                self._sensors = BagSensors(self._bag, topics, *both, given, rig)
                 self.calibration = self._sensors.read_calibration()
                 self._pose_topic = self._find_poses()
             # Frames need these later, when a second reading would disturb the reader of an MCAP.

@@ -4,7 +4,7 @@ import contextlib
 from dataclasses import replace
 from functools import cached_property
 from itertools import chain
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,6 +22,34 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
+class BagOptions(NamedTuple):
+    """The options of a `BagSource`.
+
+    Attributes:
+        image_topic: topic of Image or CompressedImage messages; None: the bag has only one.
+        depth_topic: topic of PointCloud2 messages, or of Image messages in 16UC1 or mono16 [mm] or
+            32FC1 [m]; "none": only the camera is used; None: the only such topic, topics that
+            `role_of` doubts not counted.
+        info_topic: topic of CameraInfo messages; None: the one in the namespace of the images.
+        rectified: whether the images are rectified; None: the CameraInfo and the name of the topic
+            decide.
+        registered: whether the pixels of depth images lie on those of the images; None: they do if
+            both topics have one frame, with a warning if their CameraInfo differ. Depth images that
+            are not registered are moved with their CameraInfo and /tf_static or the rig's
+            calibration.
+        pose_topic: topic of Odometry messages, or of TFMessage messages such as /tf, whose poses
+            move clouds to the time of the image; "none": clouds are not moved; None: the only
+            Odometry topic, else /tf, if there is one and /tf_static connects it to the LiDAR.
+    """
+
+    image_topic: str | None = None
+    depth_topic: str | None = None
+    info_topic: str | None = None
+    rectified: bool | None = None
+    registered: bool | None = None
+    pose_topic: str | None = None
+
+
 class BagSensors:
     """The frames and the calibration of a camera and its depth.
 
@@ -30,7 +58,7 @@ class BagSensors:
         topics: its topics.
         image: topic of the images.
         depth: topic of the depth; None: the camera alone.
-        info_topic, rectified, registered: see `BagOptions`.
+        given: the options of the source.
         rig: the sensors of the car; its calibration replaces that of the bag.
 
     Attributes:
@@ -45,18 +73,15 @@ class BagSensors:
         topics: RosTopics,
         image: str,
         depth: str | None,
-        *,
-        info_topic: str | None,
-        rectified: bool | None,
-        registered: bool | None,
+        given: BagOptions,
         rig: Rig,
     ) -> None:
         self._bag, self._topics, self._rig = bag, topics, rig
         self._image_topic, self._depth_topic = image, depth
-        self._rectified, self._registered = rectified, registered
+        self._rectified, self._registered = given.rectified, given.registered
         self.has_clouds = depth in topics.of_kind(POINT_CLOUD)
         infos, beside = topics.of_kind(CAMERA_INFO), topics.infos_beside(image)
-        self.info_topic = topics.choose("info_topic", info_topic, infos, beside[:1])
+        self.info_topic = topics.choose("info_topic", given.info_topic, infos, beside[:1])
         self.depth_camera: Calibration | None = None
         self._first_frames: dict[str, str] = {}  # of each topic
         self._of_frames: dict[str, Calibration] = {}  # for scans, by their frames

@@ -55,12 +55,7 @@ class KittiRawSource(FolderSource):
     calibration: Calibration
 
     def __init__(
-        self,
-        drive: Path,
-        rig: Rig = DEFAULT_RIG,
-        *,
-        camera: int = 2,
-        by_number: bool = False,
+        self, drive: Path, rig: Rig = DEFAULT_RIG, *, camera: int = 2, by_number: bool = False
     ) -> None:
         rig = replace(rig, scan_stamp=rig.scan_stamp or "middle")  # as KITTI documents it
         images, scans = drive / f"image_{camera:02d}", drive / "velodyne_points"

@@ -47,12 +47,7 @@ class KittiObjectSource(FolderSource):
     camera_alone = True
 
     def __init__(
-        self,
-        path: Path,
-        rig: Rig = DEFAULT_RIG,
-        *,
-        camera: int = 2,
-        **options: Any,
+        self, path: Path, rig: Rig = DEFAULT_RIG, *, camera: int = 2, **options: Any
     ) -> None:
         images = path / f"image_{camera}"
         if not os.path.isdir(images):

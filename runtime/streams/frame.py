@@ -3,15 +3,15 @@
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.contract.degraded import DEPTH_REUSED, DEPTH_UNCOMPENSATED
+from runtime.contract.degraded import DEPTH_REUSED, DEPTH_UNCOMPENSATED, POINTS_UNTIMED
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.motion import CompensatedDepth, DepthMotion, Scan, compensate_depth
-from runtime.geometry.poses import PoseTrack
+from runtime.geometry.motion import DepthMotion, Scan, project_compensated
+from runtime.geometry.poses import NoPoseError, PoseTrack
 
 
 class Sensor(StrEnum):
@@ -72,6 +72,23 @@ class Message:
     stamp_ns: int = 0
     data: Any = None
     arrived_ns: int = 0
+
+
+class CompensatedDepth(NamedTuple):
+    """A sparse depth map.
+
+    Attributes:
+        sparse_depth: float32 (H, W), metres, 0 = no return.
+        motion: "each" if each return was moved by its own time, "scan" if the scan was moved as a
+            whole, "none" if it was not moved.
+        degraded: reasons as in `Prediction.degraded`.
+        lost_points: see `Cleaned`.
+    """
+
+    sparse_depth: NDArray[np.float32]
+    motion: DepthMotion
+    degraded: tuple[str, ...]
+    lost_points: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,11 +152,23 @@ class Frame:
         depth, image_ns = self.depth, self.image.stamp_ns
         if depth is None:
             return CompensatedDepth(np.zeros(self.size, np.float32), "none", ())
-        if isinstance(scan := depth.data, Scan):
-            assert self.calibration is not None  # required by what takes scans
-            given = self.calibration, scan, self.poses, image_ns, self.size
-            return compensate_depth(*given, reused=self.reused)
-        is_apart = self.poses is not None and depth.stamp_ns != image_ns
+        scan = depth.data
         reasons: tuple[str, ...] = (DEPTH_REUSED,) if self.reused else ()
-        reasons += (DEPTH_UNCOMPENSATED,) if self.reused or is_apart else ()
-        return CompensatedDepth(depth.data, "none", reasons)
+        if not isinstance(scan, Scan):
+            is_apart = self.poses is not None and depth.stamp_ns != image_ns
+            reasons += (DEPTH_UNCOMPENSATED,) if self.reused or is_apart else ()
+            return CompensatedDepth(scan, "none", reasons)
+        points, times, lost, untimed = scan
+        calibration, poses, size = self.calibration, self.poses, self.size
+        assert calibration is not None  # required by what takes scans
+        reasons += (POINTS_UNTIMED,) if untimed else ()
+        if poses is not None and times is not None:
+            try:
+                moved = project_compensated(calibration, points, times, poses, image_ns, size)
+                motion: DepthMotion = "scan" if isinstance(times, int) else "each"
+                return CompensatedDepth(moved, motion, reasons, lost)
+            except NoPoseError as error:
+                reasons += (DEPTH_UNCOMPENSATED, error.reason)
+        elif self.reused:
+            reasons += (DEPTH_UNCOMPENSATED,)
+        return CompensatedDepth(calibration.project(points, size), "none", reasons, lost)

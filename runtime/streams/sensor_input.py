@@ -51,11 +51,7 @@ class SensorInput:
     """
 
     def __init__(
-        self,
-        rig: Rig,
-        *,
-        counter: StreamCounter,
-        lock: AbstractContextManager[Any],
+        self, rig: Rig, *, counter: StreamCounter, lock: AbstractContextManager[Any]
     ) -> None:
         if not isinstance(rig, Rig):
             raise InputError(f"rig must be a Rig, such as Rig(calibration=...), got {shown(rig)}")
