@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from small_rig import INTRINSICS, MS, OPTICAL, START_NS, projected
+from small_rig import INTRINSICS, MS, OPTICAL, SIZE, START_NS, projected
 
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.rig import Rig
 from runtime.recordings.bag import BagSource
 from runtime.recordings.ros_answers import status_fields
-from runtime.recordings.ros_camera import place_sensors
 from runtime.recordings.ros_poses import TransformTree
 from runtime.streams.stream_counter import WatchdogLevel, WatchdogState
 
@@ -48,17 +47,20 @@ def test_an_mcap_of_a_bag_has_its_frames_stamps_and_tree(record, run, tmp_path, 
 
 def test_the_second_camera_of_a_pair_has_a_frame_beside_the_first(record):
     """The P of the second holds the baseline, and its images are in the frame of the first."""
-    with BagSource(record(images=1, scans=1).write()) as source:
-        tree, own = source._sensors.tree, source.calibration
-    extrinsics = own.extrinsics.copy()
-    extrinsics[0, 3] -= 0.5
-    second = Calibration(np.array(INTRINSICS), extrinsics)
-    frames = place_sensors(tree, "camera", "lidar", second, True)
+    bag = record(images=1, scans=1)
+    first = bag.write()
+    bag.messages = [each for each in bag.messages if each[0] != "/cam/camera_info"]
+    bag.info("/cam/camera_info", INTRINSICS, SIZE, shift_px=-30.0)  # 0.5 m
+    second = bag.write("second")
+    with BagSource(first) as source:
+        assert source.sensor_frames.camera == "camera"
+    with BagSource(second) as source:
+        frames, calibration = source.sensor_frames, source.calibration
     added = frames.transforms[-1]
     assert (frames.camera, added.parent, added.child) == ("camera_ssdnet", "camera", frames.camera)
     np.testing.assert_allclose(added.translation, (0.5, 0, 0), atol=1e-9)
-    assert place_sensors(tree, "camera", "lidar", own, True).camera == "camera"
-    assert place_sensors(tree, "camera", "lidar", second, False).camera == "camera", "--calibration"
+    with BagSource(second, Rig(calibration=calibration)) as source:
+        assert source.sensor_frames.camera == "camera", "--calibration"
 
 
 def test_without_a_tree_the_calibration_places_the_lidar(record):
