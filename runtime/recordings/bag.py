@@ -42,7 +42,7 @@ from runtime.recordings.ros_poses import (
 from runtime.recordings.ros_topics import COMPRESSED_IMAGE, NO_TOPIC, RosTopics
 from runtime.recordings.source import ListedFrame, Source, pose_track
 from runtime.streams.frame import MATCHED, Frame, Message, Outcome, Sensor
-from runtime.streams.health.sensor_times import check_clocks
+from runtime.streams.health.sensor_times import clocks_apart_s, report_clocks
 
 _SUFFIXES = (".bag", ".db3", ".mcap")
 
@@ -209,9 +209,9 @@ class BagSource(Source):
         )
         self._left_out.update(self._bag.left_out)
         given = offsets[Sensor.IMAGE], offsets[Sensor.DEPTH], self._period_ns
-        topics, is_scan = (self._image_topic, self._depth_topic or ""), self._sensors.has_clouds
+        ahead_s = clocks_apart_s(*given, is_scan=self._sensors.has_clouds)
         with collect_assumptions(self._notes):
-            check_clocks(*given, is_scan=is_scan, names=topics, by="recording")
+            report_clocks(ahead_s, self._image_topic, self._depth_topic or "", by="recording")
         if cameras and self._rig.calibration is None and np.ptp(cameras, axis=0).max() > SAME_PX:
             with collect_assumptions(self._notes):
                 assume(f"the first CameraInfo of {self._sensors.info_topic}, others differ", GIVE)

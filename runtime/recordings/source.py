@@ -30,7 +30,7 @@ from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.ros_answers import FixedTransform, SensorFrames
 from runtime.streams.frame import MATCHED, Frame, Message, Sensor
 from runtime.streams.health.sensor_times import period_ns_of
-from runtime.streams.matching import Decided, RecordingMatcher
+from runtime.streams.matching import RecordingMatcher
 
 _WAITING = 64  # messages of a sensor that wait for the other one, which may be recorded later
 
@@ -298,12 +298,14 @@ class Source(ABC):
                 stamps_ns[sensor].append(stamp)
                 yield sensor, Message(stamp, stamp, data)
 
-        def count(decided: Decided) -> None:
-            discarded = decided.discarded
-            self._left_out.update(f"{gone.sensor}: {gone.outcome}" for gone in discarded)
+        def matched() -> Iterator[Frame]:
+            for decided in matching.match(stamped()):
+                discarded = decided.discarded
+                self._left_out.update(f"{gone.sensor}: {gone.outcome}" for gone in discarded)
+                yield from decided.frames
 
         def listed() -> Iterator[ListedFrame]:
-            for sequence, frame in enumerate(matching.match(stamped(), count)):
+            for sequence, frame in enumerate(matched()):
                 image, depth = frame.image, frame.depth
                 found = sequence, name(image), image.data
                 if depth is None:

@@ -13,7 +13,7 @@ the rules of a live stream, `RecordingMatcher` those of a recording.
 from abc import ABC, abstractmethod
 from bisect import insort
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from statistics import median_low
 from typing import NamedTuple
@@ -376,24 +376,14 @@ class RecordingMatcher(Matcher):
     happens only if the sensor is far ahead of the other one, or the other one is silent.
     """
 
-    def match(
-        self, messages: Iterable[tuple[Sensor, Message]], on_decided: Callable[[Decided], object]
-    ) -> Iterator[Frame]:
-        """Yield each image with its depth map or None, in the order of the images' stamps.
+    def match(self, messages: Iterable[tuple[Sensor, Message]]) -> Iterator[Decided]:
+        """Yield what each of the messages, in the order of the recording, and their end decide.
 
-        Args:
-            messages: in the order of the recording.
-            on_decided: called with the outcomes of each step.
+        The frames are each image with its depth map or None, in the order of the images' stamps.
         """
-
-        def steps() -> Iterator[Decided]:
-            for sensor, message in messages:
-                yield self.add(sensor, message)
-            yield self.flush()
-
-        for decided in steps():
-            on_decided(decided)
-            yield from decided.frames
+        for sensor, message in messages:
+            yield self.add(sensor, message)
+        yield self.flush()
 
     def add(self, sensor: Sensor, message: Message) -> Decided:
         """Take the next message, and decide what is certain with it."""

@@ -18,7 +18,7 @@ from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.streams.answerer import Answerer, FramePredictor
 from runtime.streams.frame import Frame, Message, Sensor
 from runtime.streams.frame_result import FrameResult
-from runtime.streams.matching import Decided, RecordingMatcher
+from runtime.streams.matching import RecordingMatcher
 from runtime.streams.sensor_input import SENSORS, Kind, SensorInput
 from runtime.streams.stream_counter import StreamCounter
 
@@ -104,9 +104,6 @@ def replay(
         max_skew_ms=rig.max_skew_ms, reuse_depth_ms=rig.max_depth_age_ms, capacity=_WAITING
     )
 
-    def count(decided: Decided) -> None:
-        counter.record_discarded(decided.discarded, jumped_back=decided.jumped_back)
-
     def answered(frame: Frame) -> Iterator[FrameResult]:
         """Yield the answer to a frame, or nothing after an error."""
         try:
@@ -122,8 +119,9 @@ def replay(
     def answers() -> Iterator[FrameResult]:
         """Answer the frames as soon as poses reach them."""
         waiting: deque[Frame] = deque()
-        for frame in matching.match(accepted(), count):
-            waiting.append(frame)
+        for decided in matching.match(accepted()):
+            counter.record_discarded(decided.discarded, jumped_back=decided.jumped_back)
+            waiting.extend(decided.frames)
             while waiting and (len(waiting) > _WAITING or sensors.reaches(waiting[0])):
                 yield from answered(waiting.popleft())
         for frame in waiting:

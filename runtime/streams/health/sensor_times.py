@@ -75,24 +75,19 @@ def clocks_apart_s(
     return worst_ns / 1e9 if abs(worst_ns - middle_ns) > period_ns / 2 - middle_ns else None
 
 
-def check_clocks(
-    image_ns: Sequence[int],
-    depth_ns: Sequence[int],
-    period_ns: float,
-    *,
-    is_scan: bool,
-    names: tuple[str, str] = ("the images", "the depth"),
-    by: str = "arrival",
-    parts: int = _PARTS,
+def report_clocks(
+    ahead_s: float | None, image: str = "the images", depth: str = "the depth", by: str = "arrival"
 ) -> bool:
     """Report the assumption of one clock, and return whether `clocks_apart_s` contradicts it.
 
-    `names` are those of images and depth, and `by` is what their stamps were compared with.
+    Args:
+        ahead_s: the result of `clocks_apart_s`.
+        image: name of the images.
+        depth: name of the depth.
+        by: what the stamps were compared with.
     """
-    ahead_s = clocks_apart_s(image_ns, depth_ns, period_ns, is_scan=is_scan, parts=parts)
     if ahead_s is None:
         return False
-    image, depth = names
     assume(
         "the stamps of both sensors are of one clock",
         f"by the time of {by} that of {depth} is {abs(ahead_s):.3g} s "
@@ -119,7 +114,7 @@ class LiveClocks:
         given = self._image_ns, self._depth_ns, period_ns
         if is_image or self._is_reported or min(map(len, given[:2])) < _LIVE:
             return
-        self._is_reported = check_clocks(*given, is_scan=is_scan, parts=1)
+        self._is_reported = report_clocks(clocks_apart_s(*given, is_scan=is_scan, parts=1))
         self._depth_ns.clear()
 
 
