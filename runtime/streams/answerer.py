@@ -93,7 +93,7 @@ class Answerer:
             consistency = self._consistency.score(
                 prediction, camera_only, sparse_depth, held_out, stamp_ns=image.stamp_ns
             )
-        reason = "" if prediction.valid else ", ".join(prediction.degraded)
+        predictor_reasons = prediction.degraded
         if depth is not None:
             self._since += 1
             self._last = None if prediction.depth is None or not self._check_depth else frame
@@ -116,9 +116,9 @@ class Answerer:
         return FrameResult(
             sequence=self._answers - 1,
             name=frame.name,
-            reason=reason,
             rgb=np.broadcast_to(rgb, rgb.shape),  # read-only
             prediction=prediction,
+            predictor_reasons=predictor_reasons,
             health=health,
             consistency=consistency,
             image_stamp=image.stamp,

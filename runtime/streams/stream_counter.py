@@ -17,7 +17,6 @@ from runtime.streams.frame import DROPPED, ERRORS, UNMATCHED, Frame, Message, Ou
 from runtime.streams.frame_result import FIGURES, FrameResult
 from runtime.streams.statistics import DurationHistogram, MissCounter, StreamStatistics
 
-_OF_A_RUN = ("read", "write")  # stages of `ssdnet-run` only
 Limits = tuple[float | None, float | None]  # least values for WARN and for ERROR; None = never
 _FAULTS = ("late", "degraded", "reused", "failed")  # fields of `WatchdogLimits`
 
@@ -157,7 +156,7 @@ class StreamCounter:
         self._pushed: Counter[Sensor] = Counter()
         self._outcomes: dict[Sensor, Counter[Outcome]] = {sensor: Counter() for sensor in Sensor}
         self._camera_only = self._reused = self._jumps_back = 0
-        self._histograms = {name: DurationHistogram() for name in FIGURES if name not in _OF_A_RUN}
+        self._histograms = {name: DurationHistogram() for name in FIGURES}
         self._faults = {name: MissCounter() for name in _FAULTS}
         self._is_started = False  # a message was accepted, or a frame answered
         # Limit on silence -> since when: the last answer or message, or else the first message.

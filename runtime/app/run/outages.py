@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from runtime.app.run.frame_record import FrameRecord
 from runtime.app.run.reasons import CAMERA_SILENT, LIDAR_SILENT
 from runtime.streams.frame import MATCHED, Sensor
-from runtime.streams.frame_result import FrameResult
 from runtime.streams.health.frame_health import LIDAR_EMPTY, LIDAR_FROZEN
 from runtime.streams.health.sensor_times import find_silences
 
@@ -74,14 +74,14 @@ class Timeline:
 
     @classmethod
     def of(
-        cls, records: Sequence[FrameResult], stamps_ns: Mapping[Sensor, Sequence[int]]
+        cls, records: Sequence[FrameRecord], stamps_ns: Mapping[Sensor, Sequence[int]]
     ) -> "Timeline | None":
         """Return the times of frames; None if they are unknown, or come from different clocks.
 
         A frame without a stamp is placed between its neighbours.
         """
-        known = [at for at, each in enumerate(records) if each.image_stamp is not None]
-        stamps = np.array([records[at].image_stamp for at in known], np.int64)
+        known = [at for at, each in enumerate(records) if each.image_stamp_ns is not None]
+        stamps = np.array([records[at].image_stamp_ns for at in known], np.int64)
         steps = np.diff(stamps)
         if len(stamps) < 2 or steps.min() <= 0 or steps.max() > _LONGEST_NS:
             return None
@@ -99,7 +99,7 @@ def _near(ns: int, stamps: Any) -> bool:
 
 
 def find_outages(
-    records: Sequence[FrameResult],
+    records: Sequence[FrameRecord],
     stamps_ns: Mapping[Sensor, Sequence[int]],
     timeline: Timeline | None,
     *,
@@ -117,8 +117,8 @@ def find_outages(
     found += _in_row(records, timeline, LIDAR_FROZEN)
     if timeline is not None:
         of_frames: dict[Sensor, list[Any]] = {
-            Sensor.IMAGE: [each.image_stamp for each in records],
-            Sensor.DEPTH: [each.depth_stamp for each in records],
+            Sensor.IMAGE: [each.image_stamp_ns for each in records],
+            Sensor.DEPTH: [each.depth_stamp_ns for each in records],
         }
         start, last = timeline.start_ns, timeline.start_ns + round(timeline.times_s[-1] * 1e9)
         known = {
@@ -140,9 +140,9 @@ def find_outages(
 
 
 def _in_row(
-    records: Sequence[FrameResult], timeline: Timeline | None, reason: str
+    records: Sequence[FrameRecord], timeline: Timeline | None, reason: str
 ) -> Iterator[Outage]:
-    """Parts in which successive frames have this reason in `FrameResult.health`."""
+    """Parts in which successive frames have this reason in `FrameRecord.health`."""
     numbered = [(at, each) for at, each in enumerate(records) if not each.depth_reused]
     place = 0
     for is_found, group in groupby(numbered, lambda each: reason in each[1].health):

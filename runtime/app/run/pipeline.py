@@ -6,13 +6,14 @@ import os
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from typing import Protocol
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import cv2
 
+from runtime.app.run.frame_record import FrameRecord
 from runtime.app.run.options import RunOptions
 from runtime.base.errors import SSDNetError
 from runtime.base.stamp import NS_PER_MS
@@ -53,12 +54,12 @@ class StreamResult:
     """The outcome of a stream.
 
     Attributes:
-        records: results of the frames, in order, without arrays.
+        records: the frames, in order.
         wall_s: time from the first read to the last write.
         interrupted: whether `stop` ended the stream.
     """
 
-    records: tuple[FrameResult, ...]
+    records: tuple[FrameRecord, ...]
     wall_s: float
     interrupted: bool
 
@@ -98,113 +99,148 @@ class Output(Protocol):
         """Write the answer to a frame; always called from the same thread. Raises OutputError."""
 
 
-def run_stream(
-    answerer: Answerer,
-    frames: Sequence[ListedFrame],
-    read: ReadFrame,
-    options: RunOptions,
-    *,
-    outputs: Sequence[Output] = (),
-    recorders: Sequence[Output] = (),
-    on_record: Callable[[FrameResult], None] = lambda record: None,
-    stop: Callable[[], bool] = lambda: False,
-) -> StreamResult:
-    """Answer every frame, in order.
+@dataclass(frozen=True)
+class Outputs:
+    """The outputs of a run.
+
+    Attributes:
+        writers: they get each valid answer, in the writing thread.
+        recorders: they get each answer, valid or not, in the calling thread, while nothing is
+            predicted.
+    """
+
+    writers: Sequence[Output] = ()
+    recorders: Sequence[Output] = ()
+
+
+class _Reading(NamedTuple):
+    """A frame that is being read, and the time of `perf_counter` at which it is due, if any."""
+
+    listed: ListedFrame
+    timed: Future[tuple[Frame, float]]
+    due: float | None
+
+
+class StreamRun:
+    """Answers every frame of a stream, in order.
 
     One thread reads ahead and one writes behind. Each holds at most two frames, so memory does not
     grow. A frame that cannot be read or predicted is skipped.
 
     Args:
         answerer: answers the frames, in the calling thread.
-        frames: the frames to read.
         read: reads them in order, in the reading thread.
         options: with --rate, frames are due at this rate from the start on, and none is predicted
             earlier (MLPerf's constant stream); without it, each frame is due when the one before is
-            done (single stream). --deadline-ms is the limit of `FrameResult.latency_ms`.
-        outputs: they get each valid answer, in the writing thread.
-        recorders: they get each answer, valid or not, in the calling thread, while nothing is
-            predicted.
-        on_record: called with the result of each frame when it is done.
+            done (single stream). --deadline-ms is the limit of the latency.
+        outputs: where the answers are written.
         stop: called before each frame; True ends the stream.
-
-    Raises:
-        Exception: what an output raises ends the stream.
     """
-    reads: deque[tuple[int, ListedFrame, Future[tuple[Frame, float]]]] = deque()
-    writes: deque[tuple[FrameResult, Future[float] | None]] = deque()
-    records: list[FrameResult] = []
-    waiting, rate_hz, deadline_ms = iter(enumerate(frames)), options.rate, options.deadline_ms
-    jitter = Jitter()
 
-    def read_next() -> None:
-        for index, listed in waiting:
-            reads.append((index, listed, reading_thread.submit(read, listed)))
+    def __init__(
+        self,
+        answerer: Answerer,
+        read: ReadFrame,
+        options: RunOptions,
+        *,
+        outputs: Outputs | None = None,
+        stop: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._answerer, self._read, self._stop = answerer, read, stop
+        self._outputs = outputs or Outputs()
+        self._rate_hz, self._deadline_ms = options.rate, options.deadline_ms
+        self._jitter = Jitter()
+        self._reads: deque[_Reading] = deque()
+        self._writes: deque[tuple[FrameRecord, Future[float] | None]] = deque()
+        self._reader, self._writer = (
+            ThreadPoolExecutor(1, thread_name_prefix=name, initializer=_lower_priority)
+            for name in ("read", "write")
+        )
+
+    def run(
+        self,
+        frames: Iterable[ListedFrame],
+        on_record: Callable[[FrameRecord], None] = lambda record: None,
+    ) -> StreamResult:
+        """Answer the frames, once; `on_record` is called with the record of each when it is done.
+
+        Raises:
+            Exception: what an output raises ends the stream.
+        """
+        started, records = time.perf_counter(), list[FrameRecord]()
+        waiting = self._with_due_times(frames, started)
+
+        def finish_all_but(count: int) -> None:
+            while len(self._writes) > count:
+                records.append(self._finish_oldest())
+                on_record(records[-1])
+
+        try:
+            for _ in range(_READ_AHEAD):
+                self._read_next(waiting)
+            while self._reads and not self._stop() and self._wait_until(self._reads[0].due):
+                self._writes.append(self._answer(self._reads.popleft()))
+                self._read_next(waiting)
+                self._answerer.check_last(idle=True)
+                finish_all_but(_WRITE_BEHIND)
+            finish_all_but(0)
+        finally:
+            self._reader.shutdown(cancel_futures=True)
+            self._writer.shutdown(cancel_futures=True)
+        return StreamResult(tuple(records), time.perf_counter() - started, bool(self._reads))
+
+    def _with_due_times(
+        self, frames: Iterable[ListedFrame], started: float
+    ) -> Iterator[tuple[ListedFrame, float | None]]:
+        for index, listed in enumerate(frames):
+            yield listed, None if self._rate_hz is None else started + index / self._rate_hz
+
+    def _read_next(self, waiting: Iterator[tuple[ListedFrame, float | None]]) -> None:
+        """Start reading the next frame, if there is one."""
+        for listed, due in waiting:
+            self._reads.append(_Reading(listed, self._reader.submit(self._read, listed), due))
             return
 
-    def answer(
-        index: int, listed: ListedFrame, reading: Future[tuple[Frame, float]], due: float | None
-    ) -> tuple[FrameResult, Future[float] | None]:
-        """Answer a frame and start writing the answer; return the result and the write."""
+    def _wait_until(self, due: float | None) -> bool:
+        """Wait for a time of `perf_counter`, if any; return False if the stream ends before it."""
+        while due is not None and (left := due - time.perf_counter()) > 0:
+            if self._stop():
+                return False
+            time.sleep(min(left, _STOP_POLL_S))
+        return True
+
+    def _answer(self, reading: _Reading) -> tuple[FrameRecord, Future[float] | None]:
+        """Answer a frame and start writing the answer; return the record and the write."""
         try:
-            frame, read_ms = reading.result()
-            result = answerer.answer(frame)
+            frame, read_ms = reading.timed.result()
+            result = self._answerer.answer(frame)
         except SSDNetError as error:
-            reason, stamp_ns = str(error), listed.image_stamp_ns
-            skipped = FrameResult(sequence=index, name=listed.name, reason=reason)
-            return skipped if stamp_ns is None else replace(skipped, image_stamp=stamp_ns), None
-        record = replace(result.in_report(index), read_ms=read_ms)
-        if due is not None:
-            age_ms = (time.perf_counter() - due) * 1e3
-            jitter_ms = jitter.record(round(age_ms * NS_PER_MS))
-            record = replace(record, latency_ms=age_ms, age_ms=age_ms, jitter_ms=jitter_ms)
-        if deadline_ms is not None:
-            record = replace(record, deadline_met=record.latency_ms <= deadline_ms)
-        for recorder in recorders:
+            listed = reading.listed
+            skipped = FrameRecord(
+                name=listed.name, reason=str(error), image_stamp_ns=listed.image_stamp_ns
+            )
+            return skipped, None
+        age_ms = jitter_ms = None
+        if reading.due is not None:
+            age_ms = (time.perf_counter() - reading.due) * 1e3
+            jitter_ms = self._jitter.record(round(age_ms * NS_PER_MS))
+        record = FrameRecord.of(
+            result,
+            read_ms=read_ms,
+            age_ms=age_ms,
+            jitter_ms=jitter_ms,
+            deadline_ms=self._deadline_ms,
+        )
+        for recorder in self._outputs.recorders:
             recorder.write(frame, result)
-        written = None
-        if outputs and result.prediction.valid:
-            written = writing_thread.submit(_write, outputs, frame, result)
-        return record, written
+        if not (self._outputs.writers and result.prediction.valid):
+            return record, None
+        return record, self._writer.submit(_write, self._outputs.writers, frame, result)
 
-    def finish_oldest() -> None:
-        done, written = writes.popleft()
-        done = done if written is None else replace(done, write_ms=written.result())
-        records.append(done)
-        on_record(done)
-
-    reading_thread = ThreadPoolExecutor(1, thread_name_prefix="read", initializer=_lower_priority)
-    writing_thread = ThreadPoolExecutor(1, thread_name_prefix="write", initializer=_lower_priority)
-    started = time.perf_counter()
-    try:
-        for _ in range(_READ_AHEAD):
-            read_next()
-        while reads and not stop():
-            index, listed, reading = reads[0]
-            due = None if rate_hz is None else started + index / rate_hz
-            if due is not None and not _wait_until(due, stop):
-                break
-            reads.popleft()
-            writes.append(answer(index, listed, reading, due))
-            read_next()
-            answerer.check_last(idle=True)
-            while len(writes) > _WRITE_BEHIND:
-                finish_oldest()
-        while writes:
-            finish_oldest()
-    finally:
-        reading_thread.shutdown(cancel_futures=True)
-        writing_thread.shutdown(cancel_futures=True)
-    wall_s = time.perf_counter() - started
-    return StreamResult(tuple(records), wall_s, bool(reads))
-
-
-def _wait_until(due: float, stop: Callable[[], bool]) -> bool:
-    """Wait for a time of `perf_counter`. Returns False if `stop` became True before that time."""
-    while (left := due - time.perf_counter()) > 0:
-        if stop():
-            return False
-        time.sleep(min(left, _STOP_POLL_S))
-    return True
+    def _finish_oldest(self) -> FrameRecord:
+        """Wait until the oldest answer is written, and return its record."""
+        record, written = self._writes.popleft()
+        return record if written is None else record.written(written.result())
 
 
 def _lower_priority() -> None:

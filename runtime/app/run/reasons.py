@@ -1,7 +1,7 @@
 """Everything that a run can find wrong with a frame or a sensor, with its meaning."""
 
+from runtime.app.run.frame_record import INVALID, SKIPPED
 from runtime.contract import degraded
-from runtime.streams.frame_result import INVALID, SKIPPED
 from runtime.streams.health import frame_health as health
 
 LATE = "late"

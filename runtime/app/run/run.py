@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from runtime.alignment.quick_check import QuickCheck, QuickFinding
 from runtime.app.run.depth_check import NoDepth, find_depth_fault, find_lens_fault
 from runtime.app.run.engine_facts import engine_facts
+from runtime.app.run.frame_record import FrameRecord
 from runtime.app.run.options import CLOUD, KINDS, SUFFIXES, RunOptions, saved_heads
 from runtime.app.run.outages import Timeline, find_outages
 from runtime.app.run.outputs.frame_writer import make_run_folder
@@ -15,9 +16,9 @@ from runtime.app.run.outputs.run_context import RunContext
 from runtime.app.run.pipeline import (
     ReadFrame,
     StreamResult,
+    StreamRun,
     dedicate_process,
     frame_reader,
-    run_stream,
 )
 from runtime.app.run.run_report import (
     RunReport,
@@ -33,11 +34,10 @@ from runtime.engine.predictor import Predictor
 from runtime.engine.preprocess import check_sparse_depth
 from runtime.recordings.source import ListedFrame, Source
 from runtime.streams.answerer import Answerer, known_focal_length_px
-from runtime.streams.frame_result import FrameResult
 
 _FIRST_FRAMES = 20  # a stream is refused if none of these frames can be predicted
 
-OnRecord = Callable[[FrameResult], None]
+OnRecord = Callable[[FrameRecord], None]
 # Called before the first frame with a text about the run and the number of frames. Returns a
 # function that is called with the result of each frame.
 OnStart = Callable[[str, int], OnRecord]
@@ -169,7 +169,7 @@ class _CameraStream:
         predictor, fault = self.predictor, self.fault
         names = [each.name for each in self.frames]
         opened = RunContext(options, predictor, self.kinds, names, self.source.sensor_frames)
-        with open_outputs(opened) as (outputs, recorders):
+        with open_outputs(opened) as outputs:
             answerer = Answerer(
                 predictor,
                 check_depth=False,
@@ -178,16 +178,8 @@ class _CameraStream:
             )
             about = f"{camera}: {self.about}" if camera else self.about
             with self.source.collecting():
-                result = run_stream(
-                    answerer,
-                    self.frames,
-                    self.read,
-                    options,
-                    outputs=outputs,
-                    recorders=recorders,
-                    on_record=on_start(about, len(self.frames)),
-                    stop=stop,
-                )
+                stream_run = StreamRun(answerer, self.read, options, outputs=outputs, stop=stop)
+                result = stream_run.run(self.frames, on_start(about, len(self.frames)))
             answers = [each.prediction for each in result.records if each.prediction]
             if fault is NoDepth.NO_RETURNS and any(answer.depth_returns for answer in answers):
                 fault = None  # the LiDAR has only started later

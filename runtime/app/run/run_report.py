@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from runtime.alignment.quick_check import QuickFinding
+from runtime.app.run.frame_record import OK, STAGES, FrameRecord
 from runtime.app.run.options import OVERLAY, RunOptions
 from runtime.app.run.outages import Outage, Timeline
 from runtime.app.run.pipeline import StreamResult
@@ -20,15 +21,11 @@ from runtime.contract.degraded import IMPLAUSIBLE_DEPTH, IMPLAUSIBLE_POSES
 from runtime.drawing.encode import METRES_PNG_MAX_M, METRES_PNG_SCALE
 from runtime.engine.prediction import Cleaned, Prediction
 from runtime.files.atomic_write import atomic_write
-from runtime.streams.frame_result import FIGURES, OK, FrameResult
 from runtime.streams.statistics import MissCounter, StreamStatistics, latency_statistics
 
 REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "2.0"
 FRAMES_FILE, REPORT_FILE = "frames.csv", "report.json"
 FRAMES_SKIPPED, DEADLINE_MISSED, REASON_FOUND = 3, 4, 5  # exit codes
-
-# The time of each stage for a frame. "latency" is left out, because it equals "age" or "predict".
-STAGES = {stage: time_of for stage, time_of in FIGURES.items() if stage != "latency"}
 
 
 @dataclass(frozen=True)
@@ -74,14 +71,13 @@ class RunReport:
             interrupted: whether cameras are missing.
         """
         first, *_ = reports.values()
-        named = [
-            replace(record, name=f"{camera}/{record.name}")
-            for camera, report in reports.items()
-            for record in report.records
-        ]
         stream = replace(
             first.stream,
-            records=tuple(replace(record, sequence=index) for index, record in enumerate(named)),
+            records=tuple(
+                replace(record, name=f"{camera}/{record.name}")
+                for camera, report in reports.items()
+                for record in report.records
+            ),
             wall_s=sum(report.stream.wall_s for report in reports.values()),
             interrupted=interrupted or any(each.stream.interrupted for each in reports.values()),
         )
@@ -120,7 +116,7 @@ class RunReport:
         return self.options.folder
 
     @property
-    def records(self) -> tuple[FrameResult, ...]:
+    def records(self) -> tuple[FrameRecord, ...]:
         """Results of the frames, in order."""
         return self.stream.records
 
@@ -142,7 +138,7 @@ class RunReport:
     @property
     def degraded(self) -> Counter[str]:
         """Number of frames with each reason of `Prediction.degraded`."""
-        return Counter(reason for each in self.predictions for reason in each.degraded)
+        return Counter(reason for record in self.records for reason in record.degraded)
 
     @property
     def health(self) -> Counter[str]:
@@ -183,7 +179,7 @@ class RunReport:
         return {each: found[each] for each in self.options.failing if each in found}
 
     @property
-    def not_ok(self) -> list[FrameResult]:
+    def not_ok(self) -> list[FrameRecord]:
         """The frames without a usable answer."""
         return [record for record in self.records if record.status != OK]
 
@@ -191,8 +187,8 @@ class RunReport:
     def statistics(self) -> StreamStatistics:
         """Statistics over the frames that passed each stage, without stages that none passed."""
         stages = {}
-        for stage, time_of in STAGES.items():
-            times_ms = [ms for record in self.records if (ms := time_of(record)) is not None]
+        for stage in STAGES:
+            times_ms = [each.times_ms[stage] for each in self.records if stage in each.times_ms]
             if times_ms:
                 stages[stage] = latency_statistics(times_ms)
         misses = MissCounter()
@@ -281,7 +277,7 @@ def size_text(size: tuple[int, int] | None) -> str:
     return "any size" if size is None else f"{size[0]} x {size[1]}"
 
 
-def _depth_source(record: FrameResult) -> str:
+def _depth_source(record: FrameRecord) -> str:
     """Return "own" for depth of the image itself, "reused" for older depth, "" without depth."""
     if record.depth_motion is None:
         return ""
@@ -309,18 +305,18 @@ def frames_csv(report: RunReport) -> str:
         + ["depth_returns", "network_height", "network_width"]
         + ["image_stamp_ns", "depth_stamp_ns", "health", "depth_source", "depth_motion"]
     )
-    for record in report.records:
-        times_ms = (time_of(record) for time_of in STAGES.values())
+    for index, record in enumerate(report.records):
+        times_ms = (record.times_ms.get(stage) for stage in STAGES)
         met, answer = record.deadline_met, record.prediction
         writer.writerow(
-            [record.sequence, record.name, record.status, record.reason]
+            [index, record.name, record.status, record.reason]
             + list(answer.frame_size if answer else ("", ""))
             + ["" if time_ms is None else f"{time_ms:.3f}" for time_ms in times_ms]
-            + ["" if met is None else int(not met), ";".join(answer.degraded if answer else ())]
+            + ["" if met is None else int(not met), ";".join(record.degraded)]
             + list(asdict(answer.cleaned if answer else Cleaned()).values())
             + [answer.depth_returns if answer else 0]
             + list(answer.network_size if answer else ("", ""))
-            + [record.image_stamp, record.depth_stamp, ";".join(record.health)]
+            + [record.image_stamp_ns, record.depth_stamp_ns, ";".join(record.health)]
             + [_depth_source(record), record.depth_motion]
         )
     return text.getvalue()

@@ -46,7 +46,7 @@ def result(number=0, *, degraded=(), valid=True, **others):
         sequence=number,
         rgb=image(number),
         prediction=Prediction({}, size, size, latency, valid=valid, degraded=degraded),
-        consistency=None,
+        predictor_reasons=degraded,
         image_stamp=number,
         latency_ms=40.0,
         age_ms=40.0,

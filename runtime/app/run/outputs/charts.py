@@ -8,8 +8,8 @@ from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
+from runtime.app.run.frame_record import INVALID, OK, SKIPPED, FrameRecord
 from runtime.app.run.reasons import LATE
-from runtime.streams.frame_result import INVALID, OK, SKIPPED, FrameResult
 
 UNANSWERED = (SKIPPED, INVALID)  # frames without a usable answer
 _MOST_SPANS = 490  # in one chart
@@ -22,9 +22,9 @@ _LEAST_BAR = 0.25  # width of a bar in percent of its strip
 Bar = tuple[float, float, float, float]
 
 
-def frame_marks(record: FrameResult) -> set[str]:
+def frame_marks(record: FrameRecord) -> set[str]:
     """What is wrong with a frame: its status, "late", `Prediction.degraded`, and health."""
-    marks = {*record.health, *(record.prediction.degraded if record.prediction else ())}
+    marks = {*record.health, *record.degraded}
     if record.status != OK:
         marks.add(record.status)
     if record.deadline_met is False:
@@ -95,7 +95,7 @@ class Span:
     """Successive frames that share a place in the charts; `first` is the number of the first."""
 
     first: int
-    records: Sequence[FrameResult]
+    records: Sequence[FrameRecord]
     axis: Axis
 
     @property
@@ -126,7 +126,7 @@ class Span:
     @cached_property
     def times_ms(self) -> list[float]:
         """Latencies of the answered frames."""
-        return [each.latency_ms for each in self.records if each.latency_ms is not None]
+        return [record.times_ms["latency"] for record in self.records if record.prediction]
 
     @property
     def slowest_ms(self) -> float:
@@ -145,7 +145,7 @@ class Span:
         return sum(returns) / len(returns) if returns else None
 
 
-def group_frames(records: Sequence[FrameResult], axis: Axis | None = None) -> list[Span]:
+def group_frames(records: Sequence[FrameRecord], axis: Axis | None = None) -> list[Span]:
     """The spans of a run, with one frame each, or with several if there are too many frames.
 
     No span contains a gap. If `axis` is None, the axis counts frames.

@@ -4,7 +4,6 @@ import contextlib
 from collections.abc import Iterator
 
 from runtime.app.run.outputs.run_context import RunContext
-from runtime.contract.degraded import STREAM_REASONS
 from runtime.engine.predictor import Predictor
 from runtime.streams.answerer import known_focal_length_px
 from runtime.streams.frame import Frame
@@ -29,7 +28,7 @@ class RunReference:
         entry = ReferenceFrame(
             frame.name,
             prediction.valid,
-            tuple(reason for reason in prediction.degraded if reason not in STREAM_REASONS),
+            result.predictor_reasons,
             prediction.latency.total_ms,
             known_focal_length_px(self._predictor, frame.calibration),
         )

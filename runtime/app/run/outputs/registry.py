@@ -14,7 +14,7 @@ from runtime.app.run.outputs.page import open_page
 from runtime.app.run.outputs.reference import open_reference
 from runtime.app.run.outputs.run_context import RunContext
 from runtime.app.run.outputs.video import open_video
-from runtime.app.run.pipeline import Output
+from runtime.app.run.pipeline import Output, Outputs
 from runtime.base.errors import OutputError, install_command
 from runtime.files.atomic_write import require_writable
 from runtime.files.own_folder import require_folder_free
@@ -40,13 +40,13 @@ class OutputRow(NamedTuple):
         open: opens the output.
         package: import name of a package that the output needs; None: it needs none.
         extra: the extra that installs the package.
-        raw: whether the output is a recorder, see `run_stream`.
+        is_recorder: whether the output is one of `Outputs.recorders`.
     """
 
     open: OpenOutput
     package: str | None = None
     extra: str = ""
-    raw: bool = False
+    is_recorder: bool = False
 
 
 # The outputs by option, in the order in which they are opened. They are closed in reverse order,
@@ -56,7 +56,7 @@ OUTPUTS: dict[str, OutputRow] = {
     "out": OutputRow(open_frame_files),
     "video": OutputRow(open_video),
     "mcap": OutputRow(open_mcap, package="rosbags", extra="bag"),
-    "record": OutputRow(open_reference, raw=True),
+    "record": OutputRow(open_reference, is_recorder=True),
 }
 
 
@@ -91,12 +91,13 @@ def require_outputs(options: RunOptions, source: Source) -> None:
 
 
 @contextlib.contextmanager
-def open_outputs(run: RunContext) -> Iterator[tuple[list[Output], list[Output]]]:
-    """Open the requested outputs; yields the `outputs` and `recorders` of `run_stream`."""
-    opened: dict[bool, list[Output]] = {False: [], True: []}
+def open_outputs(run: RunContext) -> Iterator[Outputs]:
+    """Open the requested outputs."""
+    writers: list[Output] = []
+    recorders: list[Output] = []
     with contextlib.ExitStack() as stack:
         for row in _requested(run.options).values():
             output = stack.enter_context(row.open(run))
             if output is not None:
-                opened[row.raw].append(output)
-        yield opened[False], opened[True]
+                (recorders if row.is_recorder else writers).append(output)
+        yield Outputs(writers, recorders)

@@ -1,14 +1,36 @@
 """Outcomes of frames, made by hand."""
 
+from dataclasses import replace
+
+import numpy as np
+
+from runtime.app.run.frame_record import OK, SKIPPED, FrameRecord
 from runtime.engine.prediction import Latency, Prediction
-from runtime.streams.frame_result import OK, SKIPPED, FrameResult
+from runtime.streams.frame_result import FrameResult
 
 
-def outcome(number=0, status=OK, *, degraded=(), returns=0, **others):
+def outcome(
+    number=0,
+    status=OK,
+    *,
+    name=None,
+    degraded=(),
+    returns=0,
+    latency_ms=0.0,
+    deadline_met=None,
+    **others,
+):
     """The outcome of a frame."""
-    size, latency = (48, 64), Latency(0, 0, 0, 0)
+    name, size = str(number) if name is None else name, (48, 64)
+    if status == SKIPPED:
+        return FrameRecord(name=name, deadline_met=deadline_met)
     prediction = Prediction(
-        {}, size, size, latency, valid=status == OK, degraded=degraded, depth_returns=returns
-    )
-    known = {} if status == SKIPPED else {"prediction": prediction}
-    return FrameResult(sequence=number, **{"name": str(number), **known, **others})
+        *({}, size, size, Latency(0, 0, 0, 0)),
+        valid=status == OK, degraded=degraded, depth_returns=returns,
+    )  # fmt: skip
+    result = FrameResult(
+        sequence=number, name=name, rgb=np.zeros((*size, 3), np.uint8), prediction=prediction,
+        predictor_reasons=degraded, latency_ms=latency_ms, age_ms=latency_ms,
+        **{"image_stamp": None, **others},
+    )  # fmt: skip
+    return replace(FrameRecord.of(result, read_ms=0.0), deadline_met=deadline_met)

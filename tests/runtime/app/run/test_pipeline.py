@@ -13,7 +13,7 @@ import runtime.app.run.pipeline
 import runtime.recordings.images
 from runtime import OutputError, Predictor
 from runtime.app.run.options import RunOptions
-from runtime.app.run.pipeline import frame_reader, run_stream
+from runtime.app.run.pipeline import Outputs, StreamRun, frame_reader
 from runtime.recordings.folders import FolderSource
 from runtime.streams.answerer import Answerer
 
@@ -30,11 +30,12 @@ TIMING = {"rate", "deadline_ms"}
 def run(predictor, folders, **options):
     source = FolderSource(folders[0], depth=folders[1])
     if write := options.pop("write", None):
-        options["outputs"] = [SimpleNamespace(write=write)]
+        options["outputs"] = Outputs([SimpleNamespace(write=write)])
     read = frame_reader(SimpleNamespace(read=options.pop("read", source.read)))
     answerer = Answerer(predictor, check_depth=False)
     given = RunOptions(demo=True, **{name: options.pop(name) for name in TIMING & options.keys()})
-    return run_stream(answerer, source.list_frames(), read, given, **options)
+    on_record = options.pop("on_record", lambda record: None)
+    return StreamRun(answerer, read, given, **options).run(source.list_frames(), on_record)
 
 
 def test_every_frame_is_predicted_and_written_in_order(predictor, make_stream, make_frame):
@@ -43,11 +44,11 @@ def test_every_frame_is_predicted_and_written_in_order(predictor, make_stream, m
         predictor,
         folders,
         write=lambda frame, result: written.append((frame.name, frame.rgb, result.prediction)),
-        on_record=lambda record: seen.append(record.sequence),
+        on_record=lambda record: seen.append(record.name),
     )
     names = [f"f{index}" for index in range(12)]
     assert [record.name for record in result.records] == names
-    assert (seen, result.interrupted) == (list(range(12)), False)
+    assert (seen, result.interrupted) == (names, False)
     for index, (name, rgb, prediction) in enumerate(written):
         _, expected_depth = make_frame(seed=index)
         assert name == names[index]
@@ -56,10 +57,10 @@ def test_every_frame_is_predicted_and_written_in_order(predictor, make_stream, m
         np.testing.assert_allclose(prediction.depth, expected, rtol=1e-6)
     for record in result.records:
         assert (record.status, record.prediction.frame_size) == ("ok", (48, 64))
-        assert record.read_ms > 0
-        assert record.write_ms is not None
+        assert record.times_ms["read"] > 0
+        assert "write" in record.times_ms
         latency = record.prediction.latency
-        assert record.latency_ms == latency.total_ms >= latency.inference_ms > 0
+        assert record.times_ms["latency"] == latency.total_ms >= latency.inference_ms > 0
         assert record.prediction.heads == {}, "arrays are not kept"
 
 
@@ -178,13 +179,13 @@ def test_frames_of_a_constant_stream_are_predicted_when_due_and_late_ones_are_ma
     clock, result = constant_stream(
         predictor, make_stream(6), monkeypatch, takes_s=takes_s, deadline_ms=250
     )
-    ages_ms = [record.age_ms for record in result.records]
+    ages_ms = [record.times_ms["age"] for record in result.records]
     # Due at 0, 250, 500, 750 ms ...; the third ends at 1125, the fourth 125 ms later.
     assert ages_ms == pytest.approx([125, 125, 625, 500, 375, 250])
-    jitter_ms = [record.jitter_ms for record in result.records]
+    jitter_ms = [record.times_ms.get("jitter") for record in result.records]
     assert jitter_ms[0] is None
     assert jitter_ms[1:] == pytest.approx([0, 500, 125, 125, 125])
-    assert [record.latency_ms for record in result.records] == ages_ms
+    assert [record.times_ms["latency"] for record in result.records] == ages_ms
     assert [record.deadline_met for record in result.records] == [
         *[True, True, False, False, False],
         True,  # exactly on it

@@ -8,11 +8,11 @@ import pytest
 
 from outcomes import outcome
 from runtime.alignment.quick_check import Fit, QuickFinding
+from runtime.app.run.frame_record import INVALID, OK, SKIPPED
 from runtime.app.run.options import RunOptions, UsageError
 from runtime.app.run.outages import Outage
 from runtime.app.run.pipeline import StreamResult
 from runtime.app.run.run_report import RunReport, describe_run, frames_csv
-from runtime.streams.frame_result import INVALID, OK, SKIPPED
 from runtime.streams.statistics import MissedDeadlines
 
 

@@ -16,7 +16,11 @@ def answered(all_heads, make_frame):
     rgb[..., 1] = rgb[..., 2] // 2  # boundary = green / blue stays within 0..1
     prediction = Predictor(all_heads).predict(rgb, depth)
     frame = Frame(Message(data=rgb), Message(data=depth), name="a")
-    return frame, FrameResult(sequence=0, name="a", rgb=rgb, prediction=prediction)
+    latency_ms = prediction.latency.total_ms
+    return frame, FrameResult(
+        sequence=0, name="a", rgb=rgb, prediction=prediction, predictor_reasons=(),
+        image_stamp=None, latency_ms=latency_ms, age_ms=latency_ms,
+    )  # fmt: skip
 
 
 @pytest.fixture

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from outcomes import outcome
+from runtime.app.run.frame_record import OK, SKIPPED
 from runtime.app.run.outputs import charts
 from runtime.app.run.outputs.page import RunPage
 from runtime.command.html import render_template
 from runtime.engine.prediction import Latency
-from runtime.streams.frame_result import OK, SKIPPED
 
 
 @pytest.fixture
