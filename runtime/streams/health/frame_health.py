@@ -17,14 +17,17 @@ from numpy.typing import NDArray
 
 from runtime.contract.contract import MAX_RETURN_M, farthest_return
 
-IMAGE_FROZEN = "image_frozen"  # the same bytes as in the image before
-IMAGE_BLACK = "image_black"  # nearly every pixel is dark
-IMAGE_OVEREXPOSED = "image_overexposed"  # half of the pixels are saturated
-LIDAR_MISSING = "lidar_missing"  # no scan or depth map for the image, although the car has a LiDAR
-LIDAR_EMPTY = "lidar_empty"  # the scan or depth map has no return in the image
-LIDAR_FROZEN = "lidar_frozen"  # the same scan at least three times, while the images change
-LIDAR_SECTOR_LOST = "lidar_sector_lost"
-LIDAR_LINES_LOST = "lidar_lines_lost"
+# Each fault with its meaning.
+SENSOR_FAULTS: dict[str, str] = {
+    (IMAGE_FROZEN := "image_frozen"): "same bytes as the image before",
+    (IMAGE_BLACK := "image_black"): "nearly all pixels are dark",
+    (IMAGE_OVEREXPOSED := "image_overexposed"): "half of the pixels are saturated",
+    (LIDAR_MISSING := "lidar_missing"): "no scan or depth map for the image",
+    (LIDAR_EMPTY := "lidar_empty"): "no return of the scan is in the image",
+    (LIDAR_FROZEN := "lidar_frozen"): "the same scan again, though the image changed",
+    (LIDAR_SECTOR_LOST := "lidar_sector_lost"): "a sector of the LiDAR is missing",
+    (LIDAR_LINES_LOST := "lidar_lines_lost"): "scan lines of the LiDAR are missing",
+}
 
 _MOST_FIELDS = 32  # a wider array is a depth map, not points
 _GLANCE = 16  # every 16th row and column are compared first
@@ -86,9 +89,7 @@ class FrameHealth:
             range_m: depth range of the frame; farther depths than `farthest_return` are no returns.
 
         Returns:
-            Some of "image_frozen", "image_black", "image_overexposed", "lidar_missing",
-            "lidar_empty", "lidar_frozen", "lidar_sector_lost" and "lidar_lines_lost"; () if nothing
-            is wrong.
+            Some of `SENSOR_FAULTS`; () if nothing is wrong.
         """
         is_return = (sparse_depth > 0) & (sparse_depth <= farthest_return(range_m))
         before = self._before
