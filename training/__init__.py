@@ -19,22 +19,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from training.api import adapt as adapt
+    from training.api import evaluate as evaluate
     from training.api import finetune as finetune
     from training.api import train as train
-    from training.evaluation.evaluate import evaluate as evaluate
 
-# The module that holds each name.
-_HOMES = {
-    **dict.fromkeys(("adapt", "finetune", "train"), "training.api"),
-    "evaluate": "training.evaluation.evaluate",
-}
 __all__ = ["adapt", "evaluate", "finetune", "train"]
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = value = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value = getattr(import_module("training.api"), name)
     return value
 
 

@@ -1,4 +1,4 @@
-"""The functions that train, for Python; the commands call them, too.
+"""The functions of `training` for Python; the commands that train call them, too.
 
 Weights are given by the name of a checkpoint of the package ("ssdnet-lite"), or by the path of a
 .pt file. Changes of a recipe are texts like "schedule.steps = 500", as with `ssdnet-train --set`.
@@ -16,6 +16,7 @@ from training.adaptation import Adapted
 from training.adaptation_frames import describe_recording
 from training.chosen_recipe import fine_tune, read_stages
 from training.dry_run import dry_run as draw_first_batch
+from training.evaluation.evaluate import evaluate as evaluate
 from training.initial_weights import Weights, find_weights, read_weights
 from training.own_folders import RECIPE_TEXT, OwnFolders, keep_recipe
 from training.recipe import build_recipe

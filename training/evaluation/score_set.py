@@ -155,6 +155,23 @@ class _Tally:
         return total
 
 
+@dataclass
+class _SetTally:
+    """The score of every input so far, and what the answers of a model have in common."""
+
+    inputs: dict[Feed, _Tally]
+    labelled: bool = False
+    times_ms: list[float] = field(default_factory=list)
+    without_focal: int = 0
+
+    def merge(self, other: "_SetTally") -> None:
+        for feed, tally in other.inputs.items():
+            self.inputs[feed].merge(tally)
+        self.labelled |= other.labelled
+        self.times_ms += other.times_ms
+        self.without_focal += other.without_focal
+
+
 def score_set(
     name: str,
     model: ScoredModel,
@@ -175,38 +192,55 @@ def score_set(
     Raises:
         InputError: if a LiDAR feeds the depth to score and is not to be left out.
     """
-    tallies = {feed: _Tally(len(data.classes.names), data.farthest_m) for feed in feeds}
-    labelled, times_ms, without_focal = False, list[float](), 0
+    inputs = {feed: _Tally(len(data.classes.names), data.farthest_m) for feed in feeds}
+    tally = _SetTally(inputs)
     share = data.indices[processes.rank :: processes.count] if processes else data.indices
     # The bar stays unless it is below that of a training.
     for index in tqdm(share, desc=f"{name}, {data.title}", disable=None, leave=None):
-        sample, has_labels = data.read(index)  # once: it may take longer than an answer
-        labelled |= has_labels
-        without_focal += sample.focal_length_px is None
-        answers: dict[str, HeadMaps] = {}  # all inputs without returns share one answer
-        for feed, label, frame, fed in split_feeds(
-            sample, index, feeds, leave_out_fed=leave_out_fed
-        ):
-            tallies[feed].was_fed |= bool(frame.fed.any())
-            if label not in answers:
-                started = perf_counter()
-                answers[label] = data.answer(model, sample, fed, index)
-                times_ms.append(1e3 * (perf_counter() - started))
-                if save is not None:
-                    parts = (name, data.title, label, *sample.name.split("/"))
-                    save.write(parts, answers[label].depth)
-            tallies[feed].add(answers[label], frame, index, data.group(sample, index))
+        _score_frame(name, model, data, index, tally, save=save, leave_out_fed=leave_out_fed)
     if processes is not None:
-        (tallies, labelled, times_ms, without_focal), *others = processes.gather(
-            (tallies, labelled, times_ms, without_focal)
-        )
-        for theirs, has_labels, times, count in others:
-            for feed, tally in theirs.items():
-                tallies[feed].merge(tally)
-            labelled, times_ms = labelled or has_labels, times_ms + times
-            without_focal += count
+        tally, *others = processes.gather(tally)
+        for other in others:
+            tally.merge(other)
+    return _list_results(name, model, data, tally)
+
+
+def _score_frame(
+    name: str,
+    model: ScoredModel,
+    data: EvaluatedSet,
+    index: int,
+    tally: _SetTally,
+    *,
+    save: DepthFolder | None,
+    leave_out_fed: bool,
+) -> None:
+    """Answer a frame with every input that it gives, and count the answers."""
+    sample, has_labels = data.read(index)  # once: it may take longer than an answer
+    tally.labelled |= has_labels
+    tally.without_focal += sample.focal_length_px is None
+    answers: dict[str, HeadMaps] = {}  # all inputs without returns share one answer
+    for feed, label, frame, fed in split_feeds(
+        sample, index, list(tally.inputs), leave_out_fed=leave_out_fed
+    ):
+        tally.inputs[feed].was_fed |= bool(frame.fed.any())
+        if label not in answers:
+            started = perf_counter()
+            answers[label] = data.answer(model, sample, fed, index)
+            tally.times_ms.append(1e3 * (perf_counter() - started))
+            if save is not None:
+                parts = (name, data.title, label, *sample.name.split("/"))
+                save.write(parts, answers[label].depth)
+        tally.inputs[feed].add(answers[label], frame, index, data.group(sample, index))
+
+
+def _list_results(
+    name: str, model: ScoredModel, data: EvaluatedSet, counted: _SetTally
+) -> list[Result]:
+    """Return a result for each input; those that fed nothing in any frame are one."""
     results: dict[tuple[str, str], Result] = {}
-    for feed, tally in tallies.items():
+    times_ms = [] if model.recorded else counted.times_ms
+    for feed, tally in counted.inputs.items():
         key = (str(feed[0]), feed[1]) if tally.was_fed else ("none", "none")
         if not tally.frames or key in results:
             continue
@@ -218,11 +252,11 @@ def score_set(
             figures_over_places=figures_over_places(by_place.values()),
             heads=sorted(total.heads),
             labelled=total.labelled(data.classes.names),
-            left_out=data.classes.left_out if labelled and model.table else "",
+            left_out=data.classes.left_out if counted.labelled and model.table else "",
             unscored=total.unscored(),
             farthest_m=data.farthest_m,
-            latency_ms=median(times_ms) if model.recorded is None and times_ms else None,
-            without_focal=without_focal if model.is_canonical else 0,
+            latency_ms=median(times_ms) if times_ms else None,
+            without_focal=counted.without_focal if model.is_canonical else 0,
         )
         results[key] = Result(row, feed, total, tally.frames, data.classes.names)
     return list(results.values())
