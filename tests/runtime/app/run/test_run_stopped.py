@@ -37,14 +37,6 @@ def require_consistent(out: Path) -> list[str]:
     return listed
 
 
-@pytest.fixture
-def sensitive_to_ctrl_c():
-    """As a process is that a terminal started; a shell's background is deaf to it."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 class SignalAtLine:
     """A trace function that sends this process a signal at the n-th line run of these files."""
 
@@ -68,13 +60,12 @@ class SignalAtLine:
 
 
 @pytest.mark.slow
-def test_at_every_line_of_the_main_thread(tmp_path, command, sensitive_to_ctrl_c):
+def test_at_every_line_of_the_main_thread(tmp_path, command):
     """The lines are those that start, feed and end the run; every fifth is tried to save time."""
     listed, line = [], 0
     while True:
         line += 5
         out = tmp_path / f"out{line}"
-        signal.signal(signal.SIGINT, signal.default_int_handler)
         trace = SignalAtLine(line)
         sys.settrace(trace)
         try:
