@@ -67,7 +67,7 @@ class Contract:
         training: the data it was trained on and their terms.
         versions: versions of the software that made the file (ssdnet, torch, onnx, opset).
         parity: head -> largest measured difference to PyTorch; {} = not measured.
-        checkpoint_sha256: digest of the checkpoint the file was made from.
+        checkpoint_sha256: SHA-256 of the checkpoint the file was made from.
         trained_height: rows of the images it was trained on; None: not known.
         canonical_focal_px: focal length [px] of the camera in whose metres the graph works, see
             `runtime.contract.canonical_focal`; None: plain metres.

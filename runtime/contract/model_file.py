@@ -50,18 +50,18 @@ def load_model_file(path: Path, *, sha256: str | None = None) -> ModelFile:
 
     Args:
         path: the model file.
-        sha256: digest that the file must have, 64 hexadecimal digits; None: any.
+        sha256: SHA-256 that the file must have, 64 hexadecimal digits; None: any.
 
     Raises:
         ContractError: if the file is missing, not a regular file, larger than `MAX_MODEL_BYTES`,
-            not ONNX or damaged, or if it has another digest or no metadata.
+            not ONNX or damaged, or if it has another SHA-256 or no metadata.
     """
     content = _read(path)
     digest = hashlib.sha256(content).hexdigest()
     if sha256 is not None and str(sha256).lower() != digest:  # what is no text never matches
         raise ContractError(
             f"the model {path} has the SHA-256 {digest}, expected {shown(sha256)}: get the right "
-            "file, or give this digest"
+            "file, or give this one"
         )
     return _parse_named(content, path)
 

@@ -20,7 +20,7 @@ class Model:
     Attributes:
         path: path of its file.
         contract: what the file states about itself.
-        sha256: digest of the file, hexadecimal.
+        sha256: SHA-256 of the file, hexadecimal.
         heads: names of its heads, in the order of `HEADS`.
         size: (height, width) of its inputs; None: any size.
         free_batch: True if one run takes any number of frames, False if it takes only one.
@@ -45,7 +45,7 @@ def open_model(
 
     Args:
         path: the model file.
-        sha256: digest that the file must have; None: any.
+        sha256: SHA-256 that the file must have; None: any.
         provider: see `open_session`.
         device_id: see `open_session`.
         threads: see `open_session`.

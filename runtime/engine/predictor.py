@@ -43,7 +43,7 @@ class Predictor:
     Args:
         model: an ONNX file made by ssdnet-export, or the name of a bundled model, see `find_model`;
             None: ssdnet-lite.
-        sha256: digest that the file must have, 64 hexadecimal digits; None: any.
+        sha256: SHA-256 that the file must have, 64 hexadecimal digits; None: any.
         provider: "cpu" or "cuda". The requested provider is used, or an error is raised.
         device_id: index of the GPU.
         size: size at which a model of free size runs; the answers always have the frame's size.
@@ -60,15 +60,12 @@ class Predictor:
 
     Attributes:
         contract: what the model file states about itself.
-        digest: SHA-256 of the model file, hexadecimal.
-        model: the open `Model`, with the `path` of its file.
+        model: the open `Model`, with the `path` of its file and its `sha256`.
         provider: the requested provider.
         providers: ONNX Runtime's execution providers of the session.
         node_counts: execution provider -> number of graph nodes.
         threads: threads within an operator.
         size: (height, width) of a model of fixed size, else the requested size.
-        free_size: whether the model takes frames of any size.
-        free_batch: whether one run of the model takes several frames.
         focal_length_px: the focal length that was given.
         heads: names of the outputs, for example ("semantic", "depth", "boundary").
         load_ms: time for reading and optimising the model.
@@ -108,11 +105,14 @@ class Predictor:
         self._open_model = partial(
             open_model, path, provider=provider, device_id=device_id, threads=self.threads
         )
-        opened, session = self._open_model(sha256=sha256)
-        self.model, self.provider = opened, provider
-        self.contract, self.digest, self.heads = opened.contract, opened.sha256, opened.heads
-        self.free_size, self.free_batch = opened.size is None, opened.free_batch
-        self.size = check_network_size(size, fixed=not self.free_size) or opened.size
+        self.model, session = self._open_model(sha256=sha256)
+        self.provider = provider
+        self.contract, self.heads, fixed_size = (
+            self.model.contract,
+            self.model.heads,
+            self.model.size,
+        )
+        self.size = check_network_size(size, fixed=fixed_size is not None) or fixed_size
         self.providers = tuple(session.get_providers())
         self.node_counts = node_counts(session)
         self._session: Any = session
@@ -126,9 +126,9 @@ class Predictor:
             )
         self.first_inference_ms: float | None = None
         if warmup:
-            self.warm_up(opened.size or self.contract.native_size, runs=warmup)
+            self.warm_up(fixed_size or self.contract.native_size, runs=warmup)
         else:
-            self._predict_empty(opened.size or _SMALL_SIZE)
+            self._predict_empty(fixed_size or _SMALL_SIZE)
 
     def predict(
         self,
@@ -179,7 +179,7 @@ class Predictor:
         """Predict the frames of several cameras with one call.
 
         Frames of the same `network_size` run as one batch if the file takes several frames
-        (`free_batch`); frames of different sizes run one after another. The answers equal those of
+        (`model.free_batch`); frames of different sizes run one after another. The answers equal those of
         `predict` except for rounding. On one core a batch takes as long as its frames one by one.
 
         Args:
@@ -219,7 +219,9 @@ class Predictor:
             preprocess_ms.append(_ms_since(frame_started))
         batches: dict[object, list[int]] = {}
         for index, ready in enumerate(inputs):
-            batches.setdefault(ready.network_size if self.free_batch else index, []).append(index)
+            batches.setdefault(ready.network_size if self.model.free_batch else index, []).append(
+                index
+            )
         answers: dict[int, Prediction] = {}
         for members in batches.values():
             batch_started = time.perf_counter()
@@ -310,7 +312,7 @@ class Predictor:
             InferenceError: after `close`.
         """
         self._require_open()
-        _, self._session = self._open_model(sha256=self.digest)
+        _, self._session = self._open_model(sha256=self.model.sha256)
 
     def close(self) -> None:
         """Free the session; calls in progress end normally, later ones raise InferenceError."""

@@ -79,6 +79,11 @@ class PredictorSettings:
     focal_length_px: float | None = None
     provider: str = "cpu"
 
+    @property
+    def from_torch(self) -> bool:
+        """Whether PyTorch answered."""
+        return self.provider == "torch"
+
 
 @dataclass(frozen=True)
 class Reference:
@@ -88,7 +93,7 @@ class Reference:
         folder: where the reference is.
         settings: settings of the predictor.
         model_name: name of the model that answered.
-        model_sha256: digest of that model's file.
+        model_sha256: SHA-256 of that model's file.
         limits: limits of the figures of each head, see `runtime.contract.agreement`.
         frames: facts about each frame.
         software: versions of "ssdnet", "onnxruntime" and "system" that wrote the reference; empty
@@ -157,13 +162,12 @@ class ReferenceWriter:
 
         Args:
             model: the model's file.
-            sha256: digest of the file when it was loaded; the file may have been replaced since.
+            sha256: SHA-256 of the file when it was loaded; the file may have been replaced since.
 
         Raises:
-            ContractError: if the file cannot be read or has another digest.
+            ContractError: if the file cannot be read or has another SHA-256.
         """
         file = load_model_file(model, sha256=sha256)
-        from_torch = self._settings.provider == "torch"
         document = {
             "format": REFERENCE_FORMAT,
             "version": REFERENCE_VERSION,
@@ -175,7 +179,7 @@ class ReferenceWriter:
             },
             "model": {"name": file.contract.model_name, "sha256": file.sha256},
             "limits": {
-                head: reference_limits(head, file.contract, from_torch=from_torch)
+                head: reference_limits(head, file.contract, from_torch=self._settings.from_torch)
                 for head in HEADS
                 if head in self._heads
             },

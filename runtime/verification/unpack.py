@@ -33,7 +33,7 @@ def unpack(
             replaced.
 
     Raises:
-        ContractError: if the recorded model cannot be read or has another digest.
+        ContractError: if the recorded model cannot be read or has another SHA-256.
         InputError: if the reference is damaged.
         OutputError: if the folder cannot be written or replaced.
     """

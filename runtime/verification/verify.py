@@ -26,7 +26,6 @@ from runtime.verification.reference import Reference, ReferenceFrame
 
 # A value or a limit for each figure of `agreement.compare`, by head.
 Figures = Mapping[str, Mapping[str, float]]
-_ANSWERED_BY_TORCH = "torch"
 
 
 @dataclass(frozen=True)
@@ -121,7 +120,7 @@ def verify(
             f"{', '.join(reference.limits)}"
         )
     limits, lookup = dict(reference.limits), None
-    if predictor.digest != reference.model_sha256:
+    if predictor.model.sha256 != reference.model_sha256:
         recorded = load_model_file(reference.model, sha256=reference.model_sha256).contract
         lookup = _class_lookup(predictor.contract.classes, recorded.classes)
         limits = _limits_for(predictor.contract, recorded, reference)
@@ -173,7 +172,7 @@ def _limits_for(now: Contract, recorded: Contract, reference: Reference) -> dict
     """The limits for another file; for the recorded checkpoint, those of the less exact file."""
     if now.checkpoint_sha256 != recorded.checkpoint_sha256:
         return dict(reference.limits)
-    from_torch = reference.settings.provider == _ANSWERED_BY_TORCH
+    from_torch = reference.settings.from_torch
     coarse = less_exact(recorded, now)
     return {
         head: reference_limits(head, coarse, from_torch=from_torch) for head in reference.limits

@@ -24,16 +24,16 @@ def engine_facts(predictor: "Predictor") -> dict[str, Any]:
         of reading and optimising the model; and "first_inference_ms". A value is None if it is
         unknown or does not exist.
     """
-    contract, is_free = predictor.contract, predictor.free_size
+    contract, is_free_size = predictor.contract, predictor.model.size is None
     return {
         "ssdnet": runtime.__version__,
         "model": {
             "name": contract.model_name,
             "path": str(predictor.model.path),
-            "sha256": predictor.digest,
+            "sha256": predictor.model.sha256,
             "precision": contract.precision,
-            "fixed_size": None if is_free else predictor.network_size(contract.native_size),
-            "size_asked": predictor.size if is_free else None,
+            "fixed_size": None if is_free_size else predictor.network_size(contract.native_size),
+            "size_asked": predictor.size if is_free_size else None,
             "trained_height": contract.trained_height,
             "canonical_focal_px": contract.canonical_focal_px,
             "heads": predictor.heads,

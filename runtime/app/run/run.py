@@ -149,7 +149,7 @@ class _CameraStream:
         network = predictor.network_size(size) if size else None
         lines = [
             *self.source.notes,
-            f"{predictor.contract.model_name} sha256:{predictor.digest[:12]} | {running} | "
+            f"{predictor.contract.model_name} sha256:{predictor.model.sha256[:12]} | {running} | "
             f"threads {predictor.threads} | frames {size_text(size)}, "
             f"network at {size_text(network)}",
         ]

@@ -30,7 +30,7 @@ def info(
     ] = None,
     _version: Version = False,
 ) -> None:
-    """Print what a model file holds: heads, sizes, classes, terms, parity and digest."""
+    """Print what a model file holds: heads, sizes, classes, terms, parity and SHA-256."""
     with reported_errors("cpu"):
         if model is None:
             text = describe_bundled_models()
@@ -48,10 +48,10 @@ def describe_model(predictor: Predictor) -> str:
     facts = {
         "file": str(predictor.model.path),
         "megabytes": predictor.model.path.stat().st_size / 1e6,
-        "sha256": predictor.digest,
+        "sha256": predictor.model.sha256,
         "heads": predictor.heads,
-        "fixed size": "none" if predictor.free_size else predictor.size,
-        "frames a run": "any number" if predictor.free_batch else "one",
+        "fixed size": "none" if predictor.model.size is None else predictor.size,
+        "frames a run": "any number" if predictor.model.free_batch else "one",
         **{name.replace("_", " "): fact for name, fact in metadata.items()},
         "classes": {
             index: f"{entry['name']} #{bytes(entry['color']).hex()}"

@@ -143,8 +143,8 @@ def _origin(report: VerifyReport) -> str:
 def _table(report: VerifyReport, predictor: Predictor) -> str:
     """One line per limit with the worst value over all frames, then one line per other fault."""
     reference, frames = report.reference, len(report.reference.frames)
-    contract, is_same = predictor.contract, predictor.digest == reference.model_sha256
-    now = f"now {contract.model_name} {contract.precision} sha256:{predictor.digest[:12]}"
+    contract, is_same = predictor.contract, predictor.model.sha256 == reference.model_sha256
+    now = f"now {contract.model_name} {contract.precision} sha256:{predictor.model.sha256[:12]}"
     lines = [
         f"{frames} frames: {reference.model_name} sha256:{reference.model_sha256[:12]} by "
         f"{_origin(report)}",
@@ -197,7 +197,7 @@ def _to_json(report: VerifyReport, predictor: Predictor) -> dict[str, Any]:
         "now": {
             "model": contract.model_name,
             "precision": contract.precision,
-            "sha256": predictor.digest,
+            "sha256": predictor.model.sha256,
             "provider": predictor.provider,
         },
         "figures": [

@@ -26,7 +26,7 @@ def test_contract_of_a_bundled_model(model):
     with Predictor(model, warmup=0) as predictor:
         contract = predictor.contract
         assert {"semantic", "depth", "boundary"} <= set(predictor.heads)
-        assert predictor.free_size
+        assert predictor.model.size is None
     assert model in (contract.model_name, f"{contract.model_name}-{contract.precision}")
     assert (contract.quantization is not None) == (contract.precision == "int8")
     assert [info.name for info in contract.classes][:4] == ["sky", "building", "pole", "road"]

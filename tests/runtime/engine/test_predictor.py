@@ -42,8 +42,8 @@ def test_what_the_predictor_tells_about_itself(model_file, contract):
     path = model_file(size=(48, 64))
     predictor = Predictor(path, threads=1, warmup=2)
     assert dataclasses.replace(predictor.contract, content=contract.content) == contract
-    assert predictor.digest == hashlib.sha256(path.read_bytes()).hexdigest()
-    assert (predictor.size, predictor.free_size) == ((48, 64), False)
+    assert predictor.model.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert predictor.size == predictor.model.size == (48, 64)
     assert predictor.heads == ("semantic", "depth", "boundary")
     assert predictor.providers == ("CPUExecutionProvider",)
     assert predictor.node_counts["CPUExecutionProvider"] > 5
@@ -51,7 +51,7 @@ def test_what_the_predictor_tells_about_itself(model_file, contract):
     assert predictor.load_ms > 0
     assert predictor.first_inference_ms > 0
     assert Predictor(path, warmup=0).first_inference_ms is None
-    assert Predictor(model_file("free.onnx")).free_size
+    assert Predictor(model_file("free.onnx")).model.size is None
 
 
 def test_two_frames_in_a_row_do_not_mix(model_file, make_frame):
@@ -109,7 +109,7 @@ def test_a_model_of_free_size_runs_at_the_size_asked_for(
     with Predictor(path, size=size) as predictor:
         prediction = predictor.predict(*make_frame(*frame))
         assert predictor.size == size
-        assert predictor.free_size
+        assert predictor.model.size is None
         assert predictor.network_size(frame) == runs_at
     assert prediction.network_size == runs_at
     assert prediction.frame_size == frame

@@ -24,7 +24,7 @@ def test_a_file_that_is_no_model(tmp_path, content):
 def test_a_pinned_file(model_file):
     path = model_file()
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    assert Predictor(path, sha256=digest.upper(), warmup=0).digest == digest
+    assert Predictor(path, sha256=digest.upper(), warmup=0).model.sha256 == digest
     for other in ("0" * 64, 7):
         with pytest.raises(ContractError, match=f"{digest}.*{other}"):
             Predictor(path, sha256=other)

@@ -44,4 +44,4 @@ def open_reference(run: RunContext) -> Iterator[RunReference]:
     settings = PredictorSettings("ssdnet-run", options.network_size, focal_length_px, provider)
     with write_reference(options.record, settings, overwrite=options.overwrite) as recorder:
         yield RunReference(recorder, predictor)
-        recorder.finish(predictor.model.path, sha256=predictor.digest)
+        recorder.finish(predictor.model.path, sha256=predictor.model.sha256)

@@ -15,7 +15,7 @@ def test_the_facts_are_those_of_the_predictor(model_file, contract):
         facts = engine_facts(predictor)
         assert facts["ssdnet"] == runtime.__version__
         model, provider = facts["model"], facts["provider"]
-        assert (model["name"], model["sha256"]) == (contract.model_name, predictor.digest)
+        assert (model["name"], model["sha256"]) == (contract.model_name, predictor.model.sha256)
         assert (model["size_asked"], model["heads"]) == (40, predictor.heads)
         assert (provider["asked"], provider["threads"]) == ("cpu", 1)
         assert facts["first_inference_ms"] > 0
