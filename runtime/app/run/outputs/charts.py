@@ -39,13 +39,12 @@ class Axis:
     Attributes:
         places: place of each frame on the axis, rising.
         period: distance from a frame to the next one, without gaps.
-        start, end: limits of the charts; the last frame takes a period, too.
+        end: where the charts end; the last frame takes a period, too. They start at 0.
         unit: "s", or "frame" if the times are unknown.
     """
 
     places: Sequence[float]
     period: float
-    start: float
     end: float
     unit: str
 
@@ -56,14 +55,14 @@ class Axis:
         `end_s` is the end of the last outage.
         """
         if times_s is None or len(times_s) < 2:
-            return cls(range(frames), 1.0, 0.0, max(float(frames), 1.0), "frame")
+            return cls(range(frames), 1.0, max(float(frames), 1.0), "frame")
         steps = sorted(after - before for before, after in pairwise(times_s))
         period = steps[len(steps) // 2]
-        return cls(times_s, period, 0.0, max(times_s[-1] + period, end_s), "s")
+        return cls(times_s, period, max(times_s[-1] + period, end_s), "s")
 
     def share(self, place: float) -> float:
         """Position of a place between the start (0) and the end (1)."""
-        return (place - self.start) / (self.end - self.start)
+        return place / self.end
 
     def reach(self, at: int) -> float:
         """Place at which a frame ends: that of the next one, or a period later if a gap follows."""
@@ -77,10 +76,10 @@ class Axis:
 
     def ticks(self) -> list[tuple[float, float]]:
         """(Percent, place) of each tick."""
-        least = (self.end - self.start) / _MOST_TICKS
+        least = self.end / _MOST_TICKS
         step = _distance(least if self.unit == "s" else max(least, 1))
-        first, last = math.ceil(self.start / step), math.floor(self.end / step + 1e-9)
-        return [(100 * self.share(n * step), n * step) for n in range(first, last + 1)]
+        last = math.floor(self.end / step + 1e-9)
+        return [(100 * self.share(n * step), n * step) for n in range(last + 1)]
 
     def title(self, first: int, last: int, name: str) -> str:
         """Frames in words, for a tooltip; `name` is the name of the first frame."""
@@ -145,12 +144,11 @@ class Span:
         return sum(returns) / len(returns) if returns else None
 
 
-def group_frames(records: Sequence[FrameRecord], axis: Axis | None = None) -> list[Span]:
+def group_frames(records: Sequence[FrameRecord], axis: Axis) -> list[Span]:
     """The spans of a run, with one frame each, or with several if there are too many frames.
 
-    No span contains a gap. If `axis` is None, the axis counts frames.
+    No span contains a gap.
     """
-    axis = axis or Axis.of(len(records), None)
     frames = -(-len(records) // _MOST_SPANS) or 1  # in a span
     spans, first = [], 0
     for at in range(len(records)):

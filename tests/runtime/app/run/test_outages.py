@@ -80,7 +80,9 @@ def test_a_chart_has_seconds_and_leaves_gaps_open():
     assert chart["points"][9][3].startswith("0.90 s: ")
     ((left, width, _, _),) = mark_strip(spans, "image_black")
     assert (left, width) == pytest.approx((100 * 0.9 / 4, 100 * 0.1 / 4))
-    assert latency_chart(group_frames(records), deadline_ms=None)["unit"] == "frame"
+    assert (
+        latency_chart(group_frames(records, Axis.of(20, None)), deadline_ms=None)["unit"] == "frame"
+    )
 
 
 def test_an_outage_of_a_camera_of_several_names_it():

@@ -100,8 +100,12 @@ def test_a_run_without_faults_or_without_frames_is_shown_as_such(page_of):
 # --- charts ------------------------------------------------------------------------------------
 
 
+def spans_of(outcomes):
+    return charts.group_frames(outcomes, charts.Axis.of(len(outcomes), None))
+
+
 def chart(outcomes, deadline_ms=None):
-    drawn = charts.latency_chart(charts.group_frames(outcomes), deadline_ms=deadline_ms)
+    drawn = charts.latency_chart(spans_of(outcomes), deadline_ms=deadline_ms)
     values = {"chart": drawn, "response": "prediction"}
     return ElementTree.fromstring(render_template("runtime.command", "chart.html", values))
 
@@ -171,13 +175,13 @@ def test_many_frames_are_drawn_by_the_slowest_of_each_span():
 
 def test_strips_show_where_a_mark_was_and_how_many_returns_were_used():
     marks = [(), ("a",), ("a", "b"), (), ("a",)]
-    spans = charts.group_frames([outcome(health=each) for each in marks])
+    spans = spans_of([outcome(health=each) for each in marks])
     bars = charts.mark_strip(spans, "a")
     assert [bar[:1] for bar in bars] == [(20,), (40,), (80,)]
     assert [bar[1:] for bar in bars] == [(pytest.approx(20), 100, 1)] * 3
     assert charts.mark_strip(spans, "c") == []
     outcomes = [outcome(returns=100), outcome(status=SKIPPED), outcome(returns=50)]
-    drawn = charts.returns_strip(charts.group_frames(outcomes))
+    drawn = charts.returns_strip(spans_of(outcomes))
     assert [height for _, _, height, _ in drawn] == [100, 50]
     assert drawn[1][0] == pytest.approx(200 / 3)
 
