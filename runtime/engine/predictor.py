@@ -107,11 +107,8 @@ class Predictor:
         )
         self.model, session = self._open_model(sha256=sha256)
         self.provider = provider
-        self.contract, self.heads, fixed_size = (
-            self.model.contract,
-            self.model.heads,
-            self.model.size,
-        )
+        self.contract, self.heads = self.model.contract, self.model.heads
+        fixed_size = self.model.size
         self.size = check_network_size(size, fixed=fixed_size is not None) or fixed_size
         self.providers = tuple(session.get_providers())
         self.node_counts = node_counts(session)
@@ -179,8 +176,9 @@ class Predictor:
         """Predict the frames of several cameras with one call.
 
         Frames of the same `network_size` run as one batch if the file takes several frames
-        (`model.free_batch`); frames of different sizes run one after another. The answers equal those of
-        `predict` except for rounding. On one core a batch takes as long as its frames one by one.
+        (`model.free_batch`); frames of different sizes run one after another. The answers equal
+        those of `predict` except for rounding. On one core a batch takes as long as its frames one
+        by one.
 
         Args:
             frames: (rgb, sparse_depth) of each camera, as for `predict`, of any sizes.
@@ -219,9 +217,8 @@ class Predictor:
             preprocess_ms.append(_ms_since(frame_started))
         batches: dict[object, list[int]] = {}
         for index, ready in enumerate(inputs):
-            batches.setdefault(ready.network_size if self.model.free_batch else index, []).append(
-                index
-            )
+            batch_key = ready.network_size if self.model.free_batch else index
+            batches.setdefault(batch_key, []).append(index)
         answers: dict[int, Prediction] = {}
         for members in batches.values():
             batch_started = time.perf_counter()

@@ -40,7 +40,7 @@ from runtime.streams.stream_counter import (
     WatchdogLimits,
     WatchdogState,
 )
-from runtime.streams.stream_thread import MonotonicClock, StreamWork, start_thread
+from runtime.streams.stream_thread import MonotonicClock, start_thread
 
 _WAITING = 16  # messages of a sensor that wait for their partner
 
@@ -136,10 +136,7 @@ class PushStream:
         self._closed = self._ended = self._failure_raised = False
         self._failure: BaseException | None = None
         self._guard = ProcessGuard("PushStream")
-        work = StreamWork(
-            PushStream._step, PushStream._idle_ns, PushStream._fail, PushStream._discard_all
-        )
-        self._thread = start_thread(self, work, self._changed, self._clock, self._guard)
+        self._thread = start_thread(self, self._changed, self._clock, self._guard)
 
     # --- what sensors call ---------------------------------------------------------------------
 

@@ -3,9 +3,7 @@
 import threading
 import time
 import weakref
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Protocol
 
 from runtime.engine.process_guard import ProcessGuard
 
@@ -24,27 +22,27 @@ class MonotonicClock:
         changed.wait(None if timeout_ns is None else max(timeout_ns, 0) / 1e9)
 
 
-@dataclass(frozen=True)
-class StreamWork:
-    """The functions that the thread calls with the stream.
+class ThreadedStream(Protocol):
+    """A stream with the methods that its thread calls, and nobody else."""
 
-    Attributes:
-        step: does the work that is ready; returns False at the end of the stream.
-        idle_ns: returns how long there will be no work unless something changes; None: for ever.
-            It is called with the lock held.
-        fail: ends the stream after an error of `step`.
-        discard: drops all messages and closes the stream. It is called with the lock held.
-    """
+    def _step(self) -> bool:
+        """Do the work that is ready; return False at the end of the stream."""
 
-    step: Callable[[Any], bool]
-    idle_ns: Callable[[Any], int | None]
-    fail: Callable[[Any, BaseException], None]
-    discard: Callable[[Any], None]
+    def _idle_ns(self) -> int | None:
+        """Return how long there is no work unless something changes; None: for ever.
+
+        It is called with the lock held.
+        """
+
+    def _fail(self, failure: BaseException) -> None:
+        """End the stream after an error of `_step`."""
+
+    def _discard_all(self) -> None:
+        """Drop all messages and close the stream. It is called with the lock held."""
 
 
 def start_thread(
-    stream: object,
-    work: StreamWork,
+    stream: ThreadedStream,
     changed: threading.Condition,
     clock: MonotonicClock,
     guard: ProcessGuard,
@@ -60,16 +58,16 @@ def start_thread(
         while True:
             stream = reference()
             try:
-                if stream is None or not work.step(stream):
+                if stream is None or not stream._step():
                     return
                 with changed:
-                    idle_ns = work.idle_ns(stream)
+                    idle_ns = stream._idle_ns()
                     stream = None  # collected here, or while this waits
                     if idle_ns != 0 and reference() is not None:
                         clock.wait(changed, idle_ns)
             except BaseException as failure:
                 if stream := stream or reference():
-                    work.fail(stream, failure)
+                    stream._fail(failure)
                 return
 
     thread = threading.Thread(target=run, name="ssdnet-stream", daemon=True)
@@ -81,7 +79,7 @@ def start_thread(
         with changed:
             stream = reference()
             if stream is not None:  # at exit
-                work.discard(stream)
+                stream._discard_all()
             changed.notify_all()
         if stream is not None:
             thread.join(_EXIT_S)
