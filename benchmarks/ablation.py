@@ -1,7 +1,7 @@
 """Trains and scores recipes against one another, with several seeds each, as a table.
 
     python benchmarks/ablation.py --data DIR --runs RUNS [--seeds 0 1 2] [--rows ssdnet ...] \
-        [--test KIND:FOLDER] [--set 'model.name = "ssdnet"'] [--markdown OUT.md]
+        [--test KIND:FOLDER] [--set 'model.name = "ssdnet"']
 
 A row is one of training/recipes/ablation.py, the name of another recipe of `ssdnet-train --list`,
 or a TOML file. `DIR` holds their data; for the rows of the ablation these are the rendered scenes
@@ -71,7 +71,6 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--set", action="append", default=[], help="'table.key = value' in TOML")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--threads", type=int, default=2, help="of the processor")
-    parser.add_argument("--markdown", type=Path, help="write the table here, too")
     arguments = parser.parse_args(argv)
     torch.set_num_threads(arguments.threads)
 
@@ -82,9 +81,6 @@ def main(argv: Sequence[str] | None = None) -> None:
             results[row].append(figures)
             shown = {key: round(figures[key], 4) for key in COLUMNS if key in figures}
             print(row, seed, shown, flush=True)
-            # Written after each run, so that a program that is stopped leaves the table so far.
-            if arguments.markdown:
-                atomic_write(arguments.markdown, markdown(results).encode())
     print(f"\n{markdown(results)}")
 
 

@@ -20,6 +20,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import cv2
@@ -123,7 +124,6 @@ def soak(
 
     def read(sensor: str, first: int) -> None:
         chance = random.Random(f"{sensor} {first}")
-        fault = _image_fault if sensor == "image" else _depth_fault
         method = stream.push_image if sensor == "image" else stream.push_depth
         shift = 0.0
         for number in itertools.count(first):
@@ -134,7 +134,7 @@ def soak(
             data: Any = frame.rgb if sensor == "image" else frame.sparse_depth
             stamp: Any = number * 0.1 + shift
             if chance.random() < _FAULTY:
-                kind, data, stamp, shift = fault(chance, data, stamp, shift)
+                kind, data, stamp, shift = _fault(chance, sensor, data, stamp, shift)
                 with lock:
                     soaked.faults[kind] += 1
                 if kind == "killed":
@@ -178,44 +178,39 @@ def soak(
     return soaked
 
 
-def _image_fault(
-    chance: random.Random, rgb: NDArray[np.uint8], stamp: float, shift: float
-) -> tuple[str, Any, Any, float]:
-    kind = chance.choice(
-        ["black", "frozen", "size", "type", "late", "double", "no stamp", "jump", "killed", "None"]
-    )
-    changed: dict[str, Any] = {
-        "black": np.zeros_like(rgb),
-        "frozen": np.full_like(rgb, 77),
-        "size": rgb[:-3],
-        "type": rgb.astype(np.float32),
-        "None": None,
-    }
-    return kind, changed.get(kind, rgb), *_stamp_fault(kind, stamp, shift)
+def _lower_half_nan(depth: NDArray[Any]) -> NDArray[Any]:
+    return np.where(np.arange(len(depth))[:, None] < len(depth) // 2, depth, np.float32(np.nan))
 
 
-def _depth_fault(
-    chance: random.Random, depth: NDArray[np.float32], stamp: float, shift: float
+def _left_half(depth: NDArray[Any]) -> NDArray[Any]:
+    return np.where(np.arange(depth.shape[1]) < depth.shape[1] // 2, depth, np.float32(0))
+
+
+# What each fault makes of an image or a depth map; the others change only the stamp.
+_CHANGES: dict[str, Callable[[NDArray[Any]], Any]] = {
+    "black": np.zeros_like,
+    "frozen": partial(np.full_like, fill_value=77),
+    "None": lambda image: None,
+    "nan": _lower_half_nan,
+    "inf": partial(np.full_like, fill_value=-np.inf),
+    "empty": np.zeros_like,
+    "half": _left_half,
+    "size": lambda data: data[:-3],
+    "type": lambda data: data.astype(np.float64),
+}
+_STAMPS = ("late", "double", "no stamp", "killed")
+_KINDS = {
+    "image": ("black", "frozen", "None", "size", "type", "jump", *_STAMPS),
+    "depth": ("nan", "inf", "empty", "half", "size", "type", *_STAMPS),
+}
+
+
+def _fault(
+    chance: random.Random, sensor: str, data: Any, stamp: float, shift: float
 ) -> tuple[str, Any, Any, float]:
-    kind = chance.choice(
-        ["nan", "inf", "empty", "half", "size", "type", "late", "double", "no stamp", "killed"]
-    )
-    burst = depth.copy()
-    burst[depth.shape[0] // 2 :] = np.nan
-    changed: dict[str, Any] = {
-        "nan": burst,
-        "inf": np.full_like(depth, -np.inf),
-        "empty": np.zeros_like(depth),
-        "half": np.where(np.arange(depth.shape[1]) < depth.shape[1] // 2, depth, 0),
-        "size": depth[:, :-5],
-        "type": depth.astype(np.float64),
-    }
-    data = changed.get(kind, depth)
-    return (
-        kind,
-        data.astype(np.float32) if kind == "half" else data,
-        *_stamp_fault(kind, stamp, shift),
-    )
+    kind = chance.choice(_KINDS[sensor])
+    change = _CHANGES.get(kind)
+    return kind, data if change is None else change(data), *_stamp_fault(kind, stamp, shift)
 
 
 def _stamp_fault(kind: str, stamp: float, shift: float) -> tuple[Any, float]:

@@ -11,8 +11,6 @@ from models.baselines.erfnet import ERFNet
 from models.baselines.espnet import ESPNet
 from models.baselines.fast_scnn import FastSCNN
 from models.baselines.fcn8s import FCN8s
-from models.baselines.nconv import NConv
-from models.baselines.pidnet_s import PIDNetS
 from models.baselines.sparse_conv import SparseConvNet
 from models.baselines.sparse_to_dense import SparseToDense
 from models.network import Network, NetworkConfig, check_fields
@@ -47,8 +45,6 @@ NETWORKS: dict[str, Entry] = {
     "espnet": Entry(ESPNet, NetworkConfig("espnet")),
     "fast-scnn": Entry(FastSCNN, NetworkConfig("fast-scnn")),
     "fcn8s": Entry(FCN8s, NetworkConfig("fcn8s")),
-    "nconv": Entry(NConv, NetworkConfig("nconv", classes=())),
-    "pidnet-s": Entry(PIDNetS, NetworkConfig("pidnet-s")),
     "sparse-conv": Entry(SparseConvNet, NetworkConfig("sparse-conv", classes=())),
     "sparse-to-dense": Entry(SparseToDense, NetworkConfig("sparse-to-dense", classes=())),
 }

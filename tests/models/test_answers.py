@@ -115,6 +115,6 @@ def test_the_last_layer_of_the_classes_has_its_name():
         check_output(network)
 
 
-@pytest.mark.parametrize("name", ["ssdnet-small", "ssdnet-nano", "erfnet", "nconv"])
+@pytest.mark.parametrize("name", ["ssdnet-small", "ssdnet-nano", "erfnet", "sparse-conv"])
 def test_networks_return_what_they_declare(name):
     check_output(create_model(name))

@@ -16,13 +16,11 @@ from models.baselines import (
     deeplab_largefov,
     fast_scnn,
     fcn8s,
-    nconv,
     sparse_to_dense,
     vgg16,
 )
 from models.baselines.espnet import SpatialPyramid
 from models.baselines.max_unpooling import max_mask, max_unpool
-from models.baselines.nconv import NormalisedConv
 from models.baselines.sparse_conv import SparseConv
 from models.blocks import adaptive_mean
 from models.classes import numbered_classes
@@ -40,8 +38,6 @@ KNOWN = {
     "espnet": (0.364e6, 0.48e9, SMALL),
     "fast-scnn": (1.14e6, 0.17e9, SMALL),
     "fcn8s": (134.4e6, 22.4e9, THIRD),
-    "nconv": (480, 0.42e9, (512, 1024)),
-    "pidnet-s": (7.63e6, 1.20e9, SMALL),
     "sparse-conv": (25.6e3, None, SMALL),
     "sparse-to-dense": (11.7e6, 2.04e9, SMALL),
 }
@@ -51,7 +47,6 @@ SMALLER = (
     *((module, "VGG16_BLOCKS", VGG) for module in (vgg16, bacnn, deeplab_largefov)),
     *((module, "_WIDE", 64) for module in (fcn8s, deeplab_largefov)),
     (fast_scnn, "_POOLED_SIZES", (3,)),
-    (nconv, "_LEVELS", 2),
     (sparse_to_dense, "_STAGES", (8, 16, 32, 64)),
 )
 
@@ -114,7 +109,7 @@ def shorten(network):
 
 
 # Exported for any size, which takes longer to trace: each has another way down and up again.
-ANY_SIZE = ("enet", "fast-scnn", "fcn8s", "nconv")
+ANY_SIZE = ("enet", "fast-scnn", "fcn8s")
 
 
 @pytest.mark.slow
@@ -167,7 +162,7 @@ def test_adaptive_mean_is_adaptive_average_pooling(size, cells):
     torch.testing.assert_close(adaptive_mean(x, cells), F.adaptive_avg_pool2d(x, cells))
 
 
-@pytest.mark.parametrize("name", ["nconv", "sparse-conv", "sparse-to-dense"])
+@pytest.mark.parametrize("name", ["sparse-conv", "sparse-to-dense"])
 def test_an_empty_lidar_frame_has_finite_depths_within_the_range(name):
     torch.manual_seed(0)
     model = create_model(name).eval()
@@ -181,10 +176,9 @@ def test_an_empty_lidar_frame_has_finite_depths_within_the_range(name):
         assert depth.max() <= 1
 
 
-@pytest.mark.parametrize("name", ["nconv", "sparse-conv"])
-def test_lidar_alone_is_read(name):
+def test_lidar_alone_is_read():
     torch.manual_seed(0)
-    model = create_model(name).train()
+    model = create_model("sparse-conv").train()
     sparse_depth = 100 * (torch.rand(1, 1, 40, 64) < 0.1) * torch.rand(1, 1, 40, 64)
     dark, bright = (model(torch.full((1, 3, 40, 64), v), sparse_depth) for v in (0.0, 255.0))
     assert torch.equal(dark.depths[0], bright.depths[0])
@@ -227,19 +221,6 @@ def test_a_sparse_convolution_is_the_mean_of_what_was_measured():
             expected = 0.25 + (9 * total / count if count else 0.0)
             assert float(answer[0, 0, row, column]) == pytest.approx(expected, abs=1e-5)
             assert float(grown[0, 0, row, column]) == (count > 0)
-
-
-def test_a_normalised_convolution_keeps_a_constant_and_its_confidence():
-    torch.manual_seed(0)
-    layer = NormalisedConv(1, 2, kernel=5)
-    confidence = (torch.rand(1, 1, 20, 20) < 0.2).float()
-    mean, spread = layer(torch.full((1, 1, 20, 20), 0.7), confidence)
-    reached = (spread > 1e-4).expand_as(mean)
-    assert reached.float().mean() > 0.9
-    torch.testing.assert_close(mean[reached], torch.full_like(mean[reached], 0.7))
-    _, full = layer(torch.ones(1, 1, 20, 20), torch.ones(1, 1, 20, 20))
-    torch.testing.assert_close(full[..., 2:-2, 2:-2], torch.ones(1, 2, 16, 16))
-    assert (layer(torch.zeros(1, 1, 20, 20), torch.zeros(1, 1, 20, 20))[1] == 0).all()
 
 
 def test_boundaries_gate_every_block_of_bacnn(monkeypatch):

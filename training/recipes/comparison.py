@@ -1,6 +1,6 @@
 """A task from random weights, alike for every network of the comparison (see docs/comparison.md).
 
-Another network: --set 'model.name = "nconv"'. With more time: --set 'schedule.steps = 20000'.
+Another network: --set 'model.name = "sparse-conv"'. With more time: --set 'schedule.steps = 20000'.
 """
 
 from dataclasses import replace

@@ -150,7 +150,7 @@ def test_a_network_of_canonical_depth_sees_it_and_answers_in_metres():
 
 def test_a_network_whose_training_diverged_is_not_scored():
     truth = sample()
-    for name, head in (("nconv", "depth"), ("enet", "semantic")):
+    for name, head in (("sparse-conv", "depth"), ("enet", "semantic")):
         network = create_model(name)
         torch.nn.init.constant_(next(network.parameters()), float("nan"))
         with pytest.raises(SSDNetError, match=f"the network's {head} is not finite"):
