@@ -1,5 +1,6 @@
 """An item of a data set: one frame with everything that is known about it."""
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -160,6 +161,9 @@ class Sample:
         return None if self.frame.calibration is None else self.frame.calibration.focal_length_px
 
 
+_UNIT_CAMERA = Calibration(np.eye(3), np.eye(4))
+
+
 def make_frame(
     rgb: NDArray[np.uint8],
     name: str,
@@ -176,7 +180,12 @@ def make_frame(
         intrinsics: float64 (3, 3), pixels; None if unknown.
     """
     depth = None if returns is None else Message(data=returns)
-    calibration = None if intrinsics is None else Calibration(intrinsics, np.eye(4))
+    calibration = None
+    if intrinsics is not None:
+        # Each change of a sample makes a frame, and a new Calibration, which checks its matrices,
+        # would take a large part of that time.
+        calibration = copy.copy(_UNIT_CAMERA)
+        object.__setattr__(calibration, "intrinsics", intrinsics)
     return Frame(Message(data=rgb), depth, calibration=calibration, name=name)
 
 
