@@ -97,9 +97,10 @@ def test_an_interrupted_run_ends_at_the_same_weights_and_scores(data, tmp_path):
     expected = weights(train(run, data, tmp_path / "whole"))
     last = tmp_path / "parts/last.pt"
     for stop in (1, 2):
-        assert train(run, data, tmp_path / "parts", stop_after=stop) == last
+        found = loop.train(run, TrainingRun([data], tmp_path / "parts", stop_after=stop))
+        assert (found.path, found.stopped, str(found)) == (last, True, str(last))
     left = last.read_bytes()
-    train(run, data, tmp_path / "parts")
+    assert not loop.train(run, TrainingRun([data], tmp_path / "parts")).stopped
     # Killed after the last validation, before its checkpoint: it is done again.
     last.write_bytes(left)
     (tmp_path / "parts" / "model.pt").unlink()
