@@ -45,12 +45,15 @@ def test_nothing_is_said_where_nothing_is_seen():
     assert finding_of((0, 0, 0), answer=plane).fit is Fit.NOT_VISIBLE
 
 
+NANO = ("--model", "ssdnet-nano", "--warmup", "0")
+
+
 def test_a_run_reports_it(tmp_path, recording, frames, turned):
     given, page = (
         recording([turned(frame, (0, 2, 0)) for frame in frames[:3]]),
         tmp_path / "run.html",
     )
-    given += ["--out", str(tmp_path / "out"), "--save", "none", "--report", str(page)]
+    given += ["--out", str(tmp_path / "out"), "--save", "none", "--report", str(page), *NANO]
     result = CliRunner().invoke(app, given)
     line = "calibration: the returns fit the images better turned by -1 degree of pitch"
     assert line in result.stdout, result.output
@@ -69,7 +72,7 @@ def test_a_run_names_the_mistake_where_returns_fit_nowhere(tmp_path, recording, 
         right = frame.calibration.extrinsics
         given = np.linalg.inv(right) if axes[0, 0] == 1 else right @ axes
         wrong.append(replace(frame, calibration=replace(frame.calibration, extrinsics=given)))
-    given = [*recording(wrong), "--out", str(tmp_path / "out"), "--save", "none"]
+    given = [*recording(wrong), "--out", str(tmp_path / "out"), "--save", "none", *NANO]
     result = CliRunner().invoke(app, given)
     words = "camera to LiDAR: take its inverse" if axes[0, 0] == 1 else "180 degrees about its z"
     assert words in " ".join(result.output.split()), result.output
