@@ -14,6 +14,7 @@ from PIL import ExifTags, Image
 
 from runtime.base.errors import DatasetError, InputError
 from runtime.files.read_input import read_input
+from runtime.geometry.returns import is_measured
 from runtime.recordings import images
 
 
@@ -80,10 +81,14 @@ def read_depth(path: Path, size: tuple[int, int], *, depth_scale: float) -> NDAr
 
     65535 is no measurement, too. Raises DatasetError.
     """
-    depth = images.read_sparse_depth(path, depth_scale=depth_scale)
-    depth = np.where(np.isfinite(depth), depth, np.float32(0))
+    depth = measured(images.read_sparse_depth(path, depth_scale=depth_scale))
     require_size(path, depth.shape, size)
     return depth
+
+
+def measured(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return a depth map with 0 where nothing was measured, see `is_measured`."""
+    return np.where(is_measured(depth), depth, np.float32(0))
 
 
 def require_size(path: Path, size: tuple[int, ...], expected: tuple[int, int]) -> None:

@@ -105,24 +105,17 @@ class FoldersRecipe(LabelledRecipe):
         source.camera_alone = True
         frames = [frame for frame in listed if frame.image is not None]
         taken = self.take(frames, images)
-        truth = dict[str, Truth]()
-        if self.depth is not None and not self.scan:
-            read = partial(read_depth, depth_scale=self.depth_scale)
-            truth["depth"] = Truth(_list_pngs(folder / self.depth), read)
-        if self.labels is not None:
-            files = _list_pngs(folder / self.labels)
-            truth["semantic"] = Truth(files, self.open_labels(classes).read)
-        returns = {frame.name: frame.depth for frame in listed if frame.depth is not None}
         # The files of each folder by stem, whatever the case of their suffix.
-        found = {
-            below: truth[target].files if target in truth else returns
-            for target, below in (
-                ("depth", self.depth),
-                ("returns", self.sparse_depth),
-                ("semantic", self.labels),
-            )
-            if below is not None
-        }
+        found, truth = dict[str, Mapping[str, Path]](), dict[str, Truth]()
+        if self.depth is not None and not self.scan:
+            found[self.depth] = _list_pngs(folder / self.depth)
+            read = partial(read_depth, depth_scale=self.depth_scale)
+            truth["depth"] = Truth(found[self.depth], read)
+        if lidar is not None:
+            found[lidar] = {frame.name: frame.depth for frame in listed if frame.depth is not None}
+        if self.labels is not None:
+            found[self.labels] = _list_pngs(folder / self.labels)
+            truth["semantic"] = Truth(found[self.labels], self.open_labels(classes).read)
         for below, files in found.items():
             self._require_files(folder / below, taken, files)
         _report_unread(self, folder, [frame.image for frame in taken], frames, found)

@@ -13,7 +13,6 @@ from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import InputError
 from runtime.geometry.motion import Scan
-from runtime.geometry.returns import is_measured
 from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.images import KITTI_DEPTH_SCALE, list_files
@@ -21,7 +20,7 @@ from runtime.recordings.registry import detect_source, open_source
 from runtime.recordings.source import ListedFrame, Source
 from runtime.streams.frame import Frame, Message
 from training.datasets.class_mapping import ClassTable
-from training.datasets.files import dataset_errors, read_depth, require_size
+from training.datasets.files import dataset_errors, measured, read_depth, require_size
 from training.datasets.labels import Folder, LabelledRecipe
 from training.datasets.sample import FrameList, Sample, nothing_known
 from training.lidar.scan import elevation_bands, project_lines
@@ -145,7 +144,7 @@ def _returns(frame: Frame, lines: Lines) -> tuple[NDArray[np.float32], NDArray[n
         assert calibration is not None  # it has projected the scan
         points = frame.depth.data.points
         return project_lines(points, calibration.intrinsics, calibration.extrinsics, frame.size)
-    depth = np.where(is_measured(frame.sparse_depth), frame.sparse_depth, np.float32(0))
+    depth = measured(frame.sparse_depth)
     if lines != "bands":
         return depth, None
     return depth, elevation_bands(depth, None if calibration is None else calibration.intrinsics)

@@ -20,6 +20,7 @@ def root(tmp_path):
     for number in range(4):
         returns, dense = np.zeros(SIZE, np.uint16), np.full(SIZE, 256 * 9, np.uint16)
         returns[20, 5 + number] = 256 * (number + 1)
+        returns[0, 0] = 65535  # is no measurement
         folder = tmp_path / "drive"
         write(folder / "images" / f"{number}.png", np.full((*SIZE, 3), 10 * number, np.uint8))
         write(folder / "depth" / f"{number}.png", returns)
@@ -55,6 +56,11 @@ def test_returns_are_the_target_or_the_input_of_denser_truth(root):
     assert labelled.is_scan
     assert "semantic" not in plain.targets
     assert plain.weights["semantic"] == 0.5
+
+    (root / "drive" / "depth" / "1.png").unlink()
+    without_returns = open_drive(root, truth="dense", frames=(1,))[0]
+    assert without_returns.returns is None
+    assert np.unique(without_returns.depth).tolist() == [9.0]
 
 
 def test_keys_and_ranges_are_those_of_the_engine_and_of_other_sets(root):
