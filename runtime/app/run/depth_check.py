@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Sequence
-from enum import StrEnum
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,17 +24,30 @@ from runtime.streams.health.depth_plausibility import FIRST_FRAMES, DepthPlausib
 _LEAST_UNSEEN = 0.02  # share of the pixels; the corners of a correct calibration may lie beyond it
 
 
-class NoDepth(StrEnum):
-    """Why the first frames have no depth ("no_depth") although the source has depth."""
+@dataclass(frozen=True)
+class DepthFault:
+    """Why the depth of a stream cannot be right.
 
-    NO_RETURNS = (
-        "no scan or depth map of the first frames has a return in the image: check that scans are "
-        "in metres, and that the extrinsics of the calibration lead from the LiDAR to the camera"
-    )
-    NO_MATCH = (
-        "no image matches the time of a scan or depth map: check that both have time stamps of the "
-        "same recording and clock, or give a larger --max-skew-ms"
-    )
+    Attributes:
+        text: the fault and what to try.
+        is_implausible: whether returns are wrong; False: the first frames have none, so later ones
+            may clear it.
+    """
+
+    text: str
+    is_implausible: bool = True
+
+
+_NO_RETURNS = DepthFault(
+    "no scan or depth map of the first frames has a return in the image: check that scans are "
+    "in metres, and that the extrinsics of the calibration lead from the LiDAR to the camera",
+    is_implausible=False,
+)
+_NO_MATCH = DepthFault(
+    "no image matches the time of a scan or depth map: check that both have time stamps of the "
+    "same recording and clock, or give a larger --max-skew-ms",
+    is_implausible=False,
+)
 
 
 def find_lens_fault(calibration: Calibration | None, size: tuple[int, int] | None) -> str | None:
@@ -63,15 +76,15 @@ def find_depth_fault(
     source: Source,
     read: ReadFrame,
     fit: QuickCheck,
-) -> str | None:
-    """Return why the depth of a stream cannot be right, and what to try; None: nothing was found.
+) -> DepthFault | None:
+    """Return why the depth of a stream cannot be right; None: nothing was found.
 
     This is done before the stream starts, since it needs predictions from the camera alone. `fit`
     gets these predictions, too.
     """
     has_depth = any(reason.startswith(f"{Sensor.DEPTH}:") for reason in source.left_out)
     if has_depth and all(each.depth is None for each in frames):
-        return NoDepth.NO_MATCH
+        return _NO_MATCH
     if "depth" not in predictor.heads:
         return None
     check, size_check = DepthPlausibility(), CalibrationSize()
@@ -99,15 +112,15 @@ def find_depth_fault(
                 camera_only if has_returns else None, frame.sparse_depth, frame.calibration
             )
     if (other_size := size_check.finding()) is not None:
-        return other_size
+        return DepthFault(other_size)
     if (finding := check.finding()) is not None:
         has_scale = predictor.contract.canonical_focal_px is not None
         focal_px = known_focal_length_px(predictor, source.calibration) if has_scale else None
         advice = finding.advice(depth_scale=depth_scale, focal_length_px=focal_px)
         mistake = fit.mistake() if finding.ratio is None else None
-        return f"{advice}. Most likely: {mistake}" if mistake else advice
+        return DepthFault(f"{advice}. Most likely: {mistake}" if mistake else advice)
     if returns and not any(returns):
         mistake = fit.mistake()
         nothing = "no scan of the first frames has a return in the image"
-        return f"{nothing}: {mistake}" if mistake else NoDepth.NO_RETURNS
+        return DepthFault(f"{nothing}: {mistake}") if mistake else _NO_RETURNS
     return None

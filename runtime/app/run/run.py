@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from runtime.alignment.quick_check import QuickCheck, QuickFinding
-from runtime.app.run.depth_check import NoDepth, find_depth_fault, find_lens_fault
+from runtime.app.run.depth_check import DepthFault, find_depth_fault, find_lens_fault
 from runtime.app.run.engine_facts import engine_facts
 from runtime.app.run.frame_record import FrameRecord
 from runtime.app.run.options import CLOUD, KINDS, SUFFIXES, RunOptions, saved_heads
@@ -126,7 +126,7 @@ class _CameraStream:
         frame_size: (height, width) of the first frame; None if no frame can be predicted.
         focal_px: focal length of the camera; None if unknown.
         scale: scale of the depth; None if no frame can be predicted.
-        fault: why the returns cannot be right; None: nothing was found.
+        fault: why the depth cannot be right; None: nothing was found.
         fit: how well the returns of the first frames fit the image; None if unknown.
     """
 
@@ -138,7 +138,7 @@ class _CameraStream:
     frame_size: tuple[int, int] | None
     focal_px: float | None
     scale: CameraScale | None
-    fault: str | None
+    fault: DepthFault | None
     fit: QuickFinding | None
 
     @property
@@ -159,7 +159,8 @@ class _CameraStream:
                 used += ", not used by this model"
             lines.append(f"focal length {used}; depth up to {scale.range_m:.4g} m")
         lines += [] if self.fit is None else [self.fit.text]
-        faults = (find_lens_fault(self.source.calibration, size), self.fault)
+        depth_fault = None if self.fault is None else self.fault.text
+        faults = (find_lens_fault(self.source.calibration, size), depth_fault)
         return "\n".join([*lines, *(f"warning: {each}" for each in faults if each)])
 
     def answer(
@@ -174,16 +175,17 @@ class _CameraStream:
                 predictor,
                 check_depth=False,
                 has_lidar=self.source.has_lidar(self.frames),
-                is_implausible=fault is not None and not isinstance(fault, NoDepth),
+                is_implausible=fault is not None and fault.is_implausible,
             )
             about = f"{camera}: {self.about}" if camera else self.about
             with self.source.collecting():
                 stream_run = StreamRun(answerer, self.read, options, outputs=outputs, stop=stop)
                 result = stream_run.run(self.frames, on_start(about, len(self.frames)))
             answers = [each.prediction for each in result.records if each.prediction]
-            if fault is NoDepth.NO_RETURNS and any(answer.depth_returns for answer in answers):
+            if fault and not fault.is_implausible and any(each.depth_returns for each in answers):
                 fault = None  # the LiDAR has only started later
-            opened.report = self._report(opened, result, fault, answerer.pose_fault)
+            depth_fault = None if fault is None else fault.text
+            opened.report = self._report(opened, result, depth_fault, answerer.pose_fault)
         return opened.report
 
     def _report(
