@@ -92,6 +92,9 @@ class RunOptions:
     """The options of `ssdnet-run`, see `ssdnet-run --help`.
 
     Attributes:
+        folder: folder of the results: --out, else the first of ssdnet-run, ssdnet-run-2 and so on
+            that was free when these options were made.
+        failing: the reasons that --fail-on names.
         kinds: the files per frame that --save names.
         network_size: the size in --size, as `Predictor` takes it.
         part: the frames that --shard names.
@@ -210,6 +213,11 @@ class RunOptions:
         "and frame.",
         metavar="DIR",
     )
+    fail_on: list[str] | None = _outputs(
+        "End with exit code 5 if one of these is found: "
+        f"{', '.join(REASONS)}. May be repeated. [default: none]",
+        metavar="REASON,...",
+    )
     model: str | None = _model(
         f"Name of a bundled model ({', '.join(list_bundled_models())}), or path of an ONNX file "
         f"made by ssdnet-export (ends in .onnx or contains a /). [default: {DEFAULT_MODEL}]",
@@ -245,12 +253,8 @@ class RunOptions:
         min=0,
         max=1e6,
     )
-    fail_on: list[str] | None = _outputs(
-        "End with exit code 5 if one of these is found: "
-        f"{', '.join(REASONS)}. May be repeated. [default: none]",
-        metavar="REASON,...",
-    )
     # These fields follow from the options:
+    folder: Path = dataclasses.field(init=False)
     failing: tuple[str, ...] = dataclasses.field(init=False)
     kinds: tuple[str, ...] = dataclasses.field(init=False)
     network_size: NetworkSize = dataclasses.field(init=False)
@@ -270,6 +274,8 @@ class RunOptions:
                 "--rectify goes with --points: depth maps (--depth) lie on the pixels of the "
                 "distorted images; leave --rectify out, or give the scans"
             )
+        folder = self.out or (_OUT if self.overwrite else _free_folder())
+        object.__setattr__(self, "folder", folder)
         for option, path in self.named_files.items():
             if path.suffix.lower() != FILE_SUFFIXES[option]:
                 raise UsageError(f"--{option} writes {FILE_SUFFIXES[option]} files, got {path}")
@@ -315,24 +321,18 @@ class RunOptions:
             )
         return tuple(dict.fromkeys(given))
 
-    @property
-    def folder(self) -> Path:
-        """The folder of the results: --out, else a new one: ssdnet-run, ssdnet-run-2 and so on."""
-        if self.out is not None or self.overwrite:
-            return self.out or _OUT
-        numbered = (_OUT.with_name(f"{_OUT}-{number}") for number in itertools.count(2))
-        return next(path for path in itertools.chain([_OUT], numbered) if not os.path.lexists(path))
-
     def with_folder(self) -> "RunOptions":
         """The options with --out; if it was not given, a folder is made that no run shares."""
         folder = self.folder
-        if self.out is None and not self.overwrite:
+        while self.out is None and not self.overwrite:
             try:
                 folder.mkdir()
-            except FileExistsError:  # another run has just made it
-                return self.with_folder()
+            except FileExistsError:  # another run has made it
+                folder = _free_folder()
+                continue
             except OSError:  # reported when the folder is used
                 pass
+            break
         return dataclasses.replace(self, out=folder)
 
     def _find_source(self) -> SourcePath:
@@ -385,6 +385,12 @@ class RunOptions:
                 f"--shard is I/N with 1 <= I <= N, such as 2/4, got {shown(self.shard)}"
             )
         return slice(part - 1, None, parts)
+
+
+def _free_folder() -> Path:
+    """Return the first of ssdnet-run, ssdnet-run-2 and so on that does not exist."""
+    numbered = (_OUT.with_name(f"{_OUT}-{number}") for number in itertools.count(2))
+    return next(path for path in itertools.chain([_OUT], numbered) if not os.path.lexists(path))
 
 
 @contextlib.contextmanager
