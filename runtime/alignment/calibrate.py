@@ -173,7 +173,7 @@ def judge(views: list[View], given: Calibration, example: Frame) -> CalibrationR
         seen = [each for each in without(views, mistake) if each.has_structure]
         best = find_rotation(seen) if len(seen) >= _LEAST_FRAMES else None
         after = _median(seen, best)
-    found = CalibrationResult(
+    result = CalibrationResult(
         Verdict.NOT_VISIBLE,
         fault or "",
         given,
@@ -189,46 +189,46 @@ def judge(views: list[View], given: Calibration, example: Frame) -> CalibrationR
         example=example,
     )
     if fault is not None:
-        return replace(found, verdict=Verdict.OTHER_SCANS)
+        return replace(result, verdict=Verdict.OTHER_SCANS)
     extrinsics = given.extrinsics if mistake is None else mistake.undo(given.extrinsics)
-    return _with_rotation(found, best, extrinsics)
+    return _with_rotation(result, best, extrinsics)
 
 
 def _with_rotation(
-    found: CalibrationResult, best: Optimum | None, extrinsics: _Floats
+    result: CalibrationResult, best: Optimum | None, extrinsics: _Floats
 ) -> CalibrationResult:
     """Add the verdict on the rotation; `extrinsics` are those that `best` turns."""
-    text, off, within = _measured(found, best)
-    has_mistake, is_turned = found.mistake is not None, False
+    text, off, within = _measured(result, best)
+    has_mistake, is_turned = result.mistake is not None, False
     if off is None and not has_mistake:
-        return replace(found, reason=text)
+        return replace(result, reason=text)
     if off is not None and within is not None and (np.abs(off) > within).any():
         is_turned, extrinsics = True, extrinsics.copy()
         extrinsics[:3, :3] = rotation(np.where(np.isinf(within), 0, -off)) @ extrinsics[:3, :3]
-    if found.mistake is not None:
-        text = found.mistake if off is None else f"{found.mistake}; then {text}"
+    if result.mistake is not None:
+        text = result.mistake if off is None else f"{result.mistake}; then {text}"
     is_off = has_mistake or is_turned
     return replace(
-        found,
+        result,
         verdict=Verdict.OFF if is_off else Verdict.RIGHT,
         reason=text,
         off_degrees=off,
         within_degrees=within,
-        refined=replace(found.given, extrinsics=extrinsics) if is_off else found.given,
+        refined=replace(result.given, extrinsics=extrinsics) if is_off else result.given,
     )
 
 
 def _measured(
-    found: CalibrationResult, best: Optimum | None
+    result: CalibrationResult, best: Optimum | None
 ) -> tuple[str, _Floats | None, _Floats | None]:
     """Return what the frames show in words, and the angles and their limits; None if not seen."""
-    count = len(found.frames)
+    count = len(result.frames)
     if best is None:
         few = f"{count} frames have structure, at least {_LEAST_FRAMES} are needed"
         return f"not visible: {few}", None, None
-    if not found.after.fit:
+    if not result.after.fit:
         return _TAKE_MORE.format("the returns fit the images nowhere near"), None, None
-    within = np.hypot(*uncertainty_of(best, count, found.scenes))
+    within = np.hypot(*uncertainty_of(best, count, result.scenes))
     is_seen = within <= SEEN_DEGREES
     if not is_seen[:2].all():
         return _TAKE_MORE.format("yaw +- {:.1f}, pitch +- {:.1f}".format(*within)), None, None

@@ -92,10 +92,10 @@ def find_mistake(views: Sequence[View]) -> Mistake | None:
         views: views of some frames, which may have no return in the image.
     """
     views = views[:: -(-len(views) // _FRAMES)]
-    given, _ = _fit(views)
+    total_as_given, _ = _fit(views)
     fits = [_fit(without(views, each)) for each in USUAL_MISTAKES]
     total, correlation = max(fits)
-    is_clear = correlation >= LEAST_CORRELATION and total >= given + _LEAST_GAIN
+    is_clear = correlation >= LEAST_CORRELATION and total >= total_as_given + _LEAST_GAIN
     return USUAL_MISTAKES[fits.index((total, correlation))] if is_clear else None
 
 

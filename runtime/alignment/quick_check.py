@@ -66,7 +66,7 @@ class QuickCheck:
         views = [view for view in self._views if view.has_structure]
         if not views:
             return None
-        given = total_scores(views, (0, 0, 0))
+        unturned = total_scores(views, (0, 0, 0))
         turned, changes = {}, {}
         for axis, name in enumerate(_JUDGED):
             turns = (way * _TURN_DEGREES * np.eye(3)[axis] for way in (-1, 1))
@@ -74,7 +74,7 @@ class QuickCheck:
             turned[name] = float(np.median(minus)), float(np.median(plus))
             for sign, figures in (("-", minus), ("+", plus)):
                 change = f"{sign}{_TURN_DEGREES:g} degree of {name}"
-                changes[change] = float(np.median(figures - given))
+                changes[change] = float(np.median(figures - unturned))
         best = max(changes, key=lambda change: changes[change])
         if changes[best] > _LEAST_GAIN:
             fit = Fit.BETTER_TURNED
@@ -88,5 +88,5 @@ class QuickCheck:
                 "the first frames do not show whether it is right to a degree: run ssdnet-calibrate"
             )
         return QuickFinding(
-            fit, len(given), float(np.median(given)), turned, f"calibration: {text}"
+            fit, len(unturned), float(np.median(unturned)), turned, f"calibration: {text}"
         )

@@ -34,9 +34,9 @@ def choose_frames(source: Source, count: int) -> Iterator[tuple[Frame, Neighbour
     for part in parts:
         places = part[np.linspace(0, len(part) - 1, min(_CANDIDATES, len(part))).astype(int)]
         read = ((int(place), _read(source, listed, int(place))) for place in places)
-        found = [(place, *each) for place, each in read if each is not None]
-        if found:
-            place, frame, _ = max(found, key=lambda each: _structure(*each[1:]))
+        candidates = [(place, *each) for place, each in read if each is not None]
+        if candidates:
+            place, frame, _ = max(candidates, key=lambda each: _structure(*each[1:]))
             beside = (_read(source, listed, place + step) for step in (-1, 1))
             before, after = (None if each is None else each[1] for each in beside)
             yield frame, (before, after)

@@ -36,15 +36,15 @@ def find_entry(group: str, name: str, kind: type[T]) -> T | None:
 
     for point in entry_points(group=group, name=name):
         try:
-            found = point.load()
+            loaded = point.load()
         except Exception as error:  # code of another package may raise any error
             raise ValueError(f"the entry point {group}: {name} = {point.value}: {error}") from error
-        if not isinstance(found, kind):
+        if not isinstance(loaded, kind):
             raise ValueError(
-                f"the entry point {group}: {name} = {point.value} is a {type(found).__name__}; "
+                f"the entry point {group}: {name} = {point.value} is a {type(loaded).__name__}; "
                 f"expected one of the type {kind.__name__}"
             )
-        return found
+        return loaded
     return None
 
 

@@ -44,8 +44,9 @@ def contain_decimals(names: Iterable[str]) -> bool | None:
     They are two counters if the lengths differ and some end in 0, as in 1.9 and 1.10, because no
     program writes decimals in this way.
     """
-    found = {part for name in names for part in re.findall(_DECIMAL, name)}
-    wholes, parts = zip(*(part.split(".") for part in found), strict=True) if found else ((), ())
+    decimals = {part for name in names for part in re.findall(_DECIMAL, name)}
+    split = [part.split(".") for part in decimals]
+    wholes, parts = zip(*split, strict=True) if split else ((), ())
     if any(len(whole) >= _CLOCK_DIGITS for whole in wholes):
         return True
     if len(set(map(len, parts))) < 2:

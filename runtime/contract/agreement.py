@@ -66,8 +66,8 @@ def compare(
     else:
         figures = {f"max{suffix}": largest, f"mean{suffix}": mean, "mean_relative": mean_relative}
     for name in wanted:
-        if name not in figures and (found := _PERCENTILE.match(name)):
-            figures[name] = float(np.percentile(difference, float(found[1])))
+        if name not in figures and (percentile := _PERCENTILE.match(name)):
+            figures[name] = float(np.percentile(difference, float(percentile[1])))
     return figures
 
 

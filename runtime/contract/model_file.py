@@ -104,10 +104,10 @@ def parse_model_file(content: bytes) -> ModelFile:
     digest = hashlib.sha256(view[: -len(entry)])
     if view[-len(entry) :] != entry:
         raise _damaged("its metadata is not the last entry of the file, or is encoded differently")
-    found = ModelContent(bytes=len(view) - len(entry), sha256=digest.hexdigest())
-    if found != (known := contract.content):
+    actual = ModelContent(bytes=len(view) - len(entry), sha256=digest.hexdigest())
+    if actual != (known := contract.content):
         raise _damaged(
-            f"the model has {found.bytes} bytes (SHA-256 {found.sha256[:12]}), but its metadata "
+            f"the model has {actual.bytes} bytes (SHA-256 {actual.sha256[:12]}), but its metadata "
             f"describes {known.bytes} bytes (SHA-256 {known.sha256[:12]})"
         )
     digest.update(view[-len(entry) :])  # one pass over the bytes for both digests

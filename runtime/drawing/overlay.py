@@ -171,9 +171,9 @@ class Overlay:
             if kind is Panel.CLASSES and ids is not None:
                 panels["classes"] = self._paint_classes(ids, image)
             elif kind is Panel.DEPTH:
-                own = _shrink_nearest(heads[head], step)
+                depth_m = _shrink_nearest(heads[head], step)
                 title = head if sky is None else f"{head}, none in the sky"
-                panels[title] = self._depth_scale.paint(own, hidden=_hidden(own, sky))
+                panels[title] = self._depth_scale.paint(depth_m, hidden=_hidden(depth_m, sky))
             elif kind is Panel.SHARE_OF_DEPTH and depth is not None:
                 percent: NDArray[Any] = 100 * _shrink_nearest(heads[head], step)
                 percent = percent / np.maximum(depth, 1e-6)

@@ -76,7 +76,7 @@ def to_prediction(
         stamp: stamp of the frame.
     """
     started = time.perf_counter()
-    found = output_faults(outputs, contract)
+    faults = output_faults(outputs, contract)
     heads = at_frame_size(outputs, frame)
     latency_ms = *times_ms, (time.perf_counter() - started) * 1e3
     return Prediction(
@@ -84,8 +84,8 @@ def to_prediction(
         frame_size=frame.frame_size,
         network_size=frame.network_size,
         latency=Latency(*latency_ms, total_ms=sum(latency_ms)),
-        valid=not found,
-        degraded=frame.degraded + found,
+        valid=not faults,
+        degraded=frame.degraded + faults,
         cleaned=frame.cleaned,
         depth_returns=frame.depth_returns,
         range_m=frame.scale.range_m,
@@ -129,8 +129,8 @@ def output_faults(outputs: Mapping[str, NDArray[Any]], contract: Contract) -> tu
 
     The reasons are "HEAD_not_finite", "HEAD_out_of_range" and, for class ids, "HEAD_unknown_class".
     """
-    found = (_fault(HEADS[head], values, contract) for head, values in outputs.items())
-    return tuple(fault for fault in found if fault)
+    faults = (_fault(HEADS[head], values, contract) for head, values in outputs.items())
+    return tuple(fault for fault in faults if fault)
 
 
 def _fault(head: Head, values: NDArray[Any], contract: Contract) -> str:

@@ -162,9 +162,9 @@ def _unloadable(error: Exception) -> ContractError:
     """Return the error for a file that ONNX Runtime refuses."""
     text = describe_error(error)
     if "external data" in text.lower():
-        found = "" if os.devnull in text else f", which cannot be read ({text})"
+        unreadable = "" if os.devnull in text else f", which cannot be read ({text})"
         return ContractError(
-            f"the model keeps weights outside its own file{found}: save it as one file, with "
+            f"the model keeps weights outside its own file{unreadable}: save it as one file, with "
             "onnx.save or torch.onnx.export(..., external_data=False)"
         )
     if "IR version" in text or "opset" in text.lower():

@@ -127,17 +127,17 @@ def _list_replaced(path: Path, *, overwrite: bool) -> list[Path]:
         raise OutputError(f"{path} exists: choose another name, or replace it with --overwrite")
     if path.is_symlink() or not path.is_dir():
         raise OutputError(f"{path} is a link or a file: choose another name")
-    found = sorted(path.rglob("*"), reverse=True)
-    if not found:
+    entries = sorted(path.rglob("*"), reverse=True)
+    if not entries:
         return []
-    own = {path / MARKER, *(path / name for name in _read_list(path))}
-    for entry in found:
-        if entry.is_symlink() or entry not in own:
+    written_by_us = {path / MARKER, *(path / name for name in _read_list(path))}
+    for entry in entries:
+        if entry.is_symlink() or entry not in written_by_us:
             raise OutputError(
                 f"{entry} does not belong to the result that would be replaced: move it away, or "
                 "choose another folder"
             )
-    return sorted(found, key=lambda entry: entry == path / MARKER)
+    return sorted(entries, key=lambda entry: entry == path / MARKER)
 
 
 def _is_file(path: Path) -> bool:

@@ -222,13 +222,13 @@ class Matcher(ABC):
 
     def _partner(self, image: Message) -> Message | None:
         """The nearest depth map that has no nearer image; ties keep the older."""
-        own = (
+        candidates = (
             depth
             for depth in self._depths
             if _distance(image, depth) <= self._max_skew_ns
             and not any(_distance(other, depth) < _distance(image, depth) for other in self._images)
         )
-        return min(own, key=lambda depth: _distance(image, depth), default=None)
+        return min(candidates, key=lambda depth: _distance(image, depth), default=None)
 
     def _next_ns(self, sensor: Sensor) -> int:
         """The earliest possible next stamp of a sensor; only after its first message."""
@@ -281,8 +281,8 @@ class Matcher(ABC):
             before.pop()
         self._drop(decided, before)
 
-    def _drop(self, decided: Decided, those: list[_Kept]) -> None:
-        for kept in those:
+    def _drop(self, decided: Decided, kept_depths: list[_Kept]) -> None:
+        for kept in kept_depths:
             self._kept.remove(kept)
             if kept.outcome is not None:
                 decided.discarded.append(Discarded(Sensor.DEPTH, kept.depth, kept.outcome))

@@ -156,15 +156,15 @@ def verify(
 
 
 def _worst_figure(
-    head: str, name: str, limit: float, found: Sequence[tuple[str, Mapping[str, float]]]
+    head: str, name: str, limit: float, figures_by_frame: Sequence[tuple[str, Mapping[str, float]]]
 ) -> WorstFigure:
-    """Return the worst value of a figure; `found` are the figures of the head by frame."""
-    if not found:
+    """Return the worst value of a figure; `figures_by_frame` are those of the head."""
+    if not figures_by_frame:
         return WorstFigure(head, name, None, limit, None, 0)
-    value = worst([figures for _, figures in found])[name]
+    value = worst([figures for _, figures in figures_by_frame])[name]
     # A NaN does not equal itself.
-    frame = next(f for f, each in found if each[name] == value or math.isnan(each[name]))
-    beyond = sum(not within(each, {name: limit}) for _, each in found)
+    frame = next(f for f, each in figures_by_frame if each[name] == value or math.isnan(each[name]))
+    beyond = sum(not within(each, {name: limit}) for _, each in figures_by_frame)
     return WorstFigure(head, name, value, limit, frame, beyond)
 
 

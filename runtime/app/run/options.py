@@ -264,8 +264,8 @@ class RunOptions:
 
     def __post_init__(self) -> None:
         """Check every option, and parse those that are text."""
-        given = [source for source in (self.path, self.rgb, self.source) if source is not None]
-        if self.demo + len(given) != 1 or (self.demo and (self.depth or self.points)):
+        sources = [source for source in (self.path, self.rgb, self.source) if source is not None]
+        if self.demo + len(sources) != 1 or (self.demo and (self.depth or self.points)):
             raise UsageError(
                 "give one of PATH, --demo, --rgb (with --depth or --points) and --source"
             )
@@ -313,13 +313,13 @@ class RunOptions:
         return *(kind for kind in SUFFIXES if kind in requested), *others
 
     def _read_reasons(self) -> tuple[str, ...]:
-        given = [each.strip() for each in ",".join(self.fail_on or []).split(",") if each.strip()]
-        unknown = [each for each in given if each not in REASONS]
+        reasons = [each.strip() for each in ",".join(self.fail_on or []).split(",") if each.strip()]
+        unknown = [each for each in reasons if each not in REASONS]
         if unknown:
             raise UsageError(
                 f"--fail-on takes some of {', '.join(REASONS)}, got {shown(unknown[0])}"
             )
-        return tuple(dict.fromkeys(given))
+        return tuple(dict.fromkeys(reasons))
 
     def with_folder(self) -> "RunOptions":
         """The options with --out; if it was not given, a folder is made that no run shares."""
@@ -345,14 +345,14 @@ class RunOptions:
 
     def _choose_cameras(self, source: SourcePath) -> Callable[[], dict[str, Source]]:
         names = {name for source in SOURCES.values() for name in source.options}
-        given = {name: getattr(self, name) for name in names - SOURCE_KEYS.keys()}
+        source_options = {name: getattr(self, name) for name in names - SOURCE_KEYS.keys()}
         if self.demo:
-            given["depth"] = bundled_stream()[1]
-        of_car = {name: getattr(self, name) for name in _RIG_OPTIONS}
-        known = {name: value for name, value in of_car.items() if value is not None}
+            source_options["depth"] = bundled_stream()[1]
+        rig_options = {name: getattr(self, name) for name in _RIG_OPTIONS}
+        known = {name: value for name, value in rig_options.items() if value is not None}
         with _usage_errors():
             rig = dataclasses.replace(source.rig, **known)
-            return choose_cameras(source.kind, source.path, rig, **given, **source.keys)
+            return choose_cameras(source.kind, source.path, rig, **source_options, **source.keys)
 
     @property
     def named_files(self) -> dict[str, Path]:

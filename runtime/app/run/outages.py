@@ -113,8 +113,8 @@ def find_outages(
         timeline: times of the frames; None: silence is not looked for.
         whole: whether the frames reach to the end of the recording.
     """
-    found: list[Outage] = [*_in_row(records, timeline, LIDAR_EMPTY)]
-    found += _in_row(records, timeline, LIDAR_FROZEN)
+    outages: list[Outage] = [*_in_row(records, timeline, LIDAR_EMPTY)]
+    outages += _in_row(records, timeline, LIDAR_FROZEN)
     if timeline is not None:
         of_frames: dict[Sensor, list[Any]] = {
             Sensor.IMAGE: [each.image_stamp_ns for each in records],
@@ -135,8 +135,8 @@ def find_outages(
             within = [ns for ns in stamps if ns <= end]
             for first, until in find_silences(within, start, end):
                 seconds = (first - start) / 1e9, (until - start) / 1e9
-                found.append(Outage(_SILENT[sensor], *seconds))
-    return tuple(sorted(found, key=lambda each: each.start_s or 0.0))
+                outages.append(Outage(_SILENT[sensor], *seconds))
+    return tuple(sorted(outages, key=lambda each: each.start_s or 0.0))
 
 
 def _in_row(

@@ -35,7 +35,7 @@ from runtime.engine.preprocess import check_sparse_depth
 from runtime.recordings.source import ListedFrame, Source
 from runtime.streams.answerer import Answerer, known_focal_length_px
 
-_FIRST_FRAMES = 20  # a stream is refused if none of these frames can be predicted
+_MOST_UNREADABLE = 20  # a stream is refused if none of these frames can be predicted
 
 OnRecord = Callable[[FrameRecord], None]
 # Called before the first frame with a text about the run and the number of frames. Returns a
@@ -64,10 +64,10 @@ def run(
             space.
     """
     dedicate_process()
-    with contextlib.ExitStack() as opened:
+    with contextlib.ExitStack() as stack:
         cameras = options.open_cameras()
         for source in cameras.values():
-            opened.enter_context(source)
+            stack.enter_context(source)
         if options.focal_length is not None and len(cameras) > 1:
             raise InputError(
                 f"--focal-length describes one camera, but there are {len(cameras)}: leave it "
@@ -75,7 +75,7 @@ def run(
             )
         for camera, source in cameras.items():
             require_outputs(options.of_camera(camera), source)
-        predictor = opened.enter_context(
+        predictor = stack.enter_context(
             Predictor(
                 options.model,
                 sha256=options.sha256,
@@ -99,7 +99,7 @@ def run(
                     options = options.with_folder()
                     if camera:
                         make_run_folder(options, kinds=(), names=())
-                    stop = opened.enter_context(stop_requested())
+                    stop = stack.enter_context(stop_requested())
                 reports[camera] = stream.answer(options.of_camera(camera), camera, on_start, stop)
             except InputError as error:
                 if not camera:
@@ -169,8 +169,8 @@ class _CameraStream:
         """Answer the frames of a camera, and write what was requested."""
         predictor, fault = self.predictor, self.fault
         names = [each.name for each in self.frames]
-        opened = RunContext(options, predictor, self.kinds, names, self.source.sensor_frames)
-        with open_outputs(opened) as outputs:
+        context = RunContext(options, predictor, self.kinds, names, self.source.sensor_frames)
+        with open_outputs(context) as outputs:
             answerer = Answerer(
                 predictor,
                 check_depth=False,
@@ -185,8 +185,8 @@ class _CameraStream:
             if fault and not fault.is_implausible and any(each.depth_returns for each in answers):
                 fault = None  # the LiDAR has only started later
             depth_fault = None if fault is None else fault.text
-            opened.report = self._report(opened, result, depth_fault, answerer.pose_fault)
-        return opened.report
+            context.report = self._report(context, result, depth_fault, answerer.pose_fault)
+        return context.report
 
     def _report(
         self, run: RunContext, result: StreamResult, depth: str | None, poses: str | None
@@ -239,9 +239,9 @@ def _prepare(options: RunOptions, source: Source, predictor: Predictor) -> _Came
     # The check uses the first frames of the whole list, so that all shards have the same finding.
     fit = QuickCheck()
     fault = find_depth_fault(predictor, listed, source, read, fit)
-    found = None if fault else fit.finding()
+    fit_finding = None if fault else fit.finding()
     return _CameraStream(
-        source, frames, read, predictor, kinds, size, focal_px, scale, fault, found
+        source, frames, read, predictor, kinds, size, focal_px, scale, fault, fit_finding
     )
 
 
@@ -281,10 +281,10 @@ def _warm_up(
     """Warm up at the size of the first frame that can be predicted, and return that size.
 
     The result is None if no frame of a short stream can be predicted; the run itself reports the
-    reason. Raises InputError if none of the first _FIRST_FRAMES frames can be predicted.
+    reason. Raises InputError if none of the first _MOST_UNREADABLE frames can be predicted.
     """
     reasons = []
-    for listed in frames[:_FIRST_FRAMES]:
+    for listed in frames[:_MOST_UNREADABLE]:
         try:
             frame, _ = read(listed, keep=True)
             check_sparse_depth(frame.sparse_depth, size=frame.size)
@@ -293,9 +293,9 @@ def _warm_up(
             reasons.append((listed.name, str(error)))
             continue
         return frame.size
-    if len(reasons) == _FIRST_FRAMES:
+    if len(reasons) == _MOST_UNREADABLE:
         raise InputError(
-            f"none of the first {_FIRST_FRAMES} frames can be predicted, nothing was written: "
+            f"none of the first {_MOST_UNREADABLE} frames can be predicted, nothing was written: "
             + "; ".join(group_reasons(reasons))
         )
     return None

@@ -81,7 +81,7 @@ class RunReport:
             wall_s=sum(report.stream.wall_s for report in reports.values()),
             interrupted=interrupted or any(each.stream.interrupted for each in reports.values()),
         )
-        found = [
+        depth_faults = [
             f"{camera}: {report.implausible_depth}"
             for camera, report in reports.items()
             if report.implausible_depth is not None
@@ -91,15 +91,15 @@ class RunReport:
             options=options,
             inputs={"cameras": {camera: report.inputs for camera, report in reports.items()}},
             stream=stream,
-            implausible_depth="; ".join(found) or None,
+            implausible_depth="; ".join(depth_faults) or None,
             implausible_poses=next(  # the vehicle has them, whichever camera's frames showed it
                 (each.implausible_poses for each in reports.values() if each.implausible_poses),
                 None,
             ),
             calibration_fits={
-                camera: found
+                camera: fit
                 for camera, report in reports.items()
-                for found in report.calibration_fits.values()
+                for fit in report.calibration_fits.values()
             },
             outages=tuple(
                 replace(outage, camera=camera)
@@ -175,8 +175,8 @@ class RunReport:
     @property
     def failed_on(self) -> dict[str, int]:
         """The reasons of --fail-on that were found, with their counts."""
-        found = self.reasons
-        return {each: found[each] for each in self.options.failing if each in found}
+        counts = self.reasons
+        return {each: counts[each] for each in self.options.failing if each in counts}
 
     @property
     def not_ok(self) -> list[FrameRecord]:
@@ -216,8 +216,8 @@ class RunReport:
             return DEADLINE_MISSED
         if self.failed_on:
             return REASON_FOUND
-        found = self.implausible_depth or self.implausible_poses
-        doubtful = found is not None and self.records
+        fault = self.implausible_depth or self.implausible_poses
+        doubtful = fault is not None and self.records
         return FRAMES_SKIPPED if self.stream.interrupted or self.not_ok or doubtful else 0
 
     def document(self) -> dict[str, Any]:

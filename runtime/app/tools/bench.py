@@ -20,7 +20,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from runtime.app.tools.bench_worker import Opened, open_for_timing, time_model
+from runtime.app.tools.bench_worker import OpenedModel, open_for_timing, time_model
 from runtime.base.checks import shown
 from runtime.command.machine import MachineFacts, machine_facts
 from runtime.command.options import Version
@@ -114,7 +114,7 @@ class BenchRow:
     size: tuple[int, int]
     threads: int
     batch: int
-    opened: Opened | None = None
+    opened: OpenedModel | None = None
     error: str | None = None
     times_ms: list[float] = field(default_factory=list)  # one for each run
 

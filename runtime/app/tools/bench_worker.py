@@ -16,7 +16,7 @@ from runtime.engine.session import describe_error, import_onnxruntime, open_sess
 
 
 @dataclass(frozen=True)
-class Opened:
+class OpenedModel:
     """Facts about an open model; a fact is None if it is unknown."""
 
     shapes: dict[str, tuple[int, ...]]  # shapes of the inputs
@@ -31,7 +31,7 @@ _process = threading.local()  # holds `run`, a call of the open model
 
 def open_for_timing(
     model: str, size: tuple[int, int], batch: int, threads: int, provider: str
-) -> Opened:
+) -> OpenedModel:
     """Open a model in this process, for `time_model`. Raises RuntimeError."""
     with _in_words():
         import_onnxruntime()  # so that load_ms does not count it
@@ -43,7 +43,7 @@ def open_for_timing(
         _process.run = lambda: session.run(None, feeds)
         first_ms = time_runs(_process.run, 2)[0]
         shapes = {name: values.shape for name, values in feeds.items()}
-        return Opened(shapes, notes, load_ms, first_ms, _peak_memory_mb())
+        return OpenedModel(shapes, notes, load_ms, first_ms, _peak_memory_mb())
 
 
 def time_model(frames: int) -> list[float]:
@@ -75,7 +75,7 @@ def time_runs(run: Callable[[], object], runs: int) -> list[float]:
 
 def _peak_memory_mb() -> float | None:
     try:
-        found = re.search(r"VmHWM:\s*(\d+) kB", Path("/proc/self/status").read_text())
+        peak_line = re.search(r"VmHWM:\s*(\d+) kB", Path("/proc/self/status").read_text())
     except OSError:  # the system is not Linux
-        found = None
-    return int(found[1]) * 1024 / 1e6 if found else None
+        peak_line = None
+    return int(peak_line[1]) * 1024 / 1e6 if peak_line else None

@@ -95,12 +95,12 @@ def _package(module: str, remedy: str) -> Check:
     """Whether a package can be imported; for ONNX Runtime also its providers."""
     try:
         imported = importlib.import_module(module)
-        found = str(imported.__version__)
+        versions = str(imported.__version__)
         if module == "onnxruntime":
-            found += f": {', '.join(imported.get_available_providers())}"
+            versions += f": {', '.join(imported.get_available_providers())}"
     except Exception as error:  # a package may fail with any exception
         return Check(module, "fault", f"{type(error).__name__}: {error}", remedy)
-    return Check(module, "ok", found)
+    return Check(module, "ok", versions)
 
 
 def _self_tests(provider: str) -> Iterator[Check]:

@@ -102,14 +102,14 @@ class CalibrationSize:
 def _changes(middle_x: float, middle_y: float, shape: tuple[int, ...]) -> dict[str, _Change]:
     """The changes that put the principal point into the middle of images of this shape, by name."""
     height, width = shape
-    found: dict[str, _Change] = {}
+    changes: dict[str, _Change] = {}
     if abs(middle_x / width - 0.5) >= _FAR:
-        found["scale"] = _Change(width / (2 * middle_x), 0, 0)
+        changes["scale"] = _Change(width / (2 * middle_x), 0, 0)
     cut_x, cut_y = max(2 * middle_x - width, 0), max(2 * middle_y - height, 0)
     if cut_y >= 2 * _FAR * height:  # cut at the top, like KITTI's images for depth completion
-        found["top"] = _Change(1, cut_x / 2, cut_y)
-        found["around"] = _Change(1, cut_x / 2, cut_y / 2)
-    return found
+        changes["top"] = _Change(1, cut_x / 2, cut_y)
+        changes["around"] = _Change(1, cut_x / 2, cut_y / 2)
+    return changes
 
 
 def _gain(

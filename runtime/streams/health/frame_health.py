@@ -93,17 +93,17 @@ class FrameHealth:
         """
         is_return = (sparse_depth > 0) & (sparse_depth <= farthest_return(range_m))
         before = self._before
-        found = self._image_faults(rgb)
+        faults = self._image_faults(rgb)
         self._has_lidar |= scan is not None
         if scan is not None:
             if not is_return.any():
-                found.append(LIDAR_EMPTY)
+                faults.append(LIDAR_EMPTY)
                 self._scan = None
             elif self._repeats(scan, rgb, before):
-                found.append(LIDAR_FROZEN)
+                faults.append(LIDAR_FROZEN)
         elif self._has_lidar and not reused:
-            found.append(LIDAR_MISSING)
-        return (*found, *self._lidar_faults(is_return))
+            faults.append(LIDAR_MISSING)
+        return (*faults, *self._lidar_faults(is_return))
 
     def _repeats(
         self,
@@ -133,19 +133,19 @@ class FrameHealth:
 
     def _image_faults(self, rgb: NDArray[np.uint8]) -> list[str]:
         before, self._before = self._before, rgb
-        found = []
+        faults = []
         if (
             before is not None
             and np.array_equal(before[::_GLANCE, ::_GLANCE], rgb[::_GLANCE, ::_GLANCE])
             and np.array_equal(before, rgb)
         ):
-            found.append(IMAGE_FROZEN)
+            faults.append(IMAGE_FROZEN)
         red, green, blue = np.moveaxis(rgb[::_STEP, ::_STEP], 2, 0)
         if np.mean(np.maximum(np.maximum(red, green), blue) <= _DARK) >= _DARK_SHARE:
-            found.append(IMAGE_BLACK)
+            faults.append(IMAGE_BLACK)
         if np.mean(np.minimum(np.minimum(red, green), blue) >= _BRIGHT) >= _BRIGHT_SHARE:
-            found.append(IMAGE_OVEREXPOSED)
-        return found
+            faults.append(IMAGE_OVEREXPOSED)
+        return faults
 
     def _lidar_faults(self, is_return: NDArray[np.bool_]) -> list[str]:
         mask = is_return.view(np.uint8)

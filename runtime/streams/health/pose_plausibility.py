@@ -119,16 +119,16 @@ class PosePlausibility:
         return None
 
     def _by_track(self) -> str | None:
-        if self._track is None or (given := _spread(self._track)) is None or given < _TURNED_RAD:
+        if self._track is None or (spread := _spread(self._track)) is None or spread < _TURNED_RAD:
             return None
         spreads = {name: _spread(READINGS[name](self._track)) for name in [*READINGS][:2]}
         known = {name: each for name, each in spreads.items() if each is not None}
         best = min(known, key=lambda name: known[name], default=None)
-        if best is None or known[best] > min(_ALIKE * given, _TURNED_RAD):
+        if best is None or known[best] > min(_ALIKE * spread, _TURNED_RAD):
             return None
         return (
             f"by the poses the car drives along an axis of its own that turns by "
-            f"{np.degrees(given):.0f} degrees, and by {np.degrees(known[best]):.1f} where the "
+            f"{np.degrees(spread):.0f} degrees, and by {np.degrees(known[best]):.1f} where the "
             f"poses are read {best}: check their format"
         )
 
@@ -160,18 +160,18 @@ def _compare(before: Frame, frame: Frame, track: PoseTrack) -> dict[str, float] 
         pair = track.at(np.array([from_ns, to], np.int64))
         if np.linalg.norm(pair[1, :3, 3] - pair[0, :3, 3]) < _APART_M and to - from_ns < _APART_NS:
             return None
-        found = {"": _error(*(compensate_points(*scan, track, to) for scan in scans))}
-        found["still"] = _error(scans[0][0], scans[1][0])
+        errors = {"": _error(*(compensate_points(*scan, track, to) for scan in scans))}
+        errors["still"] = _error(scans[0][0], scans[1][0])
     except (NoPoseError, InputError):
         return None
-    if found["still"] is None:
+    if errors["still"] is None:
         return None
     for name, reading in READINGS.items():
         try:
-            found[name] = _error(*(compensate_points(*scan, reading(track), to) for scan in scans))
+            errors[name] = _error(*(compensate_points(*scan, reading(track), to) for scan in scans))
         except InputError:
-            found[name] = None
-    return {name: 1.0 if each is None else each for name, each in found.items()}
+            errors[name] = None
+    return {name: 1.0 if each is None else each for name, each in errors.items()}
 
 
 def _sampled(scan: Scan) -> tuple[NDArray[np.float32], NDArray[np.int64] | int]:

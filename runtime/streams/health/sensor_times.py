@@ -111,10 +111,10 @@ class LiveClocks:
     def add(self, ahead_ns: int, period_ns: float, *, is_image: bool, is_scan: bool) -> None:
         """Add a message; `ahead_ns` is its stamp - its arrival."""
         (self._image_ns if is_image else self._depth_ns).append(ahead_ns)
-        given = self._image_ns, self._depth_ns, period_ns
-        if is_image or self._is_reported or min(map(len, given[:2])) < _LIVE:
+        clocks = self._image_ns, self._depth_ns, period_ns
+        if is_image or self._is_reported or min(map(len, clocks[:2])) < _LIVE:
             return
-        self._is_reported = report_clocks(clocks_apart_s(*given, is_scan=is_scan, parts=1))
+        self._is_reported = report_clocks(clocks_apart_s(*clocks, is_scan=is_scan, parts=1))
         self._depth_ns.clear()
 
 

@@ -19,7 +19,7 @@ from runtime.recordings.ros_answers import camera_fields, cloud_fields, status_f
 from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
 
-OVERLAY, CLASSES, SCALES = "/ssdnet/overlay/compressed", "/ssdnet/classes", "/ssdnet/scales"
+OVERLAY_TOPIC, CLASSES, SCALES = "/ssdnet/overlay/compressed", "/ssdnet/classes", "/ssdnet/scales"
 POINTS, CAMERA, DIAGNOSTICS = "/ssdnet/points", "/ssdnet/camera_info", "/diagnostics"
 STATIC = "/tf_static"
 _SCALES = {Unit.METRES: METRES_PNG_SCALE, Unit.PROBABILITY: 255}
@@ -58,7 +58,7 @@ class McapWriter:
                 self._run.count_beyond(f"{head} in the MCAP file", unit, values)
                 topic = f"/ssdnet/{head}/compressed"
                 self._add_image(topic, header, *encode_ros_image(unit, values))
-        self._add_image(OVERLAY, header, "jpeg", encode_jpeg(self._run.draw(frame, result)))
+        self._add_image(OVERLAY_TOPIC, header, "jpeg", encode_jpeg(self._run.draw(frame, result)))
         camera = camera_of(frame, self._run.predictor.focal_length_px)
         if camera is not None:
             roi = self._make("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, False)
@@ -76,9 +76,9 @@ class McapWriter:
             for key, value in status.pop("values").items()
         ]
         of_type, model = "diagnostic_msgs/msg/DiagnosticStatus", self._contract.model_name
-        found = self._make(of_type, **status, name="ssdnet", hardware_id=model, values=pairs)
+        diagnostic = self._make(of_type, **status, name="ssdnet", hardware_id=model, values=pairs)
         of_type = "diagnostic_msgs/msg/DiagnosticArray"
-        self._add(DIAGNOSTICS, of_type, stamp_ns, header, status=[found])
+        self._add(DIAGNOSTICS, of_type, stamp_ns, header, status=[diagnostic])
 
     def _write_once(self, stamp_ns: int) -> None:
         """Append what is the same for all frames: classes, scales, and where the sensors are."""

@@ -148,13 +148,13 @@ def _outage_lanes(outages: Sequence[Outage], axis: charts.Axis) -> list[tuple[An
     """A lane, see `_lanes`, for each reason for which a sensor was out."""
     lanes = []
     for reason in dict.fromkeys(each.reason for each in outages):
-        those = [each for each in outages if each.reason == reason]
-        listed = "; ".join(each.text for each in those[:_MOST_OUTAGES])
-        if len(those) > _MOST_OUTAGES:
-            listed += f" and {len(those) - _MOST_OUTAGES} more"
+        same_reason = [each for each in outages if each.reason == reason]
+        listed = "; ".join(each.text for each in same_reason[:_MOST_OUTAGES])
+        if len(same_reason) > _MOST_OUTAGES:
+            listed += f" and {len(same_reason) - _MOST_OUTAGES} more"
         places = [
             (each.start_s, max(each.end_s, each.start_s + axis.period))
-            for each in those
+            for each in same_reason
             if each.start_s is not None and each.end_s is not None
         ]
         strip = charts.outage_strip(axis, places)
