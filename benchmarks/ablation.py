@@ -27,7 +27,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from statistics import mean, stdev
-from typing import NamedTuple
 
 import torch
 
@@ -41,20 +40,12 @@ from training.run import TrainingRun
 from training.run_folder import require_same
 from training.stages import train_stages
 
-
-class Column(NamedTuple):
-    """A figure of the table: its title, the factor of its unit, and its digits."""
-
-    title: str
-    factor: float
-    digits: int
-
-
+# For each figure: title of its column, factor of its unit, and digits.
 COLUMNS = {
-    "miou": Column("mIoU [%]", 100, 2),
-    "boundary_f": Column("boundary F [%]", 100, 2),
-    "mae_m": Column("MAE 0-100 m [mm]", 1000, 0),
-    "rmse_m": Column("RMSE 0-100 m [mm]", 1000, 0),
+    "miou": ("mIoU [%]", 100, 2),
+    "boundary_f": ("boundary F [%]", 100, 2),
+    "mae_m": ("MAE 0-100 m [mm]", 1000, 0),
+    "rmse_m": ("RMSE 0-100 m [mm]", 1000, 0),
 }
 
 
@@ -119,7 +110,7 @@ def run(row: str, seed: int, arguments: argparse.Namespace) -> dict[str, float]:
 
 def markdown(results: Mapping[str, Sequence[Mapping[str, float]]]) -> str:
     """Return mean and standard deviation of every row, as a Markdown table."""
-    titles = [column.title for column in COLUMNS.values()]
+    titles = [title for title, *_ in COLUMNS.values()]
     lines = ["| row | seeds | " + " | ".join(titles) + " |", "|---" * (len(COLUMNS) + 2) + "|"]
     for row, runs in results.items():
         cells = []

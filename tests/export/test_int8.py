@@ -1,7 +1,10 @@
 """`ssdnet-export --precision`: files that pass the gate on accuracy, and no others."""
 
+import copy
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -51,28 +54,43 @@ def data(exported, tmp_path_factory):
 
 
 @pytest.fixture
-def loose(monkeypatch):
-    """Int8 may change what no option limits: the small network has random weights."""
-    for name in ("MAX_DROP_CLASS_IOU", "MAX_DROP_BOUNDARY_F", "MAX_CHANGE_COVERAGE"):
-        monkeypatch.setattr(gate, name, 1000.0)
-
-
-@pytest.fixture
 def few(monkeypatch):
     """Three frames are enough: each takes time."""
     monkeypatch.setattr(calibration_frames, "LEAST_FRAMES", 3)
 
 
+def run(checkpoint, data, folder, *options, target="depth=depth,labels=labels"):
+    """Export to `folder`/lite.onnx in 8-bit integers."""
+    words = [str(checkpoint), str(folder / "lite.onnx"), "--height", "64", "--width", "96"]
+    words += ["--precision", "int8", "--calibrate", f"folders:{data.parent}/other/street"]
+    words += ["--validate", f"folders:{data},{target}", *options]
+    return CliRunner().invoke(app, words)
+
+
 @pytest.fixture
 def export_int8(lite_checkpoint, data, tmp_path, traced):
-    def export(*options, target="depth=depth,labels=labels"):
-        words = [str(lite_checkpoint), str(tmp_path / "lite.onnx"), "--height", "64"]
-        words += ["--width", "96", "--precision", "int8"]
-        words += ["--calibrate", f"folders:{data.parent}/other/street"]
-        words += ["--validate", f"folders:{data},{target}", *options]
-        return CliRunner().invoke(app, words)
+    return partial(run, lite_checkpoint, data, tmp_path)
 
-    return export
+
+@pytest.fixture(scope="module")
+def quantised(lite_checkpoint, lite_model, data, tmp_path_factory):
+    """What an export to int8 prints and writes: output, path, contract, and reference."""
+    folder = tmp_path_factory.mktemp("int8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("export.build.trace", lambda *_, **__: copy.deepcopy(lite_model))
+        patch.setattr(calibration_frames, "LEAST_FRAMES", 3)
+        # No option limits these, and the small network has random weights.
+        for name in ("MAX_DROP_CLASS_IOU", "MAX_DROP_BOUNDARY_F", "MAX_CHANGE_COVERAGE"):
+            patch.setattr(gate, name, 1000.0)
+        options = ["--max-drop-miou", "100", "--max-rise-mae", "1000"]
+        options += ["--record", str(folder / "reference")]
+        result = run(lite_checkpoint, data, folder, *options)
+    assert result.exit_code == 0, result.output
+    path = folder / "lite.onnx"
+    contract = load_model_file(path).contract
+    return SimpleNamespace(
+        output=result.output, path=path, contract=contract, reference=folder / "reference"
+    )
 
 
 def test_too_few_frames_are_refused_before_any_work(export_int8, data, tmp_path, monkeypatch):
@@ -108,45 +126,51 @@ def test_calibration_frames_are_from_every_set(sizes, counts):
     assert calibration_frames.share_frames(sizes, 128) == counts
 
 
-@pytest.mark.usefixtures("loose", "few")
-def test_an_int8_file_states_how_it_was_made(export_int8, tmp_path, exported):
-    options = ["--max-drop-miou", "100", "--max-rise-mae", "1000"]
-    result = export_int8(*options, "--record", str(tmp_path / "recording"))
-    assert result.exit_code == 0, result.output
-    path = tmp_path / "lite.onnx"
-    assert path.stat().st_size < exported.path.stat().st_size
-    contract = load_model_file(path).contract
-    assert contract.precision == "int8"
-    facts = contract.quantization
+def test_an_int8_file_is_smaller_and_says_so(quantised, exported):
+    assert quantised.path.stat().st_size < exported.path.stat().st_size
+    assert quantised.contract.precision == "int8"
+
+
+def test_an_int8_file_states_its_calibration(quantised):
+    facts = quantised.contract.quantization
     assert facts["calibration"] == ["folders:street"]
     assert facts["calibration_frames"] == 3
     listed = ", ".join(facts["float_convolutions"])
     assert listed
-    assert f"convolutions left in float: {listed}" in result.output
-    (rare,) = facts["not_gated"]
+    assert f"convolutions left in float: {listed}" in quantised.output
+    assert str(quantised.path.parent.parent) not in quantised.contract.to_json()
+
+
+def test_an_int8_file_states_what_no_limit_holds(quantised):
+    (rare,) = quantised.contract.quantization["not_gated"]
     assert rare.startswith("IoU of sky, building, pole")
-    assert result.output.splitlines()[-1] == f"not gated: {rare}"
-    assert rare in CliRunner().invoke(info_app, [str(path)]).output
-    assert "street labels=labels depth=depth has 3 frames, fewer than 100" in result.output
-    assert {row["lidar"] for row in contract.accuracy["rows"]} == {"random:0.05", "none"}
-    repeat = contract.accuracy["repeat"]
-    assert repeat.startswith("ssdnet-eval MODEL --data folders:street,depth=depth")
-    assert str(tmp_path.parent) not in contract.to_json()
+    assert quantised.output.splitlines()[-1] == f"not gated: {rare}"
+    assert rare in CliRunner().invoke(info_app, [str(quantised.path)]).output
+    warning = "street labels=labels depth=depth has 3 frames, fewer than 100"
+    assert warning in quantised.output
+
+
+def test_an_int8_file_states_its_accuracy_before_and_after(quantised):
+    accuracy = quantised.contract.accuracy
+    assert {row["lidar"] for row in accuracy["rows"]} == {"random:0.05", "none"}
+    assert accuracy["repeat"].startswith("ssdnet-eval MODEL --data folders:street,depth=depth")
     before, after = (
         next(row for row in rows if row["lidar"] == "none")
-        for rows in (facts["accuracy_fp32"], contract.accuracy["rows"])
+        for rows in (quantised.contract.quantization["accuracy_fp32"], accuracy["rows"])
     )
     assert before["frames"] == after["frames"] == 3
     assert before["miou"] == 1 > after["miou"] > 0.5
     assert 0 < before["mae_m"] != after["mae_m"] > 0
-    assert f"MAE {1000 * before['mae_m']:.4g} -> {1000 * after['mae_m']:.4g} mm" in result.output
+    change = f"MAE {1000 * before['mae_m']:.4g} -> {1000 * after['mae_m']:.4g} mm"
+    assert change in quantised.output
 
-    # The engine verifies it within what was measured and what rounding changes, and no more.
-    measured, limits = contract.parity, read_reference(tmp_path / "recording").limits
+
+def test_an_int8_file_is_verified_within_what_was_measured_and_rounding(quantised):
+    measured, limits = quantised.contract.parity, read_reference(quantised.reference).limits
     relative, agreement = measured["depth"]["mean_relative"], measured["semantic"]["agreement"]
     assert limits["depth"] == {"mean_relative": pytest.approx(relative + 0.025)}
     assert limits["semantic"] == {"agreement": pytest.approx(agreement - 0.04)}
-    verified = CliRunner().invoke(verify_app, [str(tmp_path / "recording")])
+    verified = CliRunner().invoke(verify_app, [str(quantised.reference)])
     assert verified.exit_code == 0, verified.output
 
 
