@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rigs import pandaset_frames
 from runtime import Predictor
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.lens import rays
+from runtime.geometry.lens import cache_key, rays
 from runtime.geometry.projection import project_with_rows
 from training.evaluation.metrics import FARTHEST_M
 
@@ -57,7 +57,8 @@ def main() -> None:
                 "through the lens": Way(rgb, calibration, calibration),
             }
             fed, truth = (points[points[:, 4] == device, :3] for device in DEVICES)
-            truth = truth[_rows(truth, straight, rgb.shape[:2])]
+            rows = project_with_rows(truth, straight.intrinsics, np.eye(4), rgb.shape[:2]).rows
+            truth = truth[rows[rows >= 0]]  # the points that the rectified image contains
             for name, way in ways.items():
                 scores = score(predictor, way, straight, fed, truth)
                 errors.setdefault(name, []).append(scores)
@@ -76,7 +77,7 @@ def read_distorted(
         calibration = Calibration(
             enlarged, np.eye(4), lens="plumb_bob", distortion=[K1, 0.0, 0.0, 0.0, 0.0]
         )
-        table = rays(calibration.lens_model, enlarged, rgb.shape[:2])
+        table = rays(calibration.lens_model, cache_key(enlarged), rgb.shape[:2])
         column, row = (
             (table[..., axis] * matrix[axis, axis] + matrix[axis, 2]).astype(np.float32)
             for axis in (0, 1)
@@ -106,14 +107,6 @@ def score(
     error = np.abs(answer.depth[known] - depth[known]).astype(np.float64)
     sides = error[is_side]
     return np.array([error.mean(), np.median(error), sides.mean(), np.median(sides)])
-
-
-def _rows(
-    points: NDArray[np.float32], calibration: Calibration, size: tuple[int, int]
-) -> NDArray[np.int32]:
-    """Return the points that an image contains."""
-    rows = project_with_rows(points, calibration.intrinsics, np.eye(4), size).rows
-    return rows[rows >= 0]
 
 
 if __name__ == "__main__":

@@ -64,7 +64,6 @@ class Soaked:
     refused: int = 0
     faults: Counter[str] = field(default_factory=Counter)
     levels: Counter[str] = field(default_factory=Counter)
-    invalid: int = 0
     results: int = 0
     resident_mb: list[float] = field(default_factory=list)
     counts: StreamCounts | None = None
@@ -167,9 +166,8 @@ def soak(
     for thread in (*readers, closer):
         thread.start()
     sampled = 0.0
-    for result in stream:
+    for _ in stream:
         soaked.results += 1
-        soaked.invalid += not result.prediction.valid
         if time.perf_counter() - sampled > 0.5:
             sampled = time.perf_counter()
             soaked.resident_mb.append(resident_mb())
@@ -267,10 +265,6 @@ def main() -> None:
             f"{dict(counts.dropped)} + unmatched {dict(counts.unmatched)} + errors "
             f"{dict(counts.errors)} + {counts.pending} pending"
         )
-    print(
-        f"camera only {soaked.counts.camera_only}, jumps back {soaked.counts.jumps_back}, "
-        f"not valid {soaked.invalid}"
-    )
     print(f"faults: {dict(soaked.faults)}\nwatchdog: {dict(soaked.levels)}")
     print(soaked.statistics.table())
     memory = soaked.resident_mb or [0.0]
