@@ -41,8 +41,6 @@ class KittiRawSource(FolderSource):
         rig: without a calibration in it, KITTI's files in the drive's folder or in its parent are
             read. The time stamps of KITTI mark the middle of a scan.
         camera: 2 is the left and 3 the right colour camera; 0 and 1 are grey.
-        by_number: match images and scans by their numbers even if they have time stamps. No poses
-            are used.
 
     Raises:
         InputError: if a folder, the calibration or a time stamp is missing or damaged.
@@ -54,9 +52,7 @@ class KittiRawSource(FolderSource):
     camera_alone = True
     calibration: Calibration
 
-    def __init__(
-        self, drive: Path, rig: Rig = DEFAULT_RIG, *, camera: int = 2, by_number: bool = False
-    ) -> None:
+    def __init__(self, drive: Path, rig: Rig = DEFAULT_RIG, *, camera: int = 2) -> None:
         rig = replace(rig, scan_stamp=rig.scan_stamp or "middle")  # as KITTI documents it
         images, scans = drive / f"image_{camera:02d}", drive / "velodyne_points"
         for folder in (images / "data", scans / "data"):
@@ -81,11 +77,10 @@ class KittiRawSource(FolderSource):
         self._drive, self._rig = drive, replace(rig, calibration=calibration)
         self._oxts: Path | None = None  # folder of the poses, if they are used
         self._stamped: list[tuple[Sensor, int, Path]] = []
-        if not by_number:
-            pictures = _read_stamps(Sensor.IMAGE, images, RGB_SUFFIXES)
-            returns = _read_stamps(Sensor.DEPTH, scans, _SCANS)
-            if pictures and returns:
-                self._stamped = sorted(pictures + returns, key=lambda message: message[1])
+        pictures = _read_stamps(Sensor.IMAGE, images, RGB_SUFFIXES)
+        returns = _read_stamps(Sensor.DEPTH, scans, _SCANS)
+        if pictures and returns:
+            self._stamped = sorted(pictures + returns, key=lambda message: message[1])
         if self._stamped and not isinstance(calibration, Calibration):
             with collect_assumptions(self._notes):
                 self._read_oxts(drive / "oxts", Path(calibration) / RAW_IMU)

@@ -118,15 +118,6 @@ def test_stamps_decide_and_not_numbers(drive, make_scan):
     assert abs(source.read(frames[1]).sparse_depth - expected).max() < 0.001
 
 
-def test_without_a_skew_numbers_decide_and_no_stamp_is_read(drive):
-    """As training does, whose frames are those that KITTI synchronised."""
-    (drive / "velodyne_points/timestamps.txt").write_text("damaged")
-    source = KittiRawSource(drive, by_number=True)
-    frames = source.list_frames()
-    assert [frame.depth.stem for frame in frames] == [f"{number:010d}" for number in range(6)]
-    assert {frame.image_stamp_ns for frame in frames} == {None}
-
-
 @pytest.mark.parametrize("sensor", ["image_02", "velodyne_points"])
 def test_without_stamps_numbers_decide(drive, sensor):
     (drive / sensor / "timestamps.txt").unlink()
