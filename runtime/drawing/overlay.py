@@ -160,7 +160,7 @@ class Overlay:
         image = None if rgb is None else cv2.cvtColor(_shrink(rgb, step), cv2.COLOR_RGB2BGR)
         panels: dict[str, NDArray[Any]] = {} if image is None else {"image": image}
         if image is not None and returns is not None and (returns > 0).any():
-            panels = {"image with returns": self.draw_returns(image, returns, step=step)}
+            panels = {"image with returns": self._paint_returns(image, returns, step)}
         heads = prediction.heads
         ids = _shrink_nearest(heads["semantic"], step) if "semantic" in heads else None
         depth = _shrink_nearest(heads["depth"], step) if "depth" in heads else None
@@ -189,31 +189,16 @@ class Overlay:
         """Draw the colour bar of the depth: uint8 (H', width, 3), BGR."""
         return self._depth_scale.draw_bar(width, _LEGEND_LINE)
 
-    def draw_returns(
-        self,
-        image: NDArray[Any],
-        returns: NDArray[np.float32],
-        *,
-        step: int = 1,
-        dot: int | None = None,
+    def _paint_returns(
+        self, image: NDArray[Any], returns: NDArray[np.float32], step: int
     ) -> NDArray[Any]:
-        """Draw each return as a dot in the colour of its depth; the nearest are in front.
-
-        Args:
-            image: uint8 (H / step, W / step, 3), BGR.
-            returns: float32 (H, W) [m], 0 or less where there is no return.
-            step: number by which the image was shrunk.
-            dot: side of a dot in pixels; None: it grows with the image.
-
-        Returns:
-            A copy of the image with the dots.
-        """
+        """Draw each return as a dot in the colour of its depth; the nearest are in front."""
         rows, columns = np.nonzero(returns > 0)
         order = np.argsort(-returns[rows, columns])
         rows, columns = rows[order], columns[order]
         colors = self._depth_scale.paint(returns[rows, columns][:, np.newaxis])[:, 0]
         painted = image.copy()
-        side = dot or max(1, round(min(image.shape[:2]) / _DOT_SHARE))
+        side = max(1, round(min(image.shape[:2]) / _DOT_SHARE))
         # All pixels of a dot in turn, so that a nearer dot covers a farther one wholly.
         rows = rows[:, None] // step + np.repeat(np.arange(side), side) - side // 2
         columns = columns[:, None] // step + np.tile(np.arange(side), side) - side // 2

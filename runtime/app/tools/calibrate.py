@@ -4,28 +4,24 @@ import functools
 from pathlib import Path
 from typing import Annotated, Any
 
-import cv2
-import numpy as np
 import typer
 
 from runtime.alignment.calibrate import CalibrationResult, Verdict, calibrate
 from runtime.alignment.view import compensated_points
 from runtime.app.run.cli import GroupedCommand, with_run_options
 from runtime.app.run.options import RunOptions, UsageError
+from runtime.app.tools.alignment_picture import draw_alignment
 from runtime.app.tools.calibration_file import format_static_transform, format_toml
 from runtime.base.errors import InputError
 from runtime.command.options import Threads, Version
 from runtime.command.process import print_result, progress_bar, reported_errors, stop_requested
 from runtime.drawing.encode import encode_jpeg, encode_png
-from runtime.drawing.overlay import Overlay
-from runtime.drawing.picture_text import write_text
 from runtime.engine.predictor import Predictor
 from runtime.files.atomic_write import atomic_write
 from runtime.recordings.source import Source
 
 _NOT_VISIBLE, _WRONG = 3, 4  # exit codes
 _EXIT_CODES = {Verdict.RIGHT: 0, Verdict.NOT_VISIBLE: _NOT_VISIBLE}
-_FARTHEST_M = 80.0  # depth of the darkest colour in the picture
 _PICTURES = (".jpg", ".jpeg", ".png")
 # The options of `ssdnet-run` that state what is read.
 _READ = ("path", "rgb", "points", "calibration", "rectify", "poses", "source", "max_skew_ms")
@@ -134,17 +130,11 @@ def _transform(result: CalibrationResult, source: Source) -> tuple[str, ...]:
 
 
 def _write_picture(result: CalibrationResult, path: Path) -> None:
-    """Draw the returns of the example on its image, as given and, if it is off, as refined."""
     frame, calibrations = result.example, {"as given": result.given}
     if result.verdict is Verdict.OFF and result.refined is not None:
         calibrations["refined"] = result.refined
     points = compensated_points(frame)
     assert points is not None  # `calibrate` only takes frames with scans
-    image, overlay = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2BGR), Overlay((), _FARTHEST_M)
-    panels = []
-    for title, calibration in calibrations.items():
-        panels.append(overlay.draw_returns(image, calibration.project(points, frame.size), dot=2))
-        write_text(panels[-1], title, (6, 16))
-    drawn = np.vstack([*panels, overlay.draw_depth_bar(image.shape[1])])
+    drawn = draw_alignment(frame.rgb, points, calibrations)
     is_png = path.suffix.lower() == ".png"
     atomic_write(path, encode_png(drawn) if is_png else encode_jpeg(drawn, quality=92))

@@ -33,7 +33,7 @@ def test_the_written_calibration_is_the_right_one(tmp_path, recording, frames, t
     assert np.abs(between[0, 2]) < np.radians(0.6), "yaw"
     assert np.allclose(right.extrinsics[:3, 3], known.extrinsics[:3, 3])
     drawn = cv2.imread(str(picture))
-    assert drawn.shape[1] == 832
+    assert drawn.shape[1] == 1280
     assert drawn.std() > 10
 
 
@@ -78,7 +78,7 @@ def test_each_verdict_has_its_exit_code_and_files(tmp_path, run, verdict, code, 
         assert line in text, "the position in /tf_static"
         assert text.count("--frame-id cam --child-frame-id velo") == 1
     drawn = cv2.imread(str(tmp_path / "x.png"))
-    given_once = len(drawn) < 2 * len(cv2.imread(str(tmp_path / "image.png")))
+    given_once = drawn.shape[0] < 900
     assert given_once == (verdict is not Verdict.OFF)
     is_image = (np.abs(drawn[30:400].astype(int) - 200) < 2).all(axis=-1)
     assert 0.05 < is_image.mean() < 0.9, "returns are drawn on the image"
