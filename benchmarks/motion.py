@@ -197,7 +197,7 @@ def main() -> None:
         found = [{"mae_m": nan, "rmse_m": nan, **sums.figures("m")} for sums in regions.values()]
         cells = " | ".join(f"{each['mae_m']:.3f} | {each['rmse_m']:.3f}" for each in found)
         print(f"| ({way}) {WAYS[way]} | {cells} |")
-    counts = {region: sums.pixels for region, sums in errors["d"].items()}
+    counts = {region: int(sums.sums[0]) for region, sums in errors["d"].items()}
     print(f"\n{len(frames) // 2} frames without their scan; scored pixels: {counts}")
 
 
