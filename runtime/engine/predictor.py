@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from runtime.base.checks import check_integer, shown
 from runtime.base.errors import ContractError, InferenceError, InputError
+from runtime.base.process_guard import ProcessGuard
 from runtime.contract.canonical_focal import CameraScale, camera_scale
 from runtime.contract.contract import check_focal_length, check_size
 from runtime.contract.network_size import NetworkSize, check_network_size, network_size
@@ -22,7 +23,6 @@ from runtime.engine.inference import run_batch, to_prediction
 from runtime.engine.model import open_model
 from runtime.engine.prediction import Prediction
 from runtime.engine.preprocess import NetworkInput, preprocess
-from runtime.engine.process_guard import ProcessGuard
 from runtime.engine.session import node_counts
 from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.units import check_field_of_view

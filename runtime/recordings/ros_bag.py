@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from runtime.base.checks import cut
 from runtime.base.errors import InputError, SSDNetError, import_remedy
-from runtime.engine.process_guard import SHARED_FILES, ProcessGuard
+from runtime.base.process_guard import SHARED_FILES, ProcessGuard
 from runtime.files.read_input import MAX_TEXT_BYTES, open_input, require_regular
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
-from runtime.engine.process_guard import SHARED_FILES, ProcessGuard
+from runtime.base.process_guard import SHARED_FILES, ProcessGuard
 from runtime.files.read_input import require_regular
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.folders import FolderSource

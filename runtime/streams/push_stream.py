@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from runtime.base.checks import check_number, shown
 from runtime.base.errors import InferenceError, InputError, SSDNetError
+from runtime.base.process_guard import ProcessGuard
 from runtime.base.stamp import NS_PER_MS, Stamp, stamp_ns
-from runtime.engine.process_guard import ProcessGuard
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.streams.answerer import Answerer, FramePredictor
 from runtime.streams.frame import Frame, Outcome

@@ -5,7 +5,7 @@ import time
 import weakref
 from typing import Protocol
 
-from runtime.engine.process_guard import ProcessGuard
+from runtime.base.process_guard import ProcessGuard
 
 _EXIT_S = 10.0  # time that the exit of the interpreter waits for a prediction
 
