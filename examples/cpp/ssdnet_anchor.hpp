@@ -1,6 +1,6 @@
 // The part of ssdnet.hpp that moves depth to the returns of a frame that is larger than the network's size.
 //
-// It is runtime/contract/anchoring.py step by step; docs/model_file.md says what it does.
+// It is runtime/engine/anchoring.py step by step; docs/model_file.md says what it does.
 #pragma once
 
 #include "ssdnet_resize.hpp"

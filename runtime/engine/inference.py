@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InferenceError
-from runtime.contract.anchoring import move_to_returns
 from runtime.contract.contract import NO_CLASS, Contract
 from runtime.contract.heads import HEADS, Head, Unit
 from runtime.contract.resize import RESIZE
+from runtime.engine.anchoring import move_to_returns
 from runtime.engine.prediction import Latency, Prediction
 from runtime.engine.preprocess import NetworkInput
 from runtime.engine.session import describe_error

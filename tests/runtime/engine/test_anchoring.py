@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from runtime.contract.anchoring import AGREE, anchor, move_to_returns
+from runtime.engine.anchoring import AGREE, anchor, move_to_returns
 
 SMALL, LARGE = (40, 60), (108, 162)
 
