@@ -1,4 +1,4 @@
-"""Checks of numbers from callers and files, and the text by which an error shows a value.
+"""Checks of numbers and arrays from callers and files, and the text by which an error shows them.
 
 This module imports no other module of the project.
 """
@@ -6,6 +6,8 @@ This module imports no other module of the project.
 import numbers
 import operator
 from typing import Any
+
+import numpy as np
 
 
 def shown(value: object, most: int = 80) -> str:
@@ -58,3 +60,10 @@ def check_integer(
             f"{shown(value)}"
         )
     return number
+
+
+def array_dtype(array: Any) -> Any:
+    """Return the dtype of a plain NumPy array, or the name of any other type."""
+    if isinstance(array, np.ndarray) and not isinstance(array, np.ma.MaskedArray | np.matrix):
+        return array.dtype
+    return type(array).__name__

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.base.checks import array_dtype
 from runtime.base.errors import InputError, OutputError
 from runtime.contract.contract import ClassInfo
 from runtime.drawing.encode import encode_jpeg, encode_ply, encode_png
@@ -17,7 +18,6 @@ from runtime.drawing.overlay import Overlay
 from runtime.engine.prediction import Prediction
 from runtime.files.atomic_write import atomic_write
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.returns import array_dtype
 
 _PICTURES, _ARRAYS, _CLOUD = (".png", ".jpg", ".jpeg"), ".npz", ".ply"
 

@@ -9,13 +9,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.base.checks import array_dtype
 from runtime.base.errors import InputError
 from runtime.contract.canonical_focal import CameraScale
 from runtime.contract.contract import MIN_SIDE, farthest_return
 from runtime.contract.degraded import IMAGE_CONSTANT, NO_DEPTH, SPARSE_DEPTH_LOW
 from runtime.contract.resize import Size, move_returns, resize_image
 from runtime.engine.prediction import Cleaned
-from runtime.geometry.returns import array_dtype, drop_saturated
+from runtime.geometry.returns import drop_saturated
 
 _CONSTANT_STEP = 16  # every 16th pixel usually rules out a constant image
 # The image is divided into a fixed number of cells. 16 of KITTI's 64 lines have returns in 6.6 %

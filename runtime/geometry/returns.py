@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.base.checks import array_dtype
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_DEPTH_RANGE_M
 from runtime.geometry.assumptions import assume
@@ -156,10 +157,3 @@ def coordinates_of(points: NDArray[np.float32]) -> NDArray[np.float32]:
     axes = np.ascontiguousarray(points[:, :3].T)
     returns = is_return(points)
     return axes if returns.all() else np.where(returns, axes, np.float32(np.nan))
-
-
-def array_dtype(array: Any) -> Any:
-    """Return the dtype of a plain NumPy array, or the name of any other type."""
-    if isinstance(array, np.ndarray) and not isinstance(array, np.ma.MaskedArray | np.matrix):
-        return array.dtype
-    return type(array).__name__

@@ -5,10 +5,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import shown
+from runtime.base.checks import array_dtype, shown
 from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume
-from runtime.geometry.returns import array_dtype
 
 _EXACT = 1e-3  # covers the error of float32, and of files with four digits
 _LARGEST_M = 1e7
