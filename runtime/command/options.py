@@ -1,10 +1,18 @@
 """Options that several commands share."""
 
+from enum import StrEnum
 from typing import Annotated
 
 import typer
 
 import runtime
+
+
+class Provider(StrEnum):
+    """Choices of --provider."""
+
+    cpu = "cpu"
+    cuda = "cuda"
 
 
 def _print_version(wanted: bool) -> None:

@@ -11,7 +11,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from enum import StrEnum
 from importlib import import_module
 from types import FrameType
 from typing import Any
@@ -23,13 +22,6 @@ ERROR, INTERRUPTED = 1, 130  # exit codes
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _CLOSED = (errno.EPIPE, errno.EIO)  # reported by a pipe without a reader, and by a closed terminal
 _SAME_S = 0.2  # parents such as timeout(1) send a signal twice
-
-
-class Provider(StrEnum):
-    """Choices of --provider."""
-
-    cpu = "cpu"
-    cuda = "cuda"
 
 
 def begin_command() -> None:

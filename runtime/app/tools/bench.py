@@ -23,11 +23,10 @@ import typer
 from runtime.app.tools.bench_worker import OpenedModel, open_for_timing, time_model
 from runtime.base.checks import shown
 from runtime.command.machine import MachineFacts, machine_facts
-from runtime.command.options import Version
+from runtime.command.options import Provider, Version
 from runtime.command.process import (
     ERROR,
     INTERRUPTED,
-    Provider,
     leave_signals_to_parent,
     print_result,
     reported_errors,

@@ -15,8 +15,8 @@ import typer
 
 from runtime.base.errors import SSDNetError
 from runtime.command.machine import machine_facts
-from runtime.command.options import Version
-from runtime.command.process import ERROR, Provider, print_result, reported_errors
+from runtime.command.options import Provider, Version
+from runtime.command.process import ERROR, print_result, reported_errors
 
 # A "note" is a fact, or something missing that is not needed; only a "fault" fails.
 Status = Literal["ok", "note", "warning", "fault"]

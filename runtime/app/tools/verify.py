@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import typer
 
 from runtime.base.checks import shown
-from runtime.command.options import Threads, Version
-from runtime.command.process import Provider, print_result, reported_errors
+from runtime.command.options import Provider, Threads, Version
+from runtime.command.process import print_result, reported_errors
 from runtime.contract.agreement import figure_name
 from runtime.contract.heads import HEADS
 from runtime.engine.predictor import Predictor
