@@ -11,107 +11,46 @@ returns: among the plane between the returns, both surfaces, and a monocular dep
 returns end or an object returns nothing. At the image's size each return then replaces the depth of
 the pixels around it, weighted by the network's confidence in it.
 
-In the order of execution: `surfaces.find_candidates`; after the decoders `choose_surface`,
-`blend_with_base`, `surfaces.dilate_returns` and `blend_with_returns`.
+In the order of execution: `surfaces.find_candidates`; after the decoders, of `models.depth_choice`,
+`choose_surface`, `blend_with_base` and, with `surfaces.dilate_returns`, `blend_with_returns`.
 """
 
-from typing import NamedTuple, Self, TypeVar
+from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from models.blocks import ConvBNReLU, hard_sigmoid, upsample
+from models.blocks import ConvBNReLU, upsample
 from models.decoders import AddUpBlock
+from models.depth_choice import (
+    HEAD_CHANNELS,
+    BaseMaps,
+    Choices,
+    Chosen,
+    HeadChannels,
+    blend_with_base,
+    blend_with_returns,
+    choose_surface,
+    limit_correction,
+    log_offset,
+    relative_scale,
+    soft_threshold,
+)
 from models.planes import BASE_CELL, CELL
 from models.surfaces import (
     FEATURE_CHANNELS,
     MAX_BASE_WEIGHT,
-    MIN_DEPTH,
-    BaseRatios,
     Candidates,
-    DilatedReturns,
     dilate_returns,
     zero_if_same_surface,
 )
 
-
-class HeadChannels(NamedTuple):
-    """The channels of the head's last convolution, each (N, C, h, w), before their activations.
-
-    Attributes:
-        surfaces: confidence in the plane, in the farthest and in the nearest surface, C = 3.
-        correction: relative correction of the chosen depth, C = 1.
-        scale: scale of the error where the candidates agree, C = 1.
-        returns: confidence in a return before the predicted depth, in one behind it, and the
-            reduction of the error's scale beside a return, C = 3.
-    """
-
-    surfaces: Tensor
-    correction: Tensor
-    scale: Tensor
-    returns: Tensor
-
-    @classmethod
-    def split(cls, channels: Tensor) -> Self:
-        """Split (N, HEAD_CHANNELS, h, w)."""
-        return cls(*channels.split(_HEAD_SPLIT, dim=1))
-
-
-# Channels of each field of `HeadChannels`, and their sum.
-_HEAD_SPLIT = [3, 1, 1, 3]
-HEAD_CHANNELS = sum(_HEAD_SPLIT)
 # `HeadChannels.surfaces` of a new head.
 _FIRST_CONFIDENCES = (2.5, -4.0, -4.0)
 # Class-like channels that the geometry's branch reads, and its other channels: 16 together, as
 # ONNX Runtime computes convolutions in blocks of 8 or 16 channels.
 _CLASS_CHANNELS, _RATIO_CHANNELS = 7, 9
-
-
-class Choices(NamedTuple):
-    """What the features of the image choose among, each (N, 1, h, w).
-
-    Attributes:
-        nearest, farthest, inverse_plane, support, plane_support: see `surfaces.Surfaces`.
-        monocular: normalised depth that is predicted from the image.
-        correction_limit: greatest log of the correction, see `limit_correction`.
-    """
-
-    nearest: Tensor
-    farthest: Tensor
-    inverse_plane: Tensor
-    support: Tensor
-    plane_support: Tensor
-    monocular: Tensor
-    correction_limit: Tensor
-
-
-class Chosen(NamedTuple):
-    """A depth and its uncertainty, each (N, 1, h, w).
-
-    Attributes:
-        inverse: inverse of the normalised depth, 1..1/MIN_DEPTH.
-        scale: scale of the depth's error, of a Laplace distribution, normalised like the depth.
-    """
-
-    inverse: Tensor
-    scale: Tensor
-
-
-class BaseMaps(NamedTuple):
-    """What is upsampled beside the choice, each (N, 1, h, w).
-
-    Attributes:
-        boundary_logits: logit of a boundary.
-        log_offset: log ratio of the depth to the base, see `log_offset`.
-        relative_scale: scale of the base's error, as a share of the depth.
-        weight: weight of the base, see `BaseRatios`.
-    """
-
-    boundary_logits: Tensor
-    log_offset: Tensor
-    relative_scale: Tensor
-    weight: Tensor
 
 
 class DepthMaps(NamedTuple):
@@ -233,7 +172,7 @@ class SurfaceDepthHead(nn.Module):
             # compensate for the other.
             base_weight = base_weight * torch.randint(3, ()).to(base_weight)
         offset = log_offset(soft_threshold(position), offsets)
-        base = BaseMaps(boundary_logits, offset, _relative_scale(log_scale), base_weight)
+        base = BaseMaps(boundary_logits, offset, relative_scale(log_scale), base_weight)
         if self.refinement is None:
             head = HeadChannels.split(self.head(features).float())
             chosen = choose_surface(head, choices, farthest_monocular=self.farthest_monocular)
@@ -295,149 +234,3 @@ def _upsample_together(choice: _Maps, base: BaseMaps) -> tuple[_Maps, BaseMaps]:
     """Upsample all maps of a grid at once: ONNX Runtime splits a Resize by channels."""
     maps = upsample(torch.cat([*choice, *base], dim=1)).split(1, dim=1)
     return type(choice)(*maps[: len(choice)]), BaseMaps(*maps[len(choice) :])
-
-
-# The sigmoid of a confidence is stretched beyond 0 and 1 by so much, and then limited.
-STRETCH = 0.1
-# Greatest log of the factor that corrects the chosen depth: 0.61 to 1.65 times. Not tuned.
-MAX_LOG_CORRECTION = 0.5
-# Least and greatest log of the ratio of the error's scale to the depth: 0.25 % to 2.7 times the
-# depth, so that neither the loss nor its gradient grows without bound. Not tuned.
-LOG_SCALE = (-6.0, 1.0)
-# Share of the spread of the prediction and the closest return that is added to the error's scale.
-SPREAD_SHARE = 0.5
-
-
-def choose_surface(head: HeadChannels, choices: Choices, *, farthest_monocular: float) -> Chosen:
-    """Choose among the candidates and the monocular depth.
-
-    First the plane replaces the monocular depth, then the farthest surface what was chosen, then
-    the nearest, each weighted by the confidence in it. The result is corrected, by at most
-    `correction_limit`. No depth is beyond `farthest_monocular`, unless the farthest surface is.
-    """
-    in_plane, in_farthest, in_nearest = stretched_sigmoid(head.surfaces).split(1, dim=1)
-    nearest, farthest, inverse_plane, support, plane_support, depth, limit = choices
-    depth = depth + in_plane * plane_support * (1.0 / inverse_plane - depth)
-    depth = depth + in_farthest * support * (farthest - depth)
-    depth = depth + in_nearest * support * (nearest - depth)
-    depth = (depth * torch.exp(limit * torch.tanh(head.correction))).clamp(min=MIN_DEPTH)
-    depth = torch.minimum(depth, (farthest * support).clamp(min=farthest_monocular))
-    return Chosen(1.0 / depth, depth.detach() * _relative_scale(head.scale))
-
-
-def limit_correction(ratios: BaseRatios, support: Tensor) -> Tensor:
-    """Return the greatest log of the correction: close to returns what the two surfaces differ by.
-
-    Where there are no returns it is MAX_LOG_CORRECTION.
-    """
-    limit = ratios.farthest - ratios.nearest + MAX_LOG_CORRECTION * (1.0 - support)
-    return limit.clamp(max=MAX_LOG_CORRECTION)
-
-
-def stretched_sigmoid(logits: Tensor) -> Tensor:
-    """Return a confidence: the sigmoid, stretched to reach 0 and 1, at logits of -2.4 and 2.4.
-
-    It is that of the hard concrete distribution (Louizos et al. 2018). A sigmoid of 0.95 would
-    leave 1.5 % of error where the other candidate is a third off. Beyond the limits the gradient is
-    that of the stretched sigmoid, so that the confidence can return.
-    """
-    share, slope = torch.sigmoid(logits), 1.0 + 2.0 * STRETCH
-    limited = hard_sigmoid(share, slope, -STRETCH)
-    if not torch.is_grad_enabled():
-        return limited
-    return _straight_through(slope * share - STRETCH, limited)
-
-
-# Position up to which the answer is the base. A position beyond it is reduced by this value.
-DEAD_ZONE = 0.1
-
-
-def soft_threshold(x: Tensor) -> Tensor:
-    """Return x reduced by DEAD_ZONE towards 0 and limited to -1..1; the gradient is that of x."""
-    limited = (x - x.clamp(-DEAD_ZONE, DEAD_ZONE)).clamp(-1.0, 1.0)
-    return _straight_through(x, limited) if torch.is_grad_enabled() else limited
-
-
-def log_offset(position: Tensor, offsets: Tensor) -> Tensor:
-    """Return the log ratio of the depth to the base, (N, 1, h, w).
-
-    Args:
-        position: -1 = nearest surface, 0 = base, 1 = farthest, same shape.
-        offsets: log ratios of the nearest and of the farthest surface to the base, (N, 2, h, w).
-    """
-    nearest, farthest = offsets.split(1, dim=1)
-    offset: Tensor = position.clamp(min=0.0) * farthest - position.clamp(max=0.0) * nearest
-    return offset
-
-
-def blend_with_base(chosen: Chosen, inverse_base: Tensor, base: BaseMaps) -> Chosen:
-    """Average the chosen depth with the base, which departs to a surface where there are two.
-
-    All are on the grid of BASE_CELL; inverse_base is the inverse depth of the base, (N, 1, H, W).
-    """
-    moved = (inverse_base * torch.exp(-base.log_offset)).clamp(1.0, 1.0 / MIN_DEPTH)
-    inverse = chosen.inverse + base.weight * (moved - chosen.inverse)
-    base_scale = base.relative_scale / inverse.detach()
-    return Chosen(inverse, chosen.scale + base.weight * (base_scale - chosen.scale))
-
-
-# Difference of inverse depths [1/m] up to which a LiDAR beside the camera hardly sees past the
-# nearer surface: 1.3 pixels of parallax for 1 m between the sensors, at 721.5 pixels of focal
-# length. From twice this difference on, the LiDAR sees past it.
-PARALLAX = 1.8e-3
-# Relative difference of depths two pixels apart on one slanted surface. From twice this difference
-# on they belong to two surfaces.
-SLOPE = 0.03
-# Largest share by which a return beside a pixel reduces the error's scale, which stays positive.
-# Not tuned.
-MAX_SCALE_REDUCTION = 0.9
-
-
-def blend_with_returns(
-    chosen: Chosen, returns: DilatedReturns, confidence: Tensor, *, max_depth_m: float
-) -> tuple[Tensor, Tensor]:
-    """Replace the predicted depth by the closest return, weighted by the confidence in it.
-
-    An edge is blurred on the coarser grid of the choice; a return is on one side of it. A LiDAR
-    beside the camera sees past near edges, so returns before and behind the predicted depth have
-    confidences of their own. Where the parallax between both depths is too small for that, the
-    return's depth is used without confidence: at the pixel of the return itself, and beside it if
-    the return is farther by more than a slope explains.
-
-    Args:
-        chosen: the predicted depth, (N, 1, H, W).
-        returns: returns around each pixel.
-        confidence: sigmoids of `HeadChannels.returns`, (N, 3, H, W).
-        max_depth_m: depth [m] of the normalised depth 1.0.
-
-    Returns:
-        The depth; and the scale, reduced beside a return, plus the spread of the two depths.
-    """
-    before, behind, reduction = confidence.split(1, dim=1)
-    depth = 1.0 / chosen.inverse
-    measured = 1.0 / returns.inverse
-    step = measured - depth
-    parallax = (chosen.inverse - returns.inverse).abs()
-    aligned = hard_sigmoid(parallax, -1.0 / (max_depth_m * PARALLAX), 2.0)
-    # It begins at a relative difference of SLOPE and is complete at twice SLOPE.
-    farther = hard_sigmoid(measured * chosen.inverse, 1.0 / SLOPE, -1.0 / SLOPE - 1.0)
-    weight = torch.where(step < 0, before, behind)
-    weight = (
-        torch.maximum(weight, aligned * torch.maximum(returns.at_pixel, farther)) * returns.mask
-    )
-    change = weight * step
-    # The mean distance of both depths from their mean is twice this: w (1 - w) |step|.
-    spread = ((1.0 - weight) * change).abs()
-    scale = chosen.scale * hard_sigmoid(reduction * returns.mask, -MAX_SCALE_REDUCTION, 1.0)
-    return depth + change, scale + SPREAD_SHARE * spread.detach()
-
-
-def _relative_scale(logits: Tensor) -> Tensor:
-    """Return the error's scale as a share of the depth, see LOG_SCALE."""
-    least, greatest = LOG_SCALE
-    return torch.exp(least + (greatest - least) * torch.sigmoid(logits))
-
-
-def _straight_through(free: Tensor, limited: Tensor) -> Tensor:
-    """Return the value of `limited` with the gradient of `free` (Bengio et al. 2013)."""
-    return free + (limited - free).detach()

@@ -6,8 +6,7 @@ import torch
 from torch.nn import functional as F
 
 from models.blocks import upsample
-from models.planes import BASE_CELL, CELL
-from models.surface_depth import (
+from models.depth_choice import (
     DEAD_ZONE,
     LOG_SCALE,
     MAX_SCALE_REDUCTION,
@@ -27,6 +26,7 @@ from models.surface_depth import (
     soft_threshold,
     stretched_sigmoid,
 )
+from models.planes import BASE_CELL, CELL
 from models.surfaces import (
     MAX_BASE_WEIGHT,
     SAME_SURFACE,
