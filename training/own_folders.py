@@ -96,33 +96,20 @@ class OwnFolders:
                 over a tenth of them differ in their rows by more than twice.
             DatasetError: for images without labels or depth.
         """
-        classes = () if self.classes is None else _read_classes(self.classes)
-        ignored = {name.casefold() for name in self.ignore}
-        if unknown := ignored - {info.name.casefold() for info in classes}:
-            raise InputError(
-                f"--ignore {min(unknown)}: is no class of {self.classes}: give one of its names"
-            )
-        ids = {
-            index: "ignore" if info.name.casefold() in ignored else info.name
-            for index, info in enumerate(classes)
-        }
-        classes = tuple(info for info in classes if info.name.casefold() not in ignored)
-        if ignored and not classes:
-            raise InputError("--ignore: no class is left to learn: leave out one of them")
+        classes, ids = self._learned_classes()
         images = self.images.resolve()
         # The set is the images' folder: a run's files beside it are not files of the data.
         keys: dict[str, Any] = {"path": images.name, "rgb": "."}
         for key, folder in (("labels", self.labels), ("depth", self.depth)):
             if folder is not None:
                 keys[key] = os.path.relpath(folder.resolve(), images)
-        if ignored:
-            keys["label_ids"] = ids
-        if self.depth is not None:
-            keys["scan"] = True
-        if self.depth_scale is not None:
-            keys["depth_scale"] = self.depth_scale
-        if self.intrinsics is not None:
-            keys["intrinsics"] = self.intrinsics
+        stated: dict[str, Any] = {
+            "label_ids": ids,
+            "scan": None if self.depth is None else True,
+            "depth_scale": self.depth_scale,
+            "intrinsics": self.intrinsics,
+        }
+        keys |= {key: value for key, value in stated.items() if value is not None}
         frames = FoldersRecipe(**keys).open(images, classes or "camvid")
         count = len(frames)
         if count < _VALIDATION:
@@ -134,22 +121,44 @@ class OwnFolders:
             height, width = read_rgb(frames.images[0]).shape[:2]
             keys["intrinsics"] = (*[self.focal_length_px] * 2, (width - 1) / 2, (height - 1) / 2)
         heights = [_read_height(path) for path in frames.images]
-        rows = int(median(heights))
-        far = [height for height in heights if not rows / 2 <= height <= 2 * rows]
-        if far:
-            text = f"{self.images}: {len(far)} of {count} images have more than twice or less than "
-            text += f"half of the {rows} rows of the others, such as {far[0]}"
-            if len(far) > count // _VALIDATION:
-                raise InputError(f"{text}: train on a folder of each size")
-            tqdm.write(f"warning: {text}; all are resized to the same rows", file=sys.stderr)
-        resized, _ = network_size(None, (rows, rows), trained_height=init.facts.trained_height)
-        if any(max(height, resized) > LARGEST_RATIO * min(height, resized) for height in heights):
-            keys["size"] = resized
+        rows, _ = network_size(
+            None, (self._common_rows(heights),) * 2, trained_height=init.facts.trained_height
+        )
+        if any(max(height, rows) > LARGEST_RATIO * min(height, rows) for height in heights):
+            keys["size"] = rows
         first = count - count // _VALIDATION
-        lines = [*_describe(classes, resized, keys, first, count)]
+        lines = [*_describe(classes, rows, keys, first, count)]
         if init.network.depth_layers:
             lines += ["", *(_CLASSES_ALONE if classes else _depth_alone(init.network))]
         return "\n".join((f"# --data is {_quoted(str(self.root))}.", *lines, ""))
+
+    def _learned_classes(self) -> tuple[tuple[ClassInfo, ...], Mapping[int, str] | None]:
+        """Return the classes that are learned; if some are not, also the name of every id."""
+        classes = () if self.classes is None else _read_classes(self.classes)
+        ignored = {name.casefold() for name in self.ignore}
+        if not ignored:
+            return classes, None
+        if unknown := ignored - {info.name.casefold() for info in classes}:
+            raise InputError(
+                f"--ignore {min(unknown)}: is no class of {self.classes}: give one of its names"
+            )
+        learned = tuple(info for info in classes if info.name.casefold() not in ignored)
+        if not learned:
+            raise InputError("--ignore: no class is left to learn: leave out one of them")
+        ids = enumerate(info.name if info in learned else "ignore" for info in classes)
+        return learned, dict(ids)
+
+    def _common_rows(self, heights: Sequence[int]) -> int:
+        """Return the median of the images' rows; report images of a far different number."""
+        rows = int(median(heights))
+        far = [height for height in heights if not rows / 2 <= height <= 2 * rows]
+        if far:
+            text = f"{self.images}: {len(far)} of {len(heights)} images have more than twice or "
+            text += f"less than half of the {rows} rows of the others, such as {far[0]}"
+            if len(far) > len(heights) // _VALIDATION:
+                raise InputError(f"{text}: train on a folder of each size")
+            tqdm.write(f"warning: {text}; all are resized to the same rows", file=sys.stderr)
+        return rows
 
 
 def _describe(
