@@ -211,16 +211,17 @@ class Prediction(HeadArrays):
         if self.depth is None or not self.valid:
             reason = ", ".join(self.degraded) if self.depth is not None else "it has no such head"
             raise InputError(f"the prediction has no usable depth: {reason}")
-        from runtime.geometry.point_cloud import depth_to_cloud, thin_to_voxels  # on demand
+        # Imported on demand: most programs make no clouds.
+        from runtime.geometry.calibration import Calibration
+        from runtime.geometry.point_cloud import depth_to_cloud, thin_to_voxels
 
-        matrix: Any = intrinsics
         lens = None
-        if hasattr(matrix, "lens_model"):  # a Calibration, which is not imported here
-            matrix.require_size(self.depth.shape)
-            matrix, lens = matrix.intrinsics, matrix.lens_model
+        if isinstance(intrinsics, Calibration):
+            intrinsics.require_size(self.depth.shape)
+            lens, intrinsics = intrinsics.lens_model, intrinsics.intrinsics
         cloud = depth_to_cloud(
             self.depth,
-            matrix,
+            intrinsics,
             lens=lens,
             rgb=rgb,
             semantic=self.semantic,
