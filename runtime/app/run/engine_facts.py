@@ -1,6 +1,7 @@
 """What a report states about the model, the execution provider, and the machine."""
 
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -50,3 +51,8 @@ def engine_facts(predictor: "Predictor") -> dict[str, Any]:
         "load_ms": predictor.load_ms,
         "first_inference_ms": predictor.first_inference_ms,
     }
+
+
+def running_providers(names: Sequence[str], nodes: Mapping[str, int]) -> list[str]:
+    """The execution providers in use, with the number of nodes that each runs."""
+    return [f"{name} {nodes[name]} nodes" for name in names if name in nodes]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from runtime.alignment.quick_check import QuickCheck, QuickFinding
 from runtime.app.run.depth_check import DepthFault, find_depth_fault, find_lens_fault
-from runtime.app.run.engine_facts import engine_facts
+from runtime.app.run.engine_facts import engine_facts, running_providers
 from runtime.app.run.frame_record import FrameRecord
 from runtime.app.run.options import CLOUD, KINDS, SUFFIXES, RunOptions, saved_heads
 from runtime.app.run.outages import Timeline, find_outages
@@ -23,7 +23,6 @@ from runtime.app.run.pipeline import (
 from runtime.app.run.run_report import (
     RunReport,
     group_reasons,
-    running_providers,
     size_text,
     write_report,
 )

@@ -5,7 +5,7 @@ import io
 import json
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -35,7 +35,7 @@ class RunReport:
     Attributes:
         engine: the facts that `engine_facts` returned.
         options: options of the run.
-        inputs: where the frames came from, as the user stated it; ready for JSON.
+        inputs: what was read: the options of the source, and what it found; ready for JSON.
         saved: kinds of files that were written for each frame.
         stream: results of the frames.
         implausible_depth: why the returns cannot be right; None: nothing was found.
@@ -320,11 +320,6 @@ def frames_csv(report: RunReport) -> str:
             + [_depth_source(record), record.depth_motion]
         )
     return text.getvalue()
-
-
-def running_providers(names: Sequence[str], nodes: Mapping[str, int]) -> list[str]:
-    """The execution providers in use, with the number of nodes that each runs."""
-    return [f"{name} {nodes[name]} nodes" for name in names if name in nodes]
 
 
 def describe_run(report: RunReport) -> str:
