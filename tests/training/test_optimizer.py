@@ -10,7 +10,7 @@ from runtime.base.errors import InputError
 from training.losses import LossConfig, SSDNetLoss
 from training.optimizer import build_optimizer
 from training.recipe import OptimizerRecipe, ScheduleRecipe
-from training.state import learning_rate
+from training.state import exponential_average, learning_rate
 
 
 @pytest.mark.parametrize("name", ["adamw", "sgd"])
@@ -59,3 +59,16 @@ def test_learning_rate_by_hand():
     constant = ScheduleRecipe(steps=110, shape="constant")
     assert {learning_rate(constant, 0.3, step) for step in range(110)} == {0.3}
     assert math.isclose(learning_rate(schedule, 2.0, 35), 2 * 0.853553, rel_tol=1e-5)
+
+
+def test_the_average_forgets_the_first_weights_of_a_short_run():
+    """The decay grows from 1/10 as (1 + n) / (10 + n) to its value; counters are copied."""
+    update = exponential_average(0.9)
+    for count, decay in ((0, 0.1), (8, 0.5), (1000, 0.9)):
+        average, counter = [torch.tensor([1.0, 2.0])], [torch.tensor(3)]
+        update(average, [torch.tensor([2.0, 4.0])], count)
+        update(counter, [torch.tensor(7)], count)
+        torch.testing.assert_close(
+            average[0], torch.tensor([2.0, 4.0]) - decay * torch.tensor([1.0, 2.0])
+        )
+        assert counter[0] == 7

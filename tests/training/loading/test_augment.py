@@ -19,7 +19,7 @@ from training.loading.depth_values import (
     canonical_depth,
     far_sky,
 )
-from training.loading.geometric import cut, flip, resize, scale_and_crop
+from training.loading.geometric import choose_crop, cut, flip, resize, scale_and_crop
 from training.loading.lidar_input import draw_lidar
 
 K = np.array([[50.0, 0, 31.5], [0, 50.0, 23.5], [0, 0, 1]])
@@ -289,6 +289,30 @@ def test_128_lines_are_drawn_from_dense_truth_and_are_64_of_a_recorded_scan():
             draw_lidar(thin, item, np.random.default_rng(0)).returns for item in (config, ALWAYS)
         )
         np.testing.assert_array_equal(of_128, of_64)
+
+
+@pytest.mark.parametrize("fault", ["lidar_misaligned", "lidar_dropout", "lidar_absorbed"])
+def test_each_fault_of_the_lidar_changes_the_input_alone(fault):
+    sample, config = rendered(), replace(ALWAYS, **{fault: 1.0})
+    good, bad = (draw_lidar(sample, item, np.random.default_rng(0)) for item in (ALWAYS, config))
+    np.testing.assert_array_equal(bad.depth, good.depth)
+    lost, new = good.returns > bad.returns, bad.returns > good.returns
+    assert lost.any()
+    assert new.any() == (fault == "lidar_misaligned")  # moved; otherwise the rest stays
+    if fault == "lidar_dropout":
+        assert not bad.returns[:, lost.any(axis=0)].any()
+    if fault == "lidar_absorbed":
+        assert len(set(sample.semantic[lost])) == 1
+
+
+def test_the_crop_with_most_pixels_of_the_rare_classes_is_chosen():
+    labels = np.zeros((8, 8), np.uint8)
+    labels[6:, 6:], labels[0, 0] = 2, 3
+    offsets = [(2, 2), (0, 0), (4, 4), (5, 5)]
+    assert choose_crop(labels, (4, 4), offsets, (2,)) == (4, 4)  # the first of two that tie
+    assert choose_crop(labels, (4, 4), offsets, (3,)) == (0, 0)
+    assert choose_crop(labels, (4, 4), offsets, (9,)) == (2, 2)
+    assert choose_crop(labels, (12, 12), [(4, 4), (-4, -4)], (2, 3)) == (-4, -4)
 
 
 def test_crops_chosen_for_a_rare_class_show_it_more_often():
