@@ -14,8 +14,8 @@ from models.checkpoint import BEST, FINAL, LAST
 from models.training_facts import TrainingFacts
 from training.distributed import Processes, join_processes
 from training.evaluation.score_set import Result
+from training.loading.batch import Batch
 from training.loading.batches import read_batches
-from training.loading.mixture import Batch
 from training.recipe import Recipe
 from training.release import adjust_logits
 from training.run import RunResult, TrainingRun

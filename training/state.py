@@ -16,7 +16,7 @@ from runtime.base.checks import shown
 from runtime.base.errors import CheckpointError, InputError, SSDNetError
 from runtime.files.atomic_write import atomic_write
 from training.distributed import Processes, share_network
-from training.loading.mixture import Batch
+from training.loading.batch import Batch
 from training.recipe import ScheduleRecipe
 from training.task import Task
 

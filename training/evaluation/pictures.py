@@ -15,7 +15,7 @@ from runtime.drawing.picture_text import write_text
 from training.datasets.sample import AUXILIARY, SampleSource, labelled
 from training.evaluation.scoring import HeadMaps, Predict, split_frames
 from training.lidar.split import LidarInput
-from training.loading.mixture import Batch
+from training.loading.batch import Batch
 from training.loading.open_dataset import spread_indices
 
 # Largest width of a panel in the pictures of a validation [px]; a long run has hundreds of them.

@@ -13,7 +13,8 @@ from runtime.base.errors import DatasetError
 from runtime.command.process import leave_signals_to_parent
 from training.datasets.sample import SampleSource
 from training.distributed import Processes
-from training.loading.mixture import Batch, CachedSource, Mixture, MixturePart
+from training.loading.batch import Batch
+from training.loading.mixture import CachedSource, Mixture, MixturePart
 from training.recipe import DataRecipe
 from training.task import Task
 

@@ -7,7 +7,7 @@ from torch.nn import functional as F
 from models.pooling import window_maxima
 from training.distributed import sum_over_processes
 from training.limits import PAIR_BORDER_PX
-from training.loading.mixture import Pair
+from training.loading.batch import Pair
 from training.losses.depth import log_ratio
 
 # Weights of the depth's log ratio at pixels farther than NEAR_PX from a return, and nearer.

@@ -11,7 +11,7 @@ from torch import Tensor
 from models import NetworkOutput
 from models.answers import head_maps
 from runtime.base.entry_points import find_entry, list_entries
-from training.loading.mixture import Batch, Pair
+from training.loading.batch import Batch, Pair
 from training.losses.boundary import (
     NeighbourMaps,
     balanced_cross_entropy,

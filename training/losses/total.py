@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from models import NetworkOutput
 from training.limits import STRICT, NotNegative
-from training.loading.mixture import Batch
+from training.loading.batch import Batch
 from training.losses.semantic import ClassWeighting
 from training.losses.terms import TERMS, Compared, Term, find_term, list_terms
 

@@ -2,7 +2,7 @@
 
 import torch
 
-from training.loading.mixture import Batch
+from training.loading.batch import Batch
 
 
 def batch_of(semantic, depth, *, semantic_weight=None, road_mask=None, pair=None, teacher=None):

@@ -9,7 +9,8 @@ import torch.nn.functional as F
 
 from training.datasets.sample import Sample, make_frame
 from training.loading.augment_config import AugmentConfig
-from training.loading.mixture import Batch, DepthTarget, Drawn, Mixture, MixturePart
+from training.loading.batch import Batch, Drawn
+from training.loading.mixture import DepthTarget, Mixture, MixturePart
 from training.losses.consistency import semantic_consistency_loss
 
 

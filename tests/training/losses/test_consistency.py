@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from training.limits import PAIR_BORDER_PX
-from training.loading.mixture import Pair
+from training.loading.batch import Pair
 from training.losses.consistency import (
     FAR_WEIGHT,
     NEAR_WEIGHT,

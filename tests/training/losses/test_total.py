@@ -8,7 +8,7 @@ import torch
 
 from layouts.batch import batch_of
 from models import NetworkOutput
-from training.loading.mixture import Pair
+from training.loading.batch import Pair
 from training.losses import LossConfig, SSDNetLoss, class_weights
 from training.losses.boundary import (
     balanced_cross_entropy,
