@@ -42,13 +42,8 @@ from training.evaluation.evaluate import short_names
 from training.evaluation.metrics import FARTHEST_M, frame_errors
 from training.evaluation.scored_model import open_method, open_scored_model
 from training.evaluation.scoring import Predict
-from training.lidar.split import (
-    LidarInput,
-    OcclusionFilter,
-    frame_generator,
-    random_share,
-    split_lidar,
-)
+from training.lidar.simulate import random_share
+from training.lidar.split import LidarInput, OcclusionFilter, frame_generator, split_lidar
 from training.loading.open_dataset import open_dataset
 
 ROWS, FULL = 400, 100_000

@@ -26,7 +26,8 @@ from training.evaluation.metrics import FARTHEST_M, frame_errors
 from training.evaluation.scored_model import method_predict, trained_classes
 from training.evaluation.scoring import Predict, torch_predict
 from training.initial_weights import Weights
-from training.lidar.split import SENSOR_LINES, LidarInput, LidarSplit, split_lidar
+from training.lidar.simulate import SENSOR_LINES
+from training.lidar.split import LidarInput, LidarSplit, split_lidar
 from training.loading.open_dataset import open_dataset
 from training.loop import train
 from training.losses.terms import DEPTH_ALONE

@@ -39,12 +39,6 @@ def _require_order(limits: tuple[float, float]) -> tuple[float, float]:
 
 _PositiveShare = Annotated[float, Field(gt=0, le=1)]
 _Factor = Annotated[float, Field(ge=0.01, le=100)]
-# Width of the border [px] of each of two views that is not compared, because padding changes
-# answers there.
-PAIR_BORDER_PX = 32
-# Least step [px] of the shift between two views; the stride of the semantic logits, if larger.
-PAIR_STEP_PX = 4
-PairShift = Annotated[int, Field(ge=0, le=128, multiple_of=PAIR_STEP_PX)]
 # (low, high) of a value that is drawn at random.
 ShareRange = Annotated[tuple[_PositiveShare, _PositiveShare], AfterValidator(_require_order)]
 FactorRange = Annotated[tuple[_Factor, _Factor], AfterValidator(_require_order)]

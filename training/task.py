@@ -26,8 +26,7 @@ from training.distributed import Processes
 from training.evaluation.scoring import figure_names
 from training.initial_weights import prepare_teacher, state_provenance
 from training.lidar.split import LidarInput
-from training.limits import PAIR_STEP_PX
-from training.loading.augment_config import with_crop
+from training.loading.augment_config import PAIR_STEP_PX, with_crop
 from training.loading.mixture import DepthTarget
 from training.loading.open_dataset import (
     FREQUENCY_SAMPLES,

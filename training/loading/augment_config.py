@@ -10,12 +10,10 @@ from pydantic.dataclasses import dataclass
 from runtime.base.errors import InputError
 from runtime.contract.contract import MIN_SIDE
 from training.limits import (
-    PAIR_BORDER_PX,
     STRICT,
     CropSide,
     Degrees,
     FactorRange,
-    PairShift,
     Share,
     ShareRange,
     Strength,
@@ -23,6 +21,11 @@ from training.limits import (
 
 # Default crop. Smaller data has a smaller crop, see `with_crop`.
 LARGEST_CROP = (320, 480)
+# Width of the border [px] of each of two views that is not compared, because padding changes
+# answers there.
+PAIR_BORDER_PX = 32
+# Least step [px] of the shift between two views; the stride of the semantic logits, if larger.
+PAIR_STEP_PX = 4
 # A crop's rows are a multiple of this: the stride of most networks.
 _CROP_STEP = 32
 
@@ -80,7 +83,7 @@ class AugmentConfig:
     lidar_dropout: Share = 0.0
     lidar_absorbed: Share = 0.0
     world_scale: FactorRange = (1.0, 1.0)
-    pair_shift: PairShift = 0
+    pair_shift: Annotated[int, Field(ge=0, le=128, multiple_of=PAIR_STEP_PX)] = 0
     pair_lidar_missing: Share = 0.0
     pair_lidar_false: Share = 0.0
 

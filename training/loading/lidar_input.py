@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from training.datasets.sample import IGNORE, Sample
 from training.lidar.faults import absorb, drop_sectors, misalign
-from training.lidar.split import SENSOR_LINES, LidarInput, split_lidar
+from training.lidar.simulate import SENSOR_LINES
+from training.lidar.split import LidarInput, split_lidar
 from training.loading.augment_config import AugmentConfig
 from training.loading.depth_values import has_dense_depth
 

@@ -8,9 +8,8 @@ from torch.utils.data import Dataset
 
 from runtime.contract.contract import MAX_RETURN_M
 from training.datasets.sample import Sample, SampleSource
-from training.limits import PAIR_STEP_PX
 from training.loading.augment import augment, take_views, with_margin
-from training.loading.augment_config import AugmentConfig
+from training.loading.augment_config import PAIR_STEP_PX, AugmentConfig
 from training.loading.batch import Drawn
 from training.loading.depth_values import far_sky, scale_world
 

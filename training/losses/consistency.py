@@ -6,7 +6,7 @@ from torch.nn import functional as F
 
 from models.pooling import window_maxima
 from training.distributed import sum_over_processes
-from training.limits import PAIR_BORDER_PX
+from training.loading.augment_config import PAIR_BORDER_PX
 from training.loading.batch import Pair
 from training.losses.depth import log_ratio
 

@@ -11,7 +11,7 @@ from training.lidar.faults import (
     drop_sectors,
     misalign,
 )
-from training.lidar.split import random_share
+from training.lidar.simulate import random_share
 
 
 def test_faults_are_as_documented_and_do_not_change_the_input():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from training.lidar.split import beam_elevations, random_share, scan_line_index, scan_lines
+from training.lidar.simulate import beam_elevations, random_share, scan_line_index, scan_lines
 
 KITTI = np.array([[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1]])
 

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from training.limits import PAIR_BORDER_PX
+from training.loading.augment_config import PAIR_BORDER_PX
 from training.loading.batch import Pair
 from training.losses.consistency import (
     FAR_WEIGHT,

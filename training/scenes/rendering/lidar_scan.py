@@ -6,7 +6,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from training.lidar.split import HDL64_ELEVATIONS_DEG
+from training.lidar.simulate import HDL64_ELEVATIONS_DEG
 from training.scenes.arrays import Floats
 from training.scenes.rendering.camera import Camera
 from training.scenes.rendering.raycast import RayCaster
