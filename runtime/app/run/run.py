@@ -20,12 +20,7 @@ from runtime.app.run.pipeline import (
     dedicate_process,
     frame_reader,
 )
-from runtime.app.run.run_report import (
-    RunReport,
-    group_reasons,
-    size_text,
-    write_report,
-)
+from runtime.app.run.run_report import RunReport, group_reasons, size_text, write_report
 from runtime.base.errors import InputError, SSDNetError
 from runtime.command.process import stop_requested
 from runtime.contract.canonical_focal import CameraScale
