@@ -97,12 +97,12 @@ LOG_SCALE = (-6.0, 1.0)
 SPREAD_SHARE = 0.5
 
 
-def choose_surface(head: HeadChannels, choices: Choices, *, farthest_monocular: float) -> Chosen:
+def choose_surface(head: HeadChannels, choices: Choices, *, unmeasured_share: float) -> Chosen:
     """Choose among the candidates and the monocular depth.
 
     First the plane replaces the monocular depth, then the farthest surface what was chosen, then
     the nearest, each weighted by the confidence in it. The result is corrected, by at most
-    `correction_limit`. No depth is beyond `farthest_monocular`, unless the farthest surface is.
+    `correction_limit`. No depth is beyond `unmeasured_share`, unless the farthest surface is.
     """
     in_plane, in_farthest, in_nearest = stretched_sigmoid(head.surfaces).split(1, dim=1)
     nearest, farthest, inverse_plane, support, plane_support, depth, limit = choices
@@ -110,7 +110,7 @@ def choose_surface(head: HeadChannels, choices: Choices, *, farthest_monocular: 
     depth = depth + in_farthest * support * (farthest - depth)
     depth = depth + in_nearest * support * (nearest - depth)
     depth = (depth * torch.exp(limit * torch.tanh(head.correction))).clamp(min=MIN_DEPTH)
-    depth = torch.minimum(depth, (farthest * support).clamp(min=farthest_monocular))
+    depth = torch.minimum(depth, (farthest * support).clamp(min=unmeasured_share))
     return Chosen(1.0 / depth, depth.detach() * relative_scale(head.scale))
 
 

@@ -93,8 +93,8 @@ class NetworkConfig:
         return len(self.classes)
 
     @property
-    def target_depth_m(self) -> float:
-        """Largest depth [m] that can be learned without a return."""
+    def unmeasured_range_m(self) -> float:
+        """Largest depth [m] that can be predicted, and learned, without a return."""
         return self.max_depth_m
 
     def to_dict(self) -> dict[str, Any]:

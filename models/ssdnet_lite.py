@@ -106,7 +106,7 @@ class SSDNetLiteConfig(NetworkConfig):
             )
 
     @property
-    def target_depth_m(self) -> float:
+    def unmeasured_range_m(self) -> float:
         """See `NetworkConfig`."""
         return min(self.farthest_guess_m, self.max_depth_m)
 
@@ -171,7 +171,7 @@ class SSDNetLite(Network):
                 geometry_channels=config.geometry_channels,
                 semantics=config.semantic_head,
                 max_depth_m=config.max_depth_m,
-                farthest_monocular=config.target_depth_m / config.max_depth_m,
+                unmeasured_share=config.unmeasured_range_m / config.max_depth_m,
             )
         self.apply(initialise)
         if config.depth_head:

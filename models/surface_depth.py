@@ -79,7 +79,7 @@ class SurfaceDepthHead(nn.Module):
         geometry_channels: channels of the convolutions that decide close to returns.
         semantics: whether there are features of the semantic decoder.
         max_depth_m: depth [m] of the normalised depth 1.0.
-        farthest_monocular: the farthest normalised depth without a return.
+        unmeasured_share: largest normalised depth without a return.
     """
 
     def __init__(
@@ -93,10 +93,10 @@ class SurfaceDepthHead(nn.Module):
         geometry_channels: int,
         semantics: bool,
         max_depth_m: float,
-        farthest_monocular: float,
+        unmeasured_share: float,
     ) -> None:
         super().__init__()
-        self.max_depth_m, self.farthest_monocular = max_depth_m, farthest_monocular
+        self.max_depth_m, self.unmeasured_share = max_depth_m, unmeasured_share
         self.embed = nn.Conv2d(FEATURE_CHANNELS, stride4_channels, 1)
         self.guess = nn.Conv2d(channels, 1, 1)  # the monocular depth; checkpoints have this name
         self.project = nn.Conv2d(FEATURE_CHANNELS, channels, 1)
@@ -152,7 +152,7 @@ class SurfaceDepthHead(nn.Module):
             boundary_logits: on the grid of CELL; they are upsampled together with the depth.
         """
         # The monocular depth, for where nothing is measured.
-        monocular = self.farthest_monocular * torch.sigmoid(self.guess(features))
+        monocular = self.unmeasured_share * torch.sigmoid(self.guess(features))
         monocular = torch.minimum(monocular, candidates.monocular_limit).float()
         # Close to returns: a position between the nearest surface, the base and the farthest one.
         ratios, base_weight = candidates.base_ratios, candidates.base_ratios.base_weight
@@ -175,13 +175,13 @@ class SurfaceDepthHead(nn.Module):
         base = BaseMaps(boundary_logits, offset, relative_scale(log_scale), base_weight)
         if self.refinement is None:
             head = HeadChannels.split(self.head(features).float())
-            chosen = choose_surface(head, choices, farthest_monocular=self.farthest_monocular)
+            chosen = choose_surface(head, choices, unmeasured_share=self.unmeasured_share)
             chosen, base = _upsample_together(chosen, base)
         else:
             choices, base = _upsample_together(choices, base)
             refined = self.head(self.refinement(features, stride2))
             head = HeadChannels.split((refined + upsample(self.coarse_head(features))).float())
-            chosen = choose_surface(head, choices, farthest_monocular=self.farthest_monocular)
+            chosen = choose_surface(head, choices, unmeasured_share=self.unmeasured_share)
         # Both on the grid of the base, then the returns at the image's size.
         chosen = blend_with_base(chosen, candidates.inverse_base, base)
         return self._add_returns(chosen, base.boundary_logits, head.returns, candidates)

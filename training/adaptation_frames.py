@@ -21,7 +21,7 @@ from runtime.streams.frame import Frame
 from training.datasets.recording import RecordingRecipe, beside
 from training.evaluation.metrics import FARTHEST_M
 from training.run_folder import folder_errors
-from training.stop_signal import Stop, StopRequested, never
+from training.stop_signal import Stop, StopRequested
 from training.tables import build
 
 # Largest number of frames that are read, and their least number.
@@ -91,8 +91,8 @@ def find_frames(
     root: Path,
     kept: Path,
     *,
-    trained_height: int | None = None,
-    stop: Stop = never,
+    trained_height: int | None,
+    stop: Stop,
 ) -> ChosenFrames:
     """Choose the frames of a recording that have returns; the end of their time is kept apart.
 

@@ -48,7 +48,7 @@ def prepare_folder(
     out: Path,
     resolved: Mapping[str, Any],
     files: Mapping[str, Mapping[str, Any]],
-    roots: Sequence[Path] = (),
+    roots: Sequence[Path],
 ) -> None:
     """Make `out` the folder of this training; InputError if it belongs to another one.
 

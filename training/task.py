@@ -191,7 +191,7 @@ def _build_loss(
         recipe.loss,
         weights,
         max_depth_m=network.config.max_depth_m,
-        target_depth_m=network.config.target_depth_m,
+        unmeasured_range_m=network.config.unmeasured_range_m,
         road=recipe.model.class_id("road"),
     )
 
@@ -273,8 +273,8 @@ def _require_learning(
             f"no frame of {', '.join(item.title for item in recipe.data.source)} has a target of "
             f"the loss: its terms {', '.join(targets)} need "
             f"{' or '.join(sorted(set(targets.values())))} "
-            f"(depth up to {network.config.target_depth_m:g} m): add a set that has it, or set the "
-            "weight of another term"
+            f"(depth up to {network.config.unmeasured_range_m:g} m): add a set that has it, or set "
+            "the weight of another term"
         )
 
 

@@ -69,7 +69,7 @@ def choices_of(returns, monocular, **changes):
 
 def choose(head, choices, farthest=1.0):
     """The depth that is chosen, and the scale of its error."""
-    chosen = choose_surface(head, choices, farthest_monocular=farthest)
+    chosen = choose_surface(head, choices, unmeasured_share=farthest)
     return 1 / chosen.inverse, chosen.scale
 
 

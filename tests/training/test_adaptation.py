@@ -29,6 +29,7 @@ from training.initial_weights import read_weights
 from training.loading.lidar_input import draw_lidar
 from training.loading.open_dataset import open_dataset
 from training.run import TrainingRun
+from training.stop_signal import never
 
 SIZE, FOCAL_PX = (96, 160), 120.0
 STEPS = ["schedule.steps = 1", "schedule.warmup_steps = 0", "data.augment.crop = [64, 96]"]
@@ -199,12 +200,13 @@ def test_frames_kept_apart_are_the_last_with_returns(tmp_path, empty):
         for folder, values in (("images", np.zeros(SIZE, np.uint8)), ("lidar", depth)):
             (tmp_path / folder).mkdir(exist_ok=True)
             cv2.imwrite(str(tmp_path / folder / f"{index:03}.png"), values)
-    found = find_frames(*described(tmp_path), tmp_path / "frames.json")
+    asked = (*described(tmp_path), tmp_path / "frames.json")
+    found = find_frames(*asked, trained_height=None, stop=never)
     usable = tuple(index for index in range(12) if index not in empty)
     assert found.kept_apart in (usable[-1:], usable[-2:])
     assert found.train + found.kept_apart == usable
     (tmp_path / "images" / "000.png").unlink()  # the choice of an earlier start stays
-    assert find_frames(*described(tmp_path), tmp_path / "frames.json") == found
+    assert find_frames(*asked, trained_height=None, stop=never) == found
 
 
 def test_returns_that_cannot_be_scored_are_refused_before_the_training(

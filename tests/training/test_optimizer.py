@@ -13,11 +13,15 @@ from training.recipe import OptimizerRecipe, ScheduleRecipe
 from training.state import exponential_average, learning_rate
 
 
+def loss(config):
+    return SSDNetLoss(config, None, max_depth_m=100.0, unmeasured_range_m=100.0, road=None)
+
+
 @pytest.mark.parametrize("name", ["adamw", "sgd"])
 def test_weight_decay_pulls_at_kernels_alone(name):
     """A step without any gradient: what is decayed shrinks, all else stays."""
     network = create_model("ssdnet-small")
-    criterion = SSDNetLoss(LossConfig(weighting="uncertainty"), max_depth_m=100.0)
+    criterion = loss(LossConfig(weighting="uncertainty"))
     parameters = dict([*network.named_parameters(), *criterion.named_parameters()])
     with torch.no_grad():
         for value in parameters.values():
@@ -37,7 +41,7 @@ def test_weight_decay_pulls_at_kernels_alone(name):
 
 
 def test_the_encoder_has_a_rate_of_its_own():
-    network, criterion = create_model("ssdnet-nano"), SSDNetLoss(LossConfig(), max_depth_m=200.0)
+    network, criterion = create_model("ssdnet-nano"), loss(LossConfig())
     recipe = OptimizerRecipe(learning_rate=2e-3, encoder_rate=4e-4, weight_decay=0.1)
     groups = build_optimizer(recipe, network, criterion).param_groups
     rates = {p: (g["lr"], g["weight_decay"]) for g in groups for p in g["params"]}

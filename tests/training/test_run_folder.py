@@ -22,30 +22,30 @@ def resolved(recipe=None, **changes):
 
 
 def test_what_does_not_change_the_weights_may_change(tmp_path):
-    prepare_folder(tmp_path, resolved(), FILES)
+    prepare_folder(tmp_path, resolved(), FILES, [])
     other = {
         "data": {"workers": 5, "cache_gib": 2.0},
         "loop": {"log_every": 3, "checkpoint_every": 7},
         "validation": {"every": 5, "pictures": 1},
         "terms": "none",
     }
-    prepare_folder(tmp_path, resolved(other), FILES)
+    prepare_folder(tmp_path, resolved(other), FILES, [])
     assert json.loads((tmp_path / RECIPE).read_text())["recipe"]["data"]["workers"] == 5
 
 
 def test_a_key_that_a_release_added_counts_with_its_default(tmp_path):
-    prepare_folder(tmp_path, resolved(), FILES)
+    prepare_folder(tmp_path, resolved(), FILES, [])
     document = json.loads((tmp_path / RECIPE).read_text())
     # As an earlier release wrote it, which did not know these.
     del document["recipe"]["loop"]["clip_norm"]
     del document["recipe"]["data"]["augment"]["hue_deg"]
     del document["recipe"]["data"]["source"][0]["split"]
     (tmp_path / RECIPE).write_text(json.dumps(document))
-    prepare_folder(tmp_path, resolved(), FILES)
+    prepare_folder(tmp_path, resolved(), FILES, [])
     (tmp_path / RECIPE).write_text(json.dumps(document))
     other = {"loop": {"clip_norm": 1.0}}
     with pytest.raises(InputError, match=r"loop\.clip_norm was 0\.0, now it is 1\.0"):
-        prepare_folder(tmp_path, resolved(other), FILES)
+        prepare_folder(tmp_path, resolved(other), FILES, [])
 
 
 @pytest.mark.parametrize(("changes", "text"), [
@@ -62,10 +62,10 @@ def test_a_key_that_a_release_added_counts_with_its_default(tmp_path):
     ),
 ], ids=str)  # fmt: skip
 def test_what_changes_them_is_named(tmp_path, changes, text):
-    prepare_folder(tmp_path, resolved(), FILES)
+    prepare_folder(tmp_path, resolved(), FILES, [])
     before = (tmp_path / RECIPE).read_bytes()
     with pytest.raises(InputError, match=f"another recipe: {text}"):
-        prepare_folder(tmp_path, resolved(**changes), FILES)
+        prepare_folder(tmp_path, resolved(**changes), FILES, [])
     assert (tmp_path / RECIPE).read_bytes() == before
 
 
@@ -76,7 +76,7 @@ def test_other_data_than_at_the_start_are_named(tmp_path, capsys):
         (files / name).touch()
 
     def start(root):
-        prepare_folder(tmp_path / "run", resolved(), list_data([tmp_path, root], ["camvid"]))
+        prepare_folder(tmp_path / "run", resolved(), list_data([tmp_path, root], ["camvid"]), [])
         return capsys.readouterr().err
 
     assert start(tmp_path / "data") == ""
@@ -101,7 +101,7 @@ def test_a_set_that_was_moved_is_the_same_data(tmp_path, capsys, changed):
     def start(path):
         recipe = {"data": {"source": (CamVidRecipe(path=str(path)),)}}
         prepare_folder(
-            tmp_path / "run", resolved(recipe=recipe), list_data([tmp_path], [str(path)])
+            tmp_path / "run", resolved(recipe=recipe), list_data([tmp_path], [str(path)]), []
         )
 
     start(before)

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 from numpy.random import Generator
 
-from runtime.contract.contract import MAX_RETURN_M
 from runtime.streams.frame import Message
 from training.datasets.sample import Sample, nothing_known
 from training.lidar.faults import add_false_returns
@@ -21,9 +20,9 @@ def augment(
     config: AugmentConfig,
     rng: Generator,
     *,
-    canonical_focal_px: float | None = None,
-    max_depth_m: float = MAX_RETURN_M,
-    rare: Sequence[int] = (),
+    canonical_focal_px: float | None,
+    max_depth_m: float,
+    rare: Sequence[int],
 ) -> Sample:
     """Return a randomly changed sample; a pure function of its arguments.
 

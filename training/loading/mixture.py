@@ -9,7 +9,7 @@ from torch.utils.data import Dataset
 from runtime.contract.contract import MAX_RETURN_M
 from training.datasets.sample import Sample, SampleSource
 from training.loading.augment import augment, take_views, with_margin
-from training.loading.augment_config import PAIR_STEP_PX, AugmentConfig
+from training.loading.augment_config import AugmentConfig
 from training.loading.batch import Drawn
 from training.loading.depth_values import far_sky, scale_world
 
@@ -84,13 +84,13 @@ class Mixture(Dataset[Drawn]):
         *,
         length: int,
         seed: int,
-        depth: DepthTarget | None = None,
-        pair_step: int = PAIR_STEP_PX,
-        rare: Sequence[int] = (),
+        depth: DepthTarget,
+        pair_step: int,
+        rare: Sequence[int],
     ) -> None:
         self._parts = list(parts)
         self._seed = seed
-        self._depth = depth or DepthTarget()
+        self._depth = depth
         self._pair_step = pair_step
         self._rare = tuple(rare)
         weights = np.array([part.weight for part in parts], dtype=np.float64)

@@ -227,7 +227,7 @@ def survey(
             notes.append((target, f"{text} to learn from"))
         if item.unit_key and known - near > _FAR_SHARE * known:
             text = f"{item.title}: {1 - near / known:.0%} of the depth is beyond "
-            text += f"{_farthest_m(sample, config):.3g} m and not trained: check the unit "
+            text += f"{_unmeasured_range_m(sample, config):.3g} m and not trained: check the unit "
             text += f"({item.unit_key})" + ", or the focal length" * bool(sample.focal_length_px)
             notes.append(("depth", text))
     counts = np.round(counts * 1_000_000)
@@ -248,11 +248,11 @@ def _count_learned(sample: Sample, target: str, config: NetworkConfig) -> int:
         return 0
     known = labelled(target, sample.target(target))
     if target == "depth":
-        known &= sample.depth <= _farthest_m(sample, config)
+        known &= sample.depth <= _unmeasured_range_m(sample, config)
     return int(known.sum())
 
 
-def _farthest_m(sample: Sample, config: NetworkConfig) -> float:
+def _unmeasured_range_m(sample: Sample, config: NetworkConfig) -> float:
     """Return the largest depth [m] of a frame that can be learned without a return."""
     canonical, focal = config.canonical_focal_px, sample.focal_length_px
-    return config.target_depth_m * (focal / canonical if canonical and focal else 1.0)
+    return config.unmeasured_range_m * (focal / canonical if canonical and focal else 1.0)

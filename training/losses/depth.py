@@ -17,14 +17,14 @@ DepthCriterion = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
 def normalise_depth(
-    depth: Tensor, max_depth_m: float, target_depth_m: float
+    depth: Tensor, max_depth_m: float, unmeasured_range_m: float
 ) -> tuple[Tensor, Tensor]:
     """Split metres into normalised depth 0..1 and a bool mask of what was measured.
 
-    `depth` float (N, 1, H, W) [m]; 0, negative, NaN, Inf and values beyond `target_depth_m`
+    `depth` float (N, 1, H, W) [m]; 0, negative, NaN, Inf and values beyond `unmeasured_range_m`
     are no measurement.
     """
-    valid = (depth > 0) & (depth <= target_depth_m)
+    valid = (depth > 0) & (depth <= unmeasured_range_m)
     return torch.where(valid, depth, 0.0) / max_depth_m, valid
 
 
@@ -59,7 +59,7 @@ def metric_depth_loss(
     max_depth_m: float,
     l2: float,
     log: float,
-    farthest: float,
+    unmeasured_share: float,
 ) -> Tensor:
     """Mean |e| + l2 * mean e^2 + log * mean |log ratio|, the error e in metres, at one scale, ().
 
@@ -73,9 +73,12 @@ def metric_depth_loss(
         max_depth_m: metres of the normalised depth 1.
         l2: weight of the squared error [1/m].
         log: weight of the log ratio [m].
-        farthest: normalised target depth of the sky. Predictions beyond it have no error there.
+        unmeasured_share: largest normalised depth without a return, the target of the sky.
+            Predictions beyond it have no error there.
     """
-    prediction = torch.where(target < farthest, prediction, prediction.clamp(max=farthest))
+    prediction = torch.where(
+        target < unmeasured_share, prediction, prediction.clamp(max=unmeasured_share)
+    )
     error = (prediction - target) * max_depth_m
     ratio = log_ratio(prediction, torch.where(valid, target, 1.0))
     return masked_mean(error.abs() + l2 * error.square() + log * ratio.abs(), valid)

@@ -105,7 +105,7 @@ class Compared:
     def depth_target(self) -> tuple[Tensor, Tensor]:
         """See `normalise_depth`."""
         depth = self.batch.targets["depth"].unsqueeze(1)
-        return normalise_depth(depth, self.loss.max_depth_m, self.loss.target_depth_m)
+        return normalise_depth(depth, self.loss.max_depth_m, self.loss.unmeasured_range_m)
 
     @cached_property
     def taught(self) -> dict[str, Tensor]:
@@ -141,7 +141,7 @@ def _depth(c: Compared) -> Tensor:
             max_depth_m=c.loss.max_depth_m,
             l2=c.config.metric_l2,
             log=c.config.metric_log,
-            farthest=c.loss.farthest,
+            unmeasured_share=c.loss.unmeasured_share,
         )
     scales = c.depths if c.config.depth_scales == "mean" else c.depths[:1]
     return multi_scale_depth_loss(scales, *c.depth_target, criterion)
@@ -150,7 +150,7 @@ def _depth(c: Compared) -> Tensor:
 def _depth_uncertainty(c: Compared) -> Tensor:
     target, valid = c.depth_target
     # Sky targets at the far end of the range are not measured.
-    measured = valid & (target < c.loss.farthest)
+    measured = valid & (target < c.loss.unmeasured_share)
     scale, max_depth_m = c.heads["depth_uncertainty"], c.loss.max_depth_m
     return laplace_loss(scale, c.heads["depth"], target, measured, max_depth_m=max_depth_m)
 

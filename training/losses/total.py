@@ -137,7 +137,7 @@ class SSDNetLoss(nn.Module):
         config: the options.
         class_weights: float (C,), see `training.losses.class_weights`; None: all 1.
         max_depth_m: depth [m] of the network's normalised output 1.0.
-        target_depth_m: see `models.NetworkConfig`; None: `max_depth_m`.
+        unmeasured_range_m: see `models.NetworkConfig`.
         road: id of the class of the road masks; None: no such class.
 
     Attributes:
@@ -150,19 +150,19 @@ class SSDNetLoss(nn.Module):
     def __init__(
         self,
         config: LossConfig,
-        class_weights: Tensor | None = None,
+        class_weights: Tensor | None,
         *,
         max_depth_m: float,
-        target_depth_m: float | None = None,
-        road: int | None = None,
+        unmeasured_range_m: float,
+        road: int | None,
     ) -> None:
         super().__init__()
         self.config = config
         self.road = road
         self.max_depth_m = max_depth_m
-        self.target_depth_m = target_depth_m or max_depth_m
-        # Normalised depth of the sky.
-        self.farthest = self.target_depth_m / max_depth_m
+        self.unmeasured_range_m = unmeasured_range_m
+        # The same, normalised; also the depth of the sky.
+        self.unmeasured_share = self.unmeasured_range_m / max_depth_m
         weights = torch.ones(()) if class_weights is None else class_weights
         self.register_buffer("class_weights", weights, persistent=False)
         # A negative log likelihood may be negative: its learned weight would diverge.
@@ -183,7 +183,7 @@ class SSDNetLoss(nn.Module):
         Args:
             output: of `Network.forward`.
             batch: the frames, with the targets of all terms. Depth that is not finite or beyond
-                `target_depth_m` is unknown; the weights of "semantic" are those in Eq. 5 and 6.
+                `unmeasured_range_m` is unknown; the weights of "semantic" are those in Eq. 5 and 6.
 
         Returns:
             Terms by their names, without those of weight 0 and of missing heads.

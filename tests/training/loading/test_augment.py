@@ -25,6 +25,13 @@ from training.loading.lidar_input import draw_lidar
 K = np.array([[50.0, 0, 31.5], [0, 50.0, 23.5], [0, 0, 1]])
 
 
+def changed(sample, config, seed, canonical_focal_px=None, rare=()):
+    rng = np.random.default_rng(seed)
+    return augment(
+        sample, config, rng, canonical_focal_px=canonical_focal_px, max_depth_m=250.0, rare=rare
+    )
+
+
 def plane(height=48, width=64):
     """A tilted plane whose depth, class and colour can be told from one another anywhere."""
     v, u = np.mgrid[:height, :width]
@@ -180,8 +187,8 @@ def test_result_has_the_crop_size_and_is_reproducible():
     config = AugmentConfig(crop=(40, 56))
     for make in (plane, recorded, recorded_beside_its_target):
         sample = make()
-        a, b = (augment(sample, config, np.random.default_rng(7)) for _ in range(2))
-        other = augment(sample, config, np.random.default_rng(8))
+        a, b = (changed(sample, config, 7) for _ in range(2))
+        other = changed(sample, config, 8)
         assert a.rgb.shape == (40, 56, 3)
         assert a.depth.dtype == a.returns.dtype == np.float32
         for name in ("rgb", "depth", "returns", "semantic"):
@@ -197,7 +204,7 @@ def test_a_road_mask_is_changed_like_the_labels():
     sample = sample.with_targets(road_mask=(sample.semantic == 3).astype(np.uint8))
     config = AugmentConfig(crop=(60, 80), scale=(0.7, 1.5))
     for seed in range(4):
-        out = augment(sample, config, np.random.default_rng(seed))
+        out = changed(sample, config, seed)
         expected = np.where(out.semantic == IGNORE, IGNORE, out.semantic == 3)
         assert (out.semantic == IGNORE).any()
         np.testing.assert_array_equal(out.targets["road_mask"], expected)
@@ -229,8 +236,8 @@ def test_augmented_samples_are_in_canonical_depth(known, factor):
     if not known:
         sample = with_intrinsics(sample, None)
     config = AugmentConfig(crop=(32, 32), scale=(2.0, 2.0), lidar_missing=0, lidar_random=0)
-    metres = augment(sample, config, np.random.default_rng(3))
-    canonical = augment(sample, config, np.random.default_rng(3), canonical_focal_px=200.0)
+    metres = changed(sample, config, 3)
+    canonical = changed(sample, config, 3, canonical_focal_px=200.0)
     assert metres.depth.any()
     assert metres.returns.any()
     np.testing.assert_allclose(canonical.depth, metres.depth * factor, rtol=1e-6)
@@ -324,9 +331,7 @@ def test_crops_chosen_for_a_rare_class_show_it_more_often():
 
     def share(**changes):
         config = AugmentConfig(crop=(32, 48), scale=(1.0, 1.0), flip=0.0, **changes)
-        crops = [
-            augment(sample, config, np.random.default_rng(seed), rare=(2,)) for seed in range(200)
-        ]
+        crops = [changed(sample, config, seed, rare=(2,)) for seed in range(200)]
         return np.mean([(crop.semantic == 2).any() for crop in crops])
 
     by_chance = share()

@@ -8,10 +8,15 @@ import torch
 import torch.nn.functional as F
 
 from training.datasets.sample import Sample, make_frame
-from training.loading.augment_config import AugmentConfig
+from training.loading.augment_config import PAIR_STEP_PX, AugmentConfig
 from training.loading.batch import Batch, Drawn
 from training.loading.mixture import DepthTarget, Mixture, MixturePart
 from training.losses.consistency import semantic_consistency_loss
+
+
+def mix(parts, **options):
+    plain = {"depth": DepthTarget(), "pair_step": PAIR_STEP_PX, "rare": ()}
+    return Mixture(parts, **plain | options)
 
 
 class Numbered:
@@ -32,7 +37,7 @@ class Numbered:
 def mixture(length=400, seed=0):
     config = AugmentConfig(crop=(32, 32))
     parts = [MixturePart(Numbered(10, 0), 3.0, config), MixturePart(Numbered(20, 100), 1.0, config)]
-    return Mixture(parts, length=length, seed=seed)
+    return mix(parts, length=length, seed=seed)
 
 
 def sample(index, **options):
@@ -75,7 +80,7 @@ class Street:
 def drawn(data, canonical_focal_px=None):
     config = AugmentConfig(crop=(40, 40), scale=(1.0, 1.0), lidar_missing=0)
     depth = DepthTarget(canonical_focal_px, 0 if data else None, **data)
-    (view,) = Mixture([MixturePart(Street(), 1.0, config)], length=1, seed=0, depth=depth)[0].views
+    (view,) = mix([MixturePart(Street(), 1.0, config)], length=1, seed=0, depth=depth)[0].views
     return {name: set(getattr(view, name).flat) for name in ("depth", "returns")}
 
 
@@ -124,12 +129,12 @@ class Streets:
         return Sample(make_frame(rgb, "", intrinsics=intrinsics), targets)
 
 
-def pairs(pair_step=4, **options):
+def pairs(pair_step=PAIR_STEP_PX, **options):
     config = AugmentConfig(
         crop=(128, 160), pair_shift=32, blur=0, noise=0, lidar_missing=0, **options
     )
     parts = [MixturePart(Streets(), 1.0, config)]
-    return Mixture(parts, length=24, seed=3, pair_step=pair_step)
+    return mix(parts, length=24, seed=3, pair_step=pair_step)
 
 
 def maps_of(view):
@@ -216,7 +221,7 @@ def test_a_scaled_world_keeps_the_range_of_returns_and_the_sky():
         crop=(128, 160), scale=(0.5, 0.5), lidar_missing=0, world_scale=(2.0, 2.0)
     )
     depth = DepthTarget(sky=0, sky_depth_m=100.0, max_depth_m=90.0)
-    (view,) = Mixture([MixturePart(Skies(), 1.0, config)], length=1, seed=3, depth=depth)[0].views
+    (view,) = mix([MixturePart(Skies(), 1.0, config)], length=1, seed=3, depth=depth)[0].views
     assert view.returns.max() == 90
     assert view.depth.max() > 110
     inner = view.semantic[2:-2] == 0

@@ -122,7 +122,7 @@ def test_metric_depth_loss_by_hand():
     """The log of the ratio counts near and far alike; farther than the sky is right for it."""
     prediction = torch.tensor([0.01, 0.4, 0.7, 0.7, 0.9]).view(1, 1, 1, 5).requires_grad_()
     target = torch.tensor([0.02, 0.5, 0.5, 0.3, 0.0]).view(1, 1, 1, 5)
-    options = {"max_depth_m": 100.0, "l2": 0.02, "log": 10.0, "farthest": 0.5}
+    options = {"max_depth_m": 100.0, "l2": 0.02, "log": 10.0, "unmeasured_share": 0.5}
     loss = metric_depth_loss(prediction, target, target > 0, **options)
     metres, ratios = np.array([1, 10, 0, 40]), np.array([2, 5 / 4, 1, 7 / 3])
     expected = np.mean(metres + 0.02 * metres**2 + 10 * np.log(ratios))

@@ -27,9 +27,14 @@ from training.losses.semantic import (
 )
 from training.losses.terms import TERMS, head_term
 
+PLAIN = {"class_weights": None, "max_depth_m": 100.0, "unmeasured_range_m": 100.0, "road": None}
+
 
 class Loss(SSDNetLoss):
     """Takes the targets of a batch one by one."""
+
+    def __init__(self, config, **options):
+        super().__init__(config, **PLAIN | options)
 
     def forward(self, output, semantic, depth, **others):
         return super().forward(output, batch_of(semantic, depth, **others))
@@ -91,7 +96,7 @@ def test_total_is_the_weighted_sum_of_the_families():
     )
     road_mask = torch.ones(semantic.shape, dtype=torch.uint8)
     given = {"semantic_weight": sample_weight, "road_mask": road_mask}
-    criterion = Loss(config, weights, max_depth_m=100.0, road=1)
+    criterion = Loss(config, class_weights=weights, road=1)
     terms = criterion(answer(parts), semantic, depth, **given)
     log_p = torch.log_softmax(parts["semantic"], dim=1)
     shares = class_shares(semantic, 5, (16, 24))
@@ -127,7 +132,7 @@ def test_depth_ends_where_the_regression_does():
     """Depth beyond half of the range of 200 m is no target, and the sky is no measurement."""
     parts = leaves()
     config = LossConfig(weights={**ALL_OFF, "depth": 1.0, "depth_uncertainty": 1.0})
-    criterion = Loss(config, max_depth_m=200.0, target_depth_m=100.0)
+    criterion = Loss(config, max_depth_m=200.0)
     scale = torch.full_like(parts["depth"], 0.01)
 
     def terms(far):
@@ -154,7 +159,7 @@ def test_samples_without_targets_get_no_gradient(depth_form):
     given = dict.fromkeys(("semantic_iou", "lovasz", "road"), 1.0)
     off = {"semantic_boundary": 0.0, "semantic_depth": 0.0}
     config = LossConfig(depth_form=depth_form, weights={**off, **given})
-    criterion = Loss(config, max_depth_m=100.0, road=1)
+    criterion = Loss(config, road=1)
     mask = torch.full(semantic.shape, 255, dtype=torch.uint8)
     criterion(answer(parts), semantic, depth, road_mask=mask)["total"].backward()
     for name, part in parts.items():
@@ -172,20 +177,20 @@ def test_samples_without_targets_get_no_gradient(depth_form):
 ])  # fmt: skip
 def test_terms_of_absent_heads_are_left_out(missing, names):
     output = answer(leaves())._replace(**{missing: None})
-    assert set(Loss(LossConfig(), max_depth_m=100.0)(output, *targets())) == names
+    assert set(Loss(LossConfig())(output, *targets())) == names
 
 
 def test_finest_scale_alone_leaves_the_coarse_ones_untrained():
     parts = leaves()
     config = LossConfig(depth_form="metric", depth_scales="finest")
-    Loss(config, max_depth_m=100.0)(answer(parts), *targets())["total"].backward()
+    Loss(config)(answer(parts), *targets())["total"].backward()
     assert parts["coarse_depth"].grad is None
     assert parts["depth"].grad.abs().sum() > 0
 
 
 def test_bf16_answers_are_scored_in_float32_under_autocast():
     parts = leaves(dtype=torch.bfloat16)
-    criterion = Loss(LossConfig(), max_depth_m=100.0)
+    criterion = Loss(LossConfig())
     with torch.autocast("cpu", dtype=torch.bfloat16):
         output = answer(parts)
         terms = criterion(output, *targets())
@@ -218,7 +223,7 @@ def test_each_term_is_computed_by_its_weight_alone(name):
     output = answer(leaves(size=(80, 88)))
     output = output._replace(depth_uncertainty=torch.ones_like(output.depths[0]))
     config = LossConfig(weights={term: 2.0 * (term == name) for term in TERMS})
-    terms = SSDNetLoss(config, max_depth_m=100.0, road=1)(output, batch)
+    terms = SSDNetLoss(config, **PLAIN | {"road": 1})(output, batch)
     assert set(terms) == {name, "total"}
     torch.testing.assert_close(terms["total"], 2 * terms[name])
 
@@ -233,8 +238,8 @@ def test_learned_weighting_by_hand():
     parts = leaves()
     semantic, depth = targets()
     fixed = LossConfig(weights={"semantic": 2.0, "depth": 0.5})
-    plain = Loss(fixed, max_depth_m=100.0)(answer(parts), semantic, depth)
-    criterion = Loss(replace(fixed, weighting="uncertainty"), max_depth_m=100.0)
+    plain = Loss(fixed)(answer(parts), semantic, depth)
+    criterion = Loss(replace(fixed, weighting="uncertainty"))
     names = [name for name in plain if name != "total"]
     assert set(criterion.log_variances) == set(names)  # a likelihood needs no weight learned
     values = {name: 0.3 * index - 0.5 for index, name in enumerate(names)}
@@ -254,7 +259,7 @@ def test_learned_weighting_counts_other_heads(monkeypatch):
     for head in heads:
         monkeypatch.setitem(TERMS, head, head_term(head, lambda *_: torch.tensor(5.0)))
     config = LossConfig(weights={**ALL_OFF, **heads}, weighting="uncertainty")
-    criterion = SSDNetLoss(config, max_depth_m=100.0)
+    criterion = SSDNetLoss(config, **PLAIN)
     assert set(criterion.log_variances) == {"other"}
     criterion.log_variances["other"].data.fill_(0.5)
     maps = dict.fromkeys(heads, torch.zeros(2, 1, 16, 24))
@@ -271,7 +276,7 @@ def test_semantic_logits_may_stay_on_their_own_grid():
     semantic, depth = targets()
     semantic[0, :3, 5:] = 255
     config = LossConfig(weights={"semantic_iou": 1.0, "lovasz": 1.0})
-    criterion = Loss(config, max_depth_m=100.0)
+    criterion = Loss(config)
     repeated = coarse.detach().repeat_interleave(2, dim=2).repeat_interleave(2, dim=3)
     output = answer(parts)
     on_grid = criterion(output._replace(semantic_logits=coarse), semantic, depth)
