@@ -19,17 +19,10 @@ from runtime.recordings.ros_answers import camera_fields, cloud_fields, status_f
 from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
 
-OVERLAY_TOPIC, CLASSES_TOPIC, SCALES_TOPIC = (
-    "/ssdnet/overlay/compressed",
-    "/ssdnet/classes",
-    "/ssdnet/scales",
-)
-POINTS_TOPIC, CAMERA_TOPIC, DIAGNOSTICS_TOPIC = (
-    "/ssdnet/points",
-    "/ssdnet/camera_info",
-    "/diagnostics",
-)
-STATIC_TOPIC = "/tf_static"
+_OVERLAY_TOPIC = "/ssdnet/overlay/compressed"
+_CLASSES_TOPIC, _SCALES_TOPIC = "/ssdnet/classes", "/ssdnet/scales"
+_POINTS_TOPIC, _CAMERA_TOPIC = "/ssdnet/points", "/ssdnet/camera_info"
+_DIAGNOSTICS_TOPIC, _STATIC_TOPIC = "/diagnostics", "/tf_static"
 _SCALES = {Unit.METRES: METRES_PNG_SCALE, Unit.PROBABILITY: 255}
 _S = 1_000_000_000  # nanoseconds
 _LAST_NS = 2**31 * _S  # a builtin_interfaces/msg/Time has 32 bits for the seconds
@@ -66,20 +59,18 @@ class McapWriter:
                 self._run.count_beyond(f"{head} in the MCAP file", unit, values)
                 topic = f"/ssdnet/{head}/compressed"
                 self._add_image(topic, header, *encode_ros_image(unit, values))
-        self._add_image(OVERLAY_TOPIC, header, "jpeg", encode_jpeg(self._run.draw(frame, result)))
+        self._add_image(_OVERLAY_TOPIC, header, "jpeg", encode_jpeg(self._run.draw(frame, result)))
         camera = camera_of(frame, self._run.predictor.focal_length_px)
         if camera is not None:
             roi = self._make("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, False)
-            fields = camera_fields(camera, frame.size)
-            self._add(
-                CAMERA_TOPIC, "sensor_msgs/msg/CameraInfo", stamp_ns, header, **fields, roi=roi
-            )
+            of_type, fields = "sensor_msgs/msg/CameraInfo", camera_fields(camera, frame.size)
+            self._add(_CAMERA_TOPIC, of_type, stamp_ns, header, **fields, roi=roi)
         cloud = self._run.cloud(frame, prediction, voxel_m=MCAP_VOXEL_M)
         if cloud is not None:
             fields = cloud_fields(cloud)
             points = [self._make("sensor_msgs/msg/PointField", **each) for each in fields["fields"]]
             of_type = "sensor_msgs/msg/PointCloud2"
-            self._add(POINTS_TOPIC, of_type, stamp_ns, header, **fields | {"fields": points})
+            self._add(_POINTS_TOPIC, of_type, stamp_ns, header, **fields | {"fields": points})
         status = status_fields(replace(result, name=frame.name))
         pairs = [
             self._make("diagnostic_msgs/msg/KeyValue", key, value)
@@ -88,13 +79,13 @@ class McapWriter:
         of_type, model = "diagnostic_msgs/msg/DiagnosticStatus", self._contract.model_name
         diagnostic = self._make(of_type, **status, name="ssdnet", hardware_id=model, values=pairs)
         of_type = "diagnostic_msgs/msg/DiagnosticArray"
-        self._add(DIAGNOSTICS_TOPIC, of_type, stamp_ns, header, status=[diagnostic])
+        self._add(_DIAGNOSTICS_TOPIC, of_type, stamp_ns, header, status=[diagnostic])
 
     def _write_once(self, stamp_ns: int) -> None:
         """Append what is the same for all frames: classes, scales, and where the sensors are."""
         names = {index: info.name for index, info in enumerate(self._contract.classes)}
         scales = {name: _SCALES[head.unit] for name, head in HEADS.items() if head.unit in _SCALES}
-        for topic, facts in ((CLASSES_TOPIC, names), (SCALES_TOPIC, scales)):
+        for topic, facts in ((_CLASSES_TOPIC, names), (_SCALES_TOPIC, scales)):
             self._add(topic, "std_msgs/msg/String", stamp_ns, data=json.dumps(facts))
         transforms = [
             self._make(
@@ -110,7 +101,7 @@ class McapWriter:
             for each in self._run.sensors.transforms
         ]
         if transforms:
-            self._add(STATIC_TOPIC, "tf2_msgs/msg/TFMessage", stamp_ns, transforms=transforms)
+            self._add(_STATIC_TOPIC, "tf2_msgs/msg/TFMessage", stamp_ns, transforms=transforms)
 
     def _make(self, of_type: str, *values: Any, **fields: Any) -> Any:
         return self._typestore.types[of_type](*values, **fields)
@@ -131,7 +122,7 @@ class McapWriter:
                 topic,
                 of_type,
                 typestore=self._typestore,
-                offered_qos_profiles=[_latched()] if topic == STATIC_TOPIC else (),
+                offered_qos_profiles=[_latched()] if topic == _STATIC_TOPIC else (),
             )
         message = self._make(of_type, *header, **fields)
         content = self._typestore.serialize_cdr(message, of_type)
