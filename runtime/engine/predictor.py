@@ -358,15 +358,15 @@ class Predictor:
 def _one_each(name: str, values: Any, count: int) -> list[Any]:
     """Return one value for each frame; `values` None gives None for each. Raises InputError."""
     try:
-        each: list[Any] = [None] * count if values is None else list(values)
+        entries: list[Any] = [None] * count if values is None else list(values)
     except TypeError:
-        each = []
-    if len(each) != count or isinstance(values, str):
+        entries = []
+    if len(entries) != count or isinstance(values, str):
         raise InputError(
             f"{name} must hold one entry for each of {count} frames, got {shown(values)}: give a "
             "list"
         )
-    return each
+    return entries
 
 
 def _check_focal_length(focal_px: Any) -> float | None:

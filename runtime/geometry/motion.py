@@ -155,8 +155,8 @@ def compensate_points(
     check_points(points)
     moved = points.copy()
     if len(points):
-        each = np.broadcast_to(np.int64(times), len(points))
-        _move(coordinates_of(points), each, _table(each, poses, to), moved)
+        times_ns = np.broadcast_to(np.int64(times), len(points))
+        _move(coordinates_of(points), times_ns, _table(times_ns, poses, to), moved)
     return moved
 
 

@@ -126,10 +126,10 @@ class BagSource(Source):
     def sensor_frames(self) -> SensorFrames:
         """See `Source.sensor_frames`: the frames of the bag, with its /tf_static."""
         lidar = self._sensors.frame(self._depth_topic or "") if self._sensors.has_clouds else ""
-        given = self.calibration if lidar else None
+        calibration = self.calibration if lidar else None
         is_own = self._rig.calibration is None
         camera = self._sensors.frame(self._image_topic)
-        return place_sensors(self._sensors.tree, camera, lidar, given, is_own)
+        return place_sensors(self._sensors.tree, camera, lidar, calibration, is_own)
 
     def _find_poses(self) -> str | None:
         """Read the poses of the car if there are clouds to be moved, and return their topic.
@@ -208,8 +208,8 @@ class BagSource(Source):
             name=name,
         )
         self._left_out.update(self._bag.left_out)
-        given = offsets[Sensor.IMAGE], offsets[Sensor.DEPTH], self._period_ns
-        ahead_s = clocks_apart_s(*given, is_scan=self._sensors.has_clouds)
+        clocks = offsets[Sensor.IMAGE], offsets[Sensor.DEPTH], self._period_ns
+        ahead_s = clocks_apart_s(*clocks, is_scan=self._sensors.has_clouds)
         with collect_assumptions(self._notes):
             report_clocks(ahead_s, self._image_topic, self._depth_topic or "", by="recording")
         if cameras and self._rig.calibration is None and np.ptp(cameras, axis=0).max() > SAME_PX:
@@ -268,9 +268,9 @@ class BagSource(Source):
     @property
     def inputs(self) -> dict[str, Any]:
         """See `Source.inputs`."""
-        given = {"bag": str(self._bag.path), **self._given._asdict(), **self._topics}
-        given |= {**self._rig_facts, "reuse_depth_ms": self._rig.max_depth_age_ms}
-        return given | {"left_out": dict(self._left_out)}
+        facts = {"bag": str(self._bag.path), **self._given._asdict(), **self._topics}
+        facts |= {**self._rig_facts, "reuse_depth_ms": self._rig.max_depth_age_ms}
+        return facts | {"left_out": dict(self._left_out)}
 
     @property
     def lidar_place(self) -> tuple[str, str, NDArray[np.float64] | None]:

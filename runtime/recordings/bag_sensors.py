@@ -195,11 +195,11 @@ class BagSensors:
     @cached_property
     def _fixed_frames(self) -> set[str]:
         """The frames in which an Odometry message describes the motion of the car."""
-        found = set()
+        frames = set()
         for topic in self._topics.of_kind(ODOMETRY):
             with contextlib.suppress(InputError):
-                found.add(self.frame(topic))
-        return found
+                frames.add(self.frame(topic))
+        return frames
 
     @cached_property
     def tree(self) -> TransformTree:

@@ -147,8 +147,8 @@ class FolderSource(Source):
         for other in (0, 1, 3) if known is None and self._has_scans else ():
             is_same = True
             with contextlib.suppress(InputError), collect_assumptions([]):  # it may be missing
-                found = _first_readable(paths, partial(read, camera=other))
-                is_same = np.allclose(found.extrinsics, self.calibration.extrinsics)
+                other_calibration = _first_readable(paths, partial(read, camera=other))
+                is_same = np.allclose(other_calibration.extrinsics, self.calibration.extrinsics)
             if not is_same:
                 assume(f"camera 2 of KITTI for {self._rgb}", "camera= in --source")
 
@@ -280,13 +280,13 @@ class FolderSource(Source):
     @property
     def inputs(self) -> dict[str, Any]:
         """See `Source.inputs`."""
-        given = {"rgb": self._rgb, **self._given._asdict(), **self._rig_facts}
-        del given["camera"], given["depth" if self._has_scans else "points"]
-        given["depth_scale"] = self.depth_scale
-        given["reuse_depth_ms"] = self._rig.max_depth_age_ms if self._is_timed else None
+        options = {"rgb": self._rgb, **self._given._asdict(), **self._rig_facts}
+        del options["camera"], options["depth" if self._has_scans else "points"]
+        options["depth_scale"] = self.depth_scale
+        options["reuse_depth_ms"] = self._rig.max_depth_age_ms if self._is_timed else None
         inputs = {
             name: value if value is None or isinstance(value, int | float) else str(value)
-            for name, value in given.items()
+            for name, value in options.items()
         }
         return inputs | ({"left_out": dict(self._left_out)} if self.camera_alone else {})
 

@@ -212,9 +212,9 @@ def list_files(folder: Path, suffixes: tuple[str, ...] = RGB_SUFFIXES) -> dict[s
             raise InputError(f"{files[stem]} and {path} have the same stem: remove one")
         files[stem] = path
     if not files:
-        found = {path.suffix for path in paths if path.suffix and path.name[0] != "."}
+        others = {path.suffix for path in paths if path.suffix and path.name[0] != "."}
         raise InputError(
             f"the folder {folder} has no {' or '.join(suffixes)} files, it has "
-            f"{', '.join(sorted(found)[:5]) or 'other'} files: give another folder or option"
+            f"{', '.join(sorted(others)[:5]) or 'other'} files: give another folder or option"
         )
     return files

@@ -155,8 +155,8 @@ def _open(path: Path) -> "tuple[Any, Typestore]":
     with _reading(path):
         reader: Any = Reader1(path) if is_ros1 else Reader2(path)
         if os.path.isdir(path):
-            own = {"mcap": _mcap_reader()}
-            reader.storage.STORAGE_PLUGINS = reader.storage.STORAGE_PLUGINS | own
+            plugin = {"mcap": _mcap_reader()}
+            reader.storage.STORAGE_PLUGINS = reader.storage.STORAGE_PLUGINS | plugin
         elif path.suffix == ".mcap":
             reader.storage = _mcap_reader()(path)
         reader.open()

@@ -74,15 +74,15 @@ def read_camera_calibration(
             if np.abs(turn - np.eye(3)).max() > _TURN:
                 kind = "rectified" if rectified else "raw"
                 assume(f"{frame} is the frame of the {kind} images, so R is not used", GIVE)
-        found = Calibration.from_camera_info(
+        calibration = Calibration.from_camera_info(
             fields, extrinsics, rectified=rectified, size=size if all(size) else None
         )
     except InputError as error:
         raise InputError(f"the CameraInfo of {beside}: {error}; or {GIVE}") from error
-    shift = found.extrinsics[:3, 3] - extrinsics[:3, 3]  # from P of a pair's second camera
+    shift = calibration.extrinsics[:3, 3] - extrinsics[:3, 3]  # from P of a pair's second camera
     if np.abs(shift).max() > _SHIFT_M and _has_own_frame(bag, tree, frame, shift):
-        return replace(found, extrinsics=extrinsics)
-    return found
+        return replace(calibration, extrinsics=extrinsics)
+    return calibration
 
 
 def place_sensors(

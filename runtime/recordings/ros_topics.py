@@ -61,12 +61,12 @@ class RosTopics:
         Raises:
             InputError: if a requested topic is not of its kind, or if a topic must be chosen.
         """
-        found = self._by_role()
+        by_role = self._by_role()
         pictures = self.of_kind(COMPRESSED_IMAGE)
         pictures = [topic for topic in pictures if not topic.endswith("/compressedDepth")]
         others = [t for t in pictures if role_of(t, "") is Role.OTHER_PICTURE]
-        others += found[Role.OTHER_PICTURE]
-        images = [*pictures, *found[Role.PICTURE], *found[Role.OTHER_PICTURE]]
+        others += by_role[Role.OTHER_PICTURE]
+        images = [*pictures, *by_role[Role.PICTURE], *by_role[Role.OTHER_PICTURE]]
         twice = {f"{topic}/compressed" for topic in images}  # compressed copies of the same images
         single = [topic for topic in images if topic not in twice]
         single = [topic for topic in single if topic not in others] or single
@@ -75,7 +75,7 @@ class RosTopics:
             raise self._undecided("images", single, "image_topic=TOPIC, or TOPIC+TOPIC for several")
         if depth_topic == NO_TOPIC:
             return image, None
-        depths, named = self.of_kind(POINT_CLOUD) + found[Role.DEPTH], found[Role.MAYBE_DEPTH]
+        depths, named = self.of_kind(POINT_CLOUD) + by_role[Role.DEPTH], by_role[Role.MAYBE_DEPTH]
         depth = self.choose("depth_topic", depth_topic, depths + named, depths)
         if depth is None and (depths or not named):
             ways = f"depth_topic=TOPIC, or depth_topic={NO_TOPIC} for the camera alone"
@@ -108,16 +108,16 @@ class RosTopics:
 
     def _by_role(self) -> dict[Role, list[str]]:
         """The topics of Image messages by their role, which their first message decides."""
-        found: dict[Role, list[str]] = {role: [] for role in Role}
+        by_role: dict[Role, list[str]] = {role: [] for role in Role}
         for topic in self.of_kind(IMAGE):
             with contextlib.suppress(InputError):  # no message may be decodable
-                found[role_of(topic, self._bag.first(topic).encoding)].append(topic)
-        return found
+                by_role[role_of(topic, self._bag.first(topic).encoding)].append(topic)
+        return by_role
 
-    def _undecided(self, what: str, found: list[str], ways: str) -> InputError:
+    def _undecided(self, what: str, topics: list[str], ways: str) -> InputError:
         bag, path = self._bag, self._bag.path
-        topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(bag.types.items()))
+        kinds = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(bag.types.items()))
         return InputError(
-            f"{path} has {len(found) or 'no'} topics of {what}, give --source bag:{path},{ways}. "
-            f"It has the topics {'; '.join([topics or '(none)', *left_out_note(bag.left_out)])}"
+            f"{path} has {len(topics) or 'no'} topics of {what}, give --source bag:{path},{ways}. "
+            f"It has the topics {'; '.join([kinds or '(none)', *left_out_note(bag.left_out)])}"
         )

@@ -210,9 +210,9 @@ class Source(ABC):
         if depth is not None:
             measured = Message(frame.depth_stamp_ns, frame.depth_stamp_ns or 0, depth)
         image = Message(frame.image_stamp_ns, frame.image_stamp_ns or 0, rgb)
-        found = Frame(image, measured, frame.reused, calibration, poses, frame.name)
-        _ = found.compensated  # projected here, in the thread that reads
-        return found
+        measured_frame = Frame(image, measured, frame.reused, calibration, poses, frame.name)
+        _ = measured_frame.compensated  # projected here, in the thread that reads
+        return measured_frame
 
     @property
     @abstractmethod
@@ -247,9 +247,9 @@ class Source(ABC):
         facts = {name: getattr(self._rig, name) for name in self.rig_options}
         if "scan_stamp" in facts:
             facts["scan_stamp"] = self._rig.scan_stamp or "middle"
-        given = self._rig.calibration
-        is_array = isinstance(given, Calibration)
-        facts["calibration"] = "a Calibration" if is_array else given and str(given)
+        calibration = self._rig.calibration
+        is_array = isinstance(calibration, Calibration)
+        facts["calibration"] = "a Calibration" if is_array else calibration and str(calibration)
         return facts
 
     @property
@@ -307,12 +307,12 @@ class Source(ABC):
         def listed() -> Iterator[ListedFrame]:
             for sequence, frame in enumerate(matched()):
                 image, depth = frame.image, frame.depth
-                found = sequence, name(image), image.data
+                identity = sequence, name(image), image.data
                 if depth is None:
-                    yield ListedFrame(*found, None, image.stamp_ns, complete=camera_only)
+                    yield ListedFrame(*identity, None, image.stamp_ns, complete=camera_only)
                 else:
                     stamps_ns, own = (image.stamp_ns, depth.stamp_ns), not frame.reused
-                    yield ListedFrame(*found, depth.data, *stamps_ns, own, frame.reused)
+                    yield ListedFrame(*identity, depth.data, *stamps_ns, own, frame.reused)
 
         frames = limit_frames(listed(), limit)
         scans_ns = [f.depth_stamp_ns for f in frames if f.depth_stamp_ns is not None]

@@ -195,17 +195,17 @@ class Matcher(ABC):
 
     def _decide_image(self, decided: Decided, image: Message) -> None:
         """Make the frame of an image; older images that still wait are overtaken."""
-        own = self._partner(image)
-        depth = self._older_depth(image) if own is None else own
+        partner = self._partner(image)
+        depth = self._older_depth(image) if partner is None else partner
         self._decided_ns = image.stamp_ns
         for older in list(self._images):
             if older.stamp_ns < image.stamp_ns:
                 self._images.remove(older)
                 decided.discarded.append(Discarded(Sensor.IMAGE, older, Outcome.OVERTAKEN))
         self._images.remove(image)
-        decided.frames.append(Frame(image, depth, reused=depth is not own))
-        if own is not None:
-            self._keep(decided, own, None)
+        decided.frames.append(Frame(image, depth, reused=depth is not partner))
+        if partner is not None:
+            self._keep(decided, partner, None)
         elif depth is not None:
             self._mark_reused(decided, depth)
         for dead in list(self._depths):

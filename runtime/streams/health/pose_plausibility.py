@@ -74,10 +74,10 @@ class PosePlausibility:
         A frame without poses or a scan of its own is ignored, and so is each frame after enough
         frames were compared.
         """
-        own = frame.own_depth
-        if len(self._errors) >= _ENOUGH or own is None or frame.poses is None:
+        scan = frame.own_depth
+        if len(self._errors) >= _ENOUGH or scan is None or frame.poses is None:
             return False
-        if not isinstance(own.data, Scan) or own.data.times is None:
+        if not isinstance(scan.data, Scan) or scan.data.times is None:
             return False
         last = self._track
         if last is None or last.stamps_ns is not frame.poses.stamps_ns:  # else a whole recording
@@ -102,16 +102,16 @@ class PosePlausibility:
         error = {
             name: float(np.median([e[name] for e in self._errors])) for name in self._errors[0]
         }
-        given, still = error.pop(""), error.pop("still")
+        moved, still = error.pop(""), error.pop("still")
         # On a straight road some readings give the same result; the first of them counts.
         best = next(name for name in error if error[name] <= _SAME * min(error.values()))
-        figures = f"{given:.1%} of the range apart, not moved {still:.1%}"
-        if error[best] < _BETTER * min(given, still):
+        figures = f"{moved:.1%} of the range apart, not moved {still:.1%}"
+        if error[best] < _BETTER * min(moved, still):
             return (
                 f"successive scans, moved by the poses, are {figures}, and {error[best]:.1%} "
                 f"where the poses are read {best}: check their format"
             )
-        if given > _FAR_WORSE * still:
+        if moved > _FAR_WORSE * still:
             return (
                 f"successive scans, moved by the poses, are {figures}: the poses may be of another "
                 "drive, clock or frame"
