@@ -10,6 +10,7 @@ import numpy as np
 from export.precision import ENOUGH_FRAMES, LEAST_FRAMES, Int8Options
 from export.quantize import Feed
 from models import Checkpoint
+from models.training_facts import TrainingFacts
 from runtime import InputError, Predictor
 from runtime.engine.preprocess import preprocess
 from training.datasets.any_source import parse_data
@@ -46,7 +47,7 @@ def require_frames(
     Raises:
         DatasetError, InputError: if data cannot be read, have fewer frames, or share some frames.
     """
-    table = trained_classes(checkpoint.model.config.classes, checkpoint.training)
+    table = trained_classes(checkpoint.model.config.classes, checkpoint.facts)
     found, warnings = {}, []
     for option, texts in (("--calibrate", options.calibrate), ("--validate", validate)):
         found[option] = [_open_set(text, table) for text in texts]
@@ -78,7 +79,7 @@ def calibration_feeds(path: Path, options: Int8Options) -> Iterator[Feed]:
     """Yield calibration frames as the engine feeds them to the file, with each LiDAR in turn."""
     with Predictor(path, warmup=0) as predictor:
         contract = predictor.contract
-        table = trained_classes(contract.classes, contract.training)
+        table = trained_classes(contract.classes, TrainingFacts.from_dict(contract.training))
         sources = [_open_set(text, table) for text in options.calibrate]
         counts = share_frames([len(source) for source in sources], CALIBRATION_FRAMES)
         for source, count in zip(sources, counts, strict=True):

@@ -153,7 +153,7 @@ def make_recipe(init: Weights, recording: RecordingRecipe, changes: Sequence[str
     """Return the recipe of the training; `changes` are those of `build_recipe`."""
     config, facts = init.network.config, init.facts
     model: dict[str, Any] = {"name": config.name, "config": config_changes(config)}
-    table = trained_classes(config.classes, facts.to_dict())
+    table = trained_classes(config.classes, facts)
     if table:
         model["classes"] = table if isinstance(table, str) else [asdict(info) for info in table]
     if facts.trained_height:

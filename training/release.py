@@ -26,7 +26,7 @@ def adjust_logits(network: Network, class_weights: Tensor, share: float) -> Netw
     return _with_bias(network, -share * torch.where(class_weights > 0, class_weights, 1.0).log())
 
 
-def mix_weights(before: Network | None, after: Network, share: float) -> Network:
+def mix_weights(before: Network, after: Network, share: float) -> Network:
     """Return the weights between those before and after a training (Wortsman et al. 2022, WiSE-FT).
 
     A little training on new data then keeps what the old weights knew.
@@ -35,12 +35,7 @@ def mix_weights(before: Network | None, after: Network, share: float) -> Network
         before: the network with which the training began.
         after: the trained network, with the same configuration.
         share: share of the trained weights, 0..1.
-
-    Raises:
-        ValueError: if there is no network before, or its configuration is another one.
     """
-    if before is None or before.config != after.config:
-        raise ValueError("mixing needs the weights before, of a network of the same configuration")
     old, mixed = before.state_dict(), copy.deepcopy(after)
     state = mixed.state_dict()
     for name, value in state.items():

@@ -28,12 +28,10 @@ class Trained:
     """The argument of a stage's call.
 
     Attributes:
-        before: the network that it began with; None: random weights.
         after: the trained network.
         pictures: images of its data, each float (1, 3, H, W), RGB in 0..255.
     """
 
-    before: Network | None
     after: Network
     pictures: Iterable[Tensor]
 
@@ -108,10 +106,9 @@ def train_stages(stages: Sequence[Stage], run: TrainingRun) -> RunResult:
 def _make_result(stage: Stage, run: TrainingRun, made: Path) -> None:
     """Run `then` of a finished stage, and write its network to `made`, unless it exists."""
     if stage.then is not None and not (made / stage.result).is_file():
-        before = None if run.init is None else run.init.network
         trained = load_checkpoint(run.out / FINAL)
         pictures = _read_pictures(stage.recipe, run.data)
-        network = stage.then(Trained(before, trained.model, pictures))
+        network = stage.then(Trained(trained.model, pictures))
         save_checkpoint(made / stage.result, network, training=trained.training)
 
 

@@ -190,7 +190,7 @@ def finish(stage, trained, init):
         return read_weights(trained)
     after = load_checkpoint(trained)
     pictures = [torch.full((1, 3, 64, 96), 100.0)]
-    network = stage.then(Trained(init.network, after.model, pictures))
+    network = stage.then(Trained(after.model, pictures))
     assert all(value.isfinite().all() for value in network.state_dict().values())
     result = trained.with_name("result.pt")
     save_checkpoint(result, network, training=after.training)

@@ -1,10 +1,9 @@
 """A checkpoint, an exported file or a classical method, opened so that it can be scored."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -63,7 +62,7 @@ class ScoredModel:
         return self.predict(sample.rgb, fed, sample.focal_length_px)
 
 
-def trained_classes(classes: tuple[ClassInfo, ...], training: Mapping[str, Any]) -> ClassTable:
+def trained_classes(classes: tuple[ClassInfo, ...], facts: TrainingFacts) -> ClassTable:
     """Return the classes of a file's training: a name in `models.CLASS_TABLES`, or its own table.
 
     A network without a semantic head learned the boundaries of these classes, too. If the file does
@@ -71,10 +70,10 @@ def trained_classes(classes: tuple[ClassInfo, ...], training: Mapping[str, Any])
 
     Args:
         classes: classes of the file's semantic head.
-        training: facts about the training, as the file records them.
+        facts: what the file says about its training.
     """
     if not classes:
-        return TrainingFacts.from_dict(training).classes
+        return facts.classes
     names = [info.name for info in classes]  # files may have other colours
     for name, table in CLASS_TABLES.items():
         if [info.name for info in table] == names:
@@ -128,7 +127,7 @@ def open_scored_model(
         asked = check_network_size(size, fixed=False)
         yield open_network(
             network,
-            trained_classes(network.config.classes, checkpoint.training),
+            trained_classes(network.config.classes, checkpoint.facts),
             size_for=lambda frame_size: network_size(
                 asked, frame_size, trained_height=checkpoint.facts.trained_height
             ),
@@ -150,7 +149,7 @@ def open_scored_model(
             path, provider=place.type, device_id=place.index or 0, size=size, threads=threads
         ) as predictor:
             contract, heads = predictor.contract, {*predictor.heads}
-            table = trained_classes(contract.classes, contract.training)
+            table = trained_classes(contract.classes, TrainingFacts.from_dict(contract.training))
             yield ScoredModel(
                 engine_predict(predictor),
                 f"onnxruntime on {place.type}",

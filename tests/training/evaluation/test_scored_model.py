@@ -5,22 +5,23 @@ from pathlib import Path
 
 from models import CAMVID_CLASSES
 from models.classes import numbered_classes
+from models.training_facts import TrainingFacts
 from runtime import Predictor
 from training.evaluation.evaluate import short_names
 from training.evaluation.scored_model import trained_classes
 
 
 def test_a_network_without_classes_is_scored_in_the_table_it_was_trained_with():
-    trained = {"recipe": {"model": {"classes": "cityscapes"}}}
+    trained = TrainingFacts(recipe={"model": {"classes": "cityscapes"}})
     assert trained_classes((), trained) == "cityscapes"
-    assert trained_classes((), {}) == "camvid"
+    assert trained_classes((), TrainingFacts()) == "camvid"
 
 
 def test_classes_of_no_table_are_a_table_of_their_own():
     own = numbered_classes(3)
-    assert trained_classes(own, {}) == own
+    assert trained_classes(own, TrainingFacts()) == own
     table = [{"name": info.name, "color": list(info.color)} for info in own]
-    trained = {"recipe": {"model": {"classes": table}}}
+    trained = TrainingFacts(recipe={"model": {"classes": table}})
     assert trained_classes((), trained) == own
 
 
@@ -29,10 +30,10 @@ def test_a_file_has_the_classes_of_camvid_whatever_its_colours():
     with Predictor(warmup=0) as predictor:
         classes = tuple(predictor.contract.classes)
     assert [info.name for info in classes] == [info.name for info in CAMVID_CLASSES]
-    assert trained_classes(classes, {}) == "camvid"
+    assert trained_classes(classes, TrainingFacts()) == "camvid"
     gray = tuple(dataclasses.replace(info, color=(9, 9, 9)) for info in CAMVID_CLASSES)
-    assert trained_classes(gray, {}) == "camvid"
-    assert trained_classes(classes[:5], {}) == classes[:5]
+    assert trained_classes(gray, TrainingFacts()) == "camvid"
+    assert trained_classes(classes[:5], TrainingFacts()) == classes[:5]
 
 
 def test_paths_of_equal_names_get_more_of_their_parts():
