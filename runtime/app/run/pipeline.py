@@ -134,6 +134,7 @@ class StreamRun:
             earlier (MLPerf's constant stream); without it, each frame is due when the one before is
             done (single stream). --deadline-ms is the limit of the latency.
         outputs: where the answers are written.
+        on_record: called with the record of each frame when it is done.
         stop: called before each frame; True ends the stream.
     """
 
@@ -144,37 +145,29 @@ class StreamRun:
         options: RunOptions,
         *,
         outputs: Outputs | None = None,
+        on_record: Callable[[FrameRecord], None] = lambda record: None,
         stop: Callable[[], bool] = lambda: False,
     ) -> None:
-        self._answerer, self._read, self._stop = answerer, read, stop
+        self._answerer, self._read, self._on_record, self._stop = answerer, read, on_record, stop
         self._outputs = outputs or Outputs()
         self._rate_hz, self._deadline_ms = options.rate, options.deadline_ms
         self._jitter = Jitter()
         self._reads: deque[_Reading] = deque()
         self._writes: deque[tuple[FrameRecord, Future[float] | None]] = deque()
+        self._records: list[FrameRecord] = []
         self._reader, self._writer = (
             ThreadPoolExecutor(1, thread_name_prefix=name, initializer=_lower_priority)
             for name in ("read", "write")
         )
 
-    def run(
-        self,
-        frames: Iterable[ListedFrame],
-        on_record: Callable[[FrameRecord], None] = lambda record: None,
-    ) -> StreamResult:
-        """Answer the frames, once; `on_record` is called with the record of each when it is done.
+    def run(self, frames: Iterable[ListedFrame]) -> StreamResult:
+        """Answer the frames; to be called once.
 
         Raises:
             Exception: what an output raises ends the stream.
         """
-        started, records = time.perf_counter(), list[FrameRecord]()
+        started = time.perf_counter()
         waiting = self._with_due_times(frames, started)
-
-        def finish_all_but(count: int) -> None:
-            while len(self._writes) > count:
-                records.append(self._finish_oldest())
-                on_record(records[-1])
-
         try:
             for _ in range(_READ_AHEAD):
                 self._read_next(waiting)
@@ -182,12 +175,13 @@ class StreamRun:
                 self._writes.append(self._answer(self._reads.popleft()))
                 self._read_next(waiting)
                 self._answerer.check_last(idle=True)
-                finish_all_but(_WRITE_BEHIND)
-            finish_all_but(0)
+                self._finish_all_but(_WRITE_BEHIND)
+            self._finish_all_but(0)
         finally:
             self._reader.shutdown(cancel_futures=True)
             self._writer.shutdown(cancel_futures=True)
-        return StreamResult(tuple(records), time.perf_counter() - started, bool(self._reads))
+        wall_s = time.perf_counter() - started
+        return StreamResult(tuple(self._records), wall_s, bool(self._reads))
 
     def _with_due_times(
         self, frames: Iterable[ListedFrame], started: float
@@ -237,10 +231,13 @@ class StreamRun:
             return record, None
         return record, self._writer.submit(_write, self._outputs.writers, frame, result)
 
-    def _finish_oldest(self) -> FrameRecord:
-        """Wait until the oldest answer is written, and return its record."""
-        record, written = self._writes.popleft()
-        return record if written is None else record.written(written.result())
+    def _finish_all_but(self, count: int) -> None:
+        """Wait until all answers but the last `count` are written, and keep their records."""
+        while len(self._writes) > count:
+            record, written = self._writes.popleft()
+            record = record if written is None else record.written(written.result())
+            self._records.append(record)
+            self._on_record(record)
 
 
 def _lower_priority() -> None:

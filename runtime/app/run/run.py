@@ -173,8 +173,15 @@ class _CameraStream:
             )
             about = f"{camera}: {self.about}" if camera else self.about
             with self.source.collecting():
-                stream_run = StreamRun(answerer, self.read, options, outputs=outputs, stop=stop)
-                result = stream_run.run(self.frames, on_start(about, len(self.frames)))
+                stream_run = StreamRun(
+                    answerer,
+                    self.read,
+                    options,
+                    outputs=outputs,
+                    on_record=on_start(about, len(self.frames)),
+                    stop=stop,
+                )
+                result = stream_run.run(self.frames)
             answers = [each.prediction for each in result.records if each.prediction]
             if fault and not fault.is_implausible and any(each.depth_returns for each in answers):
                 fault = None  # the LiDAR has only started later

@@ -4,7 +4,6 @@ import contextlib
 import json
 import os
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -71,7 +70,7 @@ class McapWriter:
             points = [self._make("sensor_msgs/msg/PointField", **each) for each in fields["fields"]]
             of_type = "sensor_msgs/msg/PointCloud2"
             self._add(_POINTS_TOPIC, of_type, stamp_ns, header, **fields | {"fields": points})
-        status = status_fields(replace(result, name=frame.name))
+        status = status_fields(result)
         pairs = [
             self._make("diagnostic_msgs/msg/KeyValue", key, value)
             for key, value in status.pop("values").items()

@@ -34,8 +34,7 @@ def run(predictor, folders, **options):
     read = frame_reader(SimpleNamespace(read=options.pop("read", source.read)))
     answerer = Answerer(predictor, check_depth=False)
     given = RunOptions(demo=True, **{name: options.pop(name) for name in TIMING & options.keys()})
-    on_record = options.pop("on_record", lambda record: None)
-    return StreamRun(answerer, read, given, **options).run(source.list_frames(), on_record)
+    return StreamRun(answerer, read, given, **options).run(source.list_frames())
 
 
 def test_every_frame_is_predicted_and_written_in_order(predictor, make_stream, make_frame):

@@ -52,7 +52,7 @@ def test_the_answers_are_read_back_with_the_stamps_of_the_camera(
         for number in range(3):
             stamp_ns = STAMP_NS + number * 100_000_000
             stamped = Frame(Message(stamp_ns, stamp_ns, frame.rgb), name=f"f{number}")
-            mcap.write(stamped, result)
+            mcap.write(stamped, dataclasses.replace(result, name=stamped.name))
         assert not path.exists()
     topics = read_mcap(path)
     ((_, scales),) = topics["/ssdnet/scales"]
