@@ -14,7 +14,7 @@ from tqdm import tqdm
 from training import adaptation
 from training.adaptation import Adapted
 from training.adaptation_frames import describe_recording
-from training.chosen_recipe import fine_tune, read_stages
+from training.chosen_recipe import inherit_settings, read_stages
 from training.dry_run import dry_run as draw_first_batch
 from training.evaluation.evaluate import evaluate as evaluate
 from training.initial_weights import Weights, find_weights, read_weights
@@ -112,9 +112,9 @@ def finetune(
         ignore: classes of that file that are not learned: their pixels count as unlabelled.
         depth: 16-bit PNGs of a LiDAR's depth, 0 = none.
         depth_scale: units of the depth per metre; None = 256.
-        focal_length_px: focal length of the images as they are. Distances are then scaled if the
-            camera differs from that of the weights, see `runtime.contract.canonical_focal`. None:
-            not known.
+        focal_length_px: focal length of the images as they are, with the principal point in their
+            middle. Distances are then scaled if the camera differs from that of the weights, see
+            `runtime.contract.canonical_focal`. None: not known.
         intrinsics: fx, fy, cx, cy [px], in place of the focal length.
         init: weights to start from.
         changes: changes of the recipe, see `train`.
@@ -147,7 +147,7 @@ def finetune(
     )
     text = own.make_recipe(begin)
     tqdm.write(text, file=sys.stderr)
-    table = fine_tune(tomllib.loads(text), changes, begin)
+    table = inherit_settings(tomllib.loads(text), changes, begin)
     stages = (Stage("", build_recipe(table, run.out / RECIPE_TEXT)),)
     keep_recipe(text, run.out)  # also in a dry run, because it is the file to edit
     return draw_first_batch(stages, run) if dry_run else train_stages(stages, run)

@@ -41,7 +41,9 @@ def read_stages(
         InputError: if the name is unknown, and in the cases of `build_recipe`.
     """
     if text.endswith(".toml") or "/" in text or "\\" in text:
-        return (Stage("", build_recipe(fine_tune(read_toml(Path(text)), changes, init), text)),)
+        return (
+            Stage("", build_recipe(inherit_settings(read_toml(Path(text)), changes, init), text)),
+        )
     if text not in RECIPES:
         raise InputError(
             f"unknown recipe {text!r}; known: {', '.join(RECIPES)}: for a recipe of your own give "
@@ -79,7 +81,7 @@ _DEFAULTS = {
 }
 
 
-def fine_tune(
+def inherit_settings(
     table: Mapping[str, Any], changes: Sequence[str], init: Weights | None
 ) -> Mapping[str, Any]:
     """Return a recipe's changed table; settings it lacks come from the earlier training.

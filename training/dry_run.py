@@ -4,11 +4,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from runtime.contract.contract import NO_CLASS
 from runtime.drawing.encode import encode_png
 from runtime.drawing.overlay import Overlay
 from runtime.files.atomic_write import atomic_write
 from training.datasets.class_mapping import list_classes
-from training.datasets.sample import IGNORE, SampleSource
+from training.datasets.sample import SampleSource
 from training.distributed import join_processes
 from training.evaluation.pictures import draw_batch
 from training.loading.batches import read_batches
@@ -65,7 +66,7 @@ def _describe_set(title: str, source: SampleSource, classes: Sequence[str]) -> I
         depths.append(sample.depth[sample.depth > 0])
         pixels += sample.semantic.size
     yield f"{title}: {len(source)} frames"
-    labelled = counts.sum() - counts[IGNORE]
+    labelled = counts.sum() - counts[NO_CLASS]
     if labelled:
         shares = (f"{name} {counts[index] / labelled:.1%}" for index, name in enumerate(classes))
         yield f"  classes ({labelled / pixels:.0%} of the pixels): {', '.join(shares)}"

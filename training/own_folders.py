@@ -46,16 +46,7 @@ _VALIDATION = 10
 class OwnFolders:
     """Folders whose files are paired by their names, with labels, depth or both.
 
-    Attributes:
-        images: PNG or JPEG images.
-        labels: 8-bit PNGs of class ids, 255 = none.
-        depth: 16-bit PNGs of a LiDAR's depth.
-        classes: text file with one class name per line, starting at id 0; required with labels.
-        ignore: classes of that file that are not learned: their pixels count as unlabelled.
-        depth_scale: units of the depth per metre; None: 256.
-        focal_length_px: focal length of the images as they are; the principal point is then in
-            their middle.
-        intrinsics: fx, fy, cx, cy [px] of the images as they are, in place of the focal length.
+    The attributes are described in `training.api.finetune`.
     """
 
     images: Path

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from models import CLASS_TABLES
 from runtime.base.errors import DatasetError
-from runtime.contract.contract import ClassInfo
+from runtime.contract.contract import NO_CLASS, ClassInfo
 from training.datasets.files import read_gray
-from training.datasets.sample import IGNORE
 
 # A name in `models.CLASS_TABLES`, or a table.
 ClassTable = str | tuple[ClassInfo, ...]
@@ -136,7 +135,7 @@ def class_ids(labels: str, table: ClassTable) -> dict[str, int]:
         )
     ids = {info.name: index for index, info in enumerate(CLASS_TABLES[table])}
     mapping = _MAPPINGS[labels, table]
-    return {label: IGNORE if name is None else ids[name] for label, name in mapping.items()}
+    return {label: NO_CLASS if name is None else ids[name] for label, name in mapping.items()}
 
 
 def id_lookup(labels: str, table: ClassTable, order: Sequence[str | None]) -> NDArray[np.uint8]:
@@ -145,7 +144,7 @@ def id_lookup(labels: str, table: ClassTable, order: Sequence[str | None]) -> ND
     `order` holds the labels in the order of the file's ids, from 0.
     """
     ids = class_ids(labels, table)
-    lookup = np.full(256, IGNORE, dtype=np.uint8)
+    lookup = np.full(256, NO_CLASS, dtype=np.uint8)
     for index, label in enumerate(order):
         if label is not None:
             lookup[index] = ids[label]
@@ -167,7 +166,7 @@ class LabelReader:
         advise: Callable[[Sequence[int]], str] | None = None,
     ) -> None:
         self._ids, self._advise = ids, advise
-        self._lookup = np.full(256, IGNORE, np.uint8)
+        self._lookup = np.full(256, NO_CLASS, np.uint8)
         self._lookup[list(ids)] = list(ids.values())
         self._known = np.isin(np.arange(256), list(ids))
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import DatasetError
+from runtime.contract.contract import NO_CLASS
 from runtime.geometry.kitti_calibration import NumbersFile
 from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource
@@ -20,7 +21,6 @@ from training.datasets.cityscapes import disparity_to_depth
 from training.datasets.class_mapping import ClassTable, LabelReader
 from training.datasets.files import dataset_errors, read_gray, require_files, require_folder
 from training.datasets.recording import RecordedFrames, Truth, pair
-from training.datasets.sample import IGNORE
 from training.datasets.source_recipe import RangeRecipe
 from training.limits import STRICT
 
@@ -101,7 +101,7 @@ def _read_disparity(
 def _read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
     """Read a mask: 0 = not road, 1 = road, 255 = unknown."""
     mask: NDArray[np.uint8] = read_gray(path, np.uint8, size)
-    other = np.setdiff1d(mask, (0, 1, IGNORE))
+    other = np.setdiff1d(mask, (0, 1, NO_CLASS))
     if other.size:
         raise DatasetError(
             f"{path}: holds the value {other[0]}; expected 0 = not road, 1 = road, 255 = unknown"

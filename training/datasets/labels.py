@@ -9,6 +9,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import DatasetError
+from runtime.contract.contract import NO_CLASS
 from training.datasets.cityscapes import TRAIN_LABELS
 from training.datasets.class_mapping import (
     ClassTable,
@@ -17,7 +18,6 @@ from training.datasets.class_mapping import (
     list_classes,
     named_table,
 )
-from training.datasets.sample import IGNORE
 from training.datasets.source_recipe import RangeRecipe
 from training.limits import STRICT, Share
 
@@ -42,14 +42,17 @@ class LabelledRecipe(RangeRecipe):
     labels: Folder | None = None
     label_classes: Literal["cityscapes"] | None = None
     label_ids: Mapping[_Id, str] | None = None
-    ignore: _Id = IGNORE
+    ignore: _Id = NO_CLASS
     semantic_weight: Share = 1.0
 
     def __post_init__(self) -> None:
         """Check that the ids have one meaning."""
         if self.label_ids and self.label_classes is not None:
             raise ValueError("label_ids and label_classes both name the ids; set one of them")
-        if self.ignore != IGNORE and (self.label_ids or {}).get(self.ignore, "ignore") != "ignore":
+        if (
+            self.ignore != NO_CLASS
+            and (self.label_ids or {}).get(self.ignore, "ignore") != "ignore"
+        ):
             raise ValueError(
                 f"ignore and label_ids give the id {self.ignore} two meanings; drop one"
             )
@@ -74,21 +77,21 @@ class LabelledRecipe(RangeRecipe):
         return LabelReader(ids, partial(_advise, None if self.label_classes else names, ids))
 
     def _read_ids(self, classes: ClassTable, names: Sequence[str]) -> Mapping[int, int]:
-        """Return the id in the class table for each id in the files, `IGNORE` for none."""
+        """Return the id in the class table for each id in the files, `NO_CLASS` for none."""
         if self.label_ids:
-            ids = {"ignore": IGNORE, **{name: index for index, name in enumerate(names)}}
+            ids = {"ignore": NO_CLASS, **{name: index for index, name in enumerate(names)}}
             if unknown := [name for name in self.label_ids.values() if name not in ids]:
                 raise DatasetError(
                     f"label_ids: {unknown[0]!r} is no class of model.classes; expected one of "
                     f"{', '.join(ids)}"
                 )
             named = {index: ids[name] for index, name in self.label_ids.items()}
-            return {self.ignore: IGNORE, **named}
+            return {self.ignore: NO_CLASS, **named}
         order = list(range(len(names)))
         if self.label_classes is not None:
             lookup = id_lookup(self.label_classes, classes, TRAIN_LABELS)
             order = lookup[: len(TRAIN_LABELS)].tolist()
-        return {**dict(enumerate(order)), self.ignore: IGNORE}
+        return {**dict(enumerate(order)), self.ignore: NO_CLASS}
 
 
 def _advise(names: Sequence[str] | None, ids: Mapping[int, int], unknown: Sequence[int]) -> str:

@@ -15,8 +15,6 @@ from runtime.contract.heads import HEADS, ResizeRule
 from runtime.geometry.calibration import Calibration
 from runtime.streams.frame import Frame, Message
 
-IGNORE = NO_CLASS
-
 
 class TargetKind(NamedTuple):
     """How a map of labels is stored.
@@ -34,7 +32,7 @@ class TargetKind(NamedTuple):
 
 # Auxiliary targets, which no head predicts. road_mask is drawn by hand: 0 = not road, 1 = road.
 AUXILIARY: Mapping[str, TargetKind] = {
-    "road_mask": TargetKind(np.dtype(np.uint8), IGNORE, "nearest")
+    "road_mask": TargetKind(np.dtype(np.uint8), NO_CLASS, "nearest")
 }
 
 

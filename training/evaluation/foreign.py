@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from runtime.base.errors import InputError, SSDNetError
 from runtime.contract.canonical_focal import CameraScale, camera_scale
+from runtime.contract.contract import NO_CLASS
 from runtime.contract.model_file import read_onnx
 from runtime.contract.network_size import NetworkSize, network_size
 from runtime.contract.resize import Size, resize_nearest
@@ -19,7 +20,6 @@ from runtime.engine.preprocess import NetworkInput, preprocess
 from runtime.engine.session import describe_error, open_session
 from runtime.files.atomic_write import atomic_write
 from training.datasets.class_mapping import ClassTable, named_table
-from training.datasets.sample import IGNORE
 from training.evaluation.adapter import (
     Adapter,
     MissingAdapterError,
@@ -208,7 +208,7 @@ class ForeignNetwork:
             ids = _decide([_enlarge(plane, grid) for plane in self._scores(values)])
         else:
             plane = self._plane(values, self.adapter.semantic)
-            if plane.min() < 0 or plane.max() > IGNORE:
+            if plane.min() < 0 or plane.max() > NO_CLASS:
                 raise InputError(
                     f"{self.path}: its output {self.adapter.semantic!r} has values from "
                     f"{plane.min():g} to {plane.max():g}, which are no class ids: correct "

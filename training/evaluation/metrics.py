@@ -16,8 +16,8 @@ import torch
 from numpy.typing import NDArray
 
 from models.classes import CATEGORIES
+from runtime.contract.contract import NO_CLASS
 from training.losses.boundary import boundary_target
-from training.losses.semantic import IGNORE
 
 # End of the widest range of Table 1 [m]; unless another limit is given, pixels with a farther true
 # depth are not scored.
@@ -85,7 +85,7 @@ class SemanticScores(Accumulator):
             prediction: class ids of any integer type (H, W).
             semantic: the labels, class ids (H, W); 255 = ignore.
         """
-        known = semantic != IGNORE
+        known = semantic != NO_CLASS
         pairs = semantic[known].astype(np.intp) * self.confusion.shape[1] + prediction[known]
         counts = np.bincount(pairs, minlength=self.confusion.size).reshape(self.confusion.shape)
         self.unscored += (known.size - known.sum(), known.size)

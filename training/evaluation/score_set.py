@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from runtime.base.errors import InputError
+from runtime.contract.contract import NO_CLASS
 from training.datasets.class_mapping import list_classes
-from training.datasets.sample import IGNORE, Sample, SampleSource
+from training.datasets.sample import Sample, SampleSource
 from training.distributed import Processes
 from training.evaluation.depth_folder import DepthFolder
 from training.evaluation.metrics import FARTHEST_M
@@ -39,9 +40,9 @@ class EvaluatedSet:
     def read(self, index: int) -> tuple[Sample, bool]:
         """Return a frame with labels in the scored classes, and whether it has any label."""
         sample = self.source[index]
-        labelled = bool((sample.semantic != IGNORE).any())
+        labelled = bool((sample.semantic != NO_CLASS).any())
         if "semantic" in sample.targets:
-            lookup = self.classes.lookup(self.classes.table, IGNORE)
+            lookup = self.classes.lookup(self.classes.table, NO_CLASS)
             sample = sample.with_targets(semantic=lookup[sample.semantic])
         return sample, labelled
 
@@ -54,7 +55,7 @@ class EvaluatedSet:
             return answer
         table = model.table or self.classes.table
         highest, count = (
-            answer.semantic[answer.semantic != IGNORE].max(initial=0),
+            answer.semantic[answer.semantic != NO_CLASS].max(initial=0),
             len(list_classes(table)),
         )
         if highest >= count:

@@ -18,7 +18,7 @@ from runtime.contract.resize import Size
 from runtime.engine.inference import at_frame_size
 from runtime.engine.prediction import HeadArrays
 from runtime.engine.preprocess import preprocess
-from training.datasets.sample import IGNORE, SampleSource, labelled
+from training.datasets.sample import SampleSource, labelled
 from training.evaluation.depth_regions import DepthRegionScores
 from training.evaluation.metrics import (
     FARTHEST_M,
@@ -123,7 +123,7 @@ class Scores(Accumulator):
         sample = frame.sample
         self.frames += 1
         self.heads |= answer.heads.keys()
-        has_classes = bool((sample.semantic != IGNORE).any())
+        has_classes = bool((sample.semantic != NO_CLASS).any())
         if answer.semantic is not None and "semantic" in sample.targets:
             self.semantic.update(answer.semantic, sample.semantic)
         if answer.semantic is not None and "road_mask" in sample.targets:

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.contract.contract import ClassInfo
+from runtime.contract.contract import NO_CLASS, ClassInfo
 from runtime.drawing.encode import encode_jpeg
 from runtime.drawing.overlay import Overlay
 from training.datasets.class_mapping import list_classes
-from training.datasets.sample import IGNORE, Sample
+from training.datasets.sample import Sample
 from training.evaluation.score_report import Row
 from training.evaluation.score_set import EvaluatedSet, Result, split_feeds
 from training.evaluation.scored_model import ScoredModel
@@ -133,7 +133,7 @@ def _panels(
     for title, maps in shown.items():
         (pictures[title],) = overlay.panels(None, maps, widest=_WIDEST).values()
     if head == "semantic":
-        known = sample.semantic != IGNORE
+        known = sample.semantic != NO_CLASS
         wrong = [answer.semantic != sample.semantic for answer in answers]
     else:
         known = target > 0

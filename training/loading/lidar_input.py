@@ -6,7 +6,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from training.datasets.sample import IGNORE, Sample
+from runtime.contract.contract import NO_CLASS
+from training.datasets.sample import Sample
 from training.lidar.faults import absorb, drop_sectors, misalign
 from training.lidar.simulate import SENSOR_LINES
 from training.lidar.split import LidarInput, split_lidar
@@ -44,7 +45,7 @@ def _disturb(
     if config.lidar_dropout and rng.random() < config.lidar_dropout:
         fed = drop_sectors(fed, SECTOR_SHARE, rng)
     if config.lidar_absorbed and rng.random() < config.lidar_absorbed:
-        fed = absorb(fed, sample.semantic, rng, ignore=IGNORE)
+        fed = absorb(fed, sample.semantic, rng, ignore=NO_CLASS)
     return fed
 
 

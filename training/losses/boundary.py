@@ -6,9 +6,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from runtime.contract.contract import NO_CLASS
 from training.distributed import sum_over_processes
 from training.losses.masked import split_into_blocks
-from training.losses.semantic import IGNORE, labelled_mean
+from training.losses.semantic import labelled_mean
 
 
 def boundary_target(semantic: Tensor) -> tuple[Tensor, Tensor]:
@@ -19,7 +20,7 @@ def boundary_target(semantic: Tensor) -> tuple[Tensor, Tensor]:
     wide. An ignored pixel is unknown, and so is a pixel beside an ignored one, unless its other
     neighbour makes it boundary.
     """
-    known = semantic != IGNORE
+    known = semantic != NO_CLASS
     target = torch.zeros_like(known)
     decided = known.clone()
     for now, before in (

@@ -10,8 +10,6 @@ from runtime.contract.contract import NO_CLASS
 from training.distributed import sum_over_processes
 from training.losses.masked import grid_of, split_into_blocks
 
-IGNORE = NO_CLASS
-
 ClassWeighting = Literal["median", "sqrt_median", "paper", "none"]
 
 
@@ -52,7 +50,7 @@ def class_shares(semantic: Tensor, classes: int, grid: tuple[int, int]) -> Tenso
     loss with these shares equals one with logits repeated over the pixels of their cell; at the
     image's size the shares are 0 and 1.
     """
-    blocks, side = split_into_blocks(semantic.unsqueeze(1), grid, fill=IGNORE)
+    blocks, side = split_into_blocks(semantic.unsqueeze(1), grid, fill=NO_CLASS)
     pixels = F.pixel_unshuffle(blocks, side).clamp(max=classes)
     shares = torch.zeros(len(semantic), classes + 1, *grid, device=semantic.device)
     one = shares.new_tensor(1 / side**2).expand(pixels.shape)
@@ -115,7 +113,7 @@ def lovasz_softmax_loss(probabilities: Tensor, semantic: Tensor) -> Tensor:
     `probabilities` float (C, H, W) that sum to 1 over C; `semantic` int64 (H, W), 255 = ignore.
     0, with a gradient of 0, if nothing is labelled.
     """
-    known = semantic != IGNORE
+    known = semantic != NO_CLASS
     of_class = F.one_hot(semantic[known], len(probabilities)).T.to(probabilities.dtype)  # (C, P)
     errors = (of_class - probabilities[:, known]).abs()
     errors, order = errors.sort(dim=1, descending=True)

@@ -11,6 +11,7 @@ from torch import Tensor
 from models import NetworkOutput
 from models.answers import head_maps
 from runtime.base.entry_points import find_entry, list_entries
+from runtime.contract.contract import NO_CLASS
 from training.loading.batch import Batch, Pair
 from training.losses.boundary import (
     NeighbourMaps,
@@ -42,7 +43,6 @@ from training.losses.distillation import (
 )
 from training.losses.masked import cell_side, grid_of, on_grid
 from training.losses.semantic import (
-    IGNORE,
     class_shares,
     lovasz_softmax_loss,
     picture_mean,
@@ -171,7 +171,7 @@ def _lovasz(c: Compared) -> Tensor:
         cells = cells.repeat_interleave(side, dim=2).repeat_interleave(side, dim=3)
     pictures = zip(cells[..., :height, :width], c.labels, strict=True)
     losses = torch.stack([lovasz_softmax_loss(*picture) for picture in pictures])
-    return picture_mean(losses, c.labels != IGNORE, c.label_weights)
+    return picture_mean(losses, c.labels != NO_CLASS, c.label_weights)
 
 
 def _road(c: Compared) -> Tensor:

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from runtime.base.errors import InputError
+from runtime.contract.contract import NO_CLASS
 from runtime.contract.resize import move_returns, resize_image, resize_nearest
 from runtime.engine.preprocess import clean_sparse_depth
-from training.datasets.sample import IGNORE, Sample, make_frame
+from training.datasets.sample import Sample, make_frame
 from training.loading.augment import augment
 from training.loading.augment_config import AugmentConfig, with_crop
 from training.loading.colors import change_colors
@@ -93,7 +94,7 @@ def test_points_in_space_survive_cut_and_resize():
 
 def test_window_beyond_the_image_is_unknown():
     out = cut(plane(), -4, -6, (60, 80))
-    assert (out.semantic[:4] == IGNORE).all()
+    assert (out.semantic[:4] == NO_CLASS).all()
     assert not out.depth[:, :6].any()
     assert (out.rgb[0, 0] == (124, 116, 104)).all()
     assert out.depth[4, 6] == plane().depth[0, 0]
@@ -205,8 +206,8 @@ def test_a_road_mask_is_changed_like_the_labels():
     config = AugmentConfig(crop=(60, 80), scale=(0.7, 1.5))
     for seed in range(4):
         out = changed(sample, config, seed)
-        expected = np.where(out.semantic == IGNORE, IGNORE, out.semantic == 3)
-        assert (out.semantic == IGNORE).any()
+        expected = np.where(out.semantic == NO_CLASS, NO_CLASS, out.semantic == 3)
+        assert (out.semantic == NO_CLASS).any()
         np.testing.assert_array_equal(out.targets["road_mask"], expected)
 
 
