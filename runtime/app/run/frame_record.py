@@ -31,7 +31,7 @@ class FrameRecord:
         health, depth_reused, depth_motion: see `FrameResult`.
         times_ms: figure -> value, for the figures that the frame has: those of `FIGURES`; "read",
             the time of reading and decoding; and "write", the time of writing to all outputs. "age"
-            and "jitter" exist in a constant stream only.
+            and "jitter" exist in a constant stream only, and start when a frame is due.
         deadline_met: whether "latency" is within the deadline; None without one.
     """
 
