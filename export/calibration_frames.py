@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from export.precision import ENOUGH_FRAMES, LEAST_FRAMES, Int8Options
+from export.options import ExportOptions
+from export.precision import ENOUGH_FRAMES, LEAST_FRAMES
 from export.quantize import Feed
 from models import Checkpoint
 from models.training_facts import TrainingFacts
@@ -29,17 +30,13 @@ CALIBRATION_LIDARS = ("own", "none", "16", "4")
 CALIBRATION_FRAMES = 128
 
 
-def require_frames(
-    options: Int8Options, validate: Sequence[str], checkpoint: Checkpoint, folder: Path
-) -> list[str]:
+def require_frames(options: ExportOptions, checkpoint: Checkpoint) -> list[str]:
     """Check that there are `LEAST_FRAMES` to calibrate, and as many others to validate.
 
     Args:
-        options: options that hold the data sets of the calibration.
-        validate: data sets of the validation.
+        options: the data sets, and where the checkpoint is: if it is that of a run, frames that the
+            run was trained on are counted.
         checkpoint: checkpoint of the model.
-        folder: where the checkpoint is: if it is that of a run, frames that the run was trained on
-            are counted.
 
     Returns:
         Warnings: for fewer than `ENOUGH_FRAMES`, and for frames that the model was trained on.
@@ -49,7 +46,7 @@ def require_frames(
     """
     table = trained_classes(checkpoint.model.config.classes, checkpoint.facts)
     found, warnings = {}, []
-    for option, texts in (("--calibrate", options.calibrate), ("--validate", validate)):
+    for option, texts in (("--calibrate", options.calibrate), ("--validate", options.validate)):
         found[option] = [_open_set(text, table) for text in texts]
         if (count := count_frames(found[option])) < LEAST_FRAMES:
             raise InputError(
@@ -66,7 +63,9 @@ def require_frames(
             f"int8 is calibrated and validated on {both} frames: its loss of accuracy must be "
             "measured on other frames; give another set, or other frames of it"
         )
-    if known := count_shared(found["--validate"], open_training_sets(folder)):
+    if known := count_shared(
+        found["--validate"], open_training_sets(options.source.resolve().parent)
+    ):
         count = count_frames(found["--validate"])
         warnings.append(
             f"--validate: the model was trained on {known} of these {count} frames, where it may "
@@ -75,12 +74,12 @@ def require_frames(
     return warnings
 
 
-def calibration_feeds(path: Path, options: Int8Options) -> Iterator[Feed]:
-    """Yield calibration frames as the engine feeds them to the file, with each LiDAR in turn."""
+def calibration_feeds(path: Path, data: Sequence[str]) -> Iterator[Feed]:
+    """Yield frames of these sets as the engine feeds them to the file, with each LiDAR in turn."""
     with Predictor(path, warmup=0) as predictor:
         contract = predictor.contract
         table = trained_classes(contract.classes, TrainingFacts.from_dict(contract.training))
-        sources = [_open_set(text, table) for text in options.calibrate]
+        sources = [_open_set(text, table) for text in data]
         counts = share_frames([len(source) for source in sources], CALIBRATION_FRAMES)
         for source, count in zip(sources, counts, strict=True):
             for turn, index in enumerate(np.linspace(0, len(source) - 1, count).round()):

@@ -1,12 +1,11 @@
 """`ssdnet-export`: a checkpoint in, one verified ONNX file out."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from export.precision import ENOUGH_FRAMES, LEAST_FRAMES, Int8Options, Precision
+from export.precision import ENOUGH_FRAMES, LEAST_FRAMES, MAX_DROP_MIOU, MAX_RISE_MAE, Precision
 from runtime.command.options import Version
 from runtime.command.process import reported_errors, stop_requested
 from runtime.contract.contract import MIN_SIDE, Contract
@@ -18,12 +17,6 @@ _FIGURES = (
     ("mae_m", "MAE", 1e3, "mm"),
     ("coverage_1", "errors within one scale", 1e2, "%"),
 )
-
-
-class _Choice(StrEnum):
-    FP32 = Precision.FP32
-    FP16 = Precision.FP16
-    INT8 = "int8"
 
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -74,12 +67,12 @@ def export(
         ),
     ] = None,
     precision: Annotated[
-        _Choice,
+        Precision,
         typer.Option(
             help="Precision of the trunk: fp16 for GPUs, int8 for processors (needs "
             "--calibrate and --validate)."
         ),
-    ] = _Choice.FP32,
+    ] = Precision.FP32,
     calibrate: Annotated[
         list[str] | None,
         typer.Option(
@@ -101,11 +94,11 @@ def export(
     ] = None,
     max_drop_miou: Annotated[
         float, typer.Option(min=0, help="Largest loss of mIoU by int8 on any data set, in points.")
-    ] = Int8Options.max_drop_miou,
+    ] = MAX_DROP_MIOU,
     max_rise_mae: Annotated[
         float,
         typer.Option(min=0, help="Largest rise of the depth's MAE by int8 on any data set, in %."),
-    ] = Int8Options.max_rise_mae,
+    ] = MAX_RISE_MAE,
     name: Annotated[
         str | None,
         typer.Option(
@@ -124,7 +117,7 @@ def export(
         raise typer.BadParameter(f"an exported file ends in .onnx, got {model.name}: give {right}")
     if (height is None) != (width is None):
         raise typer.BadParameter("give both --height and --width, or neither")
-    if (precision is _Choice.INT8) != bool(calibrate):
+    if (precision is Precision.INT8) != bool(calibrate):
         raise typer.BadParameter("--precision int8 and --calibrate go together")
     if calibrate and not validate:
         raise typer.BadParameter("--precision int8 needs --validate")
@@ -132,9 +125,6 @@ def export(
         from export.exporter import run_export  # slow, and --help needs no PyTorch
         from export.options import ExportOptions
 
-        int8 = Int8Options(
-            tuple(calibrate or ()), max_drop_miou=max_drop_miou, max_rise_mae=max_rise_mae
-        )
         options = ExportOptions(
             checkpoint=checkpoint,
             target=model,
@@ -144,8 +134,11 @@ def export(
             with_logits=with_logits,
             record_dir=record_dir,
             triton_dir=triton_dir,
-            precision=int8 if precision is _Choice.INT8 else Precision(precision),
+            precision=precision,
+            calibrate=calibrate or (),
             validate=validate or (),
+            max_drop_miou=max_drop_miou,
+            max_rise_mae=max_rise_mae,
             name=name,
             overwrite=overwrite,
         )

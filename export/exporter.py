@@ -1,4 +1,4 @@
-"""From a checkpoint to one verified ONNX file: build, verify, publish."""
+"""From a checkpoint to one verified ONNX file: build, finish, publish."""
 
 import contextlib
 from collections.abc import Mapping, Sequence
@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from export.build import Draft, build_draft, read_checkpoint
+from export.finish import finish_draft
 from export.options import ExportOptions
 from export.parity import HeadParity, reference
-from export.precision import Int8Options, Precision
+from export.precision import MAX_DROP_MIOU, MAX_RISE_MAE, Precision
 from export.probe_frames import ProbeFrame
-from export.progress import Report, Stages
+from export.progress import Progress, Report
 from export.trace import DEFAULT_OPSET
 from export.triton import write_triton_model
-from export.verify import verify
 from runtime import Contract
 from runtime.files.atomic_write import atomic_file
 from runtime.verification.reference import (
@@ -59,8 +59,11 @@ def export_checkpoint(
     with_logits: bool = False,
     record_dir: Path | str | None = None,
     triton_dir: Path | str | None = None,
-    precision: Precision | Int8Options = Precision.FP32,
+    precision: Precision = Precision.FP32,
+    calibrate: Sequence[str] = (),
     validate: Sequence[str] = (),
+    max_drop_miou: float = MAX_DROP_MIOU,
+    max_rise_mae: float = MAX_RISE_MAE,
     name: str | None = None,
     overwrite: bool = False,
     report: Report = lambda *_: None,
@@ -81,9 +84,12 @@ def export_checkpoint(
             for ssdnet-verify; None: no reference.
         triton_dir: Triton model repository to which the file is added under its name; None: no
             repository.
-        precision: precision of the file's trunk; for 8-bit integers also the data and the gate.
-        validate: data sets on which the file's accuracy is measured, as `ssdnet-eval` takes them,
-            KIND:FOLDER[,KEY=VALUE...]; int8 needs at least one.
+        precision: precision of the file's trunk.
+        calibrate: data sets on which the ranges of int8 are measured, as `ssdnet-eval` takes them,
+            KIND:FOLDER[,KEY=VALUE...]; for int8 alone, which needs at least one.
+        validate: data sets on which the file's accuracy is measured; int8 needs at least one.
+        max_drop_miou: largest fall of the mIoU of a set by int8, in points.
+        max_rise_mae: largest rise of the MAE of the depth of a set by int8, in percent.
         name: the model's name in reports; None: the name of the run's folder for a model.pt,
             best.pt or last.pt, else that of the network.
         overwrite: replace an older file, reference and Triton model.
@@ -110,7 +116,10 @@ def export_checkpoint(
         record_dir=None if record_dir is None else Path(record_dir),
         triton_dir=None if triton_dir is None else Path(triton_dir),
         precision=precision,
+        calibrate=calibrate,
         validate=validate,
+        max_drop_miou=max_drop_miou,
+        max_rise_mae=max_rise_mae,
         name=name,
         overwrite=overwrite,
     )
@@ -118,22 +127,21 @@ def export_checkpoint(
 
 
 def run_export(options: ExportOptions, report: Report) -> ExportReport:
-    """Build, verify and publish a file, see `export_checkpoint`."""
-    precision, target, overwrite = options.precision, options.target, options.overwrite
-    int8 = isinstance(precision, Int8Options)
+    """Build, finish and publish a file, see `export_checkpoint`."""
+    target, overwrite = options.target, options.overwrite
+    is_int8 = options.precision is Precision.INT8
     further = (
-        *(int8, precision is not Precision.FP32, options.validate and not int8),
+        *(is_int8, options.precision is not Precision.FP32, options.validate and not is_int8),
         *(options.record_dir, options.triton_dir),
     )
-    stages = Stages(2 + sum(map(bool, further)), report)
-    stages.begin("tracing the graph")
+    progress = Progress(2 + sum(map(bool, further)), report)
+    progress.begin("tracing the graph")
     checkpoint = read_checkpoint(options.source)
     warnings: Sequence[str] = ()
-    if isinstance(precision, Int8Options):
+    if is_int8:
         from export.calibration_frames import require_frames  # needs the packages of training
 
-        folder = options.source.resolve().parent
-        warnings = require_frames(precision, options.validate, checkpoint, folder)
+        warnings = require_frames(options, checkpoint)
     settings = PredictorSettings(
         "ssdnet-export", "frame" if options.any_size else None, provider="torch"
     )
@@ -146,14 +154,14 @@ def run_export(options: ExportOptions, report: Report) -> ExportReport:
                 write_reference(options.record_dir, settings, overwrite=overwrite)
             )
         draft = build_draft(checkpoint, options)
-        draft, parity, frames = verify(draft, file, precision, options.validate, warnings, stages)
+        draft, parity, frames = finish_draft(draft, file, options, warnings, progress)
         num_bytes = draft.write(file)
         if recorder is not None:
-            stages.begin("recording PyTorch's answers")
+            progress.begin("recording PyTorch's answers")
             _record(draft, frames, recorder)
             recorder.finish(file)
         if options.triton_folder is not None:
-            stages.begin("writing the Triton model")
+            progress.begin("writing the Triton model")
             content = file.read_bytes()
             write_triton_model(options.triton_folder, draft.model, content, overwrite=overwrite)
     return ExportReport(

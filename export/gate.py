@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from export.accuracy import LEAST_CLASS_FRAMES, LEAST_CLASS_PIXELS, Accuracy, Widths
-from export.precision import Int8Options
+from export.options import ExportOptions
 from runtime import InputError
 
 # Limits without an option: loss of a class's IoU [points], loss of boundary F (0..1), and change of
@@ -30,7 +30,7 @@ _NEEDED = {
 def find_missed(
     before: Sequence[Accuracy],
     after: Sequence[Accuracy],
-    options: Int8Options,
+    options: ExportOptions,
     widths: Widths | None = None,
 ) -> dict[str, str]:
     """Return the largest loss, in words, of each head that misses the gate; worst head first."""
@@ -46,7 +46,7 @@ def find_missed(
 
 
 def _losses(
-    before: Accuracy, after: Accuracy, options: Int8Options, wider: Mapping[str, float]
+    before: Accuracy, after: Accuracy, options: ExportOptions, wider: Mapping[str, float]
 ) -> Iterator[tuple[str, float, float, str]]:
     """Yield head, loss, its limit, and the loss in words, for the figures measured in both.
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import onnx
@@ -21,7 +21,8 @@ from export.accuracy import (
 from export.calibration_frames import calibration_feeds
 from export.errors import ExportError
 from export.gate import find_missed, list_not_gated, require_truth
-from export.precision import ENOUGH_FRAMES, Int8Options
+from export.options import ExportOptions
+from export.precision import ENOUGH_FRAMES
 from export.quantize import Feed, Ranges, measure_ranges, quantize, strides
 from export.trunk import trunk
 from runtime.contract.heads import HEADS, Unit
@@ -52,9 +53,8 @@ class Quantized:
 
 def quantize_within(
     model: onnx.ModelProto,
-    options: Int8Options,
+    options: ExportOptions,
     *,
-    validate: Sequence[str],
     classes: Sequence[str],
     write: Callable[[onnx.ModelProto, Path], object],
     warnings: Sequence[str] = (),
@@ -64,13 +64,11 @@ def quantize_within(
 
     Convolutions on the finest grids stay in float, see _FINE_STRIDE, and those that read or write
     what is many times larger on a few frames than on most, see `Ranges`. While the gate is missed,
-    further convolutions stay in float. The first is the one that, quantised alone, most changes the
-    head that exceeds its limit most; after that their number grows by half each time.
+    further convolutions stay in float, see `_Search`.
 
     Args:
         model: a traced graph.
         options: data and gate.
-        validate: data sets on which the accuracy is measured before and after.
         classes: names of the model's classes.
         write: writes a graph as a file that the engine runs.
         warnings: of `require_frames`, for the file's facts.
@@ -82,70 +80,106 @@ def quantize_within(
         ExportError: if the gate is missed even with half of the other convolutions in float.
     """
     heads = [output.name for output in model.graph.output]
-    names = trunk(model)
-    nodes = [n for n in model.graph.node if n.op_type == "Conv" and n.name in names]
-    convolutions = [n.name for n in nodes]
-    ranked: dict[str, list[str]] = {}
     with tempfile.TemporaryDirectory() as folder:
         single, path = Path(folder) / "single.onnx", Path(folder) / "int8.onnx"
         write(model, single)
         report("measuring the accuracy in single precision")
-        lidars, before = _measure_single(single, heads, validate)
-        few = sum({row.data: row.frames for row in before}.values()) < ENOUGH_FRAMES
+        gate = _Gate.measure(single, heads, options)
         report("calibrating the value ranges")
-        feeds = list(calibration_feeds(single, options))
-        ranges = measure_ranges(model, feeds)
-        always = _always_in_float(nodes, strides(model, feeds[0]), ranges)
-        in_float = [*always]
+        feeds = list(calibration_feeds(single, options.calibrate))
+        search = _Search(model, feeds)
         while True:
-            quantized = quantize(model, ranges, keep_float=in_float)
+            quantized = quantize(model, search.ranges, keep_float=search.in_float)
             write(quantized, path)
-            report(
-                f"measuring the accuracy with {len(in_float)} of {len(convolutions)} convolutions "
-                "in float"
-            )
-            accuracy = measure_accuracy(path, validate, lidars)
-            missed = find_missed(before, accuracy, options)
-            if missed and few:
-                widths = measure_widths(single, path, validate, lidars)
-                missed = find_missed(before, accuracy, options, widths)
+            report(f"measuring the accuracy with {search} in float")
+            accuracy, missed = gate.judge(path)
             if not missed:
                 break
-            if 2 * (len(in_float) - len(always)) >= len(convolutions) - len(always):
-                raise ExportError(
-                    f"int8 loses too much, so nothing was written: {'; '.join(missed.values())}; "
-                    f"{len(in_float)} of {len(convolutions)} convolutions were left in float: "
-                    "calibrate on data like those of --validate, or raise --max-drop-miou for mIoU "
-                    "or --max-rise-mae for MAE; the other limits have no option"
-                )
-            head = next(iter(missed))
-            if head not in ranked:
-                alone = partial(quantize, model, ranges)
-                ranked[head] = rank_convolutions(model, alone, convolutions, feeds, head)
-            others = [name for name in ranked[head] if name not in in_float]
-            in_float += others[: max(1, (len(in_float) - len(always)) // 2)]
+            search.keep_more(missed)
     facts = {
         "calibration": [without_folders(text) for text in options.calibrate],
         "calibration_frames": len(feeds),
-        "float_convolutions": in_float,
-        "accuracy_fp32": [asdict(item) for item in before],
-        "not_gated": list_not_gated(heads, classes, before),
+        "float_convolutions": search.in_float,
+        "accuracy_fp32": [asdict(item) for item in gate.before],
+        "not_gated": list_not_gated(heads, classes, gate.before),
         "warnings": list(warnings),
     }
     return Quantized(quantized, accuracy, facts)
 
 
-def _measure_single(
-    path: Path, heads: Collection[str], validate: Sequence[str]
-) -> tuple[Sequence[str], list[Accuracy]]:
-    """Return the LiDARs, and the accuracy with each, of a file in single precision."""
-    lidars: Sequence[str] = LIDARS
-    rows = measure_accuracy(path, validate, lidars)
-    require_truth(heads, rows)
-    if {row.lidar for row in rows if row.mae_m is not None} == {"none"}:
-        lidars = (*LIDARS, OTHER_LIDAR)
-        rows = measure_accuracy(path, validate, lidars)
-    return lidars, rows
+class _Gate(NamedTuple):
+    """The accuracy of a file in single precision, and how much of it may be lost."""
+
+    single: Path
+    options: ExportOptions
+    lidars: Sequence[str]
+    before: list[Accuracy]
+
+    @classmethod
+    def measure(cls, single: Path, heads: Collection[str], options: ExportOptions) -> Self:
+        """Measure a file in single precision with each LiDAR; InputError without ground truth."""
+        lidars: Sequence[str] = LIDARS
+        before = measure_accuracy(single, options.validate, lidars)
+        require_truth(heads, before)
+        if {row.lidar for row in before if row.mae_m is not None} == {"none"}:
+            lidars = (*LIDARS, OTHER_LIDAR)
+            before = measure_accuracy(single, options.validate, lidars)
+        return cls(single, options, lidars, before)
+
+    def judge(self, path: Path) -> tuple[list[Accuracy], Mapping[str, str]]:
+        """Return the accuracy of a quantised file, and what it loses too much, worst head first.
+
+        On few frames the limits are widened by the uncertainty of the difference.
+        """
+        data = self.options.validate
+        accuracy = measure_accuracy(path, data, self.lidars)
+        missed = find_missed(self.before, accuracy, self.options)
+        if missed and sum({row.data: row.frames for row in self.before}.values()) < ENOUGH_FRAMES:
+            widths = measure_widths(self.single, path, data, self.lidars)
+            missed = find_missed(self.before, accuracy, self.options, widths)
+        return accuracy, missed
+
+
+class _Search:
+    """Searches the convolutions that stay in float.
+
+    The first that is added is the one that, quantised alone, most changes the head that exceeds its
+    limit most; after that their number grows by half each time, up to half of all that may be
+    quantised.
+    """
+
+    def __init__(self, model: onnx.ModelProto, feeds: Sequence[Feed]) -> None:
+        names = trunk(model)
+        nodes = [n for n in model.graph.node if n.op_type == "Conv" and n.name in names]
+        self.ranges = measure_ranges(model, feeds)
+        self._model, self._feeds = model, feeds
+        self._convolutions = [n.name for n in nodes]
+        self._always = _always_in_float(nodes, strides(model, feeds[0]), self.ranges)
+        self._ranked: dict[str, list[str]] = {}
+        self.in_float = self._always
+
+    def __str__(self) -> str:
+        """How many stay in float, in words."""
+        return f"{len(self.in_float)} of {len(self._convolutions)} convolutions"
+
+    def keep_more(self, missed: Mapping[str, str]) -> None:
+        """Keep more in float, for the first head that misses the gate; ExportError at the end."""
+        added = len(self.in_float) - len(self._always)
+        if 2 * added >= len(self._convolutions) - len(self._always):
+            raise ExportError(
+                f"int8 loses too much, so nothing was written: {'; '.join(missed.values())}; "
+                f"{self} were left in float: calibrate on data like those of --validate, or raise "
+                "--max-drop-miou for mIoU or --max-rise-mae for MAE; the other limits have no "
+                "option"
+            )
+        head = next(iter(missed))
+        if head not in self._ranked:
+            alone = partial(quantize, self._model, self.ranges)
+            self._ranked[head] = rank_convolutions(
+                self._model, alone, self._convolutions, self._feeds, head
+            )
+        others = [name for name in self._ranked[head] if name not in self.in_float]
+        self.in_float = [*self.in_float, *others[: max(1, added // 2)]]
 
 
 def _always_in_float(

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from export.precision import Int8Options, Precision
+from export.precision import MAX_DROP_MIOU, MAX_RISE_MAE, Precision
 from export.trace import DEFAULT_OPSET
 from export.triton import require_model_folder
 from models.checkpoint import FINAL, run_folder
@@ -21,7 +21,8 @@ class ExportOptions:
     """The options of `ssdnet-export`; `export_checkpoint` describes them.
 
     Raises:
-        InputError: if the size or the name is invalid, or if int8 has no data for its gate.
+        InputError: if the size or the name is invalid, or if int8 lacks data, or other precisions
+            have data to calibrate.
         OutputError: if a target exists (without `overwrite`) or cannot be written.
     """
 
@@ -33,15 +34,21 @@ class ExportOptions:
     with_logits: bool = False
     record_dir: Path | None = None
     triton_dir: Path | None = None
-    precision: Precision | Int8Options = Precision.FP32
+    precision: Precision = Precision.FP32
+    calibrate: Sequence[str] = ()
     validate: Sequence[str] = ()
+    max_drop_miou: float = MAX_DROP_MIOU
+    max_rise_mae: float = MAX_RISE_MAE
     name: str | None = None
     overwrite: bool = False
 
     def __post_init__(self) -> None:
         """Check the facts of the file, and that it and the other targets can be written."""
-        if isinstance(self.precision, Int8Options) and not self.validate:
-            raise InputError("int8 needs data: give validate, data sets with ground truth")
+        is_int8 = self.precision is Precision.INT8
+        if is_int8 and not (self.calibrate and self.validate):
+            raise InputError("int8 needs data: give calibrate, and validate with ground truth")
+        if self.calibrate and not is_int8:
+            raise InputError("calibrate is for int8: give precision int8, or leave it out")
         try:
             check_size(self.native_size)
             if self.model_name is not None:

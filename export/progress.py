@@ -6,7 +6,7 @@ from collections.abc import Callable
 Report = Callable[[int, int, str], object]
 
 
-class Stages:
+class Progress:
     """Reports the stages of an export as they begin."""
 
     def __init__(self, total: int, report: Report) -> None:

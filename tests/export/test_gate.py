@@ -1,18 +1,21 @@
 """How much accuracy a quantised file may lose."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from export.accuracy import Accuracy, accuracy_of
 from export.gate import find_missed, require_truth
-from export.precision import Int8Options
+from export.options import ExportOptions
 from runtime import InputError
 from training.evaluation.score_report import Row
 from training.evaluation.scoring import Scores
 
 ROW = Accuracy("street", "own", 120, 0.7, 0.5, 0.6, 0.63, {"tree": 0.9})
+
+OPTIONS = ExportOptions(checkpoint=Path("m.pt"), target=Path("m.onnx"))
 
 
 @pytest.mark.parametrize(
@@ -27,22 +30,21 @@ ROW = Accuracy("street", "own", 120, 0.7, 0.5, 0.6, 0.63, {"tree": 0.9})
     ],
 )
 def test_the_gate_holds_what_each_head_loses(kept, missed, words):
-    options = Int8Options(())
-    assert not find_missed([ROW], [replace(ROW, **kept)], options)
-    (text,) = find_missed([ROW], [replace(ROW, **missed)], options).values()
+    assert not find_missed([ROW], [replace(ROW, **kept)], OPTIONS)
+    (text,) = find_missed([ROW], [replace(ROW, **missed)], OPTIONS).values()
     assert words in text
 
 
 def test_few_frames_widen_the_limits_by_the_interval_of_the_difference():
     after = replace(ROW, miou=0.694, mae_m=0.511)
     widths = {("street", "own"): {"miou": 0.002, "mae_m": 0.002}}
-    assert not find_missed([ROW], [after], Int8Options(()), widths)
-    assert len(find_missed([ROW], [replace(after, miou=0.692)], Int8Options(()), widths)) == 1
+    assert not find_missed([ROW], [after], OPTIONS, widths)
+    assert len(find_missed([ROW], [replace(after, miou=0.692)], OPTIONS, widths)) == 1
 
 
 def test_the_head_that_misses_most_comes_first():
     after = replace(ROW, miou=0.68, boundary_f=0.58, mae_m=0.6)
-    assert list(find_missed([ROW], [after], Int8Options(()))) == ["depth", "semantic", "boundary"]
+    assert list(find_missed([ROW], [after], OPTIONS)) == ["depth", "semantic", "boundary"]
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import copy
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
@@ -16,7 +17,8 @@ from export import accuracy, calibration_frames, gate, int8
 from export.accuracy import without_folders
 from export.cli import app
 from export.exporter import export_checkpoint
-from export.precision import Int8Options
+from export.options import ExportOptions
+from export.precision import Precision
 from export.probe_frames import probe_frames
 from export.quantize import Ranges
 from runtime import InputError, Predictor
@@ -264,8 +266,7 @@ def test_convolutions_on_fine_grids_are_left_in_float_before_any_is_ranked(monke
         monkeypatch.setattr(int8, name, value)
     found = int8.quantize_within(
         model,
-        Int8Options(calibrate=("camvid:x",)),
-        validate=[],
+        ExportOptions(checkpoint=Path("m.pt"), target=Path("m.onnx")),
         classes=[],
         write=lambda model, path: None,
     )
@@ -325,9 +326,9 @@ def test_a_file_names_the_sets_as_given_but_no_folder_of_the_machine(given, stor
 
 def test_int8_needs_data(lite_checkpoint, tmp_path):
     with pytest.raises(InputError, match="int8 needs data"):
-        export_checkpoint(
-            lite_checkpoint, tmp_path / "a.onnx", precision=Int8Options(("folders:x",))
-        )
+        export_checkpoint(lite_checkpoint, tmp_path / "a.onnx", precision=Precision.INT8)
+    with pytest.raises(InputError, match="calibrate is for int8"):
+        export_checkpoint(lite_checkpoint, tmp_path / "a.onnx", calibrate=["folders:x"])
     assert not (tmp_path / "a.onnx").exists()
     words = [str(lite_checkpoint), str(tmp_path / "a.onnx")]
     for given, missing in (("--precision int8", "calibrate"), ("--calibrate x", "precision")):
