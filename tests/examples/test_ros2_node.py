@@ -8,6 +8,7 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
+from runtime.geometry.assumptions import AssumptionWarning
 from runtime.recordings.bundled_stream import bundled_frames
 
 NODE = Path(__file__).parents[2] / "examples" / "ros2_node.py"
@@ -127,13 +128,13 @@ def test_an_image_and_a_scan_are_answered(spun):
         position=SimpleNamespace(x=1, y=2, z=3), orientation=SimpleNamespace(x=0, y=0, z=0, w=1)
     )
     odometry = stamped(pose=SimpleNamespace(pose=inner))
-    node = spun(
-        [
-            ("odometry", odometry),
-            ("image", stamped(image=frame.rgb, frame_id="front_optical")),
-            ("points", stamped(points=points, fields=())),
-        ]
-    )
+    messages = [
+        ("odometry", odometry),
+        ("image", stamped(image=frame.rgb, frame_id="front_optical")),
+        ("points", stamped(points=points, fields=())),
+    ]
+    with pytest.warns(AssumptionWarning, match="the calibration fits images of"):
+        node = spun(messages)
     depth, semantic = node.sent["~/depth"], node.sent["~/semantic"]
     assert (depth.encoding, semantic.encoding) == ("32FC1", "mono8")
     assert depth.values.shape == semantic.values.shape == (256, 832)
