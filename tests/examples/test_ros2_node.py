@@ -133,7 +133,10 @@ def test_an_image_and_a_scan_are_answered(spun):
         ("image", stamped(image=frame.rgb, frame_id="front_optical")),
         ("points", stamped(points=points, fields=())),
     ]
-    with pytest.warns(AssumptionWarning, match="the calibration fits images of"):
+    with (
+        pytest.warns(AssumptionWarning, match="the stamps of scans mark their middle"),
+        pytest.warns(AssumptionWarning, match="the calibration fits images of"),
+    ):
         node = spun(messages)
     depth, semantic = node.sent["~/depth"], node.sent["~/semantic"]
     assert (depth.encoding, semantic.encoding) == ("32FC1", "mono8")
