@@ -57,7 +57,7 @@ def measure_accuracy(
     if all(item.miou is None and item.mae_m is None for item in found):
         raise InputError(
             "--validate: these sets hold neither labels of the model's classes nor depth, so the "
-            "accuracy cannot be measured; add a set that has one of them"
+            "accuracy cannot be measured: add a set that has one of them"
         )
     return found
 

@@ -116,5 +116,5 @@ def _require_finite(model: nn.Module) -> None:
         raise ExportError(
             f"the checkpoint holds NaN or Inf in {', '.join(bad[:5])}"
             + (f" and {len(bad) - 5} more" if len(bad) > 5 else "")
-            + ": the training diverged, so nothing was written; use an earlier checkpoint"
+            + ", so nothing was written: use a checkpoint from before the training diverged"
         )

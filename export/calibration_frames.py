@@ -60,8 +60,8 @@ def require_frames(options: ExportOptions, checkpoint: Checkpoint) -> list[str]:
             warnings.append(text)
     if both := count_shared(*found.values()):
         raise InputError(
-            f"int8 is calibrated and validated on {both} frames: its loss of accuracy must be "
-            "measured on other frames; give another set, or other frames of it"
+            f"int8 is calibrated and validated on {both} frames, but its loss of accuracy must be "
+            "measured on others: give another set, or other frames of it"
         )
     if known := count_shared(
         found["--validate"], open_training_sets(options.source.resolve().parent)

@@ -73,7 +73,7 @@ def finish_draft(
         draft.write(file)
         parity = measure(frames)
     if precision is Precision.FP16:
-        _require_parity(parity, "; leave out --precision fp16")
+        _require_parity(parity, ": leave out --precision fp16")
     if validate and precision is not Precision.INT8:
         from export.accuracy import measure_accuracy  # needs the packages of training
 
@@ -134,7 +134,6 @@ def _require_parity(parity: Mapping[str, HeadParity], advice: str = "") -> None:
     ]
     if failed:
         raise ExportError(
-            "the answers of the exported graph differ from PyTorch's, so nothing was written: "
-            + "; ".join(failed)
-            + advice
+            f"the answers of the exported graph differ from PyTorch's in {'; '.join(failed)}, so "
+            f"nothing was written{advice}"
         )

@@ -79,7 +79,7 @@ def require_truth(heads: Collection[str], rows: Sequence[Accuracy]) -> None:
         if head in heads and not _measured(head, rows):
             raise InputError(
                 f"--validate: no set has {truth}, so the loss of the {head} head by int8 cannot be "
-                f"measured, and nothing was written; add one of {sets}"
+                f"measured, and nothing was written: add one of {sets}"
             )
 
 

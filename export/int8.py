@@ -167,10 +167,10 @@ class _Search:
         added = len(self.in_float) - len(self._always)
         if 2 * added >= len(self._convolutions) - len(self._always):
             raise ExportError(
-                f"int8 loses too much, so nothing was written: {'; '.join(missed.values())}; "
-                f"{self} were left in float: calibrate on data like those of --validate, or raise "
-                "--max-drop-miou for mIoU or --max-rise-mae for MAE; the other limits have no "
-                "option"
+                f"int8 loses too much even with {self} in float, so nothing was written "
+                f"({'; '.join(missed.values())}): calibrate on data like those of --validate, or "
+                "raise --max-drop-miou for mIoU or --max-rise-mae for MAE (the other limits have "
+                "no option)"
             )
         head = next(iter(missed))
         if head not in self._ranked:

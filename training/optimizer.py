@@ -53,8 +53,8 @@ def train_parts(network: Network, only: tuple[str, ...], frozen: tuple[str, ...]
     unknown = [start for start in only if not any(name.startswith(start) for name in parts)]
     if unknown:
         raise InputError(
-            f"optimizer.only: no part of '{network.config.name}' begins with {unknown[0]!r}; "
-            f"it has {', '.join(parts)}"
+            f"optimizer.only: no part of '{network.config.name}' begins with {unknown[0]!r}: "
+            f"name some of {', '.join(parts)}"
         )
     network.train()
     for name, part in parts.items():
@@ -66,8 +66,8 @@ def train_parts(network: Network, only: tuple[str, ...], frozen: tuple[str, ...]
         layers = [part for name, part in network.named_modules() if name.startswith(start)]
         if not layers:
             raise InputError(
-                f"optimizer.frozen: no layer of '{network.config.name}' begins with {start!r}; its "
-                f"parts are {', '.join(parts)}"
+                f"optimizer.frozen: no layer of '{network.config.name}' begins with {start!r}: "
+                f"name layers of its parts, {', '.join(parts)}"
             )
         for layer in layers:
             layer.requires_grad_(False).eval()

@@ -54,8 +54,8 @@ def add_offsets(network: Network, offsets: Mapping[str, float]) -> Network:
     names = [info.name for info in network.config.classes]
     if unknown := [name for name in offsets if name not in names]:
         raise InputError(
-            f"offsets of logits: {shown(unknown[0])} is not a class of the network; its classes "
-            f"are {', '.join(names) or 'none'}"
+            f"offsets of logits: {shown(unknown[0])} is not a class of the network: name some of "
+            f"its classes, {', '.join(names) or 'none'}"
         )
     return _with_bias(network, torch.tensor([offsets.get(name, 0.0) for name in names]))
 

@@ -48,7 +48,7 @@ else:
         Discriminator(
             _kind_of,
             custom_error_type="kind",
-            custom_error_message="unknown kind of data set; known: {known}",
+            custom_error_message="unknown kind of data set: give one of {known}",
             custom_error_context={"known": ", ".join(DATASETS)},
         ),
     ]
@@ -65,7 +65,7 @@ def parse_data(text: str) -> SourceRecipe:
     )
     kind, colon, folder = head.partition(":")
     if not colon:
-        raise InputError(f"--data {text!r}; expected KIND:FOLDER[,KEY=VALUE...]")
+        raise InputError(f"--data {text!r}: write it as KIND:FOLDER[,KEY=VALUE...]")
     try:
         return build(AnySource, {"kind": kind, "path": folder, **table})
     except InputError as error:

@@ -140,5 +140,7 @@ def _read_camera(path: Path) -> tuple[NDArray[np.float64], float]:
             f"({type(error).__name__}: {error}): restore the original file"
         ) from error
     if not (baseline > 0 and fx > 0 and fy > 0):
-        raise DatasetError(f"{path}: baseline {baseline}, fx {fx}, fy {fy}; all must be positive")
+        raise DatasetError(
+            f"{path}: baseline {baseline}, fx {fx}, fy {fy}, all expected above 0: restore the file"
+        )
     return np.array([[fx, 0, u0], [0, fy, v0], [0, 0, 1]], np.float64), fx * baseline

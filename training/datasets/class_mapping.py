@@ -130,7 +130,7 @@ def class_ids(labels: str, table: ClassTable) -> dict[str, int]:
         known = sorted(t for s, t in _MAPPINGS if s == labels)
         name = repr(table) if isinstance(table, str) else "a table of its own"
         raise DatasetError(
-            f"the labels of {labels} are not mapped to the classes of {name}; set the recipe's "
+            f"the labels of {labels} are not mapped to the classes of {name}: set the recipe's "
             f"model.classes to one of {', '.join(known)}, or leave the set out"
         )
     ids = {info.name: index for index, info in enumerate(CLASS_TABLES[table])}

@@ -105,7 +105,8 @@ def require_folder(path: Path, purpose: str) -> Path:
     if not os.path.isdir(path):
         beside = [item.name for item in path.parent.glob("[!.]*/")]
         raise DatasetError(
-            f"{path}: no such folder; expected {purpose}; folders there: {list_names(beside)}"
+            f"{path}: no such folder, expected {purpose}: correct the path (folders there: "
+            f"{list_names(beside)})"
         )
     return path
 

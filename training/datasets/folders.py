@@ -67,7 +67,7 @@ class FoldersRecipe(LabelledRecipe):
     def __post_init__(self) -> None:
         """Check that the ids have one meaning, and the returns one use."""
         if self.scan and self.sparse_depth is not None:
-            raise ValueError("scan and sparse_depth both say what the input is; set one of them")
+            raise ValueError("scan and sparse_depth both say what the input is: set one of them")
         super().__post_init__()
 
     @property
@@ -140,8 +140,8 @@ class FoldersRecipe(LabelledRecipe):
         text += "frames lack it)"
         if len(lacking) == len(frames) or self.missing == "error":
             raise DatasetError(
-                f"{text}: add the files, or leave the folder out; where single files are missing, "
-                'missing = "skip-target" leaves out the target of their frames'
+                f'{text}: add the files, leave the folder out, or set missing = "skip-target", '
+                "which leaves out the target of the frames whose file is missing"
             )
         tqdm.write(f"warning: {text}: not a target, or no LiDAR, there", file=sys.stderr)
 
@@ -179,13 +179,13 @@ def _report_unread(
     )
     texts = []
     if inner:
-        texts.append(f"{folder}: images in {list_names(inner)} are not read; move them up")
+        texts.append(f"{folder}: images in {list_names(inner)} are not read: move them up")
     if others:
         kinds = ", ".join(
             f"{number} {kind or 'without a suffix'}" for kind, number in others.items()
         )
         texts.append(
-            f"{folder}: files that are no PNG or JPEG are not read ({kinds}); convert images"
+            f"{folder}: files that are no PNG or JPEG are not read ({kinds}): convert images"
         )
     for below, found in files.items():
         if names := found.keys() - {frame.name for frame in frames}:
@@ -202,8 +202,8 @@ def _report_unread(
         for path, orientation in list(turned.items())[:1]:
             texts.append(
                 f"{path}: has the EXIF orientation {orientation}, like {len(turned)} of "
-                f"{len(examined)} files; pixels are used as they are stored, so "
-                "labels and depth must be stored like them: turn the pixels of photos that "
+                f"{len(examined)} files, but pixels are used as they are stored, and labels and "
+                "depth must be stored like them: turn the pixels of photos that "
                 "were labelled upright, or remove the tag"
             )
     for text in texts:

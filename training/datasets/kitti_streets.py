@@ -104,7 +104,7 @@ def _read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
     other = np.setdiff1d(mask, (0, 1, NO_CLASS))
     if other.size:
         raise DatasetError(
-            f"{path}: holds the value {other[0]}; expected 0 = not road, 1 = road, 255 = unknown"
+            f"{path}: holds the value {other[0]}: write 0 = not road, 1 = road, 255 = unknown"
         )
     return mask
 

@@ -48,13 +48,13 @@ class LabelledRecipe(RangeRecipe):
     def __post_init__(self) -> None:
         """Check that the ids have one meaning."""
         if self.label_ids and self.label_classes is not None:
-            raise ValueError("label_ids and label_classes both name the ids; set one of them")
+            raise ValueError("label_ids and label_classes both name the ids: set one of them")
         if (
             self.ignore != NO_CLASS
             and (self.label_ids or {}).get(self.ignore, "ignore") != "ignore"
         ):
             raise ValueError(
-                f"ignore and label_ids give the id {self.ignore} two meanings; drop one"
+                f"ignore and label_ids give the id {self.ignore} two meanings: drop one"
             )
 
     @property
@@ -82,7 +82,7 @@ class LabelledRecipe(RangeRecipe):
             ids = {"ignore": NO_CLASS, **{name: index for index, name in enumerate(names)}}
             if unknown := [name for name in self.label_ids.values() if name not in ids]:
                 raise DatasetError(
-                    f"label_ids: {unknown[0]!r} is no class of model.classes; expected one of "
+                    f"label_ids: {unknown[0]!r} is no class of model.classes: give one of "
                     f"{', '.join(ids)}"
                 )
             named = {index: ids[name] for index, name in self.label_ids.items()}

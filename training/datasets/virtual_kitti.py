@@ -259,7 +259,7 @@ def _read_colors(path: Path, classes: ClassTable) -> _Colors:
     for row in filter(None, map(str.split, read_text(path).splitlines()[1:])):
         name = row[0].split(":")[0]
         if name not in known:
-            raise DatasetError(f"{path}: unknown category {name!r}; known: {', '.join(known)}")
+            raise DatasetError(f"{path}: unknown category {name!r}: give one of {', '.join(known)}")
         try:
             red, green, blue = (int(value) for value in row[-3:])
             color = int.from_bytes((red, green, blue), "big")

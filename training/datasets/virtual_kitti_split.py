@@ -65,7 +65,8 @@ class Selection:
         if not found:
             there = [f"{variant.parent.name}/{variant.name}" for variant in variants]
             raise DatasetError(
-                f"{root}: no frames of the split {self.split!r}; wanted scenes: "
-                f"{', '.join(self.scenes or ['those of the split'])}; variants: "
-                f"{', '.join(self.variants or ['those of the split'])}; found: {list_names(there)}"
+                f"{root}: no frames of the split {self.split!r} in "
+                f"{', '.join(self.scenes or ['its scenes'])} with "
+                f"{', '.join(self.variants or ['its variants'])}: choose among those there, "
+                f"{list_names(there)}"
             )

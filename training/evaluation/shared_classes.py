@@ -113,8 +113,8 @@ def join_names(groups: Mapping[str, Sequence[str]], tables: Iterable[ClassTable]
         for name in names:
             if name.lower() not in known:
                 raise InputError(
-                    f"{group} = {list(names)}: no set and no model has the class {name!r}; they "
-                    f"have {', '.join(sorted(known)) or 'no classes'}"
+                    f"{group} = {list(names)}: no set and no model has the class {name!r}: "
+                    f"leave it out, or name one of theirs ({', '.join(sorted(known)) or 'none'})"
                 )
             if joined.setdefault(name.lower(), group) != group:
                 raise InputError(

@@ -61,7 +61,7 @@ def render(
     step_s = stride / _FRAMES_PER_S
     if (frames - 1) * step_s > _LONGEST_S:
         raise typer.BadParameter(
-            f"a street lasts {_LONGEST_S:.0f} s, not {(frames - 1) * step_s:.1f}; "
+            f"a street lasts {_LONGEST_S:.0f} s, not {(frames - 1) * step_s:.1f}: "
             "ask for fewer frames or a smaller stride",
             param_hint="--frames",
         )

@@ -120,7 +120,7 @@ def test_readers_take_what_is_selected(tmp_path, kind, writer, scenes):
     assert chosen("test", scenes=(scenes[1],), variants=("30-deg-left",)) == [
         f"{scenes[1]}/30-deg-left/0000{n}" for n in range(2)
     ]
-    with pytest.raises(DatasetError, match=f"'val'.*found: {scenes[0]}/30-deg-left"):
+    with pytest.raises(DatasetError, match=f"'val'.*those there, {scenes[0]}/30-deg-left"):
         chosen("val")
     with pytest.raises(DatasetError, match="rain"):
         chosen(variants=("rain",))
