@@ -88,20 +88,8 @@ class OwnFolders:
             DatasetError: for images without labels or depth.
         """
         classes, ids = self._learned_classes()
-        images = self.images.resolve()
-        # The set is the images' folder: a run's files beside it are not files of the data.
-        keys: dict[str, Any] = {"path": images.name, "rgb": "."}
-        for key, folder in (("labels", self.labels), ("depth", self.depth)):
-            if folder is not None:
-                keys[key] = os.path.relpath(folder.resolve(), images)
-        stated: dict[str, Any] = {
-            "label_ids": ids,
-            "scan": None if self.depth is None else True,
-            "depth_scale": self.depth_scale,
-            "intrinsics": self.intrinsics,
-        }
-        keys |= {key: value for key, value in stated.items() if value is not None}
-        frames = FoldersRecipe(**keys).open(images, classes or "camvid")
+        keys = self._keys_of_folders(ids)
+        frames = FoldersRecipe(**keys).open(self.images.resolve(), classes or "camvid")
         count = len(frames)
         if count < _VALIDATION:
             raise InputError(
@@ -111,11 +99,8 @@ class OwnFolders:
         if self.focal_length_px is not None:
             height, width = read_rgb(frames.images[0]).shape[:2]
             keys["intrinsics"] = (*[self.focal_length_px] * 2, (width - 1) / 2, (height - 1) / 2)
-        heights = [_read_height(path) for path in frames.images]
-        rows, _ = network_size(
-            None, (self._common_rows(heights),) * 2, trained_height=init.facts.trained_height
-        )
-        if any(max(height, rows) > LARGEST_RATIO * min(height, rows) for height in heights):
+        rows, fits_all = self._choose_rows(frames.images, init)
+        if not fits_all:
             keys["size"] = rows
         first = count - count // _VALIDATION
         lines = [*_describe(classes, rows, keys, first, count)]
@@ -138,6 +123,30 @@ class OwnFolders:
             raise InputError("--ignore: no class is left to learn: leave out one of them")
         ids = enumerate(info.name if info in learned else "ignore" for info in classes)
         return learned, dict(ids)
+
+    def _keys_of_folders(self, ids: Mapping[int, str] | None) -> dict[str, Any]:
+        """Return the keys of the set: its folders, the names of its ids, and what was stated."""
+        # The set is the images' folder: a run's files beside it are not files of the data.
+        images = self.images.resolve()
+        keys: dict[str, Any] = {"path": images.name, "rgb": "."}
+        for key, folder in (("labels", self.labels), ("depth", self.depth)):
+            if folder is not None:
+                keys[key] = os.path.relpath(folder.resolve(), images)
+        stated: dict[str, Any] = {
+            "label_ids": ids,
+            "scan": None if self.depth is None else True,
+            "depth_scale": self.depth_scale,
+            "intrinsics": self.intrinsics,
+        }
+        return keys | {key: value for key, value in stated.items() if value is not None}
+
+    def _choose_rows(self, images: Sequence[Path], init: Weights) -> tuple[int, bool]:
+        """Return the rows [px] that the network is trained for, and whether all images fit them."""
+        heights = [_read_height(path) for path in images]
+        rows, _ = network_size(
+            None, (self._common_rows(heights),) * 2, trained_height=init.facts.trained_height
+        )
+        return rows, all(max(each, rows) <= LARGEST_RATIO * min(each, rows) for each in heights)
 
     def _common_rows(self, heights: Sequence[int]) -> int:
         """Return the median of the images' rows; report images of a far different number."""
