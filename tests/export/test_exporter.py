@@ -201,7 +201,7 @@ def test_weights_that_are_not_finite_are_refused(lite, tmp_path, name, value):
     damaged = copy.deepcopy(lite)
     damaged.state_dict()[name].view(-1)[1] = value
     save_checkpoint(tmp_path / "c.pt", damaged)
-    with pytest.raises(ExportError, match=f"NaN or Inf in {name}: "):
+    with pytest.raises(ExportError, match=f"NaN or Inf in {name}, so nothing"):
         export_checkpoint(tmp_path / "c.pt", tmp_path / "m.onnx", size=SIZE)
     assert [path.name for path in tmp_path.iterdir()] == ["c.pt"]
 
