@@ -36,9 +36,9 @@ from training.chosen_recipe import read_stages
 from training.datasets.any_source import parse_data
 from training.evaluation.evaluate import evaluate
 from training.recipes.ablation import ROWS
-from training.run import TrainingRun
-from training.run_folder import require_same
-from training.stages import train_stages
+from training.run.run_folder import require_same
+from training.run.stages import train_stages
+from training.run.training_run import TrainingRun
 
 # For each figure: title of its column, factor of its unit, and digits.
 COLUMNS = {

@@ -5,7 +5,7 @@
 Class by class, in steps of 0.5 and then of 0.25, it maximises the sum of the mIoU on CamVid's
 training frames and half of the road's IoU on KITTI's training streets (64 lines), over every n-th
 frame of both. The validation frames are only scored before and after. A recipe passes the last line
-to `training.release.add_offsets`.
+to `training.weights.release.add_offsets`.
 """
 
 import argparse

@@ -3,7 +3,7 @@
 It replaces the paper's encoder (section 2.1.1, `ssdnet.PlainEncoder`), which begins with 64
 channels at full size and takes 62 times as many multiplications as that of `ssdnet-lite`. It was
 designed for 8-bit integers. Weights trained on ImageNet fit it by name, see
-`training.imagenet_weights`; they need RGB normalised by `RGB_MEAN` and `RGB_STD`.
+`training.weights.imagenet_weights`; they need RGB normalised by `RGB_MEAN` and `RGB_STD`.
 """
 
 from collections.abc import Sequence

@@ -9,9 +9,9 @@ adapt("drive.mcap", out="rig")  # a recording without labels
 print(evaluate(["run", "ssdnet-lite"]))  # on the validation set of the run
 ```
 
-The functions that train return a `training.run.RunResult`, whose `path` is the checkpoint.
-`evaluate` scores models on data sets, as `ssdnet-eval` does, and returns the scores. All names are
-loaded on first use (PEP 562), since they need PyTorch.
+The functions that train return a `training.run.training_run.RunResult`, whose `path` is the
+checkpoint. `evaluate` scores models on data sets, as `ssdnet-eval` does, and returns the scores.
+All names are loaded on first use (PEP 562), since they need PyTorch.
 """
 
 from importlib import import_module

@@ -11,18 +11,18 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from training import adaptation
-from training.adaptation import Adapted
-from training.adaptation_frames import describe_recording
 from training.chosen_recipe import inherit_settings, read_stages
-from training.dry_run import dry_run as draw_first_batch
 from training.evaluation.evaluate import evaluate as evaluate
-from training.initial_weights import Weights, find_weights, read_weights
-from training.own_folders import RECIPE_TEXT, OwnFolders, keep_recipe
+from training.fine_tuning import adaptation
+from training.fine_tuning.adaptation import Adapted
+from training.fine_tuning.adaptation_frames import describe_recording
+from training.fine_tuning.own_folders import RECIPE_TEXT, OwnFolders, keep_recipe
 from training.recipe import build_recipe
-from training.run import RunResult, TrainingRun
-from training.stages import Stage, train_stages
-from training.stop_signal import Stop, never
+from training.run.dry_run import dry_run as draw_first_batch
+from training.run.stages import Stage, train_stages
+from training.run.stop_signal import Stop, never
+from training.run.training_run import RunResult, TrainingRun
+from training.weights.initial_weights import Weights, find_weights, read_weights
 
 
 def train(
@@ -40,7 +40,8 @@ def train(
 ) -> RunResult:
     """Train a network with a recipe; an `out` of the same recipe is resumed.
 
-    `training.loop.train` and `training.stages.train_stages` describe what is written to `out`.
+    `training.run.loop.train` and `training.run.stages.train_stages` describe what is written to
+    `out`.
 
     Args:
         recipe: the name of a recipe of the package, or the path of a TOML file.

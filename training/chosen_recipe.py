@@ -16,14 +16,14 @@ from models.registry import find_network
 from runtime.base.checks import shown
 from runtime.base.errors import InputError
 from runtime.files.read_input import read_toml
-from training.initial_weights import Weights, weights_folder
 from training.losses import LossConfig
 from training.losses.terms import PAIR_TERMS, TERMS
 from training.losses.total import gather_weights
 from training.recipe import LoopRecipe, OptimizerRecipe, build_recipe, change
 from training.recipes.registry import RECIPES
-from training.stages import Stage
+from training.run.stages import Stage
 from training.tables import merge
+from training.weights.initial_weights import Weights, weights_folder
 
 
 def read_stages(
@@ -71,7 +71,7 @@ _TAKEN: Mapping[str, tuple[str, ...]] = {
     "optimizer": ("name", "learning_rate", "encoder_rate", "weight_decay", "momentum", "frozen"),
     "loop": ("clip_norm",),
 }
-# Settings of the network that `training.network` takes itself.
+# Settings of the network that `training.run.network` takes itself.
 _COLORS = ("rgb_mean", "rgb_std")
 _DEFAULTS = {
     "loss": asdict(LossConfig()),

@@ -62,7 +62,7 @@ class ModelRecipe:
             exported file: images of a much higher camera are resized to it. None: unknown, so every
             frame runs at its own size.
         pretrained: "imagenet": the encoder starts from weights of ImageNet, see
-            `training.imagenet_weights`, and the images are normalised for them.
+            `training.weights.imagenet_weights`, and the images are normalised for them.
         config: what differs from the named network's configuration, for example `max_depth_m` and
             `canonical_focal_px`, see `models.NetworkConfig`.
     """

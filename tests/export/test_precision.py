@@ -16,7 +16,7 @@ from export.trunk import trunk
 from runtime.app.tools.verify import app as verify_app
 from runtime.contract.agreement import compare
 from runtime.engine.session import open_session
-from training.initial_weights import find_weights
+from training.weights.initial_weights import find_weights
 
 SIZE = (64, 96)
 

@@ -26,9 +26,9 @@ from runtime.base.errors import CheckpointError
 from runtime.contract.contract import ClassInfo
 from training.commands.train import app
 from training.evaluation import cli as evaluation_cli
-from training.initial_weights import read_weights
-from training.network import build_network
 from training.recipe import ModelRecipe
+from training.run.network import build_network
+from training.weights.initial_weights import read_weights
 
 FEATURES = 16
 

@@ -7,7 +7,7 @@ import pytest
 from models import load_checkpoint
 from models.training_facts import TrainingFacts
 from runtime.contract.contract import ClassInfo
-from training.initial_weights import find_weights, list_weights
+from training.weights.initial_weights import find_weights, list_weights
 
 FACTS = TrainingFacts(("camvid",), "research", 400, {"model": {"classes": "cityscapes"}})
 

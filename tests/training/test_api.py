@@ -11,7 +11,7 @@ def test_the_names_are_loaded_on_first_use():
     code = (
         "import sys, training\n"
         "assert 'torch' not in sys.modules\n"
-        "import training.adaptation, training.evaluation.evaluate, training.loop\n"
+        "import training.fine_tuning.adaptation, training.evaluation.evaluate, training.run.loop\n"
         "assert all(callable(getattr(training, name)) for name in training.__all__)\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

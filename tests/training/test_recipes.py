@@ -21,13 +21,13 @@ from models import (
 )
 from models.registry import NETWORKS, Entry
 from training.chosen_recipe import read_stages
-from training.initial_weights import read_weights
-from training.loop import train
 from training.losses.terms import TERMS
-from training.network import build_network
 from training.recipes.registry import RECIPES
-from training.run import TrainingRun
-from training.stages import Trained
+from training.run.loop import train
+from training.run.network import build_network
+from training.run.stages import Trained
+from training.run.training_run import TrainingRun
+from training.weights.initial_weights import read_weights
 
 # What a set of each kind can be scored on.
 SCORES = {
@@ -80,7 +80,7 @@ def shrunk_networks(request, monkeypatch):
     """
     whole = len(RECIPES[request.node.callspec.params["name"]].stages) > 1
     if not whole:
-        monkeypatch.setattr("training.network.pretrain", lambda network, *_, **__: network)
+        monkeypatch.setattr("training.run.network.pretrain", lambda network, *_, **__: network)
     for name, (network, config) in NETWORKS.items():
         if isinstance(config, SSDNetConfig):
             encoder = {

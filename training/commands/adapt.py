@@ -70,7 +70,7 @@ def _next_commands(
     recording: str, files: dict[str, Path | None], checkpoint: Path
 ) -> tuple[list[str], list[str]]:
     """Return the commands that export the adapted model and run it on the recording."""
-    from training.adaptation_frames import is_named
+    from training.fine_tuning.adaptation_frames import is_named
 
     model = str(checkpoint.with_suffix(".onnx"))
     source = ["--source", recording] if is_named(recording) else [recording]

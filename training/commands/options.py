@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from runtime.command.process import INTERRUPTED, reported_errors
-from training.stop_signal import Stop, stop_signal
+from training.run.stop_signal import Stop, stop_signal
 
 if TYPE_CHECKING:  # heavy, and --help is to be quick
-    from training.run import RunResult
+    from training.run.training_run import RunResult
 
 
 # How each of these commands ends, for its help.

@@ -12,7 +12,7 @@ from training.datasets.sample import SampleSource
 from training.datasets.source_recipe import SourceRecipe
 from training.loading.open_dataset import open_dataset
 from training.recipe import Recipe
-from training.run_folder import DATA_FOLDERS
+from training.run.run_folder import DATA_FOLDERS
 from training.tables import build
 
 

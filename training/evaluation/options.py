@@ -11,10 +11,10 @@ from runtime.contract.network_size import NetworkSize
 from runtime.files.atomic_write import require_writable
 from training.datasets.any_source import parse_data
 from training.datasets.source_recipe import SourceRecipe
-from training.distributed import parse_device
 from training.evaluation.depth_folder import DepthFolder
 from training.lidar.faults import Fault
 from training.lidar.split import LidarInput
+from training.run.distributed import parse_device
 
 
 @dataclass(frozen=True, kw_only=True)

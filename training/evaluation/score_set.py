@@ -13,7 +13,6 @@ from runtime.base.errors import InputError
 from runtime.contract.contract import NO_CLASS
 from training.datasets.class_mapping import list_classes
 from training.datasets.sample import Sample, SampleSource
-from training.distributed import Processes
 from training.evaluation.depth_folder import DepthFolder
 from training.evaluation.metrics import FARTHEST_M
 from training.evaluation.score_report import Row
@@ -22,6 +21,7 @@ from training.evaluation.scoring import HeadMaps, Scores, figures_over_places
 from training.evaluation.shared_classes import ScoredClasses
 from training.lidar.faults import Fault, add_fault
 from training.lidar.split import LidarInput, LidarSplit, frame_generator, split_lidar
+from training.run.distributed import Processes
 
 # A LiDAR input and its fault.
 Feed = tuple[LidarInput, Fault]

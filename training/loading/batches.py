@@ -12,11 +12,11 @@ from torch.utils.data import DataLoader
 from runtime.base.errors import DatasetError
 from runtime.command.process import leave_signals_to_parent
 from training.datasets.sample import SampleSource
-from training.distributed import Processes
 from training.loading.batch import Batch
 from training.loading.mixture import CachedSource, Mixture, MixturePart
 from training.recipe import DataRecipe
-from training.task import Task
+from training.run.distributed import Processes
+from training.run.task import Task
 
 
 @contextmanager

@@ -16,7 +16,6 @@ from training.datasets.virtual_kitti import RenderedRecipe
 from training.loading.augment_config import AugmentConfig
 from training.losses import LossConfig
 from training.losses.terms import DEPTH_ALONE
-from training.prune import prune_trunk
 from training.recipe import (
     DataRecipe,
     LoopRecipe,
@@ -28,8 +27,9 @@ from training.recipe import (
     ValidationRecipe,
     derive,
 )
-from training.release import add_offsets
-from training.stages import Stage, Trained
+from training.run.stages import Stage, Trained
+from training.weights.prune import prune_trunk
+from training.weights.release import add_offsets
 
 _CAMVID = CamVidRecipe(path="camvid", weight=0.3)
 _STREETS = KittiStreetsRecipe(path="kitti_streets", first=2, last=69, weight=0.26)

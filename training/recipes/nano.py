@@ -5,8 +5,8 @@ Crops, pairs of shifted views, the depth alone, which is the recipe nano-depth, 
 
 from training.recipe import derive
 from training.recipes import lite
-from training.release import add_offsets
-from training.stages import Stage
+from training.run.stages import Stage
+from training.weights.release import add_offsets
 
 CROPS = derive(
     lite.CROPS,

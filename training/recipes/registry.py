@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from types import ModuleType
 
 from training.recipes import ablation, comparison, kitti_depth, lite, nano, paper
-from training.stages import Stage
+from training.run.stages import Stage
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""Checkpoints that are installed with the package, see `training.initial_weights`."""
+"""Checkpoints that are installed with the package, see `training.weights.initial_weights`."""

@@ -10,14 +10,14 @@ from runtime.drawing.overlay import Overlay
 from runtime.files.atomic_write import atomic_write
 from training.datasets.class_mapping import list_classes
 from training.datasets.sample import SampleSource
-from training.distributed import join_processes
 from training.evaluation.pictures import draw_batch
 from training.loading.batches import read_batches
 from training.loading.open_dataset import spread_indices
-from training.run import RunResult, TrainingRun
-from training.run_folder import BATCH, folder_errors
-from training.stages import Stage, next_stage
-from training.task import Task, open_task
+from training.run.distributed import join_processes
+from training.run.run_folder import BATCH, folder_errors
+from training.run.stages import Stage, next_stage
+from training.run.task import Task, open_task
+from training.run.training_run import RunResult, TrainingRun
 
 # Samples of the batch that are drawn, and frames of each set that are described.
 _DRAWN, _DESCRIBED = 8, 50

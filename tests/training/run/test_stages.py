@@ -11,7 +11,6 @@ from runtime.base.errors import InputError
 from training.commands.train import app
 from training.datasets.camvid import CamVidRecipe
 from training.loading.augment_config import AugmentConfig
-from training.prune import prune_trunk
 from training.recipe import (
     DataRecipe,
     LoopRecipe,
@@ -22,9 +21,10 @@ from training.recipe import (
     derive,
 )
 from training.recipes.registry import RECIPES, PackageRecipe
-from training.release import add_offsets, mix_weights
-from training.run import TrainingRun
-from training.stages import Stage, train_stages
+from training.run.stages import Stage, train_stages
+from training.run.training_run import TrainingRun
+from training.weights.prune import prune_trunk
+from training.weights.release import add_offsets, mix_weights
 
 pytestmark = pytest.mark.usefixtures("tiny_lite")
 

@@ -12,7 +12,6 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from models import Network
-from training.distributed import Processes
 from training.evaluation.evaluate import Evaluation
 from training.evaluation.pictures import draw_pictures
 from training.evaluation.score_set import EvaluatedSet, Feed, Result, score_set
@@ -20,11 +19,12 @@ from training.evaluation.scored_model import open_network
 from training.evaluation.scoring import scored_classes
 from training.evaluation.shared_classes import ScoredClasses
 from training.lidar.split import LidarInput
-from training.run_folder import folder_errors
-from training.score_table import SHOWN
-from training.state import Step
-from training.stop_signal import Stop, StopRequested, Watched
-from training.task import Task
+from training.run.distributed import Processes
+from training.run.run_folder import folder_errors
+from training.run.score_table import SHOWN
+from training.run.state import Step
+from training.run.stop_signal import Stop, StopRequested, Watched
+from training.run.task import Task
 
 
 class Board:

@@ -13,8 +13,8 @@ from models import Network, load_checkpoint
 from models.training_facts import TrainingFacts
 from runtime.base.errors import CheckpointError, InputError
 from training.losses import LossConfig
-from training.prune import trunk_of, trunk_widths
 from training.recipe import Recipe
+from training.weights.prune import trunk_of, trunk_widths
 
 # Layers with weights for each class.
 _CLASS_LAYERS = ("semantic_head.", "semantic_coarse_head.")
@@ -104,7 +104,7 @@ def start_from(network: Network, init: Weights, *, resumed: bool = False) -> Non
             raise CheckpointError(
                 f"{init.path}: its trunk has other widths than model.config.encoder_widths = "
                 f"{list(new)}: set that to {list(old)}, or prune the checkpoint first "
-                "(`training.prune.prune_trunk`)"
+                "(`training.weights.prune.prune_trunk`)"
             )
     known = source.state_dict() if type(source) is type(network) else {}
     wanted = {k: v for k, v in network.state_dict().items() if k not in _SETTINGS}

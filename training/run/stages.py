@@ -11,13 +11,13 @@ from models import Network, load_checkpoint, save_checkpoint
 from models.checkpoint import FINAL, RECIPE
 from runtime.base.errors import InputError
 from runtime.files.atomic_write import atomic_write
-from training.distributed import join_processes
-from training.initial_weights import read_weights
 from training.loading.open_dataset import open_dataset, spread_pictures
-from training.loop import train
 from training.recipe import Recipe
-from training.run import RunResult, TrainingRun
-from training.run_folder import folder_errors
+from training.run.distributed import join_processes
+from training.run.loop import train
+from training.run.run_folder import folder_errors
+from training.run.training_run import RunResult, TrainingRun
+from training.weights.initial_weights import read_weights
 
 # The file in a stage's folder with the result of its call on the trained weights.
 RESULT = "result.pt"

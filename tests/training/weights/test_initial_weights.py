@@ -21,7 +21,10 @@ from runtime.recordings.bundled_stream import bundled_stream
 from training.chosen_recipe import read_stages
 from training.commands.train import app
 from training.datasets.camvid import CamVidRecipe
-from training.initial_weights import (
+from training.losses import LossConfig
+from training.recipe import DataRecipe, ModelRecipe, Recipe, ScheduleRecipe, derive
+from training.recipes.registry import RECIPES
+from training.weights.initial_weights import (
     IMAGENET_TERMS,
     find_weights,
     list_weights,
@@ -29,9 +32,6 @@ from training.initial_weights import (
     read_weights,
     state_provenance,
 )
-from training.losses import LossConfig
-from training.recipe import DataRecipe, ModelRecipe, Recipe, ScheduleRecipe, derive
-from training.recipes.registry import RECIPES
 
 RECIPE = """
 [data]

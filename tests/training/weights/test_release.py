@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from models import create_model
-from training.release import adjust_logits
+from training.weights.release import adjust_logits
 
 BIAS = "semantic_head.bias"
 

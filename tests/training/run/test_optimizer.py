@@ -8,9 +8,9 @@ import torch
 from models import create_model
 from runtime.base.errors import InputError
 from training.losses import LossConfig, SSDNetLoss
-from training.optimizer import build_optimizer
 from training.recipe import OptimizerRecipe, ScheduleRecipe
-from training.state import exponential_average, learning_rate
+from training.run.optimizer import build_optimizer
+from training.run.state import exponential_average, learning_rate
 
 
 def loss(config):

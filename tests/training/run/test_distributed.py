@@ -15,7 +15,7 @@ from torch import nn
 
 from layouts.pictures import write
 from models import load_checkpoint
-from training.distributed import Processes, share_batch_norm
+from training.run.distributed import Processes, share_batch_norm
 
 # Every term of the loss, on a set whose frames differ in how much of them is known. PyTorch is
 # imported once; the processes of each run are forked, with the environment that torchrun sets.
@@ -31,12 +31,13 @@ NETWORKS["ssdnet-small"] = Entry(SSDNet, replace(
     encoder_blocks=(1, 1, 1, 1), decoder_channels=(8, 8, 8, 8), boundary_channels=4,
 ))
 torch.set_num_threads(1)
-from training import loop, state
+from training.run import loop
+from training.run import state
 from training.datasets.folders import FoldersRecipe
 from training.loading.augment import AugmentConfig
 from training.losses import LossConfig
 from training.recipe import *
-from training.run import TrainingRun
+from training.run.training_run import TrainingRun
 source = FoldersRecipe(
     path="scenes", labels="labels", depth="depth", intrinsics=(60.0, 60.0, 28.0, 20.0)
 )

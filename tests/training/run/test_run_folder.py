@@ -9,7 +9,7 @@ from models.checkpoint import RECIPE
 from runtime.base.errors import InputError
 from training.datasets.camvid import CamVidRecipe
 from training.recipe import DataRecipe, ModelRecipe, Recipe, ScheduleRecipe, derive
-from training.run_folder import list_data, prepare_folder
+from training.run.run_folder import list_data, prepare_folder
 
 SET = CamVidRecipe(path="camvid")
 FILES = {"camvid": {"files": 3, "sha256": "0"}}

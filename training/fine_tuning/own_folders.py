@@ -22,8 +22,8 @@ from runtime.files.atomic_write import atomic_write
 from runtime.files.read_input import MAX_FILE_BYTES, open_input, read_text
 from runtime.recordings.images import image_size, read_rgb
 from training.datasets.folders import FoldersRecipe
-from training.initial_weights import Weights
-from training.run_folder import folder_errors
+from training.run.run_folder import folder_errors
+from training.weights.initial_weights import Weights
 
 # The file of the recipe in a run's folder.
 RECIPE_TEXT = "recipe.toml"

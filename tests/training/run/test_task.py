@@ -8,12 +8,12 @@ import torch
 
 from layouts.pictures import write
 from runtime.base.errors import InputError
-from training.distributed import Processes
 from training.losses.terms import TERMS
 from training.recipe import Recipe
-from training.run import TrainingRun
+from training.run.distributed import Processes
+from training.run.task import open_task
+from training.run.training_run import TrainingRun
 from training.tables import build, merge
-from training.task import open_task
 
 RECIPE = {
     "model": {
@@ -114,7 +114,7 @@ def test_a_network_that_needs_more_classes_is_refused(start, monkeypatch):
     def divide(name, **config):
         return len(config["classes"]) // 0
 
-    monkeypatch.setattr("training.network.create_model", divide)
+    monkeypatch.setattr("training.run.network.create_model", divide)
     with pytest.raises(InputError, match=r"cannot be built with its classes.* by zero"):
         start({"model": {"name": "espnet"}})
 

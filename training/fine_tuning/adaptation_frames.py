@@ -20,8 +20,8 @@ from runtime.recordings.source import ListedFrame, Source
 from runtime.streams.frame import Frame
 from training.datasets.recording import RecordingRecipe, beside
 from training.evaluation.metrics import FARTHEST_M
-from training.run_folder import folder_errors
-from training.stop_signal import Stop, StopRequested
+from training.run.run_folder import folder_errors
+from training.run.stop_signal import Stop, StopRequested
 from training.tables import build
 
 # Largest number of frames that are read, and their least number.

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from models.efficientnet_lite import RGB_MEAN, RGB_STD, EfficientNetLite
-from training.imagenet_weights import PACKAGE, load_imagenet
+from training.weights.imagenet_weights import PACKAGE, load_imagenet
 
 REFERENCE = "efficientnet_lite_pytorch"
 

@@ -22,9 +22,7 @@ from runtime.base.errors import InputError
 from runtime.contract.contract import MIN_SIDE
 from runtime.engine.cores import available_cores
 from training.datasets.sample import SampleSource
-from training.distributed import Processes
 from training.evaluation.scoring import figure_names
-from training.initial_weights import prepare_teacher, state_provenance
 from training.lidar.split import LidarInput
 from training.loading.augment_config import PAIR_STEP_PX, with_crop
 from training.loading.mixture import DepthTarget
@@ -38,11 +36,13 @@ from training.loading.open_dataset import (
 )
 from training.losses import SSDNetLoss, class_weights
 from training.losses.terms import Term
-from training.network import build_network
-from training.optimizer import build_optimizer
 from training.recipe import DataRecipe, OptimizerRecipe, Recipe, ValidationRecipe
-from training.run import TrainingRun
-from training.stop_signal import Stop, Watched
+from training.run.distributed import Processes
+from training.run.network import build_network
+from training.run.optimizer import build_optimizer
+from training.run.stop_signal import Stop, Watched
+from training.run.training_run import TrainingRun
+from training.weights.initial_weights import prepare_teacher, state_provenance
 
 # Frames of a validation set that are scored ahead of the training, to know its scores.
 _SCORED = 20

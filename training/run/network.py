@@ -7,10 +7,10 @@ from torch import Tensor
 
 from models import Network, create_model
 from runtime.base.errors import InputError
-from training.imagenet_weights import COLORS, pretrain
-from training.initial_weights import Weights, start_from
-from training.prune import trunk_of
 from training.recipe import ModelRecipe
+from training.weights.imagenet_weights import COLORS, pretrain
+from training.weights.initial_weights import Weights, start_from
+from training.weights.prune import trunk_of
 
 
 def build_network(

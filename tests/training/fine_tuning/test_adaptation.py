@@ -13,9 +13,11 @@ from models import SSDNetLite, SSDNetLiteConfig, create_model, load_checkpoint, 
 from runtime.base.errors import InputError
 from runtime.recordings.bundled_stream import bundled_frames
 from runtime.recordings.source import ListedFrame
-from training import adaptation as adapting
-from training.adaptation import FEEDS, adapt, make_recipe, split_fed
-from training.adaptation_frames import (
+from training.commands.adapt import app
+from training.evaluation.scoring import HeadMaps
+from training.fine_tuning import adaptation as adapting
+from training.fine_tuning.adaptation import FEEDS, adapt, make_recipe, split_fed
+from training.fine_tuning.adaptation_frames import (
     LEAST_FRAMES,
     LEAST_RETURNS,
     MOST_FRAMES,
@@ -23,13 +25,11 @@ from training.adaptation_frames import (
     describe_recording,
     find_frames,
 )
-from training.commands.adapt import app
-from training.evaluation.scoring import HeadMaps
-from training.initial_weights import read_weights
 from training.loading.lidar_input import draw_lidar
 from training.loading.open_dataset import open_dataset
-from training.run import TrainingRun
-from training.stop_signal import never
+from training.run.stop_signal import never
+from training.run.training_run import TrainingRun
+from training.weights.initial_weights import read_weights
 
 SIZE, FOCAL_PX = (96, 160), 120.0
 STEPS = ["schedule.steps = 1", "schedule.warmup_steps = 0", "data.augment.crop = [64, 96]"]

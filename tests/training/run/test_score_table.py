@@ -4,7 +4,7 @@ import csv
 
 import pytest
 
-from training.score_table import ScoreTable
+from training.run.score_table import ScoreTable
 
 
 def rows(path):

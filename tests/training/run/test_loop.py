@@ -16,11 +16,9 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from layouts.virtual_kitti import write_second_edition
 from models import create_model, load_checkpoint
 from runtime.base.errors import CheckpointError, DatasetError, InputError, OutputError
-from training import loop, validation
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.evaluate import evaluate
-from training.initial_weights import read_weights
 from training.loading.augment_config import AugmentConfig
 from training.losses import LossConfig
 from training.losses.terms import TERMS
@@ -35,9 +33,11 @@ from training.recipe import (
     ValidationRecipe,
     derive,
 )
-from training.run import TrainingRun
-from training.run_folder import lock_folder
-from training.state import NonFiniteLossError
+from training.run import loop, validation
+from training.run.run_folder import lock_folder
+from training.run.state import NonFiniteLossError
+from training.run.training_run import TrainingRun
+from training.weights.initial_weights import read_weights
 
 pytestmark = pytest.mark.usefixtures("tiny_lite")
 

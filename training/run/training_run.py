@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from training.initial_weights import Weights
-from training.stop_signal import Stop, never
+from training.run.stop_signal import Stop, never
+from training.weights.initial_weights import Weights
 
 
 @dataclass(frozen=True)

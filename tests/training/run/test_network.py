@@ -9,12 +9,12 @@ from models import CLASS_TABLES, create_model, save_checkpoint
 from models.efficientnet_lite import WIDTHS as EFFICIENTNET_WIDTHS
 from models.efficientnet_lite import EfficientNetLite
 from runtime.base.errors import CheckpointError, InputError
-from training.imagenet_weights import PACKAGE, load_imagenet
-from training.initial_weights import read_weights
-from training.network import build_network
-from training.optimizer import train_parts
-from training.prune import prune_trunk
 from training.recipe import ModelRecipe
+from training.run.network import build_network
+from training.run.optimizer import train_parts
+from training.weights.imagenet_weights import PACKAGE, load_imagenet
+from training.weights.initial_weights import read_weights
+from training.weights.prune import prune_trunk
 
 
 def test_init_does_not_take_one_class_for_another(tmp_path, capsys):

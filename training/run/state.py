@@ -15,10 +15,10 @@ from models import Network, NetworkOutput, load_checkpoint, save_checkpoint
 from runtime.base.checks import shown
 from runtime.base.errors import CheckpointError, InputError, SSDNetError
 from runtime.files.atomic_write import atomic_write
-from training.distributed import Processes, share_network
 from training.loading.batch import Batch
 from training.recipe import ScheduleRecipe
-from training.task import Task
+from training.run.distributed import Processes, share_network
+from training.run.task import Task
 
 # `Network.forward`, or its distributed wrapper.
 Forward = Callable[..., NetworkOutput]

@@ -1,0 +1,1 @@
+"""Trainings that begin with weights: own folders with labels, and recordings without them."""

@@ -1,0 +1,1 @@
+"""A run of a recipe: its loop, its state, its validations and its folder."""
