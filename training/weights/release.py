@@ -35,7 +35,15 @@ def mix_weights(before: Network, after: Network, share: float) -> Network:
         before: the network with which the training began.
         after: the trained network, with the same configuration.
         share: share of the trained weights, 0..1.
+
+    Raises:
+        InputError: if the configurations differ.
     """
+    if before.config != after.config:
+        raise InputError(
+            "weights before and after the training are not of one network: train without changes "
+            "of [model]"
+        )
     old, mixed = before.state_dict(), copy.deepcopy(after)
     state = mixed.state_dict()
     for name, value in state.items():

@@ -147,6 +147,9 @@ def test_mixed_weights_lie_between_those_of_two_networks():
     for name, value in mix_weights(before, after, 0.25).state_dict().items():
         expected = 0.75 * old[name] + 0.25 * new[name] if value.is_floating_point() else new[name]
         torch.testing.assert_close(value, expected)
+    after.config = replace(after.config, canonical_focal_px=500.0)
+    with pytest.raises(InputError, match="not of one network"):
+        mix_weights(before, after, 0.25)
 
 
 def test_a_run_of_one_stage_releases_what_its_call_makes(data, tmp_path):
