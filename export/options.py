@@ -44,6 +44,12 @@ class ExportOptions:
 
     def __post_init__(self) -> None:
         """Check the facts of the file, and that it and the other targets can be written."""
+        try:
+            object.__setattr__(self, "precision", Precision(self.precision))
+        except ValueError:
+            raise InputError(
+                f"precision {self.precision!r} is unknown: give one of {', '.join(Precision)}"
+            ) from None
         is_int8 = self.precision is Precision.INT8
         if is_int8 and not (self.calibrate and self.validate):
             raise InputError("int8 needs data: give calibrate, and validate with ground truth")

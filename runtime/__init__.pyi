@@ -7,7 +7,9 @@ from runtime.alignment.calibrate import (
 )
 from runtime.alignment.fit_scores import FitScores as FitScores
 from runtime.base.errors import (
+    CheckpointError as CheckpointError,
     ContractError as ContractError,
+    DatasetError as DatasetError,
     InferenceError as InferenceError,
     InputError as InputError,
     OutputError as OutputError,

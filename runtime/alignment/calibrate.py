@@ -28,8 +28,8 @@ _THUMBNAIL = 64, 24  # columns and rows of the boundary by which scenes are told
 _FAR_M = 3.0  # a position beyond this may have another unit
 # What standard errors do not contain, for yaw, pitch and roll [degrees], 95 %. One part is a
 # deviation of the network that is the same in all frames. The other is the same in the frames of
-# one scene and averages out over several scenes. For a vehicle that was not measured they are not
-# less than Student's quantile times what three vehicles were off by (benchmarks/calibration.py).
+# one scene and averages out over several scenes. For a vehicle that was not measured they may be
+# too small: docs/results.md has the factors that two vehicles give (benchmarks/calibration.py).
 _FLOOR_DEGREES = np.array([0.25, 0.45, 0.9])
 _SCENE_DEGREES = np.array([0.5, 1.3, 4.4])
 # An axis counts as seen if 95 % of the answers lie within this.

@@ -1,1 +1,1 @@
-"""The commands: ssdnet-run, its outputs and pictures, and the tools."""
+"""The commands of the engine: ssdnet-run with its outputs, and the tools."""

@@ -73,10 +73,10 @@ class Contract:
             `runtime.contract.canonical_focal`; None: plain metres.
         giga_macs: multiply-accumulate operations for a frame of `native_size`, in billions; None:
             not counted.
-        accuracy: measured with this file: "repeat", the command, and "rows", each with data, lidar,
-            frames, miou (0..1) and mae_m; None: not measured.
-        quantization: for an "int8" file, the calibration data, the convolutions left in float, and
-            the rows of `accuracy` in single precision; else None.
+        accuracy: measured with this file: "repeat", the command, and "rows", the
+            scores on each data set with each LiDAR; None: not measured.
+        quantization: for an "int8" file, the calibration data, the convolutions left in float, the
+            rows of `accuracy` in single precision, and what was not measured; else None.
         content: the bytes of the file before this document; `with_contract` fills it in.
     """
 

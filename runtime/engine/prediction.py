@@ -66,7 +66,7 @@ class HeadArrays:
 
     @property
     def boundary(self) -> NDArray[np.float32] | None:
-        """Probability 0..1 of an object's boundary, float32 (H, W); None without that head."""
+        """Probability 0..1 of a boundary between classes, float32 (H, W); None without it."""
         return self.heads.get("boundary")
 
     @property

@@ -103,7 +103,10 @@ class FolderSource(Source):
         given = self._given = FolderOptions(**options)
         self._rig, poses, points, calibration = rig, given.poses, given.points, rig.calibration
         if (poses is None) != (rig.pose_frame is None):
-            raise InputError("give --poses and pose_frame= in --source together")
+            raise InputError(
+                "poses and their frame go together: give --poses and pose_frame= in --source (in "
+                "Python poses= and Rig(pose_frame=))"
+            )
         if poses is not None and points is None:
             raise InputError(f"the poses in {poses} move scans: give --points")
         if points is not None and given.depth is not None:

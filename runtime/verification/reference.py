@@ -34,6 +34,7 @@ from runtime.contract.network_size import NetworkSize
 from runtime.files.own_folder import atomic_folder
 from runtime.files.read_input import open_input, read_text
 
+# The names of format and file are those of earlier releases, whose references are still read.
 REFERENCE_FORMAT, REFERENCE_VERSION = "ssdnet-recording", "2.1"
 _READ_VERSIONS = ("2.0", REFERENCE_VERSION)  # version 2.0 does not name the software that wrote it
 REFERENCE_FILE, MODEL_FILE = "recording.json", "model.onnx"

@@ -11,11 +11,14 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 from typer.testing import CliRunner
 
+import export
 from export import build
 from export.cli import app
 from export.errors import ExportError
 from export.exporter import export_checkpoint
+from export.options import ExportOptions
 from export.parity import measure_parity
+from export.precision import Precision
 from export.probe_frames import probe_frames
 from models import CAMVID_CLASSES, load_checkpoint, save_checkpoint
 from models.checkpoint import FINAL, RECIPE
@@ -256,3 +259,14 @@ def test_probe_frames_hold_what_they_are_named_after():
     for kind in (np.isnan, np.isposinf, np.isneginf, lambda d: d == -5, lambda d: d == 500):
         assert 0 < kind(faulty).mean() < 0.05
     assert frames["full"].rgb.std() > 20
+
+
+def test_a_precision_may_be_a_text(tmp_path):
+    options = ExportOptions(checkpoint=tmp_path, target=tmp_path / "m.onnx", precision="fp16")
+    assert options.precision is Precision.FP16
+    with pytest.raises(InputError, match="'fp8' is unknown: give one of fp32, fp16, int8"):
+        ExportOptions(checkpoint=tmp_path, target=tmp_path / "m.onnx", precision="fp8")
+
+
+def test_what_an_export_takes_and_returns_is_importable_from_the_package():
+    assert all(getattr(export, name).__name__ == name for name in export.__all__)

@@ -1,1 +1,1 @@
-"""Checkpoints that are installed with the package, see `training.weights.initial_weights`."""
+"""The weights with which a training begins, what changes weights, and the installed checkpoints."""

@@ -165,7 +165,7 @@ class RunOptions:
     )
     overwrite: bool = _outputs(
         "Replace the files of an earlier run in --out, and the files that the options below name. "
-        "Files that ssdnet-run did not write are never replaced.",
+        "Other files in --out are never replaced.",
         flag="--overwrite",
         default=False,
     )
@@ -209,7 +209,7 @@ class RunOptions:
         max=1e3,
     )
     record: Path | None = _outputs(
-        "Keep frames, answers and model as a reference for ssdnet-verify; about 17 bytes per pixel "
+        "Keep frames, answers and model as a reference for ssdnet-verify; about 9 bytes per pixel "
         "and frame.",
         metavar="DIR",
     )

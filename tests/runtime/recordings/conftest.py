@@ -6,10 +6,10 @@ import json
 import cv2
 import numpy as np
 import pytest
-from small_rig import INTRINSICS, MS, SIZE, START_NS, add_tree
 from typer.testing import CliRunner
 
 from runtime.app.run.cli import app
+from small_rig import INTRINSICS, MS, SIZE, START_NS, add_tree
 
 
 @pytest.fixture

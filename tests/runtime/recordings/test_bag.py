@@ -5,10 +5,10 @@ import builtins
 import cv2
 import numpy as np
 import pytest
-from small_rig import MS, SIZE, START_NS, projected
 
 from runtime import InputError
 from runtime.recordings.bag import BagSource
+from small_rig import MS, SIZE, START_NS, projected
 
 pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
 

@@ -3,9 +3,9 @@
 import signal
 
 import pytest
-from small_rig import MS, SIZE, START_NS
 
 from runtime import Predictor
+from small_rig import MS, SIZE, START_NS
 
 pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
 

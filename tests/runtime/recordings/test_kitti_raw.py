@@ -6,11 +6,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from small_rig import SIZE, agree, projected
 
 from runtime import InputError
 from runtime.recordings.images import read_sparse_depth
 from runtime.recordings.kitti_raw import KittiRawSource
+from small_rig import SIZE, agree, projected
 
 CAMERAS = """calib_time: 09-Jan-2012 13:57:47
 S_rect_02: 64 48

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_rig import SIZE, projected
 from typer.testing import CliRunner
 
 from runtime import InputError
@@ -15,6 +14,7 @@ from runtime.geometry.rig import Rig
 from runtime.recordings.layouts import KittiObjectSource
 from runtime.recordings.registry import detect_source, open_source
 from runtime.verification.reference import read_reference
+from small_rig import SIZE, projected
 
 N = 3
 IMAGE, DEPTH, SCAN = "an image", "a depth map", "a scan"

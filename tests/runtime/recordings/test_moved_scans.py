@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_rig import INTRINSICS, MS, SIZE, START_NS, agree, projected
 
 from runtime import InputError
 from runtime.geometry.poses import PoseFrame
 from runtime.geometry.rig import Rig
 from runtime.recordings.bag import BagSource
 from runtime.recordings.folders import FolderSource
+from small_rig import INTRINSICS, MS, SIZE, START_NS, agree, projected
 
 DATA = os.environ.get("SSDNET_DATA")
 N = 6
@@ -129,8 +129,8 @@ def test_each_return_is_moved_by_the_column_of_its_time(folders, make_scan):
 
 
 @pytest.mark.parametrize(("change", "message"), [
-    ({"pose_frame": None}, "--poses and pose_frame= in --source together"),
-    ({"poses": None}, "--poses and pose_frame= in --source together"),
+    ({"pose_frame": None}, "--poses and pose_frame= in --source"),
+    ({"poses": None}, "--poses and pose_frame= in --source"),
     ({"timestamps": "short.txt"}, "short.txt has 2 lines, there are 12 images"),
     ({"timestamps": "back.txt"}, "line 2 of .*back.txt is '1.0', expected a later time"),
     ({"timestamps": "words.txt"}, "line 1 of .*words.txt is 'noon', expected seconds"),

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from small_rig import INTRINSICS, MS, OPTICAL, SIZE, START_NS, projected
 
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.rig import Rig
@@ -10,6 +9,7 @@ from runtime.recordings.bag import BagSource
 from runtime.recordings.ros_answers import status_fields
 from runtime.recordings.ros_poses import TransformTree
 from runtime.streams.stream_counter import WatchdogLevel, WatchdogState
+from small_rig import INTRINSICS, MS, OPTICAL, SIZE, START_NS, projected
 
 rosbags = pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
 

@@ -6,12 +6,12 @@ import sqlite3
 import struct
 
 import pytest
-from small_rig import MS, START_NS
 
 import runtime.recordings.ros_bag
 from runtime import InputError
 from runtime.recordings.bag import BagSource
 from runtime.recordings.ros_bag import RosBag
+from small_rig import MS, START_NS
 
 pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from small_rig import INTRINSICS, MS, SIZE, START_NS, add_tree, projected
 
 from runtime import InputError
 from runtime.recordings.bag import BagSource
+from small_rig import INTRINSICS, MS, SIZE, START_NS, add_tree, projected
 
 pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from small_rig import INTRINSICS, MS, SIZE, START_NS, add_tree, projected
 
 from runtime import InputError, Rig
 from runtime.recordings.bag import BagSource
 from runtime.recordings.ros_topics import Role, role_of
+from small_rig import INTRINSICS, MS, SIZE, START_NS, add_tree, projected
 
 pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
 
