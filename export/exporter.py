@@ -131,8 +131,11 @@ def run_export(options: ExportOptions, report: Report) -> ExportReport:
     target, overwrite = options.target, options.overwrite
     is_int8 = options.precision is Precision.INT8
     further = (
-        *(is_int8, options.precision is not Precision.FP32, options.validate and not is_int8),
-        *(options.record_dir, options.triton_dir),
+        is_int8,
+        options.precision is not Precision.FP32,
+        options.validate and not is_int8,
+        options.record_dir,
+        options.triton_dir,
     )
     progress = Progress(2 + sum(map(bool, further)), report)
     progress.begin("tracing the graph")

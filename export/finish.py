@@ -107,7 +107,8 @@ def _quantize(
 
     draft = replace(draft, contract=replace(draft.contract, precision=options.precision.value))
     found = quantize_within(
-        *(draft.model, options),
+        draft.model,
+        options,
         classes=[info.name for info in draft.contract.classes],
         write=lambda model, path: replace(draft, model=model).write(path),
         warnings=warnings,

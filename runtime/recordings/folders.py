@@ -91,7 +91,10 @@ class FolderSource(Source):
     accepted = "a folder of images, or one image"
     options: ClassVar[tuple[str, ...]] = FolderOptions._fields
     rig_options: ClassVar[tuple[str, ...]] = (
-        *("calibration", "pose_frame", "scan_stamp", "reuse_depth_ms"),
+        "calibration",
+        "pose_frame",
+        "scan_stamp",
+        "reuse_depth_ms",
     )
     # If true, an image without depth is a frame of the camera alone, and depth without an image is
     # ignored. If false, both are frames that cannot be read.

@@ -1,8 +1,7 @@
 """What is asked of an evaluation, checked before anything is opened."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import get_args
 
@@ -24,6 +23,8 @@ class EvaluationOptions:
     Attributes:
         leave_out_fed: a LiDAR that feeds the depth to score has no row, instead of raising an
             error.
+        sets: the recipes of the data sets in `data`.
+        inputs: the LiDAR inputs in `lidars`.
         page: HTML page to write, for which the worst frames are drawn; None: none.
         json: file to which all figures are written; None: none.
         save: folder to which the depth of every answer is written; None: none.
@@ -51,6 +52,8 @@ class EvaluationOptions:
     json: Path | None = None
     save: Path | None = None
     overwrite: bool = False
+    sets: Sequence[SourceRecipe] = field(init=False)
+    inputs: Sequence[LidarInput] = field(init=False)
 
     def __post_init__(self) -> None:
         """Check each option by itself."""
@@ -60,7 +63,9 @@ class EvaluationOptions:
         if unknown := [fault for fault in self.faults if fault not in get_args(Fault)]:
             known = ", ".join(fault for fault in get_args(Fault) if fault != "none")
             raise InputError(f"--faults {unknown[0]!r}: is unknown: give one of {known}")
-        _ = self.sets, self.feeds("own")
+        sets = [parse_data(item) if isinstance(item, str) else item for item in self.data]
+        object.__setattr__(self, "sets", sets)
+        object.__setattr__(self, "inputs", [_parse_lidar(item) for item in self.lidars or ()])
         for file in (self.json, self.page):
             if file is not None:
                 require_writable(file)
@@ -71,22 +76,16 @@ class EvaluationOptions:
         if self.depth_folder is not None:
             self.depth_folder.require_free()
 
-    @cached_property
-    def sets(self) -> list[SourceRecipe]:
-        """The recipes of the data sets that are named."""
-        return [parse_data(item) if isinstance(item, str) else item for item in self.data]
-
     def feeds(self, default: str) -> list[tuple[LidarInput, Fault]]:
         """Return every LiDAR input with every fault; without a named input `default`."""
-        inputs = [
-            LidarInput.parse(item) if isinstance(item, str) else item
-            for item in self.lidars or [default]
-        ]
-        return [
-            (each, fault) for each in dict.fromkeys(inputs) for fault in dict.fromkeys(self.faults)
-        ]
+        inputs = dict.fromkeys(self.inputs or [_parse_lidar(default)])
+        return [(each, fault) for each in inputs for fault in dict.fromkeys(self.faults)]
 
     @property
     def depth_folder(self) -> DepthFolder | None:
         """The folder in `save`."""
         return None if self.save is None else DepthFolder(self.save, self.overwrite)
+
+
+def _parse_lidar(item: str | LidarInput) -> LidarInput:
+    return LidarInput.parse(item) if isinstance(item, str) else item

@@ -13,8 +13,16 @@ OK, SKIPPED, INVALID = "ok", "skipped", "invalid"
 # The stages of a run, in the order of its table. "latency" is none of them, because it equals "age"
 # or "predict".
 STAGES = (
-    *("read", "preprocess", "inference", "postprocess", "predict", "write"),
-    *("age", "jitter", "skew", "depth_age"),
+    "read",
+    "preprocess",
+    "inference",
+    "postprocess",
+    "predict",
+    "write",
+    "age",
+    "jitter",
+    "skew",
+    "depth_age",
 )
 
 
