@@ -13,7 +13,7 @@ from torch import Tensor
 from models.network import Network
 from models.registry import NETWORKS, Entry, find_network, registered_name
 from models.training_facts import TrainingFacts
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.base.errors import CheckpointError, OutputError
 from runtime.files.atomic_write import atomic_file
 

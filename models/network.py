@@ -11,7 +11,7 @@ from torch.nn import functional as F
 
 from models.blocks import upsample, upsample_nearest
 from models.classes import CAMVID_CLASSES
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.contract.contract import (
     MIN_SIDE,
     ClassInfo,

@@ -16,7 +16,7 @@ from models.baselines.sparse_to_dense import SparseToDense
 from models.network import Network, NetworkConfig, check_fields
 from models.ssdnet import SSDNETS, SSDNet
 from models.ssdnet_lite import SSDNET_NANO, SSDNetLite, SSDNetLiteConfig
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.base.entry_points import find_entry, list_entries
 
 

@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from models import NetworkConfig
 from models.registry import find_network
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 from runtime.files.read_input import read_toml
 from training.losses import LossConfig

@@ -14,7 +14,7 @@ from runtime.alignment.pairing import find_pairing_fault
 from runtime.alignment.search import Optimum, find_coarse, find_rotation
 from runtime.alignment.selection import choose_frames
 from runtime.alignment.view import View, view_of
-from runtime.base.checks import check_integer
+from runtime.base.arguments import check_integer
 from runtime.base.errors import InputError
 from runtime.engine.predictor import Predictor
 from runtime.geometry.calibration import Calibration

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 
 # Seconds as a float or nanoseconds as an int.

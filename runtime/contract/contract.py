@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, TypeVar
 
-from runtime.base.checks import check_integer, check_number, shown
+from runtime.base.arguments import check_integer, check_number, shown
 from runtime.base.errors import ContractError
 from runtime.contract.heads import HEADS
 

@@ -21,7 +21,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.base.errors import ContractError, InputError
 from runtime.contract.contract import METADATA_KEY, Contract, ModelContent
 from runtime.files.read_input import read_input

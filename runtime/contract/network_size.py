@@ -2,7 +2,7 @@
 
 from typing import Any, Literal
 
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_PIXELS, MAX_SIDE, MIN_SIDE, check_side, check_size
 

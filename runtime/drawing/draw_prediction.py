@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import array_dtype
+from runtime.base.arguments import array_dtype
 from runtime.base.errors import InputError, OutputError
 from runtime.contract.contract import ClassInfo
 from runtime.drawing.encode import encode_jpeg, encode_ply, encode_png

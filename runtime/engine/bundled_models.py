@@ -5,7 +5,7 @@ from importlib import resources
 from os import PathLike
 from pathlib import Path
 
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.base.errors import ContractError, InputError
 
 # The model that runs by default.

@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import check_integer, shown
+from runtime.base.arguments import check_integer, shown
 from runtime.base.errors import ContractError, InferenceError, InputError
 from runtime.base.process_guard import ProcessGuard
 from runtime.contract.canonical_focal import CameraScale, camera_scale

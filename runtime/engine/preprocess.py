@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import array_dtype
+from runtime.base.arguments import array_dtype
 from runtime.base.errors import InputError
 from runtime.contract.canonical_focal import CameraScale
 from runtime.contract.contract import MIN_SIDE, farthest_return

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.base.errors import ContractError, ProviderError, import_remedy, install_command
 
 PROVIDERS: Mapping[str, str] = MappingProxyType(

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from runtime.base.checks import cut
+from runtime.base.arguments import cut
 from runtime.base.errors import InputError
 
 MAX_FILE_BYTES = 256_000_000  # an image or a scan

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 from runtime.files.read_input import read_toml
 from runtime.geometry.assumptions import assume

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume
 

@@ -5,7 +5,7 @@ from typing import Any, Literal, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import NS_PER_MS
 from runtime.geometry.assumptions import assume

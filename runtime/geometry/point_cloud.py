@@ -6,7 +6,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import check_number
+from runtime.base.arguments import check_number
 from runtime.base.errors import InputError
 from runtime.contract.heads import EDGE_BOUNDARY
 from runtime.geometry.lens import Lens, cache_key, rays, to_image_plane

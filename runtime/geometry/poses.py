@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import check_integer, shown
+from runtime.base.arguments import check_integer, shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import JUMP_BACK_NS, NS_PER_MS
 from runtime.contract.degraded import NO_POSE, POSE_CLOCK, POSE_GAP, POSE_JUMP

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import check_integer, shown
+from runtime.base.arguments import check_integer, shown
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_SIDE
 from runtime.geometry.lens import Lens, cache_key, pixels_of_rays, ray_bounds

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import array_dtype
+from runtime.base.arguments import array_dtype
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_DEPTH_RANGE_M
 from runtime.geometry.assumptions import assume

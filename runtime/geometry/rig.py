@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from runtime.base.checks import check_number, shown
+from runtime.base.arguments import check_number, shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 from runtime.geometry.calibration import Calibration

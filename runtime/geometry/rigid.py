@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import array_dtype, shown
+from runtime.base.arguments import array_dtype, shown
 from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume
 

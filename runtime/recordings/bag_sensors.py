@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume, collect_assumptions
 from runtime.geometry.calibration import Calibration

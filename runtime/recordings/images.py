@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import cut
+from runtime.base.arguments import cut
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_PIXELS
 from runtime.files.read_input import read_input

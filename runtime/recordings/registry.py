@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from runtime.base.checks import check_number, shown
+from runtime.base.arguments import check_number, shown
 from runtime.base.errors import InputError
 from runtime.geometry.motion import MIDDLE_AFTER, check_scan_stamp
 from runtime.geometry.poses import PoseFrame, check_pose_frame

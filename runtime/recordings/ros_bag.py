@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from runtime.base.checks import cut
+from runtime.base.arguments import cut
 from runtime.base.errors import InputError, SSDNetError, import_remedy
 from runtime.base.process_guard import SHARED_FILES, ProcessGuard
 from runtime.files.read_input import MAX_TEXT_BYTES, open_input, require_regular

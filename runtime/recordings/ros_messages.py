@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import cut, shown
+from runtime.base.arguments import cut, shown
 from runtime.base.errors import InputError
 from runtime.geometry.returns import to_metres
 from runtime.recordings.images import decode_rgb, require_pixels

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import cut, shown
+from runtime.base.arguments import cut, shown
 from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume
 from runtime.geometry.returns import is_return

@@ -14,7 +14,7 @@ import lzf
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import cut, shown
+from runtime.base.arguments import cut, shown
 from runtime.base.errors import InputError
 from runtime.files.read_input import MAX_FILE_BYTES, read_input
 from runtime.geometry.assumptions import assume

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.base.errors import InputError, SSDNetError
 from runtime.contract.degraded import IMPLAUSIBLE_DEPTH, IMPLAUSIBLE_POSES
 from runtime.engine.prediction import Prediction

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from statistics import median_low
 from typing import NamedTuple
 
-from runtime.base.checks import check_number
+from runtime.base.arguments import check_number
 from runtime.base.errors import InputError
 from runtime.base.stamp import JUMP_BACK_NS, NS_PER_MS
 from runtime.streams.frame import MATCHED, Frame, Message, Outcome, Sensor

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import check_number, shown
+from runtime.base.arguments import check_number, shown
 from runtime.base.errors import InferenceError, InputError, SSDNetError
 from runtime.base.process_guard import ProcessGuard
 from runtime.base.stamp import NS_PER_MS, Stamp, stamp_ns

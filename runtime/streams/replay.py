@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from numpy.typing import NDArray
 
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.base.errors import InputError, SSDNetError
 from runtime.base.stamp import Stamp
 from runtime.geometry.rig import DEFAULT_RIG, Rig

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import Stamp, stamp_ns
 from runtime.engine.preprocess import check_rgb, check_sparse_depth

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
 
-from runtime.base.checks import check_number, shown
+from runtime.base.arguments import check_number, shown
 from runtime.base.errors import InferenceError, InputError, SSDNetError
 from runtime.base.stamp import NS_PER_MS
 from runtime.contract.degraded import DEPTH_REUSED

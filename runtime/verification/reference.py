@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import runtime
-from runtime.base.checks import check_number, cut, shown
+from runtime.base.arguments import check_number, cut, shown
 from runtime.base.errors import InputError
 from runtime.contract.agreement import compare, reference_limits
 from runtime.contract.heads import HEADS

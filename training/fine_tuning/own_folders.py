@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from models import Network
 from models.classes import voc_color
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 from runtime.contract.contract import ClassInfo
 from runtime.contract.network_size import LARGEST_RATIO, network_size

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
 
 from models import Network, NetworkOutput, load_checkpoint, save_checkpoint
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.base.errors import CheckpointError, InputError, SSDNetError
 from runtime.files.atomic_write import atomic_write
 from training.loading.batch import Batch

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from models import Network
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 
 # The bias of the classes' logits.

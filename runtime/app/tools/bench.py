@@ -21,7 +21,7 @@ import numpy as np
 import typer
 
 from runtime.app.tools.bench_worker import OpenedModel, open_for_timing, time_model
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.command.machine import MachineFacts, machine_facts
 from runtime.command.options import Provider, Version
 from runtime.command.process import (

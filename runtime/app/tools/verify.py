@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.command.options import Provider, Threads, Version
 from runtime.command.process import print_result, reported_errors
 from runtime.contract.agreement import figure_name

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.checks import check_number
+from runtime.base.arguments import check_number
 from runtime.base.errors import InputError
 from runtime.engine.prediction import Prediction
 from runtime.geometry.returns import is_measured

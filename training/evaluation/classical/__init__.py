@@ -5,7 +5,7 @@ Each method is a file with a frozen dataclass of its settings. `METHODS` names a
 
 from collections.abc import Callable
 
-from runtime.base.checks import shown
+from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 from training.evaluation.classical.ip_basic import IPBasic, IPBasicMultiscale
 from training.evaluation.classical.linear import Linear

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from runtime import InputError
-from runtime.base.checks import check_integer, check_number, shown
+from runtime.base.arguments import check_integer, check_number, shown
 
 
 @pytest.mark.parametrize("value", [1, np.int64(10), np.uint8(3)])
