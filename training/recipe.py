@@ -16,7 +16,7 @@ from models.registry import find_network
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_CLASSES, MAX_NAME_LENGTH, MIN_SIDE, ClassInfo
 from training.datasets.any_source import AnySource
-from training.datasets.class_mapping import ClassTable, TableName, list_classes
+from training.datasets.class_mapping import IGNORED, ClassTable, TableName, list_classes
 from training.lidar.split import LidarInput
 from training.limits import (
     STRICT,
@@ -91,6 +91,11 @@ class ModelRecipe:
                     f"classes has {self.class_names[first]!r} and {self.class_names[index]!r}: "
                     "names must differ beyond upper and lower case"
                 )
+        if IGNORED in names:
+            raise ValueError(
+                f"classes has {IGNORED!r}, which stands for pixels without a class: leave it out "
+                f"(--ignore {IGNORED}), or give it another name"
+            )
         try:
             find_network(self.name)
         except ValueError as error:

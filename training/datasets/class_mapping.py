@@ -23,6 +23,9 @@ ClassTable = str | tuple[ClassInfo, ...]
 # The names of these tables, as options take them.
 TableName = Literal["camvid", "cityscapes", "virtual_kitti"]
 
+# The name that stands for pixels without a class; no class is called so.
+IGNORED = "ignore"
+
 _Names = Mapping[str, str | None]
 
 

@@ -12,6 +12,7 @@ from runtime.base.errors import DatasetError
 from runtime.contract.contract import NO_CLASS
 from training.datasets.cityscapes import TRAIN_LABELS
 from training.datasets.class_mapping import (
+    IGNORED,
     ClassTable,
     LabelReader,
     id_lookup,
@@ -49,10 +50,7 @@ class LabelledRecipe(RangeRecipe):
         """Check that the ids have one meaning."""
         if self.label_ids and self.label_classes is not None:
             raise ValueError("label_ids and label_classes both name the ids: set one of them")
-        if (
-            self.ignore != NO_CLASS
-            and (self.label_ids or {}).get(self.ignore, "ignore") != "ignore"
-        ):
+        if self.ignore != NO_CLASS and (self.label_ids or {}).get(self.ignore, IGNORED) != IGNORED:
             raise ValueError(
                 f"ignore and label_ids give the id {self.ignore} two meanings: drop one"
             )
@@ -62,7 +60,7 @@ class LabelledRecipe(RangeRecipe):
         """See `SourceRecipe.label_table`."""
         if self.labels is None:
             return ()
-        named = [name for name in (self.label_ids or {}).values() if name != "ignore"]
+        named = [name for name in (self.label_ids or {}).values() if name != IGNORED]
         own = named_table(dict.fromkeys(named))
         return own or self.label_classes
 
@@ -79,7 +77,7 @@ class LabelledRecipe(RangeRecipe):
     def _read_ids(self, classes: ClassTable, names: Sequence[str]) -> Mapping[int, int]:
         """Return the id in the class table for each id in the files, `NO_CLASS` for none."""
         if self.label_ids:
-            ids = {"ignore": NO_CLASS, **{name: index for index, name in enumerate(names)}}
+            ids = {name: index for index, name in enumerate(names)} | {IGNORED: NO_CLASS}
             if unknown := [name for name in self.label_ids.values() if name not in ids]:
                 raise DatasetError(
                     f"label_ids: {unknown[0]!r} is no class of model.classes: give one of "
@@ -99,8 +97,8 @@ def _advise(names: Sequence[str] | None, ids: Mapping[int, int], unknown: Sequen
     if names is None:
         return "give trainIds"
     by_id = dict(enumerate(names))
-    known = {id_: by_id.get(index, "ignore") for id_, index in ids.items()}
+    known = {id_: by_id.get(index, IGNORED) for id_, index in ids.items()}
     # Ids that no key names may still follow the order of the classes.
-    known |= {id_: by_id.get(id_, "ignore") for id_ in unknown}
+    known |= {id_: by_id.get(id_, IGNORED) for id_ in unknown}
     pairs = ", ".join(f"{id_} = {json.dumps(name)}" for id_, name in known.items())
     return f"name the ids in the recipe: label_ids = {{ {pairs} }}"

@@ -14,13 +14,14 @@ from tqdm import tqdm
 
 from models import Network
 from models.classes import voc_color
-from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 from runtime.contract.contract import ClassInfo
 from runtime.contract.network_size import LARGEST_RATIO, network_size
 from runtime.files.atomic_write import atomic_write
 from runtime.files.read_input import MAX_FILE_BYTES, open_input, read_text
 from runtime.recordings.images import image_size, read_rgb
+from training.datasets.class_list import read_class_list
+from training.datasets.class_mapping import IGNORED
 from training.datasets.folders import FoldersRecipe
 from training.run.run_folder import folder_errors
 from training.weights.initial_weights import Weights
@@ -110,7 +111,11 @@ class OwnFolders:
 
     def _learned_classes(self) -> tuple[tuple[ClassInfo, ...], Mapping[int, str] | None]:
         """Return the classes that are learned; if some are not, also the name of every id."""
-        classes = () if self.classes is None else _read_classes(self.classes)
+        listed = () if self.classes is None else read_class_list(self.classes)
+        classes = tuple(
+            ClassInfo(item.name, item.color or voc_color(index))
+            for index, item in enumerate(listed)
+        )
         ignored = {name.casefold() for name in self.ignore}
         if not ignored:
             return classes, None
@@ -121,7 +126,7 @@ class OwnFolders:
         learned = tuple(info for info in classes if info.name.casefold() not in ignored)
         if not learned:
             raise InputError("--ignore: no class is left to learn: leave out one of them")
-        ids = enumerate(info.name if info in learned else "ignore" for info in classes)
+        ids = enumerate(info.name if info in learned else IGNORED for info in classes)
         return learned, dict(ids)
 
     def _keys_of_folders(self, ids: Mapping[int, str] | None) -> dict[str, Any]:
@@ -202,22 +207,6 @@ def _read_height(path: Path) -> int:
     with open_input(path, max_bytes=MAX_FILE_BYTES) as file:
         size = image_size(file.read(2**16))
     return size[0] if size else int(read_rgb(path).shape[0])
-
-
-def _read_classes(path: Path) -> tuple[ClassInfo, ...]:
-    names = [line.strip() for line in read_text(path).rstrip().splitlines()]
-    if not names:
-        raise InputError(f"{path}: is empty; expected the name of a class a line")
-    folded = [name.casefold() for name in names]
-    for line, name in enumerate(names, 1):
-        first = folded.index(name.casefold()) + 1
-        if not name or first < line:
-            fault = f"{shown(name)}, as line {first} does" if name else "nothing"
-            raise InputError(
-                f"{path}: line {line} names {fault}; expected one class a line, whose name differs "
-                "beyond upper and lower case"
-            )
-    return tuple(ClassInfo(name, voc_color(index)) for index, name in enumerate(names))
 
 
 def keep_recipe(text: str, out: Path) -> None:
