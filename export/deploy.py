@@ -52,6 +52,7 @@ class DeployGraph(nn.Module):
         maps = head_maps(coarse)
         if "semantic" in maps:
             scores, stride = to_class_grid(maps.pop("semantic"), self.model.semantic_stride)
+            scores = self.model.join_rows(scores)
             # Repeat and crop class ids (1 byte), not scores (4 bytes a class).
             ids = upsample_nearest(class_ids(scores)[:, None], stride)
             answers["semantic"] = _crop(ids.squeeze(1), rgb)

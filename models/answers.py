@@ -136,7 +136,7 @@ def check_output(network: Network) -> None:
 
 
 def _check_map(network: Network, head: str, values: Tensor) -> None:
-    channels = network.config.num_classes if head == "semantic" else 1
+    channels = network.config.num_scores if head == "semantic" else 1
     stride = network.head_stride(head)
     least = [-(-side // stride) for side in _PROBED]
     most = [-(-side // network.stride) * network.stride // stride for side in _PROBED]

@@ -63,6 +63,7 @@ class NetworkConfig:
             the input depth is multiplied by this / f and the output depth by f / this, where f is
             the focal length fx [px] of the image that the network gets. Both are done outside the
             network. None = plain metres.
+        class_rows: number of rows of scores of each class, see `Network.join_rows`; () = one each.
         rgb_mean, rgb_std: mean and standard deviation of RGB in 0..255, part of the network
             (ImageNet's values).
 
@@ -74,6 +75,7 @@ class NetworkConfig:
     classes: tuple[ClassInfo, ...] = CAMVID_CLASSES
     max_depth_m: float = 100.0
     canonical_focal_px: float | None = None
+    class_rows: tuple[int, ...] = ()
     rgb_mean: tuple[float, float, float] = (123.675, 116.28, 103.53)
     rgb_std: tuple[float, float, float] = (58.395, 57.12, 57.375)
 
@@ -84,6 +86,12 @@ class NetworkConfig:
         check_max_depth(self.max_depth_m)
         if self.canonical_focal_px is not None:
             check_focal_length(self.canonical_focal_px, "canonical_focal_px")
+        check_counts("class_rows", self.class_rows)
+        if self.class_rows and len(self.class_rows) != len(self.classes):
+            raise ValueError(
+                f"class_rows must have one entry per class ({len(self.classes)}), "
+                f"got {len(self.class_rows)}"
+            )
         if not all(0 < value < float("inf") for value in self.rgb_std):
             raise ValueError(f"rgb_std must be positive, got {self.rgb_std}")
 
@@ -91,6 +99,11 @@ class NetworkConfig:
     def num_classes(self) -> int:
         """Number of semantic classes."""
         return len(self.classes)
+
+    @property
+    def num_scores(self) -> int:
+        """Number of rows of scores that the semantic head computes, see `Network.join_rows`."""
+        return sum(self.class_rows) or self.num_classes
 
     @property
     def unmeasured_range_m(self) -> float:
@@ -127,8 +140,8 @@ class Network(nn.Module):
 
     A network implements `predict_coarse`, and names its heads and strides: as class attributes
     where they are fixed, else in its `__init__` before it calls `Network.__init__`. If it has
-    classes, `semantic_head` is the last convolution, with a bias, which computes their scores:
-    training initialises it again if the classes differ.
+    classes, `semantic_head` is the last convolution, with a bias, which computes their
+    `config.num_scores` scores: training initialises it again if the classes differ.
 
     Args:
         config: the settings that the network is built from.
@@ -200,9 +213,10 @@ class Network(nn.Module):
         logits, depths, boundary = coarse.semantic_logits, coarse.depths, coarse.boundary_logits
         scale, side = coarse.depth_uncertainty, self.semantic_stride
         if logits is not None and upsample_semantic:
-            logits = upsample_nearest(*to_class_grid(logits, side))[:, :, :height, :width]
+            scores, side = to_class_grid(logits, side)
+            logits = upsample_nearest(self.join_rows(scores), side)[:, :, :height, :width]
         elif logits is not None:
-            logits = logits[:, :, : -(-height // side), : -(-width // side)]
+            logits = self.join_rows(logits)[:, :, : -(-height // side), : -(-width // side)]
         if depths is not None:
             depths = (full_size(depths[0], "depth"), *depths[1:])
         return NetworkOutput(
@@ -223,6 +237,19 @@ class Network(nn.Module):
         padding, too.
         """
         raise NotImplementedError
+
+    def join_rows(self, scores: Tensor) -> Tensor:
+        """Join the rows of scores of each class: (N, `num_scores`, h, w) to (N, C, h, w).
+
+        The score of a class is the maximum of its rows, so that its answer is that of a network
+        whose classes are the rows, joined afterwards. In training it is their log-sum-exp, the
+        score of their summed probability, which has a gradient to all of them.
+        """
+        rows = self.config.class_rows
+        if not rows:
+            return scores
+        join = torch.logsumexp if self.training else torch.amax
+        return torch.cat([join(part, 1, keepdim=True) for part in scores.split(rows, 1)], dim=1)
 
     def normalise_rgb(self, rgb: Tensor) -> Tensor:
         """Subtract the mean of RGB in 0..255 and divide by its standard deviation."""

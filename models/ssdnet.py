@@ -153,7 +153,7 @@ class SSDNet(Network):
         self.boundary_decoder = BoundaryDecoder(config.encoder_channels, config.boundary_channels)
         if config.semantic_head:
             self.semantic_decoder = _task_decoder(config)
-            self.semantic_head = nn.Conv2d(config.decoder_channels[-1], config.num_classes, 1)
+            self.semantic_head = nn.Conv2d(config.decoder_channels[-1], config.num_scores, 1)
         if config.depth_head:
             self.depth_decoder = _task_decoder(config)
             self.depth_heads = nn.ModuleList(

@@ -150,11 +150,11 @@ class SSDNetLite(Network):
         if config.semantic_head:
             finest, refined = config.decoder_channels[-1], config.semantic_refine_channels
             self.semantic_decoder = _task_decoder(config.decoder_channels)
-            self.semantic_head = nn.Conv2d(refined or finest, config.num_classes, 1)
+            self.semantic_head = nn.Conv2d(refined or finest, config.num_scores, 1)
             if refined:
                 # Without the prediction at stride 4 the few channels at stride 2 would hold all of
                 # it, which takes longer to learn.
-                self.semantic_coarse_head = nn.Conv2d(finest, config.num_classes, 1)
+                self.semantic_coarse_head = nn.Conv2d(finest, config.num_scores, 1)
                 self.semantic_refine = AddUpBlock(
                     finest, CHANNELS[2], refined, separable=config.separable_from >= 2
                 )

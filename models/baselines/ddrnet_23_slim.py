@@ -54,7 +54,7 @@ class DDRNet23Slim(Network):
         self.refine = nn.Sequential(
             nn.BatchNorm2d(2 * _FINE), nn.ReLU(), *ConvBNReLU(2 * _FINE, _HEAD)
         )
-        self.semantic_head = nn.Conv2d(_HEAD, config.num_classes, 1)
+        self.semantic_head = nn.Conv2d(_HEAD, config.num_scores, 1)
         self.apply(initialise)
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:

@@ -49,7 +49,7 @@ class ENet(Network):
         self.stage4 = nn.Sequential(*(Bottleneck(64, dropout=0.1, decodes=True) for _ in range(2)))
         self.up5 = UpBottleneck(64, 16)
         self.stage5 = Bottleneck(16, dropout=0.1, decodes=True)
-        self.semantic_head = nn.ConvTranspose2d(16, config.num_classes, 3, 2, 1, output_padding=1)
+        self.semantic_head = nn.ConvTranspose2d(16, config.num_scores, 3, 2, 1, output_padding=1)
         self.apply(initialise)
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:

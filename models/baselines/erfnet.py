@@ -39,7 +39,7 @@ class ERFNet(Network):
             Factorized(16),
             Factorized(16),
         )
-        self.semantic_head = nn.ConvTranspose2d(16, config.num_classes, 2, 2)
+        self.semantic_head = nn.ConvTranspose2d(16, config.num_scores, 2, 2)
         self.apply(initialise)
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:

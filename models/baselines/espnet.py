@@ -25,7 +25,7 @@ class ESPNet(Network):
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
-        classes = config.num_classes
+        classes = config.num_scores
         self.level1 = nn.Sequential(nn.Conv2d(3, 16, 3, 2, 1, bias=False), *_finish(16))
         self.join1 = nn.Sequential(*_finish(16 + 3))
         self.down2 = SpatialPyramid(16 + 3, 64, stride=2)

@@ -42,7 +42,7 @@ class FastSCNN(Network):
         self.project_coarse = nn.Sequential(nn.Conv2d(in_channels, 128, 1), nn.BatchNorm2d(128))
         self.project_fine = nn.Sequential(nn.Conv2d(64, 128, 1), nn.BatchNorm2d(128))
         self.classify = nn.Sequential(_separable(128, 128), _separable(128, 128), nn.Dropout(0.1))
-        self.semantic_head = nn.Conv2d(128, config.num_classes, 1)
+        self.semantic_head = nn.Conv2d(128, config.num_scores, 1)
         self.apply(initialise)
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:

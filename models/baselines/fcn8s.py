@@ -31,9 +31,9 @@ class FCN8s(Network):
             ConvBNReLU(_WIDE, _WIDE, kernel=1),
             nn.Dropout(0.5),
         )
-        self.semantic_head = nn.Conv2d(_WIDE, config.num_classes, 1)
-        self.score_16 = nn.Conv2d(512, config.num_classes, 1)
-        self.score_8 = nn.Conv2d(256, config.num_classes, 1)
+        self.semantic_head = nn.Conv2d(_WIDE, config.num_scores, 1)
+        self.score_16 = nn.Conv2d(512, config.num_scores, 1)
+        self.score_8 = nn.Conv2d(256, config.num_scores, 1)
         self.apply(initialise)
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:

@@ -10,7 +10,7 @@ from torch import nn
 
 from export.deploy import DeployGraph
 from export.trace import trace
-from models import NetworkOutput
+from models import Network, NetworkOutput
 from models.blocks import upsample_nearest
 from runtime.contract.contract import NO_CLASS
 from runtime.engine.session import open_session
@@ -24,12 +24,13 @@ class ScoresByColour(nn.Module):
     zero_at: 255 turns it into 0 / 0, NaN; 254 into 1 / 0, Inf; 256 into -1 / 0, -Inf.
     """
 
-    config = SimpleNamespace(name="by-hand", max_depth_m=80.0)
     heads = ("semantic",)
     semantic_stride = STRIDE
+    join_rows = Network.join_rows
 
-    def __init__(self, zero_at: float) -> None:
+    def __init__(self, zero_at: float, class_rows: tuple[int, ...] = ()) -> None:
         super().__init__()
+        self.config = SimpleNamespace(name="by-hand", max_depth_m=80.0, class_rows=class_rows)
         self.register_buffer("zero_at", torch.tensor(zero_at))
 
     def predict_coarse(self, rgb: torch.Tensor, sparse_depth: torch.Tensor) -> NetworkOutput:
@@ -80,3 +81,12 @@ def test_a_pixel_with_scores_that_are_not_finite_has_no_class(zero_at, answer_by
 
 def test_large_finite_scores_keep_their_class(answer_by_colour):
     assert not answer_by_colour(-1e36, np.zeros((1, 32, 48, 3), np.uint8)).any()
+
+
+def test_the_exported_answer_of_joined_rows_is_the_answer_of_the_rows_joined():
+    model = trace(DeployGraph(ScoresByColour(0.5, class_rows=(2, 1))), size=(32, 48))
+    rgb = np.random.default_rng(0).integers(0, 255, (2, 32, 48, 3), dtype=np.uint8)
+    feed = {"rgb": rgb, "sparse_depth": np.zeros(rgb.shape[:3], np.float32)}
+    (semantic,) = open_session(model.SerializeToString(), threads=1).run(["semantic"], feed)
+    by_colour = rgb[:, ::STRIDE, ::STRIDE].argmax(axis=-1).repeat(STRIDE, 1).repeat(STRIDE, 2)
+    assert (semantic == np.uint8([0, 0, 1])[by_colour]).all()

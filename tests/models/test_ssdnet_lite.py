@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from models import create_model
+from models.classes import CAMVID_CLASSES
 from models.decoders import AddUpBlock
 from models.surfaces import MIN_DEPTH
 
@@ -135,3 +136,22 @@ def test_an_additive_refinement_adds_to_what_both_heads_answer_at_stride_4():
     coarse, fine = parts
     assert torch.allclose(coarse + fine, both.semantic_logits, atol=1e-5)
     assert min(coarse.std(), fine.std()) > 0
+
+
+def test_rows_of_scores_are_joined_and_all_of_them_learn():
+    """In evaluation by the maximum, in training by the sum of their probabilities."""
+    classes = CAMVID_CLASSES[:2]
+    network = create_model("ssdnet-nano", classes=classes, class_rows=(2, 1))
+    rows = create_model("ssdnet-nano", classes=CAMVID_CLASSES[:3])
+    rows.load_state_dict(network.state_dict())
+    inputs = torch.rand(1, 3, 64, 96) * 255, torch.zeros(1, 1, 64, 96)
+    with torch.no_grad():
+        joined, alone = (each.eval()(*inputs).semantic_logits for each in (network, rows))
+    assert torch.equal(joined.argmax(1), torch.tensor([0, 0, 1])[alone.argmax(1)])
+    network.train()(*inputs).semantic_logits.sum().backward()
+    assert (network.semantic_head.bias.grad > 0).all()
+    scores = torch.rand(1, 3, 2, 2)
+    summed = network.join_rows(scores).softmax(1)[:, 0]
+    assert torch.allclose(summed, scores.softmax(1)[:, :2].sum(1))
+    with pytest.raises(ValueError, match="class_rows must have one entry per class"):
+        create_model("ssdnet-nano", classes=classes, class_rows=(2,))

@@ -71,6 +71,8 @@ def add_offsets(network: Network, offsets: Mapping[str, float]) -> Network:
 def _with_bias(network: Network, change: Tensor) -> Network:
     """Return a copy of the network with a change, (num_classes,), added to its semantic bias."""
     changed = copy.deepcopy(network)
+    if rows := network.config.class_rows:
+        change = change.repeat_interleave(torch.tensor(rows))
     state = changed.state_dict()
     state[_BIAS] = state[_BIAS] + change.to(state[_BIAS])
     changed.load_state_dict(state)
