@@ -32,10 +32,10 @@ import torch
 
 from models.checkpoint import RECIPE
 from runtime.files.atomic_write import atomic_write
-from training.chosen_recipe import read_stages
 from training.datasets.any_source import parse_data
 from training.evaluation.evaluate import evaluate
 from training.recipes.ablation import ROWS
+from training.recipes.chosen_recipe import read_stages
 from training.run.run_folder import require_same
 from training.run.stages import train_stages
 from training.run.training_run import TrainingRun

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from runtime import Predictor
 from training.datasets.virtual_kitti import RenderedRecipe
-from training.evaluation.scoring import split_frames
 from training.lidar.split import LidarInput
 from training.loading.open_dataset import open_dataset
+from training.scores.scoring import split_frames
 
 FARTHEST_M = 80.0
 AROUND_PX = 3

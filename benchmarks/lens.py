@@ -23,7 +23,7 @@ from runtime import Predictor
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import cache_key, rays
 from runtime.geometry.projection import project_with_rows
-from training.evaluation.metrics import FARTHEST_M
+from training.scores.metrics import FARTHEST_M
 
 K1, ENLARGED = -0.35, 1.12
 SIDES = 1 / 6

@@ -21,9 +21,9 @@ from runtime.contract.canonical_focal import camera_scale
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.source_recipe import SourceRecipe
-from training.evaluation.metrics import RoadScores, SemanticScores
 from training.lidar.split import LidarInput, frame_generator, split_lidar
 from training.loading.open_dataset import open_dataset
+from training.scores.metrics import RoadScores, SemanticScores
 
 # The streets on which the recipes train, and the others.
 TRAIN_STREETS, VAL_STREETS = (2, 69), (70, 98)

@@ -32,10 +32,10 @@ from runtime.geometry.poses import PoseTrack
 from runtime.recordings.images import read_rgb
 from runtime.recordings.poses import read_kitti_poses
 from runtime.recordings.scan import read_scan
-from training.evaluation.metrics import ErrorSums
-from training.lidar.scan import project_lines, scan_line_of
+from training.datasets.scan_lines import project_lines, scan_line_of
 from training.lidar.split import OcclusionFilter
 from training.scenes.scene_job import SceneClass, SceneJob, Variant, render_frames
+from training.scores.metrics import ErrorSums
 
 STEP_NS = 100_000_000
 WAYS = {"a": "camera alone", "b": "scan before, as it is", "c": "moved by poses", "d": "its own"}

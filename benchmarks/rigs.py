@@ -39,12 +39,12 @@ from training.datasets.source_recipe import SourceRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.classical import METHODS
 from training.evaluation.evaluate import short_names
-from training.evaluation.metrics import FARTHEST_M, frame_errors
 from training.evaluation.scored_model import open_method, open_scored_model
-from training.evaluation.scoring import Predict
 from training.lidar.simulate import random_share
 from training.lidar.split import LidarInput, OcclusionFilter, frame_generator, split_lidar
 from training.loading.open_dataset import open_dataset
+from training.scores.metrics import FARTHEST_M, frame_errors
+from training.scores.scoring import Predict
 
 ROWS, FULL = 400, 100_000
 WIDE_DEG = 80.0

@@ -10,7 +10,7 @@ from pathlib import Path
 from runtime.base.errors import InputError
 from training.evaluation.evaluate import Evaluation, score_models
 from training.evaluation.options import EvaluationOptions
-from training.evaluation.score_report import Row
+from training.scores.score_report import Row
 
 # LiDAR inputs with which a file is measured: all returns of a frame, 16 scan lines, no returns. If
 # no set has returns besides its ground truth, random samples of the ground truth are added for
@@ -71,7 +71,7 @@ def measure_widths(
 ) -> Widths:
     """Measure how uncertain the difference of two files is on these frames.
 
-    `training.evaluation.differences` describes the intervals, of which half is returned.
+    `training.scores.differences` describes the intervals, of which half is returned.
     """
     found = _score([single, quantized], data, lidars).differences
     return {

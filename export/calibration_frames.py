@@ -17,11 +17,11 @@ from runtime.engine.preprocess import preprocess
 from training.datasets.any_source import parse_data
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import SampleSource
-from training.evaluation.evaluated_run import open_training_sets
 from training.evaluation.scored_model import trained_classes
-from training.evaluation.shared_classes import share_classes
 from training.lidar.split import LidarInput, frame_generator, split_lidar
 from training.loading.open_dataset import count_frames, count_shared, open_dataset
+from training.run.finished_run import open_training_sets
+from training.scores.shared_classes import share_classes
 
 # LiDAR inputs of the calibration frames, used in turn. Activations beyond the calibrated ranges are
 # clipped.

@@ -23,8 +23,8 @@ from runtime.drawing.encode import ENCODERS
 from runtime.verification.reference import read_reference
 from runtime.verification.verify import verify
 from training import evaluate, train
-from training.chosen_recipe import read_stages
 from training.datasets.any_source import parse_data
+from training.recipes.chosen_recipe import read_stages
 
 # The row alone, which the engine needs: it imports no torch.
 ROW = """
@@ -58,7 +58,7 @@ from models.blocks import pad_to_multiple
 from models.registry import Entry
 from training.datasets.sample import Sample, make_frame
 from training.datasets.source_recipe import SourceRecipe
-from training.limits import STRICT, Positive
+from training.base.limits import STRICT, Positive
 from training.losses.semantic import labelled_mean
 from training.losses.terms import head_term
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from training.chosen_recipe import read_stages
 from training.evaluation.classical import METHODS
+from training.recipes.chosen_recipe import read_stages
 from training.recipes.registry import RECIPES
 
 ROOT = Path(__file__).parents[1]

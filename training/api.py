@@ -11,16 +11,16 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from training.chosen_recipe import inherit_settings, read_stages
+from training.base.stop_signal import Stop, never
 from training.evaluation.evaluate import evaluate as evaluate
 from training.fine_tuning import adaptation
 from training.fine_tuning.adaptation import Adapted
 from training.fine_tuning.adaptation_frames import describe_recording
 from training.fine_tuning.own_folders import RECIPE_TEXT, OwnFolders, keep_recipe
-from training.recipe import build_recipe
+from training.recipes.chosen_recipe import inherit_settings, read_stages
 from training.run.dry_run import dry_run as draw_first_batch
+from training.run.recipe import build_recipe
 from training.run.stages import Stage, train_stages
-from training.run.stop_signal import Stop, never
 from training.run.training_run import RunResult, TrainingRun
 from training.weights.initial_weights import Weights, find_weights, read_weights
 

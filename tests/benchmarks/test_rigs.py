@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rigs
-from training.evaluation.scoring import HeadMaps
+from training.scores.scoring import HeadMaps
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import pytest
 
 from stability import changed_share
 from training.datasets.sample import Sample, make_frame
-from training.evaluation.scoring import HeadMaps
+from training.scores.scoring import HeadMaps
 
 ROAD, SKY = 3, 0
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from runtime.command.process import INTERRUPTED, reported_errors
-from training.run.stop_signal import Stop, stop_signal
+from training.base.stop_signal import Stop, stop_signal
 
 if TYPE_CHECKING:  # heavy, and --help is to be quick
     from training.run.training_run import RunResult

@@ -7,9 +7,9 @@ from pydantic import Discriminator, PlainValidator, Tag
 from pydantic_core import PydanticCustomError
 
 from runtime.base.errors import InputError
+from training.base.tables import TAGS, build, parse_pairs
 from training.datasets.registry import DATASETS, find_dataset
 from training.datasets.source_recipe import SourceRecipe
-from training.tables import TAGS, build, parse_pairs
 
 # The tag of data sets of other packages.
 _REGISTERED = "(registered)"

@@ -7,11 +7,11 @@ from pydantic.dataclasses import dataclass
 
 from models import CLASS_TABLES
 from runtime.recordings.folders import FolderSource
+from training.base.limits import STRICT
 from training.datasets.class_mapping import ClassTable, LabelReader
 from training.datasets.files import dataset_errors, require_files, require_folder
 from training.datasets.recording import RecordedFrames, Truth, pair
 from training.datasets.source_recipe import SourceRecipe
-from training.limits import STRICT
 
 # Names of the labels in the order of the files' ids; 11 is unlabelled.
 LABELS: tuple[str | None, ...] = (*(info.name for info in CLASS_TABLES["camvid"]), None)

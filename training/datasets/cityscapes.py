@@ -11,6 +11,7 @@ from pydantic.dataclasses import dataclass
 from models import CLASS_TABLES
 from runtime.base.errors import DatasetError
 from runtime.files.read_input import read_text
+from training.base.limits import STRICT
 from training.datasets.class_mapping import ClassTable, LabelReader
 from training.datasets.files import (
     dataset_errors,
@@ -21,7 +22,6 @@ from training.datasets.files import (
 )
 from training.datasets.sample import FrameList, Sample, make_frame
 from training.datasets.source_recipe import SourceRecipe
-from training.limits import STRICT
 
 # The classes in the order of their trainIds 0..18.
 TRAIN_LABELS: tuple[str | None, ...] = tuple(info.name for info in CLASS_TABLES["cityscapes"])

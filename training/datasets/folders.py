@@ -19,6 +19,7 @@ from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource, list_entries
 from runtime.recordings.images import KITTI_DEPTH_SCALE, RGB_SUFFIXES, list_files
 from runtime.recordings.source import ListedFrame
+from training.base.limits import STRICT, Positive
 from training.datasets.class_mapping import ClassTable
 from training.datasets.files import (
     dataset_errors,
@@ -29,7 +30,6 @@ from training.datasets.files import (
 )
 from training.datasets.labels import Folder, LabelledRecipe
 from training.datasets.recording import RecordedFrames, Truth, pair
-from training.limits import STRICT, Positive
 
 # Approximate number of photos whose EXIF orientation is examined.
 _ORIENTED = 20

@@ -17,11 +17,11 @@ from runtime.geometry.kitti_calibration import NumbersFile
 from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.images import KITTI_DEPTH_SCALE
+from training.base.limits import STRICT
 from training.datasets.class_mapping import ClassTable
 from training.datasets.files import dataset_errors, read_depth, require_files, require_folder
 from training.datasets.recording import RecordedFrames, SetFrame, Truth, pair
 from training.datasets.source_recipe import SourceRecipe
-from training.limits import STRICT
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)

@@ -7,12 +7,12 @@ from pydantic.dataclasses import dataclass
 
 from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource
+from training.base.limits import STRICT, Share
 from training.datasets.cityscapes import TRAIN_LABELS
 from training.datasets.class_mapping import ClassTable, LabelReader
 from training.datasets.files import dataset_errors, require_files, require_folder
 from training.datasets.recording import RecordedFrames, Truth, pair
 from training.datasets.source_recipe import RangeRecipe
-from training.limits import STRICT, Share
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)

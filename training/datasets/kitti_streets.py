@@ -16,13 +16,13 @@ from runtime.geometry.kitti_calibration import NumbersFile
 from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.images import list_files
+from training.base.limits import STRICT
 from training.datasets.camvid import LABELS
 from training.datasets.cityscapes import disparity_to_depth
 from training.datasets.class_mapping import ClassTable, LabelReader
 from training.datasets.files import dataset_errors, read_gray, require_files, require_folder
 from training.datasets.recording import RecordedFrames, Truth, pair
 from training.datasets.source_recipe import RangeRecipe
-from training.limits import STRICT
 
 # Places of the validation frames: each begins with one of these numbers and ends before the next.
 _PLACES = (70, 71, 72, 83, 84, 85, 88, 89, 99)

@@ -10,6 +10,7 @@ from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import DatasetError
 from runtime.contract.contract import NO_CLASS
+from training.base.limits import STRICT, Share
 from training.datasets.cityscapes import TRAIN_LABELS
 from training.datasets.class_mapping import (
     IGNORED,
@@ -20,7 +21,6 @@ from training.datasets.class_mapping import (
     named_table,
 )
 from training.datasets.source_recipe import RangeRecipe
-from training.limits import STRICT, Share
 
 # A folder, relative to the `path` of its set.
 Folder = Annotated[str, Field(min_length=1)]

@@ -19,12 +19,12 @@ from runtime.recordings.images import KITTI_DEPTH_SCALE, list_files
 from runtime.recordings.registry import detect_source, open_source
 from runtime.recordings.source import ListedFrame, Source
 from runtime.streams.frame import Frame, Message
+from training.base.limits import STRICT, Index, Positive
 from training.datasets.class_mapping import ClassTable
 from training.datasets.files import dataset_errors, measured, read_depth, require_size
 from training.datasets.labels import Folder, LabelledRecipe
 from training.datasets.sample import FrameList, Sample, nothing_known
-from training.lidar.scan import elevation_bands, project_lines
-from training.limits import STRICT, Index, Positive
+from training.datasets.scan_lines import elevation_bands, project_lines
 
 # How the scan lines of returns are numbered: by the order of a scan's points, which KITTI's scanner
 # sends line after line; by bands of elevation; or not at all.

@@ -9,9 +9,9 @@ from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import DatasetError
 from runtime.contract.contract import MAX_NAME_LENGTH
+from training.base.limits import STRICT, FactorRange, Index, Positive, Side
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import SampleSource
-from training.limits import STRICT, FactorRange, Index, Positive, Side
 
 T = TypeVar("T")
 

@@ -23,6 +23,7 @@ from runtime.geometry.kitti_calibration import NumbersFile
 from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.source import ListedFrame
+from training.base.limits import STRICT
 from training.datasets.class_mapping import ClassTable, class_ids
 from training.datasets.files import (
     dataset_errors,
@@ -35,7 +36,6 @@ from training.datasets.files import (
 from training.datasets.recording import RecordedFrames, SetFrame, Truth, pair
 from training.datasets.source_recipe import Names, SourceRecipe
 from training.datasets.virtual_kitti_split import Selection, Split
-from training.limits import STRICT
 
 _RGB_1, _DEPTH_1, _CLASSES_1 = (f"vkitti_1.3.1_{kind}" for kind in ("rgb", "depthgt", "scenegt"))
 # Intrinsics of every frame of edition 1.3.1, from the set's description.

@@ -1,1 +1,1 @@
-"""Metrics, scores of models on whole sets, and classical methods of depth completion."""
+"""Models of any kind and classical methods of depth completion, opened and scored on data sets."""

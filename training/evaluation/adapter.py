@@ -18,10 +18,10 @@ from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_CLASSES, MAX_FOCAL_PX, MAX_NAME_LENGTH, MIN_FOCAL_PX
 from runtime.engine.example_inputs import make_feeds
 from runtime.files.read_input import read_toml
+from training.base.limits import STRICT, Positive, Side
+from training.base.tables import build
 from training.datasets.class_mapping import TableName, list_classes, named_table
-from training.evaluation.metrics import FARTHEST_M
-from training.limits import STRICT, Positive, Side
-from training.tables import build
+from training.scores.metrics import FARTHEST_M
 
 Channels = tuple[float, float, float]
 # Mean and standard deviation of RGB in 0..255, by name.

@@ -164,8 +164,8 @@ def _score(options: "EvaluationOptions", *, all_columns: bool) -> None:
     """Score, print the tables, and write the files."""
     from training.evaluation.adapter import MissingAdapterError
     from training.evaluation.evaluate import score_models
-    from training.evaluation.page import write_page
-    from training.evaluation.score_report import format_differences, format_table, write_json
+    from training.pages.page import write_page
+    from training.scores.score_report import format_differences, format_table, write_json
 
     try:
         found = score_models(options)

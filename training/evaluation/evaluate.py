@@ -10,23 +10,23 @@ from runtime.contract.network_size import NetworkSize
 from runtime.engine.bundled_models import find_model, list_bundled_models
 from training.datasets.source_recipe import SourceRecipe
 from training.evaluation.classical import METHODS
-from training.evaluation.differences import Difference, compare
-from training.evaluation.evaluated_run import EvaluatedRun, read_run
-from training.evaluation.metrics import FARTHEST_M
 from training.evaluation.options import EvaluationOptions
-from training.evaluation.score_report import Row, format_differences, format_table
-from training.evaluation.score_set import EvaluatedSet, Result, score_set
 from training.evaluation.scored_model import (
     ScoredModel,
     open_method,
     open_predictions,
     open_scored_model,
 )
-from training.evaluation.shared_classes import join_names, share_classes
-from training.evaluation.worst_frames import WorstFrame, draw_worst
 from training.lidar.faults import Fault
 from training.lidar.split import LidarInput
 from training.loading.open_dataset import open_dataset, spread_indices
+from training.pages.worst_frames import WorstFrame, draw_worst
+from training.run.finished_run import EvaluatedRun, read_run
+from training.scores.differences import Difference, compare
+from training.scores.metrics import FARTHEST_M
+from training.scores.score_report import Row, format_differences, format_table
+from training.scores.score_set import EvaluatedSet, Result, score_set
+from training.scores.shared_classes import join_names, share_classes
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from training.evaluation.adapter import (
     find_rgb,
     read_adapter,
 )
-from training.evaluation.scoring import HeadMaps
+from training.scores.scoring import HeadMaps
 
 # Grey value of the pixels around a padded frame.
 _PADDED = 114

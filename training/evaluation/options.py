@@ -8,12 +8,12 @@ from typing import get_args
 from runtime.base.errors import InputError, OutputError
 from runtime.contract.network_size import NetworkSize
 from runtime.files.atomic_write import require_writable
+from training.base.processes import parse_device
 from training.datasets.any_source import parse_data
 from training.datasets.source_recipe import SourceRecipe
-from training.evaluation.depth_folder import DepthFolder
 from training.lidar.faults import Fault
 from training.lidar.split import LidarInput
-from training.run.distributed import parse_device
+from training.scores.depth_folder import DepthFolder
 
 
 @dataclass(frozen=True, kw_only=True)

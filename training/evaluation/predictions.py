@@ -13,12 +13,12 @@ from pydantic.dataclasses import dataclass as checked
 
 from runtime.base.errors import DatasetError, InputError
 from runtime.recordings.images import KITTI_DEPTH_SCALE
+from training.base.limits import STRICT, Positive
+from training.base.tables import build, parse_pairs
 from training.datasets.class_mapping import ClassTable, TableName, named_table
 from training.datasets.files import read_depth, read_gray, require_folder, require_size
 from training.datasets.sample import Sample
-from training.evaluation.scoring import HeadMaps
-from training.limits import STRICT, Positive
-from training.tables import build, parse_pairs
+from training.scores.scoring import HeadMaps
 
 _SUFFIXES = (".png", ".npy")
 # Folders of a kind, as `ssdnet-run` writes them; without them the files show their kind.

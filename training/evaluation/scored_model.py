@@ -19,14 +19,14 @@ from runtime.contract.network_size import NetworkSize, check_network_size, netwo
 from runtime.contract.resize import Size
 from runtime.engine.predictor import Predictor
 from runtime.engine.preprocess import clean_sparse_depth
+from training.base.processes import open_device, parse_device
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import Sample
 from training.evaluation.classical import CompletionMethod, create_method
 from training.evaluation.foreign import open_foreign
-from training.evaluation.metrics import FARTHEST_M
 from training.evaluation.predictions import Predictions
-from training.evaluation.scoring import HeadMaps, Predict, torch_predict
-from training.run.distributed import open_device, parse_device
+from training.scores.metrics import FARTHEST_M
+from training.scores.scoring import HeadMaps, Predict, torch_predict
 
 
 @dataclass(frozen=True)

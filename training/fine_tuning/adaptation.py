@@ -17,23 +17,23 @@ from models import Network, load_checkpoint, save_checkpoint
 from models.checkpoint import FINAL, LAST, RECIPE
 from runtime.base.errors import InputError
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
-from training.chosen_recipe import config_changes
+from training.base.stop_signal import Stop, StopRequested, Watched, never
 from training.datasets.recording import RecordingRecipe
 from training.datasets.sample import Sample
 from training.evaluation.classical import create_method
-from training.evaluation.metrics import FARTHEST_M, frame_errors
 from training.evaluation.scored_model import method_predict, trained_classes
-from training.evaluation.scoring import Predict, torch_predict
 from training.fine_tuning.adaptation_frames import find_frames
 from training.lidar.simulate import SENSOR_LINES
 from training.lidar.split import LidarInput, LidarSplit, split_lidar
 from training.loading.open_dataset import open_dataset
 from training.losses.terms import DEPTH_ALONE
-from training.recipe import Recipe, build_recipe
+from training.recipes.chosen_recipe import config_changes
 from training.run.loop import train
+from training.run.recipe import Recipe, build_recipe
 from training.run.run_folder import folder_errors
-from training.run.stop_signal import Stop, StopRequested, Watched, never
 from training.run.training_run import RunResult, TrainingRun
+from training.scores.metrics import FARTHEST_M, frame_errors
+from training.scores.scoring import Predict, torch_predict
 from training.weights.initial_weights import Weights
 from training.weights.release import mix_weights
 

@@ -18,11 +18,11 @@ from runtime.files.atomic_write import atomic_write
 from runtime.recordings.registry import SOURCES, parse_source
 from runtime.recordings.source import ListedFrame, Source
 from runtime.streams.frame import Frame
+from training.base.stop_signal import Stop, StopRequested
+from training.base.tables import build
 from training.datasets.recording import RecordingRecipe, beside
-from training.evaluation.metrics import FARTHEST_M
 from training.run.run_folder import folder_errors
-from training.run.stop_signal import Stop, StopRequested
-from training.tables import build
+from training.scores.metrics import FARTHEST_M
 
 # Largest number of frames that are read, and their least number.
 MOST_FRAMES, LEAST_FRAMES = 600, 5

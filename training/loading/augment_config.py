@@ -9,7 +9,7 @@ from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import InputError
 from runtime.contract.contract import MIN_SIDE
-from training.limits import (
+from training.base.limits import (
     STRICT,
     CropSide,
     Degrees,

@@ -17,11 +17,11 @@ from torch import Tensor
 from models import NetworkConfig
 from runtime.base.errors import DatasetError
 from runtime.contract.network_size import network_size
+from training.base.stop_signal import Stop, Watched, never
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import Sample, SampleSource, labelled, target_kind
 from training.datasets.source_recipe import SourceRecipe
 from training.loading.geometric import resize
-from training.run.stop_signal import Stop, Watched, never
 
 # Number of frames from which the class frequencies of the loss are counted.
 FREQUENCY_SAMPLES = 400

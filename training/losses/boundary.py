@@ -7,9 +7,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from runtime.contract.contract import NO_CLASS
+from training.base.processes import sum_over_processes
 from training.losses.masked import split_into_blocks
 from training.losses.semantic import labelled_mean
-from training.run.distributed import sum_over_processes
 
 
 def boundary_target(semantic: Tensor) -> tuple[Tensor, Tensor]:

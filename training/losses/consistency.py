@@ -5,10 +5,10 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from models.pooling import window_maxima
+from training.base.processes import sum_over_processes
 from training.loading.augment_config import PAIR_BORDER_PX
 from training.loading.batch import Pair
 from training.losses.depth import log_ratio
-from training.run.distributed import sum_over_processes
 
 # Weights of the depth's log ratio at pixels farther than NEAR_PX from a return, and nearer.
 FAR_WEIGHT, NEAR_WEIGHT = 1.2, 0.2

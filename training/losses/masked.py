@@ -5,7 +5,7 @@ from torch import Tensor
 
 from models.blocks import extend_to_multiple
 from models.pooling import cell_means
-from training.run.distributed import sum_over_processes
+from training.base.processes import sum_over_processes
 
 
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:

@@ -7,8 +7,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from runtime.contract.contract import NO_CLASS
+from training.base.processes import sum_over_processes
 from training.losses.masked import grid_of, split_into_blocks
-from training.run.distributed import sum_over_processes
 
 ClassWeighting = Literal["median", "sqrt_median", "paper", "none"]
 

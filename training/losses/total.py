@@ -11,7 +11,7 @@ from pydantic_core import ArgsKwargs
 from torch import Tensor, nn
 
 from models import NetworkOutput
-from training.limits import STRICT, NotNegative
+from training.base.limits import STRICT, NotNegative
 from training.loading.batch import Batch
 from training.losses.semantic import ClassWeighting
 from training.losses.terms import TERMS, Compared, Term, find_term, list_terms

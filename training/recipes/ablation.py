@@ -7,7 +7,8 @@ from dataclasses import replace
 
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.losses import LossConfig
-from training.recipe import (
+from training.recipes.paper import VKITTI
+from training.run.recipe import (
     DataRecipe,
     LoopRecipe,
     ModelRecipe,
@@ -17,7 +18,6 @@ from training.recipe import (
     ValidationRecipe,
     derive,
 )
-from training.recipes.paper import VKITTI
 
 SSDNET = Recipe(
     terms="rendered scenes: this project's",

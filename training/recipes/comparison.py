@@ -11,7 +11,7 @@ from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.loading.augment_config import AugmentConfig
 from training.losses import LossConfig
-from training.recipe import (
+from training.run.recipe import (
     DataRecipe,
     LoopRecipe,
     ModelRecipe,

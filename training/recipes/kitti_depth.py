@@ -8,7 +8,7 @@ from training.datasets.kitti_depth import KittiDepthRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.loading.augment_config import AugmentConfig
 from training.losses import LossConfig
-from training.recipe import (
+from training.run.recipe import (
     DataRecipe,
     LoopRecipe,
     ModelRecipe,

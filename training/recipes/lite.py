@@ -16,7 +16,7 @@ from training.datasets.virtual_kitti import RenderedRecipe
 from training.loading.augment_config import AugmentConfig
 from training.losses import LossConfig
 from training.losses.terms import DEPTH_ALONE
-from training.recipe import (
+from training.run.recipe import (
     DataRecipe,
     LoopRecipe,
     ModelRecipe,

@@ -3,8 +3,8 @@
 Crops, pairs of shifted views, the depth alone, which is the recipe nano-depth, too.
 """
 
-from training.recipe import derive
 from training.recipes import lite
+from training.run.recipe import derive
 from training.run.stages import Stage
 from training.weights.release import add_offsets
 

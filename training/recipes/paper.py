@@ -12,7 +12,7 @@ from training.datasets.cityscapes import CityscapesRecipe
 from training.datasets.virtual_kitti import VirtualKitti1Recipe
 from training.loading.augment_config import AugmentConfig
 from training.losses import LossConfig
-from training.recipe import (
+from training.run.recipe import (
     DataRecipe,
     LoopRecipe,
     ModelRecipe,

@@ -8,12 +8,12 @@ from runtime.contract.contract import NO_CLASS
 from runtime.drawing.encode import encode_png
 from runtime.drawing.overlay import Overlay
 from runtime.files.atomic_write import atomic_write
+from training.base.processes import join_processes
 from training.datasets.class_mapping import list_classes
 from training.datasets.sample import SampleSource
-from training.evaluation.pictures import draw_batch
-from training.loading.batches import read_batches
 from training.loading.open_dataset import spread_indices
-from training.run.distributed import join_processes
+from training.pages.pictures import draw_batch
+from training.run.batches import read_batches
 from training.run.run_folder import BATCH, folder_errors
 from training.run.stages import Stage, next_stage
 from training.run.task import Task, open_task

@@ -12,11 +12,11 @@ from tqdm import tqdm
 from models import Network, save_checkpoint
 from models.checkpoint import BEST, FINAL, LAST
 from models.training_facts import TrainingFacts
-from training.evaluation.score_set import Result
+from training.base.processes import Processes, join_processes
+from training.base.stop_signal import StopRequested
 from training.loading.batch import Batch
-from training.loading.batches import read_batches
-from training.recipe import Recipe
-from training.run.distributed import Processes, join_processes
+from training.run.batches import read_batches
+from training.run.recipe import Recipe
 from training.run.run_folder import (
     PAGE,
     SCORES,
@@ -27,10 +27,10 @@ from training.run.run_folder import (
 )
 from training.run.score_table import ScoreTable
 from training.run.state import TrainingState
-from training.run.stop_signal import StopRequested
 from training.run.task import Task, open_task
 from training.run.training_run import RunResult, TrainingRun
 from training.run.validation import Board, validate, write_validation
+from training.scores.score_set import Result
 from training.weights.release import adjust_logits
 
 
@@ -41,7 +41,7 @@ def train(recipe: Recipe, run: TrainingRun) -> RunResult:
     weights, to release), best.pt (those of the best validation so far), scores.csv (every score of
     every validation), validation.html (the page of the last one) and tensorboard/. A folder with a
     last.pt of the same recipe is resumed. Started by torchrun, each process takes its share of
-    every batch, see `training.run.distributed`; the first one writes, and all stop at the same
+    every batch, see `training.base.processes`; the first one writes, and all stop at the same
     step.
 
     Args:

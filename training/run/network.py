@@ -7,7 +7,7 @@ from torch import Tensor
 
 from models import Network, create_model
 from runtime.base.errors import InputError
-from training.recipe import ModelRecipe
+from training.run.recipe import ModelRecipe
 from training.weights.imagenet_weights import COLORS, pretrain
 from training.weights.initial_weights import Weights, start_from
 from training.weights.prune import trunk_of

@@ -7,7 +7,7 @@ import torch
 from models import Network
 from runtime.base.errors import InputError
 from training.losses import SSDNetLoss
-from training.recipe import OptimizerRecipe
+from training.run.recipe import OptimizerRecipe
 
 
 def build_optimizer(

@@ -19,8 +19,8 @@ from models.checkpoint import BEST, FINAL, LAST, RECIPE
 from runtime.base.errors import InputError
 from runtime.files.atomic_write import atomic_write
 from runtime.files.own_folder import mark_folder
-from training.recipe import Recipe
-from training.tables import build
+from training.base.tables import build
+from training.run.recipe import Recipe
 
 SCORES = "scores.csv"
 PAGE = "validation.html"

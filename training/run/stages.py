@@ -11,10 +11,10 @@ from models import Network, load_checkpoint, save_checkpoint
 from models.checkpoint import FINAL, RECIPE
 from runtime.base.errors import InputError
 from runtime.files.atomic_write import atomic_write
+from training.base.processes import join_processes
 from training.loading.open_dataset import open_dataset, spread_pictures
-from training.recipe import Recipe
-from training.run.distributed import join_processes
 from training.run.loop import train
+from training.run.recipe import Recipe
 from training.run.run_folder import folder_errors
 from training.run.training_run import RunResult, TrainingRun
 from training.weights.initial_weights import read_weights

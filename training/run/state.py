@@ -15,9 +15,9 @@ from models import Network, NetworkOutput, load_checkpoint, save_checkpoint
 from runtime.base.arguments import shown
 from runtime.base.errors import CheckpointError, InputError, SSDNetError
 from runtime.files.atomic_write import atomic_write
+from training.base.processes import Processes, share_network
 from training.loading.batch import Batch
-from training.recipe import ScheduleRecipe
-from training.run.distributed import Processes, share_network
+from training.run.recipe import ScheduleRecipe
 from training.run.task import Task
 
 # `Network.forward`, or its distributed wrapper.

@@ -21,8 +21,9 @@ from models.answers import check_output, head_maps
 from runtime.base.errors import InputError
 from runtime.contract.contract import MIN_SIDE
 from runtime.engine.cores import available_cores
+from training.base.processes import Processes
+from training.base.stop_signal import Stop, Watched
 from training.datasets.sample import SampleSource
-from training.evaluation.scoring import figure_names
 from training.lidar.split import LidarInput
 from training.loading.augment_config import PAIR_STEP_PX, with_crop
 from training.loading.mixture import DepthTarget
@@ -36,12 +37,11 @@ from training.loading.open_dataset import (
 )
 from training.losses import SSDNetLoss, class_weights
 from training.losses.terms import Term
-from training.recipe import DataRecipe, OptimizerRecipe, Recipe, ValidationRecipe
-from training.run.distributed import Processes
 from training.run.network import build_network
 from training.run.optimizer import build_optimizer
-from training.run.stop_signal import Stop, Watched
+from training.run.recipe import DataRecipe, OptimizerRecipe, Recipe, ValidationRecipe
 from training.run.training_run import TrainingRun
+from training.scores.scoring import figure_names
 from training.weights.initial_weights import prepare_teacher, state_provenance
 
 # Frames of a validation set that are scored ahead of the training, to know its scores.

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from training.run.stop_signal import Stop, never
+from training.base.stop_signal import Stop, never
 from training.weights.initial_weights import Weights
 
 

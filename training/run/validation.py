@@ -12,19 +12,19 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from models import Network
+from training.base.processes import Processes
+from training.base.stop_signal import Stop, StopRequested, Watched
 from training.evaluation.evaluate import Evaluation
-from training.evaluation.pictures import draw_pictures
-from training.evaluation.score_set import EvaluatedSet, Feed, Result, score_set
 from training.evaluation.scored_model import open_network
-from training.evaluation.scoring import scored_classes
-from training.evaluation.shared_classes import ScoredClasses
 from training.lidar.split import LidarInput
-from training.run.distributed import Processes
+from training.pages.pictures import draw_pictures
 from training.run.run_folder import folder_errors
 from training.run.score_table import SHOWN
 from training.run.state import Step
-from training.run.stop_signal import Stop, StopRequested, Watched
 from training.run.task import Task
+from training.scores.score_set import EvaluatedSet, Feed, Result, score_set
+from training.scores.scoring import scored_classes
+from training.scores.shared_classes import ScoredClasses
 
 
 class Board:
@@ -78,7 +78,7 @@ def write_validation(
     known: Mapping[str, Sequence[Result]],
     stop: Stop,
 ) -> None:
-    """Write the page of networks on the validation sets, see `training.evaluation.page`.
+    """Write the page of networks on the validation sets, see `training.pages.page`.
 
     Args:
         networks: name -> network, of the recipe's classes; others are compared with the first.
@@ -87,7 +87,7 @@ def write_validation(
         known: results of `validate` by name of the network; networks without are scored.
         stop: True ends it without a page.
     """
-    from training.evaluation.page import write_page  # only where a page is made
+    from training.pages.page import write_page  # only where a page is made
 
     sets, table = _open_sets(task, stop), task.recipe.model.class_table
     models = {name: open_network(network, table) for name, network in networks.items()}

@@ -13,7 +13,7 @@ from models import Network, load_checkpoint
 from models.training_facts import TrainingFacts
 from runtime.base.errors import CheckpointError, InputError
 from training.losses import LossConfig
-from training.recipe import Recipe
+from training.run.recipe import Recipe
 from training.weights.prune import trunk_of, trunk_widths
 
 # Layers with weights for each class.

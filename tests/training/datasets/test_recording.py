@@ -7,9 +7,9 @@ import pytest
 from layouts.pictures import write
 from runtime.base.errors import DatasetError
 from runtime.recordings.folders import FolderSource
+from training.base.stop_signal import StopRequested
 from training.datasets.recording import RecordingRecipe
 from training.loading.open_dataset import count_frames, count_shared, open_dataset
-from training.run.stop_signal import StopRequested
 
 SIZE = (24, 32)
 

@@ -13,8 +13,8 @@ from models import SSDNetLite, SSDNetLiteConfig, create_model, load_checkpoint, 
 from runtime.base.errors import InputError
 from runtime.recordings.bundled_stream import bundled_frames
 from runtime.recordings.source import ListedFrame
+from training.base.stop_signal import never
 from training.commands.adapt import app
-from training.evaluation.scoring import HeadMaps
 from training.fine_tuning import adaptation as adapting
 from training.fine_tuning.adaptation import FEEDS, adapt, make_recipe, split_fed
 from training.fine_tuning.adaptation_frames import (
@@ -27,8 +27,8 @@ from training.fine_tuning.adaptation_frames import (
 )
 from training.loading.lidar_input import draw_lidar
 from training.loading.open_dataset import open_dataset
-from training.run.stop_signal import never
 from training.run.training_run import TrainingRun
+from training.scores.scoring import HeadMaps
 from training.weights.initial_weights import read_weights
 
 SIZE, FOCAL_PX = (96, 160), 120.0

@@ -5,8 +5,8 @@
 
 from pathlib import Path
 
+from training.base.tables import build
 from training.datasets.any_source import AnySource
-from training.tables import build
 
 
 def open_set(kind, root, classes="camvid", **keys):

@@ -22,7 +22,8 @@ from training.evaluation.evaluate import evaluate
 from training.loading.augment_config import AugmentConfig
 from training.losses import LossConfig
 from training.losses.terms import TERMS
-from training.recipe import (
+from training.run import loop, validation
+from training.run.recipe import (
     DataRecipe,
     LoopRecipe,
     ModelRecipe,
@@ -33,7 +34,6 @@ from training.recipe import (
     ValidationRecipe,
     derive,
 )
-from training.run import loop, validation
 from training.run.run_folder import lock_folder
 from training.run.state import NonFiniteLossError
 from training.run.training_run import TrainingRun

@@ -8,7 +8,7 @@ import pytest
 from models.checkpoint import RECIPE
 from runtime.base.errors import InputError
 from training.datasets.camvid import CamVidRecipe
-from training.recipe import DataRecipe, ModelRecipe, Recipe, ScheduleRecipe, derive
+from training.run.recipe import DataRecipe, ModelRecipe, Recipe, ScheduleRecipe, derive
 from training.run.run_folder import list_data, prepare_folder
 
 SET = CamVidRecipe(path="camvid")

@@ -11,7 +11,8 @@ from runtime.base.errors import InputError
 from training.commands.train import app
 from training.datasets.camvid import CamVidRecipe
 from training.loading.augment_config import AugmentConfig
-from training.recipe import (
+from training.recipes.registry import RECIPES, PackageRecipe
+from training.run.recipe import (
     DataRecipe,
     LoopRecipe,
     ModelRecipe,
@@ -20,7 +21,6 @@ from training.recipe import (
     ScheduleRecipe,
     derive,
 )
-from training.recipes.registry import RECIPES, PackageRecipe
 from training.run.stages import Stage, train_stages
 from training.run.training_run import TrainingRun
 from training.weights.prune import prune_trunk

@@ -8,12 +8,12 @@ import torch
 
 from layouts.pictures import write
 from runtime.base.errors import InputError
+from training.base.processes import Processes
+from training.base.tables import build, merge
 from training.losses.terms import TERMS
-from training.recipe import Recipe
-from training.run.distributed import Processes
+from training.run.recipe import Recipe
 from training.run.task import open_task
 from training.run.training_run import TrainingRun
-from training.tables import build, merge
 
 RECIPE = {
     "model": {

@@ -18,12 +18,12 @@ from runtime import Predictor
 from runtime.base.errors import InputError
 from runtime.engine.bundled_models import list_bundled_models
 from runtime.recordings.bundled_stream import bundled_stream
-from training.chosen_recipe import read_stages
 from training.commands.train import app
 from training.datasets.camvid import CamVidRecipe
 from training.losses import LossConfig
-from training.recipe import DataRecipe, ModelRecipe, Recipe, ScheduleRecipe, derive
+from training.recipes.chosen_recipe import read_stages
 from training.recipes.registry import RECIPES
+from training.run.recipe import DataRecipe, ModelRecipe, Recipe, ScheduleRecipe, derive
 from training.weights.initial_weights import (
     IMAGENET_TERMS,
     find_weights,

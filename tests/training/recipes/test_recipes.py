@@ -20,8 +20,8 @@ from models import (
     save_checkpoint,
 )
 from models.registry import NETWORKS, Entry
-from training.chosen_recipe import read_stages
 from training.losses.terms import TERMS
+from training.recipes.chosen_recipe import read_stages
 from training.recipes.registry import RECIPES
 from training.run.loop import train
 from training.run.network import build_network

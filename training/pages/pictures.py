@@ -13,10 +13,10 @@ from runtime.drawing.color_scale import NO_VALUE_COLOR
 from runtime.drawing.overlay import Overlay
 from runtime.drawing.picture_text import write_text
 from training.datasets.sample import AUXILIARY, SampleSource, labelled
-from training.evaluation.scoring import HeadMaps, Predict, split_frames
 from training.lidar.split import LidarInput
 from training.loading.batch import Batch
 from training.loading.open_dataset import spread_indices
+from training.scores.scoring import HeadMaps, Predict, split_frames
 
 # Largest width of a panel in the pictures of a validation [px]; a long run has hundreds of them.
 _WIDEST = 320

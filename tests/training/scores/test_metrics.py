@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from training.evaluation.metrics import (
+from training.scores.metrics import (
     BoundaryScores,
     DepthErrors,
     DepthScores,

@@ -11,11 +11,11 @@ from torch.utils.data import DataLoader
 
 from runtime.base.errors import DatasetError
 from runtime.command.process import leave_signals_to_parent
+from training.base.processes import Processes
 from training.datasets.sample import SampleSource
 from training.loading.batch import Batch
 from training.loading.mixture import CachedSource, Mixture, MixturePart
-from training.recipe import DataRecipe
-from training.run.distributed import Processes
+from training.run.recipe import DataRecipe
 from training.run.task import Task
 
 

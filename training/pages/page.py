@@ -12,12 +12,12 @@ from typing import Any
 from runtime.command.html import render_template
 from runtime.command.machine import machine_facts
 from runtime.files.atomic_write import atomic_write
-from training.evaluation.depth_regions import RETURN_DISTANCES
 from training.evaluation.evaluate import Evaluation
-from training.evaluation.metrics import RANGES_M
-from training.evaluation.score_report import COLUMNS, difference_rows, table_notes
-from training.evaluation.score_set import Result
-from training.evaluation.worst_frames import WRONG_SHARE, WorstFrame
+from training.pages.worst_frames import WRONG_SHARE, WorstFrame
+from training.scores.depth_regions import RETURN_DISTANCES
+from training.scores.metrics import RANGES_M
+from training.scores.score_report import COLUMNS, difference_rows, table_notes
+from training.scores.score_set import Result
 
 _TICKS = 5
 _LEAST = 0.005  # least share of a label that is written in the confusion
@@ -60,7 +60,7 @@ def write_page(found: Evaluation, path: Path, *, overwrite: bool = True, title: 
         "worst": list(_worst(found.worst)),
         "notes": table_notes(found.rows),
     }
-    page = render_template("training.evaluation", "evaluation.html", values)
+    page = render_template("training.pages", "evaluation.html", values)
     atomic_write(path, page.encode(errors="backslashreplace"), overwrite=overwrite)
 
 

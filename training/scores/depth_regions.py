@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.metrics import Accumulator, DepthErrors, ErrorSums
+from training.scores.metrics import Accumulator, DepthErrors, ErrorSums
 
 # Largest distance [px] of each region.
 RETURN_DISTANCES: Mapping[str, float] = {

@@ -13,11 +13,11 @@ from runtime.drawing.encode import encode_jpeg
 from runtime.drawing.overlay import Overlay
 from training.datasets.class_mapping import list_classes
 from training.datasets.sample import Sample
-from training.evaluation.score_report import Row
-from training.evaluation.score_set import EvaluatedSet, Result, split_feeds
 from training.evaluation.scored_model import ScoredModel
-from training.evaluation.scoring import HeadMaps
-from training.evaluation.shared_classes import ScoredClasses
+from training.scores.score_report import Row
+from training.scores.score_set import EvaluatedSet, Result, split_feeds
+from training.scores.scoring import HeadMaps
+from training.scores.shared_classes import ScoredClasses
 
 _WIDEST, _QUALITY = 420, 80  # of a panel
 # Number of frames that are drawn for each model, set and head.

@@ -19,8 +19,9 @@ from runtime.engine.inference import at_frame_size
 from runtime.engine.prediction import HeadArrays
 from runtime.engine.preprocess import preprocess
 from training.datasets.sample import SampleSource, labelled
-from training.evaluation.depth_regions import DepthRegionScores
-from training.evaluation.metrics import (
+from training.lidar.split import LidarInput, LidarSplit, frame_generator, split_lidar
+from training.scores.depth_regions import DepthRegionScores
+from training.scores.metrics import (
     FARTHEST_M,
     Accumulator,
     BoundaryScores,
@@ -30,8 +31,7 @@ from training.evaluation.metrics import (
     RoadScores,
     SemanticScores,
 )
-from training.evaluation.uncertainty import UncertaintyScores
-from training.lidar.split import LidarInput, LidarSplit, frame_generator, split_lidar
+from training.scores.uncertainty import UncertaintyScores
 
 
 class HeadMaps(HeadArrays):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from training.lidar.scan import elevation_bands, project_lines, scan_line_of
+from training.datasets.scan_lines import elevation_bands, project_lines, scan_line_of
 
 
 def test_scan_lines_by_hand():

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.metrics import Accumulator, DepthErrors
+from training.scores.metrics import Accumulator, DepthErrors
 
 # Shares of a Laplace distribution within one and two of its scales b: 1 - exp(-1), 1 - exp(-2).
 LAPLACE_COVERAGE = (0.632, 0.865)

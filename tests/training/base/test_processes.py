@@ -15,7 +15,7 @@ from torch import nn
 
 from layouts.pictures import write
 from models import load_checkpoint
-from training.run.distributed import Processes, share_batch_norm
+from training.base.processes import Processes, share_batch_norm
 
 # Every term of the loss, on a set whose frames differ in how much of them is known. PyTorch is
 # imported once; the processes of each run are forked, with the environment that torchrun sets.
@@ -36,7 +36,7 @@ from training.run import state
 from training.datasets.folders import FoldersRecipe
 from training.loading.augment import AugmentConfig
 from training.losses import LossConfig
-from training.recipe import *
+from training.run.recipe import *
 from training.run.training_run import TrainingRun
 source = FoldersRecipe(
     path="scenes", labels="labels", depth="depth", intrinsics=(60.0, 60.0, 28.0, 20.0)

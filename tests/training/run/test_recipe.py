@@ -3,10 +3,10 @@
 import pytest
 
 from runtime.base.errors import InputError
-from training.chosen_recipe import read_stages
+from training.base.tables import build
 from training.datasets.any_source import AnySource, parse_data
 from training.datasets.cityscapes import CityscapesRecipe
-from training.tables import build
+from training.recipes.chosen_recipe import read_stages
 
 MINIMAL = """
 [model]

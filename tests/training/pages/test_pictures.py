@@ -8,8 +8,8 @@ import torch
 from layouts.batch import batch_of
 from models import CLASS_TABLES
 from runtime.drawing.overlay import Overlay
-from training.evaluation.pictures import draw_batch
-from training.evaluation.scoring import HeadMaps
+from training.pages.pictures import draw_batch
+from training.scores.scoring import HeadMaps
 
 HEIGHT, WIDTH = 64, 48
 OVERLAY = Overlay(CLASS_TABLES["camvid"], 100.0)

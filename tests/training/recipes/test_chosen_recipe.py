@@ -5,8 +5,8 @@ from typer.testing import CliRunner
 
 from models import list_models
 from runtime.base.errors import InputError
-from training.chosen_recipe import read_stages
 from training.commands.train import app
+from training.recipes.chosen_recipe import read_stages
 from training.recipes.registry import RECIPES
 
 

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from runtime.files.atomic_write import atomic_write
-from training.evaluation.depth_regions import RETURN_DISTANCES
-from training.evaluation.metrics import FARTHEST_M, RANGES_M
-from training.evaluation.scoring import scored_classes
+from training.scores.depth_regions import RETURN_DISTANCES
+from training.scores.metrics import FARTHEST_M, RANGES_M
+from training.scores.scoring import scored_classes
 
 if TYPE_CHECKING:
-    from training.evaluation.differences import Difference
+    from training.scores.differences import Difference
 
 
 class Column(NamedTuple):

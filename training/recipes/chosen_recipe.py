@@ -16,13 +16,13 @@ from models.registry import find_network
 from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 from runtime.files.read_input import read_toml
+from training.base.tables import merge
 from training.losses import LossConfig
 from training.losses.terms import PAIR_TERMS, TERMS
 from training.losses.total import gather_weights
-from training.recipe import LoopRecipe, OptimizerRecipe, build_recipe, change
 from training.recipes.registry import RECIPES
+from training.run.recipe import LoopRecipe, OptimizerRecipe, build_recipe, change
 from training.run.stages import Stage
-from training.tables import merge
 from training.weights.initial_weights import Weights, weights_folder
 
 
@@ -91,7 +91,7 @@ def inherit_settings(
 
     Args:
         table: the recipe's table, as read from TOML.
-        changes: changes of the recipe, see `training.recipe.change`.
+        changes: changes of the recipe, see `training.run.recipe.change`.
         init: the checkpoint that the training begins with; None: there is none.
     """
     table = change(table, changes)

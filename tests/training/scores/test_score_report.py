@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from training.evaluation.score_report import Row, format_table
+from training.scores.score_report import Row, format_table
 
 ROW = Row("a", "torch on cpu", "x", "64", "none", 3, {"miou": 0.5, "mae_m": 1.25})
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from training.evaluation.depth_regions import (
+from training.scores.depth_regions import (
     RETURN_DISTANCES,
     DepthRegionScores,
     distance_px,
     split_distances,
 )
-from training.evaluation.metrics import DepthErrors
+from training.scores.metrics import DepthErrors
 
 
 def test_distances_equal_loops():

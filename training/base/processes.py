@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from runtime.base.errors import InputError
-from training.run.stop_signal import Stop, never
+from training.base.stop_signal import Stop, never
 
 T = TypeVar("T")
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from training.evaluation.differences import compare
-from training.evaluation.metrics import DepthErrors, DepthScores
-from training.evaluation.score_report import Row, format_differences
-from training.evaluation.score_set import FrameScore, Result
 from training.lidar.split import LidarInput
+from training.scores.differences import compare
+from training.scores.metrics import DepthErrors, DepthScores
+from training.scores.score_report import Row, format_differences
+from training.scores.score_set import FrameScore, Result
 
 
 def result(model, errors_m, *, hits=None, groups=None):

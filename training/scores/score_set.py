@@ -11,17 +11,17 @@ from tqdm import tqdm
 
 from runtime.base.errors import InputError
 from runtime.contract.contract import NO_CLASS
+from training.base.processes import Processes
 from training.datasets.class_mapping import list_classes
 from training.datasets.sample import Sample, SampleSource
-from training.evaluation.depth_folder import DepthFolder
-from training.evaluation.metrics import FARTHEST_M
-from training.evaluation.score_report import Row
 from training.evaluation.scored_model import ScoredModel
-from training.evaluation.scoring import HeadMaps, Scores, figures_over_places
-from training.evaluation.shared_classes import ScoredClasses
 from training.lidar.faults import Fault, add_fault
 from training.lidar.split import LidarInput, LidarSplit, frame_generator, split_lidar
-from training.run.distributed import Processes
+from training.scores.depth_folder import DepthFolder
+from training.scores.metrics import FARTHEST_M
+from training.scores.score_report import Row
+from training.scores.scoring import HeadMaps, Scores, figures_over_places
+from training.scores.shared_classes import ScoredClasses
 
 # A LiDAR input and its fault.
 Feed = tuple[LidarInput, Fault]

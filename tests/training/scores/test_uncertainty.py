@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from training.evaluation.metrics import DepthErrors
-from training.evaluation.uncertainty import LAPLACE_COVERAGE, UncertaintyScores
+from training.scores.metrics import DepthErrors
+from training.scores.uncertainty import LAPLACE_COVERAGE, UncertaintyScores
 
 
 def frames(rng, count=3):

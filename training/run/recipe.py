@@ -15,10 +15,7 @@ from models import NetworkConfig
 from models.registry import find_network
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_CLASSES, MAX_NAME_LENGTH, MIN_SIDE, ClassInfo
-from training.datasets.any_source import AnySource
-from training.datasets.class_mapping import IGNORED, ClassTable, TableName, list_classes
-from training.lidar.split import LidarInput
-from training.limits import (
+from training.base.limits import (
     STRICT,
     BatchSize,
     NotNegative,
@@ -29,10 +26,13 @@ from training.limits import (
     Steps,
     Workers,
 )
+from training.base.tables import TAGS, build, merge
+from training.datasets.any_source import AnySource
+from training.datasets.class_mapping import IGNORED, ClassTable, TableName, list_classes
+from training.lidar.split import LidarInput
 from training.loading.augment_config import AugmentConfig
 from training.losses import LossConfig
 from training.losses.terms import PAIR_TERMS
-from training.tables import TAGS, build, merge
 
 T = TypeVar("T")
 # Tags of the two forms of `model.classes`.

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.metrics import class_iou
-from training.evaluation.score_report import Row
-from training.evaluation.score_set import FrameScore, Result
+from training.scores.metrics import class_iou
+from training.scores.score_report import Row
+from training.scores.score_set import FrameScore, Result
 
 # Number of draws, and their seed.
 _DRAWS, _SEED = 2000, 0

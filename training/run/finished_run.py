@@ -8,12 +8,12 @@ from pathlib import Path
 
 from models.checkpoint import BEST, FINAL, RECIPE
 from runtime.base.errors import DatasetError, InputError
+from training.base.tables import build
 from training.datasets.sample import SampleSource
 from training.datasets.source_recipe import SourceRecipe
 from training.loading.open_dataset import open_dataset
-from training.recipe import Recipe
+from training.run.recipe import Recipe
 from training.run.run_folder import DATA_FOLDERS
-from training.tables import build
 
 
 @dataclass(frozen=True)

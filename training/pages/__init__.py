@@ -1,0 +1,1 @@
+"""Pictures of batches and of answers, and the page of an evaluation."""

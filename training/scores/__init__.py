@@ -1,0 +1,1 @@
+"""Scores of models on whole sets: metrics, rows, and differences between models."""
