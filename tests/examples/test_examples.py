@@ -122,10 +122,13 @@ OTHER_TOOLS = {
 }
 
 
-@pytest.mark.parametrize("name", OTHER_TOOLS)
+@pytest.mark.parametrize("name", (*OTHER_TOOLS, "of_opencv_5.yml", "camera.xml", "camera.json"))
 def test_calibrations_of_other_tools(run, tmp_path, name):
     pytest.importorskip("yaml", reason="PyYAML, which the example imports, is not installed")
-    (tmp_path / name).write_text(OTHER_TOOLS[name])
+    if name in OTHER_TOOLS:
+        (tmp_path / name).write_text(OTHER_TOOLS[name])
+    else:
+        write_storage(tmp_path / name)
     lines = run("convert_calibration.py", tmp_path / name)
     (tmp_path / "car.toml").write_text("\n".join((*lines, "points_in = 'camera'")))
     calibration = Calibration.from_file(tmp_path / "car.toml")
@@ -133,3 +136,35 @@ def test_calibrations_of_other_tools(run, tmp_path, name):
     assert calibration.size == (240, 640)
     assert calibration.lens == "plumb_bob"
     assert tuple(calibration.distortion[:4]) == (-0.3, 0.1, 0.001, -0.002)
+
+
+def write_storage(path, coefficients=(-0.3, 0.1, 0.001, -0.002, 0), **more):
+    """Write what OpenCV's calibration sample writes, with the installed OpenCV."""
+    k = np.array([[700.0, 0, 320], [0, 710, 120], [0, 0, 1]])
+    values = {"image_width": 640, "image_height": 240, "camera_matrix": k, **more}
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for key, value in (values | {"distortion_coefficients": np.array([coefficients]).T}).items():
+        storage.write(key, value)
+    storage.release()
+
+
+def test_the_lens_of_opencv(run, tmp_path):
+    """The fisheye option of OpenCV's sample and the number of coefficients name the lens."""
+    pytest.importorskip("yaml", reason="PyYAML, which the example imports, is not installed")
+    write_storage(tmp_path / "a.yml", (0.1, 0.2, 0.3, 0.4), fisheye_model=1)
+    assert "lens = 'equidistant'" in run("convert_calibration.py", tmp_path / "a.yml")
+    write_storage(tmp_path / "b.yml", (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, *[0] * 6))
+    assert "lens = 'rational_polynomial'" in run("convert_calibration.py", tmp_path / "b.yml")
+
+
+@pytest.mark.parametrize(
+    ("known", "unknown"),
+    [("pinhole", "omni"), ("radtan", "fov"), ("distortion_coeffs", "coefficients")],
+)
+def test_an_unknown_calibration_is_refused(run, tmp_path, capsys, known, unknown):
+    pytest.importorskip("yaml", reason="PyYAML, which the example imports, is not installed")
+    path = tmp_path / "camchain.yaml"
+    path.write_text(OTHER_TOOLS[path.name].replace(known, unknown))
+    with pytest.raises(SystemExit):
+        run("convert_calibration.py", path)
+    assert re.search(f"error: cannot convert .*({known}|{unknown})", capsys.readouterr().err)
