@@ -160,7 +160,9 @@ def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:
         body = _decompress(body, points * size)
     lines = list(filter(bytes.strip, body.splitlines())) if encoding == _ASCII else []
     there = len(lines) if encoding == _ASCII else len(body) // size
-    if not 0 <= points <= there or (there > points and header.is_last and encoding != _COMPRESSED):
+    # PCL up to 1.8 writes a page of zeros behind the points.
+    is_longer = there > points and header.is_last and encoding != _COMPRESSED
+    if not 0 <= points <= there or (is_longer and (lines or body[points * size :].strip(b"\0"))):
         raise ValueError(
             f"its header states {points} points, it has {there}: is it truncated, or is it another "
             "file's header?"

@@ -83,6 +83,7 @@ FILES = {
     "big.ply": ply(records(">", *OF_PLY) + FACE, "binary_big_endian"),
     "padding of no byte.pcd": pcd(OF_PCD, "binary", **NO_BYTE, COUNT="3 0 1 1 1"),
     "padding of no byte in text.pcd": pcd(lines("777yxz"), "ascii", **NO_BYTE, COUNT="3 0 1 1 1"),
+    "a page longer.pcd": pcd(OF_PCD + bytes(4096), "binary"),  # PCL up to 1.8
     "blank lines.pcd": pcd(b"\n \n" + lines("777yxz"), "ascii"),
 }
 for word in (b"-nan(ind)", b"1.#QNAN", b"-1.#IND00", b"1.#INF", b"nan(snan)"):  # of Windows
