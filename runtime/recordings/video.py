@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from runtime.base.errors import InputError
 from runtime.base.process_guard import SHARED_FILES, ProcessGuard
 from runtime.files.read_input import require_regular
+from runtime.geometry.assumptions import assume
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.images import DEPTH_SUFFIXES, list_files, require_pixels
@@ -23,6 +24,8 @@ from runtime.streams.frame import Frame, Message
 
 _SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm")
 _MOST_DAMAGED = 1000  # damaged frames in a row, after which the video has ended
+# Else FFmpeg writes to the terminal, without a frame's name. OpenCV reads this at its first video.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 
 class VideoSource(FolderSource):
@@ -56,9 +59,19 @@ class VideoSource(FolderSource):
         height, width = (int(self._video.get(side)) for side in sides)
         require_pixels((height, width), name=str(path))
         self._most: int | None = None  # number of frames to count; None: all
+        self._decoded: NDArray[np.uint8] | None = None  # the frame that was decoded last
+        self._has_repeats = False  # whether frames of the video are known to repeat others
         degrees = self._video.get(cv2.CAP_PROP_ORIENTATION_META) % 360
+        shape = (cv2.CAP_PROP_SAR_NUM, cv2.CAP_PROP_SAR_DEN)  # 0 = the header does not state it
+        wide, high = (self._video.get(each) or 1.0 for each in shape)
         with self.collecting():
             check_turn(f"turns them by {degrees:.0f} degrees" if degrees else "", "video's header")
+            if wide != high:
+                assume(
+                    f"pixels are used as they are stored, although the video's header makes them "
+                    f"{wide / high:.3g} times as wide as high",
+                    "give a calibration of the stored pixels, whose fx and fy then differ",
+                )
 
     @staticmethod
     def accepts(path: Path) -> bool:
@@ -105,15 +118,33 @@ class VideoSource(FolderSource):
         """Frame number `image`; to go back, the video is decoded again from its beginning."""
         if image < self._next:
             self._video.release()
-            self._video, self._next = _open(self._rgb), 0
-        grabbed = False
-        while self._next <= image:
-            grabbed = self._video.grab()  # grab() also takes a frame that is damaged
-            self._next += 1
-        done, decoded = self._video.retrieve() if grabbed else (False, None)
-        if not done or decoded is None:
+            self._video, self._next, self._decoded = _open(self._rgb), 0, None
+        decoded = _decode(self._video, image - self._next)
+        self._next = image + 1
+        if decoded is None:
             raise InputError(f"{self._rgb} ends before its frame {image}, or this frame is damaged")
+        self._require_written(image, decoded)
         return np.ascontiguousarray(decoded[..., ::-1], dtype=np.uint8)
+
+    def _require_written(self, image: int, decoded: NDArray[np.uint8]) -> None:
+        """Raise InputError for a frame that OpenCV reports as decoded without writing its pixels.
+
+        It does so where the conversion to RGB fails, as of interlaced frames: all pixels are 0, or
+        those of the frame before. A second reader has no frame before.
+        """
+        before, self._decoded = self._decoded, decoded
+        is_written = decoded.any()
+        if is_written and not self._has_repeats and np.array_equal(decoded, before):
+            again = _open(self._rgb)
+            is_written = self._has_repeats = np.array_equal(decoded, _decode(again, image))
+            again.release()
+        if not is_written:
+            codec = int(self._video.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little")
+            raise InputError(
+                f"frame {image} of {self._rgb} (codec {codec.decode('latin-1')!r}) is black, or has "
+                "no pixels: OpenCV cannot convert interlaced frames, ffmpeg -i VIDEO -vf yadif NEW "
+                "can"
+            )
 
     def close(self) -> None:
         """See `Source.close`."""
@@ -122,6 +153,14 @@ class VideoSource(FolderSource):
 
 def _name(number: int) -> str:
     return f"{number:06d}"
+
+
+def _decode(video: cv2.VideoCapture, skipped: int) -> NDArray[np.uint8] | None:
+    """Return the frame after so many others, uint8 (H, W, 3) in BGR, or None."""
+    for _ in range(skipped):
+        video.grab()  # it also takes a frame that is damaged
+    done, decoded = video.read()
+    return np.asarray(decoded, np.uint8) if done and decoded is not None else None
 
 
 def _open(path: Path, *, threads: int = 1) -> cv2.VideoCapture:

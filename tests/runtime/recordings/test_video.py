@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from runtime import InputError
+from runtime.recordings import video as video_module
 from runtime.recordings.video import VideoSource
 
 N, RATE_HZ = 8, 20
@@ -59,6 +60,59 @@ def test_frames_may_be_read_in_any_order(video):
         for index in (0, 0, 1, 5, 2, 7, 7):
             mean = source.read(frames[index]).rgb.mean(axis=(0, 1))
             np.testing.assert_allclose(mean, (red_of(index), 60, 90), atol=6)
+
+
+class Unwritten:
+    """A video of which OpenCV reports frames as decoded whose pixels it did not write."""
+
+    def __init__(self, video, unwritten):
+        self.video, self.unwritten, self.next = video, unwritten, 0
+        self.buffer = np.zeros((48, 64, 3), np.uint8)
+
+    def __getattr__(self, name):
+        return getattr(self.video, name)
+
+    def grab(self):
+        self.next += 1
+        return self.video.grab()
+
+    def read(self):
+        done, decoded = self.video.read()
+        if self.next not in self.unwritten:
+            self.buffer = decoded
+        self.next += 1
+        return done, self.buffer
+
+
+@pytest.mark.parametrize("unwritten", [(), (2, 5), range(N)])
+def test_frames_whose_pixels_are_not_written_are_damaged(video, monkeypatch, unwritten):
+    """Such a frame is black, or a copy of the frame before, as after an interlaced frame."""
+    opened = video_module._open
+
+    def opened_unwritten(path, **options):
+        return Unwritten(opened(path, **options), unwritten)
+
+    monkeypatch.setattr(video_module, "_open", opened_unwritten)
+    with VideoSource(video) as source:
+        for index, frame in enumerate(source.list_frames()):
+            if index in unwritten:
+                with pytest.raises(InputError, match=rf"frame {index} of .*'FMP4'.*yadif"):
+                    source.read(frame)
+            else:
+                red = source.read(frame).rgb[..., 0].mean()
+                np.testing.assert_allclose(red, red_of(index), atol=6)
+
+
+def test_a_video_may_repeat_frames(tmp_path):
+    writer = cv2.VideoWriter(
+        str(tmp_path / "slow.avi"), cv2.VideoWriter_fourcc(*"MJPG"), RATE_HZ, (64, 48)
+    )
+    for index in (3, 3, 5, 5, 5):
+        writer.write(np.full((48, 64, 3), red_of(index), np.uint8))
+    writer.release()
+    with VideoSource(tmp_path / "slow.avi") as source:
+        means = [source.read(frame).rgb.mean() for frame in source.list_frames()]
+    np.testing.assert_allclose(means, [red_of(i) for i in (3, 3, 5, 5, 5)], atol=6)
 
 
 def test_frames_and_depth_maps_without_a_partner_are_listed(video, depth_maps):
@@ -128,7 +182,7 @@ def write_mkv():
         body = element("1549A966", scale + duration)
         body += element("1654AE6B", element("AE", track))
         for index, time_ms in enumerate(times_ms):
-            jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), index, np.uint8))[1].tobytes()
+            jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), index + 1, np.uint8))[1].tobytes()
             block = element("A3", b"\x81\0\0\x80" + jpeg)
             body += element("1F43B675", number("E7", time_ms) + block)
         head = element("4282", b"matroska") + number("4287", 2) + number("4285", 2)
