@@ -1,9 +1,10 @@
-"""The numbers in file names, and the order of names by these numbers.
+"""The names of files: their normal form, the numbers in them, and their order by these numbers.
 
 All code that lists files uses this module, so that every list has the same order.
 """
 
 import re
+import unicodedata
 from collections.abc import Iterable
 from decimal import Decimal
 
@@ -15,6 +16,11 @@ _NUMBERS = re.compile(
 )
 _WHOLE = re.compile("([0-9]+)")
 _CLOCK_DIGITS = 9  # of seconds since 1970
+
+
+def normal_form(name: str) -> str:
+    """Return a name in the form NFC, since macOS decomposes accented letters, and others do not."""
+    return unicodedata.normalize("NFC", name)
 
 
 def in_natural_order(names: Iterable[str]) -> list[str]:

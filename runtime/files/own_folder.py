@@ -3,6 +3,8 @@
 Only files on this list are ever removed or replaced. All other files belong to the user.
 """
 
+import contextlib
+import fcntl
 import json
 import os
 from collections.abc import Iterable, Iterator, Sequence
@@ -51,6 +53,31 @@ def require_folder_free(path: Path, *, overwrite: bool = False) -> None:
         _list_replaced(path, overwrite=overwrite)
 
 
+@contextmanager
+def locked_folder(path: Path) -> Iterator[None]:
+    """Keep other processes that call this function out of a folder, which is created.
+
+    Raises:
+        OutputError: if another process is inside, or the folder cannot be created.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        folder = os.open(path, os.O_RDONLY)
+    except OSError as error:
+        raise OutputError(_cannot_make(path, error)) from error
+    try:
+        with contextlib.suppress(OSError):  # some network drives have no locks
+            try:
+                fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise OutputError(
+                    f"another run is writing into {path}: wait for its end, or choose another --out"
+                ) from error
+        yield
+    finally:
+        os.close(folder)
+
+
 def make_own_folder(path: Path, files: Sequence[Path], *, overwrite: bool = False) -> None:
     """Make a folder into which files will be written one by one.
 
@@ -82,10 +109,7 @@ def make_own_folder(path: Path, files: Sequence[Path], *, overwrite: bool = Fals
         for folder in {path / file.parent for file in files}:
             folder.mkdir(exist_ok=True)
     except OSError as error:
-        raise OutputError(
-            f"cannot make the output folder {path} ({error.strerror}: {error.filename}): choose "
-            "another --out"
-        ) from error
+        raise OutputError(_cannot_make(path, error)) from error
     _write_list(path, files, overwrite=True)
 
 
@@ -138,6 +162,13 @@ def _list_replaced(path: Path, *, overwrite: bool) -> list[Path]:
                 "choose another folder"
             )
     return sorted(entries, key=lambda entry: entry == path / MARKER)
+
+
+def _cannot_make(path: Path, error: OSError) -> str:
+    return (
+        f"cannot make the output folder {path} ({error.strerror}: {error.filename}): choose "
+        "another --out"
+    )
 
 
 def _is_file(path: Path) -> bool:

@@ -178,6 +178,7 @@ class BagSource(Source):
         names: Counter[str] = Counter()
         cameras: list[list[float]] = []
         offsets: dict[Sensor, list[int]] = {sensor: [] for sensor in MATCHED}
+        unstamped: Counter[str] = Counter()
 
         def stamped() -> Iterator[tuple[Sensor, int, int]]:
             """Yield (sensor, stamp, position in the messages) for images and depth."""
@@ -193,6 +194,8 @@ class BagSource(Source):
                     continue
                 if stamp_ns:
                     offsets[sensor].append(stamp_ns - message.recorded_ns)
+                else:
+                    unstamped[message.topic] += 1
                 yield sensor, stamp_ns or message.recorded_ns, place
 
         def name(image: Message) -> str:
@@ -208,6 +211,14 @@ class BagSource(Source):
             name=name,
         )
         self._left_out.update(self._bag.left_out)
+        # The first stamp of a simulator is 0.
+        if self._depth_topic is not None and (topics := [t for t, n in unstamped.items() if n > 1]):
+            with collect_assumptions(self._notes):
+                assume(
+                    f"the times at which messages of {', '.join(topics)} were recorded, since "
+                    "their headers have no stamps",
+                    "let the driver stamp them, since depth is moved by the delay of recording",
+                )
         clocks = offsets[Sensor.IMAGE], offsets[Sensor.DEPTH], self._period_ns
         ahead_s = clocks_apart_s(*clocks, is_scan=self._sensors.has_clouds)
         with collect_assumptions(self._notes):

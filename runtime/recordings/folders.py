@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
-from runtime.base.natural_order import in_natural_order, numbers_in
+from runtime.base.natural_order import in_natural_order, normal_form, numbers_in
 from runtime.base.stamp import NS_PER_MS
 from runtime.geometry.assumptions import assume, collect_assumptions
 from runtime.geometry.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration
@@ -171,11 +171,12 @@ class FolderSource(Source):
                 or if no two files make a pair.
         """
         self._left_out.clear()
-        images = {self._rgb.stem: self._rgb} if self._is_one else self._list_images()
+        only = normal_form(self._rgb.stem)
+        images = {only: self._rgb} if self._is_one else self._list_images()
         depths: dict[str, Path] = {}
         if self._depth is not None:
             if self._is_one and os.path.isfile(self._depth):
-                depths = {self._rgb.stem: self._depth}
+                depths = {only: self._depth}
             else:
                 depths = self._pair(images, self._list_depths(self._depth))
         without_image = set() if self._is_one else depths.keys() - images.keys()
@@ -228,6 +229,7 @@ class FolderSource(Source):
     def _pair(self, images: Mapping[str, Path], depths: dict[str, Path]) -> dict[str, Path]:
         """Map the stems of the images to their depth maps or scans. Raises InputError."""
         if images.keys() & depths.keys():
+            self._check_numbering(images, depths)
             return depths
         stems = {numbers: stem for stem, numbers in numbers_in(images).items()}
         numbered = {numbers: depths[stem] for stem, numbers in numbers_in(depths).items()}
@@ -244,6 +246,19 @@ class FolderSource(Source):
             f"{numbered[first].name}"
         )
         return {stems.get(n, path.stem): path for n, path in numbered.items()}
+
+    def _check_numbering(self, images: Iterable[str], depths: Iterable[str]) -> None:
+        """Report the assumption that two numberings are one, if one counts from another number."""
+        first, second = (
+            sorted(int(s) for s in stems if s.isdecimal()) for stems in (images, depths)
+        )
+        apart = {after - before for before, after in zip(first, second, strict=False)}
+        if len(first) == len(second) > 1 and len(apart) == 1 and apart != {0}:
+            what = f"images numbered from {first[0]} and {self._what}s numbered from {second[0]}"
+            with collect_assumptions(self._notes):
+                assume(
+                    f"that equal numbers are one frame, of {what}", "number both from 0 or from 1"
+                )
 
     def _read_image(self, image: Any) -> NDArray[np.uint8]:
         return read_rgb(image)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from runtime.base.arguments import cut
 from runtime.base.errors import InputError
+from runtime.base.natural_order import normal_form
 from runtime.contract.contract import MAX_PIXELS
 from runtime.files.read_input import read_input
 from runtime.geometry.returns import to_metres
@@ -194,8 +195,8 @@ def require_pixels(size: tuple[int, int], *, name: str) -> None:
 def list_files(folder: Path, suffixes: tuple[str, ...] = RGB_SUFFIXES) -> dict[str, Path]:
     """Map the stems of the files in a folder that end in one of `suffixes` to their paths.
 
-    Hidden files are left out. Raises InputError if there is no such file, if the folder cannot be
-    listed, or if a stem occurs twice.
+    Hidden files are left out. The stems have their `normal_form`. Raises InputError if there is no
+    such file, if the folder cannot be listed, or if a stem occurs twice.
     """
     try:
         paths = sorted(folder.iterdir())
@@ -207,7 +208,7 @@ def list_files(folder: Path, suffixes: tuple[str, ...] = RGB_SUFFIXES) -> dict[s
         suffix = next(filter(path.name.lower().endswith, suffixes), None)
         if suffix is None or path.name.startswith("."):
             continue
-        stem = path.name[: -len(suffix)]
+        stem = normal_form(path.name[: -len(suffix)])
         if stem in files:
             raise InputError(f"{files[stem]} and {path} have the same stem: remove one")
         files[stem] = path

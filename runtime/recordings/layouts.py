@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from runtime.base.errors import InputError
+from runtime.base.natural_order import normal_form
 from runtime.geometry.calibration import find_raw_calibration
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.folders import FolderSource, list_entries
@@ -152,7 +153,7 @@ def _find_folders(path: Path) -> list[Path] | None:
 
 def _holds_both(path: Path) -> bool:
     """Whether images and their depth maps or scans lie in one folder."""
-    names = [entry.name.lower() for entry in list_entries(path)]
+    names = [normal_form(entry.name).lower() for entry in list_entries(path)]
 
     def stems(suffixes: tuple[str, ...]) -> set[str]:
         return {name.removesuffix(end) for end in suffixes for name in names if name.endswith(end)}

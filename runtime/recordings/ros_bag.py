@@ -164,6 +164,9 @@ def _open(path: Path) -> "tuple[Any, Typestore]":
             raise InputError(
                 f"a compressed part has {size:,} bytes, expected at most {MAX_CHUNK_BYTES:,}"
             )
+        for chunks in (getattr(each, "chunks", []) for each in _storages(reader)):
+            if not any(chunk.message_index_offsets for chunk in chunks):
+                chunks.clear()  # a valid file without an index of its messages: it is scanned
     return reader, definitions
 
 
@@ -188,8 +191,9 @@ def _require_merged(file: Path) -> None:
 def _mcap_reader() -> Any:
     """The class with which rosbags reads MCAP, without the definitions of messages.
 
-    The original fails at definitions of channels that do not belong to ROS. The change is made in a
-    copy of its module, so that others who use rosbags are not affected.
+    The original fails at definitions of channels that do not belong to ROS, and at files without an
+    index whose messages are not sorted. The change is made in a copy of its module, so that others
+    who use rosbags are not affected.
     """
     from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 
@@ -198,7 +202,12 @@ def _mcap_reader() -> Any:
     spec.loader.exec_module(module)
     module.get_msgdef = lambda schema: MessageDefinition(MessageDefinitionFormat.NONE, "")
     module.read_string = lambda file: module.read_bytes(file).decode(errors="replace")
-    return module.McapReader
+
+    class McapReader(module.McapReader):  # type: ignore[misc]
+        def messages(self, *args: Any, **limits: Any) -> Any:
+            return (super().messages if self.chunks else self.messages_scan)(*args, **limits)
+
+    return McapReader
 
 
 def _storages(reader: Any) -> list[Any]:

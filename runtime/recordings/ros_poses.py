@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Iterable, Iterator, Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,10 +19,15 @@ from runtime.recordings.ros_messages import view_fields
 # Names that drivers give to the field with the time of each point; the first one present counts.
 TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")
 # NumPy's types for the datatypes of such a field.
-_TIMES = {6: "u4", 5: "i4", 7: "f4", 8: "f8"}
-_LONGEST_SCAN_S = 1.0
-# Least value of nanoseconds since 1970 (a time in 1973), and least span of a scan in microseconds.
-_LEAST_EPOCH_NS, _LEAST_SPAN_US, _LEAST_SPAN_NS = 1e17, 1e3, 1e6
+_TIMES = {2: "u1", 4: "u2", 6: "u4", 5: "i4", 7: "f4", 8: "f8"}
+_HALVES = {6: "u4", 5: "i4"}  # seconds and nanoseconds
+# A scan takes 1 ms to 1 s.
+_SHORTEST_SCAN_NS, _LONGEST_SCAN_NS = 1e6, 1e9
+_LEAST_EPOCH_NS = 1e17  # nanoseconds since 1970, in 1973
+_UNITS_NS = (10**9, 10**6, 10**3, 1)
+_REMEDY = "pose_topic=none in --source leaves scans as they are"
+# A pose that moves less than this share of the way that its twists state is not filled.
+_LEAST_SHARE, _LEAST_WAY_M = 0.01, 1.0
 # Fixed frames of REP 105, and the names that SLAM programs use for them.
 _FIXED = ("odom", "map", "earth", "world", "camera_init")
 
@@ -40,16 +46,18 @@ def point_times_s(
 ) -> NDArray[np.float64] | None:
     """Return when each point of a PointCloud2 was measured, in seconds after the stamp.
 
+    The unit is the one in which the values span a scan, 1 ms to 1 s; seconds may span less.
+
     | type | values | meaning |
     |---|---|---|
-    | int32, uint32 | any; assumed if below 1 ms | ns after the stamp (Ouster, Autoware, Livox) |
-    | float32, float64 | up to 1 | s after the stamp (Velodyne) |
-    | float32, float64 | up to 10^6, over a span of more than 10^3 | us after the stamp |
-    | float64 | larger, over a span of up to 1 | s of the clock (Hesai, RoboSense) |
-    | float64 | from 10^17 on, over a span of up to 10^9 | ns of the clock (Livox) |
+    | floats | up to 1 s in this unit | s (Velodyne), ms, us or ns after the stamp |
+    | float64 | larger | s (Hesai, RoboSense), ms, us or ns (Livox) of the clock |
+    | integers | over a span of 1 ms | ns after the stamp (Ouster, Autoware, Livox) |
+    | integers | others | us or ms, or ns if these are no scan either, with a warning |
+    | two 32-bit integers | any | s and ns of the clock |
 
-    A scan takes at most a second; other values are an error. The middle nine tenths of the returns
-    decide, because single times may be broken.
+    Other values are an error. The middle nine tenths of the returns decide, because single times
+    may be broken.
 
     Args:
         message: sensor_msgs/PointCloud2.
@@ -67,6 +75,9 @@ def point_times_s(
     field = next((f for name in TIME_FIELDS for f in message.fields if f.name == name), None)
     if field is None:
         return None
+    if field.count == 2:
+        values = _clock_times_ns(message, field) - stamp_ns
+        return None if np.ptp(values) == 0 else values / 1e9
     times = view_fields(message, [field], _TIMES)[field.name].ravel()
     values: NDArray[np.float64] = times.astype(np.float64)
     known = values[is_return(points) & np.isfinite(values)]
@@ -74,10 +85,7 @@ def point_times_s(
         return None  # the driver does not fill it
     lowest, highest = np.percentile(known, (5, 95))
     if times.dtype.kind in "iu":
-        if highest - lowest < _LEAST_SPAN_NS:
-            remedy = "pose_topic=none in --source leaves scans as they are"
-            assume(f"{field.name} of a scan is nanoseconds, although all are within 1 ms", remedy)
-        return values / 1e9
+        return values * _unit_of_integers(highest - lowest, field.name) / 1e9
     unit_ns, is_clock = _unit(lowest, highest, times.dtype.itemsize, field.name)
     # float64 cannot hold nanoseconds since 1970 exactly, so a whole number is subtracted first.
     first = int(lowest) if is_clock else 0
@@ -85,20 +93,41 @@ def point_times_s(
     return ((values - first) * unit_ns + shift_ns) / 1e9
 
 
+def _clock_times_ns(message: Any, field: Any) -> NDArray[np.int64]:
+    """The times of points whose field holds seconds and nanoseconds of the clock."""
+    halves = [
+        SimpleNamespace(name=name, offset=field.offset + offset, datatype=field.datatype, count=1)
+        for name, offset in ((field.name, 0), (f"{field.name} (ns)", 4))
+    ]
+    seconds, rest = (view_fields(message, [h], _HALVES)[h.name].ravel() for h in halves)
+    return seconds.astype(np.int64) * 10**9 + rest
+
+
+def _unit_of_integers(span: float, name: str) -> int:
+    """Nanoseconds per unit of integers that span a scan."""
+    if span >= _SHORTEST_SCAN_NS:
+        return 1
+    fitting = (u for u in (10**3, 10**6) if _SHORTEST_SCAN_NS < span * u <= _LONGEST_SCAN_NS)
+    unit_ns = next(fitting, 1)
+    words = {1: "nanoseconds", 10**3: "microseconds", 10**6: "milliseconds"}
+    assume(f"{name} of a scan is {words[unit_ns]}, since all times are within {span:g}", _REMEDY)
+    return unit_ns
+
+
 def _unit(lowest: float, highest: float, size: int, name: str) -> tuple[int, bool]:
     """(Nanoseconds per unit, whether it is the clock's) by the table of `point_times_s`."""
     largest, span = max(abs(lowest), abs(highest)), highest - lowest
-    if largest <= _LONGEST_SCAN_S:
-        return 10**9, False
-    if size == 8 and span <= _LONGEST_SCAN_S:
-        return 10**9, True
-    if lowest >= _LEAST_EPOCH_NS and span <= _LONGEST_SCAN_S * 1e9:
-        return 1, True
-    if largest <= _LONGEST_SCAN_S * 1e6 and span > _LEAST_SPAN_US:
-        return 10**3, False
+    for unit_ns in _UNITS_NS:
+        longest = _LONGEST_SCAN_NS / unit_ns
+        if span > longest or (span * unit_ns < _SHORTEST_SCAN_NS and unit_ns < 10**9):
+            continue
+        if largest <= longest:
+            return unit_ns, False
+        if size == 8 and (unit_ns == 10**9 or lowest * unit_ns >= _LEAST_EPOCH_NS):
+            return unit_ns, True
     raise InputError(
         f"the field {name} of a PointCloud2 has values from {lowest:g} to {highest:g}, expected "
-        "seconds or microseconds after the stamp, or seconds or nanoseconds of the clock"
+        f"times of a scan of up to 1 s, after the stamp or of the clock: {_REMEDY}"
     )
 
 
@@ -111,17 +140,26 @@ def odometry_poses(messages: Iterable[Any]) -> tuple[str, list[tuple[int, NDArra
     """
     frames: set[str] = set()
     fixed: set[str] = set()
-    poses = []
+    poses, twists = [], []
     for message in messages:
         frames.add(frame_name(message.child_frame_id))
         fixed.add(frame_name(message.header.frame_id))
         poses.append((_stamp_ns(message.header), odometry_pose(message)))
+        speed = message.twist.twist.linear
+        twists.append(np.linalg.norm([speed.x, speed.y, speed.z]))
     if len(frames) != 1:
         raise InputError(
             f"an Odometry must be of one child_frame_id, got {', '.join(sorted(frames)) or 'none'}"
         )
     if len(fixed) > 1:
         raise InputError(f"an Odometry must be in one frame, got {', '.join(sorted(fixed))}")
+    stamps_s, places = np.array([ns for ns, _ in poses]) / 1e9, [pose[:3, 3] for _, pose in poses]
+    stated_m = float(np.nanmedian(twists) * np.ptp(stamps_s))
+    if stated_m > _LEAST_WAY_M and np.ptp(places, axis=0).max() < _LEAST_SHARE * stated_m:
+        raise InputError(
+            f"its pose does not move, although its twist states {stated_m:.0f} m: give the poses "
+            "of another topic by pose_topic= in --source"
+        )
     return frames.pop(), poses
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
-from runtime.base.natural_order import contain_decimals
+from runtime.base.natural_order import contain_decimals, normal_form
 from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import (
@@ -272,7 +272,7 @@ class Source(ABC):
         max_skew_ms: float,
         limit: int | None,
         camera_only: bool,
-        name: Callable[[Message], str] = lambda image: str(image.data.stem),
+        name: Callable[[Message], str] = lambda image: normal_form(image.data.stem),
     ) -> tuple[ListedFrame, ...]:
         """List the frames of messages, see `RecordingMatcher`.
 

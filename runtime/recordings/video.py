@@ -141,9 +141,9 @@ class VideoSource(FolderSource):
         if not is_written:
             codec = int(self._video.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little")
             raise InputError(
-                f"frame {image} of {self._rgb} (codec {codec.decode('latin-1')!r}) is black, or has "
-                "no pixels: OpenCV cannot convert interlaced frames, ffmpeg -i VIDEO -vf yadif NEW "
-                "can"
+                f"frame {image} of {self._rgb} (codec {codec.decode('latin-1')!r}) is black, or "
+                "has no pixels: OpenCV cannot convert interlaced frames, ffmpeg -i VIDEO -vf yadif "
+                "NEW can"
             )
 
     def close(self) -> None:

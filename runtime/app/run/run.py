@@ -26,6 +26,7 @@ from runtime.command.process import stop_requested
 from runtime.contract.canonical_focal import CameraScale
 from runtime.engine.predictor import Predictor
 from runtime.engine.preprocess import check_sparse_depth
+from runtime.files.own_folder import locked_folder
 from runtime.recordings.source import ListedFrame, Source
 from runtime.streams.answerer import Answerer, known_focal_length_px
 
@@ -91,6 +92,7 @@ def run(
                     stream = _prepare(options, source, predictor)
                 if not reports:
                     options = options.with_folder()
+                    stack.enter_context(locked_folder(options.folder))
                     if camera:
                         make_run_folder(options, kinds=(), names=())
                     stop = stack.enter_context(stop_requested())

@@ -15,7 +15,7 @@ from runtime.files.atomic_write import (
     remove_leftover,
     require_writable,
 )
-from runtime.files.own_folder import MARKER, atomic_folder
+from runtime.files.own_folder import MARKER, atomic_folder, locked_folder
 
 
 def names_in(folder):
@@ -227,3 +227,14 @@ def test_a_folder_with_a_foreign_entry_is_not_replaced(tmp_path, foreign):
     (tmp_path / "alias").symlink_to(path)
     with pytest.raises(OutputError, match="is a link"):
         atomic_folder(tmp_path / "alias", overwrite=True).__enter__()
+
+
+def test_two_processes_do_not_write_into_one_folder(tmp_path):
+    """A lock belongs to an open file, so one process can hold two like two processes."""
+    with locked_folder(tmp_path / "a/out"):
+        with pytest.raises(OutputError, match=r"another run is writing into .*out"):
+            locked_folder(tmp_path / "a/out").__enter__()
+        with locked_folder(tmp_path / "b"):
+            pass
+    with locked_folder(tmp_path / "a/out"):
+        pass

@@ -159,9 +159,12 @@ class BagMaker:
         fields["p"] = np.hstack([given.pop("rectified", k), shift])
         self.send("sensor_msgs/msg/CameraInfo", topic, stamp_ns, fields | given)
 
-    def odometry(self, topic, position, stamp_ns, *, child="base", turn=(0, 0, 0, 1)):
+    def odometry(
+        self, topic, position, stamp_ns, *, child="base", turn=(0, 0, 0, 1), speed=(0, 0, 0)
+    ):
         pose = {"position": vector(position), "orientation": vector(turn)}
         fields = {"header": header(stamp_ns, "odom"), "child_frame_id": child}
+        fields["twist"] = {"twist": {"linear": vector(speed)}}
         self.send("nav_msgs/msg/Odometry", topic, stamp_ns, fields | {"pose": {"pose": pose}})
 
     def static_transform(self, parent, child, quaternion, shift):

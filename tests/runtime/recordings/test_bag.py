@@ -1,6 +1,7 @@
 """Bags of ROS 1 and ROS 2 and MCAP files, written by rosbags: what becomes a frame."""
 
 import builtins
+import struct
 
 import cv2
 import numpy as np
@@ -51,13 +52,54 @@ def test_frames_are_read_again_and_back(record, make_frame, kind):
         assert np.array_equal(source.read(first).rgb, make_frame(*SIZE)[0])
 
 
-def test_messages_without_a_stamp_have_the_time_of_recording(make_bag, make_frame):
-    bag = make_bag("ros1")
-    for index in range(3):
+@pytest.mark.parametrize("stamps_ns", [(0, 0, 0), (0, 1, 2)])
+def test_messages_without_a_stamp_have_the_time_of_recording(record, make_frame, stamps_ns):
+    """Beside scans this is said, unless only the first stamp is 0, as of a simulator."""
+    bag = record("ros1", images=0)
+    for index, stamp_ns in enumerate(stamps_ns):
         rgb, _ = make_frame(*SIZE, seed=index)
-        bag.image("/cam", rgb, "rgb8", 0, recorded_ns=START_NS + index)
-    with BagSource(bag.write(), depth_topic="none") as source:
-        assert [f.image_stamp_ns for f in source.list_frames()] == [START_NS + i for i in range(3)]
+        bag.image("/cam/image_rect", rgb, "rgb8", stamp_ns, recorded_ns=START_NS + index)
+    with BagSource(bag.write()) as source:
+        times_ns = [frame.image_stamp_ns for frame in source.list_frames()]
+        said = [note for note in source.notes if "have no stamps" in note]
+    if any(stamps_ns):
+        assert sorted(times_ns) == [1, 2, START_NS]
+        assert not said
+    else:
+        assert times_ns == [START_NS + index for index in range(3)]
+        assert "messages of /cam/image_rect" in said[0]
+
+
+def test_an_mcap_file_needs_no_index_of_its_messages(record):
+    """The offsets of the indexes of messages are removed from the indexes of the chunks."""
+    path = record().write()
+    content = path.read_bytes()
+    (at,), changed = struct.unpack_from("<Q", content, len(content) - 28), b""
+    whole = content[:at]
+    while content[at] != 0x02:  # records: a byte, the length, and the content
+        code, size = struct.unpack_from("<BQ", content, at)
+        body = content[at + 9 : at + 9 + size]
+        if code == 0x08:
+            body = body[:32] + bytes(4) + body[36 + struct.unpack_from("<I", body, 32)[0] :]
+            changed += body
+        whole += struct.pack("<BQ", code, len(body)) + body
+        at += 9 + size
+    assert changed
+    path.write_bytes(whole + content[at:])
+    with BagSource(path) as source:
+        frames = [source.read(frame) for frame in source.list_frames()]
+    assert len(frames) == 4
+    assert all(frame.sparse_depth.any() for frame in frames)
+
+
+@pytest.mark.parametrize("speed", [0.0, 20.0])
+def test_poses_that_stay_although_the_twist_moves_are_no_poses(record, speed):
+    bag = record()
+    for index in range(-5, 20):
+        bag.odometry("/odom", (0, 0, 0), START_NS + 50 * MS * index, speed=(speed, 0, 0))
+    with BagSource(bag.write()) as source:
+        assert (source.inputs["pose_topic"] == "/odom") == (speed == 0)
+        assert any("does not move" in note for note in source.notes) == (speed > 0)
 
 
 def test_a_recording_of_a_loop_answers_every_turn(make_bag, make_frame):

@@ -1,6 +1,7 @@
 """Two folders as a source, and one alone."""
 
 import shutil
+import unicodedata
 from pathlib import Path
 
 import numpy as np
@@ -287,6 +288,26 @@ def test_numbers_are_the_same_with_zeros_in_front(empty_folders, rgb, depth):
     assert [frame.image.name for frame in frames] == rgb
     assert [frame.depth.name for frame in frames] == depth
     assert source.notes[0].endswith(f"as {rgb[0]} with {depth[0]}")
+
+
+def test_names_are_compared_in_one_normal_form(empty_folders):
+    """Letters with accents are decomposed by macOS, and by no other system."""
+    names = ["Köln.png", "Zürich.png"]
+    images, maps = empty_folders(names, [unicodedata.normalize("NFD", name) for name in names])
+    frames = FolderSource(images, depth=maps).list_frames()
+    assert [frame.name for frame in frames] == ["Köln", "Zürich"]
+    assert all(frame.complete for frame in frames)
+
+
+@pytest.mark.parametrize(("depth", "is_said"), [
+    (["0.png", "1.png", "2.png"], True), (["1.png", "2.png", "3.png"], False),
+    (["0.png", "1.png", "2.png", "3.png"], False), (["2.png", "3.png", "5.png"], False),
+])  # fmt: skip
+def test_numbers_from_0_beside_numbers_from_1_are_said(empty_folders, depth, is_said):
+    images, maps = empty_folders(["1.png", "2.png", "3.png"], depth)
+    source = FolderSource(images, depth=maps)
+    source.list_frames()
+    assert any("images numbered from 1 and depth maps" in n for n in source.notes) == is_said
 
 
 @pytest.mark.parametrize(("rgb", "depth", "named"), [
