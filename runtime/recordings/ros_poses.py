@@ -76,8 +76,8 @@ def point_times_s(
     if field is None:
         return None
     if field.count == 2:
-        values = _clock_times_ns(message, field) - stamp_ns
-        return None if np.ptp(values) == 0 else values / 1e9
+        after_ns = _clock_times_ns(message, field) - stamp_ns
+        return None if np.ptp(after_ns) == 0 else after_ns / 1e9
     times = view_fields(message, [field], _TIMES)[field.name].ravel()
     values: NDArray[np.float64] = times.astype(np.float64)
     known = values[is_return(points) & np.isfinite(values)]
@@ -100,7 +100,8 @@ def _clock_times_ns(message: Any, field: Any) -> NDArray[np.int64]:
         for name, offset in ((field.name, 0), (f"{field.name} (ns)", 4))
     ]
     seconds, rest = (view_fields(message, [h], _HALVES)[h.name].ravel() for h in halves)
-    return seconds.astype(np.int64) * 10**9 + rest
+    times: NDArray[np.int64] = seconds.astype(np.int64) * 10**9 + rest
+    return times
 
 
 def _unit_of_integers(span: float, name: str) -> int:

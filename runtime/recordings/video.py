@@ -133,10 +133,12 @@ class VideoSource(FolderSource):
         those of the frame before. A second reader has no frame before.
         """
         before, self._decoded = self._decoded, decoded
-        is_written = decoded.any()
-        if is_written and not self._has_repeats and np.array_equal(decoded, before):
+        is_written = bool(decoded.any())
+        is_repeated = before is not None and np.array_equal(decoded, before)
+        if is_written and is_repeated and not self._has_repeats:
             again = _open(self._rgb)
-            is_written = self._has_repeats = np.array_equal(decoded, _decode(again, image))
+            fresh = _decode(again, image)
+            is_written = self._has_repeats = fresh is not None and np.array_equal(decoded, fresh)
             again.release()
         if not is_written:
             codec = int(self._video.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little")

@@ -122,7 +122,7 @@ OTHER_TOOLS = {
 }
 
 
-@pytest.mark.parametrize("name", (*OTHER_TOOLS, "of_opencv_5.yml", "camera.xml", "camera.json"))
+@pytest.mark.parametrize("name", [*OTHER_TOOLS, "of_opencv_5.yml", "camera.xml", "camera.json"])
 def test_calibrations_of_other_tools(run, tmp_path, name):
     pytest.importorskip("yaml", reason="PyYAML, which the example imports, is not installed")
     if name in OTHER_TOOLS:

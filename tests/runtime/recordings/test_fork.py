@@ -47,7 +47,7 @@ def test_a_video(tmp_path):
     path = tmp_path / "drive.mp4"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 10, (64, 48))
     for index in range(4):
-        writer.write(np.full((48, 64, 3), 50 * index, np.uint8))
+        writer.write(np.full((48, 64, 3), 50 * index + 20, np.uint8))
     writer.release()
     with open_source("video", path) as source:
         require_guarded(source)
