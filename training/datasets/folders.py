@@ -123,6 +123,7 @@ class FoldersRecipe(LabelledRecipe):
             pair(source, taken, folder.name, truth),
             "bands" if self.scan else "none",
             semantic_weight=self.semantic_weight,
+            lacking=self.lacking_ids(classes),
             has_lidar=self.sparse_depth is not None,
         )
 

@@ -10,7 +10,7 @@ from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import DatasetError
 from runtime.contract.contract import NO_CLASS
-from training.base.limits import STRICT, Share
+from training.base.limits import STRICT, NotNegative
 from training.datasets.cityscapes import TRAIN_LABELS
 from training.datasets.class_mapping import (
     IGNORED,
@@ -37,14 +37,18 @@ class LabelledRecipe(RangeRecipe):
         label_ids: name in `model.classes` of each id, or "ignore"; replaces the order of the
             classes.
         ignore: id of pixels without a class.
-        semantic_weight: weight of the labels; below 1 for labels that a network made.
+        lacking: classes that images show and labels never have, such as the sky where only a
+            LiDAR's returns are labelled; nothing about them is learned from the set.
+        semantic_weight: weight of a labelled pixel; below 1 for labels that a network made, above 1
+            where few pixels have a label.
     """
 
     labels: Folder | None = None
     label_classes: Literal["cityscapes"] | None = None
     label_ids: Mapping[_Id, str] | None = None
     ignore: _Id = NO_CLASS
-    semantic_weight: Share = 1.0
+    lacking: tuple[str, ...] = ()
+    semantic_weight: NotNegative = 1.0
 
     def __post_init__(self) -> None:
         """Check that the ids have one meaning."""
@@ -73,6 +77,16 @@ class LabelledRecipe(RangeRecipe):
         names = [info.name for info in list_classes(classes)]
         ids = self._read_ids(classes, names)
         return LabelReader(ids, partial(_advise, None if self.label_classes else names, ids))
+
+    def lacking_ids(self, classes: ClassTable) -> tuple[int, ...]:
+        """Return the ids of `lacking`; DatasetError for names that the table does not have."""
+        names = [info.name for info in list_classes(classes)]
+        if unknown := [name for name in self.lacking if name not in names]:
+            raise DatasetError(
+                f"lacking: {unknown[0]!r} is no class of model.classes: give some of "
+                f"{', '.join(names)}"
+            )
+        return tuple(map(names.index, self.lacking))
 
     def _read_ids(self, classes: ClassTable, names: Sequence[str]) -> Mapping[int, int]:
         """Return the id in the class table for each id in the files, `NO_CLASS` for none."""

@@ -87,6 +87,7 @@ class RecordedFrames(FrameList):
         frames: the frames.
         lines: how scan lines are numbered.
         semantic_weight: weight of the classes, see `Sample.weights`.
+        lacking: see `Sample.lacking`.
         has_lidar: whether a frame without returns is one of a LiDAR that measured nothing, so that
             no input is simulated for it.
 
@@ -102,10 +103,11 @@ class RecordedFrames(FrameList):
         lines: Lines = "none",
         *,
         semantic_weight: float | None = None,
+        lacking: tuple[int, ...] = (),
         has_lidar: bool = False,
     ) -> None:
         self._frames = list(frames)
-        self._lines, self._has_lidar = lines, has_lidar
+        self._lines, self._has_lidar, self._lacking = lines, has_lidar, lacking
         self._weights = {} if semantic_weight is None else {"semantic": semantic_weight}
         listed = [frame.listed.image for frame in self._frames]
         self.images = [image for image in listed if isinstance(image, Path)]
@@ -124,7 +126,7 @@ class RecordedFrames(FrameList):
             frame = replace(frame, depth=Message(data=nothing_known(frame.size)))
         truth = {target: read(frame.size) for target, read in recorded.truth.items()}
         frame = replace(frame, poses=None, name=recorded.name)
-        return Sample(frame, truth, scan_line, self._weights, **recorded.facts)
+        return Sample(frame, truth, scan_line, self._weights, self._lacking, **recorded.facts)
 
 
 def _read_named(source: Source, listed: ListedFrame) -> Frame:
@@ -225,7 +227,8 @@ class RecordingRecipe(LabelledRecipe):
             and ((frame.complete and frame.depth is not None) or frame.name in with_truth)
         ]
         paired = pair(source, self.take(frames, folder), folder.name, truth)
-        return RecordedFrames(paired, "bands", semantic_weight=self.semantic_weight)
+        weight, lacking = self.semantic_weight, self.lacking_ids(classes)
+        return RecordedFrames(paired, "bands", semantic_weight=weight, lacking=lacking)
 
 
 def beside(path: Path) -> Path:

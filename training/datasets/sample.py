@@ -74,6 +74,7 @@ class Sample:
             no lines are known.
         weights: weight of each target in the loss, below 1 for labels that a network made; 1 if it
             is not here.
+        lacking: ids of classes that the image may show and the labels never have.
         focal_baseline_px_m: focal length times stereo baseline [px m] if depth was measured as
             disparity; d = this / depth, in pixels of the data set's images at their original size.
         place: which of the set's places the frame shows; None if the set does not know.
@@ -83,6 +84,7 @@ class Sample:
     targets: Mapping[str, NDArray[Any]]
     scan_line: NDArray[np.int16] | None = None
     weights: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    lacking: tuple[int, ...] = ()
     focal_baseline_px_m: float | None = None
     place: str | None = None
 

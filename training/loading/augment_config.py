@@ -41,6 +41,8 @@ class AugmentConfig:
             crops, the crop with the most pixels of `data.rare_classes`.
         brightness: largest relative change of brightness, contrast and saturation, and largest hue
             shift [degrees].
+        restyle: probability that the histograms of an image's channels move towards those of an
+            image of another set, by a random share.
         lidar_missing: probability that the LiDAR is missing.
         lidar_random: probability that the input is a random share of the measurements instead of
             scan lines.
@@ -73,6 +75,7 @@ class AugmentConfig:
     gray: Share = 0.02
     blur: Share = 0.1
     noise: Share = 0.1
+    restyle: Share = 0.0
     lidar_missing: Share = 0.1
     lidar_random: Share = 0.3
     random_share: ShareRange = (0.01, 0.08)

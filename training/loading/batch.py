@@ -49,6 +49,7 @@ class Batch:
         names: data set and name of each frame, for messages.
         pair: how second views differ; None: no frame has two views.
         teacher: output of the teacher; None: there is no teacher.
+        lacking: `Sample.lacking` of each frame; empty: no labels lack a class.
     """
 
     rgb: Tensor
@@ -58,6 +59,7 @@ class Batch:
     names: Sequence[str]
     pair: Pair | None = None
     teacher: NetworkOutput | None = None
+    lacking: Sequence[tuple[int, ...]] = ()
 
     @classmethod
     def collate(cls, drawn: Sequence[Drawn], targets: Collection[str]) -> Self:
@@ -85,6 +87,7 @@ class Batch:
                 for name in targets
             },
             names=[item.views[0].name for item in drawn],
+            lacking=[view.lacking for view in samples],
             pair=pair,
         )
 

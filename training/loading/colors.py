@@ -8,6 +8,25 @@ from numpy.typing import NDArray
 from training.loading.augment_config import AugmentConfig
 
 
+def move_histograms(
+    rgb: NDArray[np.uint8], other: NDArray[np.uint8], share: float
+) -> NDArray[np.uint8]:
+    """Move the histogram of each channel towards that of another image; at share 1 they are equal.
+
+    Neighbouring pixels look alike, so a sixteenth of them is counted.
+    """
+    values = np.arange(256)
+    table = np.empty((1, 256, 3), np.uint8)
+    for channel in range(3):
+        ranks, wanted = (
+            np.bincount(image[::4, ::4, channel].ravel(), minlength=256).cumsum(dtype=np.float64)
+            for image in (rgb, other)
+        )
+        matched = np.interp(ranks / ranks[-1], wanted / wanted[-1], values)
+        table[0, :, channel] = np.rint(values + share * (matched - values))
+    return np.asarray(cv2.LUT(rgb, table), np.uint8)
+
+
 def change_colors(
     rgb: NDArray[np.uint8], config: AugmentConfig, rng: Generator
 ) -> NDArray[np.uint8]:

@@ -1,16 +1,19 @@
 """From data sets to samples: frames are cached, drawn from a mixture and augmented."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.random import Generator
 from torch.utils.data import Dataset
 
 from runtime.contract.contract import MAX_RETURN_M
+from runtime.streams.frame import Message
 from training.datasets.sample import Sample, SampleSource
 from training.loading.augment import augment, take_views, with_margin
 from training.loading.augment_config import AugmentConfig
 from training.loading.batch import Drawn
+from training.loading.colors import move_histograms
 from training.loading.depth_values import far_sky, scale_world
 
 
@@ -111,8 +114,11 @@ class Mixture(Dataset[Drawn]):
         part = self._parts[self._part[index]]
         rng = np.random.default_rng([self._seed, 1, index])
         target = self._depth
+        sample = part.source[int(self._frame[index])]
+        if part.augment.restyle and rng.random() < part.augment.restyle:
+            sample = self._restyle(sample, self._part[index], rng)
         sample = augment(
-            part.source[int(self._frame[index])],
+            sample,
             with_margin(part.augment),
             rng,
             canonical_focal_px=target.canonical_focal_px,
@@ -128,3 +134,13 @@ class Mixture(Dataset[Drawn]):
         if target.sky is not None:
             views = tuple(far_sky(view, target.sky, target.sky_depth_m) for view in views)
         return Drawn(views, offset)
+
+    def _restyle(self, sample: Sample, own: int, rng: Generator) -> Sample:
+        """Return a sample whose colours are nearer to those of an image of another set."""
+        others = [part.source for index, part in enumerate(self._parts) if index != own]
+        if not others:
+            return sample
+        donors = others[int(rng.integers(len(others)))]
+        other = donors[int(rng.integers(len(donors)))]
+        rgb = move_histograms(sample.rgb, other.rgb, rng.random())
+        return replace(sample, frame=replace(sample.frame, image=Message(data=rgb)))

@@ -89,6 +89,18 @@ class Compared:
         return self.log_probabilities.exp()
 
     @cached_property
+    def labelled_log_probabilities(self) -> Tensor:
+        """Log probabilities among the classes that the labels of a frame have, (N, C, h, w)."""
+        if not any(self.batch.lacking):
+            return self.log_probabilities
+        logits = self.heads["semantic"]
+        hidden = torch.zeros(logits.shape[:2], dtype=torch.bool, device=logits.device)
+        for frame, classes in enumerate(self.batch.lacking):
+            hidden[frame, list(classes)] = True
+        # Finite, because a share of 0 times infinity is no number.
+        return F.log_softmax(logits.masked_fill(hidden[..., None, None], -1e4), dim=1)
+
+    @cached_property
     def shares(self) -> Tensor:
         """See `class_shares`, on the grid of the classes."""
         logits = self.heads["semantic"]
@@ -157,11 +169,12 @@ def _depth_uncertainty(c: Compared) -> Tensor:
 
 def _semantic(c: Compared) -> Tensor:
     weights = c.loss.class_weights
-    return weighted_cross_entropy(c.log_probabilities, c.shares, weights, c.label_weights)
+    log_probabilities = c.labelled_log_probabilities
+    return weighted_cross_entropy(log_probabilities, c.shares, weights, c.label_weights)
 
 
 def _semantic_iou(c: Compared) -> Tensor:
-    return soft_iou_loss(c.probabilities, c.shares, c.label_weights)
+    return soft_iou_loss(c.labelled_log_probabilities.exp(), c.shares, c.label_weights)
 
 
 def _lovasz(c: Compared) -> Tensor:

@@ -292,6 +292,8 @@ class Recipe:
 
     Attributes:
         terms: data and terms that a model card and an exported file must state.
+        own_data_only: whether initial weights and a teacher are refused that were trained on other
+            data than the recipe's, because the terms of these would be those of the weights, too.
     """
 
     model: ModelRecipe
@@ -303,6 +305,7 @@ class Recipe:
     release: ReleaseRecipe = field(default_factory=ReleaseRecipe)
     validation: ValidationRecipe = field(default_factory=ValidationRecipe)
     terms: Annotated[str, Field(max_length=10_000)] = ""
+    own_data_only: bool = False
 
     def __post_init__(self) -> None:
         """Check the classes and the views that data and loss need."""

@@ -42,7 +42,11 @@ from training.run.optimizer import build_optimizer
 from training.run.recipe import DataRecipe, OptimizerRecipe, Recipe, ValidationRecipe
 from training.run.training_run import TrainingRun
 from training.scores.scoring import figure_names
-from training.weights.initial_weights import prepare_teacher, state_provenance
+from training.weights.initial_weights import (
+    prepare_teacher,
+    require_own_data,
+    state_provenance,
+)
 
 # Frames of a validation set that are scored ahead of the training, to know its scores.
 _SCORED = 20
@@ -98,6 +102,7 @@ def open_task(
     _seed(recipe.data.seed)
     sets = _open_sets(recipe, run.data, stop)
     network, taught_by = _open_networks(recipe, sets, run, processes, resumed=resumed)
+    require_own_data(recipe, init=run.init, teacher=run.teacher)
     known_data, data_terms = state_provenance(recipe, run.init, run.teacher)
     watched = [Watched(source, stop) for source in sets.sources]
     found = survey(recipe.data.source, watched, recipe.model.class_names, network.config)

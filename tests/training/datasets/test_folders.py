@@ -1,5 +1,6 @@
 """Data of one's own: pictures, depth and labels by stem, with a class table in the recipe."""
 
+import os
 import re
 from dataclasses import fields
 from pathlib import Path
@@ -15,6 +16,9 @@ from runtime.contract.contract import ClassInfo
 from training.datasets.any_source import parse_data
 from training.datasets.folders import FoldersRecipe
 from training.datasets.source_recipe import SourceRecipe
+from training.recipes.pandaset_street import camera
+
+DATA = Path(os.environ.get("SSDNET_DATA", "nowhere"))
 
 CLASSES = (ClassInfo("lane", (10, 20, 30)), ClassInfo("rest", (200, 0, 0)))
 
@@ -48,6 +52,7 @@ def test_everything_is_paired_by_stem(mine):
         depth_scale=1000,
         intrinsics=(50, 51, 32, 16),
         semantic_weight=0.5,
+        lacking=("rest",),
     )
     assert len(source) == 2
     first = source[0]
@@ -61,7 +66,10 @@ def test_everything_is_paired_by_stem(mine):
     assert (first.semantic[4:] == (np.arange(64) >= 30)).all()
     assert first.intrinsics.tolist() == [[50, 0, 32], [0, 51, 16], [0, 0, 1]]
     assert first.weights == {"semantic": 0.5}
+    assert first.lacking == (1,)
     assert first.scan_line is None
+    with pytest.raises(DatasetError, match=r"lacking: 'sky' is no class .* give some of lane"):
+        opened(mine, lacking=("sky",))
     write(mine / "images" / "a.jpg", np.zeros((40, 64, 3), np.uint8))
     with pytest.raises(DatasetError, match="same stem"):
         opened(mine)
@@ -219,3 +227,15 @@ def test_the_docs_name_every_key():
     text = (Path(__file__).parents[3] / "docs" / "training.md").read_text()
     own, common = ({item.name for item in fields(each)} for each in (FoldersRecipe, SourceRecipe))
     assert own - common <= set(re.findall(r"`(\w+)(?: = [^`]+)?`", text))
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="SSDNET_DATA names no recordings")
+def test_a_street_whose_returns_have_classes():
+    recipe = camera("right", semantic_weight=5.0)
+    sample = recipe.open(DATA / recipe.path, "camvid")[0]
+    assert sample.is_scan
+    assert 0.05 < (sample.returns > 0).mean() < 0.1
+    classes = set(np.unique(sample.semantic[sample.semantic < 255]).tolist())
+    assert {1, 3, 8} <= classes
+    assert not classes & set(sample.lacking)
+    assert sample.focal_length_px == pytest.approx(384.4, abs=0.1)

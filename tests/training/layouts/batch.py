@@ -5,7 +5,9 @@ import torch
 from training.loading.batch import Batch
 
 
-def batch_of(semantic, depth, *, semantic_weight=None, road_mask=None, pair=None, teacher=None):
+def batch_of(
+    semantic, depth, *, semantic_weight=None, road_mask=None, pair=None, teacher=None, lacking=()
+):
     """Semantic (N, H, W), depth (N, 1, H, W); a black image without LiDAR."""
     count, height, width = semantic.shape
     targets = {"semantic": semantic.to(torch.uint8), "depth": depth[:, 0]}
@@ -16,4 +18,4 @@ def batch_of(semantic, depth, *, semantic_weight=None, road_mask=None, pair=None
     weights["semantic"] = ones if semantic_weight is None else semantic_weight
     rgb = torch.zeros(count, 3, height, width, dtype=torch.uint8)
     none = torch.zeros(count, 1, height, width)
-    return Batch(rgb, none, targets, weights, [""] * count, pair, teacher)
+    return Batch(rgb, none, targets, weights, [""] * count, pair, teacher, lacking)

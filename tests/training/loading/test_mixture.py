@@ -61,6 +61,32 @@ def test_proportions_and_passes():
         assert sorted(first[start : start + 10]) == list(range(10))
 
 
+class Noise(Numbered):
+    """Frames of random colours from `offset` to 40 above it."""
+
+    def __getitem__(self, index):
+        sample = super().__getitem__(index)
+        sample.rgb[:] += np.random.default_rng(index).integers(0, 40, (40, 40, 3), dtype=np.uint8)
+        return sample
+
+
+def test_colours_move_towards_those_of_another_set():
+    still = dict.fromkeys(("brightness", "contrast", "saturation", "hue_deg", "blur", "gray"), 0)
+
+    def means(restyle, *sets):
+        config = AugmentConfig((32, 32), (1.0, 1.0), noise=0, restyle=restyle, **still)
+        parts = [MixturePart(each, 1.0, config) for each in sets]
+        mixed = mix(parts, length=30, seed=1)
+        return {int(mixed[i].views[0].rgb.mean().round(-1)) for i in range(30)}
+
+    dark, bright = Noise(5, 0), Noise(5, 200)
+    assert means(0.0, dark, bright) == {20, 220}
+    moved = means(1.0, dark, bright)
+    assert len(moved) > 8
+    assert 20 <= min(moved) <= max(moved) <= 220
+    assert means(1.0, dark) == {20}
+
+
 class Street:
     """One frame: the upper half sky, class 0, the lower a road, class 3, at 20 m; f = 50 px."""
 

@@ -77,6 +77,19 @@ def targets(count=2, size=(16, 24), classes=5, seed=1):
     return semantic, depth
 
 
+def test_what_labels_lack_is_not_learned_from_their_frame():
+    parts = leaves()
+    semantic, depth = targets()
+    semantic[semantic == 3] = 255
+    none = dict.fromkeys(("depth", "boundary", "semantic_boundary", "semantic_depth"), 0.0)
+    criterion = Loss(LossConfig(weights={**none, "semantic_iou": 1.0}))
+    terms = criterion(answer(parts), semantic, depth, lacking=((3,), ()))
+    terms["total"].backward()
+    pushed = parts["semantic"].grad.abs().sum(dim=(2, 3)) > 0
+    assert terms["total"].isfinite()
+    assert pushed.tolist() == [[True, True, True, False, True], [True] * 5]
+
+
 def test_total_is_the_weighted_sum_of_the_families():
     parts = leaves()
     semantic, depth = targets()

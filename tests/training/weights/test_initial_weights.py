@@ -30,6 +30,7 @@ from training.weights.initial_weights import (
     list_weights,
     prepare_teacher,
     read_weights,
+    require_own_data,
     state_provenance,
 )
 
@@ -197,3 +198,18 @@ def test_weights_state_the_data_and_terms_of_all_that_they_come_from_once(write)
     )
     plain = derive(recipe, model={"pretrained": "none"})
     assert state_provenance(plain, None, None) == (("camvid",), recipe.terms)
+
+
+def test_a_recipe_of_its_own_data_refuses_other_weights(write):
+    recipe = Recipe(
+        ModelRecipe(STUDENT), DataRecipe((CamVidRecipe(path="camvid"),)), ScheduleRecipe(steps=1)
+    )
+    own = write("own", {"data": ("camvid", "ImageNet")})
+    mixed, unknown = write("mixed", {"data": ("camvid", "streets")}), write("unknown", {})
+    require_own_data(recipe, init=mixed, teacher=unknown)
+    closed = derive(recipe, own_data_only=True)
+    require_own_data(closed, init=own, teacher=None)
+    with pytest.raises(InputError, match=r"--init mixed\.pt: was trained on streets, whose terms"):
+        require_own_data(closed, init=mixed, teacher=None)
+    with pytest.raises(InputError, match=r"--teacher unknown\.pt: was trained on unknown data"):
+        require_own_data(closed, init=own, teacher=unknown)
