@@ -38,11 +38,11 @@ from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.source_recipe import SourceRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.classical import METHODS
-from training.evaluation.evaluate import short_names
-from training.evaluation.scored_model import open_method, open_scored_model
+from training.evaluation.open_model import open_method, open_scored_model
 from training.lidar.simulate import random_share
 from training.lidar.split import LidarInput, OcclusionFilter, frame_generator, split_lidar
 from training.loading.open_dataset import open_dataset
+from training.scores.evaluated_set import short_names
 from training.scores.metrics import FARTHEST_M, frame_errors
 from training.scores.scoring import Predict
 

@@ -20,10 +20,10 @@ from runtime.engine.bundled_models import find_model
 from training.datasets.class_mapping import list_classes
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.sample import Sample
-from training.evaluation.evaluate import short_names
-from training.evaluation.scored_model import open_scored_model
+from training.evaluation.open_model import open_scored_model
 from training.loading.open_dataset import open_dataset
 from training.scores.depth_regions import distance_px
+from training.scores.evaluated_set import short_names
 from training.scores.scoring import Predict
 
 STREETS = KittiStreetsRecipe(path="kitti_streets", first=70, last=98)

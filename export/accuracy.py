@@ -4,13 +4,18 @@ import math
 import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from runtime.base.errors import InputError
-from training.evaluation.evaluate import Evaluation, score_models
-from training.evaluation.options import EvaluationOptions
+from training.datasets.any_source import parse_data
+from training.lidar.split import LidarInput
+from training.scores.differences import compare
+from training.scores.evaluated_set import open_sets
 from training.scores.score_report import Row
+from training.scores.score_set import Feed, Result, score_sets
+from training.scores.scored_model import open_exported
 
 # LiDAR inputs with which a file is measured: all returns of a frame, 16 scan lines, no returns. If
 # no set has returns besides its ground truth, random samples of the ground truth are added for
@@ -53,7 +58,7 @@ def measure_accuracy(
     Raises:
         DatasetError, InputError: if data cannot be read, or hold neither labels nor depth.
     """
-    found = [accuracy_of(row) for row in _score([path], data, lidars).rows]
+    found = [accuracy_of(result.row) for result in _score([path], data, lidars)]
     if all(item.miou is None and item.mae_m is None for item in found):
         raise InputError(
             "--validate: these sets hold neither labels of the model's classes nor depth, so the "
@@ -73,7 +78,7 @@ def measure_widths(
 
     `training.scores.differences` describes the intervals, of which half is returned.
     """
-    found = _score([single, quantized], data, lidars).differences
+    found = compare(_score([single, quantized], data, lidars))
     return {
         (item.row.data, item.row.lidar): {
             figure: (each.high - each.low) / 2 for figure, each in item.figures.items()
@@ -82,10 +87,12 @@ def measure_widths(
     }
 
 
-def _score(files: Sequence[Path], data: Sequence[str], lidars: Sequence[str]) -> Evaluation:
-    return score_models(
-        EvaluationOptions(models=files, data=data, lidars=lidars, leave_out_fed=True)
-    )
+def _score(files: Sequence[Path], data: Sequence[str], lidars: Sequence[str]) -> list[Result]:
+    feeds: list[Feed] = [(LidarInput.parse(lidar), "none") for lidar in lidars]
+    with ExitStack() as stack:
+        models = {str(file): stack.enter_context(open_exported(file)) for file in files}
+        sets = open_sets([parse_data(text) for text in data], models)
+        return score_sets(models, sets, feeds, leave_out_fed=True)
 
 
 def accuracy_of(row: Row) -> Accuracy:

@@ -15,9 +15,8 @@ from models.training_facts import TrainingFacts
 from runtime import InputError, Predictor
 from runtime.engine.preprocess import preprocess
 from training.datasets.any_source import parse_data
-from training.datasets.class_mapping import ClassTable
+from training.datasets.class_mapping import ClassTable, trained_classes
 from training.datasets.sample import SampleSource
-from training.evaluation.scored_model import trained_classes
 from training.lidar.split import LidarInput, frame_generator, split_lidar
 from training.loading.open_dataset import count_frames, count_shared, open_dataset
 from training.run.finished_run import open_training_sets

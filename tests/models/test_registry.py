@@ -26,8 +26,7 @@ from runtime.base.errors import CheckpointError
 from runtime.contract.contract import ClassInfo
 from training.commands.train import app
 from training.evaluation import cli as evaluation_cli
-from training.run.network import build_network
-from training.run.recipe import ModelRecipe
+from training.run.network import ModelRecipe, build_network
 from training.weights.initial_weights import read_weights
 
 FEATURES = 16

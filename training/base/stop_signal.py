@@ -2,11 +2,9 @@
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterator
 
 from runtime.command.process import stop_requested
-from training.datasets.sample import Sample, SampleSource
 
 # Called between two steps or two frames; True asks to stop.
 Stop = Callable[[], bool]
@@ -19,22 +17,6 @@ def never() -> bool:
 
 class StopRequested(Exception):
     """A signal arrived where nothing is lost by leaving at once."""
-
-
-class Watched:
-    """A data set that raises StopRequested instead of a frame once `stop` is True."""
-
-    def __init__(self, source: SampleSource, stop: Stop) -> None:
-        self._source, self._stop = source, stop
-        self.images: Sequence[Path] = getattr(source, "images", ())  # frames are grouped by them
-
-    def __len__(self) -> int:
-        return len(self._source)
-
-    def __getitem__(self, index: int) -> Sample:
-        if self._stop():
-            raise StopRequested
-        return self._source[index]
 
 
 @contextlib.contextmanager

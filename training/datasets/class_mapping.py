@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models import CLASS_TABLES
+from models.training_facts import TrainingFacts
 from runtime.base.errors import DatasetError
 from runtime.contract.contract import NO_CLASS, ClassInfo
 from training.datasets.files import read_gray
@@ -109,6 +110,25 @@ def named_table(classes: str | Iterable[str]) -> ClassTable:
 def list_classes(table: ClassTable) -> tuple[ClassInfo, ...]:
     """Return the classes of a table in the order of their ids."""
     return CLASS_TABLES[table] if isinstance(table, str) else table
+
+
+def trained_classes(classes: tuple[ClassInfo, ...], facts: TrainingFacts) -> ClassTable:
+    """Return the classes of a file's training: a name in `models.CLASS_TABLES`, or its own table.
+
+    A network without a semantic head learned the boundaries of these classes, too. If the file does
+    not name the classes, they are CamVid's.
+
+    Args:
+        classes: classes of the file's semantic head.
+        facts: what the file says about its training.
+    """
+    if not classes:
+        return facts.classes
+    names = [info.name for info in classes]  # files may have other colours
+    for name, table in CLASS_TABLES.items():
+        if [info.name for info in table] == names:
+            return name
+    return classes
 
 
 def is_mapped(labels: ClassTable, table: ClassTable) -> bool:

@@ -178,7 +178,13 @@ def _score(options: "EvaluationOptions", *, all_columns: bool) -> None:
     if options.json is not None:
         write_json(found.rows, options.json, found.differences)
     if options.page is not None:
-        write_page(found, options.page, overwrite=options.overwrite)
+        write_page(
+            found.results,
+            options.page,
+            differences=found.differences,
+            worst=found.worst,
+            overwrite=options.overwrite,
+        )
 
 
 def _split(text: str) -> list[str]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 from runtime.base.errors import ContractError, InputError
@@ -10,23 +10,18 @@ from runtime.contract.network_size import NetworkSize
 from runtime.engine.bundled_models import find_model, list_bundled_models
 from training.datasets.source_recipe import SourceRecipe
 from training.evaluation.classical import METHODS
+from training.evaluation.open_model import open_method, open_predictions, open_scored_model
 from training.evaluation.options import EvaluationOptions
-from training.evaluation.scored_model import (
-    ScoredModel,
-    open_method,
-    open_predictions,
-    open_scored_model,
-)
 from training.lidar.faults import Fault
 from training.lidar.split import LidarInput
-from training.loading.open_dataset import open_dataset, spread_indices
 from training.pages.worst_frames import WorstFrame, draw_worst
 from training.run.finished_run import EvaluatedRun, read_run
 from training.scores.differences import Difference, compare
+from training.scores.evaluated_set import open_sets, short_names
 from training.scores.metrics import FARTHEST_M
 from training.scores.score_report import Row, format_differences, format_table
-from training.scores.score_set import EvaluatedSet, Result, score_set
-from training.scores.shared_classes import join_names, share_classes
+from training.scores.score_set import Result, score_sets
+from training.scores.scored_model import ScoredModel
 
 
 @dataclass(frozen=True)
@@ -52,19 +47,6 @@ class Evaluation:
     def rows(self) -> list[Row]:
         """The figures of each result."""
         return [result.row for result in self.results]
-
-    @classmethod
-    def of(
-        cls,
-        results: Sequence[Result],
-        models: Mapping[str, ScoredModel],
-        sets: Sequence[EvaluatedSet],
-        *,
-        draw: bool,
-    ) -> "Evaluation":
-        """Compare the results of open models on open sets, and draw the worst frames if asked."""
-        worst = list(draw_worst(results, models, sets)) if draw else ()
-        return cls(results, compare(results), worst)
 
 
 def evaluate(
@@ -152,30 +134,29 @@ def score_models(options: EvaluationOptions) -> Evaluation:
             "no data to score on: give --data KIND:FOLDER, or the folder of a run whose recipe has "
             "validation sets"
         )
-    feeds = options.feeds("own" if own is None else own.recipe.validation.lidar)
+    ids, farthest_m, lidar = None, FARTHEST_M, "own"
+    if own is not None:
+        ids, validation = own.recipe.model.class_table, own.recipe.validation
+        farthest_m, lidar = validation.farthest_m, validation.lidar
     with ExitStack() as stack:
         models = _open_models(options, runs, stack)
-        opened = _open_sets(options, sets, own, models)
-        results = [
-            result
-            for data in opened
-            for name, model in models.items()
-            for result in score_set(
-                name,
-                model,
-                data,
-                feeds,
-                save=options.depth_folder,
-                leave_out_fed=options.leave_out_fed,
-            )
-        ]
-        if not results:
-            raise InputError(
-                "nothing could be scored: these sets provide none of the requested --lidar inputs "
-                "(lines need intrinsics, or a recorded scan, every second line of which remains "
-                "the target): use random:0.05 or none, which every set provides"
-            )
-        return Evaluation.of(results, models, opened, draw=options.page is not None)
+        opened = open_sets(
+            sets,
+            models,
+            ids=ids,
+            join=options.join,
+            limit=options.limit,
+            farthest_m=options.farthest_m or farthest_m,
+        )
+        results = score_sets(
+            models,
+            opened,
+            options.feeds(lidar),
+            save=options.depth_folder,
+            leave_out_fed=options.leave_out_fed,
+        )
+        worst = list(draw_worst(results, models, opened)) if options.page is not None else ()
+        return Evaluation(results, compare(results), worst)
 
 
 def _read_runs(models: Sequence[str | Path]) -> dict[str, EvaluatedRun]:
@@ -183,49 +164,6 @@ def _read_runs(models: Sequence[str | Path]) -> dict[str, EvaluatedRun]:
     known = {*METHODS, *list_bundled_models()}
     names = [str(name) for name in models if str(name) not in known]
     return {name: read_run(Path(name)) for name in names if Path(name).is_dir()}
-
-
-def _open_sets(
-    options: EvaluationOptions,
-    recipes: Sequence[SourceRecipe],
-    run: EvaluatedRun | None,
-    models: Mapping[str, ScoredModel],
-) -> list[EvaluatedSet]:
-    """Open sets with the classes that they share with the models.
-
-    Args:
-        options: what is asked of the sets.
-        recipes: recipes of the sets.
-        run: the run that has them for its validation; None if they were named.
-        models: the models by name.
-    """
-    ids, farthest_m = None, FARTHEST_M
-    if run is not None:
-        ids, farthest_m = run.recipe.model.class_table, run.recipe.validation.farthest_m
-    tables = {name: model.table for name, model in models.items() if model.table}
-    own = [recipe.label_table or ids or () for recipe in recipes]
-    joined = join_names(options.join or {}, [*own, *tables.values()])
-    folders = short_names([Path(recipe.path) for recipe in recipes])
-    opened = []
-    for recipe, folder in zip(recipes, folders, strict=True):
-        title = recipe.name or " ".join([folder, *_changed_keys(recipe)])
-        classes = share_classes(recipe, title, tables, ids=ids, joined=joined)
-        source = open_dataset(recipe, [Path()], classes=classes.table)
-        indices = spread_indices(source, options.limit or len(source))
-        opened.append(
-            EvaluatedSet(title, source, classes, indices, options.farthest_m or farthest_m)
-        )
-    return opened
-
-
-def short_names(paths: Sequence[Path]) -> list[str]:
-    """Name paths by as few of their last parts as make the names unique."""
-    longest = max((len(path.parts) for path in paths), default=1)
-    for parts in range(1, 1 + max(1, longest)):
-        names = [str(Path(*path.parts[-parts:])) for path in paths]
-        if len(set(names)) == len(set(paths)):
-            break
-    return names
 
 
 def _open_models(
@@ -260,8 +198,8 @@ def _open_models(
             f"--adapter {left[0]}: every model has its own description: leave the adapter out"
         )
     answers = [open_predictions(text) for text in options.predictions]
-    folders = short_names([item.recorded.folder for item in answers if item.recorded])
-    for folder, item in zip(folders, answers, strict=True):
+    folders = short_names([folder for folder, _ in answers])
+    for folder, (_, item) in zip(folders, answers, strict=True):
         scored[folder if folder not in scored else f"{folder} (predictions)"] = item
     return scored
 
@@ -272,12 +210,3 @@ def _find_file(name: str) -> Path:
         return Path(name) if name.endswith(".pt") else find_model(name)
     except ContractError as error:
         raise ContractError(f"{error}; classical methods: {', '.join(METHODS)}") from error
-
-
-def _changed_keys(recipe: SourceRecipe) -> list[str]:
-    """Return the keys in which this set differs from the same folder without options."""
-    return [
-        f"{item.name}={getattr(recipe, item.name)}"
-        for item in fields(recipe)
-        if item.name not in ("kind", "path") and getattr(recipe, item.name) != item.default
-    ]

@@ -17,15 +17,16 @@ from models import Network, load_checkpoint, save_checkpoint
 from models.checkpoint import FINAL, LAST, RECIPE
 from runtime.base.errors import InputError
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
-from training.base.stop_signal import Stop, StopRequested, Watched, never
+from training.base.stop_signal import Stop, StopRequested, never
+from training.datasets.class_mapping import trained_classes
 from training.datasets.recording import RecordingRecipe
 from training.datasets.sample import Sample
 from training.evaluation.classical import create_method
-from training.evaluation.scored_model import method_predict, trained_classes
+from training.evaluation.open_model import method_predict
 from training.fine_tuning.adaptation_frames import find_frames
 from training.lidar.simulate import SENSOR_LINES
 from training.lidar.split import LidarInput, LidarSplit, split_lidar
-from training.loading.open_dataset import open_dataset
+from training.loading.open_dataset import Watched, open_dataset
 from training.losses.terms import DEPTH_ALONE
 from training.recipes.chosen_recipe import config_changes
 from training.run.loop import train

@@ -17,7 +17,7 @@ from torch import Tensor
 from models import NetworkConfig
 from runtime.base.errors import DatasetError
 from runtime.contract.network_size import network_size
-from training.base.stop_signal import Stop, Watched, never
+from training.base.stop_signal import Stop, StopRequested, never
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import Sample, SampleSource, labelled, target_kind
 from training.datasets.source_recipe import SourceRecipe
@@ -59,6 +59,22 @@ class CheckedSource:
                 )
         size = network_size(self._size or "frame", sample.size, trained_height=None)
         return resize(sample, size)
+
+
+class Watched:
+    """A data set that raises StopRequested instead of a frame once `stop` is True."""
+
+    def __init__(self, source: SampleSource, stop: Stop) -> None:
+        self._source, self._stop = source, stop
+        self.images: Sequence[Path] = getattr(source, "images", ())  # frames are grouped by them
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def __getitem__(self, index: int) -> Sample:
+        if self._stop():
+            raise StopRequested
+        return self._source[index]
 
 
 class HeldSource:

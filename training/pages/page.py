@@ -12,9 +12,9 @@ from typing import Any
 from runtime.command.html import render_template
 from runtime.command.machine import machine_facts
 from runtime.files.atomic_write import atomic_write
-from training.evaluation.evaluate import Evaluation
 from training.pages.worst_frames import WRONG_SHARE, WorstFrame
 from training.scores.depth_regions import RETURN_DISTANCES
+from training.scores.differences import Difference
 from training.scores.metrics import RANGES_M
 from training.scores.score_report import COLUMNS, difference_rows, table_notes
 from training.scores.score_set import Result
@@ -34,12 +34,22 @@ _MARKS = (
 )
 
 
-def write_page(found: Evaluation, path: Path, *, overwrite: bool = True, title: str = "") -> None:
+def write_page(
+    results: Sequence[Result],
+    path: Path,
+    *,
+    differences: Sequence[Difference] = (),
+    worst: Sequence[WorstFrame] = (),
+    overwrite: bool = True,
+    title: str = "",
+) -> None:
     """Write the page, HTML in UTF-8 without external resources.
 
     Args:
-        found: the evaluation, with pictures of the worst frames or without.
+        results: the results, set by set, in each set the models in their order.
         path: path of the file.
+        differences: see `compare`.
+        worst: pictures of the worst frames.
         overwrite: whether an existing file is replaced.
         title: title of the page; "": the names of the models.
 
@@ -47,18 +57,19 @@ def write_page(found: Evaluation, path: Path, *, overwrite: bool = True, title: 
         OutputError: if the file cannot be written.
     """
     facts = machine_facts()
-    names = list(dict.fromkeys(row.model for row in found.rows))
+    rows = [result.row for result in results]
+    names = list(dict.fromkeys(row.model for row in rows))
     values = {
         "title": title or f"Evaluation of {', '.join(names)}",
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "machine": f"{facts.processor}, {facts.logical_cores} logical cores",
         "differences": [
             (item.row.model, item.row.data, *cells, *_judged(verdict, item.against))
-            for item, cells, verdict in difference_rows(found.differences)
+            for item, cells, verdict in difference_rows(differences)
         ],
-        "groups": list(_groups(found.results)),
-        "worst": list(_worst(found.worst)),
-        "notes": table_notes(found.rows),
+        "groups": list(_groups(results)),
+        "worst": list(_worst(worst)),
+        "notes": table_notes(rows),
     }
     page = render_template("training.pages", "evaluation.html", values)
     atomic_write(path, page.encode(errors="backslashreplace"), overwrite=overwrite)

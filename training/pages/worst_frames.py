@@ -13,9 +13,10 @@ from runtime.drawing.encode import encode_jpeg
 from runtime.drawing.overlay import Overlay
 from training.datasets.class_mapping import list_classes
 from training.datasets.sample import Sample
-from training.evaluation.scored_model import ScoredModel
+from training.scores.evaluated_set import EvaluatedSet
 from training.scores.score_report import Row
-from training.scores.score_set import EvaluatedSet, Result, split_feeds
+from training.scores.score_set import Result, split_feeds
+from training.scores.scored_model import ScoredModel
 from training.scores.scoring import HeadMaps
 from training.scores.shared_classes import ScoredClasses
 

@@ -6,18 +6,13 @@ For the network at the paper's size: --set 'model.name = "ssdnet"'.
 from dataclasses import replace
 
 from training.datasets.virtual_kitti import RenderedRecipe
+from training.loading.data_recipe import DataRecipe
 from training.losses import LossConfig
 from training.recipes.paper import VKITTI
-from training.run.recipe import (
-    DataRecipe,
-    LoopRecipe,
-    ModelRecipe,
-    OptimizerRecipe,
-    Recipe,
-    ScheduleRecipe,
-    ValidationRecipe,
-    derive,
-)
+from training.run.network import ModelRecipe
+from training.run.optimizer import OptimizerRecipe, ScheduleRecipe
+from training.run.recipe import LoopRecipe, Recipe, derive
+from training.run.validation_recipe import ValidationRecipe
 
 SSDNET = Recipe(
     terms="rendered scenes: this project's",

@@ -21,7 +21,8 @@ from training.losses import LossConfig
 from training.losses.terms import PAIR_TERMS, TERMS
 from training.losses.total import gather_weights
 from training.recipes.registry import RECIPES
-from training.run.recipe import LoopRecipe, OptimizerRecipe, build_recipe, change
+from training.run.optimizer import OptimizerRecipe
+from training.run.recipe import LoopRecipe, build_recipe, change
 from training.run.stages import Stage
 from training.weights.initial_weights import Weights, weights_folder
 

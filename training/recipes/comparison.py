@@ -10,15 +10,12 @@ from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.loading.augment_config import AugmentConfig
+from training.loading.data_recipe import DataRecipe
 from training.losses import LossConfig
-from training.run.recipe import (
-    DataRecipe,
-    LoopRecipe,
-    ModelRecipe,
-    Recipe,
-    ReleaseRecipe,
-    ScheduleRecipe,
-)
+from training.run.network import ModelRecipe
+from training.run.optimizer import ScheduleRecipe
+from training.run.recipe import LoopRecipe, Recipe
+from training.weights.release import ReleaseRecipe
 
 _AUGMENT = AugmentConfig(
     brightness=0.25, contrast=0.1, saturation=0.25, hue_deg=0.0, gray=0.0, blur=0.0, noise=0.0

@@ -7,16 +7,12 @@ The benchmark has none: they, and with them the boundaries, are learned beside i
 from training.datasets.kitti_depth import KittiDepthRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.loading.augment_config import AugmentConfig
+from training.loading.data_recipe import DataRecipe
 from training.losses import LossConfig
-from training.run.recipe import (
-    DataRecipe,
-    LoopRecipe,
-    ModelRecipe,
-    OptimizerRecipe,
-    Recipe,
-    ScheduleRecipe,
-    ValidationRecipe,
-)
+from training.run.network import ModelRecipe
+from training.run.optimizer import OptimizerRecipe, ScheduleRecipe
+from training.run.recipe import LoopRecipe, Recipe
+from training.run.validation_recipe import ValidationRecipe
 
 RECIPE = Recipe(
     terms="KITTI: CC BY-NC-SA 3.0 (non-commercial); rendered scenes: this project's",

@@ -14,22 +14,16 @@ from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.loading.augment_config import AugmentConfig
+from training.loading.data_recipe import DataRecipe
 from training.losses import LossConfig
 from training.losses.terms import DEPTH_ALONE
-from training.run.recipe import (
-    DataRecipe,
-    LoopRecipe,
-    ModelRecipe,
-    OptimizerRecipe,
-    Recipe,
-    ReleaseRecipe,
-    ScheduleRecipe,
-    ValidationRecipe,
-    derive,
-)
+from training.run.network import ModelRecipe
+from training.run.optimizer import OptimizerRecipe, ScheduleRecipe
+from training.run.recipe import LoopRecipe, Recipe, derive
 from training.run.stages import Stage, Trained
+from training.run.validation_recipe import ValidationRecipe
 from training.weights.prune import prune_trunk
-from training.weights.release import add_offsets
+from training.weights.release import ReleaseRecipe, add_offsets
 
 _CAMVID = CamVidRecipe(path="camvid", weight=0.3)
 _STREETS = KittiStreetsRecipe(path="kitti_streets", first=2, last=69, weight=0.26)

@@ -11,17 +11,12 @@ from dataclasses import replace
 from training.datasets.cityscapes import CityscapesRecipe
 from training.datasets.virtual_kitti import VirtualKitti1Recipe
 from training.loading.augment_config import AugmentConfig
+from training.loading.data_recipe import DataRecipe
 from training.losses import LossConfig
-from training.run.recipe import (
-    DataRecipe,
-    LoopRecipe,
-    ModelRecipe,
-    OptimizerRecipe,
-    Recipe,
-    ScheduleRecipe,
-    ValidationRecipe,
-    derive,
-)
+from training.run.network import ModelRecipe
+from training.run.optimizer import OptimizerRecipe, ScheduleRecipe
+from training.run.recipe import LoopRecipe, Recipe, derive
+from training.run.validation_recipe import ValidationRecipe
 
 # A third of the size.
 _VKITTI = VirtualKitti1Recipe(path="vkitti", size=(125, 414))

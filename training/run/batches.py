@@ -14,8 +14,8 @@ from runtime.command.process import leave_signals_to_parent
 from training.base.processes import Processes
 from training.datasets.sample import SampleSource
 from training.loading.batch import Batch
+from training.loading.data_recipe import DataRecipe
 from training.loading.mixture import CachedSource, Mixture, MixturePart
-from training.run.recipe import DataRecipe
 from training.run.task import Task
 
 

@@ -1,13 +1,53 @@
 """The parts of a network that are trained, and their learning rates."""
 
-from typing import Any
+import math
+from typing import Annotated, Any, Literal
 
 import torch
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 
 from models import Network
 from runtime.base.errors import InputError
+from training.base.limits import STRICT, NotNegative, Share, Steps
 from training.losses import SSDNetLoss
-from training.run.recipe import OptimizerRecipe
+
+
+@dataclass(frozen=True, config=STRICT)
+class OptimizerRecipe:
+    """AdamW, or the paper's SGD (momentum 0 is the paper's).
+
+    Attributes:
+        encoder_rate: rate of the encoder; one schedule scales both. None: `learning_rate`.
+        only: parts of the network that are trained, by the beginning of their names ("depth_"); the
+            others are frozen with their batch statistics. Empty: all.
+        frozen: layers that are not trained, by the beginning of their names ("encoder.stem"); their
+            batch statistics are constant, too.
+    """
+
+    name: Literal["adamw", "sgd"] = "adamw"
+    learning_rate: NotNegative = 2e-3
+    encoder_rate: NotNegative | None = None
+    weight_decay: NotNegative = 1e-2
+    momentum: Share = 0.9
+    only: Annotated[tuple[str, ...], Field(max_length=100)] = ()
+    frozen: Annotated[tuple[str, ...], Field(max_length=100)] = ()
+
+
+@dataclass(frozen=True, config=STRICT)
+class ScheduleRecipe:
+    """Linear warm-up, then a cosine to 0 or a constant rate."""
+
+    steps: Steps
+    warmup_steps: Annotated[int, Field(ge=0, le=10**8)] = 0
+    shape: Literal["cosine", "constant"] = "cosine"
+
+    def __post_init__(self) -> None:
+        """Check that the warm-up ends."""
+        if self.warmup_steps > self.steps:
+            raise ValueError(
+                f"warmup_steps = {self.warmup_steps}: longer than the run of steps = {self.steps}"
+            )
 
 
 def build_optimizer(
@@ -71,3 +111,14 @@ def train_parts(network: Network, only: tuple[str, ...], frozen: tuple[str, ...]
             )
         for layer in layers:
             layer.requires_grad_(False).eval()
+
+
+def learning_rate(schedule: ScheduleRecipe, peak: float, step: int) -> float:
+    """Return the rate of a step: linear warm-up from peak / warmup_steps, then the schedule."""
+    if step < schedule.warmup_steps:
+        return peak * (step + 1) / schedule.warmup_steps
+    if schedule.shape == "constant":
+        return peak
+    progress = (step - schedule.warmup_steps) / max(1, schedule.steps - schedule.warmup_steps)
+    share = 0.5 * (1 + math.cos(math.pi * min(1.0, progress)))
+    return peak * share

@@ -3,204 +3,26 @@
 import sys
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import field, fields, is_dataclass, replace
+from dataclasses import field, is_dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, Discriminator, Field, Tag
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 from tqdm import tqdm
 
-from models import NetworkConfig
-from models.registry import find_network
 from runtime.base.errors import InputError
-from runtime.contract.contract import MAX_CLASSES, MAX_NAME_LENGTH, MIN_SIDE, ClassInfo
-from training.base.limits import (
-    STRICT,
-    BatchSize,
-    NotNegative,
-    Positive,
-    Seed,
-    Share,
-    Side,
-    Steps,
-    Workers,
-)
-from training.base.tables import TAGS, build, merge
-from training.datasets.any_source import AnySource
-from training.datasets.class_mapping import IGNORED, ClassTable, TableName, list_classes
-from training.lidar.split import LidarInput
-from training.loading.augment_config import AugmentConfig
+from training.base.limits import STRICT, BatchSize, NotNegative, Share, Steps
+from training.base.tables import build, merge
+from training.loading.data_recipe import DataRecipe
 from training.losses import LossConfig
 from training.losses.terms import PAIR_TERMS
+from training.run.network import ModelRecipe
+from training.run.optimizer import OptimizerRecipe, ScheduleRecipe
+from training.run.validation_recipe import ValidationRecipe
+from training.weights.release import ReleaseRecipe
 
 T = TypeVar("T")
-# Tags of the two forms of `model.classes`.
-_NAMED, _OWN = "(named)", "(own)"
-
-_Channel = Annotated[int, Field(ge=0, le=255)]
-
-
-@dataclass(frozen=True, config=STRICT)
-class ClassRecipe:
-    """A class of a custom table: its name and its RGB colour in pictures."""
-
-    name: Annotated[str, Field(min_length=1, max_length=MAX_NAME_LENGTH)]
-    color: tuple[_Channel, _Channel, _Channel]
-
-
-TAGS |= {_NAMED: str, _OWN: ClassRecipe}
-
-
-@dataclass(frozen=True, config=STRICT)
-class ModelRecipe:
-    """Which network, by its name in `models.list_models()`.
-
-    Attributes:
-        classes: table of the class ids: a name in `models.CLASS_TABLES`, or a custom table.
-        trained_height: height [px] of the training images after magnification, stored in the
-            exported file: images of a much higher camera are resized to it. None: unknown, so every
-            frame runs at its own size.
-        pretrained: "imagenet": the encoder starts from weights of ImageNet, see
-            `training.weights.imagenet_weights`, and the images are normalised for them.
-        config: what differs from the named network's configuration, for example `max_depth_m` and
-            `canonical_focal_px`, see `models.NetworkConfig`.
-    """
-
-    name: str
-    classes: Annotated[
-        Annotated[TableName, Tag(_NAMED)]
-        | Annotated[
-            tuple[ClassRecipe, ...], Field(min_length=1, max_length=MAX_CLASSES), Tag(_OWN)
-        ],
-        Discriminator(lambda value: _OWN if isinstance(value, list | tuple) else _NAMED),
-    ] = "camvid"
-    trained_height: Side | None = None
-    pretrained: Literal["none", "imagenet"] = "none"
-    config: Annotated[dict[str, Any], Field(max_length=100)] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Check that no key is given twice, and that there is a network of this configuration."""
-        doubled = sorted({item.name for item in fields(self)} & set(self.config))
-        if doubled:
-            raise ValueError(f"config has {doubled[0]!r}, which is a separate key: {doubled[0]}")
-        names = [name.casefold() for name in self.class_names]
-        for index, name in enumerate(names):
-            if (first := names.index(name)) < index:
-                raise ValueError(
-                    f"classes has {self.class_names[first]!r} and {self.class_names[index]!r}: "
-                    "names must differ beyond upper and lower case"
-                )
-        if IGNORED in names:
-            raise ValueError(
-                f"classes has {IGNORED!r}, which stands for pixels without a class: leave it out "
-                f"(--ignore {IGNORED}), or give it another name"
-            )
-        try:
-            find_network(self.name)
-        except ValueError as error:
-            raise ValueError(f"name: {error}") from error
-        try:
-            self.network_config()
-        except ValueError as error:
-            raise ValueError(f"config: {error}") from error
-
-    def network_config(self) -> NetworkConfig:
-        """Return the network's configuration; ValueError if it cannot be built.
-
-        The normalisation of colours may still change to that of the weights it begins with.
-        """
-        default = find_network(self.name).config
-        values = {**default.to_dict(), **self.config}
-        if self.config.get("semantic_head") is False:
-            values["classes"] = ()
-        config = type(default).from_dict(values)
-        return replace(config, classes=list_classes(self.class_table)) if config.classes else config
-
-    def class_id(self, name: str) -> int | None:
-        """Return the id of the class of this name, ignoring case; None: no such class."""
-        names = [known.lower() for known in self.class_names]
-        return names.index(name.lower()) if name.lower() in names else None
-
-    @property
-    def class_names(self) -> list[str]:
-        """The names of the class ids."""
-        return [info.name for info in list_classes(self.class_table)]
-
-    @property
-    def class_table(self) -> ClassTable:
-        """The classes, as networks and data sets take them."""
-        if isinstance(self.classes, str):
-            return self.classes
-        return tuple(ClassInfo(info.name, info.color) for info in self.classes)
-
-
-@dataclass(frozen=True, config=STRICT)
-class DataRecipe:
-    """The data sets, their augmentation and batches.
-
-    Attributes:
-        batch_size: batch size of each process; `workers` is the number of workers of each process.
-        cache_gib: memory for decoded frames, of all workers of a process together [GiB]; 0: no
-            cache.
-        sky_depth_m: depth target [m] of unmeasured pixels of the class "sky", canonical if the
-            network's depth is; 0: none.
-        rare_classes: classes for which `augment.rare_crops` of the crops are chosen.
-    """
-
-    source: Annotated[tuple[AnySource, ...], Field(min_length=1, max_length=100)]
-    augment: AugmentConfig = field(default_factory=AugmentConfig)
-    batch_size: BatchSize = 8
-    workers: Workers = 1
-    cache_gib: NotNegative = 0.0
-    seed: Seed = 0
-    sky_depth_m: NotNegative = 0.0
-    rare_classes: Annotated[tuple[str, ...], Field(max_length=MAX_CLASSES)] = ()
-
-    def __post_init__(self) -> None:
-        """Check the crop, and that there are classes to choose it for."""
-        crop = self.augment.size
-        if min(crop) < MIN_SIDE:
-            raise ValueError(f"augment.crop = {list(crop)}: both must be at least {MIN_SIDE}")
-        if self.augment.rare_crops and not self.rare_classes:
-            raise ValueError("augment.rare_crops needs rare_classes, names of model.classes")
-
-
-@dataclass(frozen=True, config=STRICT)
-class OptimizerRecipe:
-    """AdamW, or the paper's SGD (momentum 0 is the paper's).
-
-    Attributes:
-        encoder_rate: rate of the encoder; one schedule scales both. None: `learning_rate`.
-        only: parts of the network that are trained, by the beginning of their names ("depth_"); the
-            others are frozen with their batch statistics. Empty: all.
-        frozen: layers that are not trained, by the beginning of their names ("encoder.stem"); their
-            batch statistics are constant, too.
-    """
-
-    name: Literal["adamw", "sgd"] = "adamw"
-    learning_rate: NotNegative = 2e-3
-    encoder_rate: NotNegative | None = None
-    weight_decay: NotNegative = 1e-2
-    momentum: Share = 0.9
-    only: Annotated[tuple[str, ...], Field(max_length=100)] = ()
-    frozen: Annotated[tuple[str, ...], Field(max_length=100)] = ()
-
-
-@dataclass(frozen=True, config=STRICT)
-class ScheduleRecipe:
-    """Linear warm-up, then a cosine to 0 or a constant rate."""
-
-    steps: Steps
-    warmup_steps: Annotated[int, Field(ge=0, le=10**8)] = 0
-    shape: Literal["cosine", "constant"] = "cosine"
-
-    def __post_init__(self) -> None:
-        """Check that the warm-up ends."""
-        if self.warmup_steps > self.steps:
-            raise ValueError(
-                f"warmup_steps = {self.warmup_steps}: longer than the run of steps = {self.steps}"
-            )
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -223,65 +45,6 @@ class LoopRecipe:
     accumulate: BatchSize = 1
     checkpoint_every: Steps | None = None
     log_every: Steps | None = None
-
-
-@dataclass(frozen=True, config=STRICT)
-class ReleaseRecipe:
-    """How the weights in model.pt and best.pt differ from the averaged ones.
-
-    Attributes:
-        logit_adjustment: share of the log class weights that is subtracted from the semantic bias
-            (Menon et al. 2021), because training with class weights predicts rare classes too
-            often. 0: nothing, 1: all.
-    """
-
-    logit_adjustment: Share = 0.0
-
-
-def _require_lidar(text: str) -> str:
-    try:
-        LidarInput.parse(text)
-    except InputError as error:
-        raise ValueError(str(error)) from error
-    return text
-
-
-@dataclass(frozen=True, config=STRICT)
-class ValidationRecipe:
-    """Data sets on which the averaged weights are scored during training.
-
-    Attributes:
-        every: steps between two validations; None: see `Recipe`.
-        lidar: the LiDAR input of the validation, see `training.lidar.split.LidarInput`.
-        farthest_m: farthest true depth [m] that is scored.
-        pictures: number of frames of each set, at equal distances, that TensorBoard shows as
-            pictures.
-        best: score by which best.pt is chosen, "SET/SCORE", for example "camvid/miou"; scores are
-            the columns of scores.csv. "": that of the first set, miou, or mae_m if it has no
-            labels.
-    """
-
-    every: Steps | None = None
-    lidar: Annotated[str, AfterValidator(_require_lidar)] = "own"
-    farthest_m: Positive = 100.0
-    source: Annotated[tuple[AnySource, ...], Field(max_length=100)] = ()
-    pictures: Annotated[int, Field(ge=0, le=1000)] = 2
-    best: str = ""
-
-    def __post_init__(self) -> None:
-        """Check the names of the sets and of the best score."""
-        titles = [item.title for item in self.source]
-        twice = sorted({title for title in titles if titles.count(title) > 1})
-        if twice:
-            raise ValueError(
-                f"source has two sets with the title {twice[0]!r}, so their scores could not be "
-                "told apart: give each its own `name`"
-            )
-        if self.best and self.best.rpartition("/")[0] not in titles:
-            raise ValueError(
-                f"best = {self.best!r}; expected SET/SCORE of one of the sets {titles}, for "
-                "example 'camvid/miou'"
-            )
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -1,7 +1,6 @@
 """The state of a training, as last.pt keeps it: network, optimiser and averaged weights."""
 
 import json
-import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from runtime.base.errors import CheckpointError, InputError, SSDNetError
 from runtime.files.atomic_write import atomic_write
 from training.base.processes import Processes, share_network
 from training.loading.batch import Batch
-from training.run.recipe import ScheduleRecipe
+from training.run.optimizer import learning_rate
 from training.run.task import Task
 
 # `Network.forward`, or its distributed wrapper.
@@ -159,17 +158,6 @@ class TrainingState:
             f"terms and the {len(frames)} frames of the batch are in {path}: check them, or start "
             "a new --out with a lower optimizer.learning_rate"
         )
-
-
-def learning_rate(schedule: ScheduleRecipe, peak: float, step: int) -> float:
-    """Return the rate of a step: linear warm-up from peak / warmup_steps, then the schedule."""
-    if step < schedule.warmup_steps:
-        return peak * (step + 1) / schedule.warmup_steps
-    if schedule.shape == "constant":
-        return peak
-    progress = (step - schedule.warmup_steps) / max(1, schedule.steps - schedule.warmup_steps)
-    share = 0.5 * (1 + math.cos(math.pi * min(1.0, progress)))
-    return peak * share
 
 
 def exponential_average(decay: float) -> Callable[[Tensors, Tensors, Tensor | int], None]:

@@ -22,14 +22,16 @@ from runtime.base.errors import InputError
 from runtime.contract.contract import MIN_SIDE
 from runtime.engine.cores import available_cores
 from training.base.processes import Processes
-from training.base.stop_signal import Stop, Watched
+from training.base.stop_signal import Stop
 from training.datasets.sample import SampleSource
 from training.lidar.split import LidarInput
 from training.loading.augment_config import PAIR_STEP_PX, with_crop
+from training.loading.data_recipe import DataRecipe
 from training.loading.mixture import DepthTarget
 from training.loading.open_dataset import (
     FREQUENCY_SAMPLES,
     Survey,
+    Watched,
     count_shared,
     open_dataset,
     spread_pictures,
@@ -38,15 +40,13 @@ from training.loading.open_dataset import (
 from training.losses import SSDNetLoss, class_weights
 from training.losses.terms import Term
 from training.run.network import build_network
-from training.run.optimizer import build_optimizer
-from training.run.recipe import DataRecipe, OptimizerRecipe, Recipe, ValidationRecipe
+from training.run.optimizer import OptimizerRecipe, build_optimizer
+from training.run.provenance import require_own_data, state_provenance
+from training.run.recipe import Recipe
 from training.run.training_run import TrainingRun
+from training.run.validation_recipe import ValidationRecipe
 from training.scores.scoring import figure_names
-from training.weights.initial_weights import (
-    prepare_teacher,
-    require_own_data,
-    state_provenance,
-)
+from training.weights.initial_weights import prepare_teacher
 
 # Frames of a validation set that are scored ahead of the training, to know its scores.
 _SCORED = 20

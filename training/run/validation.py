@@ -13,16 +13,19 @@ from tqdm import tqdm
 
 from models import Network
 from training.base.processes import Processes
-from training.base.stop_signal import Stop, StopRequested, Watched
-from training.evaluation.evaluate import Evaluation
-from training.evaluation.scored_model import open_network
+from training.base.stop_signal import Stop, StopRequested
 from training.lidar.split import LidarInput
+from training.loading.open_dataset import Watched
 from training.pages.pictures import draw_pictures
+from training.pages.worst_frames import draw_worst
 from training.run.run_folder import folder_errors
 from training.run.score_table import SHOWN
 from training.run.state import Step
 from training.run.task import Task
-from training.scores.score_set import EvaluatedSet, Feed, Result, score_set
+from training.scores.differences import compare
+from training.scores.evaluated_set import EvaluatedSet
+from training.scores.score_set import Feed, Result, score_set
+from training.scores.scored_model import open_network
 from training.scores.scoring import scored_classes
 from training.scores.shared_classes import ScoredClasses
 
@@ -99,8 +102,9 @@ def write_validation(
             for result in known.get(name) or score_set(name, model, data, [_feed(task)])
             if result.row.data == data.title
         ]
-        found = Evaluation.of(results, models, sets, draw=True)
-        write_page(found, path, title=f"Validation of {path.absolute().parent.name}")
+        worst = list(draw_worst(results, models, sets))
+        title = f"Validation of {path.absolute().parent.name}"
+        write_page(results, path, differences=compare(results), worst=worst, title=title)
         tqdm.write(f"the page of the validation: {path}", file=sys.stderr)
 
 

@@ -10,72 +10,18 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from runtime.base.errors import InputError
-from runtime.contract.contract import NO_CLASS
 from training.base.processes import Processes
-from training.datasets.class_mapping import list_classes
-from training.datasets.sample import Sample, SampleSource
-from training.evaluation.scored_model import ScoredModel
+from training.datasets.sample import Sample
 from training.lidar.faults import Fault, add_fault
 from training.lidar.split import LidarInput, LidarSplit, frame_generator, split_lidar
 from training.scores.depth_folder import DepthFolder
-from training.scores.metrics import FARTHEST_M
+from training.scores.evaluated_set import EvaluatedSet
 from training.scores.score_report import Row
+from training.scores.scored_model import ScoredModel
 from training.scores.scoring import HeadMaps, Scores, figures_over_places
-from training.scores.shared_classes import ScoredClasses
 
 # A LiDAR input and its fault.
 Feed = tuple[LidarInput, Fault]
-
-
-@dataclass(frozen=True)
-class EvaluatedSet:
-    """An open data set, the frames of it that are scored, their classes, and the range [m]."""
-
-    title: str
-    source: SampleSource
-    classes: ScoredClasses
-    indices: Sequence[int]
-    farthest_m: float = FARTHEST_M
-
-    def read(self, index: int) -> tuple[Sample, bool]:
-        """Return a frame with labels in the scored classes, and whether it has any label."""
-        sample = self.source[index]
-        labelled = bool((sample.semantic != NO_CLASS).any())
-        if "semantic" in sample.targets:
-            lookup = self.classes.lookup(self.classes.table, NO_CLASS)
-            sample = sample.with_targets(semantic=lookup[sample.semantic])
-        return sample, labelled
-
-    def answer(
-        self, model: ScoredModel, sample: Sample, fed: NDArray[np.float32], index: int
-    ) -> HeadMaps:
-        """Return a model's answer to a frame, with ids of the scored classes."""
-        answer = model.predict_frame(sample, fed, self.image_name(index))
-        if answer.semantic is None:
-            return answer
-        table = model.table or self.classes.table
-        highest, count = (
-            answer.semantic[answer.semantic != NO_CLASS].max(initial=0),
-            len(list_classes(table)),
-        )
-        if highest >= count:
-            raise InputError(
-                f"{sample.name}: the answer has the class id {highest}, and there are {count} "
-                "classes: name those of the answers, with classes in an adapter or in "
-                "--predictions DIR,classes=cityscapes"
-            )
-        lookup = self.classes.lookup(table, len(self.classes.names))
-        return answer.with_semantic(lookup[answer.semantic])
-
-    def image_name(self, index: int) -> str | None:
-        """Return the stem of a frame's image; None if the set does not know its files."""
-        images = getattr(self.source, "images", ())
-        return images[index].stem if images else None
-
-    def group(self, sample: Sample, index: int) -> str:
-        """Return the place or the drive of a frame; frames in one group are alike."""
-        images = getattr(self.source, "images", ())
-        return sample.place or (str(images[index].parent) if images else "")
 
 
 @dataclass(frozen=True)
@@ -171,6 +117,34 @@ class _SetTally:
         self.labelled |= other.labelled
         self.times_ms += other.times_ms
         self.without_focal += other.without_focal
+
+
+def score_sets(
+    models: Mapping[str, ScoredModel],
+    sets: Sequence[EvaluatedSet],
+    feeds: Sequence[Feed],
+    *,
+    save: DepthFolder | None = None,
+    leave_out_fed: bool = False,
+) -> list[Result]:
+    """Score every model on every set, see `score_set`: set by set, in each the models by name.
+
+    Raises:
+        InputError: if no set can give any of the inputs.
+    """
+    results = [
+        result
+        for data in sets
+        for name, model in models.items()
+        for result in score_set(name, model, data, feeds, save=save, leave_out_fed=leave_out_fed)
+    ]
+    if not results:
+        raise InputError(
+            "nothing could be scored: these sets provide none of the requested --lidar inputs "
+            "(lines need intrinsics, or a recorded scan, every second line of which remains "
+            "the target): use random:0.05 or none, which every set provides"
+        )
+    return results
 
 
 def score_set(

@@ -4,14 +4,29 @@ import copy
 from collections.abc import Mapping
 
 import torch
+from pydantic.dataclasses import dataclass
 from torch import Tensor
 
 from models import Network
 from runtime.base.arguments import shown
 from runtime.base.errors import InputError
+from training.base.limits import STRICT, Share
 
 # The bias of the classes' logits.
 _BIAS = "semantic_head.bias"
+
+
+@dataclass(frozen=True, config=STRICT)
+class ReleaseRecipe:
+    """How the weights in model.pt and best.pt differ from the averaged ones.
+
+    Attributes:
+        logit_adjustment: share of the log class weights that is subtracted from the semantic bias
+            (Menon et al. 2021), because training with class weights predicts rare classes too
+            often. 0: nothing, 1: all.
+    """
+
+    logit_adjustment: Share = 0.0
 
 
 def adjust_logits(network: Network, class_weights: Tensor, share: float) -> Network:

@@ -4,7 +4,8 @@ import signal
 
 import pytest
 
-from training.base.stop_signal import StopRequested, Watched, never, stop_signal
+from training.base.stop_signal import StopRequested, never, stop_signal
+from training.loading.open_dataset import Watched
 
 
 def test_two_signals_of_one_key_do_not_cut_torchrun_s_processes_short(monkeypatch):

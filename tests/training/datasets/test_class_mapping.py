@@ -1,11 +1,16 @@
 """Labels of every data set in every class table, against ids written down by hand."""
 
+import dataclasses
+
 import pytest
 
-from models import CLASS_TABLES
+from models import CAMVID_CLASSES, CLASS_TABLES
+from models.classes import numbered_classes
+from models.training_facts import TrainingFacts
+from runtime import Predictor
 from runtime.base.errors import DatasetError
 from training.datasets.cityscapes import TRAIN_LABELS
-from training.datasets.class_mapping import class_ids, id_lookup
+from training.datasets.class_mapping import class_ids, id_lookup, trained_classes
 
 
 def test_a_set_in_its_own_table_keeps_its_ids():
@@ -48,3 +53,28 @@ def test_a_pair_that_mixes_up_classes_is_refused(labels, table):
         class_ids(labels, table)
     with pytest.raises(DatasetError, match=labels):
         class_ids(labels, CLASS_TABLES["camvid"])
+
+
+def test_a_network_without_classes_is_scored_in_the_table_it_was_trained_with():
+    trained = TrainingFacts(recipe={"model": {"classes": "cityscapes"}})
+    assert trained_classes((), trained) == "cityscapes"
+    assert trained_classes((), TrainingFacts()) == "camvid"
+
+
+def test_classes_of_no_table_are_a_table_of_their_own():
+    own = numbered_classes(3)
+    assert trained_classes(own, TrainingFacts()) == own
+    table = [{"name": info.name, "color": list(info.color)} for info in own]
+    trained = TrainingFacts(recipe={"model": {"classes": table}})
+    assert trained_classes((), trained) == own
+
+
+def test_a_file_has_the_classes_of_camvid_whatever_its_colours():
+    """A bundled file keeps the colours of its release."""
+    with Predictor(warmup=0) as predictor:
+        classes = tuple(predictor.contract.classes)
+    assert [info.name for info in classes] == [info.name for info in CAMVID_CLASSES]
+    assert trained_classes(classes, TrainingFacts()) == "camvid"
+    gray = tuple(dataclasses.replace(info, color=(9, 9, 9)) for info in CAMVID_CLASSES)
+    assert trained_classes(gray, TrainingFacts()) == "camvid"
+    assert trained_classes(classes[:5], TrainingFacts()) == classes[:5]

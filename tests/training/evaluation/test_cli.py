@@ -16,7 +16,7 @@ from models import create_model, load_checkpoint, save_checkpoint
 from runtime.contract.contract import ClassInfo
 from training.evaluation.classical import METHODS
 from training.evaluation.cli import app
-from training.evaluation.scored_model import open_method
+from training.evaluation.open_model import open_method
 
 # Few layers: tracing one for every size takes long.
 SMALL = {

@@ -20,24 +20,19 @@ from training.datasets.camvid import CamVidRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.evaluate import evaluate
 from training.loading.augment_config import AugmentConfig
+from training.loading.data_recipe import DataRecipe
 from training.losses import LossConfig
 from training.losses.terms import TERMS
 from training.run import loop, validation
-from training.run.recipe import (
-    DataRecipe,
-    LoopRecipe,
-    ModelRecipe,
-    OptimizerRecipe,
-    Recipe,
-    ReleaseRecipe,
-    ScheduleRecipe,
-    ValidationRecipe,
-    derive,
-)
+from training.run.network import ModelRecipe
+from training.run.optimizer import OptimizerRecipe, ScheduleRecipe
+from training.run.recipe import LoopRecipe, Recipe, derive
 from training.run.run_folder import lock_folder
 from training.run.state import NonFiniteLossError
 from training.run.training_run import TrainingRun
+from training.run.validation_recipe import ValidationRecipe
 from training.weights.initial_weights import read_weights
+from training.weights.release import ReleaseRecipe
 
 pytestmark = pytest.mark.usefixtures("tiny_lite")
 

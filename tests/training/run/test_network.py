@@ -9,9 +9,8 @@ from models import CLASS_TABLES, create_model, save_checkpoint
 from models.efficientnet_lite import WIDTHS as EFFICIENTNET_WIDTHS
 from models.efficientnet_lite import EfficientNetLite
 from runtime.base.errors import CheckpointError, InputError
-from training.run.network import build_network
+from training.run.network import ModelRecipe, build_network
 from training.run.optimizer import train_parts
-from training.run.recipe import ModelRecipe
 from training.weights.imagenet_weights import PACKAGE, load_imagenet
 from training.weights.initial_weights import read_weights
 from training.weights.prune import prune_trunk

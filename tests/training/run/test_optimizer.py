@@ -8,9 +8,8 @@ import torch
 from models import create_model
 from runtime.base.errors import InputError
 from training.losses import LossConfig, SSDNetLoss
-from training.run.optimizer import build_optimizer
-from training.run.recipe import OptimizerRecipe, ScheduleRecipe
-from training.run.state import exponential_average, learning_rate
+from training.run.optimizer import OptimizerRecipe, ScheduleRecipe, build_optimizer, learning_rate
+from training.run.state import exponential_average
 
 
 def loss(config):

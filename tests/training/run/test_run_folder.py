@@ -8,7 +8,10 @@ import pytest
 from models.checkpoint import RECIPE
 from runtime.base.errors import InputError
 from training.datasets.camvid import CamVidRecipe
-from training.run.recipe import DataRecipe, ModelRecipe, Recipe, ScheduleRecipe, derive
+from training.loading.data_recipe import DataRecipe
+from training.run.network import ModelRecipe
+from training.run.optimizer import ScheduleRecipe
+from training.run.recipe import Recipe, derive
 from training.run.run_folder import list_data, prepare_folder
 
 SET = CamVidRecipe(path="camvid")

@@ -11,16 +11,11 @@ from runtime.base.errors import InputError
 from training.commands.train import app
 from training.datasets.camvid import CamVidRecipe
 from training.loading.augment_config import AugmentConfig
+from training.loading.data_recipe import DataRecipe
 from training.recipes.registry import RECIPES, PackageRecipe
-from training.run.recipe import (
-    DataRecipe,
-    LoopRecipe,
-    ModelRecipe,
-    OptimizerRecipe,
-    Recipe,
-    ScheduleRecipe,
-    derive,
-)
+from training.run.network import ModelRecipe
+from training.run.optimizer import OptimizerRecipe, ScheduleRecipe
+from training.run.recipe import LoopRecipe, Recipe, derive
 from training.run.stages import Stage, train_stages
 from training.run.training_run import TrainingRun
 from training.weights.prune import prune_trunk

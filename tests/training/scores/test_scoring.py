@@ -10,9 +10,9 @@ from models import NetworkOutput, SSDNetLiteConfig, create_model
 from runtime.base.errors import InputError, SSDNetError
 from runtime.contract.heads import HEADS
 from training.datasets.sample import AUXILIARY, Sample, make_frame
-from training.evaluation.scored_model import ScoredModel
 from training.lidar.split import LidarInput
 from training.pages.pictures import draw_pictures
+from training.scores.scored_model import ScoredModel
 from training.scores.scoring import HeadMaps, Scores, split_frames, torch_predict
 
 K = np.array([[300.0, 0, 60], [0, 300.0, 20], [0, 0, 1]])

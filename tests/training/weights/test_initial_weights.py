@@ -20,18 +20,19 @@ from runtime.engine.bundled_models import list_bundled_models
 from runtime.recordings.bundled_stream import bundled_stream
 from training.commands.train import app
 from training.datasets.camvid import CamVidRecipe
+from training.loading.data_recipe import DataRecipe
 from training.losses import LossConfig
 from training.recipes.chosen_recipe import read_stages
 from training.recipes.registry import RECIPES
-from training.run.recipe import DataRecipe, ModelRecipe, Recipe, ScheduleRecipe, derive
+from training.run.network import ModelRecipe
+from training.run.optimizer import ScheduleRecipe
+from training.run.provenance import IMAGENET_TERMS, require_own_data, state_provenance
+from training.run.recipe import Recipe, derive
 from training.weights.initial_weights import (
-    IMAGENET_TERMS,
     find_weights,
     list_weights,
     prepare_teacher,
     read_weights,
-    require_own_data,
-    state_provenance,
 )
 
 RECIPE = """

@@ -5,7 +5,7 @@ import pytest
 
 from runtime.base.errors import InputError, SSDNetError
 from training.evaluation.classical import METHODS
-from training.evaluation.scored_model import method_predict, open_method
+from training.evaluation.open_model import method_predict, open_method
 
 FILLS_EVERYTHING = ("nearest", "linear", "planes", "mrf", "tgv")
 

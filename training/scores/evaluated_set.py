@@ -1,0 +1,122 @@
+"""The data sets on which models are scored, opened with the classes that all share."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.base.errors import InputError
+from runtime.contract.contract import NO_CLASS
+from training.datasets.class_mapping import ClassTable, list_classes
+from training.datasets.sample import Sample, SampleSource
+from training.datasets.source_recipe import SourceRecipe
+from training.loading.open_dataset import open_dataset, spread_indices
+from training.scores.metrics import FARTHEST_M
+from training.scores.scored_model import ScoredModel
+from training.scores.scoring import HeadMaps
+from training.scores.shared_classes import ScoredClasses, join_names, share_classes
+
+
+@dataclass(frozen=True)
+class EvaluatedSet:
+    """An open data set, the frames of it that are scored, their classes, and the range [m]."""
+
+    title: str
+    source: SampleSource
+    classes: ScoredClasses
+    indices: Sequence[int]
+    farthest_m: float = FARTHEST_M
+
+    def read(self, index: int) -> tuple[Sample, bool]:
+        """Return a frame with labels in the scored classes, and whether it has any label."""
+        sample = self.source[index]
+        labelled = bool((sample.semantic != NO_CLASS).any())
+        if "semantic" in sample.targets:
+            lookup = self.classes.lookup(self.classes.table, NO_CLASS)
+            sample = sample.with_targets(semantic=lookup[sample.semantic])
+        return sample, labelled
+
+    def answer(
+        self, model: ScoredModel, sample: Sample, fed: NDArray[np.float32], index: int
+    ) -> HeadMaps:
+        """Return a model's answer to a frame, with ids of the scored classes."""
+        answer = model.predict_frame(sample, fed, self.image_name(index))
+        if answer.semantic is None:
+            return answer
+        table = model.table or self.classes.table
+        highest, count = (
+            answer.semantic[answer.semantic != NO_CLASS].max(initial=0),
+            len(list_classes(table)),
+        )
+        if highest >= count:
+            raise InputError(
+                f"{sample.name}: the answer has the class id {highest}, and there are {count} "
+                "classes: name those of the answers, with classes in an adapter or in "
+                "--predictions DIR,classes=cityscapes"
+            )
+        lookup = self.classes.lookup(table, len(self.classes.names))
+        return answer.with_semantic(lookup[answer.semantic])
+
+    def image_name(self, index: int) -> str | None:
+        """Return the stem of a frame's image; None if the set does not know its files."""
+        images = getattr(self.source, "images", ())
+        return images[index].stem if images else None
+
+    def group(self, sample: Sample, index: int) -> str:
+        """Return the place or the drive of a frame; frames in one group are alike."""
+        images = getattr(self.source, "images", ())
+        return sample.place or (str(images[index].parent) if images else "")
+
+
+def open_sets(
+    recipes: Sequence[SourceRecipe],
+    models: Mapping[str, ScoredModel],
+    *,
+    ids: ClassTable | None = None,
+    join: Mapping[str, Sequence[str]] | None = None,
+    limit: int | None = None,
+    farthest_m: float = FARTHEST_M,
+) -> list[EvaluatedSet]:
+    """Open sets with the classes that they share with the models.
+
+    Args:
+        recipes: recipes of the sets.
+        models: the models by name.
+        ids: see `share_classes`.
+        join: see `join_names`.
+        limit: number of frames of each set, evenly spread; None: all.
+        farthest_m: farthest true depth [m] that is scored.
+    """
+    tables = {name: model.table for name, model in models.items() if model.table}
+    own = [recipe.label_table or ids or () for recipe in recipes]
+    joined = join_names(join or {}, [*own, *tables.values()])
+    folders = short_names([Path(recipe.path) for recipe in recipes])
+    opened = []
+    for recipe, folder in zip(recipes, folders, strict=True):
+        title = recipe.name or " ".join([folder, *_changed_keys(recipe)])
+        classes = share_classes(recipe, title, tables, ids=ids, joined=joined)
+        source = open_dataset(recipe, [Path()], classes=classes.table)
+        indices = spread_indices(source, limit or len(source))
+        opened.append(EvaluatedSet(title, source, classes, indices, farthest_m))
+    return opened
+
+
+def short_names(paths: Sequence[Path]) -> list[str]:
+    """Name paths by as few of their last parts as make the names unique."""
+    longest = max((len(path.parts) for path in paths), default=1)
+    for parts in range(1, 1 + max(1, longest)):
+        names = [str(Path(*path.parts[-parts:])) for path in paths]
+        if len(set(names)) == len(set(paths)):
+            break
+    return names
+
+
+def _changed_keys(recipe: SourceRecipe) -> list[str]:
+    """Return the keys in which this set differs from the same folder without options."""
+    return [
+        f"{item.name}={getattr(recipe, item.name)}"
+        for item in fields(recipe)
+        if item.name not in ("kind", "path") and getattr(recipe, item.name) != item.default
+    ]
