@@ -22,6 +22,7 @@ class MachineFacts:
     cpu: str
     instruction_sets: tuple[str, ...]  # as the system reports them
     logical_cores: int | None
+    load: float  # processes that ran or waited to run, over the last minute
     system: str
     python: str
 
@@ -39,6 +40,7 @@ def machine_facts() -> MachineFacts:
         cpu=info.get("model name") or platform.processor() or platform.machine(),
         instruction_sets=tuple(name for name, any_of in _SETS.items() if flags & any_of),
         logical_cores=os.cpu_count(),
+        load=round(os.getloadavg()[0], 2),
         system=platform.platform(),
         python=platform.python_version(),
     )

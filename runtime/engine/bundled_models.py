@@ -6,7 +6,7 @@ from os import PathLike
 from pathlib import Path
 
 from runtime.base.arguments import shown
-from runtime.base.errors import ContractError, InputError
+from runtime.base.errors import InputError
 
 # The model that runs by default.
 DEFAULT_MODEL = "ssdnet-lite"
@@ -31,8 +31,7 @@ def find_model(model: str | PathLike[str] | None) -> Path:
         The path. This function does not check that the file exists.
 
     Raises:
-        ContractError: for an unknown name.
-        InputError: for anything that is neither text nor a path.
+        InputError: for an unknown name, and for anything that is neither text nor a path.
     """
     if isinstance(model, PathLike):
         return Path(model)
@@ -46,7 +45,7 @@ def find_model(model: str | PathLike[str] | None) -> Path:
         return Path(name)
     known = list_bundled_models()
     if name not in known:
-        raise ContractError(
+        raise InputError(
             f"no bundled model is called {shown(name, 200)}; there are: "
             f"{', '.join(known) or 'none, so install ssdnet again'}: name one of these, or an ONNX "
             'file by a path that ends in ".onnx" or holds a folder ("./FILE")'

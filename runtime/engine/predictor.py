@@ -75,7 +75,8 @@ class Predictor:
         ContractError: if the model is missing, damaged, foreign or of another version, or if its
             answer to an empty frame is not finite.
         ProviderError: if the provider cannot run the model.
-        InputError: if an argument is out of range, or `size` is given for a model of fixed size.
+        InputError: if an argument is out of range, if no bundled model has the name, or if `size`
+            is given for a model of fixed size.
         InferenceError: if the model fails on an empty frame.
     """
 
@@ -321,6 +322,12 @@ class Predictor:
             "a Predictor cannot be pickled or copied: give the path of its model, and make a "
             "Predictor in each process"
         )
+
+    def __repr__(self) -> str:
+        """Return the model, and the options that are not the defaults' alone."""
+        size, focal_px = self.size, self.focal_length_px
+        given = f"provider={self.provider!r}, size={size}, focal_length_px={focal_px}"
+        return f"Predictor({str(self.model.path)!r}, {given}, threads={self.threads})"
 
     def __enter__(self) -> "Predictor":
         return self

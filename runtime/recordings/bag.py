@@ -169,7 +169,7 @@ class BagSource(Source):
     @staticmethod
     def accepts(path: Path) -> bool:
         """See `Source.accepts`."""
-        is_file = path.suffix in _SUFFIXES and os.path.isfile(path)
+        is_file = path.suffix.lower() in _SUFFIXES and os.path.isfile(path)
         return is_file or os.path.isfile(path / "metadata.yaml")
 
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:

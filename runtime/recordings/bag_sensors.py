@@ -1,6 +1,7 @@
 """What a bag says of a camera and its LiDAR or depth camera: their frames and calibration."""
 
 import contextlib
+import os
 from dataclasses import replace
 from functools import cached_property
 from itertools import chain
@@ -207,4 +208,11 @@ class BagSensors:
         topics = (
             topic for topic in self._topics.of_kind(*TRANSFORMS) if topic.endswith("tf_static")
         )
-        return TransformTree(chain.from_iterable(map(self._bag.decoded, topics)))
+        messages, folder = (
+            chain.from_iterable(map(self._bag.decoded, topics)),
+            self._bag.path.parent,
+        )
+        if os.path.isfile(folder / "metadata.yaml"):
+            first = f"give the whole bag {folder}, whose first file has it, or --calibration"
+            return TransformTree(messages, first)
+        return TransformTree(messages)

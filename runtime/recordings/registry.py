@@ -162,7 +162,7 @@ def choose_source(
     """Return a function that opens a source and can be pickled.
 
     Args:
-        kind: one of SOURCES.
+        kind: one of SOURCES, or "auto", the kind that accepts the path.
         path: path of the recording.
         rig: the sensors of the car, as far as the recording does not describe them itself.
         **options: options of the kind, see its class. Paths and the keys of --source may be given
@@ -175,6 +175,7 @@ def choose_source(
         InputError: if the kind is unknown, or does not use one of the options or attributes of the
             rig.
     """
+    kind = detect_source(Path(path)).kind if kind == "auto" else kind
     given = _checked(kind, rig, options)
     return partial(SOURCES[kind], Path(path), rig, **given)
 
@@ -196,7 +197,8 @@ def _checked(kind: str, rig: Rig, options: Mapping[str, Any]) -> dict[str, Any]:
     """The options that are given. Raises InputError in the cases of `choose_source`."""
     if kind not in SOURCES:
         raise InputError(
-            f"unknown kind of source {shown(kind)}: give one of the kinds {', '.join(SOURCES)}"
+            f"unknown kind of source {shown(kind)}: give one of the kinds {', '.join(SOURCES)}, or "
+            "auto"
         )
     if moved := sorted(_RIG_NAMES & options.keys()):
         raise InputError(f"{moved[0]} describes the car: give Rig({moved[0]}=...) after the path")

@@ -52,7 +52,7 @@ class RosBag:
 
     def __init__(self, path: Path) -> None:
         self.path, self.types, self.left_out = path, dict[str, str](), Counter[str]()
-        self._is_cdr = path.suffix != ".bag"
+        self._is_cdr = path.suffix.lower() != ".bag"
         self.guard = ProcessGuard("BagSource", SHARED_FILES, InputError)
         self._reader, self._definitions = _open(path)
         self._topics: dict[str, list[Connection]] = {}
@@ -147,7 +147,7 @@ def _open(path: Path) -> "tuple[Any, Typestore]":
     for file in _files(path):
         require_regular(file, max_bytes=MAX_TEXT_BYTES if file.suffix == ".yaml" else None)
         _require_merged(file)
-    is_ros1 = path.suffix == ".bag"
+    is_ros1 = path.suffix.lower() == ".bag"
     definitions = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
     if is_ros1:
         for name in ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"):
@@ -157,7 +157,7 @@ def _open(path: Path) -> "tuple[Any, Typestore]":
         if os.path.isdir(path):
             plugin = {"mcap": _mcap_reader()}
             reader.storage.STORAGE_PLUGINS = reader.storage.STORAGE_PLUGINS | plugin
-        elif path.suffix == ".mcap":
+        elif path.suffix.lower() == ".mcap":
             reader.storage = _mcap_reader()(path)
         reader.open()
         if (size := max(_declared_sizes(reader), default=0)) > MAX_CHUNK_BYTES:

@@ -211,9 +211,11 @@ class TransformTree:
 
     Args:
         messages: tf2_msgs/TFMessage.
+        remedy: what to do if frames are not connected.
     """
 
-    def __init__(self, messages: Iterable[Any]) -> None:
+    def __init__(self, messages: Iterable[Any], remedy: str = "give --calibration") -> None:
+        self._remedy = remedy
         self._parents: dict[str, list[tuple[str, Any]]] = {}
         for message in messages:
             for stamped in message.transforms:
@@ -231,7 +233,7 @@ class TransformTree:
         if common is None:
             raise InputError(
                 f"/tf_static does not connect the frame {shown(source)} to {shown(target)}, it has "
-                f"{cut(', '.join(self.frames), 300) or 'no frames'}: give --calibration"
+                f"{cut(', '.join(self.frames), 300) or 'no frames'}: {self._remedy}"
             )
         matrix: NDArray[np.float64] = np.linalg.inv(from_target[common]) @ from_source[common]
         matrix[3] = (0, 0, 0, 1)  # exact to the last bit

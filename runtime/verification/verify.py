@@ -67,25 +67,30 @@ class VerifyReport:
         failed: number of frames whose answers differ.
         figures: the worst value of each limited figure, in the order of the limits.
         faults: the differences besides the values of heads, each text once.
-        slowdown: the median time now divided by the recorded one; None if no times were recorded.
+        median_ms: the median time of a prediction now; None if there is none.
+        slowdown: `median_ms` divided by the recorded one; None if no times were recorded.
         max_slowdown: limit of `slowdown`; infinity: times are not compared.
+        max_latency_ms: limit of `median_ms`; infinity: there is none.
     """
 
     reference: Reference
     failed: int
     figures: tuple[WorstFigure, ...]
     faults: tuple[Fault, ...]
+    median_ms: float | None
     slowdown: float | None
     max_slowdown: float
+    max_latency_ms: float
 
     @property
     def slow(self) -> bool:
-        """Whether predictions take more than `max_slowdown` times the recorded time."""
-        return (self.slowdown or 0) > self.max_slowdown
+        """Whether predictions take longer than `max_slowdown` or `max_latency_ms` allows."""
+        is_slower = (self.slowdown or 0) > self.max_slowdown
+        return is_slower or (self.median_ms or 0) > self.max_latency_ms
 
     @property
     def passed(self) -> bool:
-        """Whether there are answers, and all agree with the recorded ones within `max_slowdown`."""
+        """Whether there are answers, and all agree with the recorded ones within the limits."""
         return bool(self.reference.frames) and not self.slow and not self.failed
 
 
@@ -95,6 +100,7 @@ def verify(
     *,
     tolerances: Figures,
     max_slowdown: float = math.inf,
+    max_latency_ms: float = math.inf,
 ) -> VerifyReport:
     """Predict each recorded frame, and compare the answers with the recorded ones.
 
@@ -108,6 +114,7 @@ def verify(
         tolerances: limits by head and by figure: `agreement.figure_name`, or "" for the figure that
             `Head.tolerance` limits. Those of a head replace the recorded limits.
         max_slowdown: limit of the median time divided by the recorded one.
+        max_latency_ms: limit of the median time of a prediction.
 
     Raises:
         ContractError: if the recorded model cannot be read.
@@ -139,9 +146,10 @@ def verify(
             of_texts.setdefault(text, []).append(frame.name)
         failed += bool(texts) or any(not within(figures[head], limits[head]) for head in figures)
     recorded_ms = [each.predict_ms for each in reference.frames if each.predict_ms is not None]
+    median_ms = statistics.median(times_ms) if times_ms else None
     slowdown = None
-    if times_ms and recorded_ms:
-        slowdown = statistics.median(times_ms) / max(statistics.median(recorded_ms), 1e-9)
+    if median_ms is not None and recorded_ms:
+        slowdown = median_ms / max(statistics.median(recorded_ms), 1e-9)
     if max_slowdown < math.inf and slowdown is None:
         raise InputError(
             "--max-slowdown needs times, and this reference has none: record with ssdnet-run"
@@ -152,7 +160,8 @@ def verify(
         for name, limit in each.items()
     )
     faults = tuple(Fault(text, len(names), names[0]) for text, names in of_texts.items())
-    return VerifyReport(reference, failed, rows, faults, slowdown, max_slowdown)
+    times = median_ms, slowdown, max_slowdown, max_latency_ms
+    return VerifyReport(reference, failed, rows, faults, *times)
 
 
 def _worst_figure(

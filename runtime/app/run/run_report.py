@@ -337,7 +337,7 @@ def describe_run(report: RunReport) -> str:
     lines += [f"failed on {reason}: {count}" for reason, count in report.failed_on.items()]
     lines += [
         f"  warning: {count:,} pixels of {kind} are beyond {METRES_PNG_MAX_M:.2f} m, saved as "
-        "65535: no measurement"
+        "65535: no measurement; to have their values, use the arrays of Python"
         for kind, count in report.beyond_png.items()
         if count
     ]

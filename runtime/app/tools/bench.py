@@ -8,7 +8,6 @@ turns, so that a disturbance affects all alike. Waiting threads do not spin
 import contextlib
 import math
 import multiprocessing
-import os
 import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
@@ -130,7 +129,6 @@ class BenchReport:
     options: BenchOptions
     machine: MachineFacts
     onnxruntime: str
-    load: float  # load of the machine before the start
     groups: list[list[BenchRow]] = field(default_factory=list)
     interrupted: bool = False
 
@@ -141,8 +139,7 @@ def bench(options: BenchOptions) -> BenchReport:
     Raises:
         ProviderError: if ONNX Runtime is not installed.
     """
-    version, load = import_onnxruntime().__version__, os.getloadavg()[0]
-    report = BenchReport(options, machine_facts(), version, load)
+    report = BenchReport(options, machine_facts(), import_onnxruntime().__version__)
     try:
         for case in product(options.sizes, options.threads, options.batches):
             group = [BenchRow(model, *case) for model in options.models]
@@ -189,7 +186,7 @@ def to_markdown(report: BenchReport) -> str:
     """One line on the machine, and a table for each size, number of threads and batch."""
     options, machine = report.options, report.machine
     parts = [
-        f"{machine.processor}, {machine.logical_cores} logical cores, load {report.load:.2f} "
+        f"{machine.processor}, {machine.logical_cores} logical cores, load {machine.load:.2f} "
         f"at the start, onnxruntime {report.onnxruntime} on {options.provider}, Python "
         f"{machine.python}; {options.rounds} runs in turn{', interrupted' * report.interrupted}"
     ]

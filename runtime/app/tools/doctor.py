@@ -4,6 +4,7 @@ Packages are imported one by one, so a broken one does not hide the others.
 """
 
 import importlib
+import importlib.util
 import shlex
 import sys
 from collections.abc import Iterator
@@ -22,6 +23,12 @@ from runtime.command.process import ERROR, print_result, reported_errors
 Status = Literal["ok", "note", "warning", "fault"]
 
 _ENGINE = {"numpy": "numpy", "cv2": "opencv-python-headless"}  # distribution of each module
+# What needs each extra, and a module that it installs.
+_EXTRAS = {
+    "bag": ("bags and MCAP", "rosbags"),
+    "train": ("training", "torch"),
+    "export": ("export", "onnx"),
+}
 _ORT_WHEELS = ("onnxruntime", "onnxruntime-gpu")
 _FRAMES = 10  # in a self-test
 _MOST_DEPTH_ERROR = 0.1  # median relative error at returns; more than the model's error
@@ -73,6 +80,10 @@ def examine(provider: str) -> Iterator[Check]:
         fault = f"{' and '.join(_ORT_WHEELS)} own the same files and exclude each other"
         remedy = f"{_pip('uninstall', '-y', *_ORT_WHEELS)} && {install}"
         yield Check("onnxruntime wheels", "warning", fault, remedy)
+    for extra, (what, module) in _EXTRAS.items():
+        if importlib.util.find_spec(module) is None:
+            remedy = _pip("install", "-c", "constraints.txt", f".[{extra}]")
+            yield Check(what, "note", f"not installed ({module})", remedy)
     yield (onnxruntime := _package("onnxruntime", install))
     if onnxruntime.status == "ok":
         yield from _self_tests(provider)

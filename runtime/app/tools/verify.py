@@ -27,7 +27,8 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 @app.command(
     "verify",
     epilog="Exit codes: 0 the same answers; 1 error; 2 usage; 4 an answer differs by more "
-    "than its limit, --max-slowdown was exceeded, or the reference holds no frames.",
+    "than its limit, --max-slowdown or --max-latency-ms was exceeded, or the reference holds no "
+    "frames.",
 )
 def main(
     reference_dir: Annotated[
@@ -66,6 +67,10 @@ def main(
             help="Largest ratio of the median prediction time to the recorded one.",
         ),
     ] = math.inf,
+    max_latency_ms: Annotated[
+        float,
+        typer.Option(min=1e-6, show_default="no limit", help="Largest median prediction time."),
+    ] = math.inf,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the comparison as one JSON document.")
     ] = False,
@@ -102,7 +107,13 @@ def main(
                 unpack(reference, predictor, unpack_dir, overwrite=overwrite)
                 print_result(f"{len(reference.frames)} frames: {unpack_dir / MANIFEST_FILE}")
                 return
-            report = verify(predictor, reference, tolerances=tolerances, max_slowdown=max_slowdown)
+            report = verify(
+                predictor,
+                reference,
+                tolerances=tolerances,
+                max_slowdown=max_slowdown,
+                max_latency_ms=max_latency_ms,
+            )
         document = json.dumps(_to_json(report, predictor), indent=1, allow_nan=False)
         print_result(document if as_json else _table(report, predictor))
         raise typer.Exit(0 if report.passed else DIFFERS)
@@ -161,6 +172,9 @@ def _table(report: VerifyReport, predictor: Predictor) -> str:
         lines.append(
             f"{'time':18}{'x recorded':14}{report.slowdown:>12.3f}{report.max_slowdown:>12g}"
         )
+    if report.median_ms is not None and report.max_latency_ms < math.inf:
+        times = f"{report.median_ms:>12.3f}{report.max_latency_ms:>12g}"
+        lines.append(f"{'time':18}{'median ms':14}{times}")
     for fault in report.faults:
         lines.append(f"  {fault.text} ({fault.frames} frames, the first is {fault.first_frame})")
     lines.append("")
@@ -172,10 +186,15 @@ def _table(report: VerifyReport, predictor: Predictor) -> str:
         lines.append("the same answers")
     else:
         lines.append("the recorded answers, within the limits")
-    if report.slow:
+    if (report.slowdown or 0) > report.max_slowdown:
         lines.append(
             f"predictions take {report.slowdown:.3f} times the recorded time, expected at most "
             f"{report.max_slowdown:g}"
+        )
+    if (report.median_ms or 0) > report.max_latency_ms:
+        lines.append(
+            f"predictions take {report.median_ms:.3f} ms at the median, expected at most "
+            f"{report.max_latency_ms:g} ms"
         )
     return "\n".join(lines)
 
@@ -204,6 +223,8 @@ def _to_json(report: VerifyReport, predictor: Predictor) -> dict[str, Any]:
             {key: _finite(value) for key, value in asdict(row).items()} for row in report.figures
         ],
         "faults": [asdict(fault) for fault in report.faults],
+        "median_ms": report.median_ms,
+        "max_latency_ms": _finite(report.max_latency_ms),
         "slowdown": _finite(report.slowdown),
         "max_slowdown": _finite(report.max_slowdown),
     }

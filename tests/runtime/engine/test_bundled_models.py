@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import runtime.engine.bundled_models
-from runtime import ContractError, InputError, Predictor
+from runtime import InputError, Predictor
 from runtime.engine.bundled_models import DEFAULT_MODEL, find_model, list_bundled_models
 
 pytest.importorskip("onnxruntime")
@@ -56,13 +56,13 @@ def test_a_file_of_a_models_name_in_the_current_folder_is_not_taken(
     assert find_model("other") == assets / "other.onnx"
     with Predictor("./other", warmup=0) as predictor:
         assert predictor.model.path == Path("other")
-    with pytest.raises(ContractError, match="mine"):
+    with pytest.raises(InputError, match="mine"):
         find_model("mine")
 
 
 @pytest.mark.parametrize("name", ["ssdnet-huge", "", "other.bin", "x" * 5000])
 def test_an_unknown_name_lists_those_that_are_there(assets, name):
-    with pytest.raises(ContractError, match="other, ssdnet-lite") as error:
+    with pytest.raises(InputError, match="other, ssdnet-lite") as error:
         Predictor(name)
     assert len(str(error.value)) < 600
 

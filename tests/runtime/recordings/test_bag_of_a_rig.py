@@ -119,3 +119,11 @@ def test_the_error_of_a_camera_has_its_name(source, run):
     assert answers.exit_code == 1
     text = answers.text.replace("\n", " ")
     assert "error: front-image_rect: the images cannot be rectified" in text
+
+
+def test_a_part_of_a_split_bag_names_the_whole(record):
+    """Only the first part has /tf_static."""
+    path = record("mcap", tree=False).write()
+    (path.parent / "metadata.yaml").touch()
+    with pytest.raises(InputError, match=f"give the whole bag {path.parent}, whose first file"):
+        BagSource(path)

@@ -85,6 +85,14 @@ def test_a_path_that_is_no_source_is_an_error_with_what_is_accepted(tmp_path, na
         detect_source(tmp_path / name)
 
 
+def test_the_kind_may_be_found_by_the_path(tmp_path, write_rgb, make_frame):
+    write_rgb(tmp_path / "rgb/0.png", make_frame()[0])
+    with open_source("auto", tmp_path / "rgb") as source:
+        assert len(source.list_frames()) == 1
+    with pytest.raises(InputError, match="does not exist"):
+        open_source("auto", tmp_path / "none")
+
+
 def test_an_unknown_kind_is_an_input_error_with_the_kinds(tmp_path):
     with pytest.raises(InputError, match=KINDS):
         open_source("folder", tmp_path)

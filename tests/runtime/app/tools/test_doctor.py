@@ -1,6 +1,7 @@
 """ssdnet-doctor: what works is no fault, what is missing is named with the command to fix it."""
 
 import importlib
+import importlib.util
 import sys
 from importlib.metadata import version
 from types import SimpleNamespace
@@ -63,6 +64,15 @@ def test_both_wheels_at_once_are_reported(monkeypatch, checks_of):
     assert check.status == "warning"
     assert check.remedy.startswith(f"{sys.executable} -m pip uninstall -y onnxruntime onnx")
     assert check.remedy.endswith("-m pip install -c constraints.txt '.[cpu]'")
+
+
+def test_an_extra_that_is_missing_is_a_note_with_its_command(monkeypatch, checks_of):
+    real = importlib.util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda n: None if n == "torch" else real(n))
+    checks = checks_of()
+    assert "bags and MCAP" not in checks
+    assert (checks["training"].status, checks["training"].found[:13]) == ("note", "not installed")
+    assert checks["training"].remedy.endswith("-m pip install -c constraints.txt '.[train]'")
 
 
 @pytest.mark.parametrize(("package", "remedy"), [

@@ -1,6 +1,7 @@
 """ssdnet-run --record, then ssdnet-verify: the same answers pass, others are reported by frame."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -218,6 +219,16 @@ def test_times_are_compared_only_when_asked(recording):
     edit_frames(recording, predict_ms=None)
     result = verify(recording, "--max-slowdown", 1)
     assert (result.exit_code, "has none" in result.output) == (1, True)
+
+
+def test_the_time_may_have_a_limit_in_milliseconds(recording):
+    assert verify(recording, "--max-latency-ms", 1e6).exit_code == 0
+    result = verify(recording, "--max-latency-ms", 1e-6)
+    assert result.exit_code == 4
+    assert re.search(r"take [0-9.]+ ms at the median, expected at most 1e-06 ms$", result.output)
+    report = json.loads(verify(recording, "--max-latency-ms", 1e-6, "--json").output)
+    assert not report["passed"]
+    assert report["median_ms"] > report["max_latency_ms"] == 1e-6
 
 
 def test_other_flags_than_recorded_are_reported(recording):
