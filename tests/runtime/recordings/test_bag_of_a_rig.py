@@ -4,7 +4,8 @@ import signal
 
 import pytest
 
-from runtime import Predictor
+from runtime import InputError, Predictor
+from runtime.recordings.bag import BagSource
 from small_rig import MS, SIZE, START_NS
 
 pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
