@@ -35,7 +35,7 @@ _HEADER = re.compile(
     r"(pixel value|class( ?name)?|name|label|(train ?)?id|index|color(_rgb)?|r|g|b|[\s,;:\t])+"
 )
 # What no name has: the marks of JSON, YAML, XML and CSV.
-_MARKS = re.compile(r"""[\[\]{}<>|"'=,;:\t]|^-\s""")
+_MARKS = re.compile(r"""[\[\]{}<>|"'=,:\t]|^-\s""")
 _FORMS = "a class a line: road, 0 road, road 128 64 128, or drivable = road, pavement"
 
 

@@ -1,5 +1,6 @@
 """A network of others, wrapped so that it can be scored."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,12 +9,13 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from tqdm import tqdm
 
 from runtime.base.errors import InputError, SSDNetError
 from runtime.contract.canonical_focal import CameraScale, camera_scale
 from runtime.contract.contract import NO_CLASS
 from runtime.contract.model_file import read_onnx
-from runtime.contract.network_size import NetworkSize, network_size
+from runtime.contract.network_size import NetworkSize, check_network_size, network_size
 from runtime.contract.resize import Size, resize_nearest
 from runtime.engine.inference import at_frame_size
 from runtime.engine.preprocess import NetworkInput, preprocess
@@ -21,11 +23,14 @@ from runtime.engine.session import describe_error, open_session
 from runtime.files.atomic_write import atomic_write
 from training.datasets.class_mapping import ClassTable, named_table
 from training.evaluation.adapter import (
+    IMAGE_TYPES,
+    ONE_PLANE,
     Adapter,
     MissingAdapterError,
     channel_axis,
     describe_network,
     find_rgb,
+    fits,
     read_adapter,
 )
 from training.scores.scoring import HeadMaps
@@ -34,7 +39,7 @@ from training.scores.scoring import HeadMaps
 _PADDED = 114
 # Least inverse depth [1/m]; smaller ones become 10 km.
 _LEAST_INVERSE = 1e-4
-_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(uint8)": np.uint8}
+_DEPTH_TYPES = {kind: dtype for kind, dtype in IMAGE_TYPES.items() if dtype is not np.uint8}
 
 
 @dataclass(frozen=True)
@@ -54,7 +59,7 @@ class ForeignNetwork:
     size: NetworkSize = None
 
     def __post_init__(self) -> None:
-        """Check the names, and that the image has one layout and type."""
+        """Check the names, the inputs, and that every key and --size can be used."""
         wanted = {"rgb": self.adapter.rgb, "sparse_depth": self.adapter.sparse_depth}
         self._require(wanted, [item.name for item in self.session.get_inputs()], "inputs")
         wanted = {"semantic": self.adapter.semantic, "depth": self.adapter.depth}
@@ -65,11 +70,38 @@ class ForeignNetwork:
                 f"{self.path}: its input {left[0]!r} is fed by no key of the adapter: name it as "
                 "rgb or sparse_depth"
             )
-        if len(self._rgb.shape) != 4 or self._rgb.type not in _TYPES:
+        self._require_keys()
+        if self._takes_bytes and self.adapter.normalize != "none":
+            text = f"warning: {self.path}: takes bytes (uint8), which no normalisation can change: "
+            text += f"normalize = {self.adapter.normalize!r} is not applied: leave it out"
+            tqdm.write(text, file=sys.stderr)
+        check_network_size(self.size, fixed=self._fixed is not None)
+
+    def _require_keys(self) -> None:
+        """Raise InputError for a key of the adapter that the file does not allow."""
+        adapter, rgb, is_fixed = self.adapter, self._rgb, self._fixed is not None
+        axis = channel_axis(rgb.shape)
+        wrong = {
+            "layout": axis is not None and self._is_last != (axis == 3),
+            "size": adapter.size is not None and is_fixed and self._fixed != adapter.size,
+            "stride": adapter.stride > 1 and is_fixed,
+            "fit": adapter.fit == "pad" and not is_fixed,
+        }
+        if key := next((key for key, is_wrong in wrong.items() if is_wrong), None):
             raise InputError(
-                f"{self.path}: its input {self._rgb.name!r} is {self._rgb.type} "
-                f"{self._rgb.shape}; expected an image of four axes, of {', '.join(_TYPES)}"
+                f"{self.path}: {key} = {getattr(adapter, key)!r} cannot be used, as its input "
+                f"{rgb.name!r} is {rgb.type} {list(rgb.shape)}: leave it out of the adapter"
             )
+        for item in self.session.get_inputs():
+            if item.name == adapter.sparse_depth and (
+                item.type not in _DEPTH_TYPES
+                or len(item.shape) not in (3, 4)
+                or (len(item.shape) == 4 and 1 not in item.shape[1:])
+            ):
+                raise InputError(
+                    f"{self.path}: its input {item.name!r} is {item.type} {list(item.shape)}; "
+                    "expected a map of LiDAR depth, of floats: export it so"
+                )
 
     @property
     def table(self) -> ClassTable:
@@ -99,11 +131,16 @@ class ForeignNetwork:
         try:
             outputs = dict(zip(heads, self.session.run(heads, feeds), strict=True))
         except Exception as error:
-            shape = feeds[self._rgb.name].shape
+            advice = (
+                "run the file on its own" if self._fixed else "set size or stride in its adapter"
+            )
             raise SSDNetError(
-                f"{self.path}: fails on an image {shape}: {describe_error(error)}: set size or "
-                "stride in its adapter"
+                f"{self.path}: fails on an image {feeds[self._rgb.name].shape}: "
+                f"{describe_error(error)}: {advice}"
             ) from error
+        for name, values in outputs.items():
+            if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiub":
+                raise InputError(f"{self.path}: its output {name!r} holds no numbers: name another")
         rows = slice(corner[0], corner[0] + frame.network_size[0])
         columns = slice(corner[1], corner[1] + frame.network_size[1])
         found: dict[str, NDArray[Any]] = {}
@@ -111,20 +148,25 @@ class ForeignNetwork:
         if self.adapter.semantic is not None:
             values = outputs[self.adapter.semantic]
             if self._is_scores(values) and self.adapter.class_stride is None:
-                planes = [_enlarge(plane, canvas)[rows, columns] for plane in self._scores(values)]
+                scores = self._scores(values, canvas)
+                planes = [_enlarge(plane, canvas)[rows, columns] for plane in scores]
                 ids = _decide([_enlarge(plane, frame.frame_size) for plane in planes])
             else:
                 found["semantic"] = np.ascontiguousarray(self._ids(values, canvas)[rows, columns])
         if self.adapter.depth is not None:
-            raw = _enlarge(self._plane(outputs[self.adapter.depth], self.adapter.depth), canvas)
-            found["depth"] = self._metres(np.ascontiguousarray(raw[rows, columns]))
+            raw = self._plane(outputs[self.adapter.depth], self.adapter.depth, canvas)
+            raw = _enlarge(raw, canvas)[rows, columns]
+            found["depth"] = self._metres(np.ascontiguousarray(raw))
         answer = HeadMaps(**at_frame_size(found, frame))
         return answer if ids is None else answer.with_semantic(ids)
 
     @property
     def _rgb(self) -> Any:
-        inputs = {item.name: item for item in self.session.get_inputs()}
-        return inputs[self.adapter.rgb] if self.adapter.rgb else find_rgb(self.session)
+        return find_rgb(self.path, self.session, self.adapter.rgb)
+
+    @property
+    def _takes_bytes(self) -> bool:
+        return bool(self._rgb.type == "tensor(uint8)")
 
     @property
     def _is_last(self) -> bool:
@@ -169,35 +211,36 @@ class ForeignNetwork:
     def _image(self, frame: NetworkInput, canvas: Size, corner: Size) -> NDArray[Any]:
         rgb = _pad(frame.rgb, canvas, corner, _PADDED)
         values = rgb[..., ::-1] if self.adapter.channels == "BGR" else rgb
-        if self.adapter.normalize != "none":
+        if self.adapter.normalize != "none" and not self._takes_bytes:
             mean, std = (np.array(item, np.float32) for item in self.adapter.color_scale)
             if self.adapter.channels == "BGR":
                 mean, std = mean[::-1], std[::-1]
             values = (values - mean) / std
         values = values if self._is_last else values.transpose(2, 0, 1)
-        return np.ascontiguousarray(values[np.newaxis].astype(_TYPES[self._rgb.type]))
+        return np.ascontiguousarray(values[np.newaxis].astype(IMAGE_TYPES[self._rgb.type]))
 
     def _returns(self, frame: NetworkInput, canvas: Size, corner: Size) -> NDArray[Any]:
         (fed,) = (i for i in self.session.get_inputs() if i.name == self.adapter.sparse_depth)
         depth = _pad(frame.sparse_depth, canvas, corner, 0) * self.adapter.sparse_depth_scale
         axis = (0,) if len(fed.shape) == 3 else (0, 3 if self._is_last else 1)
-        return np.expand_dims(depth, axis).astype(_TYPES.get(fed.type, np.float32))
+        return np.expand_dims(depth, axis).astype(_DEPTH_TYPES[fed.type])
 
     def _is_scores(self, values: NDArray[Any]) -> bool:
         if self.adapter.semantic_is is not None:
             return self.adapter.semantic_is == "scores"
         return values.ndim == 4 and min(values.shape[1], values.shape[3]) > 1
 
-    def _scores(self, values: NDArray[Any]) -> NDArray[np.float32]:
+    def _scores(self, values: NDArray[Any], canvas: Size) -> NDArray[np.float32]:
         """Return the scores as (C, h, w)."""
         count = len(self.adapter.names)
         if values.ndim == 4 and values.shape[1] != count and values.shape[3] == count:
             values = values.transpose(0, 3, 1, 2)
-        if values.ndim != 4 or values.shape[1] != count:
+        if values.ndim != 4 or values.shape[:2] != (1, count):
             raise InputError(
                 f"{self.path}: its output {self.adapter.semantic!r} is {values.shape}, and its "
                 f"adapter names {count} classes: correct classes or semantic"
             )
+        self._require_grid(values.shape, values.shape[2:], self.adapter.semantic, canvas)
         return self._finite(values[0].astype(np.float32), self.adapter.semantic)
 
     def _ids(self, values: NDArray[Any], canvas: Size) -> NDArray[np.uint8]:
@@ -205,19 +248,19 @@ class ForeignNetwork:
         if self._is_scores(values):
             stride = self.adapter.class_stride or 1
             grid = canvas[0] // stride, canvas[1] // stride
-            ids = _decide([_enlarge(plane, grid) for plane in self._scores(values)])
+            ids = _decide([_enlarge(plane, grid) for plane in self._scores(values, canvas)])
         else:
-            plane = self._plane(values, self.adapter.semantic)
-            if plane.min() < 0 or plane.max() > NO_CLASS:
+            plane = self._plane(values, self.adapter.semantic, canvas)
+            ids = np.clip(np.rint(plane), 0, NO_CLASS).astype(np.uint8)
+            if (ids != plane).any():
                 raise InputError(
                     f"{self.path}: its output {self.adapter.semantic!r} has values from "
-                    f"{plane.min():g} to {plane.max():g}, which are no class ids: correct "
-                    "semantic_is or semantic"
+                    f"{plane.min():g} to {plane.max():g}, which are no class ids: name another "
+                    f"output; {ONE_PLANE}"
                 )
-            ids = np.rint(plane).astype(np.uint8)
         return ids if ids.shape == canvas else np.asarray(resize_nearest(ids, canvas))
 
-    def _plane(self, values: NDArray[Any], name: str | None) -> NDArray[np.float32]:
+    def _plane(self, values: NDArray[Any], name: str | None, canvas: Size) -> NDArray[np.float32]:
         """Return an output that has one plane as (h, w)."""
         plane = values.reshape([side for side in values.shape if side != 1])
         if plane.ndim != 2:
@@ -225,7 +268,18 @@ class ForeignNetwork:
                 f"{self.path}: its output {name!r} is {values.shape}; expected a map: name another "
                 "output"
             )
+        self._require_grid(values.shape, plane.shape, name, canvas)
         return self._finite(plane.astype(np.float32), name)
+
+    def _require_grid(
+        self, shape: Sequence[int], grid: Sequence[int], name: str | None, canvas: Size
+    ) -> None:
+        if not fits(grid, canvas):
+            raise InputError(
+                f"{self.path}: its output {name!r} is {tuple(shape)}, which is no map of the image "
+                f"of {canvas[0]} x {canvas[1]}: export rows and columns as its last axes, and "
+                "scores as (1, classes, rows, columns)"
+            )
 
     def _metres(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         metres = np.maximum(values / np.float32(self.adapter.depth_scale), np.float32(0))

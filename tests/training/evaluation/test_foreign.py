@@ -228,3 +228,64 @@ def test_adapters_that_do_not_fit_say_why(tmp_path, lines, text):
     result = run(path, "--data", data, "--lidar", "none")
     assert result.exit_code == 1
     assert text in result.output.splitlines()[-1]
+
+
+FLOAT, BYTES = TensorProto.FLOAT, TensorProto.UINT8
+ROAD = 'semantic = "y"\nclasses = ["a", "b", "c"]\n'
+
+
+def others(path, *, fed=(1, 3, 32, 64), answer=(1, 3, 32, 64), kind=FLOAT, inputs=1, facts=()):
+    """A network that answers values of -9 in a shape, whatever its inputs are."""
+    fed = [helper.make_tensor_value_info(f"x{i}", kind, list(fed)) for i in range(inputs)]
+    out = [helper.make_tensor_value_info("y", FLOAT, list(answer))]
+    value = numpy_helper.from_array(np.full(answer, -9, np.float32), "c")
+    graph = helper.make_graph([helper.make_node("Identity", ["c"], ["y"])], "g", fed, out, [value])
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 20)], ir_version=10)
+    helper.set_model_props(model, dict(facts))
+    onnx.save(model, path)
+
+
+@pytest.mark.parametrize(("file", "lines", "text"), [
+    ({"fed": (3, 4)}, None, "expected an image of four axes"),
+    ({"inputs": 0}, None, "has 0 inputs (none)"),
+    ({"inputs": 3}, None, "has 3 inputs ('x0': float"),
+    ({"fed": (4, 3, 32, 64)}, ROAD, "export it with a batch of 1"),
+    ({"fed": (1, 1, 32, 64)}, ROAD, "expected three channels"),
+    ({"answer": (1, 1000)}, None, "is a map of the image ('y': float [1, 1000])"),
+    ({"answer": (1, 32 * 64, 3)}, ROAD, "is no map of the image of 32 x 64"),  # flattened scores
+    ({"answer": (1, 3, 64, 32)}, ROAD, "is no map of the image"),
+    ({"answer": (1, 1, 32, 64)}, ROAD, "-9 to -9, which are no class ids"),
+    ({"answer": (1, 1, 32, 64)}, 'semantic="y"\nclasses=["a"]\nsemantic_is="scores"', "one plane"),
+    ({}, ROAD + "size = [64, 64]", "size = (64, 64) cannot be used"),
+    ({}, ROAD + "stride = 32", "stride = 32 cannot be used"),
+    ({}, ROAD + 'layout = "NHWC"', "layout = 'NHWC' cannot be used"),
+    ({}, ROAD + "depth_scale = 100.0", "depth_scale: has no use without depth"),
+    ({"kind": BYTES, "inputs": 2}, ROAD + 'sparse_depth = "x1"', "a map of LiDAR depth, of floats"),
+])  # fmt: skip
+def test_a_file_is_looked_at_before_it_is_run(tmp_path, file, lines, text):
+    data, path = red(tmp_path), tmp_path / "net.onnx"
+    others(path, **file)
+    if lines is not None:
+        path.with_suffix(".toml").write_text(lines)
+    result = run(path, "--data", data, "--lidar", "none")
+    assert result.exit_code == 1
+    assert text in result.output.splitlines()[-1]
+
+
+def test_no_normalisation_changes_bytes(tmp_path):
+    """They are fed as they are, and it is said: floats cast to bytes would wrap around."""
+    data, path = red(tmp_path), tmp_path / "net.onnx"
+    others(path, kind=BYTES)
+    path.with_suffix(".toml").write_text(ROAD + 'normalize = "imagenet"')
+    result = run(path, "--data", data, "--lidar", "none")
+    assert result.exit_code == 0, result.output
+    assert "takes bytes (uint8)" in result.output
+
+
+def test_names_are_sorted_as_numbers(tmp_path):
+    path, names = tmp_path / "net.onnx", [f"name{index}" for index in range(12)]
+    for first, expected in ((0, names), (1, [])):  # ids that begin with 1 would be shifted
+        table = json.dumps({str(first + index): name for index, name in enumerate(names)})
+        others(path, answer=(1, 12, 32, 64), facts={"names": table, "stride": "[32]"})
+        line = re.search("^classes = (.*?)(  #|$)", run(path, "--data", red(tmp_path)).stdout, re.M)
+        assert json.loads(line[1]) == expected
