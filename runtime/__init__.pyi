@@ -53,7 +53,7 @@ from runtime.streams.frame import (
     Sensor as Sensor,
 )
 from runtime.streams.frame_result import FrameResult as FrameResult
-from runtime.streams.health.consistency import Consistency as Consistency
+from runtime.checks.consistency import Consistency as Consistency
 from runtime.streams.push_stream import PushStream as PushStream
 from runtime.streams.replay import ReplayMessage as ReplayMessage, replay as replay
 from runtime.streams.statistics import (

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.alignment.view import View
+from runtime.checks.log_depth import correlation, log_depth
 from runtime.geometry.lens import pixels_of_rays
-from runtime.streams.health.log_depth import correlation, log_depth
 
 AXES = ("yaw", "pitch", "roll")
 BLUR = 2 / 375  # blur of the boundary for the comparison of figures, in image heights

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks.log_depth import log_depth
 from runtime.contract.degraded import IMAGE_CONSTANT
 from runtime.engine.prediction import Prediction
 from runtime.geometry.assumptions import collect_assumptions
@@ -19,7 +20,6 @@ from runtime.geometry.lens import cache_key, ray_bounds, to_image_plane
 from runtime.geometry.motion import Scan, compensate_points
 from runtime.geometry.poses import NoPoseError
 from runtime.streams.frame import Frame
-from runtime.streams.health.log_depth import log_depth
 
 LEAST_JUMPS, LEAST_RETURNS = 60, 500  # with fewer in a view, nothing is computed
 _MOST_JUMPS, _MOST_RETURNS = 2500, 4000  # more are subsampled

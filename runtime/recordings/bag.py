@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
+from runtime.checks.sensor_times import clocks_apart_s, report_clocks
 from runtime.geometry.assumptions import assume, collect_assumptions
 from runtime.geometry.motion import Scan
 from runtime.geometry.point_cloud import depth_to_cloud
@@ -42,7 +43,6 @@ from runtime.recordings.ros_poses import (
 from runtime.recordings.ros_topics import COMPRESSED_IMAGE, NO_TOPIC, RosTopics
 from runtime.recordings.source import ListedFrame, Source, pose_track
 from runtime.streams.frame import MATCHED, Frame, Message, Outcome, Sensor
-from runtime.streams.health.sensor_times import clocks_apart_s, report_clocks
 
 _SUFFIXES = (".bag", ".db3", ".mcap")
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
 from runtime.base.natural_order import contain_decimals, normal_form
+from runtime.checks.sensor_times import period_ns_of
 from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import (
@@ -29,7 +30,6 @@ from runtime.geometry.returns import check_farthest
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.ros_answers import FixedTransform, SensorFrames
 from runtime.streams.frame import MATCHED, Frame, Message, Sensor
-from runtime.streams.health.sensor_times import period_ns_of
 from runtime.streams.matching import RecordingMatcher
 
 _WAITING = 64  # messages of a sensor that wait for the other one, which may be recorded later

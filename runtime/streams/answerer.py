@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 
 from runtime.base.arguments import shown
 from runtime.base.errors import InputError, SSDNetError
+from runtime.checks.consistency import ConsistencyCheck
+from runtime.checks.frame_health import FrameHealth
 from runtime.contract.degraded import IMPLAUSIBLE_DEPTH, IMPLAUSIBLE_POSES
 from runtime.engine.prediction import Prediction
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import Scan
 from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
-from runtime.streams.health.consistency import ConsistencyCheck
 from runtime.streams.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
-from runtime.streams.health.frame_health import FrameHealth
 from runtime.streams.health.pose_plausibility import PosePlausibility
 
 _CHECK_EVERY = 100  # frames with depth, after the first FIRST_FRAMES

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.stamp import NS_PER_MS, Stamp, stamp_ns
+from runtime.checks.consistency import Consistency
 from runtime.engine.prediction import Prediction
 from runtime.geometry.motion import DepthMotion
-from runtime.streams.health.consistency import Consistency
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

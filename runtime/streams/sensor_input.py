@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import Stamp, stamp_ns
+from runtime.checks.sensor_times import LiveClocks
 from runtime.engine.preprocess import check_rgb, check_sparse_depth
 from runtime.geometry.assumptions import assume
 from runtime.geometry.motion import (
@@ -24,7 +25,6 @@ from runtime.geometry.returns import check_points
 from runtime.geometry.rig import Rig
 from runtime.geometry.rigid import nearest_rigid
 from runtime.streams.frame import Frame, Message, Outcome, Sensor
-from runtime.streams.health.sensor_times import LiveClocks
 from runtime.streams.matching import Intervals
 from runtime.streams.stream_counter import StreamCounter
 

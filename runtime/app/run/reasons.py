@@ -1,8 +1,8 @@
 """Everything that a run can find wrong with a frame or a sensor, with its meaning."""
 
 from runtime.app.run.frame_record import INVALID, SKIPPED
+from runtime.checks.frame_health import SENSOR_FAULTS
 from runtime.contract.degraded import DEGRADED
-from runtime.streams.health.frame_health import SENSOR_FAULTS
 
 LATE = "late"
 CAMERA_SILENT, LIDAR_SILENT = "camera_silent", "lidar_silent"

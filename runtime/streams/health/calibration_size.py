@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks.log_depth import BANDS, correlations, log_depth
 from runtime.contract.degraded import IMAGE_CONSTANT
 from runtime.engine.prediction import Prediction
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.returns import is_measured
-from runtime.streams.health.log_depth import BANDS, correlations, log_depth
 
 # Offset of the principal point, as a share of the image's side. KITTI, PandaSet and View-of-Delft
 # have at most 0.04.

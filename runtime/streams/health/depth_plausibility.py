@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks.log_depth import BANDS, correlations, log_depth, subtract_band_means
 from runtime.contract.degraded import IMAGE_CONSTANT
 from runtime.engine.prediction import Prediction
 from runtime.geometry.returns import is_measured
-from runtime.streams.health.log_depth import BANDS, correlations, log_depth, subtract_band_means
 
 FIRST_FRAMES = 5  # frames checked when a stream starts; later the median of the last 5 counts
 _LEAST_RETURNS, _MOST_RETURNS = 200, 50_000  # denser maps are subsampled

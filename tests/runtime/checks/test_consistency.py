@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from runtime.base.errors import InputError
+from runtime.checks.consistency import ConsistencyCheck
 from runtime.engine.prediction import Latency, Prediction
-from runtime.streams.health.consistency import ConsistencyCheck
 
 
 def answer(depth=None, boundary=None):

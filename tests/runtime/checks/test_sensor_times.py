@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from runtime import Rig
+from runtime.checks.sensor_times import clocks_apart_s
 from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.motion import Scan
 from runtime.streams.frame import Message, Sensor
-from runtime.streams.health.sensor_times import clocks_apart_s
 from runtime.streams.sensor_input import SensorInput
 from runtime.streams.stream_counter import StreamCounter
 

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from runtime.base.arguments import check_number
 from runtime.base.errors import InputError
+from runtime.checks.log_depth import log_depth
 from runtime.engine.prediction import Prediction
 from runtime.geometry.returns import is_measured
-from runtime.streams.health.log_depth import log_depth
 
 _SHARE = "consistency, the share of the returns that is held out,"
 _WEIGHT = 0.1  # weight of a new frame in the running means

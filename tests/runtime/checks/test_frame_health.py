@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from runtime.checks.frame_health import FrameHealth
 from runtime.recordings.images import read_sparse_depth
-from runtime.streams.health.frame_health import FrameHealth
 
 SIZE = (128, 416)
 NOTHING = np.zeros((60, 80), np.float32)

@@ -1,0 +1,1 @@
+"""What judges: evidence of frames, readings of a recording, and findings."""
