@@ -32,7 +32,8 @@ from runtime import InputError, Predictor, PushStream
 from runtime.app.run.pipeline import dedicate_process
 from runtime.contract.resize import move_returns
 from runtime.recordings.bundled_stream import bundled_frames
-from runtime.streams.frame import Frame, Message
+from runtime.streams.frame import Frame
+from runtime.streams.messages import Depth, Image
 from runtime.streams.statistics import StreamStatistics
 from runtime.streams.stream_counter import StreamCounts
 
@@ -229,8 +230,8 @@ def resized_frames(size: tuple[int, int]) -> list[Frame]:
     """Return the bundled stream at another size."""
     return [
         Frame(
-            Message(data=cv2.resize(frame.rgb, size[::-1])),
-            Message(data=move_returns(frame.sparse_depth, size)),
+            Image(cv2.resize(frame.rgb, size[::-1])),
+            Depth(move_returns(frame.sparse_depth, size)),
         )
         for frame in bundled_frames()
     ]

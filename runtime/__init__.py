@@ -24,6 +24,8 @@ _HOMES = {
     for alias in node.names
 }
 
+_RENAMED = {"Message": "Image, Depth, Scan or Pose"}
+
 __all__ = [*_HOMES, "__version__"]
 
 
@@ -33,7 +35,8 @@ def __getattr__(name: str) -> Any:
     elif name in _HOMES:
         value = getattr(import_module(_HOMES[name]), name)
     else:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        renamed = f": it is {_RENAMED[name]} now" if name in _RENAMED else ""
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{renamed}")
     globals()[name] = value  # so that the name is looked up only once
     return value
 

@@ -33,7 +33,6 @@ from runtime.engine.predictor import Predictor as Predictor
 from runtime.geometry.assumptions import AssumptionWarning as AssumptionWarning
 from runtime.geometry.calibration import Calibration as Calibration
 from runtime.geometry.lens import Lens as Lens
-from runtime.geometry.motion import Scan as Scan
 from runtime.geometry.point_cloud import PointCloud as PointCloud
 from runtime.geometry.poses import PoseFrame as PoseFrame, PoseTrack as PoseTrack
 from runtime.geometry.projection import project_points as project_points
@@ -48,12 +47,17 @@ from runtime.streams.answerer import FramePredictor as FramePredictor
 from runtime.streams.frame import (
     CompensatedDepth as CompensatedDepth,
     Frame as Frame,
-    Message as Message,
-    Outcome as Outcome,
-    Sensor as Sensor,
 )
 from runtime.streams.frame_result import FrameResult as FrameResult
 from runtime.checks.consistency import Consistency as Consistency
+from runtime.streams.messages import (
+    Depth as Depth,
+    Image as Image,
+    Outcome as Outcome,
+    Pose as Pose,
+    Scan as Scan,
+    Sensor as Sensor,
+)
 from runtime.streams.push_stream import PushStream as PushStream
 from runtime.streams.replay import ReplayMessage as ReplayMessage, replay as replay
 from runtime.streams.statistics import (

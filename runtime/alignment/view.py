@@ -17,7 +17,7 @@ from runtime.engine.prediction import Prediction
 from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import cache_key, ray_bounds, to_image_plane
-from runtime.geometry.motion import Scan, compensate_points
+from runtime.geometry.motion import compensate_points
 from runtime.geometry.poses import NoPoseError
 from runtime.streams.frame import Frame
 
@@ -166,12 +166,12 @@ def find_jumps(points: Points) -> NDArray[np.bool_]:
 
 def compensated_points(frame: Frame) -> Points | None:
     """The points of the frame's scan, moved to the time of its image if there are poses."""
-    if frame.depth is None or not isinstance(scan := frame.depth.data, Scan):
+    if (scan := frame.scan) is None:
         return None
     if frame.poses is None or scan.times is None:
         return scan.points
     try:
-        return compensate_points(scan.points, scan.times, frame.poses, frame.image.stamp_ns)
+        return compensate_points(scan.points, scan.times, frame.poses, frame.image.time_ns)
     except NoPoseError:
         return scan.points
 

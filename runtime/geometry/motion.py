@@ -31,51 +31,25 @@ _KNOTS = 65
 _STEPS = 64
 
 
-class Scan(NamedTuple):
-    """The returns of a scan, made by `of`.
+def find_returns(
+    points: Any, after_s: NDArray[np.float64] | None
+) -> tuple[NDArray[np.bool_], bool]:
+    """Return which points of a scan are kept, bool (N,), and whether times left out returns.
 
-    Attributes:
-        points: float32 (N, 3) or wider, metres, LiDAR frame.
-        times: nanoseconds: int64 (N,), or one time for all; None if the times are not known yet.
-        lost: number of points that were left out.
-        untimed: whether returns were left out because their times do not belong to the scan.
+    See `Scan.of`, which also has the arguments and errors.
     """
-
-    points: NDArray[np.float32]
-    times: NDArray[np.int64] | int | None = None
-    lost: int = 0
-    untimed: bool = False
-
-    @classmethod
-    def of(
-        cls, points: Any, after_s: NDArray[np.float64] | None = None, stamp_ns: int = 0
-    ) -> "Scan":
-        """Make a scan without points that are no returns and without returns whose time is wrong.
-
-        Args:
-            points: float32 (N, 3) or wider, see `is_return`; they are not copied if all are
-                returns.
-            after_s: (N,), seconds after the stamp, see `point_times`; None if they are not known.
-            stamp_ns: time stamp of the scan.
-
-        Raises:
-            InputError: if the array has another type or shape, if its points cannot be metres, or
-                if half of the returns are more than 1 s from the stamp.
-        """
-        check_points(points)
-        returns, times = is_return(points), None
-        kept = returns
-        if after_s is not None:
-            kept = returns & (np.abs(after_s) <= _LONGEST_SCAN_S)  # false for NaN
-            if 2 * np.count_nonzero(kept) < np.count_nonzero(returns):
-                raise InputError(
-                    f"times must be within {_LONGEST_SCAN_S:g} s of the stamp, got "
-                    f"{np.median(np.abs(after_s)):g} s: are they of another unit or clock?"
-                )
-            _check_clock(after_s[kept])
-            times = stamp_ns + np.rint(after_s[kept] * 1e9).astype(np.int64)
-        lost, untimed = int(np.count_nonzero(~kept)), bool((kept != returns).any())
-        return cls(points[kept] if lost else points, times, lost, untimed)
+    check_points(points)
+    returns = is_return(points)
+    if after_s is None:
+        return returns, False
+    kept = returns & (np.abs(after_s) <= _LONGEST_SCAN_S)  # false for NaN
+    if 2 * np.count_nonzero(kept) < np.count_nonzero(returns):
+        raise InputError(
+            f"times must be within {_LONGEST_SCAN_S:g} s of the stamp, got "
+            f"{np.median(np.abs(after_s)):g} s: are they of another unit or clock?"
+        )
+    _check_clock(after_s[kept])
+    return kept, bool((kept != returns).any())
 
 
 def _check_clock(after_s: NDArray[np.float64]) -> None:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from runtime.base.errors import InputError
 from runtime.checks.sensor_times import clocks_apart_s, report_clocks
 from runtime.geometry.assumptions import assume, collect_assumptions
-from runtime.geometry.motion import Scan
 from runtime.geometry.point_cloud import depth_to_cloud
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.bag_messages import BagMessages
@@ -42,7 +41,8 @@ from runtime.recordings.ros_poses import (
 )
 from runtime.recordings.ros_topics import COMPRESSED_IMAGE, NO_TOPIC, RosTopics
 from runtime.recordings.source import ListedFrame, Source, pose_track
-from runtime.streams.frame import MATCHED, Frame, Message, Outcome, Sensor
+from runtime.streams.frame import Frame
+from runtime.streams.messages import MATCHED, Outcome, Place, Scan, Sensor
 
 _SUFFIXES = (".bag", ".db3", ".mcap")
 
@@ -180,8 +180,8 @@ class BagSource(Source):
         offsets: dict[Sensor, list[int]] = {sensor: [] for sensor in MATCHED}
         unstamped: Counter[str] = Counter()
 
-        def stamped() -> Iterator[tuple[Sensor, int, int]]:
-            """Yield (sensor, stamp, position in the messages) for images and depth."""
+        def stamped() -> Iterator[Place]:
+            """Yield the position among the messages of each image and depth."""
             for place, message in self._messages:
                 if message.topic == self._sensors.info_topic:
                     with contextlib.suppress(InputError):  # the message is damaged
@@ -196,9 +196,9 @@ class BagSource(Source):
                     offsets[sensor].append(stamp_ns - message.recorded_ns)
                 else:
                     unstamped[message.topic] += 1
-                yield sensor, stamp_ns or message.recorded_ns, place
+                yield Place(sensor, place, stamp_ns or message.recorded_ns)
 
-        def name(image: Message) -> str:
+        def name(image: Place) -> str:
             stamp = str(image.stamp_ns)
             names[stamp] += 1
             return stamp if names[stamp] == 1 else f"{stamp}-{names[stamp]}"  # played in a loop
@@ -260,7 +260,7 @@ class BagSource(Source):
             points, after_s = decode_points(message), None
             if self._poses is not None and frame.depth_stamp_ns is not None:
                 after_s = point_times_s(message, frame.depth_stamp_ns, points)
-            return Scan.of(points, after_s, frame.depth_stamp_ns or 0)
+            return Scan.of(points, after_s, frame.depth_stamp_ns)
         depth = decode_depth_image(message)
         if (camera := self._sensors.depth_camera) is None:
             return depth

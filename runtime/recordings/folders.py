@@ -16,7 +16,7 @@ from runtime.base.natural_order import in_natural_order, normal_form, numbers_in
 from runtime.base.stamp import NS_PER_MS
 from runtime.geometry.assumptions import assume, collect_assumptions
 from runtime.geometry.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration
-from runtime.geometry.motion import Scan, lidar_mount, point_times
+from runtime.geometry.motion import lidar_mount, point_times
 from runtime.geometry.poses import PoseFrame, PoseTrack
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.images import (
@@ -31,7 +31,8 @@ from runtime.recordings.poses import read_poses
 from runtime.recordings.scan import SCAN_SUFFIXES, read_scan
 from runtime.recordings.source import ListedFrame, Source, limit_frames
 from runtime.recordings.timestamps import read_timestamps
-from runtime.streams.frame import Frame, Outcome, Sensor
+from runtime.streams.frame import Frame
+from runtime.streams.messages import Outcome, Place, Scan, Sensor
 
 _APART_NS = 100 * NS_PER_MS  # assumed interval between images without time stamps
 # Number of the camera in the paths of KITTI: image_02, image_2/0.png, image_02/data.
@@ -212,13 +213,13 @@ class FolderSource(Source):
             with collect_assumptions(self._notes):
                 poses_ns, poses = read_poses(self._given.poses, stamps_ns, of_clock=of_clock)
                 self._poses = PoseTrack.of(poses, poses_ns)
-        messages: list[tuple[Sensor, int, Path]] = []
+        places: list[Place] = []
         for (name, image), stamp_ns in zip(images.items(), stamps_ns, strict=True):
             if name in depths:
-                messages.append((Sensor.DEPTH, stamp_ns, depths[name]))
-            messages.append((Sensor.IMAGE, stamp_ns, image))
+                places.append(Place(Sensor.DEPTH, depths[name], stamp_ns))
+            places.append(Place(Sensor.IMAGE, image, stamp_ns))
         camera_only = self._depth is None
-        return self._match(messages, max_skew_ms=0, limit=limit, camera_only=camera_only)
+        return self._match(places, max_skew_ms=0, limit=limit, camera_only=camera_only)
 
     def _list_images(self) -> Mapping[str, Any]:
         return list_files(self._rgb)
@@ -287,13 +288,13 @@ class FolderSource(Source):
 
     def _read_scan(self, frame: ListedFrame) -> Scan:
         points, after_s = read_scan(frame.depth, columns=self._given.point_columns), None
-        column, stamp_ns = self._given.point_time_column, frame.depth_stamp_ns or 0
+        column, stamp_ns = self._given.point_time_column, frame.depth_stamp_ns
         if column is not None and column >= points.shape[1]:
             raise InputError(
                 f"{frame.depth} has the columns 0 to {points.shape[1] - 1}, and point_time_column "
                 f"is {column}: beyond x, y and z only those of .bin and .npy are read"
             )
-        if column is not None and frame.depth_stamp_ns is not None:
+        if column is not None and stamp_ns is not None:
             after_s = point_times(points[:, column], len(points), stamp_ns)
         with collect_assumptions(self._notes):
             return Scan.of(points, after_s, stamp_ns)

@@ -19,7 +19,7 @@ from runtime.recordings.folders import FolderSource
 from runtime.recordings.images import RGB_SUFFIXES, list_files
 from runtime.recordings.poses import read_oxts_poses
 from runtime.recordings.source import ListedFrame, files_by_number, pose_track
-from runtime.streams.frame import Sensor
+from runtime.streams.messages import Place, Sensor
 
 RAW_IMU = "calib_imu_to_velo.txt"
 _SCANS = (".bin",)
@@ -76,11 +76,11 @@ class KittiRawSource(FolderSource):
         )
         self._drive, self._rig = drive, replace(rig, calibration=calibration)
         self._oxts: Path | None = None  # folder of the poses, if they are used
-        self._stamped: list[tuple[Sensor, int, Path]] = []
+        self._stamped: list[Place] = []
         pictures = _read_stamps(Sensor.IMAGE, images, RGB_SUFFIXES)
         returns = _read_stamps(Sensor.DEPTH, scans, _SCANS)
         if pictures and returns:
-            self._stamped = sorted(pictures + returns, key=lambda message: message[1])
+            self._stamped = sorted(pictures + returns, key=lambda place: place.stamp_ns)
         if self._stamped and not isinstance(calibration, Calibration):
             with collect_assumptions(self._notes):
                 self._read_oxts(drive / "oxts", Path(calibration) / RAW_IMU)
@@ -110,9 +110,10 @@ class KittiRawSource(FolderSource):
         body_from_lidar = np.linalg.inv(nearest_rigid(str(mount), lidar_from_body)).astype(
             np.float64
         )
-        stamped = sorted(_read_stamps(Sensor.POSE, folder, (".txt",)), key=lambda each: each[1])
-        poses = read_oxts_poses(path for _, _, path in stamped)
-        self._poses = pose_track(zip((stamp_ns for _, stamp_ns, _ in stamped), poses, strict=True))
+        stamped = _read_stamps(Sensor.POSE, folder, (".txt",))
+        stamped.sort(key=lambda each: each.stamp_ns)
+        poses = read_oxts_poses(Path(str(each.at)) for each in stamped)
+        self._poses = pose_track(zip((each.stamp_ns for each in stamped), poses, strict=True))
         self._oxts = folder
         self.calibration = replace(self.calibration, body_from_lidar=body_from_lidar)
 
@@ -131,10 +132,8 @@ class KittiRawSource(FolderSource):
         }
 
 
-def _read_stamps(
-    sensor: Sensor, folder: Path, suffixes: tuple[str, ...]
-) -> list[tuple[Sensor, int, Path]]:
-    """(sensor, nanoseconds, path) of each file; its number is the line of its time, from 0.
+def _read_stamps(sensor: Sensor, folder: Path, suffixes: tuple[str, ...]) -> list[Place]:
+    """The files with their times; a file's number is the line of its time, from 0.
 
     The list is empty if there is no file of time stamps. Raises InputError if a line is not a time,
     and if a file's number has no line.
@@ -151,6 +150,6 @@ def _read_stamps(
             "0: the file is truncated or of another drive"
         )
     return [
-        (sensor, parse_date(lines[number], f"line {number + 1} of {path}"), file)
+        Place(sensor, file, parse_date(lines[number], f"line {number + 1} of {path}"))
         for number, file in numbers.items()
     ]

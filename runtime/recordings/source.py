@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -21,7 +21,6 @@ from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import (
     FIRST_SCAN_NS,
-    Scan,
     assume_middle,
     lidar_mount,
 )
@@ -29,8 +28,9 @@ from runtime.geometry.poses import PoseFrame, PoseTrack
 from runtime.geometry.returns import check_farthest
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.ros_answers import FixedTransform, SensorFrames
-from runtime.streams.frame import MATCHED, Frame, Message, Sensor
-from runtime.streams.matching import RecordingMatcher
+from runtime.streams.frame import Frame
+from runtime.streams.matching import Pair, RecordingMatcher
+from runtime.streams.messages import MATCHED, Depth, Image, Place, Scan, Sensor
 
 _WAITING = 64  # messages of a sensor that wait for the other one, which may be recorded later
 
@@ -171,7 +171,7 @@ class Source(ABC):
         self,
         frame: ListedFrame,
         rgb: NDArray[np.uint8],
-        depth: NDArray[np.float32] | Scan | None = None,
+        depth: NDArray[np.float32] | Depth | Scan | None = None,
         calibration: Calibration | None = None,
     ) -> Frame:
         """Return a frame with what its sensors measured, the depth projected into the image.
@@ -188,31 +188,29 @@ class Source(ABC):
                 falsify clouds and the focal length; and for a depth map after `rectify_images`.
         """
         poses = None
+        if isinstance(depth, np.ndarray):
+            check_farthest(depth)
+            depth = Depth(depth)
         if calibration is not None:
             calibration.require_size(rgb.shape[:2])
             if self._rectify:
-                if isinstance(depth, np.ndarray):
+                if isinstance(depth, Depth):
                     raise InputError(
                         "a depth map lies on the pixels of the distorted image: no --rectify"
                     )
                 rgb, calibration = calibration.rectify(rgb), calibration.rectified
             if self._poses is not None:
                 poses = self._poses.mounted(lidar_mount(self._pose_frame, calibration))
-        if isinstance(depth, Scan) and depth.times is None and frame.depth_stamp_ns is not None:
-            depth = depth._replace(times=frame.depth_stamp_ns + self._to_middle_ns)
+        if depth is not None:
+            depth = replace(depth, stamp_ns=frame.depth_stamp_ns)
+        if isinstance(depth, Scan) and depth.times is None and depth.stamp_ns is not None:
+            depth = replace(depth, times=depth.stamp_ns + self._to_middle_ns)
             is_moved = poses is not None and frame.depth_stamp_ns != frame.image_stamp_ns
             if is_moved and self._rig.scan_stamp is None:
                 with collect_assumptions(self._notes):
                     assume_middle("in --source")
-        measured = None
-        if isinstance(depth, np.ndarray):
-            check_farthest(depth)
-        if depth is not None:
-            measured = Message(frame.depth_stamp_ns, frame.depth_stamp_ns or 0, depth)
-        image = Message(frame.image_stamp_ns, frame.image_stamp_ns or 0, rgb)
-        measured_frame = Frame(image, measured, frame.reused, calibration, poses, frame.name)
-        _ = measured_frame.compensated  # projected here, in the thread that reads
-        return measured_frame
+        image = Image(rgb, stamp_ns=frame.image_stamp_ns)
+        return Frame(image, depth, frame.reused, calibration, poses, frame.name)
 
     @property
     @abstractmethod
@@ -267,18 +265,17 @@ class Source(ABC):
 
     def _match(
         self,
-        messages: Iterable[tuple[Sensor, int, Any]],
+        places: Iterable[Place],
         *,
         max_skew_ms: float,
         limit: int | None,
         camera_only: bool,
-        name: Callable[[Message], str] = lambda image: normal_form(image.data.stem),
+        name: Callable[[Place], str] = lambda image: normal_form(Path(str(image.at)).stem),
     ) -> tuple[ListedFrame, ...]:
         """List the frames of messages, see `RecordingMatcher`.
 
         Args:
-            messages: (sensor, stamp in nanoseconds, data) in the order of the recording; the data
-                become `ListedFrame.image` and `depth`.
+            places: the messages in the order of the recording.
             max_skew_ms: largest difference between the stamps of a pair.
             limit: see `list_frames`.
             camera_only: whether the recording has no depth, so that an image alone is complete.
@@ -287,32 +284,30 @@ class Source(ABC):
         Raises:
             InputError: in the cases of `RecordingMatcher`.
         """
-        matching = RecordingMatcher(
+        matching = RecordingMatcher[Place](
             max_skew_ms=max_skew_ms, reuse_depth_ms=self._rig.max_depth_age_ms, capacity=_WAITING
         )
         stamps_ns: dict[Sensor, list[int]] = {sensor: [] for sensor in MATCHED}
         self.stamps_ns = stamps_ns
 
-        def stamped() -> Iterator[tuple[Sensor, Message]]:
-            for sensor, stamp, data in messages:
-                stamps_ns[sensor].append(stamp)
-                yield sensor, Message(stamp, stamp, data)
+        def stamped() -> Iterator[Place]:
+            for place in places:
+                stamps_ns[place.sensor].append(place.stamp_ns)
+                yield place
 
-        def matched() -> Iterator[Frame]:
+        def matched() -> Iterator[Pair[Place]]:
             for decided in matching.match(stamped()):
-                discarded = decided.discarded
-                self._left_out.update(f"{gone.sensor}: {gone.outcome}" for gone in discarded)
-                yield from decided.frames
+                self._left_out.update(f"{gone.sensor}: {why}" for gone, why in decided.discarded)
+                yield from decided.pairs
 
         def listed() -> Iterator[ListedFrame]:
-            for sequence, frame in enumerate(matched()):
-                image, depth = frame.image, frame.depth
-                identity = sequence, name(image), image.data
+            for sequence, (image, depth, reused) in enumerate(matched()):
+                identity = sequence, name(image), image.at
                 if depth is None:
                     yield ListedFrame(*identity, None, image.stamp_ns, complete=camera_only)
                 else:
-                    stamps_ns, own = (image.stamp_ns, depth.stamp_ns), not frame.reused
-                    yield ListedFrame(*identity, depth.data, *stamps_ns, own, frame.reused)
+                    stamps_ns, own = (image.stamp_ns, depth.stamp_ns), not reused
+                    yield ListedFrame(*identity, depth.at, *stamps_ns, own, reused)
 
         frames = limit_frames(listed(), limit)
         scans_ns = [f.depth_stamp_ns for f in frames if f.depth_stamp_ns is not None]

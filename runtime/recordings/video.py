@@ -20,7 +20,7 @@ from runtime.recordings.folders import FolderSource
 from runtime.recordings.images import DEPTH_SUFFIXES, list_files, require_pixels
 from runtime.recordings.orientation import check_turn
 from runtime.recordings.source import ListedFrame, files_by_number
-from runtime.streams.frame import Frame, Message
+from runtime.streams.frame import Frame
 
 _SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm")
 _MOST_DAMAGED = 1000  # damaged frames in a row, after which the video has ended
@@ -112,7 +112,7 @@ class VideoSource(FolderSource):
         read = super().read(frame)
         milliseconds = self._video.get(cv2.CAP_PROP_POS_MSEC)
         stamp_ns = round(milliseconds * 1e6) if math.isfinite(milliseconds) else None
-        return replace(read, image=Message(stamp_ns, stamp_ns or 0, read.rgb))
+        return replace(read, image=replace(read.image, stamp_ns=stamp_ns))
 
     def _read_image(self, image: Any) -> NDArray[np.uint8]:
         """Frame number `image`; to go back, the video is decoded again from its beginning."""

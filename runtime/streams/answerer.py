@@ -13,11 +13,11 @@ from runtime.checks.frame_health import FrameHealth
 from runtime.contract.degraded import IMPLAUSIBLE_DEPTH, IMPLAUSIBLE_POSES
 from runtime.engine.prediction import Prediction
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.motion import Scan
 from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
 from runtime.streams.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.streams.health.pose_plausibility import PosePlausibility
+from runtime.streams.messages import Scan
 
 _CHECK_EVERY = 100  # frames with depth, after the first FIRST_FRAMES
 
@@ -91,7 +91,7 @@ class Answerer:
                 if self._check_depth:
                     self._judge(camera_only, sparse_depth)
             consistency = self._consistency.score(
-                prediction, camera_only, sparse_depth, held_out, stamp_ns=image.stamp_ns
+                prediction, camera_only, sparse_depth, held_out, stamp_ns=image.time_ns
             )
         predictor_reasons = prediction.degraded
         if depth is not None:
@@ -104,11 +104,12 @@ class Answerer:
             reasons += () if self.pose_fault is None else (IMPLAUSIBLE_POSES,)
         prediction = prediction.after_reading(reasons, frame.compensated.lost_points)
         # `predict` has checked that they fit.
-        scan = None if (own := frame.own_depth) is None else own.data
+        own = frame.own_depth
+        scan = own.points if isinstance(own, Scan) else None if own is None else own.sparse_depth
         health = self._health.check(
             rgb,
             sparse_depth,
-            scan=scan.points if isinstance(scan, Scan) else scan,
+            scan=scan,
             reused=frame.reused,
             range_m=prediction.range_m,
         )

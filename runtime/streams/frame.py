@@ -1,77 +1,19 @@
-"""Messages of sensors, their outcomes, and the frame that is made of them."""
+"""The frame that is made of an image and its depth, at the time of the image."""
 
-from dataclasses import dataclass
-from enum import StrEnum
-from functools import cached_property
-from typing import Any, NamedTuple
+import copy
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.base.errors import InputError
 from runtime.contract.degraded import DEPTH_REUSED, DEPTH_UNCOMPENSATED, POINTS_UNTIMED
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.motion import DepthMotion, Scan, project_compensated
+from runtime.geometry.motion import DepthMotion, project_compensated
 from runtime.geometry.poses import NoPoseError, PoseTrack
-
-
-class Sensor(StrEnum):
-    """Where a message comes from."""
-
-    IMAGE = "image"
-    DEPTH = "depth"
-    POSE = "pose"
-
-
-# The sensors whose messages are matched with each other.
-MATCHED = (Sensor.IMAGE, Sensor.DEPTH)
-
-
-class Outcome(StrEnum):
-    """The outcome of a message."""
-
-    ANSWERED = "answered"
-    # Dropped:
-    OVERTAKEN = "overtaken"  # live: a newer frame was complete before its turn
-    INCOMPLETE = "incomplete"  # live: an image without depth gave way to a complete frame
-    UNREAD = "unread"  # live: its result was not fetched before the next one was ready
-    OVERFLOW = "overflow"  # live: too many messages were waiting
-    DUPLICATE = "duplicate"  # a stamp that this sensor has sent before
-    LATE = "late"  # older than an image that was already decided
-    CLOSED = "closed"  # pushed after the stream was closed
-    # Unmatched:
-    NO_IMAGE = "no_image"  # depth: no image within max_skew_ms
-    REUSED = "reused"  # depth: only used by an image without depth of its own
-    CLOCK_JUMP = "clock_jump"  # depth: it waited when the stamps jumped back
-    # Errors:
-    BAD_STAMP = "bad_stamp"
-    BAD_MESSAGE = "bad_message"  # an array of a wrong shape or dtype, or with invalid values
-    INPUT_ERROR = "input_error"  # image and depth do not fit each other, or the model
-    INFERENCE_ERROR = "inference_error"
-
-
-UNMATCHED = frozenset({Outcome.NO_IMAGE, Outcome.REUSED, Outcome.CLOCK_JUMP})
-ERRORS = frozenset(
-    {Outcome.BAD_STAMP, Outcome.BAD_MESSAGE, Outcome.INPUT_ERROR, Outcome.INFERENCE_ERROR}
-)
-DROPPED = frozenset(Outcome) - UNMATCHED - ERRORS - {Outcome.ANSWERED}
-
-
-@dataclass(frozen=True, eq=False)
-class Message:
-    """A message of a sensor: an image, a scan, a depth map or a pose.
-
-    Attributes:
-        stamp: the stamp that was given, see `Stamp`; nanoseconds in a recording; None: not known.
-        stamp_ns: the same in nanoseconds; 0 = not known.
-        data: uint8 (H, W, 3), a `Scan`, float32 (H, W) in metres, or a pose, 4 x 4. While messages
-            of a recording are matched, this is the place where the source finds the data.
-        arrived_ns: time when the message was pushed, by the clock of the stream.
-    """
-
-    stamp: Any = None
-    stamp_ns: int = 0
-    data: Any = None
-    arrived_ns: int = 0
+from runtime.geometry.returns import is_measured
+from runtime.streams.messages import Depth, Image, Scan
 
 
 class CompensatedDepth(NamedTuple):
@@ -95,32 +37,48 @@ class CompensatedDepth(NamedTuple):
 class Frame:
     """An image, its depth, and the calibration and poses that move the depth into the image.
 
+    Making a frame moves and projects its scan.
+
     Attributes:
-        image: message of the image.
-        depth: message of the depth; None: there is no depth.
+        image: the image.
+        depth: depth map or scan; None: there is no depth.
         reused: whether the depth is an older message, whose outcome is counted elsewhere.
         calibration: calibration of the camera and, for a scan, of the LiDAR; None: not known.
         poses: poses of the LiDAR over the time of the frame; None if the car has no poses.
         name: name of the frame in its recording.
+        compensated: the depth at the time of the image; a scan is moved and projected, a map is
+            unchanged.
+
+    Raises:
+        InputError: if a scan has no calibration, or one of images of another size.
     """
 
-    image: Message
-    depth: Message | None = None
+    image: Image
+    depth: Depth | Scan | None = None
     reused: bool = False
     calibration: Calibration | None = None
     poses: PoseTrack | None = None
     name: str = ""
+    compensated: CompensatedDepth = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Move and project the scan."""
+        object.__setattr__(self, "compensated", _compensate(self))
 
     @property
-    def own_depth(self) -> Message | None:
+    def own_depth(self) -> Depth | Scan | None:
         """The depth message that shares the outcome of the image; None if the depth is reused."""
         return None if self.reused else self.depth
 
     @property
+    def scan(self) -> Scan | None:
+        """The depth if it is a scan, also a reused one."""
+        return self.depth if isinstance(self.depth, Scan) else None
+
+    @property
     def rgb(self) -> NDArray[np.uint8]:
         """The image: uint8 (H, W, 3), RGB."""
-        rgb: NDArray[np.uint8] = self.image.data
-        return rgb
+        return self.image.rgb
 
     @property
     def size(self) -> tuple[int, int]:
@@ -142,33 +100,36 @@ class Frame:
         """Faults of the depth: reasons for `Prediction.degraded`."""
         return self.compensated.degraded
 
-    @cached_property
-    def compensated(self) -> CompensatedDepth:
-        """The depth at the time of the image; a scan is moved and projected, a map is unchanged.
+    def with_further(self, further: NDArray[np.float32]) -> "Frame":
+        """Return the frame with further returns, (H, W) [m], where it has no return of its own."""
+        own, frame = self.sparse_depth, copy.copy(self)
+        both = self.compensated._replace(sparse_depth=np.where(is_measured(own), own, further))
+        object.__setattr__(frame, "compensated", both)
+        return frame
 
-        Raises:
-            InputError: if the calibration that projects a scan is of images of another size.
-        """
-        depth, image_ns = self.depth, self.image.stamp_ns
-        if depth is None:
-            return CompensatedDepth(np.zeros(self.size, np.float32), "none", ())
-        scan = depth.data
-        reasons: tuple[str, ...] = (DEPTH_REUSED,) if self.reused else ()
-        if not isinstance(scan, Scan):
-            is_apart = self.poses is not None and depth.stamp_ns != image_ns
-            reasons += (DEPTH_UNCOMPENSATED,) if self.reused or is_apart else ()
-            return CompensatedDepth(scan, "none", reasons)
-        points, times, lost, untimed = scan
-        calibration, poses, size = self.calibration, self.poses, self.size
-        assert calibration is not None  # required by what takes scans
-        reasons += (POINTS_UNTIMED,) if untimed else ()
-        if poses is not None and times is not None:
-            try:
-                moved = project_compensated(calibration, points, times, poses, image_ns, size)
-                motion: DepthMotion = "scan" if isinstance(times, int) else "each"
-                return CompensatedDepth(moved, motion, reasons, lost)
-            except NoPoseError as error:
-                reasons += (DEPTH_UNCOMPENSATED, error.reason)
-        elif self.reused:
-            reasons += (DEPTH_UNCOMPENSATED,)
-        return CompensatedDepth(calibration.project(points, size), "none", reasons, lost)
+
+def _compensate(frame: Frame) -> CompensatedDepth:
+    depth, poses, calibration, size = frame.depth, frame.poses, frame.calibration, frame.size
+    if depth is None:
+        return CompensatedDepth(np.zeros(size, np.float32), "none", ())
+    reasons: tuple[str, ...] = (DEPTH_REUSED,) if frame.reused else ()
+    if isinstance(depth, Depth):
+        is_apart = poses is not None and depth.stamp_ns != frame.image.stamp_ns
+        reasons += (DEPTH_UNCOMPENSATED,) if frame.reused or is_apart else ()
+        return CompensatedDepth(depth.sparse_depth, "none", reasons)
+    if calibration is None:
+        raise InputError("a scan cannot be projected without a calibration")
+    points, times = depth.points, depth.times
+    reasons += (POINTS_UNTIMED,) if depth.untimed else ()
+    if poses is not None and times is not None:
+        try:
+            moved = project_compensated(
+                calibration, points, times, poses, frame.image.time_ns, size
+            )
+            motion: DepthMotion = "scan" if isinstance(times, int) else "each"
+            return CompensatedDepth(moved, motion, reasons, depth.lost)
+        except NoPoseError as error:
+            reasons += (DEPTH_UNCOMPENSATED, error.reason)
+    elif frame.reused:
+        reasons += (DEPTH_UNCOMPENSATED,)
+    return CompensatedDepth(calibration.project(points, size), "none", reasons, depth.lost)

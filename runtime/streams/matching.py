@@ -16,12 +16,12 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from statistics import median_low
-from typing import NamedTuple
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from runtime.base.arguments import check_number
 from runtime.base.errors import InputError
 from runtime.base.stamp import JUMP_BACK_NS, NS_PER_MS
-from runtime.streams.frame import MATCHED, Frame, Message, Outcome, Sensor
+from runtime.streams.messages import MATCHED, Outcome, Sensor
 
 _REMEMBERED_STAMPS = 64  # latest of a sensor, to detect duplicates
 _REMEMBERED_INTERVALS = 16
@@ -29,35 +29,67 @@ _KNOWN_INTERVALS = 5  # from which the period is known
 _MAX_WAIT_NS = 50 * NS_PER_MS  # of a recording: how far a sensor's messages may be out of order
 
 
-class Discarded(NamedTuple):
+class Stamped(Protocol):
+    """The part of a message that its matching uses."""
+
+    @property
+    def sensor(self) -> Sensor: ...
+    @property
+    def time_ns(self) -> int: ...
+    @property
+    def arrived_ns(self) -> int: ...
+
+
+M = TypeVar("M", bound=Stamped)
+
+
+class Discarded(NamedTuple, Generic[M]):
     """A message that will not be answered."""
 
-    sensor: Sensor
-    message: Message
+    message: M
     outcome: Outcome
 
 
+class Pair(NamedTuple, Generic[M]):
+    """An image and the depth that belongs to it.
+
+    Attributes:
+        image: the image.
+        depth: its depth; None: there is none.
+        reused: whether the depth is an older message, whose outcome is counted elsewhere.
+    """
+
+    image: M
+    depth: M | None = None
+    reused: bool = False
+
+    @property
+    def own_depth(self) -> M | None:
+        """The depth that shares the outcome of the image; None if the depth is reused."""
+        return None if self.reused else self.depth
+
+
 @dataclass
-class Decided:
+class Decided(Generic[M]):
     """What one step decided.
 
     Attributes:
-        frames: in the order of their images, without calibration and poses.
-        discarded: messages that are in none of these frames.
+        pairs: in the order of their images.
+        discarded: messages that are in none of these pairs.
         jumped_back: whether the message of the step was older than the newest of its sensor by more
             than a second.
     """
 
-    frames: list[Frame] = field(default_factory=list)
-    discarded: list[Discarded] = field(default_factory=list)
+    pairs: list[Pair[M]] = field(default_factory=list)
+    discarded: list[Discarded[M]] = field(default_factory=list)
     jumped_back: bool = False
 
 
 @dataclass(eq=False)
-class _Kept:
+class _Kept(Generic[M]):
     """A depth map that may be reused, and its outcome when dropped; None: already counted."""
 
-    depth: Message
+    depth: M
     outcome: Outcome | None
 
 
@@ -98,21 +130,21 @@ class Intervals:
         return sum(abs(each - period_ns) for each in single) // len(single)
 
 
-class _Waiting:
+class _Waiting(Generic[M]):
     """Waiting messages of one sensor, and its recent intervals."""
 
     def __init__(self) -> None:
-        self.messages: list[Message] = []  # by stamp
+        self.messages: list[M] = []  # by stamp
         self.remembered: deque[int] = deque(maxlen=_REMEMBERED_STAMPS)
         self.intervals = Intervals()
 
-    def add(self, message: Message) -> None:
-        insort(self.messages, message, key=lambda item: item.stamp_ns)
-        self.remembered.append(message.stamp_ns)
-        self.intervals.add(message.stamp_ns)
+    def add(self, message: M) -> None:
+        insort(self.messages, message, key=lambda item: item.time_ns)
+        self.remembered.append(message.time_ns)
+        self.intervals.add(message.time_ns)
 
 
-class Matcher(ABC):
+class Matcher(ABC, Generic[M]):
     """Holds messages that wait for a partner.
 
     Args:
@@ -129,13 +161,13 @@ class Matcher(ABC):
         self._max_skew_ns = _checked_ns("max_skew_ms", max_skew_ms)
         self._reuse_ns = _checked_ns("reuse_depth_ms", reuse_depth_ms)
         self._capacity = capacity
-        self._sensors = {sensor: _Waiting() for sensor in MATCHED}
-        self._kept: list[_Kept] = []  # by stamp
+        self._sensors = {sensor: _Waiting[M]() for sensor in MATCHED}
+        self._kept: list[_Kept[M]] = []  # by stamp
         self._decided_ns: int | None = None  # the newest image that was decided
 
-    def flush(self) -> Decided:
+    def flush(self) -> Decided[M]:
         """Decide all waiting messages at the end of the stream."""
-        decided = Decided()
+        decided = Decided[M]()
         self._flush(decided, Outcome.NO_IMAGE)
         return decided
 
@@ -145,47 +177,48 @@ class Matcher(ABC):
     _is_regular = False
 
     @abstractmethod
-    def _next_decidable(self) -> Message | None:
+    def _next_decidable(self) -> M | None:
         """Return the image to decide next; None if all images have to wait."""
 
     @abstractmethod
-    def _is_over(self, message: Message, other: Sensor) -> bool:
+    def _is_over(self, message: M, other: Sensor) -> bool:
         """Whether a message has waited long enough for the `other` sensor."""
 
     @abstractmethod
-    def _decide_images(self, decided: Decided) -> None:
+    def _decide_images(self, decided: Decided[M]) -> None:
         """Decide all images that wait, at the end of the stream."""
 
     # --- deciding --------------------------------------------------------------------------------
 
     @property
-    def _images(self) -> list[Message]:
+    def _images(self) -> list[M]:
         return self._sensors[Sensor.IMAGE].messages
 
     @property
-    def _depths(self) -> list[Message]:
+    def _depths(self) -> list[M]:
         return self._sensors[Sensor.DEPTH].messages
 
-    def _admit(self, decided: Decided, sensor: Sensor, message: Message) -> bool:
+    def _admit(self, decided: Decided[M], message: M) -> bool:
         """Let a message wait, unless it is discarded at once."""
+        sensor = message.sensor
         waiting = self._sensors[sensor]
-        if message.stamp_ns in waiting.remembered:
-            decided.discarded.append(Discarded(sensor, message, Outcome.DUPLICATE))
+        if message.time_ns in waiting.remembered:
+            decided.discarded.append(Discarded(message, Outcome.DUPLICATE))
             return False
         newest_ns = waiting.intervals.newest_ns
-        if newest_ns is not None and message.stamp_ns < newest_ns - JUMP_BACK_NS:
+        if newest_ns is not None and message.time_ns < newest_ns - JUMP_BACK_NS:
             decided.jumped_back = True
             self._flush(decided, Outcome.CLOCK_JUMP)
-            self._sensors = {each: _Waiting() for each in MATCHED}
+            self._sensors = {each: _Waiting[M]() for each in MATCHED}
             self._decided_ns = None
         decided_ns = self._decided_ns
-        if sensor is Sensor.IMAGE and decided_ns is not None and message.stamp_ns <= decided_ns:
-            decided.discarded.append(Discarded(sensor, message, Outcome.LATE))
+        if sensor is Sensor.IMAGE and decided_ns is not None and message.time_ns <= decided_ns:
+            decided.discarded.append(Discarded(message, Outcome.LATE))
             return False
         self._sensors[sensor].add(message)
         return True
 
-    def _decide(self, decided: Decided) -> None:
+    def _decide(self, decided: Decided[M]) -> None:
         """Decide all messages that need not wait any longer."""
         while (image := self._next_decidable()) is not None:
             self._decide_image(decided, image)
@@ -193,34 +226,34 @@ class Matcher(ABC):
             if self._is_over(depth, Sensor.IMAGE) and not self._near(depth):
                 self._keep(decided, depth, Outcome.NO_IMAGE)
 
-    def _decide_image(self, decided: Decided, image: Message) -> None:
+    def _decide_image(self, decided: Decided[M], image: M) -> None:
         """Make the frame of an image; older images that still wait are overtaken."""
         partner = self._partner(image)
         depth = self._older_depth(image) if partner is None else partner
-        self._decided_ns = image.stamp_ns
+        self._decided_ns = image.time_ns
         for older in list(self._images):
-            if older.stamp_ns < image.stamp_ns:
+            if older.time_ns < image.time_ns:
                 self._images.remove(older)
-                decided.discarded.append(Discarded(Sensor.IMAGE, older, Outcome.OVERTAKEN))
+                decided.discarded.append(Discarded(older, Outcome.OVERTAKEN))
         self._images.remove(image)
-        decided.frames.append(Frame(image, depth, reused=depth is not partner))
+        decided.pairs.append(Pair(image, depth, depth is not partner))
         if partner is not None:
             self._keep(decided, partner, None)
         elif depth is not None:
             self._mark_reused(decided, depth)
         for dead in list(self._depths):
-            if dead.stamp_ns < image.stamp_ns - self._max_skew_ns:  # too old for later images, too
+            if dead.time_ns < image.time_ns - self._max_skew_ns:  # too old for later images, too
                 self._keep(decided, dead, Outcome.NO_IMAGE)
-        self._forget_depths(decided, image.stamp_ns)
+        self._forget_depths(decided, image.time_ns)
 
-    def _flush(self, decided: Decided, outcome: Outcome) -> None:
+    def _flush(self, decided: Decided[M], outcome: Outcome) -> None:
         self._decide_images(decided)
         for depth in list(self._depths):
             self._depths.remove(depth)
-            decided.discarded.append(Discarded(Sensor.DEPTH, depth, outcome))
+            decided.discarded.append(Discarded(depth, outcome))
         self._drop(decided, list(self._kept))
 
-    def _partner(self, image: Message) -> Message | None:
+    def _partner(self, image: M) -> M | None:
         """The nearest depth map that has no nearer image; ties keep the older."""
         candidates = (
             depth
@@ -236,59 +269,57 @@ class Matcher(ABC):
         assert intervals.newest_ns is not None
         return intervals.newest_ns + (intervals.shortest_ns if self._is_regular else 0)
 
-    def _is_certain(self, image: Message, depth: Message) -> bool:
+    def _is_certain(self, image: M, depth: M) -> bool:
         """Whether no later message can be nearer in time to either partner."""
         return (
-            self._next_ns(Sensor.DEPTH) - image.stamp_ns >= _distance(image, depth)
-            and self._next_ns(Sensor.IMAGE) - depth.stamp_ns >= depth.stamp_ns - image.stamp_ns
+            self._next_ns(Sensor.DEPTH) - image.time_ns >= _distance(image, depth)
+            and self._next_ns(Sensor.IMAGE) - depth.time_ns >= depth.time_ns - image.time_ns
         )
 
-    def _near(self, depth: Message) -> bool:
+    def _near(self, depth: M) -> bool:
         """Whether an image waits that may still be matched with this depth map."""
         return any(_distance(image, depth) <= self._max_skew_ns for image in self._images)
 
     # --- depth maps that may be reused ------------------------------------------------------------
 
-    def _older_depth(self, image: Message) -> Message | None:
+    def _older_depth(self, image: M) -> M | None:
         """The newest depth map before an image, if it is not too old."""
         if not self._reuse_ns:
             return None
         depths = (*(kept.depth for kept in self._kept), *self._depths)
-        recent = (
-            depth for depth in depths if 0 <= image.stamp_ns - depth.stamp_ns <= self._reuse_ns
-        )
-        return max(recent, key=lambda depth: depth.stamp_ns, default=None)
+        recent = (depth for depth in depths if 0 <= image.time_ns - depth.time_ns <= self._reuse_ns)
+        return max(recent, key=lambda depth: depth.time_ns, default=None)
 
-    def _keep(self, decided: Decided, depth: Message, outcome: Outcome | None) -> None:
+    def _keep(self, decided: Decided[M], depth: M, outcome: Outcome | None) -> None:
         """Keep a depth map that leaves the matching; its outcome follows when it is dropped."""
         self._depths.remove(depth)
-        insort(self._kept, _Kept(depth, outcome), key=lambda kept: kept.depth.stamp_ns)
+        insort(self._kept, _Kept(depth, outcome), key=lambda kept: kept.depth.time_ns)
         if not self._reuse_ns:
             self._drop(decided, list(self._kept))
         self._drop(decided, self._kept[: -self._capacity])
 
-    def _mark_reused(self, decided: Decided, depth: Message) -> None:
+    def _mark_reused(self, decided: Decided[M], depth: M) -> None:
         if depth in self._depths:  # later images are farther away in time
             self._keep(decided, depth, Outcome.REUSED)
         for kept in self._kept:
             if kept.depth is depth and kept.outcome is not None:
                 kept.outcome = Outcome.REUSED
 
-    def _forget_depths(self, decided: Decided, image_ns: int) -> None:
+    def _forget_depths(self, decided: Decided[M], image_ns: int) -> None:
         """Drop depth maps before the image, except the newest: no later image can reuse them."""
-        before = [kept for kept in self._kept if kept.depth.stamp_ns <= image_ns]
-        if before and image_ns - before[-1].depth.stamp_ns < self._reuse_ns:
+        before = [kept for kept in self._kept if kept.depth.time_ns <= image_ns]
+        if before and image_ns - before[-1].depth.time_ns < self._reuse_ns:
             before.pop()
         self._drop(decided, before)
 
-    def _drop(self, decided: Decided, kept_depths: list[_Kept]) -> None:
+    def _drop(self, decided: Decided[M], kept_depths: list[_Kept[M]]) -> None:
         for kept in kept_depths:
             self._kept.remove(kept)
             if kept.outcome is not None:
-                decided.discarded.append(Discarded(Sensor.DEPTH, kept.depth, kept.outcome))
+                decided.discarded.append(Discarded(kept.depth, kept.outcome))
 
 
-class LiveMatcher(Matcher):
+class LiveMatcher(Matcher[M]):
     """Matches messages as they arrive; deciding an image discards all older images."""
 
     _is_regular = True
@@ -300,20 +331,20 @@ class LiveMatcher(Matcher):
         self._max_wait_ns = _checked_ns("max_wait_ms", max_wait_ms)
         self._now_ns = 0
 
-    def add(self, sensor: Sensor, message: Message) -> Decided:
+    def add(self, message: M) -> Decided[M]:
         """Take a message that has just arrived, and decide what is certain with it."""
-        decided = Decided()
+        decided = Decided[M]()
         self._now_ns = message.arrived_ns
-        if self._admit(decided, sensor, message):
+        if self._admit(decided, message):
             self._decide(decided)
-            waiting = self._sensors[sensor].messages
+            waiting = self._sensors[message.sensor].messages
             if len(waiting) > self._capacity:
-                decided.discarded.append(Discarded(sensor, waiting.pop(0), Outcome.OVERFLOW))
+                decided.discarded.append(Discarded(waiting.pop(0), Outcome.OVERFLOW))
         return decided
 
-    def advance(self, now_ns: int) -> Decided:
+    def advance(self, now_ns: int) -> Decided[M]:
         """Decide what has waited long enough."""
-        decided = Decided()
+        decided = Decided[M]()
         self._now_ns = now_ns
         self._decide(decided)
         return decided
@@ -325,7 +356,7 @@ class LiveMatcher(Matcher):
         arrived_ns = min((message.arrived_ns for message in waiting), default=None)
         return None if arrived_ns is None else arrived_ns + self._max_wait_ns
 
-    def _next_decidable(self) -> Message | None:
+    def _next_decidable(self) -> M | None:
         """The newest of the images that can be decided."""
         for image in reversed(self._images):
             depth = self._partner(image)
@@ -339,67 +370,67 @@ class LiveMatcher(Matcher):
             return None
         return oldest
 
-    def _is_due(self, image: Message) -> bool:
+    def _is_due(self, image: M) -> bool:
         """Whether a depth map may still arrive whose nearest image is this image."""
         depths = self._sensors[Sensor.DEPTH].intervals
         images = self._sensors[Sensor.IMAGE].intervals
         period_ns, image_period_ns = depths.period_ns(), images.period_ns()
         if period_ns is None or image_period_ns is None or depths.newest_ns is None:
             return True
-        silent_ns = image.stamp_ns - depths.newest_ns
+        silent_ns = image.time_ns - depths.newest_ns
         if silent_ns > self._max_wait_ns + 2 * period_ns:
             return False  # a LiDAR that stopped
         # The stamps that are expected next: newest + n * period, n = 1, 2, ...
         slack_ns = depths.spread_ns(period_ns) + images.spread_ns(image_period_ns)
         ahead = max(silent_ns // period_ns, 0)
         return any(
-            abs(depths.newest_ns + n * period_ns - image.stamp_ns)
+            abs(depths.newest_ns + n * period_ns - image.time_ns)
             <= min(self._max_skew_ns, image_period_ns // 2) + slack_ns
             for n in (ahead, ahead + 1)
             if n > 0
         )
 
-    def _is_over(self, message: Message, other: Sensor) -> bool:
+    def _is_over(self, message: M, other: Sensor) -> bool:
         return self._now_ns - message.arrived_ns >= self._max_wait_ns
 
-    def _decide_images(self, decided: Decided) -> None:
+    def _decide_images(self, decided: Decided[M]) -> None:
         complete = [image for image in self._images if self._partner(image) is not None]
         for images in (complete, self._images):
             for newest in images[-1:]:
                 self._decide_image(decided, newest)
 
 
-class RecordingMatcher(Matcher):
+class RecordingMatcher(Matcher[M]):
     """Matches messages in the order of a recording.
 
     If `capacity` messages of a sensor wait and another one arrives, the oldest is decided. This
     happens only if the sensor is far ahead of the other one, or the other one is silent.
     """
 
-    def match(self, messages: Iterable[tuple[Sensor, Message]]) -> Iterator[Decided]:
+    def match(self, messages: Iterable[M]) -> Iterator[Decided[M]]:
         """Yield what each of the messages, in the order of the recording, and their end decide.
 
-        The frames are each image with its depth map or None, in the order of the images' stamps.
+        The pairs are each image with its depth map or None, in the order of the images' stamps.
         """
-        for sensor, message in messages:
-            yield self.add(sensor, message)
+        for message in messages:
+            yield self.add(message)
         yield self.flush()
 
-    def add(self, sensor: Sensor, message: Message) -> Decided:
+    def add(self, message: M) -> Decided[M]:
         """Take the next message, and decide what is certain with it."""
-        decided = Decided()
-        waiting = self._sensors[sensor].messages
+        decided = Decided[M]()
+        waiting = self._sensors[message.sensor].messages
         if len(waiting) >= self._capacity:
-            if sensor is Sensor.IMAGE:
+            if message.sensor is Sensor.IMAGE:
                 self._decide_image(decided, waiting[0])
             else:
                 self._keep(decided, waiting[0], Outcome.NO_IMAGE)
             self._decide(decided)
-        if self._admit(decided, sensor, message):
+        if self._admit(decided, message):
             self._decide(decided)
         return decided
 
-    def _next_decidable(self) -> Message | None:
+    def _next_decidable(self) -> M | None:
         """The oldest image, if no later message can change its partner."""
         if not self._images:
             return None
@@ -413,12 +444,12 @@ class RecordingMatcher(Matcher):
         )
         return oldest if over else None
 
-    def _is_over(self, message: Message, other: Sensor) -> bool:
+    def _is_over(self, message: M, other: Sensor) -> bool:
         newest_ns = self._sensors[other].intervals.newest_ns
-        over_ns = message.stamp_ns + self._max_skew_ns + _MAX_WAIT_NS
+        over_ns = message.time_ns + self._max_skew_ns + _MAX_WAIT_NS
         return newest_ns is not None and newest_ns > over_ns
 
-    def _decide_images(self, decided: Decided) -> None:
+    def _decide_images(self, decided: Decided[M]) -> None:
         while self._images:
             self._decide_image(decided, self._images[0])
 
@@ -428,5 +459,5 @@ def _checked_ns(name: str, value_ms: float) -> int:
     return round(value_ms * NS_PER_MS)
 
 
-def _distance(one: Message, other: Message) -> int:
-    return abs(one.stamp_ns - other.stamp_ns)
+def _distance(one: Stamped, other: Stamped) -> int:
+    return abs(one.time_ns - other.time_ns)

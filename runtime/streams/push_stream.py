@@ -27,11 +27,12 @@ from runtime.base.arguments import check_number, shown
 from runtime.base.errors import InferenceError, InputError, SSDNetError
 from runtime.base.process_guard import ProcessGuard
 from runtime.base.stamp import NS_PER_MS, Stamp, stamp_ns
+from runtime.geometry.poses import PoseTrack
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.streams.answerer import Answerer, FramePredictor
-from runtime.streams.frame import Frame, Outcome
 from runtime.streams.frame_result import FrameResult
-from runtime.streams.matching import Decided, LiveMatcher
+from runtime.streams.matching import Decided, LiveMatcher, Pair
+from runtime.streams.messages import Message, Outcome
 from runtime.streams.sensor_input import Kind, SensorInput
 from runtime.streams.statistics import Jitter, StreamStatistics
 from runtime.streams.stream_counter import (
@@ -124,15 +125,15 @@ class PushStream:
         self._changed = threading.Condition(threading.RLock())
         self._counter, self._jitter = StreamCounter(deadline_ms, watchdog), Jitter()
         self._sensors = SensorInput(rig, counter=self._counter, lock=self._changed)
-        self._matcher = LiveMatcher(
+        self._matcher = LiveMatcher[Message](
             max_skew_ms=rig.max_skew_ms,
             max_wait_ms=max_wait_ms,
             reuse_depth_ms=rig.max_depth_age_ms,
             capacity=_WAITING,
         )
         self._reported_state = self._counter.state(0)
-        self._ready: Frame | None = None  # waits for its prediction
-        self._unread: tuple[Frame, FrameResult] | None = None  # waits to be fetched
+        self._ready: Pair[Message] | None = None  # waits for its prediction
+        self._unread: tuple[Pair[Message], FrameResult] | None = None  # waits to be fetched
         self._closed = self._ended = self._failure_raised = False
         self._failure: BaseException | None = None
         self._guard = ProcessGuard("PushStream")
@@ -205,10 +206,10 @@ class PushStream:
 
     def _push(self, kind: Kind, data: Any, stamp: Any, times: Any = None) -> None:
         self._guard.check()
-        sensor, message = self._sensors.check(kind, data, stamp, times)
+        message = self._sensors.check(kind, data, stamp, times)
         with self._changed:
             if self._closed:
-                self._counter.push(sensor, Outcome.CLOSED)
+                self._counter.push(message.sensor, Outcome.CLOSED)
                 if self._failure is not None:
                     raise InferenceError(
                         f"the stream was ended by {shown(self._failure, 200)}: close it and make "
@@ -216,10 +217,10 @@ class PushStream:
                     ) from self._failure
                 return
             now_ns = self._clock.now_ns()
-            self._counter.record_accepted(sensor, now_ns)
-            taken = self._sensors.take(sensor, replace(message, arrived_ns=now_ns))
+            self._counter.record_accepted(message.sensor, now_ns)
+            taken = self._sensors.take(replace(message, arrived_ns=now_ns))
             if taken is not None:
-                self._queue(self._matcher.add(sensor, taken))
+                self._queue(self._matcher.add(taken))
             self._changed.notify_all()
 
     # --- what the stack calls ------------------------------------------------------------------
@@ -306,14 +307,13 @@ class PushStream:
                 self._queue(self._matcher.flush())
             else:
                 self._queue(self._matcher.advance(now_ns))
-            frame, self._ready = self._ready, None
-            if frame is not None:
-                frame = self._sensors.complete(frame)
-            elif self._closed:
+            pair, self._ready = self._ready, None
+            if pair is None and self._closed:
                 self._end()
                 return False
-        if frame is not None:
-            self._answer(frame)
+            poses = None if pair is None else self._sensors.poses_of(pair)
+        if pair is not None:
+            self._answer(pair, poses)
             with self._changed:
                 idle = self._ready is None
             self._answerer.check_last(idle=idle)
@@ -332,36 +332,36 @@ class PushStream:
         due_ns = [self._matcher.due_ns(), self._counter.due_ns(now_ns)]
         return min((each - now_ns for each in due_ns if each is not None), default=None)
 
-    def _answer(self, frame: Frame) -> None:
-        """Predict, count the frame's outcome, and hand the result over."""
+    def _answer(self, pair: Pair[Message], poses: PoseTrack | None) -> None:
+        """Predict, count the pair's outcome, and hand the result over."""
         try:
-            answer = self._answerer.answer(frame)
+            answer = self._answerer.answer(self._sensors.complete(pair, poses))
             now_ns = self._clock.now_ns()
-            result = self._result(frame, answer, now_ns)
+            result = self._result(pair.image, answer, now_ns)
         except BaseException as error:
             with self._changed:
-                self._counter.record_failed(frame, error)
+                self._counter.record_failed(pair, error)
             if not isinstance(error, SSDNetError):
                 raise
             if self._on_error is not None:
                 self._on_error(error)
             return
         with self._changed:
-            self._counter.record_answer(frame, result, now_ns)
+            self._counter.record_answer(pair, result, now_ns)
             if self._on_result is None:
                 if self._unread is not None:
                     self._counter.record_unread(self._unread[0])
-                self._unread = frame, result
+                self._unread = pair, result
                 self._changed.notify_all()
         if self._on_result is not None:
             self._on_result(result)
 
-    def _result(self, frame: Frame, answer: FrameResult, now_ns: int) -> FrameResult:
-        latency_ms = age_ms = (now_ns - frame.image.arrived_ns) / NS_PER_MS
+    def _result(self, image: Message, answer: FrameResult, now_ns: int) -> FrameResult:
+        latency_ms = age_ms = (now_ns - image.arrived_ns) / NS_PER_MS
         if self._sensor_clock is not None:
-            age_ms = (stamp_ns(self._sensor_clock()) - frame.image.stamp_ns) / NS_PER_MS
+            age_ms = (stamp_ns(self._sensor_clock()) - image.time_ns) / NS_PER_MS
         with self._changed:
-            jitter_ms = self._jitter.record(now_ns - frame.image.stamp_ns)
+            jitter_ms = self._jitter.record(now_ns - image.time_ns)
         return replace(
             answer,
             latency_ms=latency_ms,
@@ -382,24 +382,24 @@ class PushStream:
 
     # --- with the lock held --------------------------------------------------------------------
 
-    def _queue(self, decided: Decided) -> None:
-        """Count what was discarded and make the newest complete frame ready."""
+    def _queue(self, decided: Decided[Message]) -> None:
+        """Count what was discarded and make the newest complete pair ready."""
         self._counter.record_discarded(decided.discarded, jumped_back=decided.jumped_back)
         if decided.jumped_back:
             self._jitter.reset()
-        for frame in decided.frames:
-            if self._ready is not None and self._ready.depth is not None and frame.depth is None:
-                self._counter.record_frame(frame, Outcome.INCOMPLETE)
+        for pair in decided.pairs:
+            if self._ready is not None and self._ready.depth is not None and pair.depth is None:
+                self._counter.record_pair(pair, Outcome.INCOMPLETE)
                 continue
             if self._ready is not None:
-                self._counter.record_frame(self._ready, Outcome.OVERTAKEN)
-            self._ready = frame
+                self._counter.record_pair(self._ready, Outcome.OVERTAKEN)
+            self._ready = pair
 
     def _discard_all(self) -> None:
         self._closed = True
         self._queue(self._matcher.flush())
         if self._ready is not None:
-            self._counter.record_frame(self._ready, Outcome.CLOSED)
+            self._counter.record_pair(self._ready, Outcome.CLOSED)
             self._ready = None
 
     def _end(self) -> None:

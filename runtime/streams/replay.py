@@ -16,9 +16,9 @@ from runtime.base.errors import InputError, SSDNetError
 from runtime.base.stamp import Stamp
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.streams.answerer import Answerer, FramePredictor
-from runtime.streams.frame import Frame, Message, Sensor
 from runtime.streams.frame_result import FrameResult
-from runtime.streams.matching import RecordingMatcher
+from runtime.streams.matching import Pair, RecordingMatcher
+from runtime.streams.messages import Message
 from runtime.streams.sensor_input import SENSORS, Kind, SensorInput
 from runtime.streams.stream_counter import StreamCounter
 
@@ -88,44 +88,44 @@ def replay(
             raise error
         on_error(error)
 
-    def accepted() -> Iterator[tuple[Sensor, Message]]:
+    def accepted() -> Iterator[Message]:
         """Check the messages, store the poses, and yield the messages to be matched."""
         for message in messages:
             parts = _parts(message)
             try:
-                sensor, checked = sensors.check(*parts)
+                checked = sensors.check(*parts)
             except InputError as error:
                 report(error)
                 continue
-            if (taken := sensors.take(sensor, checked)) is not None:
-                yield sensor, taken
+            if (taken := sensors.take(checked)) is not None:
+                yield taken
 
-    matching = RecordingMatcher(
+    matching = RecordingMatcher[Message](
         max_skew_ms=rig.max_skew_ms, reuse_depth_ms=rig.max_depth_age_ms, capacity=_WAITING
     )
 
-    def answered(frame: Frame) -> Iterator[FrameResult]:
-        """Yield the answer to a frame, or nothing after an error."""
+    def answered(pair: Pair[Message]) -> Iterator[FrameResult]:
+        """Yield the answer to a pair, or nothing after an error."""
         try:
-            answer = answerer.answer(sensors.complete(frame))
+            answer = answerer.answer(sensors.complete(pair, sensors.poses_of(pair)))
         except SSDNetError as error:
-            counter.record_failed(frame, error)
+            counter.record_failed(pair, error)
             report(error)
             return
-        counter.record_answer(frame, answer)
+        counter.record_answer(pair, answer)
         yield answer
         answerer.check_last(idle=True)
 
     def answers() -> Iterator[FrameResult]:
-        """Answer the frames as soon as poses reach them."""
-        waiting: deque[Frame] = deque()
+        """Answer the pairs as soon as poses reach them."""
+        waiting: deque[Pair[Message]] = deque()
         for decided in matching.match(accepted()):
             counter.record_discarded(decided.discarded, jumped_back=decided.jumped_back)
-            waiting.extend(decided.frames)
+            waiting.extend(decided.pairs)
             while waiting and (len(waiting) > _WAITING or sensors.reaches(waiting[0])):
                 yield from answered(waiting.popleft())
-        for frame in waiting:
-            yield from answered(frame)
+        for pair in waiting:
+            yield from answered(pair)
 
     return answers()
 

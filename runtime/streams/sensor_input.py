@@ -15,17 +15,17 @@ from runtime.engine.preprocess import check_rgb, check_sparse_depth
 from runtime.geometry.assumptions import assume
 from runtime.geometry.motion import (
     FIRST_SCAN_NS,
-    Scan,
     assume_middle,
     lidar_mount,
     point_times,
 )
-from runtime.geometry.poses import PoseBuffer
+from runtime.geometry.poses import PoseBuffer, PoseTrack
 from runtime.geometry.returns import check_points
 from runtime.geometry.rig import Rig
 from runtime.geometry.rigid import nearest_rigid
-from runtime.streams.frame import Frame, Message, Outcome, Sensor
-from runtime.streams.matching import Intervals
+from runtime.streams.frame import Frame
+from runtime.streams.matching import Intervals, Pair
+from runtime.streams.messages import Depth, Image, Message, Outcome, Pose, Scan, Sensor
 from runtime.streams.stream_counter import StreamCounter
 
 _SHORTEST_NS = 10**6  # between depth messages; shorter intervals come from integers of another unit
@@ -66,10 +66,8 @@ class SensorInput:
                 raise InputError("pose_frame needs a calibration: give Rig(calibration=)")
             self._mount = lidar_mount(rig.pose_frame, self._calibration)
 
-    def check(
-        self, kind: Kind, data: Any, stamp: Stamp, times: Any = None
-    ) -> tuple[Sensor, Message]:
-        """Return a checked copy of a message, a scan as a `Scan`; `take` counts the message.
+    def check(self, kind: Kind, data: Any, stamp: Stamp, times: Any = None) -> Message:
+        """Return a checked copy of a message; `take` counts it.
 
         Raises InputError after it has counted an invalid message as an error.
         """
@@ -77,19 +75,18 @@ class SensorInput:
         try:
             nanoseconds = stamp_ns(stamp)
             outcome = Outcome.BAD_MESSAGE
-            copied = self._checked_copy(kind, data, nanoseconds, times)
-            return sensor, Message(stamp, nanoseconds, copied)
+            return replace(self._checked_copy(kind, data, nanoseconds, times), given=stamp)
         except InputError:
             with self._lock:
                 self._counter.push(sensor, outcome)
             raise
 
-    def _checked_copy(self, kind: Kind, data: Any, stamp_ns: int, times: Any) -> Any:
+    def _checked_copy(self, kind: Kind, data: Any, stamp_ns: int, times: Any) -> Message:
         calibration = self._calibration
         if kind == "pose":
             if self._mount is None:
                 raise InputError('poses need Rig(pose_frame="lidar"), "camera" or "body"')
-            return nearest_rigid("pose", data)
+            return Pose(nearest_rigid("pose", data), stamp_ns=stamp_ns)
         if kind == "points":
             if calibration is None:
                 raise InputError(
@@ -106,58 +103,62 @@ class SensorInput:
             check_sparse_depth(data, size=data.shape if is_map else (0, 0))
         if calibration is not None:
             calibration.require_size(data.shape[:2])
-        return data.copy()
+        return (Image if kind == "image" else Depth)(data.copy(), stamp_ns=stamp_ns)
 
-    def take(self, sensor: Sensor, message: Message) -> Message | None:
+    def take(self, message: Message) -> Message | None:
         """Count a checked message; return the message to be matched, or None for a pose.
 
         A scan whose points have no times gets the time of its middle.
         """
-        if sensor is Sensor.POSE:
+        if isinstance(message, Pose):
             newest_ns = self._poses.newest_ns
             outcome = Outcome.DUPLICATE if message.stamp_ns == newest_ns else Outcome.LATE
-            if self._poses.add(message.data, message.stamp_ns):
+            if self._poses.add(message.matrix, message.time_ns):
                 outcome = Outcome.ANSWERED
-            self._counter.push(sensor, outcome)
+            self._counter.push(message.sensor, outcome)
             return None
-        self._counter.push(sensor)
+        self._counter.push(message.sensor)
         period_ns = self._scans.period_ns() or FIRST_SCAN_NS
-        is_image, is_scan = sensor is Sensor.IMAGE, isinstance(message.data, Scan)
+        is_image, is_scan = isinstance(message, Image), isinstance(message, Scan)
         if message.arrived_ns:  # in a live stream
-            ahead_ns = message.stamp_ns - message.arrived_ns
+            ahead_ns = message.time_ns - message.arrived_ns
             self._clocks.add(ahead_ns, period_ns, is_image=is_image, is_scan=is_scan)
         if is_image:
             return message
         if period_ns < _SHORTEST_NS:
             assume(f"stamps of depth {period_ns} apart are nanoseconds", "give seconds as floats")
-        self._scans.add(message.stamp_ns)
-        scan = message.data
-        if not isinstance(scan, Scan) or scan.times is not None:
+        self._scans.add(message.time_ns)
+        if not isinstance(message, Scan) or message.times is not None:
             return message
         if self._is_middle_assumed and self._mount is not None:
             self._is_middle_assumed = False
             assume_middle("of the Rig states it")
-        middle_ns = message.stamp_ns + round(self._middle_after * period_ns)
-        return replace(message, data=scan._replace(times=middle_ns))
+        return replace(message, times=message.time_ns + round(self._middle_after * period_ns))
 
-    def reaches(self, frame: Frame) -> bool:
-        """Return whether poses reach the end of a frame; True if the car has no poses."""
+    def reaches(self, pair: Pair[Message]) -> bool:
+        """Return whether poses reach the end of a pair; True if the car has no poses."""
         newest_ns = self._poses.newest_ns
-        return self._mount is None or (newest_ns is not None and newest_ns >= _span_ns(frame)[1])
+        return self._mount is None or (newest_ns is not None and newest_ns >= _span_ns(pair)[1])
 
-    def complete(self, matched: Frame) -> Frame:
-        """Return the frame with the calibration, and with the poses of the LiDAR over its time."""
-        poses = None
-        if self._mount is not None:
-            poses = self._poses.between(*_span_ns(matched)).mounted(self._mount)
-        return replace(matched, calibration=self._calibration, poses=poses)
+    def poses_of(self, pair: Pair[Message]) -> PoseTrack | None:
+        """Return the poses of the LiDAR over the time of a pair; None if the car has no poses."""
+        if self._mount is None:
+            return None
+        return self._poses.between(*_span_ns(pair)).mounted(self._mount)
+
+    def complete(self, pair: Pair[Message], poses: PoseTrack | None) -> Frame:
+        """Return the frame of a pair, its scan projected; other threads may use the input."""
+        image, depth = pair.image, pair.depth
+        assert isinstance(image, Image)
+        assert isinstance(depth, Depth | Scan | None)
+        return Frame(image, depth, pair.reused, self._calibration, poses)
 
 
-def _span_ns(frame: Frame) -> tuple[int, int]:
-    """Return the (earliest, latest) time of a frame's image and returns."""
-    times = [np.int64(frame.image.stamp_ns)]
-    if frame.depth is not None and isinstance(frame.depth.data, Scan):
-        of_points = np.asarray(frame.depth.data.times)
+def _span_ns(pair: Pair[Message]) -> tuple[int, int]:
+    """Return the (earliest, latest) time of a pair's image and returns."""
+    times = [np.int64(pair.image.time_ns)]
+    if isinstance(pair.depth, Scan):
+        of_points = np.asarray(pair.depth.times)
         if of_points.size:
             times += [of_points.min(), of_points.max()]
     return int(min(times)), int(max(times))

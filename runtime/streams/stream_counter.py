@@ -13,8 +13,9 @@ from runtime.base.arguments import check_number, shown
 from runtime.base.errors import InferenceError, InputError, SSDNetError
 from runtime.base.stamp import NS_PER_MS
 from runtime.contract.degraded import DEPTH_REUSED
-from runtime.streams.frame import DROPPED, ERRORS, UNMATCHED, Frame, Message, Outcome, Sensor
 from runtime.streams.frame_result import FIGURES, FrameResult
+from runtime.streams.matching import Discarded, Pair
+from runtime.streams.messages import DROPPED, ERRORS, UNMATCHED, Message, Outcome, Sensor
 from runtime.streams.statistics import DurationHistogram, MissCounter, StreamStatistics
 
 Limits = tuple[float | None, float | None]  # least values for WARN and for ERROR; None = never
@@ -177,26 +178,28 @@ class StreamCounter:
             self._since_ns["camera_silent" if sensor is Sensor.IMAGE else "lidar_silent"] = now_ns
 
     def record_discarded(
-        self, discarded: Iterable[tuple[Sensor, Message, Outcome]], *, jumped_back: bool
+        self, discarded: Iterable[Discarded[Message]], *, jumped_back: bool
     ) -> None:
         """Count what a step of the matching discarded, and whether the stamps jumped back."""
-        for sensor, _, outcome in discarded:
-            self._outcomes[sensor][outcome] += 1
+        for message, outcome in discarded:
+            self._outcomes[message.sensor][outcome] += 1
         self._jumps_back += jumped_back
 
-    def record_frame(self, frame: Frame, outcome: Outcome, times: int = 1) -> None:
+    def record_pair(self, pair: Pair[Message], outcome: Outcome, times: int = 1) -> None:
         """Count the outcome of an image and of its own depth; times=-1 subtracts it again."""
         self._outcomes[Sensor.IMAGE][outcome] += times
-        if frame.own_depth is not None:
+        if pair.own_depth is not None:
             self._outcomes[Sensor.DEPTH][outcome] += times
         elif outcome is Outcome.ANSWERED:
-            self._reused += times * frame.reused
-            self._camera_only += times * (not frame.reused)
+            self._reused += times * pair.reused
+            self._camera_only += times * (not pair.reused)
 
-    def record_answer(self, frame: Frame, result: FrameResult, now_ns: int | None = None) -> None:
-        """Record the answer to a frame. A replay passes no time, so it is never silent."""
+    def record_answer(
+        self, pair: Pair[Message], result: FrameResult, now_ns: int | None = None
+    ) -> None:
+        """Record the answer to a pair. A replay passes no time, so it is never silent."""
         self._is_started = True
-        self.record_frame(frame, Outcome.ANSWERED)
+        self.record_pair(pair, Outcome.ANSWERED)
         for name, histogram in self._histograms.items():
             if (value_ms := FIGURES[name](result)) is not None:
                 histogram.record(value_ms)
@@ -208,17 +211,17 @@ class StreamCounter:
         self._faults["reused"].record(result.depth_reused)
         self._faults["failed"].record(not result.prediction.valid)
 
-    def record_failed(self, frame: Frame, error: BaseException) -> None:
-        """Record a frame that ended with an error instead of an answer."""
+    def record_failed(self, pair: Pair[Message], error: BaseException) -> None:
+        """Record a pair that ended with an error instead of an answer."""
         self._is_started = True
         self._faults["failed"].record(True)
         is_input = isinstance(error, SSDNetError) and not isinstance(error, InferenceError)
-        self.record_frame(frame, Outcome.INPUT_ERROR if is_input else Outcome.INFERENCE_ERROR)
+        self.record_pair(pair, Outcome.INPUT_ERROR if is_input else Outcome.INFERENCE_ERROR)
 
-    def record_unread(self, frame: Frame) -> None:
+    def record_unread(self, pair: Pair[Message]) -> None:
         """Count the messages of an answer as dropped, because it was not fetched."""
-        self.record_frame(frame, Outcome.ANSWERED, -1)
-        self.record_frame(frame, Outcome.UNREAD)
+        self.record_pair(pair, Outcome.ANSWERED, -1)
+        self.record_pair(pair, Outcome.UNREAD)
 
     @property
     def counts(self) -> StreamCounts:

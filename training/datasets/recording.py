@@ -12,13 +12,13 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import InputError
-from runtime.geometry.motion import Scan
 from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.images import KITTI_DEPTH_SCALE, list_files
 from runtime.recordings.registry import detect_source, open_source
 from runtime.recordings.source import ListedFrame, Source
-from runtime.streams.frame import Frame, Message
+from runtime.streams.frame import Frame
+from runtime.streams.messages import Depth
 from training.base.limits import STRICT, Index, Positive
 from training.datasets.class_mapping import ClassTable
 from training.datasets.files import dataset_errors, measured, read_depth, require_size
@@ -121,9 +121,9 @@ class RecordedFrames(FrameList):
         if frame.depth is not None:
             returns, scan_line = _returns(frame, self._lines)
             require_size(Path(str(recorded.listed.depth)), returns.shape, frame.size)
-            frame = replace(frame, depth=replace(frame.depth, data=returns))
+            frame = replace(frame, depth=Depth(returns, stamp_ns=frame.depth.stamp_ns))
         elif self._has_lidar:
-            frame = replace(frame, depth=Message(data=nothing_known(frame.size)))
+            frame = replace(frame, depth=Depth(nothing_known(frame.size)))
         truth = {target: read(frame.size) for target, read in recorded.truth.items()}
         frame = replace(frame, poses=None, name=recorded.name)
         return Sample(frame, truth, scan_line, self._weights, self._lacking, **recorded.facts)
@@ -142,10 +142,10 @@ def _read_named(source: Source, listed: ListedFrame) -> Frame:
 def _returns(frame: Frame, lines: Lines) -> tuple[NDArray[np.float32], NDArray[np.int16] | None]:
     """Return the returns of a frame in its image, and their scan lines if these are known."""
     calibration = frame.calibration
-    if lines == "ordered" and frame.depth is not None and isinstance(frame.depth.data, Scan):
+    if lines == "ordered" and (scan := frame.scan) is not None:
         assert calibration is not None  # it has projected the scan
-        points = frame.depth.data.points
-        return project_lines(points, calibration.intrinsics, calibration.extrinsics, frame.size)
+        matrices = calibration.intrinsics, calibration.extrinsics
+        return project_lines(scan.points, *matrices, frame.size)
     depth = measured(frame.sparse_depth)
     if lines != "bands":
         return depth, None

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from runtime.contract.contract import NO_CLASS
 from runtime.contract.heads import HEADS, ResizeRule
 from runtime.geometry.calibration import Calibration
-from runtime.streams.frame import Frame, Message
+from runtime.streams.frame import Frame
+from runtime.streams.messages import Depth, Image
 
 
 class TargetKind(NamedTuple):
@@ -117,7 +118,7 @@ class Sample:
 
     def with_returns(self, returns: NDArray[np.float32] | None) -> "Sample":
         """Return the frame with other returns, float32 (H, W) [m], 0 = none."""
-        depth = None if returns is None else Message(data=returns)
+        depth = None if returns is None else Depth(returns)
         return replace(self, frame=replace(self.frame, depth=depth))
 
     @property
@@ -179,14 +180,14 @@ def make_frame(
         returns: float32 (H, W), metres along the optical axis, 0 = none; None: no LiDAR.
         intrinsics: float64 (3, 3), pixels; None if unknown.
     """
-    depth = None if returns is None else Message(data=returns)
+    depth = None if returns is None else Depth(returns)
     calibration = None
     if intrinsics is not None:
         # Each change of a sample makes a frame, and a new Calibration, which checks its matrices,
         # would take a large part of that time.
         calibration = copy.copy(_UNIT_CAMERA)
         object.__setattr__(calibration, "intrinsics", intrinsics)
-    return Frame(Message(data=rgb), depth, calibration=calibration, name=name)
+    return Frame(Image(rgb), depth, calibration=calibration, name=name)
 
 
 class SampleSource(Protocol):

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from numpy.random import Generator
 
-from runtime.streams.frame import Message
+from runtime.streams.messages import Image
 from training.datasets.sample import Sample, nothing_known
 from training.lidar.faults import add_false_returns
 from training.loading.augment_config import AugmentConfig
@@ -46,7 +46,7 @@ def augment(
     sample = draw_lidar(sample, config, rng)
     if canonical_focal_px is not None:
         sample = canonical_depth(sample, canonical_focal_px, max_depth_m)
-    image = Message(data=change_colors(sample.rgb, config, rng))
+    image = Image(change_colors(sample.rgb, config, rng))
     return replace(sample, frame=replace(sample.frame, image=image))
 
 

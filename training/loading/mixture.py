@@ -8,7 +8,7 @@ from numpy.random import Generator
 from torch.utils.data import Dataset
 
 from runtime.contract.contract import MAX_RETURN_M
-from runtime.streams.frame import Message
+from runtime.streams.messages import Image
 from training.datasets.sample import Sample, SampleSource
 from training.loading.augment import augment, take_views, with_margin
 from training.loading.augment_config import AugmentConfig
@@ -143,4 +143,4 @@ class Mixture(Dataset[Drawn]):
         donors = others[int(rng.integers(len(others)))]
         other = donors[int(rng.integers(len(donors)))]
         rgb = move_histograms(sample.rgb, other.rgb, rng.random())
-        return replace(sample, frame=replace(sample.frame, image=Message(data=rgb)))
+        return replace(sample, frame=replace(sample.frame, image=Image(rgb)))

@@ -17,9 +17,9 @@ from runtime.geometry.returns import is_measured
 from runtime.recordings.images import is_in_metres
 from runtime.recordings.source import ListedFrame, Source
 from runtime.streams.answerer import known_focal_length_px
-from runtime.streams.frame import Sensor
 from runtime.streams.health.calibration_size import CalibrationSize
 from runtime.streams.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
+from runtime.streams.messages import Sensor
 
 _LEAST_UNSEEN = 0.02  # share of the pixels; the corners of a correct calibration may lie beyond it
 

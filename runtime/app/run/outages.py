@@ -11,7 +11,7 @@ from runtime.app.run.frame_record import FrameRecord
 from runtime.app.run.reasons import CAMERA_SILENT, LIDAR_SILENT
 from runtime.checks.frame_health import LIDAR_EMPTY, LIDAR_FROZEN
 from runtime.checks.sensor_times import find_silences
-from runtime.streams.frame import MATCHED, Sensor
+from runtime.streams.messages import MATCHED, Sensor
 
 _LONGEST_NS = 3600 * 10**9  # a longer gap shows that the clock was set
 _SILENT = {Sensor.IMAGE: CAMERA_SILENT, Sensor.DEPTH: LIDAR_SILENT}

@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
-from runtime.geometry.motion import Scan, compensate_points
+from runtime.geometry.motion import compensate_points
 from runtime.geometry.poses import NoPoseError, PoseTrack, rotations
 from runtime.geometry.returns import is_return
 from runtime.streams.frame import Frame
+from runtime.streams.messages import Scan
 
 _POINTS = 6000  # points of a scan that are compared
 _CELL_RAD = np.radians(0.5)  # two returns within a cell have the same direction
@@ -75,9 +76,9 @@ class PosePlausibility:
         frames were compared.
         """
         scan = frame.own_depth
-        if len(self._errors) >= _ENOUGH or scan is None or frame.poses is None:
+        if len(self._errors) >= _ENOUGH or frame.poses is None:
             return False
-        if not isinstance(scan.data, Scan) or scan.data.times is None:
+        if not isinstance(scan, Scan) or scan.times is None:
             return False
         last = self._track
         if last is None or last.stamps_ns is not frame.poses.stamps_ns:  # else a whole recording
@@ -153,9 +154,8 @@ def _compare(before: Frame, frame: Frame, track: PoseTrack) -> dict[str, float] 
     median.
     """
     track = replace(track, jumped=np.zeros_like(track.jumped))
-    to = frame.image.stamp_ns
-    from_ns = before.image.stamp_ns
-    scans = [_sampled(each.depth.data) for each in (before, frame) if each.depth is not None]
+    from_ns, to = before.image.time_ns, frame.image.time_ns
+    scans = [_sampled(each.scan) for each in (before, frame) if each.scan is not None]
     try:
         pair = track.at(np.array([from_ns, to], np.int64))
         if np.linalg.norm(pair[1, :3, 3] - pair[0, :3, 3]) < _APART_M and to - from_ns < _APART_NS:

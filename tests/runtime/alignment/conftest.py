@@ -10,9 +10,9 @@ from painted_street import EXTRINSICS
 from runtime import Predictor
 from runtime.alignment.fit_scores import rotation
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.motion import Scan
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
-from runtime.streams.frame import Frame, Message
+from runtime.streams.frame import Frame
+from runtime.streams.messages import Image, Scan
 
 
 @pytest.fixture(scope="package")
@@ -32,9 +32,9 @@ def frames():
         rays = np.stack([column, row, np.ones(len(row))]).T @ np.linalg.inv(intrinsics).T
         in_camera = rays * frame.sparse_depth[row, column, None] - EXTRINSICS[:3, 3]
         points = np.ascontiguousarray(in_camera @ EXTRINSICS[:3, :3], np.float32)
-        message = Message(data=Scan.of(points))
+        message = Scan.of(points)
         calibration = Calibration(intrinsics, EXTRINSICS, frame.size)
-        found.append(Frame(Message(data=frame.rgb), message, calibration=calibration))
+        found.append(Frame(Image(frame.rgb), message, calibration=calibration))
     return found
 
 
@@ -60,7 +60,7 @@ def recording(tmp_path, frames):
             (tmp_path / folder).mkdir()
         for index, frame in enumerate(frames):
             cv2.imwrite(str(tmp_path / f"images/{index}.png"), frame.rgb[..., ::-1])
-            np.save(tmp_path / f"scans/{index}.npy", frame.depth.data.points)
+            np.save(tmp_path / f"scans/{index}.npy", frame.depth.points)
         (tmp_path / "car.toml").write_text(
             f"intrinsics = {calibration.intrinsics.tolist()}\n"
             f"extrinsics = {calibration.extrinsics.tolist()}\n"

@@ -7,8 +7,8 @@ import numpy as np
 
 from runtime.alignment.view import view_of
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.motion import Scan
-from runtime.streams.frame import Frame, Message
+from runtime.streams.frame import Frame
+from runtime.streams.messages import Image, Scan
 
 # From a LiDAR (x ahead, z up), 0.3 m beside the camera, to the camera.
 EXTRINSICS = np.array([[0, -1, 0, 0.3], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
@@ -40,9 +40,9 @@ def street_frame(seed, given=EXTRINSICS, *, right=EXTRINSICS, points=None, boxes
     """A frame whose calibration has the extrinsics `given`, and whose LiDAR stands `right`."""
     matrix = np.array([[FOCAL, 0, SIZE[1] / 2], [0, FOCAL, SIZE[0] / 2], [0, 0, 1]])
     points = scan_of(paint(seed, boxes=boxes), right) if points is None else points
-    image = Message(data=np.full((*SIZE, 3), seed, np.uint8), stamp_ns=seed * 10**8)
+    image = Image(np.full((*SIZE, 3), seed, np.uint8), stamp_ns=seed * 10**8)
     calibration = Calibration(matrix, given, SIZE)
-    return Frame(image, Message(data=Scan.of(points)), calibration=calibration)
+    return Frame(image, Scan.of(points), calibration=calibration)
 
 
 def street_answer(seed, *, boxes=9, degraded=()):

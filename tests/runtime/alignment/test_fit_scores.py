@@ -9,7 +9,8 @@ from runtime.alignment.search import find_rotation
 from runtime.alignment.view import view_of
 from runtime.contract.degraded import IMAGE_CONSTANT
 from runtime.geometry.calibration import Calibration
-from runtime.streams.frame import Frame, Message
+from runtime.streams.frame import Frame
+from runtime.streams.messages import Image
 
 
 @pytest.mark.parametrize(("angles", "way"), [
@@ -29,7 +30,7 @@ def test_returns_meet_the_pixels_of_the_projection(lens):
     size = (752, 1000)
     matrix = np.array([[500.0, 0, 500], [0, 500, 376], [0, 0, 1]])
     calibration = Calibration(matrix, EXTRINSICS, size, **lens)
-    image = Message(data=np.zeros((*size, 3), np.uint8))
+    image = Image(np.zeros((*size, 3), np.uint8))
     answer = street_answer(0)
     answer.depth = answer.boundary = np.ones(size, np.float32)
     view = view_of(Frame(image, street_frame(0).depth, calibration=calibration), answer)

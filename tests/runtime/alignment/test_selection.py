@@ -9,10 +9,10 @@ from painted_street import scan_of, street_frame
 from runtime import InputError
 from runtime.alignment.selection import choose_frames
 from runtime.alignment.view import compensated_points
-from runtime.geometry.motion import Scan
 from runtime.geometry.poses import PoseTrack
 from runtime.recordings.source import ListedFrame
-from runtime.streams.frame import Frame, Message
+from runtime.streams.frame import Frame
+from runtime.streams.messages import Depth, Image, Scan
 
 
 def source_of(frames):
@@ -35,14 +35,14 @@ def test_frames_with_structure_are_spread_over_the_recording():
     assert [frame.image.stamp_ns // 10**8 for frame, _ in chosen] == [1, 3, 5, 7, 8]
     for frame, (before, after) in chosen[:4]:
         at = frame.image.stamp_ns // 10**8
-        assert before is frames[at - 1].depth.data.points
-        assert after is frames[at + 1].depth.data.points
-    assert chosen[4][1] == (frames[7].depth.data.points, None)
+        assert before is frames[at - 1].depth.points
+        assert after is frames[at + 1].depth.points
+    assert chosen[4][1] == (frames[7].depth.points, None)
 
 
 def test_a_depth_map_is_no_scan():
     frame = street_frame(0)
-    frame = Frame(frame.image, Message(data=np.ones(frame.size, np.float32)))
+    frame = Frame(frame.image, Depth(np.ones(frame.size, np.float32)))
     with pytest.raises(InputError, match="the recording has depth maps, or no calibration"):
         list(choose_frames(source_of([frame]), 3))
 
@@ -53,6 +53,6 @@ def test_scans_are_compared_at_the_time_of_the_image():
     moved[0, 3] = 1
     track = PoseTrack.of([np.eye(4), moved], [0, 10**8])
     points = scan_of(np.full((120, 360), 10, np.float32))
-    image = Message(data=street_frame(0).rgb, stamp_ns=10**8)
-    frame = Frame(image, Message(data=Scan(points, 0)), poses=track)
+    image = Image(street_frame(0).rgb, stamp_ns=10**8)
+    frame = Frame(image, Scan(points, 0), calibration=street_frame(0).calibration, poses=track)
     assert np.allclose(compensated_points(frame)[:, 0], points[:, 0] - 1, atol=1e-3)

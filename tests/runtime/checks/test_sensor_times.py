@@ -8,8 +8,7 @@ import pytest
 from runtime import Rig
 from runtime.checks.sensor_times import clocks_apart_s
 from runtime.geometry.assumptions import collect_assumptions
-from runtime.geometry.motion import Scan
-from runtime.streams.frame import Message, Sensor
+from runtime.streams.messages import Depth, Image, Scan
 from runtime.streams.sensor_input import SensorInput
 from runtime.streams.stream_counter import StreamCounter
 
@@ -49,9 +48,9 @@ def test_the_clocks_of_a_live_stream_are_compared_by_arrival(ahead_s, late, is_s
         for number in range(40):
             now = S + number * PERIOD
             late_ns = 3 * PERIOD if number < late else 0
-            sensors.take(Sensor.IMAGE, Message(None, now - 70 * S, arrived_ns=now + late_ns))
+            sensors.take(Image(None, stamp_ns=now - 70 * S, arrived_ns=now + late_ns))
             stamp_ns = now - 70 * S + round(ahead_s * S)
-            sensors.take(Sensor.DEPTH, Message(None, stamp_ns, arrived_ns=now))
+            sensors.take(Depth(None, stamp_ns=stamp_ns, arrived_ns=now))
     assert len(notes) == is_said
     assert all("1 s ahead of that of the images" in note for note in notes)
 

@@ -10,14 +10,14 @@ from car_poses import DAY_NS, MS, drive, pose
 from runtime.base.errors import InputError
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import (
-    Scan,
     compensate_points,
     lidar_mount,
     point_times,
     project_compensated,
 )
 from runtime.geometry.poses import PoseFrame, PoseTrack
-from runtime.streams.frame import Frame, Message
+from runtime.streams.frame import Frame
+from runtime.streams.messages import Image, Scan
 
 INTRINSICS = np.array([[60.0, 0, 40], [0, 60, 20], [0, 0, 1]])
 TO_CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, -0.1], [1, 0, 0, -0.3], [0, 0, 0, 1]])
@@ -168,8 +168,8 @@ def test_a_point_without_return_and_a_return_without_time_cost_themselves(kind):
     np.testing.assert_array_equal(scan.points[:, 0], [5, 7, 8])
     np.testing.assert_allclose(scan.times - DAY_NS, [0, 50 * MS, 0], atol=10)
     assert (scan.lost, scan.untimed) == (3, True)
-    image = Message(data=np.zeros((40, 80, 3), np.uint8))
-    depth = Frame(image, Message(data=scan), calibration=CALIBRATION).compensated
+    image = Image(np.zeros((40, 80, 3), np.uint8))
+    depth = Frame(image, scan, calibration=CALIBRATION).compensated
     assert (depth.degraded, depth.lost_points) == (("points_untimed",), 3)
     only_lost = Scan.of(points[:3], point_times(times[:3].astype(kind), 3, DAY_NS), DAY_NS)
     assert (only_lost.lost, only_lost.untimed) == (2, False)

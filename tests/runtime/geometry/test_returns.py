@@ -8,9 +8,9 @@ import pytest
 
 from runtime import InputError, project_points
 from runtime.geometry.assumptions import collect_assumptions
-from runtime.geometry.motion import Scan
 from runtime.geometry.returns import check_farthest, check_points, is_return
 from runtime.recordings.scan import read_scan
+from runtime.streams.messages import Scan
 
 DATA = os.environ.get("SSDNET_DATA")
 RNG = np.random.default_rng(0)

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from runtime.streams.frame import Outcome, Sensor
-from runtime.streams.matching import LiveMatcher, Message, RecordingMatcher
+from runtime.streams.matching import LiveMatcher, RecordingMatcher
+from runtime.streams.messages import Depth, Image, Outcome, Sensor
 
 MS = 1_000_000
 IMAGE, DEPTH = Sensor.IMAGE, Sensor.DEPTH
@@ -26,13 +26,14 @@ class Played:
         else:
             self.matching = RecordingMatcher(**options)
         self.live, self.now, self.jumps_back = live, 0, 0
-        self.pushed, self.frames, self.discarded = [], [], []
+        self.pushed, self.pairs, self.discarded = [], [], []
 
     def push(self, sensor, stamp, *, at=None):
         self.now = self.now if at is None else at
-        message = Message(stamp, round(stamp * MS), None, round(self.now * MS))
-        self.pushed.append((sensor, message))
-        return self._keep(self.matching.add(sensor, message))
+        kind, arrived_ns = Image if sensor is IMAGE else Depth, round(self.now * MS)
+        message = kind(None, stamp_ns=round(stamp * MS), given=stamp, arrived_ns=arrived_ns)
+        self.pushed.append(message)
+        return self._keep(self.matching.add(message))
 
     def image(self, stamp, **options):
         return self.push(IMAGE, stamp, **options)
@@ -48,17 +49,17 @@ class Played:
         return self._keep(self.matching.flush())
 
     def _keep(self, decided):
-        self.frames += decided.frames
+        self.pairs += decided.pairs
         self.discarded += decided.discarded
         self.jumps_back += decided.jumped_back
-        return stamps(decided.frames)
+        return stamps(decided.pairs)
 
     def outcomes(self):
-        return [(item.sensor, item.message.stamp, item.outcome) for item in self.discarded]
+        return [(gone.sensor, gone.stamp, outcome) for gone, outcome in self.discarded]
 
 
-def stamps(frames):
-    return [(frame.image.stamp, frame.depth and frame.depth.stamp) for frame in frames]
+def stamps(pairs):
+    return [(pair.image.stamp, pair.depth and pair.depth.stamp) for pair in pairs]
 
 
 @pytest.mark.parametrize("live", [True, False], ids=["live", "recorded"])
@@ -107,7 +108,7 @@ def test_duplicates_and_late_images_are_discarded(live):
     played.depth(100)
     played.depth(100)
     played.image(90)
-    assert stamps(played.frames) == [(100, 100)]
+    assert stamps(played.pairs) == [(100, 100)]
     assert played.outcomes() == [
         (IMAGE, 100, Outcome.DUPLICATE),
         (DEPTH, 100, Outcome.DUPLICATE),
@@ -122,7 +123,7 @@ def test_after_a_jump_back_the_stream_goes_on(live):
         for stamp in (start, start + 100):
             played.image(stamp, at=played.now + 100)
             played.depth(stamp)
-    assert stamps(played.frames) == [(5000, 5000), (5100, 5100), (0, 0), (100, 100)]
+    assert stamps(played.pairs) == [(5000, 5000), (5100, 5100), (0, 0), (100, 100)]
     assert played.jumps_back == 2 - 1, "the depth's stamps were forgotten with it"
 
 
@@ -146,7 +147,7 @@ def test_live_memory_is_bounded_by_dropping_the_oldest():
 
 
 def reused(played):
-    return [(p.image.stamp, p.depth and p.depth.stamp, p.reused) for p in played.frames]
+    return [(p.image.stamp, p.depth and p.depth.stamp, p.reused) for p in played.pairs]
 
 
 @pytest.mark.parametrize("live", [True, False], ids=["live", "recorded"])
@@ -209,21 +210,21 @@ def test_live_an_image_that_no_depth_is_due_for_does_not_wait():
     assert set(waited) == set(range(0, 1500, 50)), "every image is decided"
     assert max(wait for image, wait in waited.items() if image >= 700) == 0
     assert max(waited.values()) == 50, "until the periods are known"
-    assert all(depth is not None for _, depth in stamps(played.frames))
+    assert all(depth is not None for _, depth in stamps(played.pairs))
 
 
 def test_live_a_lost_scan_is_waited_for_and_the_next_image_is_not():
     played = Played(live=True, max_skew=50, reuse=150)
     waited = rig(played, until=1500, lost=(1000,))
     assert (waited[950], waited[1000], waited[1050], waited[1100]) == (0, 50, 0, 0)
-    assert stamps(played.frames)[-9:-7] == [(1050, 900), (1100, 1100)]
+    assert stamps(played.pairs)[-9:-7] == [(1050, 900), (1100, 1100)]
 
 
 def test_live_a_lidar_that_stopped_is_not_waited_for():
     played = Played(live=True, max_skew=50, reuse=150)
     waited = rig(played, until=2000, lost=range(1000, 2000, 100))
     assert {waited[image] for image in range(1300, 2000, 50)} == {0}
-    assert stamps(played.frames)[-14] == (1300, None)
+    assert stamps(played.pairs)[-14] == (1300, None)
 
 
 # --- against a plain loop ----------------------------------------------------------------------
@@ -259,7 +260,7 @@ def test_recorded_messages_match_as_a_plain_loop_in_any_order_of_the_sensors(ima
     for sensor in sensors:
         played.push(sensor, next(left[sensor]))
     played.flush()
-    assert stamps(played.frames) == nearest_by_a_plain_loop(images, depths, max_skew=20)
+    assert stamps(played.pairs) == nearest_by_a_plain_loop(images, depths, max_skew=20)
 
 
 # --- what holds for any sequence ---------------------------------------------------------------
@@ -292,20 +293,19 @@ def test_every_message_of_any_sequence_is_accounted_for(messages, live, capacity
             assert due_ns is None or due_ns > now * MS, "what is due was decided"
         played.push(sensor, stamp)
         if played.jumps_back > jumps:
-            jumps, epoch = played.jumps_back, len(played.frames)
-        decided_ns = [pair.image.stamp_ns for pair in played.frames[epoch:]]
+            jumps, epoch = played.jumps_back, len(played.pairs)
+        decided_ns = [pair.image.stamp_ns for pair in played.pairs[epoch:]]
         assert decided_ns == sorted(set(decided_ns)), "images are decided in their order"
-        gone = sum(2 - (frame.own_depth is None) for frame in played.frames) + len(played.discarded)
+        gone = sum(2 - (pair.own_depth is None) for pair in played.pairs) + len(played.discarded)
         assert len(played.pushed) - gone <= (3 if reuse else 2) * capacity, "memory is bounded"
     played.flush()
     assert not live or played.matching.due_ns() is None
-    decided = [id(m) for frame in played.frames for m in (frame.image, frame.own_depth) if m]
+    decided = [id(m) for pair in played.pairs for m in (pair.image, pair.own_depth) if m]
     decided += [id(item.message) for item in played.discarded]
-    assert sorted(decided) == sorted(id(message) for _, message in played.pushed)
+    assert sorted(decided) == sorted(map(id, played.pushed))
     served = set()
-    for frame in played.frames:
-        image, depth = frame.image, frame.depth
-        if frame.reused:
+    for image, depth, is_reused in played.pairs:
+        if is_reused:
             assert 0 <= image.stamp_ns - depth.stamp_ns <= reuse * MS
             served.add(depth)
         else:

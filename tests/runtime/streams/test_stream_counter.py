@@ -1,13 +1,13 @@
 import json
 
-from runtime.streams.frame import Frame, Message, Outcome, Sensor
-from runtime.streams.matching import Discarded
+from runtime.streams.matching import Discarded, Pair
+from runtime.streams.messages import Depth, Image, Outcome, Sensor
 from runtime.streams.statistics import MissedDeadlines
 from runtime.streams.stream_counter import MessageCounts, StreamCounter
 from stream_messages import result
 
-IMAGE, SCAN = Message(1.0, 10**9), Message(0.9, 9 * 10**8)
-BOTH, ALONE, REUSED = Frame(IMAGE, SCAN), Frame(IMAGE, None), Frame(IMAGE, SCAN, reused=True)
+IMAGE, SCAN = Image(None, stamp_ns=10**9), Depth(None, stamp_ns=9 * 10**8)
+BOTH, ALONE, REUSED = Pair(IMAGE, SCAN), Pair(IMAGE), Pair(IMAGE, SCAN, reused=True)
 
 
 def test_each_message_is_counted_once_with_its_outcome():
@@ -16,8 +16,8 @@ def test_each_message_is_counted_once_with_its_outcome():
         counter.push(sensor)
     for pair in (BOTH, ALONE, REUSED):
         counter.record_answer(pair, result())
-    counter.record_frame(BOTH, Outcome.OVERTAKEN)
-    gone = [Discarded(Sensor.DEPTH, SCAN, Outcome.NO_IMAGE)]
+    counter.record_pair(BOTH, Outcome.OVERTAKEN)
+    gone = [Discarded(SCAN, Outcome.NO_IMAGE)]
     counter.record_discarded(gone, jumped_back=True)
     counts = counter.counts
     assert counts.images == MessageCounts(pushed=5, answered=3, dropped={"overtaken": 1})

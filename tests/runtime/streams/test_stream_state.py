@@ -1,12 +1,13 @@
 import pytest
 
 from runtime.base.errors import InferenceError, InputError
-from runtime.streams.frame import Frame, Message, Sensor
+from runtime.streams.matching import Pair
+from runtime.streams.messages import Image, Sensor
 from runtime.streams.stream_counter import StreamCounter, WatchdogLevel, WatchdogLimits
 from stream_messages import result
 
 MS = 1_000_000
-FRAME = Frame(Message(1.0, 10**9), None)
+FRAME = Pair(Image(None, stamp_ns=10**9))
 
 
 def answered(counter, at_ms=0, *, late=False, **wrong):

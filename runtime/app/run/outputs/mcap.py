@@ -41,7 +41,7 @@ class McapWriter:
     def write(self, frame: Frame, result: FrameResult) -> None:
         """Append the answers to a frame. Raises OutputError if ROS cannot hold the stamp."""
         prediction, stamp_ns = result.prediction, frame.image.stamp_ns
-        if frame.image.stamp is None:
+        if stamp_ns is None:
             stamp_ns = round(self._frames / (self._run.options.rate or DEFAULT_RATE_HZ) * _S)
         if not 0 <= stamp_ns < _LAST_NS:
             raise OutputError(

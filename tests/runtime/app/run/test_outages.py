@@ -5,7 +5,7 @@ import pytest
 from outcomes import outcome
 from runtime.app.run.outages import Outage, Timeline, find_outages
 from runtime.app.run.outputs.charts import Axis, group_frames, latency_chart, mark_strip
-from runtime.streams.frame import Sensor
+from runtime.streams.messages import Sensor
 
 S = 10**9
 START = 1_790_000_000 * S

@@ -1,15 +1,19 @@
 """Poses that contradict the scans that they move, and the reading of them that does not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from runtime.geometry.motion import Scan
+from runtime.geometry.calibration import Calibration
 from runtime.geometry.poses import PoseTrack
-from runtime.streams.frame import Frame, Message
+from runtime.streams.frame import Frame
 from runtime.streams.health.pose_plausibility import PosePlausibility
+from runtime.streams.messages import Image, Scan
 
 N, STEP_NS = 16, 100_000_000
 IMAGE = np.zeros((2, 2, 3), np.uint8)
+CALIBRATION = Calibration(np.eye(3), np.eye(4))
 
 
 def pose(seconds, turn):
@@ -46,8 +50,8 @@ def finding(read, *, turn=0.0, moves=True):
     for stamp, each in zip(stamps, right, strict=True):
         seen = (WORLD @ np.linalg.inv(each).T)[:, :3].astype(np.float32)
         seen = seen[np.argsort(-np.linalg.norm(seen, axis=1))]
-        scan = Scan.of(seen)._replace(times=stamp)
-        check.add(Frame(Message(stamp, stamp, IMAGE), Message(stamp, stamp, scan), poses=track))
+        scan = replace(Scan.of(seen, stamp_ns=stamp), times=stamp)
+        check.add(Frame(Image(IMAGE, stamp_ns=stamp), scan, calibration=CALIBRATION, poses=track))
     return check.finding()
 
 

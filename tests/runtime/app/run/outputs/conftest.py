@@ -5,8 +5,9 @@ import pytest
 from runtime import Predictor
 from runtime.app.run.options import RunOptions
 from runtime.app.run.outputs.run_context import RunContext
-from runtime.streams.frame import Frame, Message
+from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult
+from runtime.streams.messages import Depth, Image
 
 
 @pytest.fixture
@@ -15,7 +16,7 @@ def answered(all_heads, make_frame):
     rgb, depth = make_frame(60, 80)
     rgb[..., 1] = rgb[..., 2] // 2  # boundary = green / blue stays within 0..1
     prediction = Predictor(all_heads).predict(rgb, depth)
-    frame = Frame(Message(data=rgb), Message(data=depth), name="a")
+    frame = Frame(Image(rgb), Depth(depth), name="a")
     latency_ms = prediction.latency.total_ms
     return frame, FrameResult(
         sequence=0, name="a", rgb=rgb, prediction=prediction, predictor_reasons=(),

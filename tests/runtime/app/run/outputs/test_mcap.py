@@ -11,7 +11,8 @@ from runtime import Calibration, OutputError, Predictor
 from runtime.app.run.outputs.mcap import open_mcap
 from runtime.drawing.overlay import Overlay
 from runtime.recordings.ros_answers import FixedTransform, SensorFrames
-from runtime.streams.frame import Frame, Message
+from runtime.streams.frame import Frame
+from runtime.streams.messages import Image
 
 rosbags = pytest.importorskip("rosbags", reason="the extra bag is not installed")
 
@@ -51,7 +52,7 @@ def test_the_answers_are_read_back_with_the_stamps_of_the_camera(
     with open_mcap(open_run(mcap=path)) as mcap:
         for number in range(3):
             stamp_ns = STAMP_NS + number * 100_000_000
-            stamped = Frame(Message(stamp_ns, stamp_ns, frame.rgb), name=f"f{number}")
+            stamped = Frame(Image(frame.rgb, stamp_ns=stamp_ns), name=f"f{number}")
             mcap.write(stamped, dataclasses.replace(result, name=stamped.name))
         assert not path.exists()
     topics = read_mcap(path)
@@ -86,7 +87,7 @@ def test_the_cloud_is_that_of_the_prediction_in_the_frame_of_the_recording(
     tmp_path, answered, open_run
 ):
     frame, result = answered
-    seen = Frame(Message(STAMP_NS, STAMP_NS, frame.rgb), calibration=CAMERA)
+    seen = Frame(Image(frame.rgb, stamp_ns=STAMP_NS), calibration=CAMERA)
     run = open_run(mcap=tmp_path / "a.mcap", cloud_voxel=0.2, max_uncertainty=0.5)
     lidar = FixedTransform("front_optical", "lidar_top", (1, 2, 3), (0, 0, 0.6, 0.8))
     run.sensors = SensorFrames("front_optical", (lidar,), "/tf_static")
@@ -161,7 +162,7 @@ def test_a_stamp_that_ros_cannot_hold_leaves_no_file(tmp_path, answered, open_ru
     def fail():
         with open_mcap(open_run(mcap=path)) as mcap:
             mcap.write(frame, result)
-            mcap.write(Frame(Message(2.0**31, 2**31 * 10**9, frame.rgb)), result)
+            mcap.write(Frame(Image(frame.rgb, stamp_ns=2**31 * 10**9)), result)
 
     with pytest.raises(OutputError, match="has the stamp"):
         fail()

@@ -10,7 +10,8 @@ import pytest
 from runtime import OutputError, Predictor
 from runtime.app.run.outputs.video import open_video
 from runtime.drawing.overlay import Overlay
-from runtime.streams.frame import Frame, Message
+from runtime.streams.frame import Frame
+from runtime.streams.messages import Image
 
 
 def read_video(path):
@@ -33,7 +34,7 @@ def test_it_shows_the_overlays_in_their_order(tmp_path, contract, answered, open
     overlay, expected = Overlay(contract.classes, contract.max_depth_m), []
     with open_video(open_run(video=tmp_path / "deep" / "a.mp4")) as video:
         for brightness in (40, 120, 200):
-            frame = Frame(Message(data=np.full_like(frame.rgb, brightness)))
+            frame = Frame(Image(np.full_like(frame.rgb, brightness)))
             video.write(frame, result)
             expected.append(overlay.draw(frame.rgb, result.prediction))
         assert not (tmp_path / "deep" / "a.mp4").exists()
@@ -54,7 +55,7 @@ def test_frames_of_other_sizes_get_that_of_the_first(tmp_path, answered, open_ru
     answer = dataclasses.replace(result, prediction=SimpleNamespace(heads=resized))
     with open_video(open_run(video=tmp_path / "a.mp4", rate=30, overlay_width=40)) as video:
         video.write(frame, result)
-        video.write(Frame(Message(data=other)), answer)
+        video.write(Frame(Image(other)), answer)
     rate_hz, pictures = read_video(tmp_path / "a.mp4")
     assert (rate_hz, len(pictures)) == (30, 2)
     assert pictures[0].shape == pictures[1].shape
@@ -77,7 +78,7 @@ def test_a_full_disk_is_an_output_error(mount_disk, answered, open_run):
         with open_video(open_run(video=folder / "a.mp4")) as video:
             for _ in range(200):
                 rgb = noise.integers(0, 255, answered[0].rgb.shape, dtype=np.uint8)
-                video.write(Frame(Message(data=rgb)), answered[1])
+                video.write(Frame(Image(rgb)), answered[1])
 
     with pytest.raises(OutputError, match="free some space or choose another location"):
         fill()
