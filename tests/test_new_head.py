@@ -1,4 +1,4 @@
-"""A package of one's own adds a head, a network, a loss and a data set by entry points.
+"""The example of a package of your own adds a head, a network, a loss and a data set.
 
 No code knows the head by name, and it goes all the way.
 """
@@ -6,8 +6,10 @@ No code knows the head by name, and it goes all the way.
 import csv
 import json
 import os
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -26,124 +28,14 @@ from training import evaluate, train
 from training.datasets.any_source import parse_data
 from training.recipes.chosen_recipe import read_stages
 
-# The row alone, which the engine needs: it imports no torch.
-ROW = """
-from runtime.contract.heads import Difference, Head, Panel, Unit
-
-DRIVABLE = Head(
-    "drivable",
-    "float32",
-    Unit.PROBABILITY,
-    resize="bilinear",
-    difference=Difference.ABSOLUTE,
-    tolerance=4e-4,
-    least=0.0,
-    most=1.0,
-    saved_as="free-space",
-    panel=Panel.GRAY,
-)
-"""
-LAB = """
-from pathlib import Path
-from typing import Literal
-
-import numpy as np
-import torch
-import torch.nn.functional as F
-from pydantic.dataclasses import dataclass
-from torch import nn
-
-from models import Network, NetworkConfig, NetworkOutput
-from models.blocks import pad_to_multiple
-from models.registry import Entry
-from training.datasets.sample import Sample, make_frame
-from training.datasets.source_recipe import SourceRecipe
-from training.base.limits import STRICT, Positive
-from training.losses.semantic import labelled_mean
-from training.losses.terms import head_term
-
-SIZE = (64, 96)
-
-
-class Drivable(Network):
-    # The new head alone, on half of the image's grid.
-
-    heads = ("drivable",)
-    stride = 2
-    drivable_stride = 2
-
-    def __init__(self, config):
-        super().__init__(config)
-        self.layer = nn.Conv2d(4, 1, 3, stride=2, padding=1)
-
-    def predict_coarse(self, rgb, sparse_depth):
-        depth, _ = self.normalise_depth(sparse_depth)
-        inputs = torch.cat((self.normalise_rgb(rgb), depth), dim=1)
-        return NetworkOutput(others={"drivable": self.layer(pad_to_multiple(inputs, 2))})
-
-
-class Streets:
-    # Frames whose lower half is bright and free; a third of their columns is not labelled.
-    def __init__(self, count):
-        self.count = count
-
-    def __len__(self):
-        return self.count
-
-    def __getitem__(self, index):
-        rgb = np.random.default_rng(index).integers(0, 60, (*SIZE, 3), dtype=np.uint8)
-        rgb[SIZE[0] // 2 :] += 180
-        free = (rgb[..., 0] > 100).astype(np.float32)
-        free[:, : SIZE[1] // 3] = np.nan
-        return Sample(make_frame(rgb, str(index)), {"drivable": free}, weights={"drivable": 0.5})
-
-
-@dataclass(frozen=True, kw_only=True, config=STRICT)
-class StreetsRecipe(SourceRecipe):
-    kind: Literal["lab-streets"] = "lab-streets"
-    count: Positive = 1.0
-
-    def open(self, folder, classes):
-        return Streets(int(self.count))
-
-
-def drivable_loss(logits, labels, weights):
-    known = ~labels.isnan()
-    errors = F.binary_cross_entropy_with_logits(logits[:, 0], labels.nan_to_num(), reduction="none")
-    return labelled_mean((errors * known).sum(dim=(1, 2)), known.sum(), weights)
-
-
-NETWORK = Entry(Drivable, NetworkConfig("lab-drivable", classes=()))
-LOSS = head_term("drivable", drivable_loss)
-"""
-ENTRY_POINTS = """
+PACKAGE = Path(__file__).parents[1] / "examples/own_package"
+# Entry points that cannot be used, of another package.
+BROKEN = """
 [ssdnet.heads]
-drivable = lab_head:DRIVABLE
-misnamed = lab_head:DRIVABLE
+misnamed = own_package.head:DRIVABLE
 [ssdnet.networks]
-lab-drivable = lab_parts:NETWORK
-lab-broken = lab_parts:nothing
-lab-wrong = lab_parts:LOSS
-[ssdnet.losses]
-drivable = lab_parts:LOSS
-[ssdnet.datasets]
-lab-streets = lab_parts:StreetsRecipe
-"""
-RECIPE = """
-model.name = "lab-drivable"
-optimizer.learning_rate = 0.03
-schedule = { steps = 5 }
-loop = { ema_decay = 0.0, log_every = 1 }
-loss.weights.drivable = 2.0
-[data]
-batch_size = 4
-workers = 0
-augment = { crop = [32, 48], scale = [0.5, 1.0] }
-source = [{ kind = "lab-streets", path = ".", count = 4 }]
-[validation]
-source = [{ kind = "lab-streets", path = ".", name = "streets", count = 4 }]
-lidar = "none"
-best = "streets/mean_error_drivable"
+own-broken = own_package.loss:nothing
+own-wrong = own_package.loss:LOSS
 """
 SIZE = (64, 96)
 
@@ -159,17 +51,18 @@ def frame():
 def folder(tmp_path_factory):
     """Holds the package, the exported file `m.onnx` and the recording `exported`."""
     folder = tmp_path_factory.mktemp("new-head")
-    (folder / "lab_head.py").write_text(ROW)
-    (folder / "lab_parts.py").write_text(LAB)
-    (folder / "recipe.toml").write_text(RECIPE)
-    info = folder / "lab_head-1.0.dist-info"
+    shutil.copytree(PACKAGE, folder / "source")  # building leaves files behind
+    install = ["pip", "install", "-q", "--no-deps", "--no-build-isolation", "--no-index"]
+    command = [sys.executable, "-m", *install, "--target", folder / "site", folder / "source"]
+    subprocess.run(command, check=True, capture_output=True)
+    info = folder / "site/broken-1.0.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: lab-head\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(ENTRY_POINTS)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(BROKEN)
     torch.manual_seed(0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(folder))
-        save_checkpoint(folder / "c.pt", create_model("lab-drivable").eval(), training={})
+        patch.syspath_prepend(str(folder / "site"))
+        save_checkpoint(folder / "c.pt", create_model("own-network").eval(), training={})
         options = {"size": SIZE, "record_dir": folder / "exported"}
         report = export_checkpoint(folder / "c.pt", folder / "m.onnx", **options)
         assert report.heads == ("drivable",)
@@ -177,8 +70,8 @@ def folder(tmp_path_factory):
         HEADS.pop("drivable")  # the engine finds it, too
         yield folder
     HEADS.pop("drivable", None)
-    for name in ("lab_head", "lab_parts"):
-        sys.modules.pop(name, None)
+    for name in [name for name in sys.modules if name.startswith("own_package")]:
+        sys.modules.pop(name)
 
 
 def test_its_row_is_enough_for_the_engine(folder, tmp_path, frame):
@@ -226,7 +119,7 @@ def test_ssdnet_run_saves_and_records_it(folder, tmp_path):
     command = "from runtime.app.tools.commands import run; run()"
     result = subprocess.run(
         [sys.executable, "-c", command, *arguments],
-        env=os.environ | {"PYTHONPATH": str(folder)},
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(folder / "site"), *sys.path])},
         capture_output=True,
         text=True,
     )
@@ -239,12 +132,12 @@ def test_ssdnet_run_saves_and_records_it(folder, tmp_path):
 
 def test_it_is_trained_and_scored(folder, tmp_path):
     run = tmp_path / "run"
-    checkpoint = load_checkpoint(train(folder / "recipe.toml", data=folder, out=run).path)
+    checkpoint = load_checkpoint(train(PACKAGE / "recipe.toml", data=folder, out=run).path)
     recipe, trained = checkpoint.facts.recipe, checkpoint.model
     assert recipe["loss"]["weights"]["drivable"] == 2.0
     assert recipe["data"]["source"][0]["count"] == 4
-    assert "lab-drivable" in list_models()
-    assert parse_data("lab-streets:far,count=3").count == 3
+    assert "own-network" in list_models()
+    assert parse_data("own-streets:far,count=3").count == 3
     events = EventAccumulator(str(run / "tensorboard"))
     events.Reload()
     shown = {
@@ -268,19 +161,19 @@ def test_it_is_trained_and_scored(folder, tmp_path):
 
 
 @pytest.mark.parametrize(("change", "text"), [
-    ("data.source = [{kind = 'lab-streets', path = '.', count = 0.0}]", "count = 0.0: "),
-    ("data.source = [{kind = 'lab-streets', path = '.', counts = 1}]", "unknown key counts;"),
-    ("loss.weights.lab-third = 1", "loss.weights.lab-third: unknown term; known: depth,"),
+    ("data.source = [{kind = 'own-streets', path = '.', count = 0.0}]", "count = 0.0: "),
+    ("data.source = [{kind = 'own-streets', path = '.', counts = 1}]", "unknown key counts;"),
+    ("loss.weights.own-third = 1", "loss.weights.own-third: unknown term; known: depth,"),
 ])  # fmt: skip
 def test_its_keys_are_checked_like_those_of_this_package(folder, change, text):
     with pytest.raises(InputError, match=text):
-        read_stages(str(folder / "recipe.toml"), [change])
+        read_stages(str(PACKAGE / "recipe.toml"), [change])
 
 
 @pytest.mark.parametrize(("name", "text"), [
-    ("lab-none", "unknown model 'lab-none'; known: ssdnet.*, lab-drivable"),
-    ("lab-broken", "ssdnet.networks: lab-broken = lab_parts:nothing: .*no attribute 'nothing'"),
-    ("lab-wrong", "lab-wrong = lab_parts:LOSS is a Term; expected one of the type Entry"),
+    ("own-none", "unknown model 'own-none'; known: ssdnet.*, own-network"),
+    ("own-broken", "networks: own-broken = own_package.loss:nothing: .*no attribute 'nothing'"),
+    ("own-wrong", "own-wrong = own_package.loss:LOSS is a Term; expected one of the type Entry"),
 ])  # fmt: skip
 @pytest.mark.usefixtures("folder")
 def test_what_cannot_be_loaded_is_named(name, text):
@@ -290,13 +183,13 @@ def test_what_cannot_be_loaded_is_named(name, text):
 
 def test_a_package_that_cannot_be_imported_is_named(folder, monkeypatch):
     monkeypatch.delitem(HEADS, "drivable", raising=False)
-    monkeypatch.setitem(sys.modules, "lab_head", None)
-    with pytest.raises(ContractError, match=r"drivable = lab_head:DRIVABLE: .*: inst"):
+    monkeypatch.setitem(sys.modules, "own_package.head", None)
+    with pytest.raises(ContractError, match=r"drivable = own_package.head:DRIVABLE: .*: inst"):
         Predictor(folder / "m.onnx")
 
 
 @pytest.mark.usefixtures("folder")
 def test_names_that_no_package_registers_are_no_heads():
-    assert "lab-none" not in HEADS
+    assert "own-none" not in HEADS
     with pytest.raises(ValueError, match="misnamed has the head 'drivable': rename one"):
         HEADS["misnamed"]

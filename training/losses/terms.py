@@ -59,8 +59,12 @@ class Compared:
     """A network's output beside its batch, with values that several terms share.
 
     Attributes:
+        loss: the whole loss, which knows `max_depth_m` and `unmeasured_range_m` of the network,
+            `class_weights` and the id of the class `road`.
+        config: the options of the loss.
+        batch: the frames, with the targets and their weights, see `Batch`.
         heads: float32 (N, C, h, w) of each head, see `models.answers.head_maps`.
-        depths: depth at all scales, the finest first.
+        depths: depth at all scales, the finest first, (N, 1, h, w), shares of `max_depth_m`.
     """
 
     def __init__(self, loss: "SSDNetLoss", output: NetworkOutput, batch: Batch) -> None:

@@ -43,21 +43,7 @@ def _complete(weights: Mapping[str, float]) -> dict[str, float]:
 class LossConfig:
     """The options of the loss. The defaults are our reading of the paper.
 
-    The equations of the paper, and what differs from them:
-
-    - 2, SSIM: `depth_form` "paper", in windows that hold ground truth.
-    - 3, sum over the scales: `depth_scales` "mean" is the mean of the scales.
-    - 4, depth: `weights["depth"]`; `depth_form` "metric" is another loss.
-    - 5, classes: `weights["semantic"]` and `class_weighting`. "paper" is in the recipes
-      `paper-vkitti` and `ablation-paper-class-weights`; `vkitti` has "median", `cityscapes`
-      "sqrt_median".
-    - 6, boundaries: `weights["boundary"]`, a mean instead of a sum.
-    - 7, neighbours of other classes: `disagreement`. "hard" is in `paper-vkitti`; the other recipes
-      compare probabilities ("soft").
-    - 8, classes and boundaries: `weights["semantic_boundary"]`, which is 1 in `paper-vkitti` and
-      `ablation-joint-weights-1`, 0.03 in `vkitti` and the ablation, 0 in `ablation-ssdnet-ind`.
-    - 9 to 11, classes and depth: `weights["semantic_depth"]`, like Eq. 8.
-    - 12, the sum: `weighting` "fixed".
+    docs/network.md has the equations of the paper, their keys and what differs from them.
 
     Attributes:
         weights: weight of each term, see `training.losses.terms`; a term that is missing here has
