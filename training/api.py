@@ -150,7 +150,7 @@ def finetune(
     tqdm.write(text, file=sys.stderr)
     table = inherit_settings(tomllib.loads(text), changes, begin)
     stages = (Stage("", build_recipe(table, run.out / RECIPE_TEXT)),)
-    keep_recipe(text, run.out)  # also in a dry run, because it is the file to edit
+    keep_recipe(text, changes, run.out)  # also in a dry run, because it is the file to edit
     return draw_first_batch(stages, run) if dry_run else train_stages(stages, run)
 
 

@@ -86,7 +86,9 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # ValueError also for an integer of 5,000 digits
-        raise InputError(f"{_shown(path)} is not valid TOML: {cut(str(error), 200)}") from error
+        raise InputError(
+            f"{_shown(path)} is not valid TOML: {cut(str(error), 200)}: correct it"
+        ) from error
 
 
 def require_regular(path: Path, *, max_bytes: int | None = None) -> None:

@@ -88,6 +88,36 @@ def _read_value(text: str, kind: Any) -> Any:
     return text
 
 
+def quoted(value: Any) -> str:
+    """Return a text, a number, a truth value, a list or a table as TOML in a line."""
+    if isinstance(value, Mapping):
+        pairs = (f"{_key(name)} = {quoted(item)}" for name, item in value.items())
+        return f"{{ {', '.join(pairs)} }}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(quoted, value))}]"
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _key(name: object) -> str:
+    return str(name) if re.fullmatch(r"[\w-]+", str(name), re.ASCII) else quoted(str(name))
+
+
+def to_toml(table: Mapping[str, Any], place: str = "") -> str:
+    """Return a table of TOML as text; comments are lost."""
+    lines: list[str] = []
+    inner: list[str] = []
+    for name, value in table.items():
+        path = f"{place}{_key(name)}"
+        if isinstance(value, Mapping):
+            inner += ["", f"[{path}]", to_toml(value, f"{path}.")]
+        elif isinstance(value, list) and value and all(isinstance(i, Mapping) for i in value):
+            for item in value:
+                inner += ["", f"[[{path}]]", *(f"{_key(k)} = {quoted(v)}" for k, v in item.items())]
+        else:
+            lines.append(f"{_key(name)} = {quoted(value)}")
+    return "\n".join((*lines, *inner))
+
+
 def _describe(error: Mapping[str, Any], kind: Any) -> str:
     """Return the message of an error of pydantic, with its key as in the recipe."""
     place = error["loc"]

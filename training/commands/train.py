@@ -63,7 +63,8 @@ def train(
     recipe: Annotated[
         str,
         typer.Argument(
-            help="Name of a recipe, see --list, or a path that ends in .toml or holds a slash."
+            help="Name of a recipe, see --list, or a path that ends in .toml or holds a slash; "
+            "the recipe.json of a run trains again what was trained."
         ),
     ],
     *,

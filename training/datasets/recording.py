@@ -1,5 +1,6 @@
 """A recording of a camera and a LiDAR, read as the engine reads it, and truth beside it."""
 
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import partial
@@ -186,6 +187,16 @@ class RecordingRecipe(LabelledRecipe):
     frames: tuple[Index, ...] | None = None
     truth: Folder | None = None
     truth_scale: Positive = KITTI_DEPTH_SCALE
+
+    @property
+    def folders(self) -> tuple[str, ...]:
+        """See `SourceRecipe.folders`; what lies beside the recording, whether this is a file."""
+        names = (self.depth, self.points, self.calibration, self.poses, self.truth, self.labels)
+        places = (self.path, os.path.dirname(self.path))
+        near = [os.path.join(place, name) for name in names if name for place in places]
+        inside = os.path.join(os.path.normpath(self.path), "")
+        found = [os.path.normpath(place) for place in near]
+        return self.path, *dict.fromkeys(place for place in found if not place.startswith(inside))
 
     def open_source(self, path: Path) -> Source:
         """Open the recording at a path.

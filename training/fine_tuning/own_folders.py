@@ -13,16 +13,19 @@ from typing import Any
 from tqdm import tqdm
 
 from models import Network
+from models.checkpoint import RECIPE
 from models.classes import voc_color
 from runtime.base.errors import InputError
 from runtime.contract.contract import ClassInfo
 from runtime.contract.network_size import LARGEST_RATIO, network_size
 from runtime.files.atomic_write import atomic_write
-from runtime.files.read_input import MAX_FILE_BYTES, open_input, read_text
+from runtime.files.read_input import MAX_FILE_BYTES, open_input, read_text, read_toml
 from runtime.recordings.images import image_size, read_rgb
+from training.base.tables import quoted, to_toml
 from training.datasets.class_list import read_class_list
 from training.datasets.class_mapping import IGNORED
 from training.datasets.folders import FoldersRecipe
+from training.run.recipe import change
 from training.run.run_folder import folder_errors
 from training.weights.initial_weights import Weights
 
@@ -107,7 +110,7 @@ class OwnFolders:
         lines = [*_describe(classes, rows, keys, first, count)]
         if init.network.depth_layers:
             lines += ["", *(_CLASSES_ALONE if classes else _depth_alone(init.network))]
-        return "\n".join((f"# --data is {_quoted(str(self.root))}.", *lines, ""))
+        return "\n".join((f"# --data is {quoted(str(self.root))}.", *lines, ""))
 
     def _learned_classes(self) -> tuple[tuple[ClassInfo, ...], Mapping[int, str] | None]:
         """Return the classes that are learned; if some are not, also the name of every id."""
@@ -175,7 +178,7 @@ def _describe(
     if classes:
         yield "classes = ["
         for info in classes:
-            yield f"    {{name = {_quoted(info.name)}, color = {list(info.color)}}},"
+            yield f"    {{name = {quoted(info.name)}, color = {list(info.color)}}},"
         yield "]"
     yield f"trained_height = {rows}  # of the images [px]"
     yield "\n[data]"
@@ -188,7 +191,7 @@ def _describe(
             yield '\n[validation]\nlidar = "own"  # every second line is the input'
         yield f"\n[[{table}.source]]"
         yield f'kind = "folders"\nname = "{"train" if table == "data" else "val"}"'
-        yield from (f"{key} = {_quoted(value)}" for key, value in keys.items())
+        yield from (f"{key} = {quoted(value)}" for key, value in keys.items())
         yield chosen
         if has_depth and "intrinsics" not in keys:
             yield "# intrinsics = [721.5, 721.5, 609.6, 172.9]  # fx, fy, cx, cy of the camera [px]"
@@ -209,22 +212,28 @@ def _read_height(path: Path) -> int:
     return size[0] if size else int(read_rgb(path).shape[0])
 
 
-def keep_recipe(text: str, out: Path) -> None:
-    """Write a recipe into a run's folder; InputError if it has another one."""
+# Before each change of a recipe that is written with its changes.
+_CHANGE = "# --set "
+
+
+def keep_recipe(text: str, changes: Sequence[str], out: Path) -> None:
+    """Write a recipe with its changes into a run's folder; InputError if the file was edited."""
     path = out / RECIPE_TEXT
     with folder_errors(out):
-        # Comments may name another place: data that were moved are the same data.
-        if path.is_file() and tomllib.loads(read_text(path)) != tomllib.loads(text):
-            raise InputError(
-                f"{path}: is not the recipe that these folders give now: remove it, or train by "
-                f"it: ssdnet-train {path} --data DIR --init NAME --out RUN"
-            )
+        if path.is_file():
+            kept = read_text(path).splitlines()
+            made = [line.removeprefix(_CHANGE) for line in kept if line.startswith(_CHANGE)]
+            # Comments may name another place: data that were moved are the same data.
+            if read_toml(path) != change(tomllib.loads(text), made):
+                raise InputError(
+                    f"{path}: is not the recipe that these folders give now: remove it, or train "
+                    f"by it: ssdnet-train {path} --data DIR --init NAME --out RUN"
+                )
+            if (out / RECIPE).is_file():  # of the run that began by it
+                return
+        if changes:
+            lines = [line for line in text.splitlines()[:1] if line.startswith("#")]
+            lines += [_CHANGE + item for item in changes]
+            text = "\n".join((*lines, to_toml(change(tomllib.loads(text), changes))))
         out.mkdir(parents=True, exist_ok=True)
         atomic_write(path, text.encode())
-
-
-def _quoted(value: Any) -> str:
-    """Return a text, a number, a truth value, numbers or a table of texts as TOML."""
-    if isinstance(value, Mapping):
-        return f"{{ {', '.join(f'{key} = {_quoted(text)}' for key, text in value.items())} }}"
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

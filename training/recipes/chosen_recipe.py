@@ -23,6 +23,7 @@ from training.losses.total import gather_weights
 from training.recipes.registry import RECIPES
 from training.run.optimizer import OptimizerRecipe
 from training.run.recipe import LoopRecipe, build_recipe, change
+from training.run.run_folder import read_document
 from training.run.stages import Stage
 from training.weights.initial_weights import Weights, weights_folder
 
@@ -30,10 +31,11 @@ from training.weights.initial_weights import Weights, weights_folder
 def read_stages(
     text: str, changes: Sequence[str] = (), init: Weights | None = None
 ) -> tuple[Stage, ...]:
-    """Return the stages of a recipe; a TOML file has a single one.
+    """Return the stages of a recipe; a file has a single one.
 
     Args:
-        text: a path if it ends in .toml or contains a slash, else the name of a recipe.
+        text: a path if it ends in .toml or .json or contains a slash, else the name of a recipe.
+            The recipe.json of a run is what was trained, in which nothing is left out.
         changes: changes of every stage, see `build_recipe`.
         init: a checkpoint from which the first stage starts. Settings that a TOML file leaves out
             come from its training and are reported on stderr.
@@ -41,6 +43,14 @@ def read_stages(
     Raises:
         InputError: if the name is unknown, and in the cases of `build_recipe`.
     """
+    if text.endswith(".json"):
+        document = read_document(Path(text))
+        if document.get("init") and init is None:
+            text_of = (
+                f"warning: {text}: the run began with {document['init']}: give its --init, too"
+            )
+            tqdm.write(text_of, file=sys.stderr)
+        return (Stage("", build_recipe(document["recipe"], text, changes)),)
     if text.endswith(".toml") or "/" in text or "\\" in text:
         return (
             Stage("", build_recipe(inherit_settings(read_toml(Path(text)), changes, init), text)),

@@ -1,7 +1,6 @@
 """The folder of a training, whose model can be scored on its validation sets."""
 
 import contextlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from training.datasets.sample import SampleSource
 from training.datasets.source_recipe import SourceRecipe
 from training.loading.open_dataset import open_dataset
 from training.run.recipe import Recipe
-from training.run.run_folder import DATA_FOLDERS
+from training.run.run_folder import DATA_FOLDERS, read_document
 
 
 @dataclass(frozen=True)
@@ -73,10 +72,10 @@ def _recipe_path(folder: Path) -> Path | None:
 
 def _read(path: Path) -> tuple[Recipe, list[Path]]:
     """Return a run's recipe and the folders of its data."""
+    document = read_document(path)
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
         recipe = build(Recipe, document["recipe"])
-    except (OSError, ValueError, KeyError, InputError) as error:
+    except InputError as error:
         raise InputError(f"{path}: cannot be read ({error}): give --data instead") from error
     return recipe, [Path(root) for root in document.get(DATA_FOLDERS, ())]
 

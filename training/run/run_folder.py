@@ -5,6 +5,7 @@ import fcntl
 import hashlib
 import json
 import os
+import platform
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,12 +14,17 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import cv2
+import numpy as np
+import torch
 from tqdm import tqdm
 
 from models.checkpoint import BEST, FINAL, LAST, RECIPE
+from runtime import __version__
 from runtime.base.errors import InputError
 from runtime.files.atomic_write import atomic_write
 from runtime.files.own_folder import mark_folder
+from runtime.files.read_input import read_text
 from training.base.tables import build
 from training.run.recipe import Recipe
 
@@ -31,6 +37,8 @@ _FILES = [Path(name) for name in (RECIPE, LAST, FINAL, BEST, SCORES, PAGE, TENSO
 # Keys of recipe.json: the data's files at the first start, and the folders that held them at the
 # last start, in which `ssdnet-eval RUN` finds the validation sets.
 _DATA, DATA_FOLDERS = "data_files", "data_folders"
+# Of a larger file this number of blocks [bytes] is compared.
+_BLOCKS, _BLOCK = 16, 4096
 # Keys that may change when a run is resumed: they affect neither the weights nor the choice of
 # best.pt.
 _WITHOUT_EFFECT = (
@@ -59,7 +67,7 @@ def prepare_folder(
     with folder_errors(out):
         first = files
         if path.is_file():
-            before = json.loads(path.read_text(encoding="utf-8"))
+            before = read_document(path)
             known = before.get(_DATA) or files
             require_same(before, resolved, path, known, files)
             # A folder that was moved has another path, and the same files.
@@ -67,46 +75,88 @@ def prepare_folder(
             first = {**{name: known.get(name, {}) for name in files}, **moved}
             for name, item in files.items():
                 if text := _difference(first[name], item):
-                    text = f"warning: {name}: {text}; the run resumes with other data"
+                    text = f"warning: {name}: {text}; the run goes on with other data: choose "
+                    text += "another --out to begin with them"
                     tqdm.write(text, file=sys.stderr)
         out.mkdir(parents=True, exist_ok=True)
         folders = [str(root.resolve()) for root in roots]
-        document = {**resolved, _DATA: first, DATA_FOLDERS: folders}
+        document = {**resolved, _DATA: first, DATA_FOLDERS: folders, "versions": versions()}
         atomic_write(path, json.dumps(document, indent=2).encode())
 
 
 def _difference(was: Mapping[str, Any], now: Mapping[str, Any]) -> str:
     """Return in words how the files of a set differ from those of the first start; "" if not."""
-    if was.get("files", 0) != now["files"]:
-        return f"{was.get('files', 0)} files when the run began, now {now['files']}"
+    if not was:  # earlier releases listed fewer folders
+        return ""
+    if was["files"] != now["files"]:
+        return f"{was['files']} files when the run began, now {now['files']}"
     if was["sha256"] != now["sha256"]:
         return f"the {now['files']} files have other names than when the run began"
     if "bytes" in was and was["bytes"] != now["bytes"]:
         return f"the files had {was['bytes']} bytes when the run began, now {now['bytes']}"
+    if "content" in was and was["content"] != now["content"]:
+        return "the files have another content than when the run began"
     return ""
 
 
 def list_data(roots: Sequence[Path], paths: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Describe the files of each path, in the first root that has it.
+    """Describe the files of each path, a folder or a file, in the first root that has it.
 
-    The description is their number, their bytes and the SHA-256 of their names, wherever the folder
-    is.
+    The description is their number, their bytes, and the SHA-256 of their names and of their
+    content, of which large files give samples. It is the same wherever the folder is.
     """
     described = {}
     for path in paths:
-        folder = next((root / path for root in roots if (root / path).is_dir()), None)
-        if folder is not None:
-            places = os.walk(folder, followlinks=True)
-            found = (os.path.join(place, name) for place, _, files in places for name in files)
-            listed = sorted(found)
-            names = [os.path.relpath(name, folder) for name in listed]
+        place = next((root / path for root in roots if (root / path).exists()), None)
+        if place is not None:
+            walked = os.walk(place, followlinks=True)
+            found = (os.path.join(folder, name) for folder, _, files in walked for name in files)
+            listed = sorted(found) if place.is_dir() else [str(place)]
+            names = [os.path.relpath(name, place) for name in listed]
             digest = hashlib.sha256("\n".join(names).encode(errors="surrogateescape"))
+            content = hashlib.sha256()
+            for name in filter(os.path.isfile, listed):
+                _add_content(content, name)
             described[path] = {
                 "files": len(names),
                 "bytes": sum(os.path.getsize(name) for name in listed if os.path.exists(name)),
                 "sha256": digest.hexdigest(),
+                "content": content.hexdigest(),
             }
     return described
+
+
+def _add_content(digest: Any, path: str) -> None:
+    """Add a file to a digest, or evenly spread blocks of one that is larger than they are.
+
+    The last block of a PNG holds a check sum of all its pixels.
+    """
+    with open(path, "rb") as file:
+        last = max(0, os.path.getsize(path) - _BLOCK)
+        for start in sorted({last * number // (_BLOCKS - 1) for number in range(_BLOCKS)}):
+            file.seek(start)
+            digest.update(file.read(_BLOCK))
+
+
+def versions() -> dict[str, str]:
+    """Return the releases of what computes a training."""
+    names = {"python": platform.python_version(), "ssdnet": __version__}
+    names |= {"torch": str(torch.__version__), "numpy": np.__version__, "opencv": cv2.__version__}
+    return names
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """Read the recipe.json of a run; InputError if it was damaged."""
+    try:
+        document: dict[str, Any] = json.loads(read_text(path))
+        if not isinstance(document["recipe"], dict):
+            raise ValueError("its recipe is no table")
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{path}: is not the recipe of a run as a training writes it ({error!r}): restore it, "
+            "or choose another --out"
+        ) from error
+    return document
 
 
 @contextmanager
@@ -173,10 +223,14 @@ def require_same(
         if key.endswith("].path") and was is not None and was == files.get(str(new.get(key))):
             continue
         if old.get(key) != new.get(key) and not key.startswith(_WITHOUT_EFFECT):
+            final = path.with_name(FINAL)
+            remedy = "choose another --out, or resume with the same recipe"
+            if final.is_file():
+                remedy = f"the run is finished: train on from it, --init {final} and another --out"
             raise InputError(
                 f"{path}: belongs to a training with another recipe: "
                 f"{key.removeprefix('recipe.')} was {old.get(key)!r}, now it is {new.get(key)!r}: "
-                "choose another --out, or resume with the same recipe"
+                f"{remedy}"
             )
 
 

@@ -5,7 +5,7 @@ from dataclasses import asdict
 
 import pytest
 
-from models.checkpoint import RECIPE
+from models.checkpoint import FINAL, RECIPE
 from runtime.base.errors import InputError
 from training.datasets.camvid import CamVidRecipe
 from training.loading.data_recipe import DataRecipe
@@ -70,6 +70,16 @@ def test_what_changes_them_is_named(tmp_path, changes, text):
     with pytest.raises(InputError, match=f"another recipe: {text}"):
         prepare_folder(tmp_path, resolved(**changes), FILES, [])
     assert (tmp_path / RECIPE).read_bytes() == before
+    (tmp_path / FINAL).touch()
+    with pytest.raises(InputError, match=r"is finished: train on from it, --init .*model\.pt"):
+        prepare_folder(tmp_path, resolved(**changes), FILES, [])
+
+
+@pytest.mark.parametrize("text", ['{"recipe": {', "[]", "{}", '{"recipe": 1}'])
+def test_a_damaged_file_is_named(tmp_path, text):
+    (tmp_path / RECIPE).write_text(text)
+    with pytest.raises(InputError, match=r"recipe\.json: is not the recipe of a run"):
+        prepare_folder(tmp_path, resolved(), FILES, [])
 
 
 def test_other_data_than_at_the_start_are_named(tmp_path, capsys):
@@ -89,6 +99,14 @@ def test_other_data_than_at_the_start_are_named(tmp_path, capsys):
     assert "warning: camvid: the 2 files have other names than when the run began" in start(moved)
     (moved / "camvid" / "c").write_bytes(b"12345")
     assert "the 2 files have other names" in start(moved)
+    for content in (b"12345", b"12354"):  # relabelled, in as many bytes
+        (tmp_path / "relabelled").mkdir(exist_ok=True)
+        (tmp_path / "relabelled/a.png").write_bytes(content)
+        files = list_data([tmp_path], ["relabelled", "relabelled/a.png"])
+        prepare_folder(tmp_path / "other", resolved(), files, [])
+    found = capsys.readouterr().err
+    for name in ("relabelled", "relabelled/a.png"):  # a folder, and a file as a bag is one
+        assert f"warning: {name}: the files have another content" in found
     (moved / "camvid" / "c").unlink()
     assert "warning: camvid: 2 files when the run began, now 1" in start(moved)
 
