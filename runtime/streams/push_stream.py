@@ -35,6 +35,7 @@ from runtime.streams.matching import Decided, LiveMatcher, Pair
 from runtime.streams.messages import Message, Outcome
 from runtime.streams.sensor_input import Kind, SensorInput
 from runtime.streams.statistics import Jitter, StreamStatistics
+from runtime.streams.stream_checks import StreamChecks
 from runtime.streams.stream_counter import (
     StreamCounter,
     StreamCounts,
@@ -117,7 +118,8 @@ class PushStream:
             limits = 1e-6, 1e9
             deadline_ms = check_number("deadline_ms", deadline_ms, *limits, "ms", error=InputError)
         # These are used in the stream's thread alone.
-        self._answerer = Answerer(predictor, consistency=consistency, check_depth=check_depth)
+        checks = StreamChecks(consistency=consistency, check_depth=check_depth)
+        self._answerer = Answerer(predictor, checks)
         self._on_result, self._on_error, self._on_state = on_result, on_error, on_state
         self._deadline_ms, self._sensor_clock = deadline_ms, sensor_clock
         self._clock = clock or MonotonicClock()
@@ -335,7 +337,7 @@ class PushStream:
     def _answer(self, pair: Pair[Message], poses: PoseTrack | None) -> None:
         """Predict, count the pair's outcome, and hand the result over."""
         try:
-            answer = self._answerer.answer(self._sensors.complete(pair, poses))
+            _, answer = self._answerer.answer(self._sensors.complete(pair, poses))
             now_ns = self._clock.now_ns()
             result = self._result(pair.image, answer, now_ns)
         except BaseException as error:

@@ -20,6 +20,7 @@ from runtime.streams.frame_result import FrameResult
 from runtime.streams.matching import Pair, RecordingMatcher
 from runtime.streams.messages import Message
 from runtime.streams.sensor_input import SENSORS, Kind, SensorInput
+from runtime.streams.stream_checks import StreamChecks
 from runtime.streams.stream_counter import StreamCounter
 
 _WAITING = 16  # messages of a sensor that wait for their partner, and frames that wait for poses
@@ -80,7 +81,8 @@ def replay(
         InferenceError: from the iterator, if the provider fails and there is no `on_error`.
     """
     counter = StreamCounter() if counter is None else counter
-    answerer = Answerer(predictor, consistency=consistency, check_depth=check_depth)
+    checks = StreamChecks(consistency=consistency, check_depth=check_depth)
+    answerer = Answerer(predictor, checks)
     sensors = SensorInput(rig, counter=counter, lock=contextlib.nullcontext())
 
     def report(error: SSDNetError) -> None:
@@ -107,7 +109,7 @@ def replay(
     def answered(pair: Pair[Message]) -> Iterator[FrameResult]:
         """Yield the answer to a pair, or nothing after an error."""
         try:
-            answer = answerer.answer(sensors.complete(pair, sensors.poses_of(pair)))
+            _, answer = answerer.answer(sensors.complete(pair, sensors.poses_of(pair)))
         except SSDNetError as error:
             counter.record_failed(pair, error)
             report(error)

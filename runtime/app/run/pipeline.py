@@ -207,7 +207,7 @@ class StreamRun:
         """Answer a frame and start writing the answer; return the record and the write."""
         try:
             frame, read_ms = reading.timed.result()
-            result = self._answerer.answer(frame)
+            frame, result = self._answerer.answer(frame)
         except SSDNetError as error:
             listed = reading.listed
             skipped = FrameRecord(

@@ -29,6 +29,7 @@ from runtime.engine.preprocess import check_sparse_depth
 from runtime.files.own_folder import locked_folder
 from runtime.recordings.source import ListedFrame, Source
 from runtime.streams.answerer import Answerer, known_focal_length_px
+from runtime.streams.stream_checks import StreamChecks
 
 _MOST_UNREADABLE = 20  # a stream is refused if none of these frames can be predicted
 
@@ -167,8 +168,7 @@ class _CameraStream:
         names = [each.name for each in self.frames]
         context = RunContext(options, predictor, self.kinds, names, self.source.sensor_frames)
         with open_outputs(context) as outputs:
-            answerer = Answerer(
-                predictor,
+            checks = StreamChecks(
                 check_depth=False,
                 has_lidar=self.source.has_lidar(self.frames),
                 is_implausible=fault is not None and fault.is_implausible,
@@ -176,7 +176,7 @@ class _CameraStream:
             about = f"{camera}: {self.about}" if camera else self.about
             with self.source.collecting():
                 stream_run = StreamRun(
-                    answerer,
+                    Answerer(predictor, checks),
                     self.read,
                     options,
                     outputs=outputs,
@@ -188,7 +188,7 @@ class _CameraStream:
             if fault and not fault.is_implausible and any(each.depth_returns for each in answers):
                 fault = None  # the LiDAR has only started later
             depth_fault = None if fault is None else fault.text
-            context.report = self._report(context, result, depth_fault, answerer.pose_fault)
+            context.report = self._report(context, result, depth_fault, checks.pose_fault)
         return context.report
 
     def _report(

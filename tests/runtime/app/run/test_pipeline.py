@@ -16,6 +16,7 @@ from runtime.app.run.options import RunOptions
 from runtime.app.run.pipeline import Outputs, StreamRun, frame_reader
 from runtime.recordings.folders import FolderSource
 from runtime.streams.answerer import Answerer
+from runtime.streams.stream_checks import StreamChecks
 
 
 @pytest.fixture
@@ -32,7 +33,7 @@ def run(predictor, folders, **options):
     if write := options.pop("write", None):
         options["outputs"] = Outputs([SimpleNamespace(write=write)])
     read = frame_reader(SimpleNamespace(read=options.pop("read", source.read)))
-    answerer = Answerer(predictor, check_depth=False)
+    answerer = Answerer(predictor, StreamChecks(check_depth=False))
     given = RunOptions(demo=True, **{name: options.pop(name) for name in TIMING & options.keys()})
     return StreamRun(answerer, read, given, **options).run(source.list_frames())
 
