@@ -77,7 +77,48 @@ def project_with_rows(
     check_intrinsics(intrinsics)
     extrinsics = nearest_rigid("extrinsics", extrinsics)
     height, width = _check_size(size)
-    axes = coordinates_of(points)
+    row, pixel, z = find_pixels(coordinates_of(points), intrinsics, extrinsics, size, lens=lens)
+
+    # Positive floats are ordered like their bits. Far returns are written first, so that the
+    # nearest remain.
+    key = (z.view(np.int32).astype(np.int64) << _INDEX_BITS) | np.arange(len(z))
+    key.sort()
+    order = key[::-1] & ((1 << _INDEX_BITS) - 1)
+    pixel = pixel[order]
+    sparse_depth = np.zeros((height, width), dtype=np.float32)
+    sparse_depth.reshape(-1)[pixel] = z[order]
+    rows = np.full((height, width), -1, dtype=np.int32)
+    rows.reshape(-1)[pixel] = row[order]
+    return ProjectedPoints(sparse_depth, rows)
+
+
+class PixelsOfPoints(NamedTuple):
+    """The points that fall into an image.
+
+    Attributes:
+        rows: index of each of them, int (M,).
+        pixel: row * width + column in the image, int64 (M,).
+        depth: float32 (M,), metres along the optical axis.
+    """
+
+    rows: NDArray[np.intp]
+    pixel: NDArray[np.int64]
+    depth: NDArray[np.float32]
+
+
+def find_pixels(
+    axes: NDArray[np.float32],
+    intrinsics: NDArray[np.floating[Any]],
+    extrinsics: NDArray[np.float64],
+    size: tuple[int, ...],
+    *,
+    lens: Lens | None = None,
+) -> PixelsOfPoints:
+    """Return the pixels of points, float32 (3, N), like `project_points`, also of hidden ones.
+
+    Raises InputError if the matrices together are beyond float32.
+    """
+    height, width = size
     with np.errstate(over="ignore", invalid="ignore"):
         product = intrinsics.astype(np.float64) @ extrinsics[:3].astype(np.float64)
         matrix = product.astype(np.float32)
@@ -92,28 +133,17 @@ def project_with_rows(
             u, v = u_z[row] / z, v_z[row] / z
         else:
             x_z, y_z, z = _transform(axes, extrinsics[:3].astype(np.float32))
-            left, right, top, bottom, _ = ray_bounds(lens, cache_key(intrinsics), size)
+            bounds = ray_bounds(lens, cache_key(intrinsics), (height, width))
+            left, right, top, bottom, _ = bounds
             row = np.flatnonzero(
                 (x_z > left * z) & (x_z < right * z) & (y_z > top * z) & (y_z < bottom * z)
             )
             z = z[row]
-            u, v = pixels_of_rays(x_z[row] / z, y_z[row] / z, lens, intrinsics, size)
+            u, v = pixels_of_rays(x_z[row] / z, y_z[row] / z, lens, intrinsics, (height, width))
         u, v = np.rint(u), np.rint(v)
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    z, row = z[inside], row[inside]
     pixel = v[inside].astype(np.int64) * width + u[inside].astype(np.int64)
-
-    # Positive floats are ordered like their bits. Far returns are written first, so that the
-    # nearest remain.
-    key = (z.view(np.int32).astype(np.int64) << _INDEX_BITS) | np.arange(len(z))
-    key.sort()
-    order = key[::-1] & ((1 << _INDEX_BITS) - 1)
-    pixel = pixel[order]
-    sparse_depth = np.zeros((height, width), dtype=np.float32)
-    sparse_depth.reshape(-1)[pixel] = z[order]
-    rows = np.full((height, width), -1, dtype=np.int32)
-    rows.reshape(-1)[pixel] = row[order]
-    return ProjectedPoints(sparse_depth, rows)
+    return PixelsOfPoints(row[inside], pixel, z[inside])
 
 
 def _transform(axes: NDArray[np.float32], matrix: NDArray[np.float32]) -> list[NDArray[np.float32]]:
