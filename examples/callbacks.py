@@ -10,8 +10,7 @@ import argparse
 import threading
 import time
 
-from runtime import FrameResult, Predictor, PushStream
-from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
+from runtime import BUNDLED_FOCAL_LENGTH_PX, FrameResult, Predictor, PushStream, bundled_frames
 
 DEADLINE_MS = 80.0
 LIDAR_LATE_S = 0.01  # its stamps minus the camera's

@@ -12,9 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from runtime import InputError, Predictor
-from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
-from runtime.recordings.folders import FolderSource
+from runtime import BUNDLED_FOCAL_LENGTH_PX, InputError, Predictor, bundled_frames, open_source
 
 PERIOD_S = 0.1
 DEADLINE_MS = 80.0
@@ -30,7 +28,7 @@ def main() -> None:
     if (arguments.rgb is None) != (arguments.depth is None):
         parser.error("give both --rgb and --depth, or neither")
     if arguments.rgb:
-        source = FolderSource(arguments.rgb, depth=arguments.depth)
+        source = open_source("folders", arguments.rgb, depth=arguments.depth)
         frames = [source.read(listed) for listed in source.list_frames()]
     else:
         frames = bundled_frames()

@@ -11,9 +11,7 @@ import argparse
 import cv2
 import numpy as np
 
-from runtime import Predictor
-from runtime.contract.resize import move_returns
-from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
+from runtime import BUNDLED_FOCAL_LENGTH_PX, Predictor, bundled_frames, move_returns
 
 FRAMES_APART = 3
 SMALLER = (192, 624)  # (height, width) of the last camera: three quarters

@@ -17,9 +17,7 @@ import numpy as np
 from kiss_icp.config import load_config
 from kiss_icp.kiss_icp import KissICP
 
-from runtime import Predictor, ReplayMessage, Rig, StreamCounter, replay
-from runtime.recordings.images import read_rgb
-from runtime.recordings.scan import read_scan
+from runtime import Predictor, ReplayMessage, Rig, StreamCounter, read_rgb, read_scan, replay
 
 PERIOD_S = 0.1
 

@@ -14,11 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from runtime import Predictor
-from runtime.base.errors import InputError, SSDNetError
-from runtime.contract.heads import HEADS
-from runtime.recordings.registry import choose_source
-from runtime.recordings.source import Source
+from runtime import HEADS, InputError, Predictor, Source, SSDNetError, choose_source
 
 TASK_FRAMES = 8  # of a task, which is repeated when its actor dies
 

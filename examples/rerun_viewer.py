@@ -14,11 +14,14 @@ import numpy as np
 import rerun
 import rerun.blueprint as views
 
-from runtime import Predictor
-from runtime.engine.prediction import Prediction
-from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
-from runtime.recordings.folders import FolderSource
-from runtime.streams.frame import Frame
+from runtime import (
+    BUNDLED_FOCAL_LENGTH_PX,
+    Frame,
+    Prediction,
+    Predictor,
+    bundled_frames,
+    open_source,
+)
 
 STAGES = ("preprocess_ms", "inference_ms", "postprocess_ms", "total_ms")
 
@@ -57,7 +60,7 @@ def read_frames(rgb: Path | None, depth: Path | None) -> Iterator[Frame]:
     if rgb is None:
         yield from bundled_frames()
         return
-    source = FolderSource(rgb, depth=depth)
+    source = open_source("folders", rgb, depth=depth)
     for listed in source.list_frames():
         yield source.read(listed)
 

@@ -38,9 +38,19 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 from sensor_msgs_py import point_cloud2
 from std_msgs.msg import Header
 
-from runtime import Calibration, FrameResult, Predictor, PushStream, Rig, SSDNetError
-from runtime.recordings.ros_answers import camera_fields, cloud_fields, status_fields
-from runtime.recordings.ros_poses import odometry_pose, point_times_s
+from runtime import (
+    Calibration,
+    FrameResult,
+    Predictor,
+    PushStream,
+    Rig,
+    SSDNetError,
+    camera_fields,
+    cloud_fields,
+    odometry_pose,
+    point_times_s,
+    status_fields,
+)
 
 # Your calibration: fx 0 cx / 0 fy cy / 0 0 1, and LiDAR to camera. Of raw images also
 # Calibration(lens=, distortion=).

@@ -22,6 +22,14 @@ from runtime.contract.contract import (
     Contract as Contract,
     ModelContent as ModelContent,
 )
+from runtime.contract.heads import (
+    HEADS as HEADS,
+    Difference as Difference,
+    Head as Head,
+    Panel as Panel,
+    Unit as Unit,
+)
+from runtime.contract.resize import move_returns as move_returns
 from runtime.engine.bundled_models import list_bundled_models as list_bundled_models
 from runtime.engine.prediction import (
     Cleaned as Cleaned,
@@ -37,11 +45,24 @@ from runtime.geometry.point_cloud import PointCloud as PointCloud
 from runtime.geometry.poses import PoseFrame as PoseFrame, PoseTrack as PoseTrack
 from runtime.geometry.projection import project_points as project_points
 from runtime.geometry.rig import Rig as Rig
-from runtime.recordings.registry import open_source as open_source
+from runtime.recordings.bundled_stream import (
+    BUNDLED_FOCAL_LENGTH_PX as BUNDLED_FOCAL_LENGTH_PX,
+    bundled_frames as bundled_frames,
+)
+from runtime.recordings.images import read_rgb as read_rgb
+from runtime.recordings.registry import choose_source as choose_source, open_source as open_source
 from runtime.recordings.ros_answers import (
     FixedTransform as FixedTransform,
     SensorFrames as SensorFrames,
+    camera_fields as camera_fields,
+    cloud_fields as cloud_fields,
+    status_fields as status_fields,
 )
+from runtime.recordings.ros_poses import (
+    odometry_pose as odometry_pose,
+    point_times_s as point_times_s,
+)
+from runtime.recordings.scan import read_scan as read_scan
 from runtime.recordings.source import ListedFrame as ListedFrame, Source as Source
 from runtime.streams.answerer import FramePredictor as FramePredictor
 from runtime.streams.frame import (

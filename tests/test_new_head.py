@@ -126,7 +126,7 @@ def test_ssdnet_run_saves_and_records_it(folder, tmp_path):
     assert result.returncode == 0, result.stderr
     (saved,) = (out / "free-space").iterdir()
     assert cv2.imread(str(saved), cv2.IMREAD_UNCHANGED).shape == (256, 832)
-    limits = json.loads((recording / "recording.json").read_text())["limits"]
+    limits = json.loads((recording / "reference.json").read_text())["limits"]
     assert limits.keys() == {"drivable"}
 
 

@@ -4,7 +4,7 @@ It is a folder that needs nothing else:
 
 | file | content |
 |---|---|
-| `recording.json` | origin, settings, limits per head, and one line per frame; see `Reference` |
+| `reference.json` | origin, settings, limits per head, and one line per frame; see `Reference` |
 | `model.onnx` | the model that answered, byte for byte |
 | `frames/000000.npz` ... | a frame's `rgb`, `sparse_depth` and its answers, one array per head |
 
@@ -34,10 +34,11 @@ from runtime.contract.network_size import NetworkSize
 from runtime.files.own_folder import atomic_folder
 from runtime.files.read_input import open_input, read_text
 
-# The names of format and file are those of earlier releases, whose references are still read.
+# The name of the format is that of earlier releases, whose references are still read.
 REFERENCE_FORMAT, REFERENCE_VERSION = "ssdnet-recording", "2.1"
 _READ_VERSIONS = ("2.0", REFERENCE_VERSION)  # version 2.0 does not name the software that wrote it
-REFERENCE_FILE, MODEL_FILE = "recording.json", "model.onnx"
+REFERENCE_FILE, MODEL_FILE = "reference.json", "model.onnx"
+_EARLIER_FILE = "recording.json"
 _FRAMES = "frames"
 _LARGEST = sys.float_info.max  # largest limit or time
 
@@ -220,6 +221,8 @@ def read_reference(folder: Path) -> Reference:
         InputError: if the folder is not a reference, or is damaged.
     """
     path = folder / REFERENCE_FILE
+    if not path.exists() and (folder / _EARLIER_FILE).exists():
+        path = folder / _EARLIER_FILE
     try:
         text = read_text(path)
     except InputError as error:
@@ -231,7 +234,7 @@ def read_reference(folder: Path) -> Reference:
         return _parse(folder, json.loads(text))
     except Exception as error:  # a value of an unexpected type may raise anything
         raise InputError(
-            f"{path} is not a valid recording.json ({type(error).__name__}: {error}): it was "
+            f"{path} is not a valid reference ({type(error).__name__}: {error}): it was "
             "changed, or comes from another version; record again"
         ) from error
 

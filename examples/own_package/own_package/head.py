@@ -1,6 +1,6 @@
 """The head `drivable`."""
 
-from runtime.contract.heads import Difference, Head, Panel, Unit
+from runtime import Difference, Head, Panel, Unit
 
 DRIVABLE = Head(
     "drivable",

@@ -47,8 +47,9 @@ def test_what_was_recorded_comes_back(recording, model_file, make_frame, contrac
 
 
 def test_one_without_its_software_is_read_like_a_new_one(recording):
-    document = json.loads((recording / "recording.json").read_text())
+    document = json.loads((recording / "reference.json").read_text())
     del document["software"]
+    (recording / "reference.json").unlink()
     (recording / "recording.json").write_text(json.dumps({**document, "version": "2.0"}))
     assert read_reference(recording).software == {}
 
@@ -68,7 +69,7 @@ def test_a_model_that_was_replaced_meanwhile_is_refused(tmp_path, model_file):
 
 
 def edit(folder, **changes):
-    path = folder / "recording.json"
+    path = folder / "reference.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
 
 
@@ -79,13 +80,13 @@ def edit(folder, **changes):
 ], ids=str)  # fmt: skip
 def test_a_document_that_was_changed_is_refused(recording, changes):
     edit(recording, **changes)
-    with pytest.raises(InputError, match="is not a valid recording"):
+    with pytest.raises(InputError, match="is not a valid reference"):
         read_reference(recording)
 
 
 @pytest.mark.parametrize(("content", "message"), [(b"{", "not a valid"), (None, "cannot read")])
 def test_a_folder_that_is_no_recording_is_refused(recording, content, message):
-    path = recording / "recording.json"
+    path = recording / "reference.json"
     path.unlink() if content is None else path.write_bytes(content)
     with pytest.raises(InputError, match=message):
         read_reference(recording)

@@ -43,7 +43,7 @@ FRAMES = {
     "run.html": lambda path: N * path.read_text().endswith("</html>\n"),
     "frames.csv": lambda path: len(rows_of(path.parent)),
     "report.json": lambda path: json.loads(path.read_text())["frames"]["by_status"]["ok"],
-    "recording.json": lambda path: len(read_reference(path.parent).frames),
+    "reference.json": lambda path: len(read_reference(path.parent).frames),
 }
 
 

@@ -200,7 +200,7 @@ def test_a_recording_is_unpacked_into_plain_files(recording, tmp_path):
 
 
 def edit_frames(recording, **changes):
-    path = recording / "recording.json"
+    path = recording / "reference.json"
     document = json.loads(path.read_text())
     for frame in document["frames"]:
         frame.update(changes)
