@@ -91,7 +91,8 @@ def _score(files: Sequence[Path], data: Sequence[str], lidars: Sequence[str]) ->
     feeds: list[Feed] = [(LidarInput.parse(lidar), "none") for lidar in lidars]
     with ExitStack() as stack:
         models = {str(file): stack.enter_context(open_exported(file)) for file in files}
-        sets = open_sets([parse_data(text) for text in data], models)
+        tables = {name: model.table for name, model in models.items() if model.table}
+        sets = open_sets([parse_data(text) for text in data], tables)
         return score_sets(models, sets, feeds, leave_out_fed=True)
 
 

@@ -18,9 +18,9 @@ from training.datasets.any_source import parse_data
 from training.datasets.class_mapping import ClassTable, trained_classes
 from training.datasets.sample import SampleSource
 from training.lidar.split import LidarInput, frame_generator, split_lidar
-from training.loading.open_dataset import count_frames, count_shared, open_dataset
+from training.loading.open_dataset import count_frames, count_shared
 from training.run.finished_run import open_training_sets
-from training.scores.shared_classes import share_classes
+from training.scores.evaluated_set import open_sets
 
 # LiDAR inputs of the calibration frames, used in turn. Activations beyond the calibrated ranges are
 # clipped.
@@ -46,7 +46,7 @@ def require_frames(options: ExportOptions, checkpoint: Checkpoint) -> list[str]:
     table = trained_classes(checkpoint.model.config.classes, checkpoint.facts)
     found, warnings = {}, []
     for option, texts in (("--calibrate", options.calibrate), ("--validate", options.validate)):
-        found[option] = [_open_set(text, table) for text in texts]
+        found[option] = _open(texts, table)
         if (count := count_frames(found[option])) < LEAST_FRAMES:
             raise InputError(
                 f"{option}: {count} frames in all, expected {LEAST_FRAMES} or more, so nothing was "
@@ -78,7 +78,7 @@ def calibration_feeds(path: Path, data: Sequence[str]) -> Iterator[Feed]:
     with Predictor(path, warmup=0) as predictor:
         contract = predictor.contract
         table = trained_classes(contract.classes, TrainingFacts.from_dict(contract.training))
-        sources = [_open_set(text, table) for text in data]
+        sources = _open(data, table)
         counts = share_frames([len(source) for source in sources], CALIBRATION_FRAMES)
         for source, count in zip(sources, counts, strict=True):
             for turn, index in enumerate(np.linspace(0, len(source) - 1, count).round()):
@@ -96,10 +96,9 @@ def calibration_feeds(path: Path, data: Sequence[str]) -> Iterator[Feed]:
                 yield {"rgb": frame.rgb[None], "sparse_depth": frame.sparse_depth[None]}
 
 
-def _open_set(text: str, table: ClassTable) -> SampleSource:
-    recipe = parse_data(text)
-    classes = share_classes(recipe, recipe.title, {"model": table})
-    return open_dataset(recipe, [Path()], classes=classes.table)
+def _open(data: Sequence[str], table: ClassTable) -> list[SampleSource]:
+    sets = open_sets([parse_data(text) for text in data], {"model": table})
+    return [item.source for item in sets]
 
 
 def share_frames(sizes: Sequence[int], total: int) -> list[int]:

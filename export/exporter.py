@@ -1,17 +1,19 @@
-"""From a checkpoint to one verified ONNX file: build, finish, publish."""
+"""From a checkpoint to one verified ONNX file, in stages."""
 
 import contextlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from export.build import Draft, build_draft, read_checkpoint
-from export.finish import finish_draft
+from export.half import to_half
 from export.options import ExportOptions
-from export.parity import HeadParity, reference
+from export.parity import HeadParity, measure_parity, reference, require_parity
 from export.precision import MAX_DROP_MIOU, MAX_RISE_MAE, Precision
-from export.probe_frames import ProbeFrame
-from export.progress import Progress, Report
+from export.probe_frames import ProbeFrame, frames_of, recorded_frames
 from export.trace import DEFAULT_OPSET
 from export.triton import write_triton_model
 from runtime import Contract
@@ -22,6 +24,16 @@ from runtime.verification.reference import (
     ReferenceWriter,
     write_reference,
 )
+
+if TYPE_CHECKING:  # measuring needs the packages of training
+    from export.accuracy import Accuracy
+
+# What `report` of an export is called with: finished stages, all stages, the next one in words.
+Report = Callable[[int, int, str], object]
+# Reports a step of a stage, in words.
+Tell = Callable[[str], object]
+# A stage of an export.
+Stage = Callable[[Tell], None]
 
 
 @dataclass(frozen=True)
@@ -127,65 +139,157 @@ def export_checkpoint(
 
 
 def run_export(options: ExportOptions, report: Report) -> ExportReport:
-    """Build, finish and publish a file, see `export_checkpoint`."""
-    target, overwrite = options.target, options.overwrite
-    is_int8 = options.precision is Precision.INT8
-    further = (
-        is_int8,
-        options.precision is not Precision.FP32,
-        options.validate and not is_int8,
-        options.record_dir,
-        options.triton_dir,
-    )
-    progress = Progress(2 + sum(map(bool, further)), report)
-    progress.begin("tracing the graph")
-    checkpoint = read_checkpoint(options.source)
-    warnings: Sequence[str] = ()
-    if is_int8:
-        from export.calibration_frames import require_frames  # needs the packages of training
-
-        warnings = require_frames(options, checkpoint)
-    settings = PredictorSettings(
-        "ssdnet-export", "frame" if options.any_size else None, provider="torch"
-    )
+    """Make a file in stages, see `export_checkpoint`."""
     with contextlib.ExitStack() as written:
-        temporary = written.enter_context(atomic_file(target, overwrite=overwrite, durable=True))
-        file = Path(temporary.name)
-        recorder = None
-        if options.record_dir is not None:
-            recorder = written.enter_context(
-                write_reference(options.record_dir, settings, overwrite=overwrite)
-            )
-        draft = build_draft(checkpoint, options)
-        draft, parity, frames = finish_draft(draft, file, options, warnings, progress)
-        num_bytes = draft.write(file)
-        if recorder is not None:
-            progress.begin("recording PyTorch's answers")
-            _record(draft, frames, recorder)
-            recorder.finish(file)
-        if options.triton_folder is not None:
-            progress.begin("writing the Triton model")
-            content = file.read_bytes()
-            write_triton_model(options.triton_folder, draft.model, content, overwrite=overwrite)
-    return ExportReport(
-        target,
-        options.native_size,
-        options.any_size,
-        draft.heads,
-        parity,
-        len(frames),
-        num_bytes,
-        draft.contract,
-    )
+        export = _Export(options, written)
+        stages = export.list_stages()
+        for number, (text, stage) in enumerate(stages):
+            tell = partial(report, number, len(stages))
+            tell(text)
+            stage(tell)
+        return export.describe()
 
 
-def _record(draft: Draft, frames: Sequence[ProbeFrame], recorder: ReferenceWriter) -> None:
-    """Record PyTorch's answers to each frame for the heads of the file."""
-    for frame in frames:
-        answers = reference(draft.network, frame)
-        recorder.add(
-            ReferenceFrame(f"{frame.name}, {frame.rgb.shape[0]} x {frame.rgb.shape[1]}"),
-            frame.rgb,
-            frame.sparse_depth,
-            {head: answers[head] for head in draft.heads},
+class _Export:
+    """An export between two of its stages.
+
+    Args:
+        options: what is asked of it.
+        written: the files that get their names once all stages are done.
+    """
+
+    _draft: Draft  # which the file holds, too
+    _file: Path
+    _recorder: ReferenceWriter
+    _parity: Mapping[str, HeadParity]
+    _frames: Sequence[ProbeFrame]  # of this comparison
+    _warnings: Sequence[str] = ()
+
+    def __init__(self, options: ExportOptions, written: contextlib.ExitStack) -> None:
+        self._options, self._written = options, written
+
+    def list_stages(self) -> list[tuple[str, Stage]]:
+        """Return the stages that the options ask for, in words and as calls, in their order."""
+        options = self._options
+        is_int8, is_fp16 = (options.precision is each for each in (Precision.INT8, Precision.FP16))
+        stages: tuple[tuple[str, Stage, object], ...] = (
+            ("tracing the graph", self._trace, True),
+            ("verifying it against PyTorch", self._verify_traced, True),
+            ("quantising", self._quantize, is_int8),
+            ("verifying the final file", self._halve, is_fp16),
+            ("verifying the final file", self._verify_quantized, is_int8),
+            ("measuring the accuracy", self._measure, options.validate and not is_int8),
+            ("recording PyTorch's answers", self._record, options.record_dir),
+            ("writing the Triton model", self._write_triton, options.triton_dir),
         )
+        return [(text, stage) for text, stage, wanted in stages if wanted]
+
+    def describe(self) -> ExportReport:
+        """Return the report of a finished export."""
+        draft, options = self._draft, self._options
+        return ExportReport(
+            options.target,
+            options.native_size,
+            options.any_size,
+            draft.heads,
+            self._parity,
+            len(self._frames),
+            self._file.stat().st_size,
+            draft.contract,
+        )
+
+    def _keep(self, draft: Draft, **facts: Any) -> None:
+        """Make a graph with these facts of its metadata the present one."""
+        self._draft = replace(draft, contract=replace(draft.contract, **facts))
+        self._draft.write(self._file)
+
+    def _trace(self, _: Tell) -> None:
+        options = self._options
+        checkpoint = read_checkpoint(options.source)
+        if options.precision is Precision.INT8:
+            from export.calibration_frames import require_frames  # needs the packages of training
+
+            self._warnings = require_frames(options, checkpoint)
+        opened = atomic_file(options.target, overwrite=options.overwrite, durable=True)
+        self._file = Path(self._written.enter_context(opened).name)
+        if options.record_dir is not None:
+            settings = PredictorSettings(
+                "ssdnet-export", "frame" if options.any_size else None, provider="torch"
+            )
+            recorder = write_reference(options.record_dir, settings, overwrite=options.overwrite)
+            self._recorder = self._written.enter_context(recorder)
+        self._keep(build_draft(checkpoint, options))
+
+    def _verify(self, frames: Sequence[ProbeFrame], advice: str | None = "") -> None:
+        """Compare the file with PyTorch; ExportError with `advice` if it differs, None: never."""
+        draft, self._frames = self._draft, frames
+        self._parity = measure_parity(draft.network, self._file, frames, dynamic=draft.dynamic)
+        if advice is not None:
+            require_parity(self._parity, advice)
+        figures = {head: dict(measured.figures) for head, measured in self._parity.items()}
+        self._keep(draft, parity=figures)
+
+    def _verify_traced(self, _: Tell) -> None:
+        draft = self._draft
+        size, max_depth_m = draft.contract.native_size, draft.contract.max_depth_m
+        self._verify(frames_of(size, dynamic=draft.dynamic, max_depth_m=max_depth_m))
+
+    def _halve(self, _: Tell) -> None:
+        draft = self._draft
+        self._keep(replace(draft, model=to_half(draft.model)), precision=Precision.FP16.value)
+        # On synthetic frames half precision rounds too much, so recorded frames are used.
+        frames = recorded_frames(draft.contract.native_size)
+        self._verify(frames, ": leave out --precision fp16")
+
+    def _quantize(self, tell: Tell) -> None:
+        from export.int8 import quantize_within  # needs the packages of training
+
+        self._keep(self._draft, precision=Precision.INT8.value)
+        draft = self._draft
+        found = quantize_within(
+            draft.model,
+            self._options,
+            classes=[info.name for info in draft.contract.classes],
+            write=lambda model, path: replace(draft, model=model).write(path),
+            warnings=self._warnings,
+            report=tell,
+        )
+        self._keep(replace(draft, model=found.model), quantization=found.facts)
+        self._add_accuracy(found.accuracy)
+
+    def _verify_quantized(self, _: Tell) -> None:
+        self._verify(self._frames, advice=None)  # its accuracy passed a gate
+
+    def _measure(self, _: Tell) -> None:
+        from export.accuracy import measure_accuracy  # needs the packages of training
+
+        with tempfile.TemporaryDirectory() as folder:  # the name of a measured file ends in .onnx
+            path = Path(folder) / "model.onnx"
+            path.write_bytes(self._file.read_bytes())
+            self._add_accuracy(measure_accuracy(path, self._options.validate))
+
+    def _add_accuracy(self, rows: Sequence["Accuracy"]) -> None:
+        from export.accuracy import repeat_command  # needs the packages of training
+
+        repeat = repeat_command(self._options.validate, rows)
+        accuracy = {"repeat": repeat, "rows": [asdict(row) for row in rows]}
+        self._keep(self._draft, accuracy=accuracy)
+
+    def _record(self, _: Tell) -> None:
+        """Record PyTorch's answers to each frame for the heads of the file."""
+        draft = self._draft
+        for frame in self._frames:
+            answers = reference(draft.network, frame)
+            self._recorder.add(
+                ReferenceFrame(f"{frame.name}, {frame.rgb.shape[0]} x {frame.rgb.shape[1]}"),
+                frame.rgb,
+                frame.sparse_depth,
+                {head: answers[head] for head in draft.heads},
+            )
+        self._recorder.finish(self._file)
+
+    def _write_triton(self, _: Tell) -> None:
+        folder, overwrite = self._options.triton_folder, self._options.overwrite
+        assert folder is not None  # else this is no stage
+        content = self._file.read_bytes()
+        write_triton_model(folder, self._draft.model, content, overwrite=overwrite)

@@ -96,3 +96,17 @@ def reference(model: Network, frame: ProbeFrame) -> dict[str, NDArray[Any]]:
         output = model(rgb, torch.from_numpy(frame.sparse_depth)[None, None])
         found = answers(output, model.config.max_depth_m)
     return {head: values[0].numpy() for head, values in found.items()}
+
+
+def require_parity(parity: Mapping[str, HeadParity], advice: str) -> None:
+    """Raise ExportError, with this advice, if the answers differ by more than rounding."""
+    failed = [
+        f"{head} {dict(measured.figures)}"
+        for head, measured in parity.items()
+        if not measured.passed
+    ]
+    if failed:
+        raise ExportError(
+            f"the answers of the exported graph differ from PyTorch's in {'; '.join(failed)}, so "
+            f"nothing was written{advice}"
+        )

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.contract.contract import farthest_return
+from runtime.contract.contract import MIN_SIDE, farthest_return
 from runtime.contract.resize import move_returns, resize_image
 from runtime.recordings.bundled_stream import bundled_frames
 
@@ -43,6 +43,15 @@ def probe_frames(size: tuple[int, int], *, max_depth_m: float) -> list[ProbeFram
     faulty[hit] = rng.choice(faults, size=int(hit.sum()))
     frames.append(ProbeFrame("faulty", rgb, faulty))
     return frames
+
+
+def frames_of(size: tuple[int, int], *, dynamic: bool, max_depth_m: float) -> list[ProbeFrame]:
+    """Return frames of the native size; for a free size also of two other sizes, one odd."""
+    sizes = [size]
+    if dynamic:
+        sizes.append((max(size[0] // 2 | 1, MIN_SIDE), max(size[1] // 2 | 1, MIN_SIDE)))
+        sizes.append((MIN_SIDE + 1, MIN_SIDE + 31))
+    return [frame for each in sizes for frame in probe_frames(each, max_depth_m=max_depth_m)]
 
 
 def recorded_frames(size: tuple[int, int]) -> list[ProbeFrame]:

@@ -7,7 +7,7 @@ from functools import partial
 import pytest
 import torch
 
-from export import build, finish
+from export import build, exporter
 from export.deploy import DeployGraph
 from export.exporter import export_checkpoint
 from export.probe_frames import probe_frames
@@ -114,7 +114,7 @@ def exported(lite_checkpoint, beside, lite_model, tmp_path_factory):
 def one_frame(monkeypatch):
     """Exports are verified with one frame of the native size; `exported` with all frames."""
     frames = partial(probe_frames, max_depth_m=100.0)
-    monkeypatch.setattr(finish, "frames_of", lambda size, **_: frames(size)[:1])
+    monkeypatch.setattr(exporter, "frames_of", lambda size, **_: frames(size)[:1])
 
 
 @pytest.fixture

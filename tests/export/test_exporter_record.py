@@ -7,7 +7,7 @@ import onnx
 import pytest
 from typer.testing import CliRunner
 
-from export import build, exporter, finish
+from export import build, exporter
 from export.errors import ExportError
 from runtime.app.tools.verify import app as verify_app
 from runtime.verification.reference import read_reference
@@ -51,7 +51,7 @@ def test_an_export_that_fails_leaves_nothing(lite_checkpoint, tmp_path, monkeypa
         raise ExportError("differs")
 
     monkeypatch.setattr(build, "trace", lambda *args, **options: onnx.ModelProto(ir_version=10))
-    monkeypatch.setattr(finish, "measure_parity", fail)
+    monkeypatch.setattr(exporter, "measure_parity", fail)
     with pytest.raises(ExportError, match="differs"):
         exporter.export_checkpoint(
             lite_checkpoint,

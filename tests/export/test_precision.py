@@ -118,8 +118,8 @@ def test_half_precision_that_answers_otherwise_is_refused(lite_checkpoint, tmp_p
                 weight.CopyFrom(numpy_helper.from_array(values, weight.name))
         return half
 
-    monkeypatch.setattr("export.finish.to_half", coarse)
-    monkeypatch.setattr("export.finish.recorded_frames", lambda size: recorded_frames(size)[:1])
+    monkeypatch.setattr("export.exporter.to_half", coarse)
+    monkeypatch.setattr("export.exporter.recorded_frames", lambda size: recorded_frames(size)[:1])
     with pytest.raises(ExportError, match="leave out --precision fp16"):
         export_checkpoint(
             lite_checkpoint, tmp_path / "half.onnx", size=SIZE, precision=Precision.FP16

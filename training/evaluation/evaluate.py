@@ -142,7 +142,7 @@ def score_models(options: EvaluationOptions) -> Evaluation:
         models = _open_models(options, runs, stack)
         opened = open_sets(
             sets,
-            models,
+            {name: model.table for name, model in models.items() if model.table},
             ids=ids,
             join=options.join,
             limit=options.limit,

@@ -72,7 +72,7 @@ class EvaluatedSet:
 
 def open_sets(
     recipes: Sequence[SourceRecipe],
-    models: Mapping[str, ScoredModel],
+    tables: Mapping[str, ClassTable],
     *,
     ids: ClassTable | None = None,
     join: Mapping[str, Sequence[str]] | None = None,
@@ -83,13 +83,12 @@ def open_sets(
 
     Args:
         recipes: recipes of the sets.
-        models: the models by name.
+        tables: class tables of the models, those that have one.
         ids: see `share_classes`.
         join: see `join_names`.
         limit: number of frames of each set, evenly spread; None: all.
         farthest_m: farthest true depth [m] that is scored.
     """
-    tables = {name: model.table for name, model in models.items() if model.table}
     own = [recipe.label_table or ids or () for recipe in recipes]
     joined = join_names(join or {}, [*own, *tables.values()])
     folders = short_names([Path(recipe.path) for recipe in recipes])
