@@ -127,6 +127,9 @@ class Halved(nn.Module):
         x = pad_to_multiple(rgb + 0 * sparse_depth, 2)
         return NetworkOutput(semantic_logits=x[:, :, ::2, ::2])
 
+    def join_rows(self, scores):
+        return scores
+
 
 def count_pads_and_cuts(graph):
     heads = {head.name for head in graph.output}

@@ -5,7 +5,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from runtime.base.errors import ContractError, InputError
+from runtime.base.errors import InputError
 from runtime.contract.network_size import NetworkSize
 from runtime.engine.bundled_models import find_model, list_bundled_models
 from training.datasets.source_recipe import SourceRecipe
@@ -205,8 +205,8 @@ def _open_models(
 
 
 def _find_file(name: str) -> Path:
-    """Return the file of a model. Raises ContractError, which also lists the methods."""
+    """Return the file of a model. Raises InputError, which also lists the methods."""
     try:
         return Path(name) if name.endswith(".pt") else find_model(name)
-    except ContractError as error:
-        raise ContractError(f"{error}; classical methods: {', '.join(METHODS)}") from error
+    except InputError as error:
+        raise InputError(f"{error}; classical methods: {', '.join(METHODS)}") from error
