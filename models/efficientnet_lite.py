@@ -83,6 +83,23 @@ class InvertedResidual(nn.Module):
         return x + out if self.residual else out
 
 
+class FusedBlock(nn.Module):
+    """Dense convolution with a stride of 2, linear projection (EfficientNetV2, Tan and Le 2021).
+
+    On a fine grid it is faster than `InvertedResidual`, whose wide maps take memory, not work.
+    """
+
+    def __init__(self, in_channels: int, width: int, out_channels: int) -> None:
+        super().__init__()
+        self.wide = _normalised(SameConv(in_channels, width, 3, 2))
+        self.project = _normalised(SameConv(width, out_channels, 1))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, C, H, W) -> (N, C', H / 2, W / 2)."""
+        out: Tensor = self.project(F.relu6(self.wide(x)))
+        return out
+
+
 class EfficientNetLite(nn.Module):
     """Features at strides 2, 4, 8, 16 and 32, with `CHANNELS`, in two parts.
 
@@ -90,15 +107,20 @@ class EfficientNetLite(nn.Module):
 
     Args:
         widths: channels of the stem and within each block, as pruning left them.
+        fused_start: whether the stem alone makes the features at stride 2, and a `FusedBlock` the
+            first ones at stride 4. Weights trained on ImageNet do not fit these layers.
 
     Raises:
-        ValueError: unless there is a positive width for each block.
+        ValueError: unless there is a positive width for each block, and that of a stem without a
+            block behind it is `CHANNELS[2]`.
     """
 
-    def __init__(self, widths: Sequence[int] = WIDTHS) -> None:
+    def __init__(self, widths: Sequence[int] = WIDTHS, *, fused_start: bool = False) -> None:
         super().__init__()
         if len(widths) != len(WIDTHS) or min(widths) < 1:
             raise ValueError(f"expected {len(WIDTHS)} positive widths, got {tuple(widths)}")
+        if fused_start and widths[0] != CHANNELS[2]:
+            raise ValueError(f"a fused start has a stem of {CHANNELS[2]} channels, got {widths[0]}")
         self.stem = nn.Sequential(_normalised(SameConv(3, widths[0], 3, 2)), nn.ReLU6())
         channels, following = widths[0], iter(widths)
         stages: list[nn.Sequential] = []
@@ -111,6 +133,9 @@ class EfficientNetLite(nn.Module):
                 blocks.append(block)
                 channels = out_channels
             stages.append(nn.Sequential(*blocks))
+        if fused_start:
+            first = FusedBlock(CHANNELS[2], widths[1], CHANNELS[4])
+            stages[:2] = nn.Sequential(), nn.Sequential(first, *stages[1][1:])
         self.stride2, self.stride4, self.stride8, self.stride16, self.stride32 = stages
 
     def early(self, rgb: Tensor) -> tuple[Tensor, Tensor]:

@@ -61,6 +61,8 @@ class SSDNetLiteConfig(NetworkConfig):
     Attributes:
         encoder_widths: channels of the encoder's stem and within each block, as pruning left them;
             () = all, `models.efficientnet_lite.WIDTHS`.
+        fused_start: whether the encoder begins with fewer, dense convolutions, see
+            `EfficientNetLite`.
         decoder_channels: channels of the decoders at strides 16, 8 and 4.
         semantic_refine_channels, depth_refine_channels: channels at stride 2 of the classes and of
             the depth; 0 = none: the prediction is made at stride 4. Poles and signs are thinner
@@ -82,6 +84,7 @@ class SSDNetLiteConfig(NetworkConfig):
     semantic_head: bool = True
     depth_head: bool = True
     encoder_widths: tuple[int, ...] = _LITE_WIDTHS
+    fused_start: bool = False
     decoder_channels: tuple[int, ...] = (64, 48, 32)
     semantic_refine_channels: int = 16
     depth_refine_channels: int = 16
@@ -139,7 +142,9 @@ class SSDNetLite(Network):
         self.depth_stride = self.boundary_stride = 1 if config.depth_head else CELL
         self.depth_layers = ("depth_decoder", "surface_depth") if config.depth_head else ()
         super().__init__(config)
-        self.encoder = EfficientNetLite(config.encoder_widths or WIDTHS)
+        self.encoder = EfficientNetLite(
+            config.encoder_widths or WIDTHS, fused_start=config.fused_start
+        )
         self.context = GlobalContext(CHANNELS[_BOTTOM])
         self.boundary_decoder = BoundaryDecoder(
             [CHANNELS[stride] for stride in _SKIPS],
