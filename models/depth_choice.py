@@ -1,6 +1,7 @@
 """How the depth is chosen among its candidates: the steps of `models.surface_depth`, in order.
 
-Nothing here has a parameter that is trained. `choose_surface` reads the channels of the head,
+Nothing here has a parameter that is trained. `start_from_returns` replaces the monocular depth
+where returns are dense, `choose_surface` reads the channels of the head,
 `blend_with_base` averages its choice with the base, and `blend_with_returns` takes the returns.
 """
 
@@ -10,7 +11,7 @@ import torch
 from torch import Tensor
 
 from models.blocks import hard_sigmoid
-from models.surfaces import MIN_DEPTH, BaseRatios, DilatedReturns
+from models.surfaces import MIN_DEPTH, BaseRatios, DilatedReturns, Surfaces
 
 
 class HeadChannels(NamedTuple):
@@ -45,7 +46,7 @@ class Choices(NamedTuple):
 
     Attributes:
         nearest, farthest, inverse_plane, support, plane_support: see `surfaces.Surfaces`.
-        monocular: normalised depth that is predicted from the image.
+        start: normalised depth that the choice starts from, see `start_from_returns`.
         correction_limit: greatest log of the correction, see `limit_correction`.
     """
 
@@ -54,7 +55,7 @@ class Choices(NamedTuple):
     inverse_plane: Tensor
     support: Tensor
     plane_support: Tensor
-    monocular: Tensor
+    start: Tensor
     correction_limit: Tensor
 
 
@@ -97,11 +98,26 @@ LOG_SCALE = (-6.0, 1.0)
 SPREAD_SHARE = 0.5
 
 
-def choose_surface(head: HeadChannels, choices: Choices, *, unmeasured_share: float) -> Chosen:
-    """Choose among the candidates and the monocular depth.
+def start_from_returns(monocular: Tensor, surfaces: Surfaces, measured: Tensor) -> Tensor:
+    """Return the depth that the choice starts from: what the returns show, where they are dense.
 
-    First the plane replaces the monocular depth, then the farthest surface what was chosen, then
-    the nearest, each weighted by the confidence in it. The result is corrected, by at most
+    It is the plane, or the farthest surface where there is none. Elsewhere it is the monocular
+    depth. A confidence that a bad image makes too small then leaves a depth that was measured.
+
+    Args:
+        monocular: normalised depth that is predicted from the image, (N, 1, h, w).
+        surfaces: candidate surfaces.
+        measured: see `surfaces.Candidates`.
+    """
+    depth = monocular + measured * (surfaces.farthest - monocular)
+    return depth + measured * surfaces.plane_support * (1.0 / surfaces.inverse_plane - depth)
+
+
+def choose_surface(head: HeadChannels, choices: Choices, *, unmeasured_share: float) -> Chosen:
+    """Choose among the candidates and the depth to start from.
+
+    First the plane replaces the depth to start from, then the farthest surface what was chosen,
+    then the nearest, each weighted by the confidence in it. The result is corrected, by at most
     `correction_limit`. No depth is beyond `unmeasured_share`, unless the farthest surface is.
     """
     in_plane, in_farthest, in_nearest = stretched_sigmoid(head.surfaces).split(1, dim=1)

@@ -75,6 +75,9 @@ class SSDNetLiteConfig(NetworkConfig):
         farthest_guess_m: largest depth [m] that the network predicts without a return; farther true
             depth is not trained. It is also the depth of the sky.
 
+        safe_start: whether the depth starts from what the returns show where they are dense, see
+            `depth_choice.start_from_returns`; else it starts from the image everywhere.
+
     Raises:
         ValueError: if a value is outside its range, or a combination cannot be built.
     """
@@ -91,6 +94,7 @@ class SSDNetLiteConfig(NetworkConfig):
     separable_from: int = 4
     geometry_channels: int = 16
     farthest_guess_m: float = 100.0
+    safe_start: bool = False
 
     def __post_init__(self) -> None:
         """Check the values and their combinations."""
@@ -177,6 +181,7 @@ class SSDNetLite(Network):
                 semantics=config.semantic_head,
                 max_depth_m=config.max_depth_m,
                 unmeasured_share=config.unmeasured_range_m / config.max_depth_m,
+                safe_start=config.safe_start,
             )
         self.apply(initialise)
         if config.depth_head:

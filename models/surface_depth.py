@@ -12,7 +12,8 @@ returns end or an object returns nothing. At the image's size each return then r
 the pixels around it, weighted by the network's confidence in it.
 
 In the order of execution: `surfaces.find_candidates`; after the decoders, of `models.depth_choice`,
-`choose_surface`, `blend_with_base` and, with `surfaces.dilate_returns`, `blend_with_returns`.
+`start_from_returns`, `choose_surface`, `blend_with_base` and, with `surfaces.dilate_returns`,
+`blend_with_returns`.
 """
 
 from typing import NamedTuple, TypeVar
@@ -36,6 +37,7 @@ from models.depth_choice import (
     log_offset,
     relative_scale,
     soft_threshold,
+    start_from_returns,
 )
 from models.planes import BASE_CELL, CELL
 from models.surfaces import (
@@ -80,6 +82,7 @@ class SurfaceDepthHead(nn.Module):
         semantics: whether there are features of the semantic decoder.
         max_depth_m: depth [m] of the normalised depth 1.0.
         unmeasured_share: largest normalised depth without a return.
+        safe_start: whether the choice starts from the returns where they are dense.
     """
 
     def __init__(
@@ -94,9 +97,11 @@ class SurfaceDepthHead(nn.Module):
         semantics: bool,
         max_depth_m: float,
         unmeasured_share: float,
+        safe_start: bool,
     ) -> None:
         super().__init__()
         self.max_depth_m, self.unmeasured_share = max_depth_m, unmeasured_share
+        self.safe_start = safe_start
         self.embed = nn.Conv2d(FEATURE_CHANNELS, stride4_channels, 1)
         self.guess = nn.Conv2d(channels, 1, 1)  # the monocular depth; checkpoints have this name
         self.project = nn.Conv2d(FEATURE_CHANNELS, channels, 1)
@@ -166,7 +171,10 @@ class SurfaceDepthHead(nn.Module):
             features = features + self.semantics(semantics)
         boundary_logits = boundary_logits.float()
         limit = limit_correction(ratios, candidates.surfaces.support)
-        choices = Choices(*candidates.surfaces, monocular, limit)
+        start = monocular
+        if self.safe_start:
+            start = start_from_returns(monocular, candidates.surfaces, candidates.measured)
+        choices = Choices(*candidates.surfaces, start, limit)
         if self.training:
             # At random the weight is set to 0, kept, or doubled, so that neither choice learns to
             # compensate for the other.

@@ -121,6 +121,10 @@ class Sample:
         depth = None if returns is None else Depth(returns)
         return replace(self, frame=replace(self.frame, depth=depth))
 
+    def with_image(self, rgb: NDArray[np.uint8]) -> "Sample":
+        """Return the frame with another image, uint8 (H, W, 3), RGB."""
+        return replace(self, frame=replace(self.frame, image=Image(rgb)))
+
     @property
     def name(self) -> str:
         """Name of the set and the frame, for messages."""

@@ -52,7 +52,8 @@ def evaluate(
         str,
         typer.Option(
             metavar="FAULT,...",
-            help="Score also with simulated faults of the LiDAR: nan, shift, dropout.",
+            help="Score also with simulated faults of the LiDAR (nan, shift, dropout) or the "
+            "camera (blurred, dark, noisy, overexposed, covered, black, grey, white).",
         ),
     ] = "",
     predictions: Annotated[

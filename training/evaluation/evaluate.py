@@ -11,8 +11,7 @@ from runtime.engine.bundled_models import find_model, list_bundled_models
 from training.datasets.source_recipe import SourceRecipe
 from training.evaluation.classical import METHODS
 from training.evaluation.open_model import open_method, open_predictions, open_scored_model
-from training.evaluation.options import EvaluationOptions
-from training.lidar.faults import Fault
+from training.evaluation.options import EvaluationOptions, Fault
 from training.lidar.split import LidarInput
 from training.pages.worst_frames import WorstFrame, draw_worst
 from training.run.finished_run import EvaluatedRun, read_run

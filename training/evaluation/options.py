@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import get_args
+from typing import Literal, get_args
 
 from runtime.base.errors import InputError, OutputError
 from runtime.contract.network_size import NetworkSize
@@ -11,9 +11,13 @@ from runtime.files.atomic_write import require_writable
 from training.base.processes import parse_device
 from training.datasets.any_source import parse_data
 from training.datasets.source_recipe import SourceRecipe
-from training.lidar.faults import Fault
+from training.lidar.faults import LidarFault
 from training.lidar.split import LidarInput
+from training.loading.camera_faults import CAMERA_FAULTS, CameraFault
 from training.scores.depth_folder import DepthFolder
+
+Fault = Literal["none"] | LidarFault | CameraFault
+FAULTS = ("none", *get_args(LidarFault), *CAMERA_FAULTS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,8 +64,8 @@ class EvaluationOptions:
         if not self.models and not self.predictions:
             raise InputError("nothing to score: name a model, a method or --predictions DIR")
         parse_device(self.device)  # also for methods, which have no device
-        if unknown := [fault for fault in self.faults if fault not in get_args(Fault)]:
-            known = ", ".join(fault for fault in get_args(Fault) if fault != "none")
+        if unknown := [fault for fault in self.faults if fault not in FAULTS]:
+            known = ", ".join(FAULTS[1:])
             raise InputError(f"--faults {unknown[0]!r}: is unknown: give one of {known}")
         sets = [parse_data(item) if isinstance(item, str) else item for item in self.data]
         object.__setattr__(self, "sets", sets)
@@ -76,7 +80,7 @@ class EvaluationOptions:
         if self.depth_folder is not None:
             self.depth_folder.require_free()
 
-    def feeds(self, default: str) -> list[tuple[LidarInput, Fault]]:
+    def feeds(self, default: str) -> list[tuple[LidarInput, str]]:
         """Return every LiDAR input with every fault; without a named input `default`."""
         inputs = dict.fromkeys(self.inputs or [_parse_lidar(default)])
         return [(each, fault) for each in inputs for fault in dict.fromkeys(self.faults)]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from runtime.geometry.projection import project_points
 
 Depth = NDArray[np.float32]
-Fault = Literal["none", "nan", "shift", "dropout"]
+LidarFault = Literal["nan", "shift", "dropout"]
 
 # Share of the measurements that the fault "nan" makes NaN, infinite or negative.
 NAN_SHARE = 0.3
@@ -22,7 +22,7 @@ DROPOUT_SHARE = 1 / 3
 THING_SHARE = 0.25
 
 
-def add_fault(fed: Depth, fault: Fault, rng: Generator) -> Depth:
+def add_fault(fed: Depth, fault: str, rng: Generator) -> Depth:
     """Return a damaged copy of a sparse depth map, float32 (H, W) [m], 0 = no return.
 
     With "nan", `NAN_SHARE` of the measurements become NaN, infinite or negative, a third each. With

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 from numpy.random import Generator
 
-from runtime.streams.messages import Image
 from training.datasets.sample import Sample, nothing_known
 from training.lidar.faults import add_false_returns
 from training.loading.augment_config import AugmentConfig
+from training.loading.camera_faults import spoil_at_random
 from training.loading.colors import change_colors
 from training.loading.depth_values import canonical_depth
 from training.loading.geometric import cut, flip, scale_and_crop
@@ -46,8 +46,16 @@ def augment(
     sample = draw_lidar(sample, config, rng)
     if canonical_focal_px is not None:
         sample = canonical_depth(sample, canonical_focal_px, max_depth_m)
-    image = Image(change_colors(sample.rgb, config, rng))
-    return replace(sample, frame=replace(sample.frame, image=image))
+    sample = sample.with_image(change_colors(sample.rgb, config, rng))
+    return _disturb_camera(sample, config.camera_fault, config, rng)
+
+
+def _disturb_camera(
+    sample: Sample, probability: float, config: AugmentConfig, rng: Generator
+) -> Sample:
+    if not probability or rng.random() >= probability:
+        return sample
+    return sample.with_image(spoil_at_random(sample.rgb, config.camera_fault_strength, rng))
 
 
 def with_margin(config: AugmentConfig) -> AugmentConfig:
@@ -64,7 +72,7 @@ def take_views(
 
     The offset is a multiple of `step`. `sample` has the size of `with_margin`; the first view
     is its upper left corner. The LiDAR input of the second view is missing or has false returns,
-    with the probabilities of `config`.
+    and its camera is faulty, with the probabilities of `config`.
     """
     top, left = (step * int(count) for count in rng.integers(0, config.pair_shift // step + 1, 2))
     draw = rng.random()
@@ -75,4 +83,5 @@ def take_views(
         assert fed is not None
         fed = add_false_returns(fed, rng)
     second = cut(sample.with_returns(fed), top, left, config.size)
+    second = _disturb_camera(second, config.pair_camera_fault, config, rng)
     return cut(sample, 0, 0, config.size), second, (top, left)

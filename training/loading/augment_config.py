@@ -55,12 +55,15 @@ class AugmentConfig:
         lidar_dropout: probability that one to three sectors of the LiDAR are missing.
         lidar_absorbed: probability that one labelled object, such as a car, or its upper part has
             no returns.
+        camera_fault: probability of a fault of the camera, see `training.loading.camera_faults`.
+        camera_fault_strength: the greatest strength of such a fault.
         world_scale: range of a random factor of all depth in frames with LiDAR input, so that the
             network takes the scale from the returns instead of the image. (1, 1) changes nothing.
         pair_shift: largest shift [px] of a second view of each frame, for the consistency losses.
             Shifts are multiples of the stride of the semantic head. 0: there is one view.
         pair_lidar_missing: probabilities that the second view has no LiDAR, and that it has false
             returns.
+        pair_camera_fault: probability of a fault of the camera in the second view alone.
     """
 
     crop: tuple[CropSide, CropSide] | None = None
@@ -85,10 +88,13 @@ class AugmentConfig:
     lidar_misaligned: Share = 0.0
     lidar_dropout: Share = 0.0
     lidar_absorbed: Share = 0.0
+    camera_fault: Share = 0.0
+    camera_fault_strength: Share = 1.0
     world_scale: FactorRange = (1.0, 1.0)
     pair_shift: Annotated[int, Field(ge=0, le=128, multiple_of=PAIR_STEP_PX)] = 0
     pair_lidar_missing: Share = 0.0
     pair_lidar_false: Share = 0.0
+    pair_camera_fault: Share = 0.0
 
     def __post_init__(self) -> None:
         """Check that two views overlap."""

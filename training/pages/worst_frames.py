@@ -104,14 +104,14 @@ def _draw(
     for index in sorted(errors[0], key=lambda index: -errors[0][index])[:WORST]:
         sample, _ = data.read(index)
         ((_, _, frame, fed),) = split_feeds(sample, index, [pair[0].feed], leave_out_fed=False)
-        answers = [data.answer(models[item.row.model], sample, fed, index) for item in drawn]
+        answers = [data.answer(models[item.row.model], frame.sample, fed, index) for item in drawn]
         target = np.where(frame.target <= data.farthest_m, frame.target, np.float32(0))
         other = drawn[1].row.model if len(drawn) > 1 else ""
         yield WorstFrame(
             *(row, other, head, sample.name),
             errors[0][index],
             errors[1].get(index) if other else None,
-            _panels(overlay, sample, target, answers, head, [row.model, other]),
+            _panels(overlay, frame.sample, target, answers, head, [row.model, other]),
             legend,
         )
 

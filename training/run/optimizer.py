@@ -23,6 +23,8 @@ class OptimizerRecipe:
             others are frozen with their batch statistics. Empty: all.
         frozen: layers that are not trained, by the beginning of their names ("encoder.stem"); their
             batch statistics are constant, too.
+        fixed_statistics: whether all layers keep their batch statistics: for short trainings of
+            good weights on pictures that are not alike, as good ones and spoilt ones.
     """
 
     name: Literal["adamw", "sgd"] = "adamw"
@@ -32,6 +34,7 @@ class OptimizerRecipe:
     momentum: Share = 0.9
     only: Annotated[tuple[str, ...], Field(max_length=100)] = ()
     frozen: Annotated[tuple[str, ...], Field(max_length=100)] = ()
+    fixed_statistics: bool = False
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -62,6 +65,10 @@ def build_optimizer(
         InputError: as `train_parts`, and for a rate of an encoder that the network lacks.
     """
     train_parts(network, recipe.only, recipe.frozen)
+    if recipe.fixed_statistics:
+        for layer in network.modules():
+            if isinstance(layer, torch.nn.BatchNorm2d):
+                layer.eval()
     encoder = dict(network.named_children()).get("encoder")
     separate = recipe.encoder_rate is not None
     if separate and encoder is None:

@@ -12,16 +12,19 @@ from tqdm import tqdm
 from runtime.base.errors import InputError
 from training.base.processes import Processes
 from training.datasets.sample import Sample
-from training.lidar.faults import Fault, add_fault
+from training.lidar.faults import add_fault
 from training.lidar.split import LidarInput, LidarSplit, frame_generator, split_lidar
+from training.loading.camera_faults import CAMERA_FAULTS, spoil
 from training.scores.depth_folder import DepthFolder
 from training.scores.evaluated_set import EvaluatedSet
 from training.scores.score_report import Row
 from training.scores.scored_model import ScoredModel
 from training.scores.scoring import HeadMaps, Scores, figures_over_places
 
-# A LiDAR input and its fault.
-Feed = tuple[LidarInput, Fault]
+# A LiDAR input, and a fault of the LiDAR or the camera.
+Feed = tuple[LidarInput, str]
+# Strength of the faults of a camera, see `spoil`: a blur by 12 px, a tenth of the light.
+CAMERA_FAULT_STRENGTH = 0.8
 
 
 @dataclass(frozen=True)
@@ -201,7 +204,7 @@ def _score_frame(
         tally.inputs[feed].was_fed |= bool(frame.fed.any())
         if label not in answers:
             started = perf_counter()
-            answers[label] = data.answer(model, sample, fed, index)
+            answers[label] = data.answer(model, frame.sample, fed, index)
             tally.times_ms.append(1e3 * (perf_counter() - started))
             if save is not None:
                 parts = (name, data.title, label, *sample.name.split("/"))
@@ -216,7 +219,10 @@ def _list_results(
     results: dict[tuple[str, str], Result] = {}
     times_ms = [] if model.recorded else counted.times_ms
     for feed, tally in counted.inputs.items():
-        key = (str(feed[0]), feed[1]) if tally.was_fed else ("none", "none")
+        lidar, fault = str(feed[0]), feed[1]
+        if not tally.was_fed:
+            lidar, fault = "none", fault if fault in CAMERA_FAULTS else "none"
+        key = (lidar, fault)
         if not tally.frames or key in results:
             continue
         total = tally.total()
@@ -240,7 +246,10 @@ def _list_results(
 def split_feeds(
     sample: Sample, index: int, feeds: Sequence[Feed], *, leave_out_fed: bool
 ) -> Iterator[tuple[Feed, str, LidarSplit, NDArray[np.float32]]]:
-    """Yield the inputs that a frame gives: the feed, its name, the split, and what is fed."""
+    """Yield the inputs that a frame gives: the feed, its name, the split, and what is fed.
+
+    The image of the split is that of a faulty camera, if the feed has such a fault.
+    """
     for feed in feeds:
         lidar, fault = feed
         rng = frame_generator(index)  # the same for every model, whatever the limit
@@ -255,11 +264,15 @@ def split_feeds(
                 "score, so that an error of 0 would mean nothing: feed a share with --lidar "
                 "random:0.5, or give denser depth"
             )
-        if not frame.fed.any():
-            yield feed, "none", frame, frame.fed
-            continue
-        label = str(lidar) if fault == "none" else f"{lidar}-{fault}"
-        yield feed, label, frame, add_fault(frame.fed, fault, rng)
+        name = str(lidar) if frame.fed.any() else "none"
+        if fault in CAMERA_FAULTS:
+            image = spoil(frame.sample.rgb, fault, CAMERA_FAULT_STRENGTH, rng)
+            frame = frame._replace(sample=frame.sample.with_image(image))
+            yield feed, f"{name}-{fault}", frame, frame.fed
+        elif fault == "none" or name == "none":
+            yield feed, name, frame, frame.fed
+        else:
+            yield feed, f"{name}-{fault}", frame, add_fault(frame.fed, fault, rng)
 
 
 def _figures(
