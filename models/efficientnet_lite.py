@@ -135,7 +135,7 @@ class EfficientNetLite(nn.Module):
             stages.append(nn.Sequential(*blocks))
         if fused_start:
             first = FusedBlock(CHANNELS[2], widths[1], CHANNELS[4])
-            stages[:2] = nn.Sequential(), nn.Sequential(first, *stages[1][1:])
+            stages[:2] = nn.Sequential(), nn.Sequential(first, *list(stages[1])[1:])
         self.stride2, self.stride4, self.stride8, self.stride16, self.stride32 = stages
 
     def early(self, rgb: Tensor) -> tuple[Tensor, Tensor]:

@@ -16,12 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.contract.contract import MAX_RETURN_M, farthest_return
+from runtime.contract.degraded import DEGRADED, IMAGE_OVEREXPOSED
+from runtime.engine.image_quality import ImageQuality
 
 # Each fault with its meaning.
 SENSOR_FAULTS: dict[str, str] = {
     (IMAGE_FROZEN := "image_frozen"): "same bytes as the image before",
     (IMAGE_BLACK := "image_black"): "nearly all pixels are dark",
-    (IMAGE_OVEREXPOSED := "image_overexposed"): "half of the pixels are saturated",
+    IMAGE_OVEREXPOSED: DEGRADED[IMAGE_OVEREXPOSED],
     (LIDAR_MISSING := "lidar_missing"): "no scan or depth map for the image",
     (LIDAR_EMPTY := "lidar_empty"): "no return of the scan is in the image",
     (LIDAR_FROZEN := "lidar_frozen"): "the same scan again, though the image changed",
@@ -33,7 +35,6 @@ _MOST_FIELDS = 32  # a wider array is a depth map, not points
 _GLANCE = 16  # every 16th row and column are compared first
 _STEP = 4  # every 4th row and column are checked for brightness
 _DARK, _DARK_SHARE = 12, 0.99  # brightest channel, of 255
-_BRIGHT, _BRIGHT_SHARE = 250, 0.5  # darkest channel
 
 _COLUMNS, _ROWS = 16, 8
 _LEARNED_FROM = 5  # frames to learn from before the first check
@@ -143,7 +144,7 @@ class FrameHealth:
         red, green, blue = np.moveaxis(rgb[::_STEP, ::_STEP], 2, 0)
         if np.mean(np.maximum(np.maximum(red, green), blue) <= _DARK) >= _DARK_SHARE:
             faults.append(IMAGE_BLACK)
-        if np.mean(np.minimum(np.minimum(red, green), blue) >= _BRIGHT) >= _BRIGHT_SHARE:
+        if IMAGE_OVEREXPOSED in ImageQuality.measure(rgb).doubts:
             faults.append(IMAGE_OVEREXPOSED)
         return faults
 

@@ -20,5 +20,9 @@ DEGRADED: dict[str, str] = {
     # What later frames show, see `depth_plausibility` and `pose_plausibility`:
     (IMPLAUSIBLE_DEPTH := "implausible_depth"): "the returns contradict the image",
     (IMPLAUSIBLE_POSES := "implausible_poses"): "scans moved by the poses contradict each other",
+    # What a faulty camera, dirt, water or the night make of an image, see `image_quality`:
     (IMAGE_CONSTANT := "image_constant"): "all pixels are equal",
+    (IMAGE_BLURRED := "image_blurred"): "no edge is sharp",
+    (IMAGE_DARK := "image_dark"): "hardly any pixel is bright",
+    (IMAGE_OVEREXPOSED := "image_overexposed"): "half of the pixels are saturated",
 }

@@ -13,12 +13,12 @@ from runtime.base.arguments import array_dtype
 from runtime.base.errors import InputError
 from runtime.contract.canonical_focal import CameraScale
 from runtime.contract.contract import MIN_SIDE, farthest_return
-from runtime.contract.degraded import IMAGE_CONSTANT, NO_DEPTH, SPARSE_DEPTH_LOW
+from runtime.contract.degraded import NO_DEPTH, SPARSE_DEPTH_LOW
 from runtime.contract.resize import Size, move_returns, resize_image
+from runtime.engine.image_quality import find_doubts
 from runtime.engine.prediction import Cleaned
 from runtime.geometry.returns import drop_saturated
 
-_CONSTANT_STEP = 16  # every 16th pixel usually rules out a constant image
 # The image is divided into a fixed number of cells. 16 of KITTI's 64 lines have returns in 6.6 %
 # of the cells, 4 lines in 1.8 %, at any resolution. Two lines (0.5 %), or 16 lines with a tenth of
 # their returns (0.75 %), are a fault.
@@ -83,7 +83,7 @@ def preprocess(
     sparse_depth = check_sparse_depth(sparse_depth, size=frame_size)
     size, scale = size_for(frame_size), scale_for(frame_size)
     sparse_depth, cleaned, returns = clean_sparse_depth(sparse_depth, max_depth_m=scale.range_m)
-    degraded = [IMAGE_CONSTANT] if is_constant(rgb) else []
+    degraded = list(find_doubts(rgb))
     network_rgb, fed, full_size_returns = rgb, returns, None
     if size != frame_size:
         if returns and size[0] <= frame_size[0] and size[1] <= frame_size[1]:
@@ -200,11 +200,3 @@ def covers_little(sparse_depth: NDArray[np.float32], *, returns: int) -> bool:
     occupied = np.zeros(rows * columns, dtype=np.bool_)
     occupied[row * rows // height * columns + column * columns // width] = True
     return bool(np.count_nonzero(occupied) < needed)
-
-
-def is_constant(rgb: NDArray[np.uint8]) -> bool:
-    """Whether all pixels of `rgb`, uint8 (H, W, 3), have the same colour."""
-    first = rgb[0, 0]
-    if (rgb[::_CONSTANT_STEP, ::_CONSTANT_STEP] != first).any():
-        return False
-    return bool((rgb == first).all())

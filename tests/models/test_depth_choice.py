@@ -24,6 +24,7 @@ from models.depth_choice import (
     limit_correction,
     log_offset,
     soft_threshold,
+    start_from_returns,
     stretched_sigmoid,
 )
 from models.planes import BASE_CELL, CELL
@@ -99,6 +100,16 @@ def test_a_candidate_replaces_others_by_the_confidence_in_it(returns, logits, mo
     assert depth[CELL_OF_TWO] == pytest.approx(expected, rel=1e-3)
 
 
+def test_a_choice_starts_from_the_plane_or_the_farthest_surface_where_returns_are_dense():
+    surfaces, _ = propagate_surfaces(scan_lines(8, 0.2))
+    monocular, cell = grid_of(0.9), (0, 0, 10, 10)
+    surfaces = surfaces._replace(farthest=grid_of(0.5))
+    for measured, plane, expected in ((0, 1, 0.9), (1, 1, 0.2), (1, 0, 0.5), (0.5, 0, 0.7)):
+        chosen = surfaces._replace(plane_support=grid_of(float(plane)))
+        start = start_from_returns(monocular, chosen, grid_of(float(measured)))
+        assert start[cell] == pytest.approx(expected, rel=1e-3)
+
+
 def test_a_correction_stays_between_both_surfaces():
     choices = choices_of(scan_lines(8, 0.3), 0.45, farthest=grid_of(0.36))
     corrected, _ = choose(head_of(plane=30.0, correction=30.0), choices)
@@ -135,12 +146,12 @@ def test_the_error_is_a_bounded_share_of_the_depth(logit, log, returns, expected
 
 def test_the_scale_does_not_train_the_choice():
     choices = choices_of(returns_at(TWO), 0.4)
-    choices.monocular.requires_grad_()
+    choices.start.requires_grad_()
     head = torch.cat(head_of(plane=0.0, farthest=0.0, nearest=0.0), dim=1).requires_grad_()
     choose(HeadChannels.split(head), choices)[1].sum().backward()
     trained = head.grad.abs().sum(dim=(0, 2, 3)) > 0
     assert [CHANNELS[index] for index in torch.nonzero(trained).flatten()] == ["scale"]
-    assert choices.monocular.grad is None or not choices.monocular.grad.any()
+    assert choices.start.grad is None or not choices.monocular.grad.any()
 
 
 def test_a_confidence_reaches_0_and_1_and_can_be_trained_back():

@@ -32,6 +32,15 @@ def test_features_have_their_strides_and_channels(trunk):
     assert shapes == [(2, c, 64 // stride, 96 // stride) for stride, c in CHANNELS.items()]
 
 
+def test_a_fused_start_has_the_same_strides_and_channels_and_no_wide_map_at_stride_2():
+    fused = EfficientNetLite((16, 48, 48, *WIDTHS[3:]), fused_start=True).eval()
+    shapes = [tuple(x.shape) for x in Features(fused)(torch.zeros(2, 3, 50, 90))]
+    assert shapes == [(2, c, 64 // stride, 96 // stride) for stride, c in CHANNELS.items()]
+    assert not list(fused.stride2.parameters())
+    with pytest.raises(ValueError, match="stem of 16 channels, got 32"):
+        EfficientNetLite(fused_start=True)
+
+
 def test_parameters_and_operations_are_those_of_lite0_without_its_classifier(trunk):
     """Lite0 has 4.652 M and, at 224 x 224, 407 M multiply-accumulates (Liu 2020)."""
     head = 320 * 1280, 2 * 1280, 1280 * 1000 + 1000  # convolution, normalisation, classes

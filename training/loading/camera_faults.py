@@ -48,7 +48,7 @@ def _covered(rgb: Rgb, strength: float, rng: Generator) -> NDArray[np.float32]:
     if rng.random() < 0.5:
         place = 1.0 - place
     clear = np.clip(10.0 * (place - 0.5 * strength), 0.0, 1.0)[..., None]
-    return clear * rgb + (1.0 - clear) * np.float32(rng.uniform(0, 100))
+    return np.asarray(clear * rgb + (1.0 - clear) * rng.uniform(0, 100), np.float32)
 
 
 def _blank(level: int) -> "Spoiler":
@@ -58,7 +58,9 @@ def _blank(level: int) -> "Spoiler":
     return spoil
 
 
-def _sensed(rgb: NDArray[np.generic], full: float, rng: Generator) -> NDArray[np.float32]:
+def _sensed(
+    rgb: NDArray[np.uint8] | NDArray[np.float32], full: float, rng: Generator
+) -> NDArray[np.float32]:
     """Return what a sensor reads if `full` electrons are white: with shot noise and read noise."""
     electrons = rng.poisson(rgb * (full / 255.0)) + rng.normal(0.0, _READ_NOISE, rgb.shape)
     return (electrons * (255.0 / full)).astype(np.float32)

@@ -11,7 +11,6 @@ from runtime.engine.preprocess import (
     check_sparse_depth,
     clean_sparse_depth,
     covers_little,
-    is_constant,
     preprocess,
 )
 
@@ -114,12 +113,3 @@ def test_returns_in_one_corner_are_few_where_the_frame_is_shrunk():
     given = preprocess(rgb, depth, size_for=lambda _: (320, 1040), scale_for=lambda _: PLAIN)
     assert given.depth_returns == 40_000
     assert given.degraded == (SPARSE_DEPTH_LOW,)
-
-
-def test_constant_pictures():
-    rgb = np.full((40, 50, 3), (7, 8, 9), np.uint8)
-    assert is_constant(rgb)
-    rgb[39, 49, 2] = 10
-    assert not is_constant(rgb), "one pixel away from the sampled grid differs"
-    rgb[0, 0] = 99
-    assert not is_constant(rgb)

@@ -8,6 +8,7 @@ from runtime.streams.frame_result import FrameResult
 
 def image(value=0):
     rgb = np.full((32, 40, 3), value % 256, np.uint8)
+    rgb[-4:] = 200  # not dark
     rgb[0, 0] = 255 - rgb[0, 0]
     return rgb
 

@@ -62,10 +62,11 @@ def test_checkpoint_and_export_score_alike_on_every_lidar_and_fault(folder, scor
     rows, output = scored(
         *(folder / "lite.pt", folder / "lite.onnx", "nearest", "--size", "frame"),
         *("--data", f"rendered:{folder}/scenes", "--data", f"camvid:{folder}/camvid,split=val"),
-        *("--lidar", "64,random:0.05,none,none", "--faults", "nan"),
+        *("--lidar", "64,random:0.05,none,none", "--faults", "nan,blurred"),
     )
-    # Two models and a method: two LiDARs with and without the fault, none; CamVid feeds nothing.
-    assert len(rows) == 3 * ((2 * 2 + 1) + 1)
+    # Two models and a method: two LiDARs with and without the faults, none with those of the
+    # camera; CamVid feeds nothing.
+    assert len(rows) == 3 * ((2 * 3 + 2) + 2)
     by_key = {(r["model"], r["data"], r["lidar"], r["fault"]): r for r in rows}
     for (model, *key), row in by_key.items():
         if model == "lite.pt":
@@ -78,7 +79,8 @@ def test_checkpoint_and_export_score_alike_on_every_lidar_and_fault(folder, scor
     figures = by_key["lite.pt", "scenes", "64", "none"]["figures"]
     wanted = {"miou", "fwiou", "category_miou", "iou_car", "mae_m", "mae_m_0_20", "rmse_m_0_50"}
     assert wanted | {"imae_per_km", "boundary_f", "boundary_recall"} <= figures.keys()
-    assert by_key["lite.pt", "scenes", "64", "nan"]["figures"]["mae_m"] != figures["mae_m"]
+    for fault in ("nan", "blurred"):
+        assert by_key["lite.pt", "scenes", "64", fault]["figures"]["mae_m"] != figures["mae_m"]
     alone = by_key["lite.pt", "camvid split=val", "none", "none"]
     assert alone["frames"] == 1
     assert "miou" in alone["figures"]

@@ -11,7 +11,7 @@ from runtime.contract.contract import NO_CLASS
 from runtime.contract.resize import move_returns, resize_image, resize_nearest
 from runtime.engine.preprocess import clean_sparse_depth
 from training.datasets.sample import Sample, make_frame
-from training.loading.augment import augment
+from training.loading.augment import augment, take_views
 from training.loading.augment_config import AugmentConfig, with_crop
 from training.loading.colors import change_colors
 from training.loading.depth_values import (
@@ -354,3 +354,21 @@ def test_the_crop_follows_the_smallest_frame(size, crop):
 def test_a_crop_that_is_too_small_for_two_views_is_refused():
     with pytest.raises(InputError, match=r"crop was set to \[96, 144\] .*; with pair_shift = 32"):
         with_crop(AugmentConfig(pair_shift=32), (125, 414))
+
+
+def test_a_faulty_camera_spoils_the_picture_alone_and_perhaps_one_view_alone():
+    sample, faulty = recorded(64, 128), AugmentConfig(crop=(64, 128), flip=0.0, camera_fault=1.0)
+    found, clean = (
+        changed(sample, config, 3) for config in (faulty, replace(faulty, camera_fault=0.0))
+    )
+    assert np.abs(found.rgb.astype(int) - clean.rgb).mean() > 2
+    assert np.array_equal(found.returns, clean.returns)
+    assert np.array_equal(found.depth, clean.depth)
+    pairs = AugmentConfig(crop=(80, 112), pair_shift=8, pair_camera_fault=1.0)
+    first, second, (top, left) = take_views(
+        recorded(88, 120), pairs, np.random.default_rng(4), step=4
+    )
+    seen = cut(recorded(88, 120), top, left, (80, 112))
+    assert np.array_equal(first.rgb, recorded(88, 120).rgb[:80, :112])
+    assert np.abs(second.rgb.astype(int) - seen.rgb).mean() > 2
+    assert np.array_equal(second.returns, seen.returns)

@@ -53,6 +53,16 @@ def test_the_encoder_has_a_rate_of_its_own():
         build_optimizer(recipe, create_model("enet"), criterion)
 
 
+def test_fixed_statistics_are_kept_while_weights_learn():
+    network = create_model("ssdnet-nano")
+    recipe = OptimizerRecipe(frozen=("encoder",), fixed_statistics=True)
+    build_optimizer(recipe, network, loss(LossConfig()))
+    norm = network.depth_decoder.blocks[0].norm
+    network(torch.rand(1, 3, 32, 32), torch.zeros(1, 1, 32, 32)).depths[0].sum().backward()
+    assert not norm.running_mean.any()
+    assert norm.weight.grad is not None
+
+
 def test_learning_rate_by_hand():
     schedule = ScheduleRecipe(steps=110, warmup_steps=10)
     assert learning_rate(schedule, 1.0, 0) == pytest.approx(0.1)
