@@ -62,7 +62,7 @@ def test_checkpoint_and_export_score_alike_on_every_lidar_and_fault(folder, scor
     rows, output = scored(
         *(folder / "lite.pt", folder / "lite.onnx", "nearest", "--size", "frame"),
         *("--data", f"rendered:{folder}/scenes", "--data", f"camvid:{folder}/camvid,split=val"),
-        *("--lidar", "64,random:0.05,none,none", "--faults", "nan,blurred"),
+        *("--lidar", "64,random:0.05,none,none", "--faults", "nan,black"),
     )
     # Two models and a method: two LiDARs with and without the faults, none with those of the
     # camera; CamVid feeds nothing.
@@ -79,7 +79,7 @@ def test_checkpoint_and_export_score_alike_on_every_lidar_and_fault(folder, scor
     figures = by_key["lite.pt", "scenes", "64", "none"]["figures"]
     wanted = {"miou", "fwiou", "category_miou", "iou_car", "mae_m", "mae_m_0_20", "rmse_m_0_50"}
     assert wanted | {"imae_per_km", "boundary_f", "boundary_recall"} <= figures.keys()
-    for fault in ("nan", "blurred"):
+    for fault in ("nan", "black"):
         assert by_key["lite.pt", "scenes", "64", fault]["figures"]["mae_m"] != figures["mae_m"]
     alone = by_key["lite.pt", "camvid split=val", "none", "none"]
     assert alone["frames"] == 1
