@@ -50,6 +50,7 @@ from runtime.recordings.bundled_stream import (
     bundled_frames as bundled_frames,
 )
 from runtime.recordings.images import read_rgb as read_rgb
+from runtime.recordings.listing import ListedFrame as ListedFrame
 from runtime.recordings.registry import choose_source as choose_source, open_source as open_source
 from runtime.recordings.ros_answers import (
     FixedTransform as FixedTransform,
@@ -63,7 +64,7 @@ from runtime.recordings.ros_poses import (
     point_times_s as point_times_s,
 )
 from runtime.recordings.scan import read_scan as read_scan
-from runtime.recordings.source import ListedFrame as ListedFrame, Source as Source
+from runtime.recordings.source import Source as Source
 from runtime.streams.answerer import FramePredictor as FramePredictor
 from runtime.streams.frame import (
     CompensatedDepth as CompensatedDepth,

@@ -6,7 +6,8 @@ import numpy as np
 
 from runtime.alignment.view import Neighbours, Points, compensated_points, find_structure
 from runtime.base.errors import InputError
-from runtime.recordings.source import ListedFrame, Source
+from runtime.recordings.listing import ListedFrame
+from runtime.recordings.source import Source
 from runtime.streams.frame import Frame
 
 _CANDIDATES = 2  # frames that are read for each chosen one

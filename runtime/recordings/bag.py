@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
 from runtime.checks.sensor_times import clocks_apart_s, report_clocks
-from runtime.geometry.assumptions import assume, collect_assumptions
+from runtime.geometry.assumptions import assume
 from runtime.geometry.point_cloud import depth_to_cloud
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.bag_messages import BagMessages
 from runtime.recordings.bag_sensors import ODOMETRY, TRANSFORMS, BagOptions, BagSensors
+from runtime.recordings.listing import ListedFrame
 from runtime.recordings.ros_answers import SensorFrames
 from runtime.recordings.ros_bag import RosBag
 from runtime.recordings.ros_camera import (
@@ -40,7 +41,7 @@ from runtime.recordings.ros_poses import (
     transform_poses,
 )
 from runtime.recordings.ros_topics import COMPRESSED_IMAGE, NO_TOPIC, RosTopics
-from runtime.recordings.source import ListedFrame, Source, pose_track
+from runtime.recordings.source import Source, pose_track
 from runtime.streams.frame import Frame
 from runtime.streams.messages import MATCHED, Outcome, Place, Scan, Sensor
 
@@ -78,7 +79,7 @@ class BagSource(Source):
         self.recordings = (path,)
         try:
             topics = self._bag_topics = RosTopics(self._bag)
-            with collect_assumptions(self._notes):
+            with self.collecting():
                 both = topics.find(given.image_topic, given.depth_topic)
                 self._image_topic, self._depth_topic = both
                 self._sensors = BagSensors(self._bag, topics, *both, given, rig)
@@ -92,7 +93,7 @@ class BagSource(Source):
             read = *both, self._sensors.info_topic
             self._messages = BagMessages(self._bag, [each for each in read if each is not None])
         except BaseException:
-            self.close()
+            self._bag.close()
             raise
 
     @classmethod
@@ -146,7 +147,7 @@ class BagSource(Source):
         if topic is None:
             if odometry:
                 names = ", ".join(odometry)
-                self._notes.append(f"no poses: choose one of {names} by pose_topic= in --source")
+                self._log.add(f"no poses: choose one of {names} by pose_topic= in --source")
             return None
         try:
             lidar = self._sensors.frame(self._depth_topic or "")
@@ -158,12 +159,12 @@ class BagSource(Source):
             if self.calibration is not None and self.calibration.body_from_lidar is None:
                 mount = self._sensors.tree.between(lidar, body)
                 self.calibration = replace(self.calibration, body_from_lidar=mount)
-            self._poses = pose_track(stamped)
+            self._completion.poses = pose_track(stamped)
             return topic
         except InputError as error:
             if self._given.pose_topic is not None:
                 raise
-            self._notes.append(f"the poses of {topic} are not used: {error}")
+            self._log.add(f"the poses of {topic} are not used: {error}")
             return None
 
     @staticmethod
@@ -174,8 +175,7 @@ class BagSource(Source):
 
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`."""
-        self._left_out.clear()
-        names: Counter[str] = Counter()
+        self._log.left_out.clear()
         cameras: list[list[float]] = []
         offsets: dict[Sensor, list[int]] = {sensor: [] for sensor in MATCHED}
         unstamped: Counter[str] = Counter()
@@ -190,7 +190,7 @@ class BagSource(Source):
                 sensor = Sensor.IMAGE if message.topic == self._image_topic else Sensor.DEPTH
                 stamp_ns = self._bag.stamp_ns(message)
                 if stamp_ns is None:
-                    self._left_out[f"{sensor}: {Outcome.BAD_STAMP}"] += 1
+                    self._log.left_out[f"{sensor}: {Outcome.BAD_STAMP}"] += 1
                     continue
                 if stamp_ns:
                     offsets[sensor].append(stamp_ns - message.recorded_ns)
@@ -198,33 +198,27 @@ class BagSource(Source):
                     unstamped[message.topic] += 1
                 yield Place(sensor, place, stamp_ns or message.recorded_ns)
 
-        def name(image: Place) -> str:
-            stamp = str(image.stamp_ns)
-            names[stamp] += 1
-            return stamp if names[stamp] == 1 else f"{stamp}-{names[stamp]}"  # played in a loop
-
         frames = self._match(
             stamped(),
             max_skew_ms=self._rig.max_skew_ms,
             limit=limit,
             camera_only=self._depth_topic is None,
-            name=name,
         )
-        self._left_out.update(self._bag.left_out)
+        self._log.left_out.update(self._bag.left_out)
         # The first stamp of a simulator is 0.
         if self._depth_topic is not None and (topics := [t for t, n in unstamped.items() if n > 1]):
-            with collect_assumptions(self._notes):
+            with self.collecting():
                 assume(
                     f"the times at which messages of {', '.join(topics)} were recorded, since "
                     "their headers have no stamps",
                     "let the driver stamp them, since depth is moved by the delay of recording",
                 )
-        clocks = offsets[Sensor.IMAGE], offsets[Sensor.DEPTH], self._period_ns
+        clocks = offsets[Sensor.IMAGE], offsets[Sensor.DEPTH], self._completion.period_ns
         ahead_s = clocks_apart_s(*clocks, is_scan=self._sensors.has_clouds)
-        with collect_assumptions(self._notes):
+        with self.collecting():
             report_clocks(ahead_s, self._image_topic, self._depth_topic or "", by="recording")
         if cameras and self._rig.calibration is None and np.ptp(cameras, axis=0).max() > SAME_PX:
-            with collect_assumptions(self._notes):
+            with self.collecting():
                 assume(f"the first CameraInfo of {self._sensors.info_topic}, others differ", GIVE)
         if not frames:
             raise InputError(
@@ -258,7 +252,7 @@ class BagSource(Source):
         """The depth of a frame: a scan if it is a cloud or from another camera, else a map."""
         if self._sensors.has_clouds:
             points, after_s = decode_points(message), None
-            if self._poses is not None and frame.depth_stamp_ns is not None:
+            if self._completion.poses is not None and frame.depth_stamp_ns is not None:
                 after_s = point_times_s(message, frame.depth_stamp_ns, points)
             return Scan.of(points, after_s, frame.depth_stamp_ns)
         depth = decode_depth_image(message)
@@ -281,7 +275,7 @@ class BagSource(Source):
         """See `Source.inputs`."""
         facts = {"bag": str(self._bag.path), **self._given._asdict(), **self._topics}
         facts |= {**self._rig_facts, "reuse_depth_ms": self._rig.max_depth_age_ms}
-        return facts | {"left_out": dict(self._left_out)}
+        return facts | {"left_out": dict(self._log.left_out)}
 
     @property
     def lidar_place(self) -> tuple[str, str, NDArray[np.float64] | None]:
@@ -300,4 +294,5 @@ class BagSource(Source):
 
     def close(self) -> None:
         """See `Source.close`."""
+        self._messages.close()
         self._bag.close()

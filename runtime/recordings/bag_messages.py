@@ -1,39 +1,74 @@
 """The messages of some topics of a bag, read once in their order, for frames that need them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from runtime.base.errors import InputError
+from runtime.recordings.listing import ListedFrame
 from runtime.recordings.ros_bag import RecordedMessage, RosBag
-from runtime.recordings.source import ListedFrame
+
+_FAR = 256  # positions between the image and the depth of a frame, if topics are apart in the file
 
 
 class BagMessages:
     """Messages by their position among those of the topics.
 
-    Messages of later frames are read ahead and kept until the last frame that needs them.
+    Messages of later frames are read ahead and kept until the last frame that needs them. Where
+    topics were written one after the other, each sensor has a reader of its own, so that few wait.
     """
 
     def __init__(self, bag: RosBag, topics: Sequence[str]) -> None:
         self._bag, self._topics = bag, topics
+        self._second: RosBag | None = None  # open where topics are apart
         self.expect(())
 
     def expect(self, frames: Sequence[ListedFrame]) -> None:
         """Start anew, for these frames."""
-        # Maps the position of a message to the sequence of the last frame that needs it.
-        self._owners = {place: f.sequence for f in frames for place in (f.image, f.depth)}
-        self._kept: dict[int, RecordedMessage] = {}
-        self._messages, self._next_place = iter(self), 0
+        images = {f.image: f.sequence for f in frames}
+        depths = {f.depth: f.sequence for f in frames}
+        apart = (abs(f.image - f.depth) for f in frames if f.depth is not None and not f.reused)
+        self.close()
+        if max(apart, default=0) > _FAR:
+            self._second = RosBag(self._bag.path)
+            readers = [(self._bag, images), (self._second, depths)]
+        else:
+            readers = [(self._bag, images | depths)]
+        self._readers = [_Reader(bag, self._topics, owners) for bag, owners in readers]
 
     def __iter__(self) -> Iterator[tuple[int, RecordedMessage]]:
         """Yield (position, message), in the same order each time."""
         return enumerate(self._bag.messages(self._topics))
 
     def take(self, frame: ListedFrame) -> dict[int, RecordedMessage]:
-        """The messages of a frame by position; messages of later frames are read ahead and kept."""
+        """The messages of a frame by position."""
         places = {place for place in (frame.image, frame.depth) if place is not None}
+        taken: dict[int, RecordedMessage] = {}
+        for reader in self._readers:
+            taken |= reader.take(places, frame)
+        return taken
+
+    def close(self) -> None:
+        """Close what `expect` has opened."""
+        if self._second is not None:
+            self._second.close()
+            self._second = None
+
+
+class _Reader:
+    """Reads a bag forwards; `owners` maps a position to the last frame that needs its message."""
+
+    def __init__(self, bag: RosBag, topics: Sequence[str], owners: Mapping[int, int]) -> None:
+        self._bag, self._topics, self._owners = bag, topics, owners
+        self._kept: dict[int, RecordedMessage] = {}
+        self._rewind()
+
+    def _rewind(self) -> None:
+        self._messages, self._next_place = enumerate(self._bag.messages(self._topics)), 0
+
+    def take(self, places: set[int], frame: ListedFrame) -> dict[int, RecordedMessage]:
+        places = places & self._owners.keys()
         missing = places - self._kept.keys()
         if missing and min(missing) < self._next_place:
-            self._messages, self._next_place = iter(self), 0
+            self._rewind()
         while not places <= self._kept.keys():
             place, message = next(self._messages, (-1, None))
             if message is None:

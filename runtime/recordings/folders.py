@@ -27,9 +27,10 @@ from runtime.recordings.images import (
     read_rgb,
     read_sparse_depth,
 )
+from runtime.recordings.listing import ListedFrame, limit_frames
 from runtime.recordings.poses import read_poses
 from runtime.recordings.scan import SCAN_SUFFIXES, read_scan
-from runtime.recordings.source import ListedFrame, Source, limit_frames
+from runtime.recordings.source import Source
 from runtime.recordings.timestamps import read_timestamps
 from runtime.streams.frame import Frame
 from runtime.streams.messages import Outcome, Place, Scan, Sensor
@@ -129,11 +130,11 @@ class FolderSource(Source):
         if isinstance(calibration, Calibration):
             self.calibration = calibration
         elif calibration is not None:
-            with collect_assumptions(self._notes):
+            with self.collecting():
                 self._open_calibration(Path(calibration), given.camera)
         if rig.pose_frame is not None and self.calibration is not None:
-            self._pose_frame = PoseFrame(rig.pose_frame)
-            lidar_mount(self._pose_frame, self.calibration)  # raises if it is unknown
+            self._completion.pose_frame = PoseFrame(rig.pose_frame)
+            lidar_mount(self._completion.pose_frame, self.calibration)  # raises if it is unknown
 
     def _open_calibration(self, path: Path, camera: int | None) -> None:
         """Read the calibration; of a folder with a file per frame, the first readable one."""
@@ -171,7 +172,7 @@ class FolderSource(Source):
             InputError: if a folder is missing or has no images, if a stem occurs twice in a folder,
                 or if no two files make a pair.
         """
-        self._left_out.clear()
+        self._log.left_out.clear()
         only = normal_form(self._rgb.stem)
         images = {only: self._rgb} if self._is_one else self._list_images()
         depths: dict[str, Path] = {}
@@ -182,7 +183,7 @@ class FolderSource(Source):
                 depths = self._pair(images, self._list_depths(self._depth))
         without_image = set() if self._is_one else depths.keys() - images.keys()
         if self.camera_alone and without_image:
-            self._left_out[f"{Sensor.DEPTH}: {Outcome.NO_IMAGE}"] = len(without_image)
+            self._log.left_out[f"{Sensor.DEPTH}: {Outcome.NO_IMAGE}"] = len(without_image)
             without_image = set()
         names = in_natural_order(images.keys() | without_image)
         if self._is_timed:
@@ -200,7 +201,7 @@ class FolderSource(Source):
         """List the frames with their times; an image without depth takes older depth."""
         if self._given.timestamps is None:
             stamps_ns = [number * _APART_NS for number in range(len(images))]
-            self._note("guessed: the images are 100 ms apart; timestamps= in --source says when")
+            self._log.add("guessed: the images are 100 ms apart; timestamps= in --source says when")
         else:
             stamps_ns = read_timestamps(self._given.timestamps)
             if len(stamps_ns) != len(images):
@@ -210,9 +211,9 @@ class FolderSource(Source):
                 )
         if self._given.poses is not None:
             of_clock = self._given.timestamps is not None
-            with collect_assumptions(self._notes):
+            with self.collecting():
                 poses_ns, poses = read_poses(self._given.poses, stamps_ns, of_clock=of_clock)
-                self._poses = PoseTrack.of(poses, poses_ns)
+                self._completion.poses = PoseTrack.of(poses, poses_ns)
         places: list[Place] = []
         for (name, image), stamp_ns in zip(images.items(), stamps_ns, strict=True):
             if name in depths:
@@ -242,7 +243,7 @@ class FolderSource(Source):
                 "stem, or the same numbers in it, as image_7 and depth_7"
             )
         first = min(both)
-        self._note(
+        self._log.add(
             f"guessed: pairs by the numbers in their names, as {images[stems[first]].name} with "
             f"{numbered[first].name}"
         )
@@ -256,7 +257,7 @@ class FolderSource(Source):
         apart = {after - before for before, after in zip(first, second, strict=False)}
         if len(first) == len(second) > 1 and len(apart) == 1 and apart != {0}:
             what = f"images numbered from {first[0]} and {self._what}s numbered from {second[0]}"
-            with collect_assumptions(self._notes):
+            with self.collecting():
                 assume(
                     f"that equal numbers are one frame, of {what}", "number both from 0 or from 1"
                 )
@@ -296,7 +297,7 @@ class FolderSource(Source):
             )
         if column is not None and stamp_ns is not None:
             after_s = point_times(points[:, column], len(points), stamp_ns)
-        with collect_assumptions(self._notes):
+        with self.collecting():
             return Scan.of(points, after_s, stamp_ns)
 
     @property
@@ -310,11 +311,7 @@ class FolderSource(Source):
             name: value if value is None or isinstance(value, int | float) else str(value)
             for name, value in options.items()
         }
-        return inputs | ({"left_out": dict(self._left_out)} if self.camera_alone else {})
-
-    def _note(self, line: str) -> None:
-        if line not in self._notes:  # the frames may be listed more than once
-            self._notes.append(line)
+        return inputs | ({"left_out": dict(self._log.left_out)} if self.camera_alone else {})
 
 
 def _first_readable(paths: Sequence[Path], read: Callable[[Path], Calibration]) -> Calibration:

@@ -10,15 +10,15 @@ import numpy as np
 from runtime.base.errors import InputError
 from runtime.base.stamp import parse_date
 from runtime.files.read_input import read_text
-from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration, find_raw_calibration
 from runtime.geometry.kitti_calibration import NumbersFile
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.geometry.rigid import nearest_rigid
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.images import RGB_SUFFIXES, list_files
+from runtime.recordings.listing import ListedFrame
 from runtime.recordings.poses import read_oxts_poses
-from runtime.recordings.source import ListedFrame, files_by_number, pose_track
+from runtime.recordings.source import files_by_number, pose_track
 from runtime.streams.messages import Place, Sensor
 
 RAW_IMU = "calib_imu_to_velo.txt"
@@ -82,7 +82,7 @@ class KittiRawSource(FolderSource):
         if pictures and returns:
             self._stamped = sorted(pictures + returns, key=lambda place: place.stamp_ns)
         if self._stamped and not isinstance(calibration, Calibration):
-            with collect_assumptions(self._notes):
+            with self.collecting():
                 self._read_oxts(drive / "oxts", Path(calibration) / RAW_IMU)
 
     @staticmethod
@@ -94,7 +94,7 @@ class KittiRawSource(FolderSource):
         """See `Source.list_frames`."""
         if not self._stamped:
             return super().list_frames(limit=limit)
-        self._left_out.clear()
+        self._log.left_out.clear()
         return self._match(
             self._stamped, max_skew_ms=self._rig.max_skew_ms, limit=limit, camera_only=False
         )
@@ -103,7 +103,7 @@ class KittiRawSource(FolderSource):
         """Read the poses of the car if there are any. Raises InputError if they are damaged."""
         missing = [each for each in (folder / "data", folder / _STAMPS, mount) if not each.exists()]
         if missing:
-            self._note(f"no poses: {missing[0]} is missing")
+            self._log.add(f"no poses: {missing[0]} is missing")
             return
         numbers, lidar_from_body = NumbersFile(mount), np.eye(4)
         lidar_from_body[:3] = np.hstack([numbers.matrix("R", 3, 3), numbers.matrix("T", 3, 1)])
@@ -113,7 +113,9 @@ class KittiRawSource(FolderSource):
         stamped = _read_stamps(Sensor.POSE, folder, (".txt",))
         stamped.sort(key=lambda each: each.stamp_ns)
         poses = read_oxts_poses(Path(str(each.at)) for each in stamped)
-        self._poses = pose_track(zip((each.stamp_ns for each in stamped), poses, strict=True))
+        self._completion.poses = pose_track(
+            zip((each.stamp_ns for each in stamped), poses, strict=True)
+        )
         self._oxts = folder
         self.calibration = replace(self.calibration, body_from_lidar=body_from_lidar)
 

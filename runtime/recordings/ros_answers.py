@@ -61,6 +61,14 @@ class SensorFrames(NamedTuple):
     transforms: tuple[FixedTransform, ...] = ()
     origin: str = ""
 
+    @classmethod
+    def of(cls, calibration: Calibration | None) -> "SensorFrames":
+        """Return the frames of a recording that names none."""
+        if calibration is None:
+            return cls()
+        place = FixedTransform.of("camera", "lidar", calibration.extrinsics)
+        return cls("camera", (place,), "the calibration")
+
 
 def cloud_fields(cloud: PointCloud) -> dict[str, Any]:
     """Return the fields of a PointCloud2: x, y, z, rgb, class, uncertainty, without padding.

@@ -6,10 +6,10 @@ from enum import StrEnum
 from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume
 from runtime.recordings.images import may_be_depth
+from runtime.recordings.notes import left_out_note
 from runtime.recordings.ros_bag import RosBag
 from runtime.recordings.ros_camera import CAMERA_INFO
 from runtime.recordings.ros_messages import DEPTHS, MONO16
-from runtime.recordings.source import left_out_note
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"

@@ -2,10 +2,9 @@
 
 import re
 from abc import ABC, abstractmethod
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -15,50 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
-from runtime.base.natural_order import contain_decimals, normal_form
+from runtime.base.natural_order import contain_decimals
 from runtime.checks.sensor_times import period_ns_of
-from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.motion import (
-    FIRST_SCAN_NS,
-    assume_middle,
-    lidar_mount,
-)
-from runtime.geometry.poses import PoseFrame, PoseTrack
+from runtime.geometry.motion import FIRST_SCAN_NS
+from runtime.geometry.poses import PoseTrack
 from runtime.geometry.returns import check_farthest
 from runtime.geometry.rig import DEFAULT_RIG, Rig
-from runtime.recordings.ros_answers import FixedTransform, SensorFrames
+from runtime.recordings.listing import ListedFrame, list_places
+from runtime.recordings.notes import Notes
+from runtime.recordings.ros_answers import SensorFrames
+from runtime.streams.completion import Completion
 from runtime.streams.frame import Frame
-from runtime.streams.matching import Pair, RecordingMatcher
-from runtime.streams.messages import MATCHED, Depth, Image, Place, Scan, Sensor
-
-_WAITING = 64  # messages of a sensor that wait for the other one, which may be recorded later
-
-
-@dataclass(frozen=True)
-class ListedFrame:
-    """A frame that a source has not read yet.
-
-    Attributes:
-        sequence: index in the source, from 0.
-        name: name of the frame and of its output files, unique in the source.
-        image: where the source finds the image (a path, an index, ...); None if there is no image.
-        depth: where the source finds the depth; None if there is no depth.
-        image_stamp_ns: time of the image by its sensor's clock [ns]; None if unknown.
-        depth_stamp_ns: time of the depth by its sensor's clock [ns]; None if unknown.
-        complete: whether the frame has an image and depth of its own, or only an image if the
-            source reads no depth.
-        reused: whether the depth is an older scan, because the image has none of its own.
-    """
-
-    sequence: int
-    name: str
-    image: Any
-    depth: Any
-    image_stamp_ns: int | None = None
-    depth_stamp_ns: int | None = None
-    complete: bool = True
-    reused: bool = False
+from runtime.streams.messages import Depth, Image, Place, Scan, Sensor
 
 
 class Source(ABC):
@@ -87,13 +55,7 @@ class Source(ABC):
     stamps_ns: Mapping[Sensor, Sequence[int]] = MappingProxyType({})
     folders: tuple[Path, ...] = ()
     recordings: tuple[Path, ...] = ()
-    # For sources with stamps and poses:
     _rig = DEFAULT_RIG
-    _period_ns = float(FIRST_SCAN_NS)  # period of the scans
-    _to_middle_ns = 0  # from the stamp of a scan to its middle
-    _poses: PoseTrack | None = None
-    _pose_frame = PoseFrame.BODY
-    _rectify = False
 
     @abstractmethod
     def __init__(self, path: Path, rig: Rig = DEFAULT_RIG, **options: Any) -> None:
@@ -161,11 +123,11 @@ class Source(ABC):
         if self.calibration is None or self.calibration.lens_model is None:
             reason = "calibration" if self.calibration is None else "lens in their calibration"
             raise InputError(f"the images cannot be rectified: there is no {reason}")
-        self._rectify = True
+        self._completion.rectifies = True
 
     def collecting(self) -> AbstractContextManager[None]:
         """Collect the assumptions that this thread makes inside a block in `notes`."""
-        return collect_assumptions(self._notes)
+        return self._log.collecting()
 
     def measured(
         self,
@@ -184,33 +146,18 @@ class Source(ABC):
             calibration: calibration of the camera, for a scan also of the LiDAR.
 
         Raises:
-            InputError: if the calibration is for images of another size, which would silently
-                falsify clouds and the focal length; and for a depth map after `rectify_images`.
+            InputError: in the cases of `Completion.complete`.
         """
-        poses = None
         if isinstance(depth, np.ndarray):
             check_farthest(depth)
             depth = Depth(depth)
-        if calibration is not None:
-            calibration.require_size(rgb.shape[:2])
-            if self._rectify:
-                if isinstance(depth, Depth):
-                    raise InputError(
-                        "a depth map lies on the pixels of the distorted image: no --rectify"
-                    )
-                rgb, calibration = calibration.rectify(rgb), calibration.rectified
-            if self._poses is not None:
-                poses = self._poses.mounted(lidar_mount(self._pose_frame, calibration))
         if depth is not None:
             depth = replace(depth, stamp_ns=frame.depth_stamp_ns)
-        if isinstance(depth, Scan) and depth.times is None and depth.stamp_ns is not None:
-            depth = replace(depth, times=depth.stamp_ns + self._to_middle_ns)
-            is_moved = poses is not None and frame.depth_stamp_ns != frame.image_stamp_ns
-            if is_moved and self._rig.scan_stamp is None:
-                with collect_assumptions(self._notes):
-                    assume_middle("in --source")
         image = Image(rgb, stamp_ns=frame.image_stamp_ns)
-        return Frame(image, depth, frame.reused, calibration, poses, frame.name)
+        with self.collecting():
+            return self._completion.complete(
+                image, depth, calibration, reused=frame.reused, name=frame.name
+            )
 
     @property
     @abstractmethod
@@ -229,15 +176,12 @@ class Source(ABC):
     @property
     def notes(self) -> tuple[str, ...]:
         """Lines for the terminal: guesses and, after listing, the skipped messages."""
-        return (*self._notes, *left_out_note(self._left_out))
+        return self._log.texts
 
     @property
     def sensor_frames(self) -> SensorFrames:
         """The frames of the sensors in the terms of ROS, with invented names for other formats."""
-        if self.calibration is None:
-            return SensorFrames()
-        place = FixedTransform.of("camera", "lidar", self.calibration.extrinsics)
-        return SensorFrames("camera", (place,), "the calibration")
+        return SensorFrames.of(self.calibration)
 
     @property
     def _rig_facts(self) -> dict[str, Any]:
@@ -253,66 +197,31 @@ class Source(ABC):
     @property
     def left_out(self) -> Mapping[str, int]:
         """Counts of what is in no frame, such as "image: duplicate"; known after listing."""
-        return self._left_out
+        return self._log.left_out
 
     @cached_property
-    def _notes(self) -> list[str]:
-        return []
+    def _log(self) -> Notes:
+        return Notes()
 
     @cached_property
-    def _left_out(self) -> Counter[str]:
-        return Counter()
+    def _completion(self) -> Completion:
+        return Completion(self._rig)
 
     def _match(
-        self,
-        places: Iterable[Place],
-        *,
-        max_skew_ms: float,
-        limit: int | None,
-        camera_only: bool,
-        name: Callable[[Place], str] = lambda image: normal_form(Path(str(image.at)).stem),
+        self, places: Iterable[Place], *, max_skew_ms: float, limit: int | None, camera_only: bool
     ) -> tuple[ListedFrame, ...]:
-        """List the frames of messages, see `RecordingMatcher`.
-
-        Args:
-            places: the messages in the order of the recording.
-            max_skew_ms: largest difference between the stamps of a pair.
-            limit: see `list_frames`.
-            camera_only: whether the recording has no depth, so that an image alone is complete.
-            name: returns the name of an image's frame; the default is for data that are paths.
-
-        Raises:
-            InputError: in the cases of `RecordingMatcher`.
-        """
-        matching = RecordingMatcher[Place](
-            max_skew_ms=max_skew_ms, reuse_depth_ms=self._rig.max_depth_age_ms, capacity=_WAITING
+        """List the frames of messages, see `list_places`."""
+        listing = list_places(
+            places,
+            max_skew_ms=max_skew_ms,
+            reuse_depth_ms=self._rig.max_depth_age_ms,
+            limit=limit,
+            camera_only=camera_only,
         )
-        stamps_ns: dict[Sensor, list[int]] = {sensor: [] for sensor in MATCHED}
-        self.stamps_ns = stamps_ns
-
-        def stamped() -> Iterator[Place]:
-            for place in places:
-                stamps_ns[place.sensor].append(place.stamp_ns)
-                yield place
-
-        def matched() -> Iterator[Pair[Place]]:
-            for decided in matching.match(stamped()):
-                self._left_out.update(f"{gone.sensor}: {why}" for gone, why in decided.discarded)
-                yield from decided.pairs
-
-        def listed() -> Iterator[ListedFrame]:
-            for sequence, (image, depth, reused) in enumerate(matched()):
-                identity = sequence, name(image), image.at
-                if depth is None:
-                    yield ListedFrame(*identity, None, image.stamp_ns, complete=camera_only)
-                else:
-                    stamps_ns, own = (image.stamp_ns, depth.stamp_ns), not reused
-                    yield ListedFrame(*identity, depth.at, *stamps_ns, own, reused)
-
-        frames = limit_frames(listed(), limit)
+        self.stamps_ns, frames = listing.stamps_ns, listing.frames
+        self._log.left_out.update(listing.left_out)
         scans_ns = [f.depth_stamp_ns for f in frames if f.depth_stamp_ns is not None]
-        self._period_ns = period_ns_of(scans_ns, FIRST_SCAN_NS)
-        self._to_middle_ns = round(self._rig.stamp_to_middle * self._period_ns)
+        self._completion.period_ns = period_ns_of(scans_ns, FIRST_SCAN_NS)
         return frames
 
     def has_lidar(self, frames: Iterable[ListedFrame]) -> bool:
@@ -330,18 +239,6 @@ class Source(ABC):
         self.close()
 
 
-def limit_frames(frames: Iterable[ListedFrame], limit: int | None) -> tuple[ListedFrame, ...]:
-    """The frames up to the `limit`-th complete one."""
-    listed: list[ListedFrame] = []
-    complete = 0
-    for frame in frames:
-        listed.append(frame)
-        complete += frame.complete
-        if complete == limit:
-            break
-    return tuple(listed)
-
-
 def files_by_number(files: Mapping[str, Path]) -> dict[int, Path]:
     """Map the number at the end of each file's stem to the file. Raises InputError."""
     numbers: dict[int, Path] = {}
@@ -355,12 +252,6 @@ def files_by_number(files: Mapping[str, Path]) -> dict[int, Path]:
             raise InputError(f"{numbers[number]} and {path} have the same number: remove one")
         numbers[number] = path
     return numbers
-
-
-def left_out_note(left_out: Mapping[str, int]) -> tuple[str, ...]:
-    """One line with the counts of what is in no frame, or no line if there is nothing."""
-    counts = ", ".join(f"{reason} {count}" for reason, count in sorted(left_out.items()))
-    return (f"left out: {counts}",) if counts else ()
 
 
 def pose_track(stamped: Iterable[tuple[int, NDArray[np.float64]]]) -> PoseTrack:

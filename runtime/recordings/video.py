@@ -18,8 +18,9 @@ from runtime.geometry.assumptions import assume
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.images import DEPTH_SUFFIXES, list_files, require_pixels
+from runtime.recordings.listing import ListedFrame
 from runtime.recordings.orientation import check_turn
-from runtime.recordings.source import ListedFrame, files_by_number
+from runtime.recordings.source import files_by_number
 from runtime.streams.frame import Frame
 
 _SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm")
@@ -94,7 +95,7 @@ class VideoSource(FolderSource):
         if self._count == 0:
             raise InputError(f"{self._rgb} has no frame: it is empty, truncated or damaged")
         if self._most is None and 0 < stated != self._count:
-            self._note(f"warning: {self._rgb} states {stated:.0f} frames, it has {self._count}")
+            self._log.add(f"warning: {self._rgb} states {stated:.0f} frames, it has {self._count}")
         return {_name(number): number for number in range(self._count)}
 
     def _list_depths(self, folder: Path) -> dict[str, Path]:

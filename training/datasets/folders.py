@@ -18,7 +18,7 @@ from runtime.geometry.calibration import Calibration
 from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource, list_entries
 from runtime.recordings.images import KITTI_DEPTH_SCALE, RGB_SUFFIXES, list_files
-from runtime.recordings.source import ListedFrame
+from runtime.recordings.listing import ListedFrame
 from training.base.limits import STRICT, Positive
 from training.datasets.class_mapping import ClassTable
 from training.datasets.files import (

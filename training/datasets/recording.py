@@ -16,8 +16,9 @@ from runtime.base.errors import InputError
 from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.images import KITTI_DEPTH_SCALE, list_files
+from runtime.recordings.listing import ListedFrame
 from runtime.recordings.registry import detect_source, open_source
-from runtime.recordings.source import ListedFrame, Source
+from runtime.recordings.source import Source
 from runtime.streams.frame import Frame
 from runtime.streams.messages import Depth
 from training.base.limits import STRICT, Index, Positive

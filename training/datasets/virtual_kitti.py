@@ -22,7 +22,7 @@ from runtime.geometry.calibration import Calibration
 from runtime.geometry.kitti_calibration import NumbersFile
 from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource
-from runtime.recordings.source import ListedFrame
+from runtime.recordings.listing import ListedFrame
 from training.base.limits import STRICT
 from training.datasets.class_mapping import ClassTable, class_ids
 from training.datasets.files import (

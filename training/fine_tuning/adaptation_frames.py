@@ -15,8 +15,9 @@ from runtime.base.errors import InputError
 from runtime.contract.network_size import network_size
 from runtime.contract.resize import move_returns
 from runtime.files.atomic_write import atomic_write
+from runtime.recordings.listing import ListedFrame
 from runtime.recordings.registry import SOURCES, parse_source
-from runtime.recordings.source import ListedFrame, Source
+from runtime.recordings.source import Source
 from runtime.streams.frame import Frame
 from training.base.stop_signal import Stop, StopRequested
 from training.base.tables import build

@@ -15,7 +15,8 @@ from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import EQUIDISTANT, cache_key, rays
 from runtime.geometry.returns import is_measured
 from runtime.recordings.images import is_in_metres
-from runtime.recordings.source import ListedFrame, Source
+from runtime.recordings.listing import ListedFrame
+from runtime.recordings.source import Source
 from runtime.streams.answerer import known_focal_length_px
 from runtime.streams.health.calibration_size import CalibrationSize
 from runtime.streams.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility

@@ -17,7 +17,8 @@ from runtime.app.run.frame_record import FrameRecord
 from runtime.app.run.options import RunOptions
 from runtime.base.errors import SSDNetError
 from runtime.base.stamp import NS_PER_MS
-from runtime.recordings.source import ListedFrame, Source
+from runtime.recordings.listing import ListedFrame
+from runtime.recordings.source import Source
 from runtime.streams.answerer import Answerer
 from runtime.streams.frame import Frame
 from runtime.streams.frame_result import FrameResult

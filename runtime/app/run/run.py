@@ -27,7 +27,8 @@ from runtime.contract.canonical_focal import CameraScale
 from runtime.engine.predictor import Predictor
 from runtime.engine.preprocess import check_sparse_depth
 from runtime.files.own_folder import locked_folder
-from runtime.recordings.source import ListedFrame, Source
+from runtime.recordings.listing import ListedFrame
+from runtime.recordings.source import Source
 from runtime.streams.answerer import Answerer, known_focal_length_px
 from runtime.streams.stream_checks import StreamChecks
 

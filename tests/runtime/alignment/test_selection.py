@@ -10,7 +10,7 @@ from runtime import InputError
 from runtime.alignment.selection import choose_frames
 from runtime.alignment.view import compensated_points
 from runtime.geometry.poses import PoseTrack
-from runtime.recordings.source import ListedFrame
+from runtime.recordings.listing import ListedFrame
 from runtime.streams.frame import Frame
 from runtime.streams.messages import Depth, Image, Scan
 

@@ -9,7 +9,7 @@ import pytest
 
 from runtime import InputError
 from runtime.recordings.bag import BagSource
-from small_rig import MS, SIZE, START_NS, projected
+from small_rig import INTRINSICS, MS, SIZE, START_NS, add_tree, projected
 
 pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
 
@@ -115,6 +115,27 @@ def test_a_recording_of_a_loop_answers_every_turn(make_bag, make_frame):
     names = [frame.name for frame in frames]
     assert len(set(names)) == 160
     assert names[80] == f"{names[0]}-2"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_topics_that_were_written_one_after_the_other_are_matched(make_bag, make_scan, kind):
+    bag, count, image = make_bag(kind), 300, np.zeros((*SIZE, 3), np.uint8)
+    for index in range(count):  # stamps of the sensors, recorded by a converter
+        stamp_ns, at = START_NS + 100 * MS * index, START_NS + index
+        bag.image("/cam/image_rect", image + index % 250, "rgb8", stamp_ns, recorded_ns=at)
+        bag.cloud("/lidar/points", make_scan(index), stamp_ns, recorded_ns=at + count)
+    bag.info("/cam/camera_info", INTRINSICS, SIZE)
+    add_tree(bag)
+    with BagSource(bag.write()) as source:
+        frames = source.list_frames(limit=2)
+        assert [each.depth_stamp_ns for each in frames] == [START_NS, START_NS + 100 * MS]
+        frames = source.list_frames()
+        assert all(each.complete for each in frames)
+        assert len(frames) == count
+        for index in (0, 7, 299, 7):
+            frame = source.read(frames[index])
+            assert (frame.rgb == index % 250).all()
+            assert np.array_equal(frame.scan.points[:, 0], make_scan(index)[:, 0])
 
 
 def test_a_raw_topic_is_preferred_to_the_same_compressed(record, make_frame):

@@ -9,8 +9,9 @@ from runtime import InputError
 from runtime.app.run.options import RunOptions, UsageError
 from runtime.geometry.poses import PoseFrame
 from runtime.geometry.rig import Rig
+from runtime.recordings.listing import ListedFrame, limit_frames
 from runtime.recordings.registry import SOURCES, detect_source, open_source, parse_source
-from runtime.recordings.source import ListedFrame, Source, limit_frames
+from runtime.recordings.source import Source
 
 KINDS = "one of the kinds kitti-raw, kitti-object, video, bag, one-folder, folders"
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from models import SSDNetLite, SSDNetLiteConfig, create_model, load_checkpoint, save_checkpoint
 from runtime.base.errors import InputError
 from runtime.recordings.bundled_stream import bundled_frames
-from runtime.recordings.source import ListedFrame
+from runtime.recordings.listing import ListedFrame
 from training.base.stop_signal import never
 from training.commands.adapt import app
 from training.fine_tuning import adaptation as adapting
