@@ -15,6 +15,7 @@ from tqdm import tqdm
 from models import Network
 from models.checkpoint import RECIPE
 from models.classes import voc_color
+from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 from runtime.contract.contract import ClassInfo
 from runtime.contract.network_size import LARGEST_RATIO, network_size
@@ -24,6 +25,7 @@ from runtime.recordings.images import image_size, read_rgb
 from training.base.tables import quoted, to_toml
 from training.datasets.class_list import read_class_list
 from training.datasets.class_mapping import IGNORED
+from training.datasets.class_names import relatives
 from training.datasets.folders import FoldersRecipe
 from training.run.recipe import change
 from training.run.run_folder import folder_errors
@@ -107,7 +109,7 @@ class OwnFolders:
         if not fits_all:
             keys["size"] = rows
         first = count - count // _VALIDATION
-        lines = [*_describe(classes, rows, keys, first, count)]
+        lines = [*_describe(self._relatives(init), classes, rows, keys, first, count)]
         if init.network.depth_layers:
             lines += ["", *(_CLASSES_ALONE if classes else _depth_alone(init.network))]
         return "\n".join((f"# --data is {quoted(str(self.root))}.", *lines, ""))
@@ -131,6 +133,21 @@ class OwnFolders:
             raise InputError("--ignore: no class is left to learn: leave out one of them")
         ids = enumerate(info.name if info in learned else IGNORED for info in classes)
         return learned, dict(ids)
+
+    def _relatives(self, init: Weights) -> dict[str, tuple[str, ...]]:
+        """Return, for the name of each class, the classes of `init` with which it begins."""
+        known = [info.name for info in init.network.config.classes]
+        found = {}
+        for item in () if self.classes is None else read_class_list(self.classes):
+            parts = [relatives(name, known) for name in item.relatives or (item.name,)]
+            if item.relatives and not all(parts):
+                text = shown(item.relatives[parts.index(())])
+                raise InputError(
+                    f"{self.classes}: line {item.line} unites {text}, which {init.path.name} does "
+                    f"not have: name some of {', '.join(known)}"
+                )
+            found[item.name] = tuple(dict.fromkeys(name for part in parts for name in part))
+        return found
 
     def _keys_of_folders(self, ids: Mapping[int, str] | None) -> dict[str, Any]:
         """Return the keys of the set: its folders, the names of its ids, and what was stated."""
@@ -170,7 +187,12 @@ class OwnFolders:
 
 
 def _describe(
-    classes: Sequence[ClassInfo], rows: int, keys: Mapping[str, Any], first: int, count: int
+    origins: Mapping[str, Sequence[str]],
+    classes: Sequence[ClassInfo],
+    rows: int,
+    keys: Mapping[str, Any],
+    first: int,
+    count: int,
 ) -> Iterator[str]:
     """Yield the lines of a recipe whose validation begins with the frame of number `first`."""
     has_depth = "depth" in keys
@@ -178,7 +200,8 @@ def _describe(
     if classes:
         yield "classes = ["
         for info in classes:
-            yield f"    {{name = {quoted(info.name)}, color = {list(info.color)}}},"
+            of = f", of = {quoted(origins[info.name])}" if origins[info.name] else ""
+            yield f"    {{name = {quoted(info.name)}, color = {list(info.color)}{of}}},"
         yield "]"
     yield f"trained_height = {rows}  # of the images [px]"
     yield "\n[data]"

@@ -16,7 +16,7 @@ from training.base.limits import STRICT, Side
 from training.base.tables import TAGS
 from training.datasets.class_mapping import IGNORED, ClassTable, TableName, list_classes
 from training.weights.imagenet_weights import COLORS, pretrain
-from training.weights.initial_weights import Weights, start_from
+from training.weights.initial_weights import Weights, find_origins, start_from
 from training.weights.prune import trunk_of
 
 # Tags of the two forms of `model.classes`.
@@ -27,10 +27,17 @@ _Channel = Annotated[int, Field(ge=0, le=255)]
 
 @dataclass(frozen=True, config=STRICT)
 class ClassRecipe:
-    """A class of a custom table: its name and its RGB colour in pictures."""
+    """A class of a custom table.
+
+    Attributes:
+        name: its name.
+        color: its RGB colour in pictures.
+        of: the classes of the initial weights with whose scores it begins; (): that of its name.
+    """
 
     name: Annotated[str, Field(min_length=1, max_length=MAX_NAME_LENGTH)]
     color: tuple[_Channel, _Channel, _Channel]
+    of: Annotated[tuple[str, ...], Field(max_length=MAX_CLASSES)] = ()
 
 
 TAGS |= {_NAMED: str, _OWN: ClassRecipe}
@@ -112,6 +119,12 @@ class ModelRecipe:
         return [info.name for info in list_classes(self.class_table)]
 
     @property
+    def relatives(self) -> list[tuple[str, ...]]:
+        """For every class, the classes of other weights that it stands for: `of`, or its name."""
+        own = () if isinstance(self.classes, str) else self.classes
+        return [info.of or (info.name,) for info in own] or [(name,) for name in self.class_names]
+
+    @property
     def class_table(self) -> ClassTable:
         """The classes, as networks and data sets take them."""
         if isinstance(self.classes, str):
@@ -139,9 +152,13 @@ def build_network(
             trunk has other widths.
     """
     changes: dict[str, Any] = {}
+    origins: list[list[int]] = []
     if init is not None:
         before = init.network.config
+        origins = find_origins(recipe.relatives, before)
         changes |= {"rgb_mean": before.rgb_mean, "rgb_std": before.rgb_std}
+        if any(len(rows) > 1 for rows in origins):
+            changes["class_rows"] = tuple(max(1, len(rows)) for rows in origins)
     if recipe.pretrained == "imagenet":
         changes |= COLORS
     try:
@@ -155,5 +172,5 @@ def build_network(
         replaced = resumed or (init is not None and trunk_of(init.network) is not None)
         network = pretrain(network, pictures, load=not replaced)
     if init is not None:
-        start_from(network, init, resumed=resumed)
+        start_from(network, init, origins, resumed=resumed)
     return network

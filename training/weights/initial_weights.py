@@ -2,20 +2,25 @@
 
 import hashlib
 import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 
+import torch
+from torch import Tensor, nn
 from tqdm import tqdm
 
-from models import Network, load_checkpoint
+from models import Network, NetworkConfig, load_checkpoint
 from models.training_facts import TrainingFacts
 from runtime.base.errors import CheckpointError, InputError
 from training.losses import LossConfig
 from training.weights.prune import trunk_of, trunk_widths
 
-# Layers with weights for each class.
+# Layers with weights for each row of scores.
 _CLASS_LAYERS = ("semantic_head.", "semantic_coarse_head.")
+# How far copies of a row of scores are apart, as a share of the deviation of its layer's weights.
+_APART = 0.01
 # Buffers that hold settings of the configuration.
 _SETTINGS = ("rgb_mean", "rgb_std")
 # Settings that change what weights of the same shape compute.
@@ -79,12 +84,31 @@ def find_weights(text: str) -> Path:
     return weights_folder() / f"{text}.pt"
 
 
-def start_from(network: Network, init: Weights, *, resumed: bool = False) -> None:
+def find_origins(relatives: Sequence[Sequence[str]], source: NetworkConfig) -> list[list[int]]:
+    """Return the rows of scores of `source` with which each class begins, see `start_from`.
+
+    Args:
+        relatives: for each class, the names of the classes of `source` that it joins.
+        source: the configuration of the initial weights; names in any case of letters.
+    """
+    rows: dict[str, list[int]] = {}
+    counts = source.class_rows or (1,) * source.num_classes
+    for info, count in zip(source.classes, counts, strict=True):
+        first = sum(map(len, rows.values()))
+        rows[info.name.casefold()] = [*range(first, first + count)]
+    return [[row for name in names for row in rows.get(name.casefold(), [])] for names in relatives]
+
+
+def start_from(
+    network: Network, init: Weights, origins: Sequence[Sequence[int]], *, resumed: bool = False
+) -> None:
     """Load the weights of the checkpoint `init`, as far as they fit.
 
-    Layers that the checkpoint lacks or has in another shape keep their initial weights, and so do
-    the class layers where the classes differ. These layers, and settings that change what the
-    weights compute, are reported on stderr, unless the run is `resumed`: it replaces all weights.
+    Layers that the checkpoint lacks or has in another shape keep their initial weights. A class
+    begins with the rows of scores in `origins`, if it has any; a row that several classes begin
+    with becomes copies that are a little apart. Layers and classes with random weights, classes of
+    `init` that are left out, and settings that change what the weights compute, are reported on
+    stderr, unless the run is `resumed`: it replaces all weights.
 
     Raises:
         CheckpointError: if nothing fits, or the trunk has other widths: its layers would be random.
@@ -100,15 +124,13 @@ def start_from(network: Network, init: Weights, *, resumed: bool = False) -> Non
             )
     known = source.state_dict() if type(source) is type(network) else {}
     wanted = {k: v for k, v in network.state_dict().items() if k not in _SETTINGS}
-    names, known_names = (
-        [info.name for info in model.config.classes] for model in (network, source)
-    )
+    for name in wanted.keys() & known.keys():
+        if name.startswith(_CLASS_LAYERS):
+            known[name] = _inherit_rows(network, name, known[name], origins)
     taken = {
         name: known[name]
         for name, value in wanted.items()
-        if name in known
-        and known[name].shape == value.shape
-        and (names == known_names or not name.startswith(_CLASS_LAYERS))
+        if name in known and known[name].shape == value.shape
     }
     fresh = sorted({name.rsplit(".", 1)[0] for name in wanted.keys() - taken.keys()})
     if not any(p.ndim > 1 and name in taken for name, p in network.named_parameters()):
@@ -122,6 +144,8 @@ def start_from(network: Network, init: Weights, *, resumed: bool = False) -> Non
     if fresh:
         tqdm.write(f"{init.path}: {len(taken)} of {len(wanted)} tensors loaded", file=sys.stderr)
         tqdm.write(f"with random weights: {', '.join(fresh)}", file=sys.stderr)
+    for text in _describe_classes(network.config, source.config, origins) if known else ():
+        tqdm.write(f"{init.path}: {text}", file=sys.stderr)
     for key in _MEANINGS:
         before, now = getattr(source.config, key, None), getattr(network.config, key, None)
         if before != now:
@@ -129,6 +153,42 @@ def start_from(network: Network, init: Weights, *, resumed: bool = False) -> Non
                 f"{init.path}: {key} changed from {before} to {now}; the weights have to adapt",
                 file=sys.stderr,
             )
+
+
+def _inherit_rows(
+    network: Network, name: str, source: Tensor, origins: Sequence[Sequence[int]]
+) -> Tensor:
+    """Return a class layer's tensor, with the rows of `source` that `origins` names."""
+    layer, _, tensor = name.rpartition(".")
+    # A transposed convolution has its outputs on the second axis.
+    transposed = isinstance(network.get_submodule(layer), nn.ConvTranspose2d)
+    axis = int(transposed and tensor == "weight")
+    initial: Tensor = network.state_dict()[name]
+    rows, old = initial.transpose(0, axis).clone(), source.transpose(0, axis)
+    if rows.shape[1:] != old.shape[1:]:
+        return initial
+    order = [row for found in origins for row in (found or [-1])]
+    for place, row in enumerate(order):
+        if row >= 0:
+            rows[place] = old[row]
+            if order.count(row) > 1:
+                rows[place] += _APART * old.std() * torch.randn_like(rows[place])
+    joined: Tensor = rows.transpose(0, axis)
+    return joined
+
+
+def _describe_classes(
+    config: NetworkConfig, source: NetworkConfig, origins: Sequence[Sequence[int]]
+) -> Iterator[str]:
+    """Yield what is random, and which classes of the initial weights are left out."""
+    new = [info.name for info, rows in zip(config.classes, origins, strict=True) if not rows]
+    if new:
+        yield f"classes that none of its classes is like begin at random: {', '.join(new)}"
+    used = {row for rows in origins for row in rows}
+    own = find_origins([(info.name,) for info in source.classes], source)
+    left = [i.name for i, rows in zip(source.classes, own, strict=True) if used.isdisjoint(rows)]
+    if left and len(new) < config.num_classes:
+        yield f"its classes that none of yours joins are left out: {', '.join(left)}"
 
 
 def prepare_teacher(weights: Weights | None, loss: LossConfig, network: Network) -> Network | None:

@@ -2,36 +2,76 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
-from models import CLASS_TABLES, create_model, save_checkpoint
+from models import create_model, save_checkpoint
 from models.efficientnet_lite import WIDTHS as EFFICIENTNET_WIDTHS
 from models.efficientnet_lite import EfficientNetLite
 from runtime.base.errors import CheckpointError, InputError
-from training.run.network import ModelRecipe, build_network
+from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
+from training.run.network import ClassRecipe, ModelRecipe, build_network
 from training.run.optimizer import train_parts
+from training.scores.scoring import torch_predict
 from training.weights.imagenet_weights import PACKAGE, load_imagenet
-from training.weights.initial_weights import read_weights
+from training.weights.initial_weights import find_weights, read_weights
 from training.weights.prune import prune_trunk
 
 
-def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
-    network = create_model("ssdnet-lite", classes=tuple(reversed(CLASS_TABLES["camvid"])))
-    heads = ("semantic_coarse_head", "semantic_head")
+def test_classes_begin_with_the_rows_of_their_relatives(tmp_path, capsys):
     other = tmp_path / "other.pt"
+    network = create_model("ssdnet-lite")
+    heads = (network.semantic_head, network.semantic_coarse_head)
     with torch.no_grad():
         for head in heads:
-            getattr(network, head).bias.fill_(77.0)
+            head.bias.copy_(torch.arange(11.0))
     save_checkpoint(other, network)
-    built = build_network(ModelRecipe("ssdnet-lite"), read_weights(other))
-    assert f"with random weights: {', '.join(heads)}\n" in capsys.readouterr().err
-    for head in heads:
-        assert not (getattr(built, head).bias == 77.0).any()
-    guess = built.state_dict()["surface_depth.guess.weight"]
+    own = {"walk": ("pavement", "road"), "lane": (), "truck": ("car",), "car": (), "SKY": ()}
+    recipe = [ClassRecipe(name, (0, 0, 0), of) for name, of in own.items()]
+    model = ModelRecipe("ssdnet-lite", classes=tuple(recipe))
+    built = build_network(model, read_weights(other))
+    assert built.config.class_rows == (2, 1, 1, 1, 1)
+    for head in (built.semantic_head, built.semantic_coarse_head):
+        rows = head.bias.tolist()
+        assert rows[:2] + rows[5:] == [4, 3, 0]
+        assert rows[3] != rows[4]
+        assert rows[3:5] == pytest.approx([8, 8], abs=0.2)
+        assert rows[2] == 0  # as it is initialised
+    text = capsys.readouterr().err
+    assert "begin at random: lane\n" in text
+    assert "left out: building, pole, tree, sign, fence, pedestrian, bicyclist\n" in text
+    # A further training, of classes that now have two rows.
+    save_checkpoint(tmp_path / "walk.pt", built)
+    further = [replace(info, of=()) for info in recipe[1:]]
+    model = replace(model, classes=(ClassRecipe("path", (0, 0, 0), ("walk",)), *further))
+    again = build_network(model, read_weights(tmp_path / "walk.pt"))
+    assert again.config.class_rows == (2, 1, 1, 1, 1)
+    assert torch.equal(again.semantic_head.weight, built.semantic_head.weight)
+    guess = again.state_dict()["surface_depth.guess.weight"]
     assert torch.equal(guess, network.surface_depth.guess.weight)
     with pytest.raises(CheckpointError, match="none of its layers fits"):
         build_network(ModelRecipe("ssdnet-small"), read_weights(other))
+
+
+def test_the_start_is_the_bundled_answer_joined():
+    """Of five unions, with the weights that ship, on a frame of the bundled recording."""
+    unions = ("road pavement", "building pole sign fence", "tree", "sky", "car pedestrian")
+    classes = [ClassRecipe(f"own {n}", (0, 0, 0), tuple(u.split())) for n, u in enumerate(unions)]
+    init = read_weights(find_weights("ssdnet-lite"))
+    model = ModelRecipe("ssdnet-lite", tuple(classes), config={"canonical_focal_px": 721.5})
+    frame = next(iter(bundled_frames()))
+    inputs = frame.rgb, frame.sparse_depth, BUNDLED_FOCAL_LENGTH_PX
+    before, start = (
+        torch_predict(network)(*inputs) for network in (init.network, build_network(model, init))
+    )
+    names = [info.name for info in init.network.config.classes]
+    joined = [next((n for n, u in enumerate(unions) if name in u), 9) for name in names]
+    expected = np.array(joined)[before.semantic]
+    known = expected < len(unions)  # without the bicyclists, who are left out
+    assert known.mean() > 0.98
+    assert (start.semantic == expected)[known].all()
+    assert np.array_equal(start.depth, before.depth)
 
 
 def test_init_reports_settings_that_change_what_weights_mean(tmp_path, capsys):
