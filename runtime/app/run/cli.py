@@ -59,9 +59,9 @@ def with_run_options(
     cls=GroupedCommand,
     epilog="Exit codes: 0 done; 1 error; 2 usage; 3 finished, but frames were skipped, answers "
     "were invalid, the LiDAR returns or the poses are implausible, or the run was stopped by "
-    "Ctrl-C, SIGTERM or SIGHUP; 4 a frame missed --deadline-ms, also if others were skipped; 5 a "
-    "reason of --fail-on was found; 130 stopped by Ctrl-C, SIGTERM or SIGHUP before the first "
-    "frame.",
+    "Ctrl-C, SIGTERM or SIGHUP; 4 --deadline-ms or --deadline-p99-ms was missed; 5 a reason of "
+    "--fail-on was found; 130 stopped by Ctrl-C, SIGTERM or SIGHUP before the first frame. If "
+    "several apply, 5 comes before 4, and 4 before 3.",
 )
 @with_run_options
 def main(

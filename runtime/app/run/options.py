@@ -51,7 +51,7 @@ SUFFIXES = {**dict.fromkeys(saved_heads(), ".png"), OVERLAY: ".jpg", CLOUD: ".pl
 KINDS = tuple(kind for kind in SUFFIXES if kind != CLOUD)
 MAX_OVERLAY_WIDTH = 8192  # five such panels side by side fit into a JPEG
 # Suffix of the file that an option names.
-FILE_SUFFIXES = {"video": ".mp4", "report": ".html", "mcap": ".mcap"}
+FILE_SUFFIXES = {"video": ".mp4", "page": ".html", "mcap": ".mcap"}
 MCAP_VOXEL_M = 0.1  # side of the cubes of --mcap, unless --cloud-voxel is given
 DEFAULT_RATE_HZ = 10.0  # for frames without stamps: the rate of a LiDAR
 OPTION = "option"  # key of a field's metadata that holds the option of the command
@@ -62,8 +62,7 @@ _OUT = Path("ssdnet-run")
 def _group(title: str) -> Callable[..., Any]:
     """Return a function that defines a field as an option in this group of --help."""
 
-    def option(text: str, *, default: Any = None, flag: str | None = None, **settings: Any) -> Any:
-        names = (flag,) if flag else ()
+    def option(text: str, *names: str, default: Any = None, **settings: Any) -> Any:
         info = typer.Option(*names, help=text, rich_help_panel=title, **settings)
         return dataclasses.field(default=default, metadata={OPTION: info})
 
@@ -127,10 +126,10 @@ class RunOptions:
     rectify: bool = _input(
         "Remove the distortion of the images with the lens of the calibration, before the network "
         "sees them. [default: the returns are projected through the lens]",
-        flag="--rectify",
+        "--rectify",
         default=False,
     )
-    demo: bool = _input("Run the bundled stream.", flag="--demo", default=False)
+    demo: bool = _input("Run the bundled stream.", "--demo", default=False)
     limit: int | None = _input("Stop after this many complete frames of each camera.", min=1)
     focal_length: float | None = _input(
         "Focal length (fx) of the images in pixels; models without a canonical focal length ignore "
@@ -166,7 +165,7 @@ class RunOptions:
     overwrite: bool = _outputs(
         "Replace the files of an earlier run in --out, and the files that the options below name. "
         "Other files in --out are never replaced.",
-        flag="--overwrite",
+        "--overwrite",
         default=False,
     )
     save: list[str] | None = _outputs(
@@ -181,10 +180,12 @@ class RunOptions:
         min=16,
         max=MAX_OVERLAY_WIDTH,
     )
-    report: Path | None = _outputs(
+    page: Path | None = _outputs(
         "Write an HTML page with the latency over time, its stages, the health of the sensors, "
-        "sample frames and the facts of the run.",
-        metavar=f"FILE{FILE_SUFFIXES['report']}",
+        "sample frames and the facts of the run. --report is the same.",
+        "--page",
+        "--report",
+        metavar=f"FILE{FILE_SUFFIXES['page']}",
     )
     video: Path | None = _outputs(
         f"Write the overlays as a video, at --rate or at {DEFAULT_RATE_HZ:g} Hz.",
@@ -234,6 +235,11 @@ class RunOptions:
     deadline_ms: float | None = _timing(
         "Deadline of a prediction, without reading and writing. With --rate it counts from the "
         "time at which the frame is due.",
+        min=1e-6,
+        max=1e9,
+    )
+    deadline_p99_ms: float | None = _timing(
+        "Deadline of 99 % of the predictions, like --deadline-ms. Needs 100 answers.",
         min=1e-6,
         max=1e9,
     )

@@ -26,6 +26,7 @@ from runtime.streams.statistics import MissCounter, StreamStatistics, latency_st
 REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "2.0"
 FRAMES_FILE, REPORT_FILE = "frames.csv", "report.json"
 FRAMES_SKIPPED, DEADLINE_MISSED, REASON_FOUND = 3, 4, 5  # exit codes
+_QUEUED = 2  # periods by which the age of an answer grows if a machine cannot keep up
 
 
 @dataclass(frozen=True)
@@ -200,22 +201,49 @@ class RunReport:
         return StreamStatistics(stages, deadline_ms, missed)
 
     @property
+    def p99_fault(self) -> str | None:
+        """How --deadline-p99-ms was missed; None: it was met, or not given."""
+        if (limit_ms := self.options.deadline_p99_ms) is None:
+            return None
+        times_ms = [r.times_ms["latency"] for r in self.records if "latency" in r.times_ms]
+        latency = latency_statistics(times_ms) if times_ms else None
+        if latency is None or latency.p99_ms is None:
+            return f"the 99th percentile is not known from {len(times_ms)} answers: 100 are needed"
+        if latency.p99_ms <= limit_ms:
+            return None
+        return f"99 % of the answers take up to {latency.p99_ms:.2f} ms, expected {limit_ms:g} ms"
+
+    @property
+    def overload(self) -> str | None:
+        """How far --rate is more than this machine answers; None: it keeps up."""
+        if self.options.rate is None or len(self.predictions) < 2:
+            return None
+        ages_ms = [each.times_ms["age"] for each in self.records if "age" in each.times_ms]
+        queued_ms = ages_ms[-1] - ages_ms[0] if ages_ms else 0.0
+        if queued_ms <= _QUEUED * 1e3 / self.options.rate:
+            return None
+        return (
+            f"{self.options.rate:g} frames a second are more than this machine answers "
+            f"({self.frames_per_second:.1f}): the age of an answer grew by {queued_ms / 1e3:.1f} s"
+        )
+
+    @property
     def frames_per_second(self) -> float | None:
         """Rate of predicted frames, with reading and writing; None if none was predicted."""
         return len(self.predictions) / self.stream.wall_s if self.predictions else None
 
     @property
     def exit_code(self) -> int:
-        """The first that applies: DEADLINE_MISSED, REASON_FOUND, FRAMES_SKIPPED, or 0.
+        """The first that applies: REASON_FOUND, DEADLINE_MISSED, FRAMES_SKIPPED, or 0.
 
         FRAMES_SKIPPED is also returned if the run was interrupted, or depth or poses are
         implausible.
         """
-        missed = self.statistics.missed
-        if missed is not None and missed.count:
-            return DEADLINE_MISSED
         if self.failed_on:
             return REASON_FOUND
+        missed = self.statistics.missed
+        if (missed is not None and missed.count) or self.p99_fault is not None:
+            return DEADLINE_MISSED
         fault = self.implausible_depth or self.implausible_poses
         doubtful = fault is not None and self.records
         return FRAMES_SKIPPED if self.stream.interrupted or self.not_ok or doubtful else 0
@@ -260,7 +288,12 @@ class RunReport:
             "outages": [each.to_dict() for each in self.outages],
             "failed_on": self.failed_on,
             "interrupted": self.stream.interrupted,
-            "scenario": {"name": self.scenario, "rate_hz": self.options.rate},
+            "scenario": {
+                "name": self.scenario,
+                "rate_hz": self.options.rate,
+                "overload": self.overload,
+            },
+            "deadline_p99": {"ms": self.options.deadline_p99_ms, "missed": self.p99_fault},
             **self.statistics.to_dict(),
             "wall_s": self.stream.wall_s,
             "frames_per_second": self.frames_per_second,
@@ -343,6 +376,7 @@ def describe_run(report: RunReport) -> str:
     ]
     if report.options.rate is not None:
         lines.append(f"constant stream of {report.options.rate:g} Hz")
+    lines += [f"warning: {each}" for each in (report.p99_fault, report.overload) if each]
     lines += ["", report.statistics.table(), ""]
     rate, first_ms = report.frames_per_second, report.engine["first_inference_ms"]
     lines.append(f"frames a second, end to end: {'n/a' if rate is None else f'{rate:.1f}'}")

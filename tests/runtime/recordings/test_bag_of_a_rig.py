@@ -44,7 +44,7 @@ def source(rig):
 
 
 def test_each_camera_has_the_answers_of_a_run_of_its_own(rig, source, run, tmp_path):
-    pages = ["--report", tmp_path / "page.html", "--record", tmp_path / "recording"]
+    pages = ["--page", tmp_path / "page.html", "--record", tmp_path / "recording"]
     whole = run("--source", source, *pages)
     assert whole.exit_code == 0, whole.text
     expected = []

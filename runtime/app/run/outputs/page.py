@@ -132,11 +132,11 @@ class RunPage:
 @contextlib.contextmanager
 def open_page(run: RunContext) -> Iterator[RunPage]:
     """Make the page of --report, written when the block ends."""
-    assert run.options.report is not None
+    assert run.options.page is not None
     page = RunPage(run.predictor.contract, len(run.names))
     yield page
     content = page.render(run.report)
-    atomic_write(run.options.report, content, overwrite=run.options.overwrite)
+    atomic_write(run.options.page, content, overwrite=run.options.overwrite)
 
 
 def _highest_percentile(times: LatencyStatistics) -> tuple[str, float]:

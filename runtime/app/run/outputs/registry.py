@@ -52,7 +52,7 @@ class OutputRow(NamedTuple):
 # The outputs by option, in the order in which they are opened. They are closed in reverse order,
 # so that report.json and the page are written after all other files are complete.
 OUTPUTS: dict[str, OutputRow] = {
-    "report": OutputRow(open_page),
+    "page": OutputRow(open_page),
     "out": OutputRow(open_frame_files),
     "video": OutputRow(open_video),
     "mcap": OutputRow(open_mcap, package="rosbags", extra="bag"),

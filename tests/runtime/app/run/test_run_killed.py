@@ -68,7 +68,7 @@ def require_whole(folder):
 
 def test_what_has_its_name_is_whole(tmp_path, make_stream, all_heads, start_process):
     rgb, depth = make_stream(N)
-    files = {"--video": "run.mp4", "--report": "run.html", "--record": "recording"}
+    files = {"--video": "run.mp4", "--page": "run.html", "--record": "recording"}
     if importlib.util.find_spec("rosbags"):
         files["--mcap"] = "run.mcap"
     command = [sys.executable, "-c", COMMAND, "--rgb", rgb, "--depth", depth, "--model", all_heads]

@@ -25,9 +25,9 @@ def report_of(model_file):
     with Predictor(model_file(), warmup=0) as predictor:
         engine = engine_facts(predictor)
 
-    def make(*records, wall_s=0.5, interrupted=False, deadline_ms=None, fail_on=None):
+    def make(*records, wall_s=0.5, interrupted=False, **options):
         stream = StreamResult(records, wall_s, interrupted)
-        options = RunOptions(demo=True, deadline_ms=deadline_ms, fail_on=fail_on)
+        options = RunOptions(demo=True, **options)
         return RunReport(engine, options, {}, (), stream)
 
     return make
@@ -71,6 +71,19 @@ def test_the_exit_code_is_that_of_the_deadline_first(report_of):
     assert report_of(in_time, interrupted=True).exit_code == 3
 
 
+@pytest.mark.parametrize(("times_ms", "fault"), [
+    ([10.0] * 99 + [500.0], None),
+    ([10.0] * 98 + [30.0] * 2, "take up to 30.00 ms, expected 25 ms"),
+    ([10.0] * 99, "is not known from 99 answers: 100 are needed"),
+])  # fmt: skip
+def test_a_deadline_of_99_percent(report_of, times_ms, fault):
+    records = [outcome(number, latency_ms=ms) for number, ms in enumerate(times_ms)]
+    report = report_of(*records, deadline_p99_ms=25.0)
+    assert report.exit_code == (0 if fault is None else 4)
+    assert fault is None or fault in report.p99_fault
+    assert report_of(*records).p99_fault is None
+
+
 def test_fail_on_names_what_ends_a_run_with_an_error(report_of):
     frozen = outcome(0, health=("image_frozen",), degraded=("no_depth",))
 
@@ -86,7 +99,7 @@ def test_fail_on_names_what_ends_a_run_with_an_error(report_of):
     assert code("camera_silent", outages=(Outage("camera_silent", 1.0, 2.0),))[0] == 5
     assert code("lidar_silent", outages=(Outage("camera_silent", 1.0, 2.0),))[0] == 0
     late = outcome(0, deadline_met=False)
-    assert code("late", records=[late], deadline_ms=5) == (4, {"late": 1})
+    assert code("late", records=[late], deadline_ms=5) == (5, {"late": 1}), "5 comes before 4"
     with pytest.raises(UsageError, match=r"--fail-on takes some of skipped, .*got 'dark'"):
         code("no_depth,dark")
 

@@ -1,4 +1,4 @@
-"""ssdnet-run --report writes one page that is true and self-contained."""
+"""ssdnet-run --page writes one page that is true and self-contained."""
 
 import base64
 import dataclasses
@@ -21,11 +21,11 @@ from runtime.engine.prediction import Latency
 
 @pytest.fixture
 def page_of(tmp_path, run, read_page):
-    """Run with --report and these arguments; give (click's result, page, its source)."""
+    """Run with --page and these arguments; give (click's result, page, its source)."""
 
     def make(*arguments):
         path = tmp_path / "deep" / "report.html"
-        result = run("--report", path, *arguments)
+        result = run("--page", path, *arguments)
         text = path.read_text()
         return result, read_page(text), text
 
@@ -60,7 +60,7 @@ def test_the_page_shows_the_run_and_loads_nothing(tmp_path, page_of, stream):
         assert re.match(r"\d+\.\d+", page.after(library))
     assert text.count("<polyline") == 3, "the line is broken twice"
     assert "background:rgb(200, 30, 30)" in text
-    assert "report: " in result.stdout
+    assert "page: " in result.stdout
     assert len([link for link in page.links if link.startswith("data:image/")]) >= 3
     assert all(link.startswith("data:") for link in page.links)
     assert "default-src 'none'" in text
