@@ -1,14 +1,13 @@
 """From data sets to samples: frames are cached, drawn from a mixture and augmented."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.random import Generator
 from torch.utils.data import Dataset
 
 from runtime.contract.contract import MAX_RETURN_M
-from runtime.streams.messages import Image
 from training.datasets.sample import Sample, SampleSource
 from training.loading.augment import augment, take_views, with_margin
 from training.loading.augment_config import AugmentConfig
@@ -143,4 +142,4 @@ class Mixture(Dataset[Drawn]):
         donors = others[int(rng.integers(len(others)))]
         other = donors[int(rng.integers(len(donors)))]
         rgb = move_histograms(sample.rgb, other.rgb, rng.random())
-        return replace(sample, frame=replace(sample.frame, image=Image(rgb)))
+        return sample.with_image(rgb)

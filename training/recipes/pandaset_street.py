@@ -12,7 +12,7 @@ TERMS = (
     "and Hesai, https://pandaset.org, CC BY 4.0, https://creativecommons.org/licenses/by/4.0/"
 )
 # fx, fy, cx and cy [px] at a width of 1920.
-_CAMERAS = {
+CAMERAS = {
     "front": (1970.0, 1970.0, 970.0, 483.3),
     "front_left": (929.8, 930.1, 972.2, 508.0),
     "front_right": (930.0, 930.0, 965.1, 463.4),
@@ -28,7 +28,7 @@ def camera(name: str, weight: float = 1.0, semantic_weight: float = 1.0) -> Fold
     A part of the returns is the input, and the others are the target. One pixel in 15 to 40 has a
     class. Returns of poles have none, and the sky has no return.
     """
-    fx, fy, cx, cy = (value * 800 / 1920 for value in _CAMERAS[name])
+    fx, fy, cx, cy = (value * 800 / 1920 for value in CAMERAS[name])
     return FoldersRecipe(
         path=f"pandaset_street/{name}",
         rgb="image",
@@ -44,5 +44,5 @@ def camera(name: str, weight: float = 1.0, semantic_weight: float = 1.0) -> Fold
 
 def cameras(weight: float, semantic_weight: float = 1.0) -> tuple[FoldersRecipe, ...]:
     """Return all cameras that are trained on, which share `weight`."""
-    names = [name for name in _CAMERAS if name != "right"]
+    names = [name for name in CAMERAS if name != "right"]
     return tuple(camera(name, weight / len(names), semantic_weight) for name in names)

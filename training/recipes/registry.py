@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import ModuleType
 
-from training.recipes import ablation, comparison, kitti_depth, lite, nano, paper
+from training.recipes import ablation, comparison, kitti_depth, lite, nano, open, paper
 from training.run.stages import Stage
 
 
@@ -29,6 +29,7 @@ _SINGLE = {
 RECIPES: Mapping[str, PackageRecipe] = {
     "lite": _described(lite, lite.STAGES),
     "nano": _described(nano, nano.STAGES),
+    "open": _described(open, open.STAGES),
     "lite-classes": PackageRecipe(
         "The classes and boundaries of lite, by a --teacher.", (Stage("", lite.CLASSES),)
     ),

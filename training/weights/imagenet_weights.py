@@ -61,6 +61,11 @@ def pretrain(network: Network, pictures: Iterable[Tensor], *, load: bool) -> Net
             )
     if not load:
         return network
+    if network.config.to_dict().get("fused_start"):
+        raise InputError(
+            "model.pretrained: no weights of ImageNet fit a fused start: give --init with weights "
+            "whose start has learned their features"
+        )
     widths = network.config.to_dict()["encoder_widths"]
     whole: dict[str, Any] = {"encoder_widths": ()}
     wide = type(network)(replace(network.config, **whole)) if widths else network

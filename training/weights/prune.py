@@ -97,11 +97,15 @@ def _without_channels(
 ) -> dict[str, Tensor]:
     """Return the weights of a network without the pruned channels."""
     state, blocks = dict(network.state_dict()), _blocks(network)
-    before = trunk_widths(network)
+    # A fused start has two widths before its first block, which are not pruned.
+    start = len(widths) - len(blocks)
+    before, widths = trunk_widths(network)[start:], widths[start:]
     narrowed = [name for name, old, new in zip(blocks, before, widths, strict=True) if new < old]
     moments = _observe(network, narrowed, pictures)
     # The first block has no expansion: its channels are the stem's.
-    makers = ["stem.0", *(f"{name}.expand" for name in list(blocks)[1:])]
+    makers = [f"{name}.expand" for name in blocks]
+    if not start:
+        makers[0] = "stem.0"
     for (name, block), maker, width in zip(blocks.items(), makers, widths, strict=True):
         if name not in moments:
             continue

@@ -22,6 +22,7 @@ from models import (
 from models.registry import NETWORKS, Entry
 from training.losses.terms import TERMS
 from training.recipes.chosen_recipe import read_stages
+from training.recipes.pandaset_street import CAMERAS
 from training.recipes.registry import RECIPES
 from training.run.loop import train
 from training.run.network import build_network
@@ -33,9 +34,11 @@ from training.weights.initial_weights import read_weights
 SCORES = {
     "camvid": {"miou", "boundary_f"},
     "cityscapes": {"miou", "boundary_f", "mae_m", "rmse_m"},
+    "folders": {"miou", "boundary_f", "mae_m", "rmse_m"},
     "kitti-depth": {"mae_m", "rmse_m"},
     "kitti-stream": {"miou", "boundary_f", "mae_m", "rmse_m"},
     "kitti-streets": {"mae_m", "rmse_m"},
+    "rendered": {"miou", "boundary_f", "mae_m", "rmse_m"},
     "virtual-kitti-1": {"miou", "boundary_f", "mae_m", "rmse_m"},
 }
 
@@ -60,10 +63,18 @@ def data(tmp_path_factory):
     for path, folders in (
         ("kitti_labelled", ("image_02", "semantic")),
         ("nuscenes_boston", ("image", "pseudo_semantic")),
+        *((f"pandaset_street/{camera}", ("image", "label")) for camera in CAMERAS),
     ):
         write(root / path / folders[0] / "a.png", np.full((*label.shape, 3), 90, np.uint8))
-        write(root / path / folders[1] / "a.png", label)
-    for path in ("train", "rendered/train", "rendered/kitti", "rendered/varied"):
+        write(root / path / folders[1] / "a.png", np.where(label == 11, 255, label))
+        write(root / path / "lidar" / "a.png", np.full(label.shape, 2560, np.uint16))
+    for path in (
+        "train",
+        "rendered/train",
+        "rendered/kitti",
+        "rendered/varied",
+        "rendered/open_val",
+    ):
         variant = virtual_kitti.write_second_edition(root / path, magnify=5)
         virtual_kitti.write_scans(variant)
     # The paper validates on the end of its last scene.
@@ -176,8 +187,9 @@ LIKE_OTHERS = ("lite-depth", "nano-depth", "ablation-joint-weights-1", "ablation
 )
 def test_shipped_recipe_trains(name, data, tmp_path):
     init = None
-    if name == "lite-classes":  # its encoder is frozen: it begins with trained weights
-        save_checkpoint(tmp_path / "init.pt", create_model("ssdnet-lite", canonical_focal_px=721.5))
+    if name in ("lite-classes", "open"):  # frozen layers begin with trained weights
+        network = create_model("ssdnet-lite", **RECIPES[name].stages[0].recipe.model.config)
+        save_checkpoint(tmp_path / "init.pt", network, training={"data": ["ImageNet"]})
         init = read_weights(tmp_path / "init.pt")
     for stage in read_shrunk(name):
         trained = check_training(stage.recipe, data, tmp_path / stage.folder, init)

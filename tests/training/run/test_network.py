@@ -203,3 +203,28 @@ def test_pruning_takes_channels_that_others_make_up_for(spare, capsys):
         found, expected = narrow.encoder.early(rgb), wide.encoder.early(rgb)
     assert torch.equal(found[0], expected[0])
     assert (found[1] - expected[1]).abs().max() < 0.1 * expected[1].std()
+
+
+def test_pruning_leaves_a_fused_start_as_it_is():
+    torch.manual_seed(0)
+    widths = (16, 48, 48, *EFFICIENTNET_WIDTHS[3:])
+    wide = create_model("ssdnet-lite", encoder_widths=widths, fused_start=True).eval()
+    with torch.no_grad():
+        idle(wide.encoder.stride8[0])
+    narrow = prune_trunk(wide, (*widths[:3], widths[3] // 2, *widths[4:]), PICTURES)
+    assert narrow.encoder.stride8[0].project[0].weight.shape[1] == widths[3] // 2
+    rgb = torch.rand(1, 3, 64, 96) * 2 - 1
+    with torch.no_grad():
+        found, expected = (network.encoder.early(rgb) for network in (narrow, wide))
+        assert all(map(torch.equal, found, expected))
+        late = [network.encoder.late(found[1])[0] for network in (narrow, wide)]
+    assert (late[0] - late[1]).abs().max() < 0.05 * late[1].std()
+    with pytest.raises(InputError, match="no weights of ImageNet fit a fused start: give --init"):
+        build_network(
+            ModelRecipe(
+                "ssdnet-lite",
+                pretrained="imagenet",
+                config={"encoder_widths": widths, "fused_start": True},
+            ),
+            None,
+        )

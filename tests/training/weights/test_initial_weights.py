@@ -214,3 +214,22 @@ def test_a_recipe_of_its_own_data_refuses_other_weights(write):
         require_own_data(closed, init=mixed, teacher=None)
     with pytest.raises(InputError, match=r"--teacher unknown\.pt: was trained on unknown data"):
         require_own_data(closed, init=own, teacher=unknown)
+
+
+def test_weights_of_the_recipe_open_state_what_may_be_shipped_and_nothing_else(write):
+    facts = {"data": ("ImageNet",)}
+    for stage in RECIPES["open"].stages:
+        before = write(stage.folder, facts)
+        require_own_data(stage.recipe, init=before)
+        data, terms = state_provenance(stage.recipe, before)
+        facts = {"data": data, "terms": terms}
+    street, rendered, imagenet = write("released", facts).facts.terms.split("; ")
+    assert street.startswith("PandaSet (sequence 002, images reduced to 800 x 450, ")
+    assert "Scale AI and Hesai, https://pandaset.org, CC BY 4.0, https://creativecommons" in street
+    assert (rendered, imagenet) == ("rendered scenes: this project's, Apache-2.0", IMAGENET_TERMS)
+    assert {title.partition("/")[0] for title in data} == {
+        "pandaset_street",
+        "rendered",
+        "ImageNet",
+    }
+    assert "pandaset_street/right" not in data
