@@ -49,8 +49,9 @@ def atomic_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
 
 def require_folder_free(path: Path, *, overwrite: bool = False) -> None:
     """Raise the OutputError of `atomic_folder` if the folder cannot be created or replaced."""
+    _list_replaced(path, overwrite=overwrite)
     with temporary_path(path, make_parents=True):
-        _list_replaced(path, overwrite=overwrite)
+        pass
 
 
 @contextmanager

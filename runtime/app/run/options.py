@@ -9,6 +9,7 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from runtime.contract.heads import HEADS, Head
 from runtime.contract.network_size import NetworkSize, parse_network_size
 from runtime.drawing.encode import METRES_PNG_SCALE
 from runtime.engine.bundled_models import DEFAULT_MODEL, list_bundled_models
+from runtime.engine.predictor import Predictor
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
 from runtime.recordings.registry import (
     SOURCE_KEYS,
@@ -99,6 +101,7 @@ class RunOptions:
         part: the frames that --shard names.
         source_path: the source with its kind and keys.
         open_cameras: opens a source for each camera, see `Source.open_cameras`.
+        open_predictor: opens the model, which is not warmed up.
 
     Raises:
         UsageError: if an option is out of range, or options contradict each other.
@@ -267,6 +270,7 @@ class RunOptions:
     part: slice = dataclasses.field(init=False)
     source_path: SourcePath = dataclasses.field(init=False)
     open_cameras: Callable[[], dict[str, Source]] = dataclasses.field(init=False)
+    open_predictor: Callable[[], Predictor] = dataclasses.field(init=False)
 
     def __post_init__(self) -> None:
         """Check every option, and parse those that are text."""
@@ -301,6 +305,7 @@ class RunOptions:
             ("part", self._read_shard()),
             ("source_path", source_path),
             ("open_cameras", self._choose_cameras(source_path)),
+            ("open_predictor", self._choose_model(network_size)),
         ):
             object.__setattr__(self, name, value)
 
@@ -359,6 +364,18 @@ class RunOptions:
         with _usage_errors():
             rig = dataclasses.replace(source.rig, **known)
             return choose_cameras(source.kind, source.path, rig, **source_options, **source.keys)
+
+    def _choose_model(self, size: NetworkSize) -> Callable[[], Predictor]:
+        return partial(
+            Predictor,
+            self.model,
+            sha256=self.sha256,
+            provider=str(self.provider),
+            size=size,
+            focal_length_px=self.focal_length_px,
+            threads=self.threads,
+            warmup=0,
+        )
 
     @property
     def named_files(self) -> dict[str, Path]:

@@ -10,7 +10,6 @@ from runtime.app.run.engine_facts import engine_facts, running_providers
 from runtime.app.run.frame_record import FrameRecord
 from runtime.app.run.options import CLOUD, KINDS, SUFFIXES, RunOptions, saved_heads
 from runtime.app.run.outages import Timeline, find_outages
-from runtime.app.run.outputs.frame_writer import make_run_folder
 from runtime.app.run.outputs.registry import open_outputs, require_outputs
 from runtime.app.run.outputs.run_context import RunContext
 from runtime.app.run.pipeline import (
@@ -20,13 +19,13 @@ from runtime.app.run.pipeline import (
     dedicate_process,
     frame_reader,
 )
-from runtime.app.run.run_report import RunReport, group_reasons, size_text, write_report
+from runtime.app.run.run_report import RUN_FILES, RunReport, group_reasons, size_text, write_report
 from runtime.base.errors import InputError, SSDNetError
 from runtime.command.process import stop_requested
 from runtime.contract.canonical_focal import CameraScale
 from runtime.engine.predictor import Predictor
 from runtime.engine.preprocess import check_sparse_depth
-from runtime.files.own_folder import locked_folder
+from runtime.files.own_folder import locked_folder, make_own_folder
 from runtime.recordings.listing import ListedFrame
 from runtime.recordings.source import Source
 from runtime.streams.answerer import Answerer, known_focal_length_px
@@ -72,17 +71,7 @@ def run(
             )
         for camera, source in cameras.items():
             require_outputs(options.of_camera(camera), source)
-        predictor = stack.enter_context(
-            Predictor(
-                options.model,
-                sha256=options.sha256,
-                provider=str(options.provider),
-                size=options.network_size,
-                focal_length_px=options.focal_length_px,
-                threads=options.threads,
-                warmup=0,
-            )
-        )
+        predictor = stack.enter_context(options.open_predictor())
         reports: dict[str, RunReport] = {}
         # Before the first frame a signal ends the process.
         stop: Callable[[], bool] = lambda: False  # noqa: E731
@@ -96,7 +85,7 @@ def run(
                     options = options.with_folder()
                     stack.enter_context(locked_folder(options.folder))
                     if camera:
-                        make_run_folder(options, kinds=(), names=())
+                        make_own_folder(options.folder, RUN_FILES, overwrite=options.overwrite)
                     stop = stack.enter_context(stop_requested())
                 reports[camera] = stream.answer(options.of_camera(camera), camera, on_start, stop)
             except InputError as error:

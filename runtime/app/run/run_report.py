@@ -24,7 +24,8 @@ from runtime.files.atomic_write import atomic_write
 from runtime.streams.statistics import MissCounter, StreamStatistics, latency_statistics
 
 REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "2.0"
-FRAMES_FILE, REPORT_FILE = "frames.csv", "report.json"
+# The report comes first: it is removed first, as a folder with a report counts as complete.
+RUN_FILES = REPORT_FILE, FRAMES_FILE = Path("report.json"), Path("frames.csv")
 FRAMES_SKIPPED, DEADLINE_MISSED, REASON_FOUND = 3, 4, 5  # exit codes
 _QUEUED = 2  # periods by which the age of an answer grows if a machine cannot keep up
 

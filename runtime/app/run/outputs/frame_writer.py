@@ -6,7 +6,7 @@ from pathlib import Path
 
 from runtime.app.run.options import CLOUD, OVERLAY, SUFFIXES, RunOptions, saved_heads
 from runtime.app.run.outputs.run_context import RunContext
-from runtime.app.run.run_report import FRAMES_FILE, REPORT_FILE, write_report
+from runtime.app.run.run_report import RUN_FILES, write_report
 from runtime.drawing.encode import ENCODERS, encode_jpeg, encode_ply
 from runtime.files.atomic_write import atomic_write
 from runtime.files.own_folder import make_own_folder
@@ -73,7 +73,6 @@ def make_run_folder(options: RunOptions, kinds: Sequence[str], names: Sequence[s
 
     With --overwrite an earlier run in it is replaced. Raises OutputError, see `make_own_folder`.
     """
-    # The report is removed first, because a folder with a report counts as complete.
-    files = [Path(REPORT_FILE), Path(FRAMES_FILE)]
+    files = [*RUN_FILES]
     files += [Path(kind, _file_name(name, kind)) for kind in kinds for name in names]
     make_own_folder(options.folder, files, overwrite=options.overwrite)
