@@ -15,6 +15,7 @@ from runtime.command.process import print_result, reported_errors
 from runtime.contract.agreement import figure_name
 from runtime.contract.heads import HEADS
 from runtime.engine.predictor import Predictor
+from runtime.files.atomic_write import atomic_write, require_writable
 from runtime.verification.reference import read_reference
 from runtime.verification.unpack import MANIFEST_FILE, unpack
 from runtime.verification.verify import VerifyReport, verify
@@ -71,9 +72,14 @@ def main(
         float,
         typer.Option(min=1e-6, show_default="no limit", help="Largest median prediction time."),
     ] = math.inf,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the comparison as one JSON document.")
-    ] = False,
+    json_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--json",
+            metavar="FILE",
+            help="Write the comparison as one JSON document; - prints it instead of the table.",
+        ),
+    ] = None,
     unpack_dir: Annotated[
         Path | None,
         typer.Option(
@@ -84,7 +90,10 @@ def main(
         ),
     ] = None,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace an earlier folder of --unpack.")
+        bool,
+        typer.Option(
+            "--overwrite", help="Replace an earlier folder of --unpack, and the file of --json."
+        ),
     ] = False,
     _version: Version = False,
 ) -> None:
@@ -92,7 +101,10 @@ def main(
     tolerances = _tolerances(tolerance or [])
     if unpack_dir is not None and model is not None:
         raise typer.BadParameter("--unpack writes the recorded answers: leave out --model")
+    prints = json_file == Path("-")
     with reported_errors("cpu"):
+        if json_file is not None and not prints:
+            require_writable(json_file, overwrite=overwrite)
         reference = read_reference(reference_dir)
         with Predictor(
             reference.model if model is None else model,
@@ -115,7 +127,9 @@ def main(
                 max_latency_ms=max_latency_ms,
             )
         document = json.dumps(_to_json(report, predictor), indent=1, allow_nan=False)
-        print_result(document if as_json else _table(report, predictor))
+        if json_file is not None and not prints:
+            atomic_write(json_file, f"{document}\n".encode(), overwrite=overwrite)
+        print_result(document if prints else _table(report, predictor))
         raise typer.Exit(0 if report.passed else DIFFERS)
 
 

@@ -97,7 +97,7 @@ def test_what_differs_is_one_line_with_its_worst_frame(recording, head, change, 
     words = [line.split() for line in lines]
     (line,) = [each for each in words if each[-2:] == ["1", "00001"]]
     assert line[: 1 + len(reported)] == [head, *reported]
-    rows = json.loads(verify(recording, "--json").output)["figures"]
+    rows = json.loads(verify(recording, "--json", "-").output)["figures"]
     beyond = [row for row in rows if row["frames_beyond"]]
     (row,) = beyond
     assert (row["head"], row["figure"], row["frame"]) == (head, reported[0], "00001")
@@ -226,7 +226,7 @@ def test_the_time_may_have_a_limit_in_milliseconds(recording):
     result = verify(recording, "--max-latency-ms", 1e-6)
     assert result.exit_code == 4
     assert re.search(r"take [0-9.]+ ms at the median, expected at most 1e-06 ms$", result.output)
-    report = json.loads(verify(recording, "--max-latency-ms", 1e-6, "--json").output)
+    report = json.loads(verify(recording, "--max-latency-ms", 1e-6, "--json", "-").output)
     assert not report["passed"]
     assert report["median_ms"] > report["max_latency_ms"] == 1e-6
 
@@ -340,3 +340,14 @@ def test_an_8_bit_file_does_not_verify_with_other_returns_or_another_model(
     assert ["depth", "mean_relative"] in [line.split()[:2] for line in lines_of(result)]
     other = verify(int8_recording, "--model", "ssdnet-lite-int8", "--threads", 1)
     assert "2 of 2 frames differ" in other.output
+
+
+def test_the_document_is_written_beside_the_table(recording, tmp_path):
+    path = tmp_path / "a.json"
+    printed = verify(recording, "--json", path)
+    assert printed.exit_code == 0
+    assert printed.output.rstrip().endswith("the same answers")
+    written, printed = json.loads(path.read_text()), verify(recording, "--json", "-").output
+    assert written["figures"] == json.loads(printed)["figures"]
+    assert verify(recording, "--json", path).exit_code == 1
+    assert verify(recording, "--json", path, "--overwrite").exit_code == 0
