@@ -80,6 +80,7 @@ from runtime.streams.messages import (
     Scan as Scan,
     Sensor as Sensor,
 )
+from runtime.streams.memory import ScanMemory as ScanMemory
 from runtime.streams.push_stream import PushStream as PushStream
 from runtime.streams.replay import ReplayMessage as ReplayMessage, replay as replay
 from runtime.streams.statistics import (

@@ -14,6 +14,8 @@ from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import MIDDLE_AFTER, ScanStamp, check_scan_stamp
 from runtime.geometry.poses import PoseFrame, check_pose_frame
 
+LONGEST_MEMORY_S = 10.0
+
 
 @dataclass(frozen=True, kw_only=True)
 class Rig:
@@ -34,6 +36,8 @@ class Rig:
         reuse_depth_ms: largest age of older depth that is reused for an image without depth of its
             own; 0: depth is never reused. None: 150, except in folders of files without times,
             where depth is never reused.
+        memory_s: how many seconds a stream with poses remembers returns, see `ScanMemory`; 0: each
+            frame is answered alone. None: 2. Sources of recordings ignore it.
 
     Raises:
         InputError: if a value is out of range or has another type.
@@ -44,6 +48,7 @@ class Rig:
     scan_stamp: ScanStamp | None = None
     max_skew_ms: float = DEFAULT_MAX_SKEW_MS
     reuse_depth_ms: float | None = None
+    memory_s: float | None = None
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -61,6 +66,10 @@ class Rig:
         for name in ("max_skew_ms", "reuse_depth_ms"):
             if (value := getattr(self, name)) is not None or name == "max_skew_ms":
                 check_number(name, value, 0, 1e6, "milliseconds", error=InputError)
+        if self.memory_s is not None:
+            check_number(
+                "memory_s", self.memory_s, 0, LONGEST_MEMORY_S, "seconds", error=InputError
+            )
 
     @property
     def max_depth_age_ms(self) -> float:
@@ -80,8 +89,9 @@ class Rig:
 
     @property
     def given(self) -> tuple[str, ...]:
-        """The names of the attributes that differ from their defaults."""
-        return tuple(each.name for each in fields(self) if getattr(self, each.name) != each.default)
+        """The names of the attributes of the sensors that differ from their defaults."""
+        of_sensors = (each for each in fields(self) if each.name != "memory_s")
+        return tuple(each.name for each in of_sensors if getattr(self, each.name) != each.default)
 
 
 # The rig of a car about which nothing is known.

@@ -1,6 +1,7 @@
 """The answer to a frame: one way for live streams, replays and runs."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -12,6 +13,7 @@ from runtime.checks.consistency import Consistency
 from runtime.engine.prediction import Prediction
 from runtime.geometry.calibration import Calibration
 from runtime.streams.frame import Frame
+from runtime.streams.frame_memory import FrameMemory
 from runtime.streams.frame_result import FrameResult
 
 
@@ -32,8 +34,6 @@ class FramePredictor(Protocol):
 
 # Answers a frame with the given returns (H, W) instead of its own; all 0: from the image alone.
 Predict = Callable[[Frame, NDArray[np.float32]], Prediction]
-# Called once with each frame, in order, before its prediction; returns it with further returns.
-Step = Callable[[Frame], Frame]
 
 
 class Checks(Protocol):
@@ -57,18 +57,18 @@ class Answerer:
     Args:
         predictor: a `Predictor`, or a drop-in replacement.
         checks: the checks of this stream.
-        steps: what adds returns to a frame before it is predicted.
+        memory: adds earlier returns to each frame; None: each frame is answered alone.
 
     Raises:
         InputError: if `predictor` has no `predict`.
     """
 
     def __init__(
-        self, predictor: FramePredictor, checks: Checks, *, steps: Sequence[Step] = ()
+        self, predictor: FramePredictor, checks: Checks, *, memory: FrameMemory | None = None
     ) -> None:
         if not callable(getattr(predictor, "predict", None)):
             raise InputError(f"predictor must be a Predictor, got {shown(predictor)}")
-        self._predictor, self._checks, self._steps = predictor, checks, steps
+        self._predictor, self._checks, self._memory = predictor, checks, memory
         self._answers = 0
 
     def answer(self, frame: Frame) -> tuple[Frame, FrameResult]:
@@ -76,11 +76,16 @@ class Answerer:
 
         Raises what `Predictor.predict` raises.
         """
-        for step in self._steps:
-            frame = step(frame)
+        if self._memory is not None:
+            frame = self._memory.recall(frame)
         image, depth = frame.image, frame.depth
         prediction, consistency = self._checks.predict(frame, self._predict)
+        if (further := frame.remembered) is not None:
+            own = max(0, prediction.depth_returns - further.returned)
+            prediction = replace(prediction, depth_returns=own)
         predictor_reasons = prediction.degraded
+        if self._memory is not None:
+            self._memory.answered(frame, prediction)
         reasons, health = self._checks.answered(frame, prediction)
         prediction = prediction.after_reading(reasons, frame.compensated.lost_points)
         self._answers += 1
@@ -96,6 +101,9 @@ class Answerer:
             depth_stamp=None if depth is None else depth.stamp,
             depth_reused=frame.reused,
             depth_motion=frame.depth_motion,
+            memory_returns=0 if further is None else further.returned,
+            memory_rejected=None if further is None else further.rejected_share,
+            memory_off="" if further is None else further.off,
             latency_ms=prediction.latency.total_ms,
             age_ms=prediction.latency.total_ms,
         )
@@ -107,7 +115,7 @@ class Answerer:
     def _predict(self, frame: Frame, sparse_depth: NDArray[np.float32]) -> Prediction:
         return self._predictor.predict(
             frame.rgb,
-            sparse_depth,
+            frame.fed(sparse_depth),
             focal_length_px=known_focal_length_px(self._predictor, frame.calibration),
             stamp=frame.image.stamp,
         )

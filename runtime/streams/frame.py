@@ -12,7 +12,7 @@ from runtime.contract.degraded import DEPTH_REUSED, DEPTH_UNCOMPENSATED, POINTS_
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import DepthMotion, project_compensated
 from runtime.geometry.poses import NoPoseError, PoseTrack
-from runtime.geometry.returns import is_measured
+from runtime.streams.memory import Remembered
 from runtime.streams.messages import Depth, Image, Scan
 
 
@@ -48,6 +48,7 @@ class Frame:
         name: name of the frame in its recording.
         compensated: the depth at the time of the image; a scan is moved and projected, a map is
             unchanged.
+        remembered: what a memory adds to the returns; None without one.
 
     Raises:
         InputError: if a scan has no calibration, or one of images of another size.
@@ -60,6 +61,7 @@ class Frame:
     poses: PoseTrack | None = None
     name: str = ""
     compensated: CompensatedDepth = field(init=False)
+    remembered: Remembered | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         """Move and project the scan."""
@@ -100,12 +102,18 @@ class Frame:
         """Faults of the depth: reasons for `Prediction.degraded`."""
         return self.compensated.degraded
 
-    def with_further(self, further: NDArray[np.float32]) -> "Frame":
-        """Return the frame with further returns, (H, W) [m], where it has no return of its own."""
-        own, frame = self.sparse_depth, copy.copy(self)
-        both = self.compensated._replace(sparse_depth=np.where(is_measured(own), own, further))
-        object.__setattr__(frame, "compensated", both)
+    def with_remembered(self, remembered: Remembered) -> "Frame":
+        """Return the frame with what a memory adds; its own returns remain what was measured."""
+        frame = copy.copy(self)
+        object.__setattr__(frame, "remembered", remembered)
         return frame
+
+    def fed(self, own: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return what is fed if `own`, (H, W), are the returns; nothing is added to none."""
+        if self.remembered is None or not self.remembered.returned or not own.any():
+            return own
+        further = self.remembered.returns
+        return np.where(further > 0, further, own)
 
 
 def _compensate(frame: Frame) -> CompensatedDepth:

@@ -33,6 +33,11 @@ class FrameResult:
         depth_motion: "each" where each return was moved to the time of the image by its own time,
             "scan" where the scan was moved as one, "none" where it was not moved; None without
             depth.
+        memory_returns: number of earlier returns that were fed beside those of the frame, which
+            `prediction.depth_returns` counts.
+        memory_rejected: share of the earlier returns that those of the frame contradict; None if
+            there are none.
+        memory_off: why no earlier return is fed although there are some; "" if nothing is wrong.
         latency_ms: the time that a deadline limits. In a live stream it starts when the image is
             pushed, and includes waiting for the depth and for the predictor. Otherwise it is the
             time of the prediction.
@@ -54,6 +59,9 @@ class FrameResult:
     depth_stamp: Stamp | None = None
     depth_reused: bool = False
     depth_motion: DepthMotion | None = None
+    memory_returns: int = 0
+    memory_rejected: float | None = None
+    memory_off: str = ""
     latency_ms: float
     age_ms: float
     jitter_ms: float | None = None

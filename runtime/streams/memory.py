@@ -14,15 +14,17 @@ from numpy.typing import NDArray
 
 from runtime.base.arguments import check_number
 from runtime.base.errors import InputError
+from runtime.engine.prediction import Prediction
 from runtime.engine.preprocess import check_sparse_depth
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import cache_key, rays, to_image_plane
 from runtime.geometry.poses import PoseBuffer
 from runtime.geometry.projection import find_pixels
 from runtime.geometry.returns import is_measured
+from runtime.geometry.rig import LONGEST_MEMORY_S
 from runtime.geometry.rigid import nearest_rigid
 
-DEFAULT_MEMORY_S, _LONGEST_S = 2.0, 10.0
+DEFAULT_MEMORY_S = 2.0
 # A scan is remembered if the camera moved this far since the last one, and used from there on. A
 # standing car thus adds nothing. Otherwise returns that a check holds out would come back.
 _LEAST_WAY_M = 0.3
@@ -31,10 +33,16 @@ _TOLERANCE = 1.03  # of the depths between which a remembered return must lie
 _CELL = 4  # columns of a cell of the gate, which compares with this cell and one on each side
 _LINE_ROWS = 1  # rows above and below a return that belong to its scan line
 _MOST_GAPS = 4.0  # a scan line bounds what is at most so many gaps between lines from it
+# A remembered return is dropped if one within so many pixels has less than this share of its depth.
+_HIDING_PX, _HIDING_SHARE = 2, 0.9
 # What the figures of poses are, see `_Guard`.
 _LEAST_BESIDE, _WEIGHT = 20, 0.2
 _MOST_APART, _MOST_REJECTED = 0.02, 0.5
 _PAUSE_S = 5.0
+
+# Names of the classes of what may move.
+_MAY_MOVE = {"car", "van", "truck", "bus", "train", "tram", "motorcycle", "bicycle", "caravan"}
+_MAY_MOVE |= {"pedestrian", "person", "rider", "cyclist", "bicyclist", "motorcyclist", "trailer"}
 
 Depth = NDArray[np.float32]
 
@@ -58,9 +66,17 @@ class Remembered(NamedTuple):
 
 
 class _Scan(NamedTuple):
-    """The returns of a frame, float32 (3, N) in the frame of its camera, whose pose is (4, 4)."""
+    """The returns of a frame.
+
+    Attributes:
+        points: float32 (3, N), metres, in the frame of its camera.
+        pixel: row * W + column of each, (N,).
+        pose: float64 (4, 4), of the camera.
+        stamp_ns: time of the image.
+    """
 
     points: Depth
+    pixel: NDArray[np.int64]
     pose: NDArray[np.float64]
     stamp_ns: int
 
@@ -73,6 +89,7 @@ class ScanMemory:
     for rgb, sparse_depth, pose, stamp_ns in frames:  # in the order of time
         earlier = memory.recall(sparse_depth, pose, stamp_ns, calibration).returns
         prediction = predictor.predict(rgb, np.where(earlier > 0, earlier, sparse_depth))
+        memory.answered(prediction)  # so that traffic leaves no trail
     ```
 
     Whatever does not continue the frames before empties the memory and is counted in `cleared`: a
@@ -90,13 +107,14 @@ class ScanMemory:
     """
 
     def __init__(self, seconds: float = DEFAULT_MEMORY_S) -> None:
-        check_number("seconds", seconds, 0.1, _LONGEST_S, "s", error=InputError)
+        check_number("seconds", seconds, 0.01, LONGEST_MEMORY_S, error=InputError)
         self._longest_ns = round(seconds * 1e9)
         self._scans: deque[_Scan] = deque(maxlen=_SCANS)
         self._poses = PoseBuffer(capacity=4)  # judges whether a pose continues the motion
         self._sensor: tuple[Any, ...] | None = None
         self._last_ns: int | None = None
         self._guard = _Guard()
+        self._still: NDArray[np.bool_] | None = None  # returns of the last scan that stay
         self.cleared: dict[str, int] = {}
 
     def clear(self, reason: str) -> None:
@@ -105,6 +123,7 @@ class ScanMemory:
             self.cleared[reason] = self.cleared.get(reason, 0) + 1
         self._scans.clear()
         self._poses, self._sensor, self._last_ns = PoseBuffer(capacity=4), None, None
+        self._still = None
         self._guard = _Guard()
 
     def recall(
@@ -135,10 +154,23 @@ class ScanMemory:
         ways_m = [float(np.linalg.norm(scan.pose[:3, 3] - camera[:3, 3])) for scan in self._scans]
         moved = [s for s, way_m in zip(self._scans, ways_m, strict=True) if way_m >= _LEAST_WAY_M]
         found = self._remembered(moved, present, camera, stamp_ns, calibration)
+        if self._still is not None:
+            last = self._scans.pop()
+            points = np.ascontiguousarray(last.points[:, self._still])
+            self._scans.append(last._replace(points=points, pixel=last.pixel[self._still]))
+            self._still = None
         if len(moved) == len(ways_m):  # this frame is far enough from all of them
-            points = _unproject(present, calibration)
-            self._scans.append(_Scan(points, camera, stamp_ns))
+            points, pixel = _unproject(present, calibration)
+            self._scans.append(_Scan(points, pixel, camera, stamp_ns))
         return found
+
+    def answered(self, prediction: Prediction) -> None:
+        """Use returns of the last frame for the next one alone, where its answer shows traffic."""
+        semantic = prediction.semantic
+        if semantic is not None and self._scans and self._scans[-1].stamp_ns == self._last_ns:
+            moves = [name.lower() in _MAY_MOVE for name in prediction.class_names]
+            still = np.array([not each for each in moves] + [True] * 256)
+            self._still = still[semantic.reshape(-1).take(self._scans[-1].pixel)]
 
     def _follow(
         self, camera: NDArray[np.float64], stamp_ns: int, calibration: Calibration, size: Any
@@ -194,9 +226,12 @@ class ScanMemory:
         rejected = 1 - len(allowed) / count if count else None
         if not self._guard.add(apart, rejected, stamp_ns):
             return Remembered(returns, rejected_share=rejected, off=self._guard.off)
-        pixel, nearest = pixel.take(allowed), np.full_like(present, np.inf)
+        pixel, nearest = pixel.take(allowed), np.where(present > 0, present, np.float32(np.inf))
         _keep_least(nearest, pixel, depth.take(allowed))
-        returns.reshape(-1)[pixel] = nearest.reshape(-1).take(pixel)
+        side = 2 * _HIDING_PX + 1
+        around = cv2.erode(nearest, np.ones((side, side), np.uint8)).reshape(-1).take(pixel)
+        depth = nearest.reshape(-1).take(pixel)
+        returns.reshape(-1)[pixel] = np.where(around < _HIDING_SHARE * depth, 0, depth)
         return Remembered(returns, int(np.count_nonzero(returns > 0)), rejected)
 
 
@@ -324,8 +359,8 @@ def _running(mean: float | None, value: float) -> float:
     return value if mean is None else mean + _WEIGHT * (value - mean)
 
 
-def _unproject(present: Depth, calibration: Calibration) -> Depth:
-    """The returns of a depth map in the camera's frame, float32 (3, N), from pixel centres."""
+def _unproject(present: Depth, calibration: Calibration) -> tuple[Depth, NDArray[np.int64]]:
+    """The returns of a depth map as the points and pixels of a `_Scan`, from pixel centres."""
     pixel = np.flatnonzero(present > 0)
     pixel = pixel[:: -(-len(pixel) // _POINTS) or 1]
     row, column = np.divmod(pixel, present.shape[1])
@@ -335,7 +370,8 @@ def _unproject(present: Depth, calibration: Calibration) -> Depth:
     else:
         size = present.shape[0], present.shape[1]
         x, y = rays(lens, cache_key(calibration.intrinsics), size)[row, column].T
-    return np.stack([x * depth, y * depth, depth]).astype(np.float32)  # NaN beyond the lens
+    points = np.stack([x * depth, y * depth, depth])  # NaN beyond the lens
+    return points.astype(np.float32), pixel
 
 
 def _inverse(rigid: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -30,6 +30,7 @@ from runtime.base.stamp import NS_PER_MS, Stamp, stamp_ns
 from runtime.geometry.poses import PoseTrack
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.streams.answerer import Answerer, FramePredictor
+from runtime.streams.frame_memory import FrameMemory
 from runtime.streams.frame_result import FrameResult
 from runtime.streams.matching import Decided, LiveMatcher, Pair
 from runtime.streams.messages import Message, Outcome
@@ -119,7 +120,6 @@ class PushStream:
             deadline_ms = check_number("deadline_ms", deadline_ms, *limits, "ms", error=InputError)
         # These are used in the stream's thread alone.
         checks = StreamChecks(consistency=consistency, check_depth=check_depth)
-        self._answerer = Answerer(predictor, checks)
         self._on_result, self._on_error, self._on_state = on_result, on_error, on_state
         self._deadline_ms, self._sensor_clock = deadline_ms, sensor_clock
         self._clock = clock or MonotonicClock()
@@ -127,6 +127,7 @@ class PushStream:
         self._changed = threading.Condition(threading.RLock())
         self._counter, self._jitter = StreamCounter(deadline_ms, watchdog), Jitter()
         self._sensors = SensorInput(rig, counter=self._counter, lock=self._changed)
+        self._answerer = Answerer(predictor, checks, memory=FrameMemory.of(rig.memory_s))
         self._matcher = LiveMatcher[Message](
             max_skew_ms=rig.max_skew_ms,
             max_wait_ms=max_wait_ms,

@@ -16,6 +16,7 @@ from runtime.base.errors import InputError, SSDNetError
 from runtime.base.stamp import Stamp
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.streams.answerer import Answerer, FramePredictor
+from runtime.streams.frame_memory import FrameMemory
 from runtime.streams.frame_result import FrameResult
 from runtime.streams.matching import Pair, RecordingMatcher
 from runtime.streams.messages import Message
@@ -82,8 +83,8 @@ def replay(
     """
     counter = StreamCounter() if counter is None else counter
     checks = StreamChecks(consistency=consistency, check_depth=check_depth)
-    answerer = Answerer(predictor, checks)
     sensors = SensorInput(rig, counter=counter, lock=contextlib.nullcontext())
+    answerer = Answerer(predictor, checks, memory=FrameMemory.of(rig.memory_s))
 
     def report(error: SSDNetError) -> None:
         if on_error is None:

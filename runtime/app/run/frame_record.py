@@ -36,7 +36,8 @@ class FrameRecord:
         prediction: the prediction without arrays (`heads` is empty); None if the frame could not be
             read or predicted.
         image_stamp_ns, depth_stamp_ns: stamps of the image and of its depth; None if unknown.
-        health, depth_reused, depth_motion: see `FrameResult`.
+        health, depth_reused, depth_motion, memory_returns, memory_rejected, memory_off: see
+            `FrameResult`.
         times_ms: figure -> value, for the figures that the frame has: those of `FIGURES`; "read",
             the time of reading and decoding; and "write", the time of writing to all outputs. "age"
             and "jitter" exist in a constant stream only, and start when a frame is due.
@@ -51,6 +52,9 @@ class FrameRecord:
     health: tuple[str, ...] = ()
     depth_reused: bool = False
     depth_motion: DepthMotion | None = None
+    memory_returns: int = 0
+    memory_rejected: float | None = None
+    memory_off: str = ""
     times_ms: Mapping[str, float] = field(default_factory=dict)
     deadline_met: bool | None = None
 
@@ -85,6 +89,9 @@ class FrameRecord:
             health=result.health,
             depth_reused=result.depth_reused,
             depth_motion=result.depth_motion,
+            memory_returns=result.memory_returns,
+            memory_rejected=result.memory_rejected,
+            memory_off=result.memory_off,
             times_ms={name: time_ms for name, time_ms in times_ms.items() if time_ms is not None},
             deadline_met=None if deadline_ms is None else latency_ms <= deadline_ms,
         )

@@ -26,6 +26,7 @@ from runtime.contract.network_size import NetworkSize, parse_network_size
 from runtime.drawing.encode import METRES_PNG_SCALE
 from runtime.engine.bundled_models import DEFAULT_MODEL, list_bundled_models
 from runtime.engine.predictor import Predictor
+from runtime.geometry.rig import LONGEST_MEMORY_S
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
 from runtime.recordings.registry import (
     SOURCE_KEYS,
@@ -38,6 +39,7 @@ from runtime.recordings.registry import (
 )
 from runtime.recordings.scan import SCAN_SUFFIXES
 from runtime.recordings.source import Source
+from runtime.streams.memory import DEFAULT_MEMORY_S
 
 OVERLAY, CLOUD = "overlay", "cloud"
 
@@ -147,6 +149,13 @@ class RunOptions:
         min=0,
         max=1e6,
     )
+    memory: float | None = _input(
+        "Feed the returns of so many seconds before, too, moved by the poses, where the present "
+        f"ones do not contradict them; 0 turns it off. [default: {DEFAULT_MEMORY_S:g} with poses]",
+        metavar="SECONDS",
+        min=0,
+        max=LONGEST_MEMORY_S,
+    )
     poses: Path | None = _input(
         "Poses in KITTI's or TUM's format, by which the scans of a folder are moved to the time of "
         "the image. Needs pose_frame in --source. Drives of KITTI and bags hold their own poses.",
@@ -159,7 +168,8 @@ class RunOptions:
     )
     shard: str | None = _input(
         "Run part I of N of the recording, from 1/N to N/N: every N-th frame, of the first --limit "
-        "frames if that is given. All parts together give the results of one run.",
+        "frames if that is given. All parts together give the results of one run with "
+        "--memory 0.",
         metavar="I/N",
     )
     out: Path | None = _outputs(
@@ -279,6 +289,8 @@ class RunOptions:
             raise UsageError(
                 "give one of PATH, --demo, --rgb (with --depth or --points) and --source"
             )
+        if self.shard is not None and self.memory:
+            raise UsageError("--memory needs the frames in order, but --shard reads every N-th one")
         if self.rectify and self.depth is not None:
             raise UsageError(
                 "--rectify goes with --points: depth maps (--depth) lie on the pixels of the "

@@ -29,6 +29,7 @@ from runtime.files.own_folder import locked_folder, make_own_folder
 from runtime.recordings.listing import ListedFrame
 from runtime.recordings.source import Source
 from runtime.streams.answerer import Answerer, known_focal_length_px
+from runtime.streams.frame_memory import FrameMemory
 from runtime.streams.stream_checks import StreamChecks
 
 _MOST_UNREADABLE = 20  # a stream is refused if none of these frames can be predicted
@@ -163,10 +164,11 @@ class _CameraStream:
                 has_lidar=self.source.has_lidar(self.frames),
                 is_implausible=fault is not None and fault.is_implausible,
             )
+            memory = FrameMemory.of(0.0 if options.shard else options.memory)
             about = f"{camera}: {self.about}" if camera else self.about
             with self.source.collecting():
                 stream_run = StreamRun(
-                    Answerer(predictor, checks),
+                    Answerer(predictor, checks, memory=memory),
                     self.read,
                     options,
                     outputs=outputs,
@@ -178,11 +180,16 @@ class _CameraStream:
             if fault and not fault.is_implausible and any(each.depth_returns for each in answers):
                 fault = None  # the LiDAR has only started later
             depth_fault = None if fault is None else fault.text
-            context.report = self._report(context, result, depth_fault, checks.pose_fault)
+            context.report = self._report(context, result, depth_fault, checks.pose_fault, memory)
         return context.report
 
     def _report(
-        self, run: RunContext, result: StreamResult, depth: str | None, poses: str | None
+        self,
+        run: RunContext,
+        result: StreamResult,
+        depth: str | None,
+        poses: str | None,
+        memory: FrameMemory | None,
     ) -> RunReport:
         """Report a run, with why its depth and its poses cannot be right."""
         options, source, scale = run.options, self.source, self.scale
@@ -199,6 +206,7 @@ class _CameraStream:
             "assumptions": [note for note in source.notes if note.startswith("warning: ")],
             "rectified_by_this_run": options.rectify,
             "shard": options.shard,
+            "memory_emptied": dict(memory.cleared) if memory else {},
             "warmup": options.warmup,
         }
         timeline = Timeline.of(result.records, source.stamps_ns)

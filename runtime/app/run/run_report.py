@@ -157,6 +157,18 @@ class RunReport:
         )
 
     @property
+    def memory(self) -> str:
+        """What earlier returns added, in words; "" if nothing was added and nothing is wrong."""
+        fed = [record.memory_returns for record in self.records if record.memory_returns]
+        mean = sum(fed) / max(1, len(fed))
+        off = Counter(record.memory_off for record in self.records if record.memory_off)
+        emptied = self.inputs.get("memory_emptied", {})
+        parts = [f"{mean:,.0f} earlier returns a frame in {len(fed)} frames"] if fed else []
+        parts += [f"off in {count} frames, because {reason}" for reason, count in off.items()]
+        parts += [f"emptied {count} times: {reason}" for reason, count in emptied.items()]
+        return "; ".join(parts)
+
+    @property
     def by_network_size(self) -> Counter[str]:
         """Number of frames for each size at which the network ran."""
         return Counter(size_text(each.network_size) for each in self.predictions)
@@ -269,6 +281,7 @@ class RunReport:
                 "degraded": self.degraded,
                 "health": self.health,
                 "depth": self.depth_sources,
+                "memory": self.memory,
                 "implausible_depth": self.implausible_depth,
                 "implausible_poses": self.implausible_poses,
                 "calibration_fit": self._described_fits(),
@@ -318,6 +331,10 @@ def _depth_source(record: FrameRecord) -> str:
     return "reused" if record.depth_reused else "own"
 
 
+def _share_text(share: float | None) -> str:
+    return "" if share is None else f"{share:.4f}"
+
+
 def write_report(report: RunReport) -> None:
     """Write frames.csv and report.json into the run's folder. Raises OutputError."""
     # File names need not be valid text.
@@ -338,6 +355,7 @@ def frames_csv(report: RunReport) -> str:
         + ["missed_deadline", "degraded", *(each.name for each in fields(Cleaned))]
         + ["depth_returns", "network_height", "network_width"]
         + ["image_stamp_ns", "depth_stamp_ns", "health", "depth_source", "depth_motion"]
+        + ["memory_returns", "memory_rejected", "memory_off"]
     )
     for index, record in enumerate(report.records):
         times_ms = (record.times_ms.get(stage) for stage in STAGES)
@@ -351,7 +369,8 @@ def frames_csv(report: RunReport) -> str:
             + [answer.depth_returns if answer else 0]
             + list(answer.network_size if answer else ("", ""))
             + [record.image_stamp_ns, record.depth_stamp_ns, ";".join(record.health)]
-            + [_depth_source(record), record.depth_motion]
+            + [_depth_source(record), record.depth_motion, record.memory_returns]
+            + [_share_text(record.memory_rejected), record.memory_off]
         )
     return text.getvalue()
 
@@ -365,6 +384,7 @@ def describe_run(report: RunReport) -> str:
     lines += [f"  {line}" for line in group_reasons(not_ok)]
     lines += [f"  degraded: {reason}: {count}" for reason, count in report.degraded.items()]
     lines += [f"  health: {reason}: {count}" for reason, count in report.health.items()]
+    lines += [f"memory: {report.memory}"] if report.memory else []
     lines += [f"warning: {each.text}" for each in report.outages]
     if report.implausible_poses is not None:
         lines.append(f"warning: {report.implausible_poses}")

@@ -32,7 +32,7 @@ class RunReference:
             prediction.latency.total_ms,
             known_focal_length_px(self._predictor, frame.calibration),
         )
-        self._recorder.add(entry, frame.rgb, frame.sparse_depth, prediction.heads)
+        self._recorder.add(entry, frame.rgb, frame.fed(frame.sparse_depth), prediction.heads)
 
 
 @contextlib.contextmanager
