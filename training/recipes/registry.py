@@ -34,6 +34,7 @@ RECIPES: Mapping[str, PackageRecipe] = {
         "The classes and boundaries of lite, by a --teacher.", (Stage("", lite.CLASSES),)
     ),
     "lite-depth": PackageRecipe("The last stage of lite: its depth.", (Stage("", lite.DEPTH),)),
+    "open-depth": PackageRecipe("The last stage of open: its depth.", (Stage("", open.DEPTH),)),
     "nano-depth": PackageRecipe("The last stage of nano: its depth.", (Stage("", nano.DEPTH),)),
     "kitti-depth": _described(kitti_depth, (Stage("", kitti_depth.RECIPE),)),
     **{name: PackageRecipe(text, (Stage("", recipe),)) for name, (text, recipe) in _SINGLE.items()},

@@ -173,7 +173,13 @@ def read_scalars(folder):
 
 
 #: The last stages of others, and `ablation-ssdnet` with other weights of two terms.
-LIKE_OTHERS = ("lite-depth", "nano-depth", "ablation-joint-weights-1", "ablation-ssdnet-ind")
+LIKE_OTHERS = (
+    "lite-depth",
+    "nano-depth",
+    "open-depth",
+    "ablation-joint-weights-1",
+    "ablation-ssdnet-ind",
+)
 
 
 @pytest.mark.parametrize(
