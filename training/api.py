@@ -7,19 +7,25 @@ Weights are given by the name of a checkpoint of the package ("ssdnet-lite"), or
 import sys
 import tomllib
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 from tqdm import tqdm
 
-from training.base.stop_signal import Stop, never
+from models import load_checkpoint
+from models.checkpoint import LAST
+from training.base.stop_signal import Stop, StopRequested, never
 from training.evaluation.evaluate import evaluate as evaluate
 from training.fine_tuning import adaptation
 from training.fine_tuning.adaptation import Adapted
 from training.fine_tuning.adaptation_frames import describe_recording
 from training.fine_tuning.own_folders import RECIPE_TEXT, OwnFolders, keep_recipe
+from training.fine_tuning.verdict import FineTuned as FineTuned
+from training.fine_tuning.verdict import Pair, conclude, score_both
 from training.recipes.chosen_recipe import inherit_settings, read_stages
 from training.run.dry_run import dry_run as draw_first_batch
-from training.run.recipe import build_recipe
+from training.run.recipe import Recipe, build_recipe
 from training.run.stages import Stage, train_stages
 from training.run.training_run import RunResult, TrainingRun
 from training.weights.initial_weights import Weights, find_weights, read_weights
@@ -95,6 +101,7 @@ def finetune(
     init: str | Path = "ssdnet-lite",
     changes: Sequence[str] = (),
     device: str = "cpu",
+    folds: int = 0,
     stop_after: int | None = None,
     stop: Stop = never,
     dry_run: bool = False,
@@ -103,10 +110,12 @@ def finetune(
 
     A recipe is made for the folders, shown on stderr and written to `out`/recipe.toml. With labels
     the last layers of the classes are trained, otherwise those that only the depth reads. Files of
-    a frame have the same name in each folder.
+    a frame have the same name in each folder. Classes are compared with those of `init` at the end;
+    if they became worse and `init` has all of them, `out`/model.pt is the network before.
 
     Args:
-        images: PNG or JPEG images, at least 10. The last tenth, by name, is for validation.
+        images: PNG or JPEG images, at least 10. A tenth, at least six, is for validation: blocks of
+            neighbours from three places.
         out: folder of the run.
         labels: 8-bit PNGs of class ids (0, 1, ...; 255 = none).
         classes: text file with the name of one class per line, in order of the ids.
@@ -120,6 +129,8 @@ def finetune(
         init: weights to start from.
         changes: changes of the recipe, see `train`.
         device: "cpu", "cuda" or "cuda:N".
+        folds: cut the images into so many blocks of neighbours, and train as often without one of
+            them, which is scored; then train on all images, without a score. 0: one validation.
         stop_after: stop at this step.
         stop: called between two steps; True stops the run, which can be resumed.
         dry_run: see `train`.
@@ -146,12 +157,30 @@ def finetune(
     run = TrainingRun(
         [own.root], Path(out), init=begin, device=device, stop_after=stop_after, stop=stop
     )
-    text = own.make_recipe(begin)
+    text = own.make_recipe(begin, folds=folds)
     tqdm.write(text, file=sys.stderr)
-    table = inherit_settings(tomllib.loads(text), changes, begin)
-    stages = (Stage("", build_recipe(table, run.out / RECIPE_TEXT)),)
+
+    def build(text: str) -> Recipe:
+        return build_recipe(inherit_settings(tomllib.loads(text), changes, begin), RECIPE_TEXT)
+
+    recipe = build(text)
     keep_recipe(text, changes, run.out)  # also in a dry run, because it is the file to edit
-    return draw_first_batch(stages, run) if dry_run else train_stages(stages, run)
+    if dry_run:
+        return draw_first_batch((Stage("", recipe),), run)
+    pairs: list[Pair] = []
+    with suppress(StopRequested):
+        for fold in range(folds):
+            part = replace(run, out=run.out / f"fold-{fold + 1}")
+            # The same steps as the last training, which has all frames.
+            scored = replace(build(own.make_recipe(begin, fold, folds)), schedule=recipe.schedule)
+            found = train_stages((Stage("", scored),), part)
+            if found.stopped:
+                return found
+            trained = load_checkpoint(found.path).model
+            pair = score_both(scored, begin, trained, part.data, stop)
+            pairs += [] if pair is None else [pair]
+        return conclude(recipe, run, train_stages((Stage("", recipe),), run), pairs)
+    return RunResult(run.out / LAST, stopped=True)
 
 
 def adapt(

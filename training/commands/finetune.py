@@ -76,6 +76,14 @@ def finetune(
     change: Changes = None,
     device: Device = "cpu",
     threads: Threads = None,
+    folds: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="Score on all images: train so often (5) without a block of them each, then on "
+            "all.",
+        ),
+    ] = 0,
     stop_after: StopAfter = None,
     dry_run: DryRun = False,
     _version: Version = False,
@@ -101,6 +109,7 @@ def finetune(
             init=init,
             changes=change or (),
             device=device,
+            folds=folds,
             stop_after=stop_after,
             stop=stop,
             dry_run=dry_run,

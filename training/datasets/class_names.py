@@ -70,6 +70,29 @@ def relatives(name: str, known: Sequence[str]) -> tuple[str, ...]:
     return same or tuple(other for other in known if places[other] == (place[0], 0))
 
 
+def join_relatives(
+    relatives: Sequence[Sequence[str]], known: Sequence[str]
+) -> list[tuple[list[int], list[int]]]:
+    """Return what can be compared between two lists of classes: ids of the one, and of the other.
+
+    Args:
+        relatives: for each class of the first list, the names in the second that it stands for.
+        known: the second list. A class in it may be split in the first, and the other way round.
+    """
+    groups: list[tuple[list[int], list[int]]] = []
+    folded = [name.casefold() for name in known]
+    for index, names in enumerate(relatives):
+        of = [folded.index(name.casefold()) for name in names if name.casefold() in folded]
+        if not of:
+            continue
+        ids = [index]
+        for group in [group for group in groups if not set(of).isdisjoint(group[1])]:
+            groups.remove(group)
+            ids, of = group[0] + ids, group[1] + [each for each in of if each not in group[1]]
+        groups.append((ids, of))
+    return groups
+
+
 def _spellings(name: str) -> Iterator[str]:
     """Yield how a name may be spelled in the table: whole, then its parts."""
     *_, last = levels = name.split("--")

@@ -89,10 +89,12 @@ class RangeRecipe(SourceRecipe):
 
     Attributes:
         first: first and last frame, from 0, inclusive.
+        parts: first and last frame of each part that is taken; (): all of this range.
     """
 
     first: Index = 0
     last: Index | None = None
+    parts: Annotated[tuple[tuple[Index, Index], ...], Field(max_length=10_000)] = ()
 
     def take(
         self, frames: Sequence[T], folder: Path, number: Callable[[T], int] | None = None
@@ -102,15 +104,19 @@ class RangeRecipe(SourceRecipe):
         Raises:
             DatasetError: if the range has no frame.
         """
-        last = float("inf") if self.last is None else self.last
         taken = [
             frame
             for place, frame in enumerate(frames)
-            if self.first <= (number(frame) if number else place) <= last
+            if self._holds(number(frame) if number else place)
         ]
         if not taken:
             raise DatasetError(
                 f"{folder}: {len(frames)} images, none of them in {self.first}.."
-                f"{'' if self.last is None else self.last}: correct `first` and `last`"
+                f"{'' if self.last is None else self.last}: correct `first`, `last` and `parts`"
             )
         return taken
+
+    def _holds(self, number: int) -> bool:
+        last = float("inf") if self.last is None else self.last
+        parts = self.parts or ((self.first, last),)
+        return self.first <= number <= last and any(a <= number <= b for a, b in parts)

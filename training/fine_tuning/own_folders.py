@@ -1,7 +1,9 @@
 """The recipe for folders of images, labels and depth maps: what it needs is read from them."""
 
+import itertools
 import json
 import os
+import re
 import sys
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,6 +12,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+import numpy as np
 from tqdm import tqdm
 
 from models import Network
@@ -29,6 +32,7 @@ from training.datasets.class_names import relatives
 from training.datasets.folders import FoldersRecipe
 from training.run.recipe import change
 from training.run.run_folder import folder_errors
+from training.scores.differences import LEAST_DRAWN
 from training.weights.initial_weights import Weights
 
 # The file of the recipe in a run's folder.
@@ -44,8 +48,16 @@ _CLASSES_ALONE = (
     'frozen = ["semantic_decoder"]',
     "learning_rate = 2e-3",
 )
-# One frame in this number is for validation; this is also the least number of frames.
-_VALIDATION = 10
+# One frame in this number is for validation, but no fewer than the least that give a verdict.
+_VALIDATION, _LEAST_APART = 10, LEAST_DRAWN
+# The least number of frames.
+_LEAST_FRAMES = 10
+# Number of places of which frames are kept apart.
+_PLACES = 3
+# Fewer frames give scores that say little.
+_FEW_FRAMES = 60
+# A gap between the numbers of two frames, in median gaps, from which they are of two places.
+_PLACE_GAP = 5
 
 
 @dataclass(frozen=True)
@@ -80,10 +92,12 @@ class OwnFolders:
         """The recipe's `--data`: the folder that holds the images' folder."""
         return self.images.resolve().parent
 
-    def make_recipe(self, init: Weights) -> str:
+    def make_recipe(self, init: Weights, fold: int | None = None, folds: int = 0) -> str:
         """Return a recipe, as TOML, for a training that starts from `init`.
 
-        The last tenth of the frames is for validation: neighbours of a recording are alike. Images
+        A tenth of the frames, at least six, is for validation: blocks of neighbours, which are
+        alike, from three places. With `folds` it is the block of that number of so many; without a
+        number all frames are trained on, and none are for validation. Images
         of far more rows than those `init` was trained on are resized to its rows, and images of
         far different sizes to the median of their rows; each keeps its aspect. Classes are learned
         by their own layers, and so is the depth without labels: the others stay those of `init`.
@@ -93,14 +107,16 @@ class OwnFolders:
                 over a tenth of them differ in their rows by more than twice.
             DatasetError: for images without labels or depth.
         """
+        if folds == 1:
+            raise InputError("--folds 1 leaves no frames to train on: give 2 or more, or none")
         classes, ids = self._learned_classes()
         keys = self._keys_of_folders(ids)
         frames = FoldersRecipe(**keys).open(self.images.resolve(), classes or "camvid")
         count = len(frames)
-        if count < _VALIDATION:
+        if count < _LEAST_FRAMES:
             raise InputError(
-                f"{self.images}: {count} images; expected at least {_VALIDATION}, a tenth of which "
-                "is for validation: add images with their labels or depth"
+                f"{self.images}: {count} images; expected at least {_LEAST_FRAMES}, of which "
+                f"{_LEAST_APART} are for validation: add images with their labels or depth"
             )
         if self.focal_length_px is not None:
             height, width = read_rgb(frames.images[0]).shape[:2]
@@ -108,8 +124,14 @@ class OwnFolders:
         rows, fits_all = self._choose_rows(frames.images, init)
         if not fits_all:
             keys["size"] = rows
-        first = count - count // _VALIDATION
-        lines = [*_describe(self._relatives(init), classes, rows, keys, first, count)]
+        names = [path.stem for path in frames.images]
+        apart = _choose_apart(names, fold, folds)
+        if not folds and count < _FEW_FRAMES:
+            text = f"only {len(apart)} of {count} frames are kept apart, which say little: label "
+            tqdm.write(
+                text + "more, or give --folds 5, which scores on all of them", file=sys.stderr
+            )
+        lines = [*_describe(self._relatives(init), classes, rows, keys, apart, count)]
         if init.network.depth_layers:
             lines += ["", *(_CLASSES_ALONE if classes else _depth_alone(init.network))]
         return "\n".join((f"# --data is {quoted(str(self.root))}.", *lines, ""))
@@ -180,7 +202,7 @@ class OwnFolders:
         if far:
             text = f"{self.images}: {len(far)} of {len(heights)} images have more than twice or "
             text += f"less than half of the {rows} rows of the others, such as {far[0]}"
-            if len(far) > len(heights) // _VALIDATION:
+            if len(far) > len(heights) // 10:
                 raise InputError(f"{text}: train on a folder of each size")
             tqdm.write(f"warning: {text}; all are resized to the same rows", file=sys.stderr)
         return rows
@@ -191,10 +213,10 @@ def _describe(
     classes: Sequence[ClassInfo],
     rows: int,
     keys: Mapping[str, Any],
-    first: int,
+    apart: Sequence[int],
     count: int,
 ) -> Iterator[str]:
-    """Yield the lines of a recipe whose validation begins with the frame of number `first`."""
+    """Yield the lines of a recipe with the frames `apart` for validation."""
     has_depth = "depth" in keys
     yield "[model]"
     if classes:
@@ -206,20 +228,58 @@ def _describe(
     yield f"trained_height = {rows}  # of the images [px]"
     yield "\n[data]"
     yield f"batch_size = {_BATCH}"
-    for table, chosen in (
-        ("data", f"last = {first - 1}  # of {count} frames"),
-        ("validation", f"first = {first}"),
-    ):
+    trained = [index for index in range(count) if index not in {*apart}]
+    for table, chosen in (("data", trained), ("validation", apart)):
+        if not chosen:
+            continue
         if table == "validation" and has_depth:
             yield '\n[validation]\nlidar = "own"  # every second line is the input'
         yield f"\n[[{table}.source]]"
         yield f'kind = "folders"\nname = "{"train" if table == "data" else "val"}"'
         yield from (f"{key} = {quoted(value)}" for key, value in keys.items())
-        yield chosen
+        yield f"parts = {_list_parts(chosen)}  # {len(chosen)} of {count} frames"
         if has_depth and "intrinsics" not in keys:
             yield "# intrinsics = [721.5, 721.5, 609.6, 172.9]  # fx, fy, cx, cy of the camera [px]"
-    steps = min(max(_PASSES * first // _BATCH, _MIN_STEPS), _MAX_STEPS)
+    steps = min(max(_PASSES * len(trained) // _BATCH, _MIN_STEPS), _MAX_STEPS)
     yield f"\n[schedule]\nsteps = {steps}  # of {_BATCH} frames"
+
+
+def _list_parts(indices: Sequence[int]) -> list[list[int]]:
+    """Return the first and the last of each run of neighbours."""
+    starts = [index for index in indices if index - 1 not in {*indices}]
+    ends = [index for index in indices if index + 1 not in {*indices}]
+    return [list(part) for part in zip(starts, ends, strict=True)]
+
+
+def _choose_apart(names: Sequence[str], fold: int | None, folds: int) -> list[int]:
+    """Return the frames that are kept apart, see `OwnFolders.make_recipe`."""
+    if folds:
+        return [] if fold is None else cut(names, folds)[fold]
+    wanted = max(_LEAST_APART, len(names) // _VALIDATION)
+    blocks = cut(names, max(_PLACES, len(names) * _PLACES // wanted))
+    places = [blocks[(2 * place + 1) * len(blocks) // (2 * _PLACES)] for place in range(_PLACES)]
+    return [index for block in places for index in block]
+
+
+def cut(names: Sequence[str], count: int) -> list[list[int]]:
+    """Cut frames into so many blocks of neighbours, about equal, between places where these end.
+
+    A place ends where the text of the names changes, or their number jumps, as stamps do.
+    """
+    parts = [re.fullmatch(r"(.*?)(\d*)", name) for name in names]
+    texts = [found[1] if found else "" for found in parts]
+    numbers = np.array([int((found and found[2]) or 0) for found in parts], dtype=np.float64)
+    gaps = np.diff(numbers)
+    far = gaps > _PLACE_GAP * max(1.0, float(np.median(gaps)))
+    borders = [i + 1 for i, jump in enumerate(far) if jump or texts[i] != texts[i + 1]]
+    size = len(names) / count
+    cuts = [0]
+    for block in range(1, count):
+        wanted = round(block * size)
+        near = [border for border in borders if abs(border - wanted) <= size / 2]
+        nearest = min(near, key=lambda border: abs(border - wanted), default=wanted)
+        cuts.append(max(nearest, cuts[-1] + 1))
+    return [list(range(*ends)) for ends in itertools.pairwise([*cuts, len(names)])]
 
 
 def _depth_alone(network: Network) -> Iterator[str]:
