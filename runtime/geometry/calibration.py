@@ -78,7 +78,8 @@ class Calibration:
                 "lens and distortion belong together: give the model of the lens and its "
                 f"coefficients, got lens {shown(self.lens)} and distortion {shown(self.distortion)}"
             )
-        _ = self.lens_model
+        if self.lens is not None:
+            Lens.of(self.lens, self.distortion)  # raises for wrong coefficients
         check_mount_distance(self.extrinsics, self.body_from_lidar)
 
     @property

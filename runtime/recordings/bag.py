@@ -85,11 +85,7 @@ class BagSource(Source):
                 self._sensors = BagSensors(self._bag, topics, *both, given, rig)
                 self.calibration = self._sensors.read_calibration()
                 self._pose_topic = self._find_poses()
-            # Frames need these later, when a second reading would disturb the reader of an MCAP.
-            for topic in filter(None, (self._image_topic, self._depth_topic)):
-                with contextlib.suppress(InputError):  # no message may be decodable
-                    self._sensors.frame(topic)
-            _ = self._sensors.tree
+            self._sensors.read_frames()
             read = *both, self._sensors.info_topic
             self._messages = BagMessages(self._bag, [each for each in read if each is not None])
         except BaseException:

@@ -66,6 +66,7 @@ class BagSensors:
         info_topic: topic of the camera's CameraInfo; None: there is none.
         has_clouds: whether the depth comes as point clouds.
         depth_camera: calibration of the depth images if they are projected, else None.
+        tree: the transforms of /tf_static.
     """
 
     def __init__(
@@ -84,6 +85,7 @@ class BagSensors:
         infos, beside = topics.of_kind(CAMERA_INFO), topics.infos_beside(image)
         self.info_topic = topics.choose("info_topic", given.info_topic, infos, beside[:1])
         self.depth_camera: Calibration | None = None
+        self.tree = self._read_tree()
         self._first_frames: dict[str, str] = {}  # of each topic
         self._of_frames: dict[str, Calibration] = {}  # for scans, by their frames
 
@@ -137,6 +139,12 @@ class BagSensors:
         if topic not in self._first_frames:
             self._first_frames[topic] = frame_name(self._bag.first(topic).header.frame_id)
         return self._first_frames[topic]
+
+    def read_frames(self) -> None:
+        """Read the frames of both topics: later it would disturb the reader of an MCAP file."""
+        for topic in filter(None, (self._image_topic, self._depth_topic)):
+            with contextlib.suppress(InputError):  # no message may be decodable
+                self.frame(topic)
 
     def _is_apart(self, depth: str) -> bool:
         """Whether the pixels of depth images do not lie on those of the images."""
@@ -202,8 +210,7 @@ class BagSensors:
                 frames.add(self.frame(topic))
         return frames
 
-    @cached_property
-    def tree(self) -> TransformTree:
+    def _read_tree(self) -> TransformTree:
         """The transforms of /tf_static."""
         topics = (
             topic for topic in self._topics.of_kind(*TRANSFORMS) if topic.endswith("tf_static")
