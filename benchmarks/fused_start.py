@@ -24,8 +24,8 @@ from training.loading.colors import change_colors
 from training.loading.mixture import CachedSource
 from training.loading.open_dataset import open_dataset
 from training.recipes.registry import RECIPES
+from training.run.provenance import state_provenance
 from training.weights.imagenet_weights import COLORS, load_imagenet
-from training.weights.initial_weights import state_provenance
 
 CROP, SCALE, BATCH = (192, 256), (0.7, 1.5), 6
 RATE = 4e-3
