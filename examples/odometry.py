@@ -1,6 +1,6 @@
 """A recording of a camera twice as fast as the LiDAR, with poses from an odometry.
 
-    pip install kiss-icp
+    pip install -c constraints.txt ".[cpu,odometry]"
     python examples/odometry.py --images image_02 --scans velodyne --calibration calib.txt
 
 Images and scans are files of equal count, 10 a second. Every second scan is dropped, as if the
@@ -13,11 +13,16 @@ import argparse
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import numpy as np
-from kiss_icp.config import load_config
-from kiss_icp.kiss_icp import KissICP
-
-from runtime import Predictor, ReplayMessage, Rig, StreamCounter, read_rgb, read_scan, replay
+from runtime import (
+    Odometry,
+    Predictor,
+    ReplayMessage,
+    Rig,
+    StreamCounter,
+    read_rgb,
+    read_scan,
+    replay,
+)
 
 PERIOD_S = 0.1
 
@@ -37,7 +42,7 @@ def main() -> None:
         for answer in replay(
             predictor,
             drive(images, scans),
-            Rig(calibration=arguments.calibration, pose_frame="lidar"),
+            Rig(calibration=arguments.calibration, pose_frame="lidar", scan_stamp="middle"),
             counter=counter,
         ):
             age = "none" if answer.depth_age_ms is None else f"{answer.depth_age_ms:.0f} ms old"
@@ -49,17 +54,14 @@ def main() -> None:
 
 def drive(images: Sequence[Path], scans: Sequence[Path]) -> Iterator[ReplayMessage]:
     """Yield the messages of camera, LiDAR and odometry in the order of time."""
-    config = load_config(None)
-    config.data.deskew = False  # the scans of these files have no time a point
-    kiss_icp = KissICP(config)
+    odometry = Odometry()
     for number, (image, scan) in enumerate(zip(images, scans, strict=True)):
         stamp = number * PERIOD_S
         yield "image", read_rgb(image), stamp
         if number % 2 == 0:
             points = read_scan(scan)
             yield "points", points, stamp
-            kiss_icp.register_frame(points[:, :3].astype(np.float64), np.zeros(0))
-            yield "pose", kiss_icp.last_pose, stamp
+            yield "pose", odometry.add(points), stamp
 
 
 if __name__ == "__main__":

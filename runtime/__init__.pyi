@@ -41,6 +41,7 @@ from runtime.engine.predictor import Predictor as Predictor
 from runtime.geometry.assumptions import AssumptionWarning as AssumptionWarning
 from runtime.geometry.calibration import Calibration as Calibration
 from runtime.geometry.lens import Lens as Lens
+from runtime.geometry.odometry import Odometry as Odometry
 from runtime.geometry.point_cloud import PointCloud as PointCloud
 from runtime.geometry.poses import PoseFrame as PoseFrame, PoseTrack as PoseTrack
 from runtime.geometry.projection import project_points as project_points

@@ -17,6 +17,7 @@ from runtime.base.stamp import NS_PER_MS
 from runtime.geometry.assumptions import assume, collect_assumptions
 from runtime.geometry.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration
 from runtime.geometry.motion import lidar_mount, point_times
+from runtime.geometry.odometry import ODOMETRY, Odometry
 from runtime.geometry.poses import PoseFrame, PoseTrack
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.images import (
@@ -30,7 +31,7 @@ from runtime.recordings.images import (
 from runtime.recordings.listing import ListedFrame, limit_frames
 from runtime.recordings.poses import read_poses
 from runtime.recordings.scan import SCAN_SUFFIXES, read_scan
-from runtime.recordings.source import Source
+from runtime.recordings.source import Source, pose_track
 from runtime.recordings.timestamps import read_timestamps
 from runtime.streams.frame import Frame
 from runtime.streams.messages import Outcome, Place, Scan, Sensor
@@ -54,7 +55,8 @@ class FolderOptions(NamedTuple):
             elsewhere.
         timestamps: file with the time of each image, see `read_timestamps`; None: times are
             unknown.
-        poses: file of poses, see `read_poses`, which move scans to the time of their image.
+        poses: file of poses, see `read_poses`, which move scans to the time of their image; or
+            "odometry": they are found from the scans, see `Odometry`.
         point_time_column: index, from 0, of the column of .bin and .npy scans that holds the time
             of each point, in seconds after the time of its image.
     """
@@ -107,13 +109,18 @@ class FolderSource(Source):
     def __init__(self, rgb: Path, rig: Rig = DEFAULT_RIG, **options: Any) -> None:
         given = self._given = FolderOptions(**options)
         self._rig, poses, points, calibration = rig, given.poses, given.points, rig.calibration
-        if (poses is None) != (rig.pose_frame is None):
+        is_odometry = self._is_odometry = poses == Path(ODOMETRY)
+        if is_odometry and rig.pose_frame is not None:
+            raise InputError("poses by odometry are those of the LiDAR: leave pose_frame out")
+        if not is_odometry and (poses is None) != (rig.pose_frame is None):
             raise InputError(
                 "poses and their frame go together: give --poses and pose_frame= in --source (in "
                 "Python poses= and Rig(pose_frame=))"
             )
         if poses is not None and points is None:
             raise InputError(f"the poses in {poses} move scans: give --points")
+        if is_odometry:
+            Odometry()  # raises if its package is missing
         if points is not None and given.depth is not None:
             raise InputError(f"give depth maps ({given.depth}) or scans ({points}), not both")
         if points is not None and calibration is None:
@@ -135,6 +142,8 @@ class FolderSource(Source):
         if rig.pose_frame is not None and self.calibration is not None:
             self._completion.pose_frame = PoseFrame(rig.pose_frame)
             lidar_mount(self._completion.pose_frame, self.calibration)  # raises if it is unknown
+        if is_odometry:
+            self._completion.pose_frame = PoseFrame.LIDAR
 
     def _open_calibration(self, path: Path, camera: int | None) -> None:
         """Read the calibration; of a folder with a file per frame, the first readable one."""
@@ -209,7 +218,7 @@ class FolderSource(Source):
                     f"{self._given.timestamps} has {len(stamps_ns)} lines, there are {len(images)} "
                     "images: it must have a line for each image, in natural order"
                 )
-        if self._given.poses is not None:
+        if self._given.poses is not None and not self._is_odometry:
             of_clock = self._given.timestamps is not None
             with self.collecting():
                 poses_ns, poses = read_poses(self._given.poses, stamps_ns, of_clock=of_clock)
@@ -220,7 +229,20 @@ class FolderSource(Source):
                 places.append(Place(Sensor.DEPTH, depths[name], stamp_ns))
             places.append(Place(Sensor.IMAGE, image, stamp_ns))
         camera_only = self._depth is None
-        return self._match(places, max_skew_ms=0, limit=limit, camera_only=camera_only)
+        frames = self._match(places, max_skew_ms=0, limit=limit, camera_only=camera_only)
+        if self._is_odometry:
+            self._completion.poses = self._find_poses(frames)
+        return frames
+
+    def _find_poses(self, frames: Sequence[ListedFrame]) -> PoseTrack:
+        """Read all scans of a list for the poses of the LiDAR in their middle."""
+        odometry, to_middle_ns, stamped = Odometry(), self._completion.to_middle_ns, []
+        for frame in frames:
+            if frame.depth is not None and frame.depth_stamp_ns is not None and not frame.reused:
+                with contextlib.suppress(InputError):  # reported when the frame is read
+                    pose = odometry.add(self._read_scan(frame).points)
+                    stamped.append((frame.depth_stamp_ns + to_middle_ns, pose))
+        return pose_track(stamped)
 
     def _list_images(self) -> Mapping[str, Any]:
         return list_files(self._rgb)

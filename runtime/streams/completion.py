@@ -29,6 +29,11 @@ class Completion:
     period_ns: float = FIRST_SCAN_NS
     rectifies: bool = False
 
+    @property
+    def to_middle_ns(self) -> int:
+        """Time from the stamp of a scan to its middle."""
+        return round(self.rig.stamp_to_middle * self.period_ns)
+
     def complete(
         self,
         image: Image,
@@ -57,8 +62,7 @@ class Completion:
             if self.poses is not None:
                 poses = self.poses.mounted(lidar_mount(self.pose_frame, calibration))
         if isinstance(depth, Scan) and depth.times is None and depth.stamp_ns is not None:
-            to_middle_ns = round(self.rig.stamp_to_middle * self.period_ns)
-            depth = replace(depth, times=depth.stamp_ns + to_middle_ns)
+            depth = replace(depth, times=depth.stamp_ns + self.to_middle_ns)
             is_moved = poses is not None and depth.stamp_ns != image.stamp_ns
             if is_moved and self.rig.scan_stamp is None:
                 assume_middle("in --source")

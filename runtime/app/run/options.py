@@ -26,6 +26,7 @@ from runtime.contract.network_size import NetworkSize, parse_network_size
 from runtime.drawing.encode import METRES_PNG_SCALE
 from runtime.engine.bundled_models import DEFAULT_MODEL, list_bundled_models
 from runtime.engine.predictor import Predictor
+from runtime.geometry.odometry import ODOMETRY
 from runtime.geometry.rig import LONGEST_MEMORY_S
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
 from runtime.recordings.registry import (
@@ -158,8 +159,9 @@ class RunOptions:
     )
     poses: Path | None = _input(
         "Poses in KITTI's or TUM's format, by which the scans of a folder are moved to the time of "
-        "the image. Needs pose_frame in --source. Drives of KITTI and bags hold their own poses.",
-        metavar="FILE",
+        "the image. Needs pose_frame in --source. Drives of KITTI and bags hold their own poses. "
+        f"{ODOMETRY} finds them from the scans of a folder (extra odometry).",
+        metavar=f"FILE|{ODOMETRY}",
     )
     source: str | None = _input(
         f"A path with its kind, and options of this kind: {_KEYS}. --rgb DIR is the same as "

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from runtime import InputError
+from runtime import InputError, open_source
 from runtime.geometry.poses import PoseFrame
 from runtime.geometry.rig import Rig
 from runtime.recordings.bag import BagSource
@@ -274,3 +274,37 @@ def test_one_of_several_topics_of_odometry_is_chosen(moving):
         assert source.inputs["pose_topic"] == "/odom"
     with pytest.raises(InputError, match="pose_topic=/imu"):
         BagSource(path, pose_topic="/imu")
+
+
+class KnownOdometry:
+    """Takes the distance that was driven from the only point, of a wall 20 m ahead at first."""
+
+    def add(self, points):
+        pose = np.eye(4)
+        pose[0, 3] = 20 - points[0, 0]
+        return pose
+
+
+def test_a_folder_gets_its_poses_from_its_scans(tmp_path, make_frame, write_rgb, monkeypatch):
+    monkeypatch.setattr("runtime.recordings.folders.Odometry", KnownOdometry)
+    (tmp_path / "points").mkdir()
+    for number in range(4):
+        write_rgb(tmp_path / f"image/{number}.png", make_frame(48, 64, seed=number)[0])
+        if number != 2:  # it takes the scan before, moved to its time
+            points = np.array([[20.0 - 1.5 * number, 0, 0, 0]], np.float32)
+            points.tofile(tmp_path / f"points/{number}.bin")
+    (tmp_path / "calibration.toml").write_text(
+        "intrinsics = [[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]\n"
+        "extrinsics = [[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]\n"
+    )
+    rig = Rig(calibration=tmp_path / "calibration.toml", scan_stamp="middle")
+    files = {"points": tmp_path / "points", "poses": "odometry"}
+    with open_source("folders", tmp_path / "image", rig, **files) as source:
+        frames = [source.read(frame) for frame in source.list_frames()]
+    assert [frame.sparse_depth.max() for frame in frames] == pytest.approx(
+        [20, 18.5, 17.0, 15.5], abs=0.01
+    )
+    assert frames[2].depth_motion == "scan"
+    framed = Rig(calibration=tmp_path / "calibration.toml", pose_frame="body")
+    with pytest.raises(InputError, match="leave pose_frame out"):
+        open_source("folders", tmp_path / "image", framed, **files)
