@@ -56,7 +56,7 @@ GROUP = "ssdnet.networks"
 
 def list_models() -> list[str]:
     """Return the names for `create_model`."""
-    return [*NETWORKS, *(name for name in list_entries(GROUP) if name not in NETWORKS)]
+    return list_entries(GROUP, NETWORKS)
 
 
 def find_network(name: str) -> Entry:
@@ -64,7 +64,7 @@ def find_network(name: str) -> Entry:
 
     Raises ValueError for a name that neither this package nor an installed one registers.
     """
-    entry = NETWORKS.get(name) or find_entry(GROUP, name, Entry)
+    entry = find_entry(GROUP, name, Entry, NETWORKS)
     if entry is None:
         raise ValueError(f"unknown model {shown(name)}; known: {', '.join(list_models())}")
     return entry
@@ -78,7 +78,7 @@ def registered_name(network: Network) -> str:
     Raises ValueError if its class is registered nowhere.
     """
     wanted = network.config.name
-    entry = NETWORKS.get(wanted) or find_entry(GROUP, wanted, Entry)
+    entry = find_entry(GROUP, wanted, Entry, NETWORKS)
     if entry is not None and entry.network is type(network):
         return wanted
     names = (name for name, other in NETWORKS.items() if other.network is type(network))

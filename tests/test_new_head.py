@@ -25,7 +25,8 @@ from runtime.drawing.encode import ENCODERS
 from runtime.verification.reference import read_reference
 from runtime.verification.verify import verify
 from training import evaluate, train
-from training.datasets.any_source import parse_data
+from training.base.tables import build
+from training.datasets.any_source import AnySource, parse_data
 from training.recipes.chosen_recipe import read_stages
 
 PACKAGE = Path(__file__).parents[1] / "examples/own_package"
@@ -36,6 +37,17 @@ misnamed = own_package.head:DRIVABLE
 [ssdnet.networks]
 own-broken = own_package.loss:nothing
 own-wrong = own_package.loss:LOSS
+enet = own_package.network:NETWORK
+[ssdnet.datasets]
+own-labelled = broken_package:Labelled
+camvid = broken_package:Labelled
+"""
+DATA_SET = """
+from typing import ClassVar
+from own_package.data import StreetsRecipe
+
+class Labelled(StreetsRecipe):
+    labelled: ClassVar[str] = "camvids"
 """
 SIZE = (64, 96)
 
@@ -59,6 +71,7 @@ def folder(tmp_path_factory):
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(BROKEN)
+    (folder / "site/broken_package.py").write_text(DATA_SET)
     torch.manual_seed(0)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(folder / "site"))
@@ -173,12 +186,24 @@ def test_its_keys_are_checked_like_those_of_this_package(folder, change, text):
 @pytest.mark.parametrize(("name", "text"), [
     ("own-none", "unknown model 'own-none'; known: ssdnet.*, own-network"),
     ("own-broken", "networks: own-broken = own_package.loss:nothing: .*no attribute 'nothing'"),
+    ("enet", "enet is a name of this package and own_package.network:NETWORK: rename it"),
     ("own-wrong", "own-wrong = own_package.loss:LOSS is a Term; expected one of the type Entry"),
 ])  # fmt: skip
 @pytest.mark.usefixtures("folder")
 def test_what_cannot_be_loaded_is_named(name, text):
     with pytest.raises(ValueError, match=text):
         create_model(name)
+
+
+@pytest.mark.parametrize(("kind", "text"), [
+    ("own-street", "unknown kind of data set 'own-street': give one of camvid, .*, own-streets"),
+    ("own-labelled", "own-labelled has labelled = 'camvids'; expected one of camvid, "),
+    ("camvid", "camvid is a name of this package and broken_package:Labelled"),
+])  # fmt: skip
+@pytest.mark.usefixtures("folder")
+def test_a_data_set_that_cannot_be_used_is_named(kind, text):
+    with pytest.raises(InputError, match=text):
+        build(AnySource, {"kind": kind, "path": "."})
 
 
 def test_a_package_that_cannot_be_imported_is_named(folder, monkeypatch):

@@ -8,7 +8,7 @@ from pydantic_core import PydanticCustomError
 
 from runtime.base.errors import InputError
 from training.base.tables import TAGS, build, parse_pairs
-from training.datasets.registry import DATASETS, find_dataset
+from training.datasets.registry import DATASETS, find_dataset, list_datasets
 from training.datasets.source_recipe import SourceRecipe
 
 # The tag of data sets of other packages.
@@ -19,9 +19,11 @@ TAGS |= {**DATASETS, _REGISTERED: SourceRecipe}
 def _kind_of(value: Any) -> str | None:
     """Return the kind of a data set, or the tag of those that another package registers."""
     kind = value.get("kind") if isinstance(value, Mapping) else getattr(value, "kind", None)
-    if isinstance(kind, str) and kind not in DATASETS and find_dataset(kind) is not None:
-        return _REGISTERED
-    return kind
+    try:
+        is_own = not isinstance(kind, str) or find_dataset(kind) is DATASETS.get(kind, "none")
+    except ValueError:  # raised again where it becomes an error of this data set
+        is_own = False
+    return kind if is_own else _REGISTERED
 
 
 def _read_registered(value: Any) -> SourceRecipe:
@@ -29,7 +31,11 @@ def _read_registered(value: Any) -> SourceRecipe:
     if isinstance(value, SourceRecipe):
         return value
     kind = find_dataset(value["kind"])
-    assert kind is not None  # by its tag
+    if kind is None:
+        text = (
+            f"unknown kind of data set {value['kind']!r}: give one of {', '.join(list_datasets())}"
+        )
+        raise PydanticCustomError("registered", "{text}", {"text": text})
     try:
         return build(kind, value)
     except InputError as error:
@@ -48,8 +54,7 @@ else:
         Discriminator(
             _kind_of,
             custom_error_type="kind",
-            custom_error_message="unknown kind of data set: give one of {known}",
-            custom_error_context={"known": ", ".join(DATASETS)},
+            custom_error_message="kind names the kind of the data set, a text",
         ),
     ]
 

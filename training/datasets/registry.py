@@ -3,7 +3,8 @@
 A new kind needs its file and a line here, or an entry point of another package.
 """
 
-from runtime.base.entry_points import find_entry
+from models import CLASS_TABLES
+from runtime.base.entry_points import find_entry, list_entries
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.cityscapes import CityscapesRecipe
 from training.datasets.folders import FoldersRecipe
@@ -33,11 +34,22 @@ GROUP = "ssdnet.datasets"
 def find_dataset(kind: str) -> type[SourceRecipe] | None:
     """Return the options of a kind of data set; None if the kind is unknown.
 
-    Raises ValueError if what a package registers is not a subclass of `SourceRecipe`.
+    Raises ValueError if what a package registers is not a subclass of `SourceRecipe`, or has labels
+    of an unknown table, and in the cases of `find_entry`.
     """
-    if kind in DATASETS:
-        return DATASETS[kind]
-    found = find_entry(GROUP, kind, type)
-    if found is None or issubclass(found, SourceRecipe):
-        return found
-    raise ValueError(f"the entry point {GROUP}: {kind} is no subclass of SourceRecipe")
+    found = find_entry(GROUP, kind, type, DATASETS)
+    if found is None:
+        return None
+    if not issubclass(found, SourceRecipe):
+        raise ValueError(f"the entry point {GROUP}: {kind} is no subclass of SourceRecipe")
+    if found.labelled and found.labelled not in CLASS_TABLES:
+        raise ValueError(
+            f"the entry point {GROUP}: {kind} has labelled = {found.labelled!r}; expected one of "
+            f"{', '.join(CLASS_TABLES)}, or none for labels of `model.classes`"
+        )
+    return found
+
+
+def list_datasets() -> list[str]:
+    """Return the names of all kinds, for messages."""
+    return list_entries(GROUP, DATASETS)

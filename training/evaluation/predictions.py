@@ -1,5 +1,6 @@
 """Answers written by others, scored by the names of the frames without the network."""
 
+import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,11 +13,18 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass as checked
 
 from runtime.base.errors import DatasetError, InputError
+from runtime.files.read_input import read_input
 from runtime.recordings.images import KITTI_DEPTH_SCALE
 from training.base.limits import STRICT, Positive
 from training.base.tables import build, parse_pairs
 from training.datasets.class_mapping import ClassTable, TableName, named_table
-from training.datasets.files import read_depth, read_gray, require_folder, require_size
+from training.datasets.files import (
+    dataset_errors,
+    read_depth,
+    read_gray,
+    require_folder,
+    require_size,
+)
 from training.datasets.sample import Sample
 from training.scores.scoring import HeadMaps
 
@@ -123,7 +131,8 @@ class Predictions:
         scale = self.options.depth_scale
         if path.suffix.lower() == ".npy":
             return _read_array(path, sample.size, scale, head)
-        header = path.open("rb").read(26)
+        with dataset_errors():
+            header = read_input(path)[:26]
         of_depth = len(header) == 26 and header[24:26] == b"\x10\x00"  # 16 bits, gray
         if head == "depth" or (of_depth and not head):
             return read_depth(path, sample.size, depth_scale=scale)
@@ -152,8 +161,10 @@ def _find(files: Mapping[str, Path], frame: str, image_name: str | None) -> Path
 def _read_array(
     path: Path, size: tuple[int, int], depth_scale: float, head: str
 ) -> NDArray[np.uint8] | NDArray[np.float32]:
+    with dataset_errors():
+        content = io.BytesIO(read_input(path))
     try:
-        values: NDArray[Any] = np.squeeze(np.load(path, allow_pickle=False))
+        values: NDArray[Any] = np.squeeze(np.lib.format.read_array(content, allow_pickle=False))
     except (OSError, ValueError, EOFError) as error:
         raise DatasetError(f"{path}: cannot be read ({error}): write it with numpy.save") from error
     require_size(path, values.shape, size)

@@ -1,6 +1,7 @@
 """Open the data sets of a recipe, and count what their frames hold."""
 
 import hashlib
+import os
 import pickle
 import zlib
 from collections import Counter
@@ -17,6 +18,8 @@ from torch import Tensor
 from models import NetworkConfig
 from runtime.base.errors import DatasetError
 from runtime.contract.network_size import network_size
+from runtime.files.read_input import open_input
+from training.base.own_code import named_errors
 from training.base.stop_signal import Stop, StopRequested, never
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import Sample, SampleSource, labelled, target_kind
@@ -38,9 +41,11 @@ class CheckedSource:
     see `SourceRecipe.size`. A DatasetError about a frame names the reader and the frame.
     """
 
-    def __init__(self, source: SampleSource, size: tuple[int, int] | int | None) -> None:
+    def __init__(
+        self, source: SampleSource, size: tuple[int, int] | int | None, title: str = ""
+    ) -> None:
         self._source = source
-        self._size = size
+        self._size, self._title = size, title
         # See `FrameList.images`; a set of another kind may have none.
         self.images: Sequence[Path] = getattr(source, "images", ())
 
@@ -48,7 +53,8 @@ class CheckedSource:
         return len(self._source)
 
     def __getitem__(self, index: int) -> Sample:
-        sample = self._source[index]
+        with named_errors(f"{self._title}: the reader of frame {index}"):
+            sample = self._source[index]
         for target in sample.known:
             values, kind = sample.target(target), target_kind(target)
             if values.dtype != kind.dtype or values.shape != sample.size:
@@ -112,8 +118,10 @@ def open_dataset(
     `classes` is the table of the class ids. Raises DatasetError if there is no such folder, or if
     it cannot be read, and StopRequested once `stop` is True while a stream is read.
     """
-    source = recipe.open(_find_path(recipe, roots), classes)
-    checked = CheckedSource(source, recipe.size)
+    path = _find_path(recipe, roots)
+    with named_errors(f"{recipe.title}: the reader"):
+        source = recipe.open(path, classes)
+    checked = CheckedSource(source, recipe.size, recipe.title)
     return HeldSource(Watched(checked, stop)) if getattr(source, "is_stream", False) else checked
 
 
@@ -137,7 +145,8 @@ def frame_files(sources: Iterable[SampleSource]) -> dict[tuple[int, int], Path]:
     found: dict[tuple[int, int], Path] = {}
     for source in sources:
         for path in getattr(source, "images", ()):
-            item = path.stat()
+            with open_input(path, max_bytes=None) as file:  # a link may lead nowhere
+                item = os.fstat(file.fileno())
             found.setdefault((item.st_dev, item.st_ino), path)
     return found
 

@@ -1,7 +1,7 @@
 """The terms of the loss: one table says what each requires, how it is computed and its weight."""
 
 from collections.abc import Callable
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
@@ -310,16 +310,11 @@ GROUP = "ssdnet.losses"
 def find_term(name: str) -> Term | None:
     """Return a term of `TERMS` or of an installed package; None if there is none of the name.
 
-    Raises ValueError if what a package registers is no term.
+    Raises ValueError in the cases of `find_entry`.
     """
-    return TERMS[name] if name in TERMS else _registered_term(name)
-
-
-@cache
-def _registered_term(name: str) -> Term | None:
-    return find_entry(GROUP, name, Term)
+    return find_entry(GROUP, name, Term, TERMS)
 
 
 def list_terms() -> list[str]:
     """Return the names of all terms, for messages."""
-    return [*TERMS, *(name for name in list_entries(GROUP) if name not in TERMS)]
+    return list_entries(GROUP, TERMS)

@@ -11,7 +11,9 @@ from pydantic_core import ArgsKwargs
 from torch import Tensor, nn
 
 from models import NetworkOutput
+from runtime.base.errors import InputError
 from training.base.limits import STRICT, NotNegative
+from training.base.own_code import named_errors
 from training.loading.batch import Batch
 from training.losses.semantic import ClassWeighting
 from training.losses.terms import TERMS, Compared, Term, find_term, list_terms
@@ -116,6 +118,19 @@ class LossConfig:
         return self.weights.get(name, 0.0 if term is None else term.weight)
 
 
+def _compute(name: str, term: Term, compared: Compared) -> Tensor:
+    """Return a term; InputError that names it, if it fails or is no mean over the batch."""
+    with named_errors(f"the loss term {name!r}"):
+        value = term.loss(compared)
+    if not isinstance(value, Tensor) or value.shape or not value.is_floating_point():
+        kind = f"{value.dtype} {tuple(value.shape)}" if isinstance(value, Tensor) else type(value)
+        raise InputError(
+            f"the loss term {name!r} returned {kind}; expected a mean over the batch, one number "
+            "of a floating type: return loss.mean()"
+        )
+    return value
+
+
 class SSDNetLoss(nn.Module):
     """Eq. 12: the weighted sum of the losses of every task and of the joint ones, all means.
 
@@ -176,7 +191,7 @@ class SSDNetLoss(nn.Module):
         """
         compared = Compared(self, output, batch)
         wanted = self.config.terms_for(compared.heads)
-        terms = {name: term.loss(compared) for name, term in wanted.items()}
+        terms = {name: _compute(name, term, compared) for name, term in wanted.items()}
         weighted = [self._weigh(name, term) for name, term in terms.items()]
         return {**terms, "total": torch.stack(weighted).sum()}
 

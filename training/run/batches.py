@@ -1,5 +1,9 @@
 """The batches of a training, decoded and augmented by worker processes."""
 
+import math
+import os
+import shutil
+import sys
 import traceback
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
@@ -8,15 +12,22 @@ from functools import partial
 
 import cv2
 from torch.utils.data import DataLoader
+from tqdm import tqdm
 
-from runtime.base.errors import DatasetError
+from runtime.base.errors import DatasetError, InputError
 from runtime.command.process import leave_signals_to_parent
+from training.base.own_code import is_of_loader
 from training.base.processes import Processes
 from training.datasets.sample import SampleSource
 from training.loading.batch import Batch
 from training.loading.data_recipe import DataRecipe
 from training.loading.mixture import CachedSource, Mixture, MixturePart
 from training.run.task import Task
+
+# Batches that a worker reads ahead, and how long one may take [s].
+_PREFETCHED, _PATIENCE_S = 3, 900
+# Where workers leave batches on Linux, and about the bytes of a pixel: image, depth and targets.
+_SHARED, _PIXEL_BYTES = "/dev/shm", 16
 
 
 @contextmanager
@@ -30,6 +41,7 @@ def read_batches(task: Task, processes: Processes, step: int) -> Iterator[Iterat
     steps = recipe.schedule.steps
     per_step = recipe.loop.accumulate * batch * processes.count
     parts = _list_parts(task.data, task.sources)
+    workers = _fitting_workers(task, processes)
     loader = DataLoader(
         Mixture(
             parts,
@@ -41,8 +53,9 @@ def read_batches(task: Task, processes: Processes, step: int) -> Iterator[Iterat
         ),
         batch_size=batch,
         sampler=processes.shares(step * per_step, steps * per_step, batch),
-        num_workers=task.data.workers,
-        prefetch_factor=3 if task.data.workers else None,
+        num_workers=workers,
+        prefetch_factor=_PREFETCHED if workers else None,
+        timeout=_PATIENCE_S if workers else 0,
         pin_memory=processes.device.type == "cuda",
         worker_init_fn=_start_worker,
         collate_fn=partial(Batch.collate, targets=task.targets),
@@ -52,7 +65,13 @@ def read_batches(task: Task, processes: Processes, step: int) -> Iterator[Iterat
         yield batches
     except BaseException as error:
         traceback.clear_frames(error.__traceback__)
-        raise
+        if not is_of_loader(error):
+            raise
+        raise InputError(
+            f"a process that reads the data has ended or hangs ({error}), mostly for want of "
+            f"memory: the run resumes by the same command, from the last of its checkpoints, one "
+            f"every {recipe.checkpoint_every} steps: lower data.workers or data.cache_gib by --set"
+        ) from None
     finally:
         batches.close()  # the last reference to the loader's iterator, which ends its workers
 
@@ -68,6 +87,29 @@ def _list_parts(recipe: DataRecipe, sources: Sequence[SampleSource]) -> list[Mix
         )
         for item, source in zip(recipe.source, sources, strict=True)
     ]
+
+
+def _fitting_workers(task: Task, processes: Processes) -> int:
+    """Return the number of workers; 0, and a warning, where shared memory cannot hold batches.
+
+    A worker that cannot write to it prints an error and goes on, and the training would wait.
+    """
+    data = task.data
+    if not data.workers or not os.path.isdir(_SHARED):
+        return data.workers
+    pixels = (1 + bool(data.augment.pair_shift)) * data.batch_size * math.prod(data.augment.size)
+    needed = processes.count * data.workers * (_PREFETCHED + 1) * pixels * _PIXEL_BYTES
+    free = shutil.disk_usage(_SHARED).free
+    if needed <= free:
+        return data.workers
+    if processes.is_first:
+        text = (
+            f"warning: {_SHARED} has {free / 1e6:.3g} MB free, and the batches of {data.workers} "
+        )
+        text += f"workers need {needed / 1e6:.3g}: the training reads its data itself, which is "
+        text += "slower: enlarge it (docker run --shm-size=2g), or lower data.workers"
+        tqdm.write(text, file=sys.stderr)
+    return 0
 
 
 def _start_worker(_: int) -> None:

@@ -21,6 +21,7 @@ from models.answers import check_output, head_maps
 from runtime.base.errors import InputError
 from runtime.contract.contract import MIN_SIDE
 from runtime.engine.cores import available_cores
+from training.base.own_code import named_errors
 from training.base.processes import Processes
 from training.base.stop_signal import Stop
 from training.datasets.sample import SampleSource
@@ -173,10 +174,12 @@ def _open_networks(
 ) -> tuple[Network, Network | None]:
     """Build the network and its teacher on the device; InputError for a network's wrong output."""
     pictures = spread_pictures(sets.sources)
-    network = build_network(recipe.model, run.init, resumed=resumed, pictures=pictures)
+    with named_errors(f"the network {recipe.model.name!r}"):
+        network = build_network(recipe.model, run.init, resumed=resumed, pictures=pictures)
     taught_by = prepare_teacher(run.teacher, recipe.loss, network)
     try:
-        check_output(network)
+        with named_errors(f"the network {network.config.name!r}", but=ValueError):
+            check_output(network)
     except ValueError as error:
         raise InputError(f"the network {network.config.name!r}: {error}") from error
     for part in (network, taught_by):

@@ -67,6 +67,12 @@ def test_predictions_that_do_not_fit_say_why(data, tmp_path):
     write(tmp_path / "flat/depth/a.png", np.full((40, 64), 9, np.uint8))
     write(tmp_path / "twice/a.png", np.zeros((40, 64), np.uint8))
     np.save(tmp_path / "twice/a.npy", np.zeros((40, 64), np.uint8))
+    (tmp_path / "link").mkdir()
+    (tmp_path / "link/a.png").symlink_to("/nowhere/a.png")
+    (tmp_path / "folder/a.png").mkdir(parents=True)
+    (tmp_path / "zip").mkdir()
+    np.savez(tmp_path / "zip/a.npz", np.zeros((40, 64), np.uint8))
+    (tmp_path / "zip/a.npz").rename(tmp_path / "zip/a.npy")
     (tmp_path / "float/semantic").mkdir(parents=True)
     np.save(tmp_path / "float/semantic/a.npy", np.zeros((40, 64)))
     for folder, text in (
@@ -76,6 +82,9 @@ def test_predictions_that_do_not_fit_say_why(data, tmp_path):
         ("flat", "must be a depth map"),
         ("twice", "keep one of them"),
         ("float", "expected class ids"),
+        ("link", "a.png (No such file or directory)"),
+        ("folder", "a.png (Is a directory)"),
+        ("zip", "a.npy: cannot be read"),
         ("none", "no such folder"),
         ("some,colour=1", "unknown key colour"),
     ):

@@ -8,6 +8,7 @@ import torch
 
 from layouts.batch import batch_of
 from models import NetworkOutput
+from runtime.base.errors import InputError
 from training.loading.batch import Pair
 from training.losses import LossConfig, SSDNetLoss, class_weights
 from training.losses.boundary import (
@@ -41,6 +42,21 @@ class Loss(SSDNetLoss):
 
 
 ALL_OFF = dict.fromkeys(TERMS, 0.0)
+
+
+@pytest.mark.parametrize(("loss", "text"), [
+    (lambda logits, *_: logits.float().mean((1, 2, 3)), "returned torch.float32"),
+    (lambda logits, *_: 1.0, "'semantic' returned <class 'float'>; expected a mean"),
+    (lambda logits, *_: logits.nothing, "'semantic' failed with AttributeError: .*, line"),
+])  # fmt: skip
+def test_a_term_that_fails_is_named(monkeypatch, loss, text):
+    monkeypatch.setitem(TERMS, "semantic", head_term("semantic", loss))
+    found = leaves()
+    output = NetworkOutput(found["semantic"], None, None)
+    with pytest.raises(InputError, match=text):
+        Loss(LossConfig(ALL_OFF | {"semantic": 1.0}))(
+            output, torch.zeros(2, 16, 24, dtype=torch.uint8), torch.zeros(2, 16, 24)
+        )
 
 
 def leaves(count=2, size=(16, 24), classes=5, seed=0, dtype=torch.float32):

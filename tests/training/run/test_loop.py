@@ -2,9 +2,12 @@
 
 import json
 import multiprocessing
+import os
 import shutil
+import signal
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import cv2
@@ -21,6 +24,7 @@ from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.evaluate import evaluate
 from training.loading.augment_config import AugmentConfig
 from training.loading.data_recipe import DataRecipe
+from training.loading.open_dataset import open_dataset
 from training.losses import LossConfig
 from training.losses.terms import TERMS
 from training.run import loop, validation
@@ -178,6 +182,41 @@ def test_a_damaged_frame_is_named_without_a_traceback(data, tmp_path, monkeypatc
     assert set(multiprocessing.active_children()) <= others
     assert len(str(raised.value).splitlines()) == 1
     assert str(raised.value).startswith(str(data / "camvid" / "train" / "3.png"))
+
+
+class Killed:
+    """A loss of power, for the worker that reads the third of these frames."""
+
+    def __init__(self, source):
+        self.source, self.images = source, source.images
+
+    def __len__(self):
+        return len(self.source)
+
+    def __getitem__(self, index):
+        if multiprocessing.parent_process() is not None:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return self.source[index]
+
+
+def test_a_worker_that_is_killed_ends_the_run_in_a_line(data, tmp_path, monkeypatch):
+    opened = open_dataset
+    monkeypatch.setattr(
+        "training.run.task.open_dataset",
+        lambda *given, **options: Killed(opened(*given, **options)),
+    )
+    with pytest.raises(InputError, match=r"has ended .*resumes by the same command") as raised:
+        train(recipe(data={"workers": 1}), data, tmp_path / "run")
+    assert len(str(raised.value).splitlines()) == 1
+
+
+def test_batches_that_shared_memory_cannot_hold_are_read_without_workers(
+    data, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr("training.run.batches.shutil.disk_usage", lambda _: SimpleNamespace(free=9))
+    train(recipe(data={"workers": 1}), data, tmp_path / "run")
+    assert "the training reads its data itself" in capsys.readouterr().err
+    assert_equal(weights(tmp_path / "run/model.pt"), weights(train(recipe(), data, tmp_path / "b")))
 
 
 def test_a_folder_has_one_writer(data, tmp_path):
