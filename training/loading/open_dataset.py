@@ -32,6 +32,8 @@ FREQUENCY_SAMPLES = 400
 _PICTURES = 32
 # A share of a set's depth beyond the network's range that is at least this large is reported.
 _FAR_SHARE = 0.1
+# Least focal length as a share of the image's side; a view of 157 degrees. Fisheye lenses have 0.3.
+_SHORTEST = 0.1
 
 
 class CheckedSource:
@@ -55,6 +57,7 @@ class CheckedSource:
     def __getitem__(self, index: int) -> Sample:
         with named_errors(f"{self._title}: the reader of frame {index}"):
             sample = self._source[index]
+        _require_camera(sample)
         for target in sample.known:
             values, kind = sample.target(target), target_kind(target)
             if values.dtype != kind.dtype or values.shape != sample.size:
@@ -65,6 +68,25 @@ class CheckedSource:
                 )
         size = network_size(self._size or "frame", sample.size, trained_height=None)
         return resize(sample, size)
+
+
+def _require_camera(sample: Sample) -> None:
+    """Raise DatasetError for intrinsics that cannot be those of an image of this size."""
+    if sample.intrinsics is None:
+        return
+    (fx, _, cx), (_, fy, cy), _ = sample.intrinsics
+    height, width = sample.size
+    shape = f"its image of {width} x {height} px (width x height)"
+    if not (-0.5 <= cx <= width - 0.5 and -0.5 <= cy <= height - 0.5):
+        raise DatasetError(
+            f"{sample.name}: the principal point ({cx:.5g}, {cy:.5g}) is outside of {shape}: "
+            "the intrinsics are those of another size: multiply all four by the ratio of the sizes"
+        )
+    if fx < _SHORTEST * width or fy < _SHORTEST * height:
+        raise DatasetError(
+            f"{sample.name}: the focal length of {min(fx, fy):.3g} px is too short for {shape}: "
+            "give it in pixels: millimetres times the width in pixels by that of the sensor"
+        )
 
 
 class Watched:
@@ -235,7 +257,7 @@ def survey(
         wanted = max(1, round(FREQUENCY_SAMPLES * item.weight / total))
         frames = spread_indices(source, wanted)
         empty: Counter[str] = Counter()
-        near = known = 0
+        near = known = within = 0  # pixels of depth: learned, all, in the range of returns
         for index in frames:
             sample = source[index]
             sizes.append(sample.size)
@@ -247,14 +269,21 @@ def survey(
             empty.update(name for name, count in learned.items() if not count)
             near += learned.get("depth", 0)
             known += int((sample.depth > 0).sum())
+            scale = _canonical_scale(sample, config)
+            within += int(((sample.depth > 0) & (sample.depth <= scale * config.max_depth_m)).sum())
         for target, number in empty.items():
             text = f"{number} of {len(frames)} frames of {item.title} have no {target}"
             notes.append((target, f"{text} to learn from"))
-        if item.unit_key and known - near > _FAR_SHARE * known:
+        if known - near > _FAR_SHARE * known:
             text = f"{item.title}: {1 - near / known:.0%} of the depth is beyond "
-            text += f"{_unmeasured_range_m(sample, config):.3g} m and not trained: check the unit "
-            text += f"({item.unit_key})" + ", or the focal length" * bool(sample.focal_length_px)
-            notes.append(("depth", text))
+            text += f"{scale * config.unmeasured_range_m:.3g} m and not trained"
+            if within - near > _FAR_SHARE * known:
+                text += f": set model.config.farthest_guess_m = {config.max_depth_m:g} to train it"
+                notes.append(("depth", text))
+            elif item.unit_key:
+                text += f": check the unit ({item.unit_key}: units per metre, 1000 for millimetres)"
+                text += ", or the focal length in pixels" * bool(sample.focal_length_px)
+                notes.append(("depth", text))
     counts = np.round(counts * 1_000_000)
     unlabelled = [name for name, count in zip(class_names, counts, strict=True) if not count]
     if unlabelled:
@@ -273,11 +302,11 @@ def _count_learned(sample: Sample, target: str, config: NetworkConfig) -> int:
         return 0
     known = labelled(target, sample.target(target))
     if target == "depth":
-        known &= sample.depth <= _unmeasured_range_m(sample, config)
+        known &= sample.depth <= _canonical_scale(sample, config) * config.unmeasured_range_m
     return int(known.sum())
 
 
-def _unmeasured_range_m(sample: Sample, config: NetworkConfig) -> float:
-    """Return the largest depth [m] of a frame that can be learned without a return."""
+def _canonical_scale(sample: Sample, config: NetworkConfig) -> float:
+    """Return the metres of a frame in a canonical metre of the network."""
     canonical, focal = config.canonical_focal_px, sample.focal_length_px
-    return config.unmeasured_range_m * (focal / canonical if canonical and focal else 1.0)
+    return focal / canonical if canonical and focal else 1.0

@@ -5,7 +5,7 @@ import copy
 import math
 import random
 import sys
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -115,13 +115,12 @@ def open_task(
     terms = recipe.loss.terms_for(network.heads)
     criterion = _build_loss(recipe, network, terms, found).to(processes.device)
     optimizer = build_optimizer(recipe.optimizer, network, criterion)
-    _require_batches(network, decided, processes)
-    _require_learning(recipe, network, terms, found.targets)
     targets = sorted({term.target for term in terms.values()} - {""})
     warnings = [text for target, text in found.notes if target in targets]
-    warnings += _doubts_of_validation(recipe, sets, network, stop)
-    for text in warnings if processes.is_first else ():
-        tqdm.write(f"warning: {text}", file=sys.stderr)
+    _report(warnings, processes)  # they explain why nothing would learn
+    _require_batches(network, decided, processes)
+    _require_learning(recipe, network, terms, found.targets)
+    _report(_doubts_of_validation(recipe, sets, network, stop), processes)
     task = Task(
         recipe=recipe,
         data=decided,
@@ -138,6 +137,11 @@ def open_task(
     )
     _require_shift(task)
     return task
+
+
+def _report(warnings: Iterable[str], processes: Processes) -> None:
+    for text in warnings if processes.is_first else ():
+        tqdm.write(f"warning: {text}", file=sys.stderr)
 
 
 def _seed(seed: int) -> None:

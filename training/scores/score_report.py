@@ -60,6 +60,9 @@ COLUMNS = (
     _metres("rmse_m", "RMSE", main=True),
     _metres("median_m", "median error", main=True),
     *(_metres(f"rmse_m_{a:g}_{b:g}", f"RMSE at {a:g}-{b:g} m,") for a, b in RANGES_M[:2]),
+    # As KITTI's server has them; the figures above are over the pixels of all frames.
+    _metres("mae_m_per_image", "MAE per image (KITTI),"),
+    _metres("rmse_m_per_image", "RMSE per image (KITTI),"),
     Column("imae_per_km", "iMAE 1/km", 1.0, 3),
     Column("irmse_per_km", "iRMSE 1/km", 1.0, 3),
     *(

@@ -227,6 +227,7 @@ def _list_results(
             continue
         total = tally.total()
         figures, by_place = _figures(total, tally.places, data.classes.names)
+        figures |= means_over_images(tally.frames)
         row = Row(
             *(name, model.engine, data.title, *key, total.frames, figures),
             places=by_place,
@@ -241,6 +242,15 @@ def _list_results(
         )
         results[key] = Result(row, feed, total, tally.frames, data.classes.names)
     return list(results.values())
+
+
+def means_over_images(frames: Sequence[FrameScore]) -> dict[str, float]:
+    """Return the means over the images of each image's MAE and RMSE [m]; {} without depth."""
+    sums = np.array([frame.depth for frame in frames if frame.depth[0]])
+    if not len(sums):
+        return {}
+    mae_m, square = (sums[:, 1:] / sums[:, :1]).mean(axis=0), np.sqrt(sums[:, 2] / sums[:, 0])
+    return {"mae_m_per_image": float(mae_m[0]), "rmse_m_per_image": float(square.mean())}
 
 
 def split_feeds(

@@ -164,16 +164,19 @@ def test_images_of_other_sizes_keep_their_aspect(mine, rows, found):
     assert ("\nsize = 48\n" in result.stderr) == found.startswith(("size", "warning"))
 
 
-@pytest.mark.parametrize(("units", "camera", "beyond"), [
-    (256, (), ""), (60 * 256, (), "100 m"),
-    (256, ("--focal-length", "20", "--set", "model.config.canonical_focal_px = 1e3"), "2 m"),
+@pytest.mark.parametrize(("units", "camera", "beyond", "remedy"), [
+    (256, (), "", ""), (60 * 256, (), "100 m", "check the unit (depth_scale"),
+    (256, ("--focal-length", "20", "--set", "model.config.canonical_focal_px = 1e3"), "2 m",
+     "check the unit (depth_scale"),
+    (60 * 256, ("--set", "model.config.max_depth_m = 400"), "100 m",
+     "set model.config.farthest_guess_m = 400"),
 ])  # fmt: skip
-def test_depth_beyond_the_range_is_reported(mine, units, camera, beyond):
+def test_depth_beyond_the_range_is_reported(mine, units, camera, beyond, remedy):
     for path in mine.glob("lidar/*"):
         assert cv2.imwrite(str(path), np.full((48, 64), 4 * units, np.uint16))
     result = train(mine, "--dry-run", *camera, depth="lidar")
     assert result.exit_code == 0, result.output
-    text = f"warning: train: 100% of the depth is beyond {beyond} and not trained: check the unit"
+    text = f"warning: train: 100% of the depth is beyond {beyond} and not trained: {remedy}"
     assert (text in result.stderr) == bool(beyond), result.stderr
     alone = train(mine, "--dry-run", *camera, depth="lidar", labels=None, classes=None, out="alone")
     assert ("no frame of train has a target of the loss" in alone.stderr) == bool(beyond)
@@ -216,6 +219,16 @@ def test_options_that_do_not_fit_are_refused(mine, further, options, text):
     assert result.exit_code == 1
     assert text in result.stderr
     assert not (mine / "run").exists()
+
+
+@pytest.mark.parametrize(("camera", "text"), [
+    (["--intrinsics", "70", "70", "96", "27"], "(96, 27) is outside of its image of 64 x 48 px"),
+    (["--focal-length", "4.2"], "focal length of 4.2 px is too short"),
+])  # fmt: skip
+def test_a_camera_of_another_size_is_refused(mine, camera, text):
+    result = train(mine, "--dry-run", *camera, depth="lidar")
+    assert result.exit_code == 1
+    assert text in result.stderr
 
 
 @pytest.mark.parametrize(("options", "expected"), [

@@ -7,7 +7,7 @@ from training.lidar.split import LidarInput
 from training.scores.differences import compare
 from training.scores.metrics import DepthErrors, DepthScores
 from training.scores.score_report import Row, format_differences
-from training.scores.score_set import FrameScore, Result
+from training.scores.score_set import FrameScore, Result, means_over_images
 
 
 def result(model, errors_m, *, hits=None, groups=None):
@@ -57,6 +57,17 @@ def test_the_interval_holds_the_true_difference_as_often_as_it_says():
         _, low, high = found.figures["mae_m"]
         held += low <= 0.05 <= high
     assert 33 <= held <= 40
+
+
+def test_means_over_images_are_those_of_kittis_server():
+    parts = [(4, 8.0, 20.0), (1, 10.0, 100.0), (0, 0.0, 0.0)]  # pixels, |error|, its square
+    frames = [
+        FrameScore(i, "", "", np.zeros((0, 1)), np.array(part)) for i, part in enumerate(parts)
+    ]
+    found = means_over_images(frames)
+    assert found["mae_m_per_image"] == pytest.approx((2 + 10) / 2)
+    assert found["rmse_m_per_image"] == pytest.approx((5**0.5 + 10) / 2)
+    assert means_over_images(frames[2:]) == {}
 
 
 def test_frames_of_one_place_count_as_one():
