@@ -16,6 +16,7 @@ from tqdm import tqdm
 from models import load_checkpoint
 from models.checkpoint import LAST
 from training.base.stop_signal import Stop, StopRequested, never
+from training.datasets.listed_labels import Palette
 from training.evaluation.evaluate import evaluate as evaluate
 from training.fine_tuning import adaptation
 from training.fine_tuning.adaptation import Adapted
@@ -94,6 +95,7 @@ def finetune(
     labels: str | Path | None = None,
     classes: str | Path | None = None,
     ignore: Sequence[str] = (),
+    palette: Palette | None = None,
     depth: str | Path | None = None,
     depth_scale: float | None = None,
     focal_length_px: float | None = None,
@@ -118,8 +120,11 @@ def finetune(
             neighbours from three places.
         out: folder of the run.
         labels: 8-bit PNGs of class ids (0, 1, ...; 255 = none).
-        classes: text file with the name of one class per line, in order of the ids.
+        classes: text file with the name of one class per line, in order of the ids; a line may
+            also have the colour of the class in the labels, see `training.datasets.class_list`.
         ignore: classes of that file that are not learned: their pixels count as unlabelled.
+        palette: colours of the labels: PASCAL VOC's in the order of the ids ("voc"), or those of
+            Cityscapes, CamVid or Virtual KITTI by the names of the classes.
         depth: 16-bit PNGs of a LiDAR's depth, 0 = none.
         depth_scale: units of the depth per metre; None = 256.
         focal_length_px: focal length of the images as they are, with the principal point in their
@@ -150,6 +155,7 @@ def finetune(
         depth=_path(depth),
         classes=_path(classes),
         ignore=ignore,
+        palette=palette,
         depth_scale=depth_scale,
         focal_length_px=focal_length_px,
         intrinsics=intrinsics,

@@ -13,6 +13,7 @@ from training.commands.options import (
     Device,
     DryRun,
     Out,
+    PaletteOption,
     StopAfter,
     Threads,
     end_run,
@@ -29,14 +30,15 @@ def finetune(
     labels: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of the classes: PNGs of class ids, named like the images. 255 is no class."
+            help="Folder of PNGs of class ids, named like the images, 255 is no class, "
+            "or of colours that --classes or --palette states."
         ),
     ] = None,
     classes: Annotated[
         Path | None,
         typer.Option(
             help="Text file with the names of the classes of --labels, one a line, in the order of "
-            "their ids."
+            "their ids, or with their colours, road 128 64 128; CVAT's labelmap.txt is one."
         ),
     ] = None,
     ignore: Annotated[
@@ -47,6 +49,7 @@ def finetune(
             "repeated.",
         ),
     ] = None,
+    palette: PaletteOption = None,
     depth: Annotated[
         Path | None,
         typer.Option(
@@ -101,6 +104,7 @@ def finetune(
             labels=labels,
             classes=classes,
             ignore=ignore or (),
+            palette=palette,
             depth=depth,
             depth_scale=depth_scale,
             focal_length_px=focal_length,

@@ -56,7 +56,8 @@ def read_gray(
     if kind not in (0, 3) or image.dtype != dtype:
         raise DatasetError(
             f"{path}: expected one channel of {np.dtype(dtype).name}, or a palette, in a PNG: "
-            "convert it without colours, transparency or JPEG compression"
+            "convert it without colours, transparency or JPEG compression, or say which class has "
+            "which colour (label_colors; in a list of classes: road 128 64 128)"
         )
     require_size(path, image.shape, size)
     return image

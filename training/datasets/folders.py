@@ -139,6 +139,8 @@ class FoldersRecipe(LabelledRecipe):
             return
         text = f"{folder}: has no file of the frame {lacking[0]} ({len(lacking)} of {len(frames)} "
         text += "frames lack it)"
+        if any(path.suffix.lower() in (".jpg", ".jpeg") for path in list_entries(folder)):
+            text += "; its JPEGs are not read, whose compression changes ids, colours and depth"
         if len(lacking) == len(frames) or self.missing == "error":
             raise DatasetError(
                 f'{text}: add the files, leave the folder out, or set missing = "skip-target", '

@@ -3,14 +3,12 @@
 `ssdnet-render` writes its scenes in the layout of edition 2.
 """
 
-import dataclasses
 import io
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -24,14 +22,14 @@ from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.listing import ListedFrame
 from training.base.limits import STRICT
+from training.datasets.class_list import Color
 from training.datasets.class_mapping import ClassTable, class_ids
+from training.datasets.color_reader import ColorReader
 from training.datasets.files import (
     dataset_errors,
     read_depth,
-    read_rgb,
     require_files,
     require_folder,
-    require_size,
 )
 from training.datasets.recording import RecordedFrames, SetFrame, Truth, pair
 from training.datasets.source_recipe import Names, SourceRecipe
@@ -151,7 +149,7 @@ def _list_camera(
         "depth": Truth(require_files(depth, "depth", numbers, "depth_{}.png"), _read_depth),
         "semantic": Truth(
             require_files(labels, "classes", numbers, "classgt_{}.png"),
-            partial(_read_classes, colors),
+            colors.read,
         ),
     }
     returns, to_camera = dict[str, Path](), np.eye(4)
@@ -206,7 +204,7 @@ def _list_first_edition(root: Path, classes: ClassTable, selection: Selection) -
         colors = _read_colors(root / _CLASSES_1 / file, classes)
         truth = {
             "depth": Truth(depth, _read_depth),
-            "semantic": Truth(labels, partial(_read_classes, colors)),
+            "semantic": Truth(labels, colors.read),
         }
         frames += pair(source, listed, str(place), truth)
     selection.require_frames(frames, variants, root / _RGB_1)
@@ -233,65 +231,23 @@ def _read_intrinsics(path: Path, camera: int) -> dict[int, NDArray[np.float64]]:
     return dict(zip(number[ours].astype(int).tolist(), matrices[ours], strict=True))
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Colors:
-    """Colours of a file and their ids.
-
-    Attributes:
-        path: the file.
-        colors: int32 (n,), ascending, r << 16 | g << 8 | b.
-        ids: uint8 (n,).
-    """
-
-    path: Path
-    colors: NDArray[np.int32]
-    ids: NDArray[np.uint8]
-
-
 @dataset_errors()
-def _read_colors(path: Path, classes: ClassTable) -> _Colors:
-    """Read the colours of a file and their ids in a class table.
+def _read_colors(path: Path, classes: ClassTable) -> ColorReader:
+    """Read the colours of a file; return the reader of labels in these colours.
 
     The rows are 'Category r g b' in Virtual KITTI 2, and 'Category:instance r g b' in 1.3.1.
     """
     known = class_ids("virtual_kitti", classes)
-    found: dict[int, int] = {}
+    found: dict[Color, int] = {}
     for row in filter(None, map(str.split, read_text(path).splitlines()[1:])):
         name = row[0].split(":")[0]
         if name not in known:
             raise DatasetError(f"{path}: unknown category {name!r}: give one of {', '.join(known)}")
         try:
-            red, green, blue = (int(value) for value in row[-3:])
-            color = int.from_bytes((red, green, blue), "big")
+            red, green, blue = bytes(int(value) for value in row[-3:])
         except ValueError as error:
             raise DatasetError(f"{path}: {' '.join(row)!r} is not 'Category r g b'") from error
-        found[color] = known[name]
+        found[red, green, blue] = known[name]
     if not found:
         raise DatasetError(f"{path}: no rows under its header")
-    colors = sorted(found)
-    ids = np.array([found[color] for color in colors], dtype=np.uint8)
-    return _Colors(path, np.array(colors, dtype=np.int32), ids)
-
-
-def _read_classes(table: _Colors, path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Return the class ids, uint8 (H, W), of a colour image; DatasetError for other colours."""
-    label = read_rgb(path)
-    require_size(path, label.shape, size)
-    # The bytes blue, green, red and 0 are r << 16 | g << 8 | b as a little-endian integer.
-    packed = cv2.cvtColor(label, cv2.COLOR_RGB2BGRA)
-    packed[..., 3] = 0
-    color = packed.view("<i4").ravel()
-    # Neighbouring pixels mostly have the same colour, so each run of equal pixels is looked up
-    # once.
-    starts = np.flatnonzero(np.diff(color, prepend=-1))
-    run = color[starts]
-    index = np.searchsorted(table.colors, run).clip(max=len(table.colors) - 1)
-    unlisted = table.colors[index] != run
-    if unlisted.any():
-        red, green, blue = label.reshape(-1, 3)[starts[unlisted][0]]
-        raise DatasetError(
-            f"{path}: colour ({red}, {green}, {blue}) is not in {table.path.name}: "
-            "restore the original file (JPEG compression changes colours)"
-        )
-    ids: NDArray[np.uint8] = np.repeat(table.ids[index], np.diff(starts, append=color.size))
-    return ids.reshape(size)
+    return ColorReader(found, path.name, "restore the original file")

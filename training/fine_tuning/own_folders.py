@@ -17,7 +17,6 @@ from tqdm import tqdm
 
 from models import Network
 from models.checkpoint import RECIPE
-from models.classes import voc_color
 from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 from runtime.contract.contract import ClassInfo
@@ -27,9 +26,9 @@ from runtime.files.read_input import MAX_FILE_BYTES, open_input, read_text, read
 from runtime.recordings.images import image_size, read_rgb
 from training.base.tables import quoted, to_toml
 from training.datasets.class_list import read_class_list
-from training.datasets.class_mapping import IGNORED
 from training.datasets.class_names import relatives
 from training.datasets.folders import FoldersRecipe
+from training.datasets.listed_labels import Palette, read_labels
 from training.run.recipe import change
 from training.run.run_folder import folder_errors
 from training.scores.differences import LEAST_DRAWN
@@ -72,6 +71,7 @@ class OwnFolders:
     depth: Path | None = None
     classes: Path | None = None
     ignore: Sequence[str] = ()
+    palette: Palette | None = None
     depth_scale: float | None = None
     focal_length_px: float | None = None
     intrinsics: tuple[float, float, float, float] | None = None
@@ -109,8 +109,8 @@ class OwnFolders:
         """
         if folds == 1:
             raise InputError("--folds 1 leaves no frames to train on: give 2 or more, or none")
-        classes, ids = self._learned_classes()
-        keys = self._keys_of_folders(ids)
+        classes, meaning = self._learned_classes()
+        keys = self._keys_of_folders() | meaning
         frames = FoldersRecipe(**keys).open(self.images.resolve(), classes or "camvid")
         count = len(frames)
         if count < _LEAST_FRAMES:
@@ -136,25 +136,11 @@ class OwnFolders:
             lines += ["", *(_CLASSES_ALONE if classes else _depth_alone(init.network))]
         return "\n".join((f"# --data is {quoted(str(self.root))}.", *lines, ""))
 
-    def _learned_classes(self) -> tuple[tuple[ClassInfo, ...], Mapping[int, str] | None]:
-        """Return the classes that are learned; if some are not, also the name of every id."""
-        listed = () if self.classes is None else read_class_list(self.classes)
-        classes = tuple(
-            ClassInfo(item.name, item.color or voc_color(index))
-            for index, item in enumerate(listed)
-        )
-        ignored = {name.casefold() for name in self.ignore}
-        if not ignored:
-            return classes, None
-        if unknown := ignored - {info.name.casefold() for info in classes}:
-            raise InputError(
-                f"--ignore {min(unknown)}: is no class of {self.classes}: give one of its names"
-            )
-        learned = tuple(info for info in classes if info.name.casefold() not in ignored)
-        if not learned:
-            raise InputError("--ignore: no class is left to learn: leave out one of them")
-        ids = enumerate(info.name if info in learned else IGNORED for info in classes)
-        return learned, dict(ids)
+    def _learned_classes(self) -> tuple[tuple[ClassInfo, ...], dict[str, Any]]:
+        """Return the classes that are learned, and the keys that say what the labels mean."""
+        if self.classes is None or self.labels is None:
+            return (), {}
+        return read_labels(self.classes, self.labels, ignore=self.ignore, palette=self.palette)
 
     def _relatives(self, init: Weights) -> dict[str, tuple[str, ...]]:
         """Return, for the name of each class, the classes of `init` with which it begins."""
@@ -171,8 +157,8 @@ class OwnFolders:
             found[item.name] = tuple(dict.fromkeys(name for part in parts for name in part))
         return found
 
-    def _keys_of_folders(self, ids: Mapping[int, str] | None) -> dict[str, Any]:
-        """Return the keys of the set: its folders, the names of its ids, and what was stated."""
+    def _keys_of_folders(self) -> dict[str, Any]:
+        """Return the keys of the set: its folders, and what was stated."""
         # The set is the images' folder: a run's files beside it are not files of the data.
         images = self.images.resolve()
         keys: dict[str, Any] = {"path": images.name, "rgb": "."}
@@ -180,7 +166,6 @@ class OwnFolders:
             if folder is not None:
                 keys[key] = os.path.relpath(folder.resolve(), images)
         stated: dict[str, Any] = {
-            "label_ids": ids,
             "scan": None if self.depth is None else True,
             "depth_scale": self.depth_scale,
             "intrinsics": self.intrinsics,
