@@ -15,8 +15,8 @@ from tqdm import tqdm
 
 from models import load_checkpoint
 from models.checkpoint import LAST
+from training.base.palette import Palette
 from training.base.stop_signal import Stop, StopRequested, never
-from training.datasets.listed_labels import Palette
 from training.evaluation.evaluate import evaluate as evaluate
 from training.fine_tuning import adaptation
 from training.fine_tuning.adaptation import Adapted

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from runtime.command.options import Version
+from training.base.palette import PaletteOption
 from training.commands.options import (
     EXIT_CODES,
     Begin,
@@ -13,7 +14,6 @@ from training.commands.options import (
     Device,
     DryRun,
     Out,
-    PaletteOption,
     StopAfter,
     Threads,
     end_run,

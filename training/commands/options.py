@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -46,12 +46,6 @@ Threads = Annotated[
 StopAfter = Annotated[
     int | None,
     typer.Option(min=1, help="Stop at this step, over all stages. The run can be resumed."),
-]
-PaletteOption = Annotated[
-    Literal["voc", "camvid", "cityscapes", "virtual_kitti"] | None,
-    typer.Option(
-        help="Colours of labels: PASCAL VOC's in the order of the ids, or those of a table by name."
-    ),
 ]
 DryRun = Annotated[
     bool,

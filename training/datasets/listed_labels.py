@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from models import CLASS_TABLES
 from models.classes import voc_color
@@ -10,11 +10,10 @@ from runtime.base.errors import InputError
 from runtime.contract.contract import ClassInfo
 from runtime.files.read_input import read_input
 from runtime.recordings.images import list_files
+from training.base.palette import Palette
 from training.datasets.class_list import Color, read_class_list
 from training.datasets.class_mapping import IGNORED
 
-# Colours of labels: PASCAL VOC's in the order of the ids, or those of a table by name.
-Palette = Literal["voc", "camvid", "cityscapes", "virtual_kitti"]
 _VOC_BORDER = "224,224,192"
 # Types of PNGs in a colour for each pixel, with and without transparency.
 _RGB_TYPES = (2, 6)

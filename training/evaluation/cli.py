@@ -1,6 +1,9 @@
 """`ssdnet-eval`: scores of models, predictions and methods on the same frames, and differences."""
 
+import shlex
 import shutil
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,7 +12,9 @@ import typer
 from runtime.base.errors import InputError
 from runtime.command.options import Version
 from runtime.command.process import print_result, reported_errors, stop_requested
+from runtime.files.atomic_write import atomic_write
 from runtime.files.read_input import read_toml
+from training.base.palette import PaletteOption
 
 if TYPE_CHECKING:
     from training.evaluation.options import EvaluationOptions
@@ -35,10 +40,33 @@ def evaluate(
         list[str] | None,
         typer.Option(
             help="KIND:FOLDER[,KEY=VALUE...], a data set as in a recipe, for example "
-            "cityscapes:/data/cityscapes,split=val,size=[512,1024]. May be repeated. [default: the "
-            "validation sets of the first run]",
+            "cityscapes:/data/cityscapes,split=val,size=[512,1024]; name=TEXT is its title. May be "
+            "repeated. [default: the validation sets of the first run]",
             metavar="DATA",
         ),
+    ] = None,
+    images: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of your own images, as for ssdnet-finetune."),
+    ] = None,
+    labels: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Labels of --images: PNGs of class ids or of colours."),
+    ] = None,
+    classes: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Names of the classes of --labels, as for ssdnet-finetune. [default: those of the "
+            "first run]",
+        ),
+    ] = None,
+    palette: PaletteOption = None,
+    depth: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="LiDAR depth of --images: 16-bit PNGs.")
+    ] = None,
+    depth_scale: Annotated[
+        float | None, typer.Option(min=1e-6, help="Units of --depth per metre. [default: 256]")
     ] = None,
     lidar: Annotated[
         str | None,
@@ -138,10 +166,19 @@ def evaluate(
         # Heavy imports are here, so that --help answers at once.
         from runtime.contract.network_size import parse_network_size
         from training.evaluation.options import EvaluationOptions
+        from training.evaluation.own_frames import OwnFrames
 
+        if images is None and (labels or classes or palette or depth or depth_scale):
+            raise InputError(
+                "--labels, --classes, --palette and --depth belong to --images: give it"
+            )
+        own = None
+        if images is not None:
+            own = OwnFrames(images, labels, classes, palette, depth, depth_scale)
         options = EvaluationOptions(
             models=models or (),
             data=data or (),
+            frames=own,
             lidars=None if lidar is None else _split(lidar),
             faults=("none", *_split(faults)),  # type: ignore[arg-type]  # checked there
             predictions=predictions or (),
@@ -176,6 +213,9 @@ def _score(options: "EvaluationOptions", *, all_columns: bool) -> None:
     width = shutil.get_terminal_size((_WIDTH, 0)).columns
     text = format_table(found.rows, all_columns=all_columns, width=width)
     print_result(text + format_differences(found.differences, width=width))
+    if found.draft:
+        alone = dict.fromkeys(row.left_out for row in found.rows if row.left_out)
+        _print_draft(found.draft, list(alone), options.page)
     if options.json is not None:
         write_json(found.rows, options.json, found.differences)
     if options.page is not None:
@@ -186,6 +226,29 @@ def _score(options: "EvaluationOptions", *, all_columns: bool) -> None:
             worst=found.worst,
             overwrite=options.overwrite,
         )
+
+
+def _print_draft(
+    groups: "Mapping[str, Sequence[str]]", alone: Sequence[str], page: Path | None
+) -> None:
+    """Print a draft of --join, which is written beside a page, and the command that goes on."""
+    from training.base.tables import to_toml
+
+    path = Path("join.toml") if page is None else page.with_suffix(".join.toml")
+    text = "\n".join((to_toml(groups), *(f"# {line}" for line in alone), ""))
+    if page is not None:
+        atomic_write(path, text.encode())
+    done = "written to" if page is not None else "to be saved as"
+    further = [
+        "--join",
+        str(path),
+        *["--overwrite"] * ("--overwrite" not in sys.argv and bool(page)),
+    ]
+    command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:], *further])
+    print_result(
+        f"\nSo few labels are scored because names differ. Classes that may mean the same, {done} "
+        f"{path}; check them, and go on by\n{command}\n\n{text}"
+    )
 
 
 def _split(text: str) -> list[str]:

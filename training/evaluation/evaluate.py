@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from runtime.base.errors import InputError
@@ -15,12 +15,13 @@ from training.evaluation.options import EvaluationOptions, Fault
 from training.lidar.split import LidarInput
 from training.pages.worst_frames import WorstFrame, draw_worst
 from training.run.finished_run import EvaluatedRun, read_run
-from training.scores.differences import Difference, compare
+from training.scores.differences import LEAST_SCORED, Difference, compare
 from training.scores.evaluated_set import open_sets, short_names
 from training.scores.metrics import FARTHEST_M
 from training.scores.score_report import Row, format_differences, format_table
 from training.scores.score_set import Result, score_sets
 from training.scores.scored_model import ScoredModel
+from training.scores.shared_classes import draft_join
 
 
 @dataclass(frozen=True)
@@ -32,11 +33,13 @@ class Evaluation:
             each set the models are in theirs.
         differences: differences of every model to the first, on each set with each input.
         worst: pictures of the frames with the largest errors.
+        draft: joint classes, by the meanings of names, where few labels are scored without them.
     """
 
     results: Sequence[Result]
     differences: Sequence[Difference] = ()
     worst: Sequence[WorstFrame] = ()
+    draft: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __str__(self) -> str:
         """Return the tables that `ssdnet-eval` prints, with lines of any length."""
@@ -125,17 +128,21 @@ def score_models(options: EvaluationOptions) -> Evaluation:
     Raises OutputError if depth cannot be written, and the errors of `evaluate`.
     """
     runs = _read_runs(options.models)
+    first = next(iter(runs.values()), None)
+    sets = [*options.sets, *([options.frames.recipe(first)] if options.frames else [])]
     # The run whose validation sets are scored.
-    own = None if options.sets else next(iter(runs.values()), None)
-    sets = options.sets if own is None else own.sets
+    own = None if sets else first
+    sets = sets if own is None else list(own.sets)
     if not sets:
         raise InputError(
-            "no data to score on: give --data KIND:FOLDER, or the folder of a run whose recipe has "
-            "validation sets"
+            "no data to score on: give --images with --labels, --data KIND:FOLDER, or the folder "
+            "of a run whose recipe has validation sets"
         )
-    ids, farthest_m, lidar = None, FARTHEST_M, "own"
+    # Labels without names are those of the first run.
+    ids = None if first is None else first.recipe.model.class_table
+    farthest_m, lidar = FARTHEST_M, "own"
     if own is not None:
-        ids, validation = own.recipe.model.class_table, own.recipe.validation
+        validation = own.recipe.validation
         farthest_m, lidar = validation.farthest_m, validation.lidar
     with ExitStack() as stack:
         models = _open_models(options, runs, stack)
@@ -155,7 +162,31 @@ def score_models(options: EvaluationOptions) -> Evaluation:
             leave_out_fed=options.leave_out_fed,
         )
         worst = list(draw_worst(results, models, opened)) if options.page is not None else ()
-        return Evaluation(results, compare(results), worst)
+        draft = _draft(options, sets, first, results, models)
+        return Evaluation(results, compare(results), worst, draft)
+
+
+def _draft(
+    options: EvaluationOptions,
+    sets: Sequence[SourceRecipe],
+    run: EvaluatedRun | None,
+    results: Sequence[Result],
+    models: Mapping[str, ScoredModel],
+) -> Mapping[str, Sequence[str]]:
+    """Return a draft of `join` if too few labels are scored by the names as they are."""
+    few = [item for item in results if item.row.scored_labels < LEAST_SCORED]
+    if not few or options.join:
+        return {}
+    trained = run.recipe.model if run else None
+    own = trained.classes if trained and not isinstance(trained.classes, str) else ()
+    united: dict[str, Sequence[str]] = {info.name: info.of for info in own if info.of}
+    united |= options.frames.united if options.frames else {}
+    groups: dict[str, Sequence[str]] = {}
+    for recipe in sets:
+        tables = [model.table for model in models.values() if model.table]
+        labels = recipe.label_table or (trained.class_table if trained else ())
+        groups |= draft_join(labels, tables, united)
+    return groups
 
 
 def _read_runs(models: Sequence[str | Path]) -> dict[str, EvaluatedRun]:

@@ -11,6 +11,7 @@ from runtime.files.atomic_write import require_writable
 from training.base.processes import parse_device
 from training.datasets.any_source import parse_data
 from training.datasets.source_recipe import SourceRecipe
+from training.evaluation.own_frames import OwnFrames
 from training.lidar.faults import LidarFault
 from training.lidar.split import LidarInput
 from training.loading.camera_faults import CAMERA_FAULTS, CameraFault
@@ -27,6 +28,7 @@ class EvaluationOptions:
     Attributes:
         leave_out_fed: a LiDAR that feeds the depth to score has no row, instead of raising an
             error.
+        frames: folders of a user's frames, which are scored after the sets in `data`.
         sets: the recipes of the data sets in `data`.
         inputs: the LiDAR inputs in `lidars`.
         page: HTML page to write, for which the worst frames are drawn; None: none.
@@ -41,6 +43,7 @@ class EvaluationOptions:
 
     models: Sequence[str | Path] = ()
     data: Sequence[str | SourceRecipe] = ()
+    frames: OwnFrames | None = None
     lidars: Sequence[str | LidarInput] | None = None
     faults: Sequence[Fault] = ("none",)
     predictions: Sequence[str] = ()

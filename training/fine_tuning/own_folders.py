@@ -24,11 +24,12 @@ from runtime.contract.network_size import LARGEST_RATIO, network_size
 from runtime.files.atomic_write import atomic_write
 from runtime.files.read_input import MAX_FILE_BYTES, open_input, read_text, read_toml
 from runtime.recordings.images import image_size, read_rgb
+from training.base.palette import Palette
 from training.base.tables import quoted, to_toml
 from training.datasets.class_list import read_class_list
 from training.datasets.class_names import relatives
 from training.datasets.folders import FoldersRecipe
-from training.datasets.listed_labels import Palette, read_labels
+from training.datasets.listed_labels import read_labels
 from training.run.recipe import change
 from training.run.run_folder import folder_errors
 from training.scores.differences import LEAST_DRAWN

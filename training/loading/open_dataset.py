@@ -279,6 +279,7 @@ def survey(
             text += f"{scale * config.unmeasured_range_m:.3g} m and not trained"
             if within - near > _FAR_SHARE * known:
                 text += f": set model.config.farthest_guess_m = {config.max_depth_m:g} to train it"
+                text += ", or check the focal length" * (scale != 1)
                 notes.append(("depth", text))
             elif item.unit_key:
                 text += f": check the unit ({item.unit_key}: units per metre, 1000 for millimetres)"

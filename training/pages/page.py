@@ -1,11 +1,11 @@
 """The page of `ssdnet-eval --page`: figures, differences and the worst frames in one HTML file."""
 
 import base64
+import itertools
 import math
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -179,11 +179,14 @@ def _reliability(found: Sequence[Result]) -> Iterator[tuple[str, str, dict[str, 
 
 def _latency(found: Sequence[Result]) -> Iterator[tuple[str, str, dict[str, Any]]]:
     timed = [item for item in found if item.row.latency_ms is not None]
-    for key, title, factor in (("miou", "mIoU %", 100.0), ("mae_m", "MAE mm", 1000.0)):
+    figures = (("miou", "mIoU %", 100.0), ("mae_m", "MAE mm", 1000.0))
+    # PyTorch, ONNX Runtime and methods have a chart each: their times do not compare.
+    engines = dict.fromkeys(item.row.engine for item in timed)
+    for (key, title, factor), engine in itertools.product(figures, engines):
         spots = [
             (item.row.latency_ms or 0.0, factor * item.row.figures[key], item.row.model)
             for item in timed
-            if _is_known(item.row.figures.get(key))
+            if item.row.engine == engine and _is_known(item.row.figures.get(key))
         ]
         if len(spots) < 2:
             continue
@@ -210,7 +213,7 @@ def _latency(found: Sequence[Result]) -> Iterator[tuple[str, str, dict[str, Any]
             "note": "Times of this evaluation, which may share the machine with others; "
             "ssdnet-bench measures speed.",
         }
-        yield f"Accuracy and latency, {title}", "", chart
+        yield f"Accuracy and latency, {title}, {engine}", "", chart
 
 
 def _axes(
@@ -242,7 +245,7 @@ def _ticks(end: float) -> list[float]:
 def _worst(frames: Sequence[WorstFrame]) -> Iterator[tuple[str, list[Any], list[dict[str, Any]]]]:
     """Yield heading, legend and frames for each model, set and head."""
     marks = dict(_MARKS)
-    for (key, head), group in groupby(frames, lambda frame: (frame.row.key, frame.head)):
+    for (key, head), group in itertools.groupby(frames, lambda frame: (frame.row.key, frame.head)):
         found = list(group)
         model, data, lidar, _ = key
         what = "classes" if head == "semantic" else "depth"

@@ -23,6 +23,8 @@ _DRAWS, _SEED = 2000, 0
 # equal models differ in the same direction on all of five by chance in 6 % of the cases, on all of
 # six in 3 %, and the interval is then on one side of 0 however few there are.
 LEAST_DRAWN = 6
+# Least share of the labels that is scored, for a verdict on classes.
+LEAST_SCORED = 0.8
 # Number of draws that are computed at once.
 _CHUNK = 100
 
@@ -53,7 +55,9 @@ class Difference:
     figures: Mapping[str, Interval] = field(default_factory=dict)
 
     def verdict(self, figure: str) -> str:
-        """Return "better", "worse", "not distinguishable on N frames" or "too few frames"."""
+        """Return "better", "worse", "not distinguishable on N frames", or why there is none."""
+        if figure == "miou" and self.row.scored_labels < LEAST_SCORED:
+            return f"no verdict: {self.row.scored_labels:.0%} of the labels are scored"
         if self.row.frames < LEAST_DRAWN:
             return f"too few frames: {self.row.frames}, at least {LEAST_DRAWN} are needed"
         _, low, high = self.figures[figure]

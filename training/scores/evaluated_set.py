@@ -18,6 +18,9 @@ from training.scores.scored_model import ScoredModel
 from training.scores.scoring import HeadMaps
 from training.scores.shared_classes import ScoredClasses, join_names, share_classes
 
+# Keys that say how files are read, and are no part of a set's title.
+_READING = ("kind", "path", "rgb", "label_ids", "label_colors", "label_classes", "depth_scale")
+
 
 @dataclass(frozen=True)
 class EvaluatedSet:
@@ -29,14 +32,15 @@ class EvaluatedSet:
     indices: Sequence[int]
     farthest_m: float = FARTHEST_M
 
-    def read(self, index: int) -> tuple[Sample, bool]:
-        """Return a frame with labels in the scored classes, and whether it has any label."""
+    def read(self, index: int) -> tuple[Sample, NDArray[np.int64]]:
+        """Return a frame with labels in the scored classes, and its labelled and scored pixels."""
         sample = self.source[index]
-        labelled = bool((sample.semantic != NO_CLASS).any())
+        labelled = scored = int((sample.semantic != NO_CLASS).sum())
         if "semantic" in sample.targets:
             lookup = self.classes.lookup(self.classes.table, NO_CLASS)
             sample = sample.with_targets(semantic=lookup[sample.semantic])
-        return sample, labelled
+            scored = int((sample.semantic != NO_CLASS).sum())
+        return sample, np.array([labelled, scored])
 
     def answer(
         self, model: ScoredModel, sample: Sample, fed: NDArray[np.float32], index: int
@@ -113,9 +117,12 @@ def short_names(paths: Sequence[Path]) -> list[str]:
 
 
 def _changed_keys(recipe: SourceRecipe) -> list[str]:
-    """Return the keys in which this set differs from the same folder without options."""
+    """Return the keys in which this set differs from the same folder without options.
+
+    Those that only say how its files are read are left out.
+    """
     return [
         f"{item.name}={getattr(recipe, item.name)}"
         for item in fields(recipe)
-        if item.name not in ("kind", "path") and getattr(recipe, item.name) != item.default
+        if item.name not in _READING and getattr(recipe, item.name) != item.default
     ]

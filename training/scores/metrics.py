@@ -119,13 +119,12 @@ class SemanticScores(Accumulator):
         """Return the IoU of each of `CATEGORIES`, and their mean (Cityscapes' IoU_cat).
 
         A pixel whose label belongs to no category does not count. A pixel for which only the
-        prediction belongs to none is wrong for the category of its label. A category without any of
-        the classes is left out.
+        prediction belongs to none is wrong for the category of its label. Without a class for each
+        of the categories there are no such figures: another mean would have their name.
         """
-        groups = {name: group for name, group in CATEGORIES.items() if group & set(class_names)}
-        if not groups:
+        if not all(group & set(class_names) for group in CATEGORIES.values()):
             return {}
-        member = np.array([[name in group for name in class_names] for group in groups.values()])
+        member = np.array([[name in of for name in class_names] for of in CATEGORIES.values()])
         labelled = self.confusion[member.any(axis=0), :-1]
         rows = member[:, member.any(axis=0)]
         hit = np.einsum("gi,ij,gj->g", rows, labelled, member, dtype=np.int64)
@@ -133,7 +132,8 @@ class SemanticScores(Accumulator):
         if np.isnan(iou).all():
             return {}
         figures = {
-            f"category_iou_{name}": value for name, value in zip(groups, iou.tolist(), strict=True)
+            f"category_iou_{name}": value
+            for name, value in zip(CATEGORIES, iou.tolist(), strict=True)
         }
         return {"category_miou": float(np.nanmean(iou)), **figures}
 

@@ -102,6 +102,7 @@ class Row:
         heads: heads that the model answered.
         labelled: for each class, its labelled pixels, and the number of frames that show it.
         left_out: classes that are not scored, in words; empty if there are none.
+        scored_labels: share of the labelled pixels whose class is scored.
         unscored: for "labels" or "depth", the share of its pixels that is not scored.
         farthest_m: farthest true depth [m] that is scored.
         latency_ms: median time of an answer on this machine, without reading; None if nothing ran.
@@ -121,6 +122,7 @@ class Row:
     heads: Sequence[str] = ()
     labelled: dict[str, tuple[int, int]] = field(default_factory=dict)
     left_out: str = ""
+    scored_labels: float = 1.0
     unscored: dict[str, float] = field(default_factory=dict)
     farthest_m: float = FARTHEST_M
     latency_ms: float | None = None

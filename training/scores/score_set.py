@@ -110,14 +110,15 @@ class _SetTally:
     """The score of every input so far, and what the answers of a model have in common."""
 
     inputs: dict[Feed, _Tally]
-    labelled: bool = False
+    # Pixels with a label, and those with a class that is scored.
+    labelled: NDArray[np.int64] = field(default_factory=lambda: np.zeros(2, np.int64))
     times_ms: list[float] = field(default_factory=list)
     without_focal: int = 0
 
     def merge(self, other: "_SetTally") -> None:
         for feed, tally in other.inputs.items():
             self.inputs[feed].merge(tally)
-        self.labelled |= other.labelled
+        self.labelled += other.labelled
         self.times_ms += other.times_ms
         self.without_focal += other.without_focal
 
@@ -194,8 +195,8 @@ def _score_frame(
     leave_out_fed: bool,
 ) -> None:
     """Answer a frame with every input that it gives, and count the answers."""
-    sample, has_labels = data.read(index)  # once: it may take longer than an answer
-    tally.labelled |= has_labels
+    sample, labelled = data.read(index)  # once: it may take longer than an answer
+    tally.labelled += labelled
     tally.without_focal += sample.focal_length_px is None
     answers: dict[str, HeadMaps] = {}  # all inputs without returns share one answer
     for feed, label, frame, fed in split_feeds(
@@ -234,7 +235,8 @@ def _list_results(
             figures_over_places=figures_over_places(by_place.values()),
             heads=sorted(total.heads),
             labelled=total.labelled(data.classes.names),
-            left_out=data.classes.left_out if counted.labelled and model.table else "",
+            left_out=data.classes.left_out if counted.labelled[0] and model.table else "",
+            scored_labels=float(counted.labelled[1] / max(1, counted.labelled[0])),
             unscored=total.unscored(),
             farthest_m=data.farthest_m,
             latency_ms=median(times_ms) if times_ms else None,

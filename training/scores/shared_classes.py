@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
 from training.datasets.class_mapping import ClassTable, is_mapped, list_classes
+from training.datasets.class_names import relatives
 from training.datasets.source_recipe import SourceRecipe
 
 
@@ -122,6 +123,34 @@ def join_names(groups: Mapping[str, Sequence[str]], tables: Iterable[ClassTable]
                     f"{group!r}: keep one of them"
                 )
     return joined
+
+
+def draft_join(
+    own: ClassTable, tables: Iterable[ClassTable], united: Mapping[str, Sequence[str]]
+) -> dict[str, list[str]]:
+    """Return joint classes, by the meanings of names, in which more labels of a set are scored.
+
+    Args:
+        own: classes of the labels.
+        tables: class tables of the models.
+        united: for classes that unite others, the names of these.
+    """
+    groups: list[tuple[str, set[str]]] = []
+    models = [[info.name for info in list_classes(table)] for table in tables]
+    for name in [info.name for info in list_classes(own)]:
+        wanted = united.get(name) or (name,)
+        found = {other for known in models for each in wanted for other in relatives(each, known)}
+        # Classes of the set that mean the same class of a model count as one.
+        same = [group for group in groups if group[1] & found]
+        members = {name}.union(found, *(group[1] for group in same))
+        groups = [group for group in groups if group not in same]
+        groups.append((same[0][0] if same else name, members))
+    # A group whose names are equal beyond upper and lower case needs no line.
+    return {
+        title: sorted(members)
+        for title, members in groups
+        if len({name.lower() for name in members}) > 1
+    }
 
 
 def _names(table: ClassTable, joined: Mapping[str, str]) -> tuple[str, ...]:

@@ -167,7 +167,7 @@ def test_images_of_other_sizes_keep_their_aspect(mine, rows, found):
 @pytest.mark.parametrize(("units", "camera", "beyond", "remedy"), [
     (256, (), "", ""), (60 * 256, (), "100 m", "check the unit (depth_scale"),
     (256, ("--focal-length", "20", "--set", "model.config.canonical_focal_px = 1e3"), "2 m",
-     "check the unit (depth_scale"),
+     "set model.config.farthest_guess_m = 200 to train it, or check the focal length"),
     (60 * 256, ("--set", "model.config.max_depth_m = 400"), "100 m",
      "set model.config.farthest_guess_m = 400"),
 ])  # fmt: skip

@@ -1,0 +1,14 @@
+"""The colours of labels by name, as options of commands take them."""
+
+from typing import Annotated, Literal
+
+import typer
+
+# PASCAL VOC's, in the order of the ids, or those of a table in `models.CLASS_TABLES`.
+Palette = Literal["voc", "camvid", "cityscapes", "virtual_kitti"]
+PaletteOption = Annotated[
+    Palette | None,
+    typer.Option(
+        help="Colours of labels: PASCAL VOC's in the order of the ids, or those of a table by name."
+    ),
+]
