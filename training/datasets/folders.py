@@ -54,6 +54,7 @@ class FoldersRecipe(LabelledRecipe):
     """
 
     unit_key: ClassVar[str] = "depth_scale"
+    states_camera: ClassVar[bool] = True
 
     kind: Literal["folders"] = "folders"
     rgb: Folder = "images"

@@ -176,6 +176,7 @@ class RecordingRecipe(LabelledRecipe):
         truth_scale: units of `truth` per metre.
     """
 
+    states_camera: ClassVar[bool] = True
     may_be_file: ClassVar[bool] = True
 
     kind: Literal["recording"] = "recording"

@@ -32,6 +32,7 @@ class SourceRecipe:
             it has none.
         unit_key: key with which the user states the unit of the depth; "" if the format has one
             unit.
+        states_camera: whether the user states the camera, which is then checked by the images.
         may_be_file: whether `path` may be a file.
         path: folder, relative to one of the `--data` folders.
         weight: how often the set is sampled, relative to the others.
@@ -43,6 +44,7 @@ class SourceRecipe:
 
     labelled: ClassVar[str] = ""
     unit_key: ClassVar[str] = ""
+    states_camera: ClassVar[bool] = False
     may_be_file: ClassVar[bool] = False
 
     kind: str

@@ -37,17 +37,18 @@ _SHORTEST = 0.1
 
 
 class CheckedSource:
-    """A data set whose targets have their type and size.
+    """A data set whose targets have their type and size, and its cameras fit their images.
 
-    The frames are resized to `size` with `training.loading.geometric.resize`, if a size is given,
-    see `SourceRecipe.size`. A DatasetError about a frame names the reader and the frame.
+    The frames are resized to the recipe's size with `training.loading.geometric.resize`, if it has
+    one. A DatasetError about a frame names the reader and the frame.
     """
 
-    def __init__(
-        self, source: SampleSource, size: tuple[int, int] | int | None, title: str = ""
-    ) -> None:
+    def __init__(self, source: SampleSource, recipe: SourceRecipe | None = None) -> None:
         self._source = source
-        self._size, self._title = size, title
+        self._size, self._title, self._states_camera = None, "", False
+        if recipe is not None:
+            self._size, self._title = recipe.size, recipe.title
+            self._states_camera = recipe.states_camera
         # See `FrameList.images`; a set of another kind may have none.
         self.images: Sequence[Path] = getattr(source, "images", ())
 
@@ -57,7 +58,8 @@ class CheckedSource:
     def __getitem__(self, index: int) -> Sample:
         with named_errors(f"{self._title}: the reader of frame {index}"):
             sample = self._source[index]
-        _require_camera(sample)
+        if self._states_camera:
+            _require_camera(sample)
         for target in sample.known:
             values, kind = sample.target(target), target_kind(target)
             if values.dtype != kind.dtype or values.shape != sample.size:
@@ -143,7 +145,7 @@ def open_dataset(
     path = _find_path(recipe, roots)
     with named_errors(f"{recipe.title}: the reader"):
         source = recipe.open(path, classes)
-    checked = CheckedSource(source, recipe.size, recipe.title)
+    checked = CheckedSource(source, recipe)
     return HeldSource(Watched(checked, stop)) if getattr(source, "is_stream", False) else checked
 
 

@@ -5,8 +5,9 @@ import itertools
 import math
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from runtime.command.html import render_template
@@ -19,6 +20,8 @@ from training.scores.metrics import RANGES_M
 from training.scores.score_report import COLUMNS, difference_rows, table_notes
 from training.scores.score_set import Result
 
+# (set, score) -> steps and values.
+Curves = Mapping[tuple[str, str], Sequence[tuple[int, float]]]
 _TICKS = 5
 _LEAST = 0.005  # least share of a label that is written in the confusion
 
@@ -42,6 +45,7 @@ def write_page(
     worst: Sequence[WorstFrame] = (),
     overwrite: bool = True,
     title: str = "",
+    curves: Curves = MappingProxyType({}),
 ) -> None:
     """Write the page, HTML in UTF-8 without external resources.
 
@@ -52,6 +56,7 @@ def write_page(
         worst: pictures of the worst frames.
         overwrite: whether an existing file is replaced.
         title: title of the page; "": the names of the models.
+        curves: for each set and score, the steps and values of a training's validations.
 
     Raises:
         OutputError: if the file cannot be written.
@@ -67,7 +72,7 @@ def write_page(
             (item.row.model, item.row.data, *cells, *_judged(verdict, item.against))
             for item, cells, verdict in difference_rows(differences)
         ],
-        "groups": list(_groups(results)),
+        "groups": list(_groups(results, curves)),
         "worst": list(_worst(worst)),
         "notes": table_notes(rows),
     }
@@ -83,7 +88,7 @@ def _judged(verdict: str, against: str) -> tuple[str, str]:
     )
 
 
-def _groups(results: Sequence[Result]) -> Iterator[dict[str, Any]]:
+def _groups(results: Sequence[Result], curves: Curves) -> Iterator[dict[str, Any]]:
     """Yield what the page shows for each set with each input."""
     scored = [item for item in results if item.row.figures]
     for group in dict.fromkeys(item.row.title for item in scored):
@@ -98,7 +103,7 @@ def _groups(results: Sequence[Result]) -> Iterator[dict[str, Any]]:
             "models": [item.row.model for item in found],
             "rows": rows,
             "bars": list(_bars(found)),
-            "charts": [*_reliability(found), *_latency(found)],
+            "charts": [*_curves(found, curves), *_reliability(found), *_latency(found)],
             "confusions": list(_confusions(found)),
         }
 
@@ -214,6 +219,35 @@ def _latency(found: Sequence[Result]) -> Iterator[tuple[str, str, dict[str, Any]
             "ssdnet-bench measures speed.",
         }
         yield f"Accuracy and latency, {title}, {engine}", "", chart
+
+
+def _curves(found: Sequence[Result], curves: Curves) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    for (name, key), values in curves.items():
+        if name != found[0].row.data or len(values) < 2:
+            continue
+        column = next((each for each in COLUMNS if each.key == key), None)
+        title, factor = (column.title, column.factor) if column else (key, 1.0)
+        (x, last), (y, top) = (
+            _linear(max(step for step, _ in values)),
+            _linear(factor * max(value for _, value in values)),
+        )
+        spots = [(x(step), 100 - y(factor * value), step, factor * value) for step, value in values]
+        chart = {
+            **_axes(
+                [(100 - y(tick), tick) for tick in _ticks(top)],
+                [(x(tick), tick) for tick in _ticks(last)],
+            ),
+            "lines": [" ".join(f"{across:.2f},{down:.2f}" for across, down, _, _ in spots)],
+            "points": [
+                ("point", across, down, f"step {step}: {value:.2f}")
+                for across, down, step, value in spots
+            ],
+            "quantity": title,
+            "axis": "step",
+            "label": title,
+            "note": "Every validation of the training; step 0 is that of the initial weights.",
+        }
+        yield f"{title} during the training", "", chart
 
 
 def _axes(

@@ -1,6 +1,7 @@
 """The training loop: from a recipe to checkpoints."""
 
 import copy
+import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
@@ -88,6 +89,7 @@ def train(recipe: Recipe, run: TrainingRun) -> RunResult:
         loop.save()
         if loop.is_complete and processes.is_first:
             loop.release()
+            loop.tell(f"curves and pictures: tensorboard --logdir {shlex.quote(str(run.out))}")
         processes.wait()  # until the file is written
         # A run that was stopped early releases no weights.
         return final if loop.is_complete else stopped
@@ -160,6 +162,7 @@ class _Loop:
             self._task,
             self._run.out / PAGE,
             known=self._results,
+            curves=self._scores.curves if self._scores else {},
             stop=self._run.stop,
         )
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from runtime.base.errors import InputError
 from runtime.files.atomic_write import atomic_write
 
 # Scores of a set that the progress line and TensorBoard show.
@@ -29,7 +30,12 @@ class ScoreTable:
             return
         with path.open(encoding="utf-8", newline="") as stream:
             rows = list(csv.DictReader(stream))
-        self._rows = [row for row in rows if int(row["step"]) <= step and step > 0]
+        try:
+            self._rows = [row for row in rows if int(row["step"]) <= step and step > 0]
+        except (KeyError, ValueError, TypeError) as error:
+            raise InputError(
+                f"{path}: is not the table of a training ({error!r}): restore or remove it"
+            ) from error
 
     def __contains__(self, step: int) -> bool:
         """Return whether the scores of a step are in the table."""
@@ -62,6 +68,16 @@ class ScoreTable:
         return not math.isnan(now) and all(
             now > sign * value for value in before if not math.isnan(value)
         )
+
+    @property
+    def curves(self) -> dict[tuple[str, str], list[tuple[int, float]]]:
+        """For each set and each shown score: the steps and values of all validations."""
+        found: dict[tuple[str, str], list[tuple[int, float]]] = {}
+        for row in self._rows:
+            for key in SHOWN:
+                if (value := float(row.get(key) or "nan")) == value:
+                    found.setdefault((row["set"], key), []).append((int(row["step"]), value))
+        return found
 
     def compare(self) -> Iterator[str]:
         """Yield a table of the shown scores before the first step and now, and what became worse.

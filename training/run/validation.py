@@ -4,7 +4,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from torch import Tensor
@@ -28,6 +28,9 @@ from training.scores.score_set import Feed, Result, score_set
 from training.scores.scored_model import open_network
 from training.scores.scoring import scored_classes
 from training.scores.shared_classes import ScoredClasses
+
+if TYPE_CHECKING:
+    from training.pages.page import Curves
 
 
 class Board:
@@ -79,6 +82,7 @@ def write_validation(
     path: Path,
     *,
     known: Mapping[str, Sequence[Result]],
+    curves: "Curves",
     stop: Stop,
 ) -> None:
     """Write the page of networks on the validation sets, see `training.pages.page`.
@@ -88,6 +92,7 @@ def write_validation(
         task: the task that holds the sets.
         path: path of the page.
         known: results of `validate` by name of the network; networks without are scored.
+        curves: see `write_page`.
         stop: True ends it without a page.
     """
     from training.pages.page import write_page  # only where a page is made
@@ -104,7 +109,8 @@ def write_validation(
         ]
         worst = list(draw_worst(results, models, sets))
         title = f"Validation of {path.absolute().parent.name}"
-        write_page(results, path, differences=compare(results), worst=worst, title=title)
+        differences = compare(results)
+        write_page(results, path, differences=differences, worst=worst, title=title, curves=curves)
         tqdm.write(f"the page of the validation: {path}", file=sys.stderr)
 
 

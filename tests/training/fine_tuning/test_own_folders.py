@@ -101,6 +101,8 @@ def test_a_recipe_is_made_for_the_folders_and_trained(mine):
     assert resumed.exit_code == 0, resumed.output
     assert "warning" not in resumed.stderr
     assert f"all 2 steps of {mine / 'run'} are done" in resumed.stderr
+    page = (mine / "run/validation.html").read_text()
+    assert page.count("mIoU % during the training") >= 1
     # What was trained, with its changes, is a recipe like any other.
     written = tomllib.loads((mine / "run/recipe.toml").read_text())
     assert (written["schedule"]["steps"], written["data"]["workers"]) == (2, 0)

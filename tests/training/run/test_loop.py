@@ -140,7 +140,7 @@ def test_tensorboard_shows_terms_rates_scores_and_pictures(data, tmp_path):
     assert not (truth[104:128] == image[40:64]).all()
 
 
-def test_validation_feeds_the_lidar_of_the_recipe(data, tmp_path, monkeypatch):
+def test_validation_feeds_the_lidar_of_the_recipe(data, tmp_path, monkeypatch, capsys):
     write_second_edition(data / "scenes", magnify=8)
     score_set = Mock(wraps=validation.score_set)
     monkeypatch.setattr(validation, "score_set", score_set)
@@ -155,6 +155,7 @@ def test_validation_feeds_the_lidar_of_the_recipe(data, tmp_path, monkeypatch):
     page = (out / "validation.html").read_text()
     assert "scenes, LiDAR random:0.5" in page
     assert "Worst depth of after" in page
+    assert f"tensorboard --logdir {out}" in capsys.readouterr().err
     (row,) = evaluate([out]).rows  # of the run's folder: its set, with its input
     assert row.model == out.name
     assert (row.data, row.lidar) == ("scenes", "random:0.5")
