@@ -9,7 +9,6 @@ from models.classes import voc_color
 from runtime.base.errors import InputError
 from runtime.contract.contract import ClassInfo
 from runtime.files.read_input import read_input
-from runtime.recordings.images import list_files
 from training.base.palette import Palette
 from training.datasets.class_list import Color, read_class_list
 from training.datasets.class_mapping import IGNORED
@@ -82,8 +81,9 @@ def _by_color(
 
 def _are_colored(labels: Path) -> bool:
     """Return whether the first label is a PNG with colours instead of ids."""
-    files = list_files(labels, (".png",)) if labels.is_dir() else {}
-    header = read_input(min(files.values()))[:26] if files else b""
+    listed = labels.iterdir() if labels.is_dir() else ()
+    files = [path for path in listed if path.suffix.lower() == ".png"]
+    header = read_input(min(files))[:26] if files else b""
     return len(header) > 25 and header[25] in _RGB_TYPES
 
 
