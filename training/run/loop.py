@@ -180,6 +180,11 @@ class _Loop:
     def _take_steps(self, batches: Iterator[Batch], board: Board, bar: tqdm) -> None:
         recipe, state, limit = self._recipe, self.state, self._run.stop_after
         last = self.steps if limit is None else min(self.steps, limit)
+        if self._processes.is_first and state.step < last:
+            views = 2 if self._task.data.augment.pair_shift else 1
+            crops, size = views * self._task.data.batch_size, self._task.data.augment.size
+            minutes = (last - state.step) * state.estimate_step_s(crops, size) / 60
+            self.tell(f"the {last - state.step} steps take about {max(1, round(minutes))} minutes")
         while state.step < last and not self._processes.any_of(self._run.stop()):
             done = state.advance(batches)
             if bar.update():  # the loss is read from its device only when it is shown

@@ -1,9 +1,11 @@
 """The state of a training, as last.pt keeps it: network, optimiser and averaged weights."""
 
+import copy
 import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from time import perf_counter
 from typing import Any, NamedTuple
 
 import torch
@@ -11,6 +13,7 @@ from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
 
 from models import Network, NetworkOutput, load_checkpoint, save_checkpoint
+from models.answers import head_maps
 from runtime.base.arguments import shown
 from runtime.base.errors import CheckpointError, InputError, SSDNetError
 from runtime.files.atomic_write import atomic_write
@@ -101,6 +104,25 @@ class TrainingState:
             states = {name: part.state_dict() for name, part in self._parts.items()}
             trainer = {"step": self.step, **states}
             save_checkpoint(path, self._network, training=training, trainer=trainer)
+
+    def estimate_step_s(self, batch: int, size: tuple[int, int]) -> float:
+        """Return about how long a step of crops of (height, width) takes [s]; nothing changes.
+
+        It is the time of the second of two forward and backward passes of a copy.
+        """
+        network, took_s = copy.deepcopy(self._network), 0.0
+        inputs = [
+            torch.zeros(batch, channels, *size, device=self._processes.device)
+            for channels in (3, 1)
+        ]
+        on_image = self.criterion.config.semantic_grid == "image"
+        with torch.random.fork_rng():
+            for _ in range(2):
+                started = perf_counter()
+                maps = head_maps(network(*inputs, upsample_semantic=on_image)).values()
+                torch.stack([each.sum() for each in maps]).sum().backward()  # type: ignore[no-untyped-call]
+                took_s = perf_counter() - started
+        return took_s * self._recipe.loop.accumulate
 
     def advance(self, batches: Iterator[Batch]) -> Step:
         """Train one step on the next batches."""

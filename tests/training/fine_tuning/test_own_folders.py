@@ -142,7 +142,7 @@ def test_a_dry_run_shows_the_recipe(mine):
     result = train(mine, "--dry-run")
     assert result.exit_code == 0, result.output
     assert "size = 50\n" in result.stderr
-    assert "steps = 140" in result.stderr
+    assert "steps = 70" in result.stderr
     assert "lidar" not in result.stderr
     assert {path.name for path in (mine / "run").iterdir()} == {"batch.png", "recipe.toml"}
 
