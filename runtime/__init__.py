@@ -24,8 +24,6 @@ _HOMES = {
     for alias in node.names
 }
 
-_RENAMED = {"Message": "Image, Depth, Scan or Pose"}
-
 __all__ = [*_HOMES, "__version__"]
 
 
@@ -35,8 +33,7 @@ def __getattr__(name: str) -> Any:
     elif name in _HOMES:
         value = getattr(import_module(_HOMES[name]), name)
     else:
-        renamed = f": it is {_RENAMED[name]} now" if name in _RENAMED else ""
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{renamed}")
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = value  # so that the name is looked up only once
     return value
 

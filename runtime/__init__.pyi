@@ -73,15 +73,17 @@ from runtime.streams.frame import (
 )
 from runtime.streams.frame_result import FrameResult as FrameResult
 from runtime.checks.consistency import Consistency as Consistency
+from runtime.streams.matching import Discarded as Discarded, Pair as Pair
 from runtime.streams.messages import (
     Depth as Depth,
     Image as Image,
+    Message as Message,
     Outcome as Outcome,
     Pose as Pose,
     Scan as Scan,
     Sensor as Sensor,
 )
-from runtime.streams.memory import ScanMemory as ScanMemory
+from runtime.streams.memory import ScanMemory as ScanMemory, Remembered as Remembered
 from runtime.streams.push_stream import PushStream as PushStream
 from runtime.streams.replay import ReplayMessage as ReplayMessage, replay as replay
 from runtime.streams.statistics import (
