@@ -104,12 +104,8 @@ class LabelledRecipe(RangeRecipe):
     def lacking_ids(self, classes: ClassTable) -> tuple[int, ...]:
         """Return the ids of `lacking`; DatasetError for names that the table does not have."""
         names = [info.name for info in list_classes(classes)]
-        if unknown := [name for name in self.lacking if name not in names]:
-            raise DatasetError(
-                f"lacking: {unknown[0]!r} is no class of model.classes: give some of "
-                f"{', '.join(names)}"
-            )
-        return tuple(map(names.index, self.lacking))
+        found = self._find("lacking", dict(enumerate(self.lacking)), names).values()
+        return tuple(index for index in found if index != NO_CLASS)
 
     def _find(self, key: str, table: Mapping[T, str], names: Sequence[str]) -> dict[T, int]:
         """Return the class id of each entry of a table; DatasetError for an unknown name."""

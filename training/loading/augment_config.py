@@ -42,7 +42,7 @@ class AugmentConfig:
         brightness: largest relative change of brightness, contrast and saturation, and largest hue
             shift [degrees].
         restyle: probability that the histograms of an image's channels move towards those of an
-            image of another set, by a random share.
+            image of any set, all sets alike, by a random share.
         lidar_missing: probability that the LiDAR is missing.
         lidar_random: probability that the input is a random share of the measurements instead of
             scan lines.

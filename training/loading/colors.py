@@ -19,10 +19,10 @@ def move_histograms(
     table = np.empty((1, 256, 3), np.uint8)
     for channel in range(3):
         ranks, wanted = (
-            np.bincount(image[::4, ::4, channel].ravel(), minlength=256).cumsum(dtype=np.float64)
+            np.bincount(image[::4, ::4, channel].ravel(), minlength=256).cumsum()
             for image in (rgb, other)
         )
-        matched = np.interp(ranks / ranks[-1], wanted / wanted[-1], values)
+        matched = np.searchsorted(wanted * ranks[-1], ranks * wanted[-1])
         table[0, :, channel] = np.rint(values + share * (matched - values))
     return np.asarray(cv2.LUT(rgb, table), np.uint8)
 

@@ -115,7 +115,7 @@ class Mixture(Dataset[Drawn]):
         target = self._depth
         sample = part.source[int(self._frame[index])]
         if part.augment.restyle and rng.random() < part.augment.restyle:
-            sample = self._restyle(sample, self._part[index], rng)
+            sample = self._restyle(sample, rng)
         sample = augment(
             sample,
             with_margin(part.augment),
@@ -134,12 +134,8 @@ class Mixture(Dataset[Drawn]):
             views = tuple(far_sky(view, target.sky, target.sky_depth_m) for view in views)
         return Drawn(views, offset)
 
-    def _restyle(self, sample: Sample, own: int, rng: Generator) -> Sample:
-        """Return a sample whose colours are nearer to those of an image of another set."""
-        others = [part.source for index, part in enumerate(self._parts) if index != own]
-        if not others:
-            return sample
-        donors = others[int(rng.integers(len(others)))]
-        other = donors[int(rng.integers(len(donors)))]
-        rgb = move_histograms(sample.rgb, other.rgb, rng.random())
-        return sample.with_image(rgb)
+    def _restyle(self, sample: Sample, rng: Generator) -> Sample:
+        """Return a sample whose colours are nearer to those of an image of any set."""
+        source = self._parts[int(rng.integers(len(self._parts)))].source
+        other = source[int(rng.integers(len(source)))]
+        return sample.with_image(move_histograms(sample.rgb, other.rgb, rng.random()))

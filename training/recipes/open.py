@@ -8,8 +8,8 @@ chosen on `rendered/open_val` and on the street's camera `right`.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
-from training.datasets.source_recipe import SourceRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.recipes import lite, pandaset_street
 from training.run.recipe import Recipe, derive
@@ -31,10 +31,7 @@ _DEPTH_SETS = (
     # Without the parallax of a LiDAR beside the camera.
     replace(_VARIED, weight=0.15, scans=False, scale=None),
 )
-_VALIDATION = (
-    RenderedRecipe(path="rendered/open_val", scans=True),
-    pandaset_street.camera("right"),
-)
+_VALIDATION = RenderedRecipe(path="rendered/open_val", scans=True), pandaset_street.camera("right")
 # One street in one light: its colours say little about other places.
 _COLORS = {
     "brightness": 0.5,
@@ -51,15 +48,7 @@ _COLORS = {
 _FAULTS = {"restyle": 0.5, "camera_fault": 0.25, "pair_camera_fault": 0.2}
 
 
-def _open(
-    stage: Recipe,
-    steps: int,
-    seed: int,
-    *,
-    widths: Sequence[int] = _PRUNED,
-    source: tuple[SourceRecipe, ...] = _SETS,
-    augment: dict[str, float] = _COLORS,
-) -> Recipe:
+def _open(stage: Recipe, steps: int, widths: Sequence[int] = _PRUNED, **data: Any) -> Recipe:
     """Return a stage of lite with other data."""
     config = {"canonical_focal_px": 721.5, "fused_start": True, "safe_start": True}
     return derive(
@@ -67,18 +56,18 @@ def _open(
         terms=f"{pandaset_street.TERMS}; rendered scenes: this project's, Apache-2.0",
         own_data_only=True,
         model={"config": {**config, "encoder_widths": [*widths]}},
-        data={"seed": seed, "source": source, "augment": augment},
+        data={"source": _SETS, "augment": _COLORS, **data},
         loss={"weights": {"road": 0.0}},
         schedule={"steps": steps},
         validation={"every": steps, "lidar": "own", "source": _VALIDATION},
     )
 
 
-CROPS = _open(lite.CROPS, 2000, 81, widths=_WIDE)
-PAIRS = _open(lite.PAIRS, 1500, 82, widths=_WIDE)
-NARROW = _open(lite.JOINT, 2500, 83)
+CROPS = _open(lite.CROPS, 2000, _WIDE, seed=81)
+PAIRS = _open(lite.PAIRS, 1500, _WIDE, seed=82)
+NARROW = _open(lite.JOINT, 2500, seed=83)
 DEPTH = derive(
-    _open(lite.DEPTH, 1200, 84, source=_DEPTH_SETS, augment=_FAULTS),
+    _open(lite.DEPTH, 1200, seed=84, source=_DEPTH_SETS, augment=_FAULTS),
     optimizer={"fixed_statistics": True},
 )
 

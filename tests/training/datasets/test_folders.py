@@ -68,7 +68,7 @@ def test_everything_is_paired_by_stem(mine):
     assert first.weights == {"semantic": 0.5}
     assert first.lacking == (1,)
     assert first.scan_line is None
-    with pytest.raises(DatasetError, match=r"lacking: 'sky' is no class .* give some of lane"):
+    with pytest.raises(DatasetError, match=r"lacking: 'sky' is no class .* give one of lane"):
         opened(mine, lacking=("sky",))
     write(mine / "images" / "a.jpg", np.zeros((40, 64, 3), np.uint8))
     with pytest.raises(DatasetError, match="same stem"):
