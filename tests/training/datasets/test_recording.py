@@ -103,7 +103,7 @@ def test_a_file_is_a_recording_too(root):
         str(root / "drive.mkv"), cv2.VideoWriter.fourcc(*"FFV1"), 10, SIZE[::-1]
     )
     for number in range(4):
-        video.write(np.full((*SIZE, 3), 40 * number, np.uint8))
+        video.write(np.full((*SIZE, 3), 40 * number + 9, np.uint8))
     video.release()
     with pytest.raises(DatasetError, match="no recording 'missing"):
         open_drive(root, "missing.mkv")
