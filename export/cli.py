@@ -106,6 +106,9 @@ def export(
             show_default="that of the run's folder; for other files the network's",
         ),
     ] = None,
+    threads: Annotated[
+        int | None, typer.Option(min=1, help="CPU threads. [default: all cores]")
+    ] = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace an older file, reference and Triton model.")
     ] = False,
@@ -122,9 +125,13 @@ def export(
     if calibrate and not validate:
         raise typer.BadParameter("--precision int8 needs --validate")
     with reported_errors("export,train,cpu" if validate else "export,cpu"):
-        from export.exporter import run_export  # slow, and --help needs no PyTorch
+        import torch  # slow, and --help needs no PyTorch
+
+        from export.exporter import run_export
         from export.options import ExportOptions
 
+        if threads is not None:
+            torch.set_num_threads(threads)
         options = ExportOptions(
             checkpoint=checkpoint,
             target=model,

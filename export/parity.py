@@ -16,6 +16,7 @@ from models import Network
 from models.answers import answers
 from runtime import Predictor
 from runtime.contract.agreement import compare, file_limits, within, worst
+from runtime.contract.network_size import NetworkSize
 from runtime.engine.session import open_session
 
 # The figure that is limited instead of the largest difference in half precision, and its limit.
@@ -60,7 +61,9 @@ def measure_parity(
     measured: dict[str, list[dict[str, float]]] = {}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # fp16 is slow on the processor
-        predictor = Predictor(onnx_path, size="frame" if dynamic else None, warmup=0)
+        threads = torch.get_num_threads()
+        size: NetworkSize = "frame" if dynamic else None
+        predictor = Predictor(onnx_path, size=size, warmup=0, threads=threads)
     contract = predictor.contract
     with predictor:
         session = open_session(Path(onnx_path).read_bytes(), threads=predictor.threads)

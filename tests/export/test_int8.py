@@ -168,7 +168,10 @@ def test_an_int8_file_states_its_accuracy_before_and_after(quantised):
 
 
 def test_an_int8_file_is_verified_within_what_was_measured_and_rounding(quantised):
-    measured, limits = quantised.contract.parity, read_reference(quantised.reference).limits
+    reference = read_reference(quantised.reference)
+    measured, limits = quantised.contract.parity, reference.limits
+    # Frames of a street: 8 bits choose other classes for what shows nothing.
+    assert not any("scan lines" in frame.name for frame in reference.frames)
     relative, agreement = measured["depth"]["mean_relative"], measured["semantic"]["agreement"]
     assert limits["depth"] == {"mean_relative": pytest.approx(relative + 0.025)}
     assert limits["semantic"] == {"agreement": pytest.approx(agreement - 0.04)}

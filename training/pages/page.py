@@ -195,29 +195,18 @@ def _latency(found: Sequence[Result]) -> Iterator[tuple[str, str, dict[str, Any]
         ]
         if len(spots) < 2:
             continue
-        (x, last), (y, top) = (
-            _linear(max(ms for ms, _, _ in spots)),
-            _linear(max(value for _, value, _ in spots)),
+        points = [(ms, value, f"{name}: {ms:.1f} ms, {value:.1f}") for ms, value, name in spots]
+        chart = _scatter(
+            points,
+            title,
+            axis="median time of an answer [ms]",
+            note="Times of this evaluation, which may share the machine with others; ssdnet-bench "
+            "measures speed.",
         )
-        chart = {
-            **_axes(
-                [(100 - y(tick), tick) for tick in _ticks(top)],
-                [(x(tick), tick) for tick in _ticks(last)],
-            ),
-            "points": [
-                ("point", x(ms), 100 - y(value), f"{name}: {ms:.1f} ms, {value:.1f}")
-                for ms, value, name in spots
-            ],
-            "names": [
-                ("left" if x(ms) > 50 else "right", x(ms), 100 - y(value), name)
-                for ms, value, name in spots
-            ],
-            "quantity": title,
-            "axis": "median time of an answer [ms]",
-            "label": title,
-            "note": "Times of this evaluation, which may share the machine with others; "
-            "ssdnet-bench measures speed.",
-        }
+        places = zip(chart["points"], spots, strict=True)
+        chart["names"] = [
+            ("left" if x > 50 else "right", x, y, name) for (_, x, y, _), (_, _, name) in places
+        ]
         yield f"Accuracy and latency, {title}, {engine}", "", chart
 
 
@@ -227,27 +216,30 @@ def _curves(found: Sequence[Result], curves: Curves) -> Iterator[tuple[str, str,
             continue
         column = next((each for each in COLUMNS if each.key == key), None)
         title, factor = (column.title, column.factor) if column else (key, 1.0)
-        (x, last), (y, top) = (
-            _linear(max(step for step, _ in values)),
-            _linear(factor * max(value for _, value in values)),
-        )
-        spots = [(x(step), 100 - y(factor * value), step, factor * value) for step, value in values]
-        chart = {
-            **_axes(
-                [(100 - y(tick), tick) for tick in _ticks(top)],
-                [(x(tick), tick) for tick in _ticks(last)],
-            ),
-            "lines": [" ".join(f"{across:.2f},{down:.2f}" for across, down, _, _ in spots)],
-            "points": [
-                ("point", across, down, f"step {step}: {value:.2f}")
-                for across, down, step, value in spots
-            ],
-            "quantity": title,
-            "axis": "step",
-            "label": title,
-            "note": "Every validation of the training; step 0 is that of the initial weights.",
-        }
+        points = [(step, factor * v, f"step {step}: {factor * v:.2f}") for step, v in values]
+        note = "Every validation of the training; step 0 is that of the initial weights."
+        chart = _scatter(points, title, axis="step", note=note)
+        chart["lines"] = [" ".join(f"{x:.2f},{y:.2f}" for _, x, y, _ in chart["points"])]
         yield f"{title} during the training", "", chart
+
+
+def _scatter(
+    points: Sequence[tuple[float, float, str]], quantity: str, *, axis: str, note: str
+) -> dict[str, Any]:
+    """Return the values of chart.html for points, each with its words, on axes from 0."""
+    x, last = _linear(max(along for along, _, _ in points))
+    y, top = _linear(max(up for _, up, _ in points))
+    return {
+        **_axes(
+            [(100 - y(tick), tick) for tick in _ticks(top)],
+            [(x(tick), tick) for tick in _ticks(last)],
+        ),
+        "points": [("point", x(along), 100 - y(up), text) for along, up, text in points],
+        "quantity": quantity,
+        "axis": axis,
+        "label": quantity,
+        "note": note,
+    }
 
 
 def _axes(
