@@ -1,7 +1,7 @@
 """How the depth is chosen among its candidates: the steps of `models.surface_depth`, in order.
 
 Nothing here has a parameter that is trained. `start_from_returns` replaces the monocular depth
-where returns are dense, `choose_surface` reads the channels of the head,
+if the picture shows nothing, `choose_surface` reads the channels of the head,
 `blend_with_base` averages its choice with the base, and `blend_with_returns` takes the returns.
 """
 
@@ -98,29 +98,34 @@ LOG_SCALE = (-6.0, 1.0)
 SPREAD_SHARE = 0.5
 
 
-def start_from_returns(monocular: Tensor, surfaces: Surfaces, measured: Tensor) -> Tensor:
-    """Return the depth that the choice starts from: what the returns show, where they are dense.
+def start_from_returns(monocular: Tensor, surfaces: Surfaces, shows: Tensor) -> Tensor:
+    """Return the depth that the choice starts from: the monocular one, if the picture shows any.
 
-    It is the plane, or the farthest surface where there is none. Elsewhere it is the monocular
-    depth. A confidence that a bad image makes too small then leaves a depth that was measured.
+    Else it is the plane between the returns, or the farthest surface where there is none: a picture
+    that fails must not take the depth with it that was measured.
 
     Args:
         monocular: normalised depth that is predicted from the image, (N, 1, h, w).
         surfaces: candidate surfaces.
-        measured: see `surfaces.Candidates`.
+        shows: see `picture_shows`, (N, 1, 1, 1).
     """
+    measured = (1.0 - shows) * surfaces.support
     depth = monocular + measured * (surfaces.farthest - monocular)
     return depth + measured * surfaces.plane_support * (1.0 / surfaces.inverse_plane - depth)
 
 
-def choose_surface(head: HeadChannels, choices: Choices, *, unmeasured_share: float) -> Chosen:
+def choose_surface(
+    head: HeadChannels, choices: Choices, *, unmeasured_share: float, shows: Tensor | float = 1.0
+) -> Chosen:
     """Choose among the candidates and the depth to start from.
 
     First the plane replaces the depth to start from, then the farthest surface what was chosen,
     then the nearest, each weighted by the confidence in it. The result is corrected, by at most
-    `correction_limit`. No depth is beyond `unmeasured_share`, unless the farthest surface is.
+    `correction_limit`. No depth is beyond `unmeasured_share`, unless the farthest surface is. If
+    the picture `shows` nothing, see `picture_shows`, the depth to start from is the answer.
     """
-    in_plane, in_farthest, in_nearest = stretched_sigmoid(head.surfaces).split(1, dim=1)
+    confidences = stretched_sigmoid(head.surfaces) * shows
+    in_plane, in_farthest, in_nearest = confidences.split(1, dim=1)
     nearest, farthest, inverse_plane, support, plane_support, depth, limit = choices
     depth = depth + in_plane * plane_support * (1.0 / inverse_plane - depth)
     depth = depth + in_farthest * support * (farthest - depth)

@@ -43,6 +43,7 @@ from models.network import (
     initialise,
     present_heads,
 )
+from models.picture import picture_shows
 from models.planes import CELL
 from models.surface_depth import SurfaceDepthHead
 from models.surfaces import find_candidates
@@ -75,8 +76,8 @@ class SSDNetLiteConfig(NetworkConfig):
         farthest_guess_m: largest depth [m] that the network predicts without a return; farther true
             depth is not trained. It is also the depth of the sky.
 
-        safe_start: whether the depth starts from what the returns show where they are dense, see
-            `depth_choice.start_from_returns`; else it starts from the image everywhere.
+        judges_picture: whether the depth is that of the returns alone if the picture is blurred,
+            dark, overexposed or noise, see `models.picture`.
 
     Raises:
         ValueError: if a value is outside its range, or a combination cannot be built.
@@ -94,7 +95,7 @@ class SSDNetLiteConfig(NetworkConfig):
     separable_from: int = 4
     geometry_channels: int = 16
     farthest_guess_m: float = 100.0
-    safe_start: bool = False
+    judges_picture: bool = False
 
     def __post_init__(self) -> None:
         """Check the values and their combinations."""
@@ -181,7 +182,6 @@ class SSDNetLite(Network):
                 semantics=config.semantic_head,
                 max_depth_m=config.max_depth_m,
                 unmeasured_share=config.unmeasured_range_m / config.max_depth_m,
-                safe_start=config.safe_start,
             )
         self.apply(initialise)
         if config.depth_head:
@@ -209,7 +209,8 @@ class SSDNetLite(Network):
         if candidates is None:
             return NetworkOutput(logits, boundary_logits=boundary_logits)
         features, *_ = self.depth_decoder(bottom, skips, gates)
-        maps = self.surface_depth(candidates, features, semantics, stride2, boundary_logits)
+        shows = picture_shows(rgb) if self.config.judges_picture else None
+        maps = self.surface_depth(candidates, features, semantics, stride2, boundary_logits, shows)
         return NetworkOutput(logits, (maps.depth,), maps.boundary_logits, maps.scale)
 
     def _classify(self, semantics: Tensor, stride2: Tensor) -> Tensor:

@@ -82,7 +82,6 @@ class SurfaceDepthHead(nn.Module):
         semantics: whether there are features of the semantic decoder.
         max_depth_m: depth [m] of the normalised depth 1.0.
         unmeasured_share: largest normalised depth without a return.
-        safe_start: whether the choice starts from the returns where they are dense.
     """
 
     def __init__(
@@ -97,11 +96,9 @@ class SurfaceDepthHead(nn.Module):
         semantics: bool,
         max_depth_m: float,
         unmeasured_share: float,
-        safe_start: bool,
     ) -> None:
         super().__init__()
         self.max_depth_m, self.unmeasured_share = max_depth_m, unmeasured_share
-        self.safe_start = safe_start
         self.embed = nn.Conv2d(FEATURE_CHANNELS, stride4_channels, 1)
         self.guess = nn.Conv2d(channels, 1, 1)  # the monocular depth; checkpoints have this name
         self.project = nn.Conv2d(FEATURE_CHANNELS, channels, 1)
@@ -146,6 +143,7 @@ class SurfaceDepthHead(nn.Module):
         semantics: Tensor | None,
         stride2: Tensor,
         boundary_logits: Tensor,
+        shows: Tensor | None = None,
     ) -> DepthMaps:
         """Return the depth, its error's scale and the boundary's logits at the image's size.
 
@@ -155,6 +153,7 @@ class SurfaceDepthHead(nn.Module):
             semantics: features of the semantic decoder, on the same grid.
             stride2: features of the encoder at stride 2.
             boundary_logits: on the grid of CELL; they are upsampled together with the depth.
+            shows: see `picture_shows`; None: every picture is believed.
         """
         # The monocular depth, for where nothing is measured.
         monocular = self.unmeasured_share * torch.sigmoid(self.guess(features))
@@ -171,10 +170,11 @@ class SurfaceDepthHead(nn.Module):
             features = features + self.semantics(semantics)
         boundary_logits = boundary_logits.float()
         limit = limit_correction(ratios, candidates.surfaces.support)
-        start = monocular
-        if self.safe_start:
-            start = start_from_returns(monocular, candidates.surfaces, candidates.measured)
-        choices = Choices(*candidates.surfaces, start, limit)
+        believed: Tensor | float = 1.0 if shows is None else shows
+        if shows is not None:
+            monocular = start_from_returns(monocular, candidates.surfaces, shows)
+            limit = limit * shows
+        choices = Choices(*candidates.surfaces, monocular, limit)
         if self.training:
             # At random the weight is set to 0, kept, or doubled, so that neither choice learns to
             # compensate for the other.
@@ -183,13 +183,17 @@ class SurfaceDepthHead(nn.Module):
         base = BaseMaps(boundary_logits, offset, relative_scale(log_scale), base_weight)
         if self.refinement is None:
             head = HeadChannels.split(self.head(features).float())
-            chosen = choose_surface(head, choices, unmeasured_share=self.unmeasured_share)
+            chosen = choose_surface(
+                head, choices, unmeasured_share=self.unmeasured_share, shows=believed
+            )
             chosen, base = _upsample_together(chosen, base)
         else:
             choices, base = _upsample_together(choices, base)
             refined = self.head(self.refinement(features, stride2))
             head = HeadChannels.split((refined + upsample(self.coarse_head(features))).float())
-            chosen = choose_surface(head, choices, unmeasured_share=self.unmeasured_share)
+            chosen = choose_surface(
+                head, choices, unmeasured_share=self.unmeasured_share, shows=believed
+            )
         # Both on the grid of the base, then the returns at the image's size.
         chosen = blend_with_base(chosen, candidates.inverse_base, base)
         return self._add_returns(chosen, base.boundary_logits, head.returns, candidates)

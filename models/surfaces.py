@@ -94,8 +94,6 @@ class Candidates(NamedTuple):
         features: (N, FEATURE_CHANNELS, h, w), on the grid of CELL.
         monocular_limit: greatest normalised depth that may be predicted from the image alone,
             (N, 1, h, w), see `limit_monocular`.
-        measured: 1 where the returns are so dense that the choice starts from them, (N, 1, h, w),
-            see `weigh_density`.
     """
 
     sparse_depth: SparseDepth
@@ -104,7 +102,6 @@ class Candidates(NamedTuple):
     base_ratios: BaseRatios
     features: Tensor
     monocular_limit: Tensor
-    measured: Tensor
 
 
 def find_candidates(depth: Tensor, mask: Tensor, *, max_depth_m: float) -> Candidates:
@@ -114,8 +111,7 @@ def find_candidates(depth: Tensor, mask: Tensor, *, max_depth_m: float) -> Candi
     count = count_returns(fit)
     features, limit = surface_features(surfaces, count), limit_monocular(surfaces, count)
     ratios = compare_with_base(surfaces, fit)
-    measured = surfaces.support * weigh_density(count)
-    return Candidates(sparse_depth, surfaces, fit.inverse_base, ratios, features, limit, measured)
+    return Candidates(sparse_depth, surfaces, fit.inverse_base, ratios, features, limit)
 
 
 # A return is an outlier if it is within OUTLIER_M [m], at least OUTLIER_CELLS of the cells around
@@ -217,17 +213,6 @@ def limit_monocular(surfaces: Surfaces, count: Tensor) -> Tensor:
     padded = F.pad(count, (VIEW_BESIDE, VIEW_BESIDE, VIEW_ABOVE, 0))
     in_view = F.max_pool2d(padded, window, 1).clamp(max=1.0) * surfaces.support
     return 1.0 - in_view * (1.0 - surfaces.farthest)
-
-
-# Window [cells] in which the density of returns is measured, and the shares of cells with returns
-# at which the choice begins to start from them and does so alone: eight and sixteen scan lines.
-DENSITY_WINDOW, SPARSE, DENSE = 9, 0.07, 0.16
-
-
-def weigh_density(count: Tensor) -> Tensor:
-    """Return 1 where returns are dense, 0 where they are too sparse to start from."""
-    density = window_means(count.clamp(max=1.0), DENSITY_WINDOW)
-    return hard_sigmoid(density, 1.0 / (DENSE - SPARSE), -SPARSE / (DENSE - SPARSE))
 
 
 # Log ratio of a surface to the base up to which they are one surface. From twice this ratio on

@@ -31,6 +31,7 @@ from models.planes import BASE_CELL, CELL
 from models.surfaces import (
     MAX_BASE_WEIGHT,
     SAME_SURFACE,
+    Surfaces,
     compare_with_base,
     dilate_returns,
     propagate_surfaces,
@@ -100,14 +101,18 @@ def test_a_candidate_replaces_others_by_the_confidence_in_it(returns, logits, mo
     assert depth[CELL_OF_TWO] == pytest.approx(expected, rel=1e-3)
 
 
-def test_a_choice_starts_from_the_plane_or_the_farthest_surface_where_returns_are_dense():
-    surfaces, _ = propagate_surfaces(scan_lines(8, 0.2))
-    monocular, cell = grid_of(0.9), (0, 0, 10, 10)
-    surfaces = surfaces._replace(farthest=grid_of(0.5))
-    for measured, plane, expected in ((0, 1, 0.9), (1, 1, 0.2), (1, 0, 0.5), (0.5, 0, 0.7)):
-        chosen = surfaces._replace(plane_support=grid_of(float(plane)))
-        start = start_from_returns(monocular, chosen, grid_of(float(measured)))
+def test_without_a_picture_the_answer_is_the_plane_or_the_farthest_surface():
+    choices, cell = choices_of(scan_lines(8, 0.2), 0.9), CELL_OF_TWO
+    surfaces = Surfaces(*choices[:5])._replace(farthest=grid_of(0.5))
+    for shows, plane, expected in ((1, 1, 0.9), (0, 1, 0.2), (0, 0, 0.5), (0.5, 0, 0.7)):
+        given = surfaces._replace(plane_support=grid_of(float(plane)))
+        shown = torch.full((1, 1, 1, 1), float(shows))
+        start = start_from_returns(grid_of(0.9), given, shown)
         assert start[cell] == pytest.approx(expected, rel=1e-3)
+    nothing = torch.zeros(1, 1, 1, 1)
+    head = head_of(nearest=30.0, farthest=30.0)
+    chosen = choose_surface(head, choices, unmeasured_share=1.0, shows=nothing)
+    assert 1 / chosen.inverse[cell] == pytest.approx(0.9, rel=1e-3)
 
 
 def test_a_correction_stays_between_both_surfaces():

@@ -20,7 +20,6 @@ from models.surfaces import (
     propagate_surfaces,
     remove_outliers,
     surface_features,
-    weigh_density,
     zero_if_same_surface,
 )
 from small_returns import (
@@ -119,15 +118,6 @@ def test_what_returns_nothing_is_no_farther_than_the_returns_around():
     assert limit[19, 10] == pytest.approx(0.2), "below a return"
     assert limit[8, 10] == 1, "above the uppermost return is outside the field of view"
     assert limit[10, 30] == 1, "so is what is beside the returns"
-
-
-@pytest.mark.parametrize(("apart", "least", "most"), [(4, 1, 1), (16, 0.8, 1), (64, 0, 0.5)])
-def test_dense_scan_lines_are_measured_and_sparse_ones_are_not(apart, least, most):
-    """64, 16 and 4 lines of a LiDAR on 256 rows."""
-    _, fit = propagate_surfaces(scan_lines(apart, 0.2))
-    weight = weigh_density(count_returns(fit))[0, 0, 6:-6, 6:-6]
-    assert weight.min() >= least - 1e-3
-    assert weight.mean() <= most + 1e-3
 
 
 def test_the_base_has_weight_within_a_few_pixels_of_a_return():
