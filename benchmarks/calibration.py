@@ -26,7 +26,7 @@ import argparse
 import itertools
 import json
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -35,14 +35,29 @@ from numpy.typing import NDArray
 
 from runtime import Predictor, Rig, open_source
 from runtime.alignment.calibrate import SEEN_DEGREES, count_scenes, judge, uncertainty_of
-from runtime.alignment.fit_scores import rotation
-from runtime.alignment.search import find_rotation
-from runtime.alignment.view import View, view_of
+from runtime.checks.fit import turned
+from runtime.checks.judge import FIRST_FRAMES, NO_EVIDENCE, Judge
+from runtime.checks.search import find_rotation
+from runtime.checks.view import UPSIDE_DOWN, Answer, View
+from runtime.engine.prediction import Prediction
+from runtime.geometry.lens import Lens
 from runtime.recordings.source import Source
 from runtime.streams.frame import Frame
+from runtime.streams.frame_view import view_of
 
 WRONG_DEGREES, SIZES = 2.0, (5, 20)
+NIGHT = "aimotive_night"
+# fx, fy, cx, cy of PandaSet's cameras at 1920 columns; the images of the street have 800.
+STREET = {
+    "front": (1970.0, 1970.0, 970.0, 483.3),
+    "front_left": (929.8, 930.1, 972.2, 508.0),
+    "front_right": (930.0, 930.0, 965.1, 463.4),
+    "left": (930.5, 930.1, 991.7, 541.6),
+    "right": (922.5, 922.4, 945.1, 517.6),
+    "back": (933.5, 934.7, 896.5, 507.4),
+}
 KITTI = ("kitti_streets", "kitti_drive_0009", "kitti_stream")
+Change = Callable[[View], View | None]
 STUDENT = (12.71, 4.30, 3.18, 2.78, 2.57)  # 95 %, of 1 to 5 vehicles
 
 
@@ -110,10 +125,26 @@ def open_rigs(data: Path, scratch: Path) -> Iterator[tuple[str, Source]]:
             np.save(scratch / f"{path.stem}.npy", points[points[:, 4] == 0, :3])
         rig = Rig(calibration=toml)
         yield root.name, open_source("folders", root / "image", rig, points=scratch)
+    if (root := data / NIGHT).is_dir():
+        rig = Rig(calibration=root / "calibration.toml")
+        yield NIGHT, open_source("folders", root / "image", rig, points=root / "scan")
+    for camera, (fx, fy, cx, cy) in STREET.items():
+        if (root := data / "pandaset_street" / camera).is_dir():
+            rows = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
+            matrix = (np.diag([800 / 1920, 800 / 1920, 1]) @ rows).tolist()
+            toml = scratch / f"{camera}.toml"
+            toml.write_text(f'intrinsics = {matrix}\npoints_in = "camera"\n')
+            rig, depth = Rig(calibration=toml), root / "lidar"
+            yield f"street_{camera}", open_source("folders", root / "image", rig, depth=depth)
 
 
 def read_rig(source: Source, predictor: Predictor) -> tuple[list[View], Frame]:
-    """Answer every frame with a scan; the last frame, too."""
+    """Answer every frame with depth; the last frame, too."""
+
+    def answer_alone(frame: Frame, _: NDArray[np.float32]) -> Prediction:
+        focal_px = frame.calibration and frame.calibration.focal_length_px
+        return predictor.predict(frame.rgb, None, focal_length_px=focal_px)
+
     views = []
     for listed in source.list_frames():
         if listed.complete:
@@ -121,19 +152,14 @@ def read_rig(source: Source, predictor: Predictor) -> tuple[list[View], Frame]:
             assert frame.calibration is not None
             focal_px = frame.calibration.focal_length_px
             answer = predictor.predict(frame.rgb, None, focal_length_px=focal_px)
-            if (view := view_of(frame, answer)) is not None:
+            if (view := view_of(frame, answer, predict=answer_alone)) is not None:
                 views.append(view)
     return views, frame
 
 
 def measure(rig: str, views: Sequence[View], wrong: NDArray[np.float64]) -> Measured | None:
     """What is left of a rotation by these angles; None: too few frames have structure."""
-    turned = []
-    for view in views:
-        extrinsics = view.calibration.extrinsics.copy()
-        extrinsics[:3, :3] = rotation(wrong) @ extrinsics[:3, :3]
-        turned.append(view.with_extrinsics(extrinsics))
-    seen = [view for view in turned if view.has_structure]
+    seen = [each for each in (turned(view, wrong) for view in views) if each.has_structure]
     if len(seen) < 3:
         return None
     best = find_rotation(seen)
@@ -156,6 +182,119 @@ def cell(values: Sequence[NDArray[np.float64]]) -> str:
     return ", ".join(f"{middle:.2f} ({most:.2f})" for middle, most in pairs)
 
 
+def with_extrinsics(change: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> Change:
+    """Change the extrinsics of scans; a depth map has none."""
+    return lambda view: (
+        None if view.is_map else replace(view, extrinsics=change(view.extrinsics.copy()))
+    )
+
+
+def with_camera(focal: float = 1.0, centre: float = 1.0, **lens: Lens) -> Change:
+    """Change the focal length, the principal point or the lens."""
+
+    def change(view: View) -> View:
+        matrix = view.intrinsics.copy()
+        matrix[[0, 1], [0, 1]] *= focal
+        matrix[:2, 2] *= centre
+        return replace(view, intrinsics=matrix, **lens)
+
+    return change
+
+
+def moved(metres: float, axis: int) -> Change:
+    """Move the LiDAR along an axis of the camera."""
+
+    def change(view: View) -> View:
+        extrinsics = view.extrinsics.copy()
+        extrinsics[axis, 3] += metres
+        return view.near(extrinsics=extrinsics)
+
+    return change
+
+
+def flipped(*way: slice) -> Change:
+    """Flip the answer to the image."""
+    return lambda view: replace(
+        view, answer=Answer(view.answer.boundary[way], view.answer.log_depth[way])
+    )
+
+
+def times(factor: float) -> Change:
+    """Scale the returns."""
+    return lambda view: replace(view, points=view.points * np.float32(factor))
+
+
+def mapped(change: Callable[[NDArray[np.float32]], NDArray[np.float32]]) -> Change:
+    """Change the returns of depth maps."""
+    return lambda view: replace(view, points=change(view.points)) if view.is_map else None
+
+
+def upside_down(view: View) -> View | None:
+    """Turn the image, as the model sees it."""
+    answer = view.others(UPSIDE_DOWN)
+    right = {UPSIDE_DOWN: view.answer}
+    return None if answer is None else replace(view, answer=answer, others=right.get)
+
+
+TO_CAMERA = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
+BARREL = {k1: Lens.of("plumb_bob", (k1, 0, 0, 0)) for k1 in (-0.1, -0.2, -0.3, -0.4)}
+# Each reading with faults from small to large, in words and as a change of a right view.
+WRONG: dict[str, dict[str, Change]] = {
+    "turned": {
+        **{f"yaw {a:g}": (lambda view, a=a: turned(view, (a, 0, 0))) for a in (0.5, 1, 1.5)},
+        **{f"pitch {a:g}": (lambda view, a=a: turned(view, (0, a, 0))) for a in (0.5, 1, 1.5)},
+    },
+    "inverse_extrinsics": {"the inverse": with_extrinsics(np.linalg.inv)},
+    "swapped_axes": {"axes swapped": with_extrinsics(lambda given: TO_CAMERA.T @ given)},
+    "turned_lidar": {"half a turn": with_extrinsics(lambda given: given @ np.diag([-1, -1, 1, 1]))},
+    "image_size": {f"{s:g} times the size": with_camera(s, s) for s in (0.8, 1.25, 0.5, 2.0)},
+    "mirrored": {"mirrored": flipped(np.s_[:], np.s_[::-1])},
+    "depth_upside_down": {"rows in reverse": flipped(np.s_[::-1], np.s_[:])},
+    "image_upside_down": {"upside down": upside_down},
+    "unit": {f"{s:g} times": times(s) for s in (2.56, 3.9, 10, 100)},
+    "inverse_depth": {"1 / depth": mapped(lambda points: points * 100 / points[:, 2:] ** 2)},
+    "range_instead_of_depth_along_axis": {
+        "range": mapped(
+            lambda points: points * np.linalg.norm(points, axis=1)[:, None] / points[:, 2:]
+        )
+    },
+    "other_lens": {
+        f"k1 {k1:g} of rectified images": with_camera(lens=each) for k1, each in BARREL.items()
+    },
+    "focal_length": {f"{f:g} times": with_camera(f) for f in (0.95, 1.05, 0.9, 1.1, 0.8, 1.25)},
+    "other_camera": {f"{m:g} m beside": moved(m, 0) for m in (0.12, 0.24, 0.54)},
+    "delay_or_ahead": {f"{m:g} m ahead": moved(m, 2) for m in (0.5, 1, 2)},
+}
+WRONG["depth_camera"] = {f"{1 / f:.2g} times": with_camera(f) for f in (0.9, 1.1, 0.8, 1.25, 1.6)}
+
+
+def report_readings(name: str, views: Sequence[View], smallest: dict[str, list[str]]) -> None:
+    """Print false alarms, and add the smallest fault of each reading that is found."""
+    alarms, silent, windows = 0, 0, 0
+    judging = Judge()
+    for number, view in enumerate(views, 1):
+        judging.add(view)
+        if number >= min(FIRST_FRAMES, len(views)):
+            windows += 1
+            found = {each.name for each in judging.judgement().findings}
+            silent += NO_EVIDENCE in found
+            alarms += bool(found - {NO_EVIDENCE})
+    print(f"  {name}: {windows} windows, {alarms} false alarms, {silent} not judged", flush=True)
+    some = views[:: -(-len(views) // FIRST_FRAMES)]
+    for row, faults in WRONG.items():
+        for words, change in faults.items():
+            wrong = [change(view) for view in some]
+            if any(each is None for each in wrong):
+                continue
+            judging = Judge()
+            for each in wrong:
+                judging.add(each)
+            findings = judging.judgement().findings
+            if findings and findings[0].name == row:
+                smallest[row].append(f"{words} ({name})")
+                break
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, required=True)
@@ -164,6 +303,7 @@ def main() -> None:
     args = parser.parse_args()
     random = np.random.default_rng(2)
     found: dict[tuple[str, int], list[Measured | None]] = {}
+    smallest: dict[str, list[str]] = {each: [] for each in WRONG}
     with (
         tempfile.TemporaryDirectory() as scratch,
         Predictor(args.model, threads=1, warmup=0) as predictor,
@@ -171,6 +311,9 @@ def main() -> None:
         for name, source in open_rigs(args.data, Path(scratch)):
             with source:
                 views, frame = read_rig(source, predictor)
+            report_readings(name, views, smallest)
+            if views[0].is_map or name == NIGHT:
+                continue
             for size in SIZES if len(views) >= SIZES[1] else SIZES[:1]:
                 sets = disjoint(views, size, args.sets)
                 starts = random.uniform(-WRONG_DEGREES, WRONG_DEGREES, (len(sets), 3))
@@ -179,6 +322,8 @@ def main() -> None:
                 ]
             report_verdicts(name, views, frame)
     report_coverage(found)
+    for row, places in smallest.items():
+        print(f"| `{row}` | {'; '.join(places) or 'none'} |")
 
 
 def floors_of(measured: Sequence[Measured]) -> NDArray[np.float64]:
@@ -222,11 +367,12 @@ def report_coverage(found: dict[tuple[str, int], list[Measured | None]]) -> None
 def report_verdicts(name: str, views: Sequence[View], frame: Frame) -> None:
     """Print the verdicts with the right calibration, and with the scans of the next frames."""
     (some,) = disjoint(views, SIZES[1], 1)
-    calibration = views[0].calibration
+    calibration = frame.calibration
+    assert calibration is not None
     right = judge(list(some), calibration, frame).verdict
     step = max(1, (len(views) - 1) // SIZES[1])
     shifted = [
-        replace(view.with_scan(after.points), neighbours=(view.points, None))
+        replace(view, points=after.points, beside={"the frame before": view.points})
         for view, after in list(itertools.pairwise(views))[::step]
     ]
     paired = judge(shifted, calibration, frame).verdict

@@ -5,7 +5,6 @@ from runtime.alignment.calibrate import (
     Verdict as Verdict,
     calibrate as calibrate,
 )
-from runtime.alignment.fit_scores import FitScores as FitScores
 from runtime.base.errors import (
     CheckpointError as CheckpointError,
     ContractError as ContractError,
@@ -16,6 +15,9 @@ from runtime.base.errors import (
     ProviderError as ProviderError,
     SSDNetError as SSDNetError,
 )
+from runtime.checks.finding import Finding as Finding, Severity as Severity
+from runtime.checks.fit import FitScores as FitScores
+from runtime.checks.judge import Judgement as Judgement
 from runtime.contract.canonical_focal import CameraScale as CameraScale
 from runtime.contract.contract import (
     ClassInfo as ClassInfo,

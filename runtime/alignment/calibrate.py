@@ -8,24 +8,26 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.alignment.fit_scores import AXES, FitScores, fit_scores, rotation
-from runtime.alignment.mistakes import find_mistake, without
-from runtime.alignment.pairing import find_pairing_fault
-from runtime.alignment.search import Optimum, find_coarse, find_rotation
 from runtime.alignment.selection import choose_frames
-from runtime.alignment.view import View, view_of
 from runtime.base.arguments import check_integer
 from runtime.base.errors import InputError
+from runtime.checks.finding import Finding
+from runtime.checks.fit import AXES, FitScores, fit_of, rotation, turned
+from runtime.checks.judge import NO_EVIDENCE, NOWHERE, Judge, Judgement
+from runtime.checks.readings import READINGS, Reading
+from runtime.checks.search import Optimum, find_rotation, held_out_gain
+from runtime.checks.view import View
+from runtime.engine.prediction import Prediction
 from runtime.engine.predictor import Predictor
 from runtime.geometry.calibration import Calibration
 from runtime.recordings.source import Source
 from runtime.streams.answerer import known_focal_length_px
 from runtime.streams.frame import Frame
+from runtime.streams.frame_view import view_of
 
 _HEADS = ("boundary", "depth")
 _LEAST_FRAMES = 3
 _THUMBNAIL = 64, 24  # columns and rows of the boundary by which scenes are told apart
-_FAR_M = 3.0  # a position beyond this may have another unit
 # What standard errors do not contain, for yaw, pitch and roll [degrees], 95 %. One part is a
 # deviation of the network that is the same in all frames. The other is the same in the frames of
 # one scene and averages out over several scenes. For a vehicle that was not measured they may be
@@ -34,7 +36,15 @@ _FLOOR_DEGREES = np.array([0.25, 0.45, 0.9])
 _SCENE_DEGREES = np.array([0.5, 1.3, 4.4])
 # An axis counts as seen if 95 % of the answers lie within this.
 SEEN_DEGREES = np.array([1.0, 1.5, 2.5])
+# Least medians of returns that fit. Right calibrations have a depth figure of 0.57 and more and an
+# edge figure of 0.06 to 0.18, wrong ones a depth figure of up to 0.07.
+_LEAST_CORRELATION, _LEAST_EDGE = 0.5, 0.02
+_LEAST_FLOOR = 0.5  # floors of small readings become smaller with more scenes, down to this share
 _TAKE_MORE = "not visible in these frames: {}; take more frames, with near objects"
+# Readings that are compared before the rotation is searched, and those with the best rotation.
+_TURNED, _OTHER_TIME = "turned", "other_time"
+_BEFORE = tuple(each for each in READINGS if each.is_far or each.name in (_OTHER_TIME, "unit"))
+_AFTER = tuple(each for each in READINGS if each not in _BEFORE and each.name != _TURNED)
 
 _Floats = NDArray[np.float64]
 
@@ -45,27 +55,29 @@ class Verdict(StrEnum):
     RIGHT = "right"
     OFF = "off"
     OTHER_SCANS = "other_scans"  # the images are paired with scans of another time
+    OTHER_READING = "other_reading"  # something else than a rotation is wrong
     NOT_VISIBLE = "not_visible"
 
 
 @dataclass(frozen=True, eq=False)
 class CalibrationResult:
-    """What `calibrate` found, given the position and the intrinsics of the calibration.
+    """What `calibrate` found, given the position of the calibration.
 
     Attributes:
         verdict: the result in one word.
-        reason: the result in a sentence.
+        reason: the result in a sentence, with what was tested.
         given: the calibration of the recording.
-        refined: the calibration to use: `given` if it is right, a corrected one if it is off, None
-            if the frames do not show it.
+        refined: the calibration to use: `given` if it is right, one with a corrected rotation if
+            frames that were not used for the search fit better with it; else None.
         off_degrees: float64 (3,), yaw, pitch and roll by which the returns lie too far to the
-            right, too high, and too far clockwise in the image; None without evidence. If a usual
-            mistake was found, these are the angles that remain without it.
+            right, too high, and too far clockwise in the image; None without evidence.
         within_degrees: float64 (3,), uncertainty of each angle, 95 %; infinite for an axis that
             these frames do not show.
-        mistake: a usual mistake, in words, that seems to have been made; None if there is none.
-        before: edge and depth figure with the given calibration, medians over the frames.
-        after: edge and depth figure with the refined calibration.
+        finding: the reading that fits better than the recording as given, or why nothing can be
+            judged; None if there is none.
+        judgement: which other readings were tested, with the best rotation.
+        before: figures with the given calibration, medians over the frames.
+        after: figures with the refined calibration.
         range_m: distance at which an error of position looks like one of rotation, see
             `alternatives`.
         frames: names of the frames that were compared.
@@ -79,7 +91,8 @@ class CalibrationResult:
     refined: Calibration | None
     off_degrees: _Floats | None
     within_degrees: _Floats | None
-    mistake: str | None
+    finding: Finding | None
+    judgement: Judgement
     before: FitScores
     after: FitScores
     range_m: float
@@ -117,8 +130,8 @@ def calibrate(
 
     The model predicts from each image alone. Returns where the scan jumps to something farther must
     lie on boundaries that the model sees, and the predicted depth must correlate with that of the
-    returns. First, the images must be paired with their own scans. Position and intrinsics are
-    assumed to be right.
+    returns. First, other readings of the recording are compared; lens and focal length are compared
+    with the best rotation. The position is assumed to be right.
 
     Args:
         source: a recording with scans and a calibration.
@@ -137,13 +150,17 @@ def calibrate(
             f"the model {predictor.contract.model_name} answers no {' and no '.join(missing)}: a "
             "calibration is checked with a bundled model"
         )
+
+    def predict(frame: Frame, _: NDArray[np.float32]) -> Prediction:
+        focal_px = known_focal_length_px(predictor, frame.calibration)
+        return predictor.predict(frame.rgb, None, focal_length_px=focal_px)
+
     views: list[View] = []
     example: Frame | None = None
-    for frame, neighbours in choose_frames(source, frames):
-        focal_px = known_focal_length_px(predictor, frame.calibration)
-        answer = predictor.predict(frame.rgb, None, focal_length_px=focal_px)
-        if (view := view_of(frame, answer, neighbours)) is not None:
-            if all(len(view.jumps) > len(each.jumps) for each in views):
+    for frame, beside in choose_frames(source, frames):
+        answer = predict(frame, frame.sparse_depth)
+        if (view := view_of(frame, answer, predict=predict, beside=beside)) is not None:
+            if all(len(view.structure[1]) > len(each.structure[1]) for each in views):
                 example = frame
             views.append(view)
         on_frame()
@@ -153,69 +170,79 @@ def calibrate(
 
 
 def judge(views: list[View], given: Calibration, example: Frame) -> CalibrationResult:
-    """Return the verdict: the pairing is judged first, then usual mistakes, then the rotation.
+    """Return the verdict: other readings are judged first, then the rotation, then small readings.
 
     Args:
         views: views of the frames, in order.
         given: calibration of the recording.
         example: one of the frames.
     """
-    seen, fault, mistake, best = [each for each in views if each.has_structure], None, None, None
-    if len(seen) >= _LEAST_FRAMES:
-        start = find_coarse(seen)
-        fault = find_pairing_fault(seen, start)
-        best = find_rotation(seen, start)
-    before, after = _median(seen), _median(seen, best)
-    is_far = np.abs(given.extrinsics[:3, 3]).max() > _FAR_M
-    if fault is None and (is_far or not after.fit):
-        mistake = find_mistake(views)
-    if mistake is not None:
-        seen = [each for each in without(views, mistake) if each.has_structure]
-        best = find_rotation(seen) if len(seen) >= _LEAST_FRAMES else None
-        after = _median(seen, best)
+    first, best, second = _judged(views, _BEFORE), None, Judgement()
+    seen = [each for each in views if each.has_structure]
+    finding = next(iter(first.findings), None)
+    if finding is None and len(seen) >= _LEAST_FRAMES:
+        best = find_rotation(seen)
+        second = _judged([turned(each, best.angles) for each in seen], _AFTER)
+        finding = next(iter(second.findings), None)
     result = CalibrationResult(
         Verdict.NOT_VISIBLE,
-        fault or "",
+        "" if finding is None else finding.text,
         given,
         refined=None,
         off_degrees=None,
         within_degrees=None,
-        mistake=mistake and mistake.text,
-        before=before,
-        after=after,
+        finding=finding,
+        judgement=second,
+        before=_median(seen),
+        after=_median(seen, best),
         range_m=_shift_range(seen),
         frames=tuple(view.name for view in seen),
         scenes=count_scenes(seen),
         example=example,
     )
-    if fault is not None:
-        return replace(result, verdict=Verdict.OTHER_SCANS)
-    extrinsics = given.extrinsics if mistake is None else mistake.undo(given.extrinsics)
-    return _with_rotation(result, best, extrinsics)
+    if finding is None:
+        return _with_rotation(result, seen, best)
+    if finding.name in (NO_EVIDENCE, NOWHERE):
+        return replace(result, reason=f"not visible: {finding.text}")
+    is_time = finding.name == _OTHER_TIME
+    return replace(result, verdict=Verdict.OTHER_SCANS if is_time else Verdict.OTHER_READING)
+
+
+def _judged(views: Sequence[View], readings: Sequence[Reading]) -> Judgement:
+    floor = max(_LEAST_FLOOR, 1 / np.sqrt(count_scenes(views)))
+    judging = Judge(readings, most=max(len(views), 1), floor=floor)
+    for view in views:
+        judging.add(view)
+    return judging.judgement()
 
 
 def _with_rotation(
-    result: CalibrationResult, best: Optimum | None, extrinsics: _Floats
+    result: CalibrationResult, views: Sequence[View], best: Optimum | None
 ) -> CalibrationResult:
-    """Add the verdict on the rotation; `extrinsics` are those that `best` turns."""
+    """Add the verdict on the rotation."""
     text, off, within = _measured(result, best)
-    has_mistake, is_turned = result.mistake is not None, False
-    if off is None and not has_mistake:
+    if best is None or off is None or within is None:
         return replace(result, reason=text)
-    if off is not None and within is not None and (np.abs(off) > within).any():
-        is_turned, extrinsics = True, extrinsics.copy()
-        extrinsics[:3, :3] = rotation(np.where(np.isinf(within), 0, -off)) @ extrinsics[:3, :3]
-    if result.mistake is not None:
-        text = result.mistake if off is None else f"{result.mistake}; then {text}"
-    is_off = has_mistake or is_turned
-    return replace(
-        result,
-        verdict=Verdict.OFF if is_off else Verdict.RIGHT,
-        reason=text,
-        off_degrees=off,
-        within_degrees=within,
-        refined=replace(result.given, extrinsics=extrinsics) if is_off else result.given,
-    )
+    rest = "position as given, not tested"
+    for names, word in (
+        (result.judgement.tested, "fit worse"),
+        (result.judgement.not_tested, "not told apart"),
+    ):
+        if names:
+            rest += f"; {word}: {', '.join(names)}"
+    result = replace(result, off_degrees=off, within_degrees=within)
+    if (np.abs(off) <= within).all():
+        return replace(
+            result, verdict=Verdict.RIGHT, reason=f"{text}; {rest}", refined=result.given
+        )
+    gain, error = held_out_gain(views)
+    by = f"frames that were not used to find it fit by {gain:+.3f} +- {error:.3f} better"
+    if gain <= error:
+        return replace(result, reason=f"{text}, but {by}: take more frames")
+    extrinsics = result.given.extrinsics.copy()
+    extrinsics[:3, :3] = rotation(np.where(np.isinf(within), 0, -off)) @ extrinsics[:3, :3]
+    refined = replace(result.given, extrinsics=extrinsics)
+    return replace(result, verdict=Verdict.OFF, reason=f"{text}; {by}; {rest}", refined=refined)
 
 
 def _measured(
@@ -226,7 +253,8 @@ def _measured(
     if best is None:
         few = f"{count} frames have structure, at least {_LEAST_FRAMES} are needed"
         return f"not visible: {few}", None, None
-    if not result.after.fit:
+    fits = result.after
+    if fits.depth_correlation < _LEAST_CORRELATION or fits.edge < _LEAST_EDGE:
         return _TAKE_MORE.format("the returns fit the images nowhere near"), None, None
     within = np.hypot(*uncertainty_of(best, count, result.scenes))
     is_seen = within <= SEEN_DEGREES
@@ -269,22 +297,24 @@ def count_scenes(views: Sequence[View]) -> float:
     """
     if not views:
         return 1.0
-    small = [cv2.resize(view.boundary, _THUMBNAIL, interpolation=cv2.INTER_AREA) for view in views]
+    small = [
+        cv2.resize(view.answer.boundary, _THUMBNAIL, interpolation=cv2.INTER_AREA) for view in views
+    ]
     rows = np.array([(each - each.mean(axis=1, keepdims=True)).ravel() for each in small])
     rows /= np.linalg.norm(rows, axis=1, keepdims=True) + 1e-6
     return float(len(views) ** 2 / np.maximum(rows @ rows.T, 0).sum())
 
 
-def _median(views: list[View], best: Optimum | None = None) -> FitScores:
+def _median(views: Sequence[View], best: Optimum | None = None) -> FitScores:
     """The figures, medians over the views, as given or turned to the best rotation."""
     if not views:
-        return FitScores(0.0, 0.0)
+        return FitScores()
     angles = (0, 0, 0) if best is None else best.angles
-    edge, correlation = np.median([fit_scores(view, angles) for view in views], axis=0)
-    return FitScores(float(edge), float(correlation))
+    figures = np.median([fit_of(view, angles) for view in views], axis=0)
+    return FitScores(*(float(each) for each in figures))
 
 
-def _shift_range(views: list[View]) -> float:
+def _shift_range(views: Sequence[View]) -> float:
     """Depth at which a shift moves the jumps like a turn: the harmonic mean of their depths."""
-    depths = [view.jumps[:, 2] for view in views if len(view.jumps)]
+    depths = [view.structure[1][:, 2] for view in views if len(view.structure[1])]
     return float(1 / np.mean(1 / np.maximum(np.concatenate(depths), 1))) if depths else np.inf

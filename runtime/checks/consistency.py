@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from runtime.base.arguments import check_number
 from runtime.base.errors import InputError
-from runtime.checks.log_depth import log_depth
+from runtime.checks.view import log_depth
 from runtime.engine.prediction import Prediction
 from runtime.geometry.returns import is_measured
 

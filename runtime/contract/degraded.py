@@ -17,7 +17,7 @@ DEGRADED: dict[str, str] = {
     (POSE_GAP := "pose_gap"): "too long without a pose",
     (POSE_JUMP := "pose_jump"): "the odometry jumped",
     (POSE_CLOCK := "pose_clock"): "poses of another clock",
-    # What later frames show, see `depth_plausibility` and `pose_plausibility`:
+    # What later frames show, see `runtime.checks`:
     (IMPLAUSIBLE_DEPTH := "implausible_depth"): "the returns contradict the image",
     (IMPLAUSIBLE_POSES := "implausible_poses"): "scans moved by the poses contradict each other",
     # What a faulty camera, dirt, water or the night make of an image, see `image_quality`:

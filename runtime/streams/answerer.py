@@ -1,6 +1,6 @@
 """The answer to a frame: one way for live streams, replays and runs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 from runtime.checks.consistency import Consistency
+from runtime.checks.finding import Finding
 from runtime.engine.prediction import Prediction
 from runtime.geometry.calibration import Calibration
 from runtime.streams.frame import Frame
@@ -47,6 +48,13 @@ class Checks(Protocol):
     ) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Return the stream's reasons for `Prediction.degraded`, and `FrameResult.health`."""
 
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What was found so far."""
+
+    def begin(self, frames: Iterable[Frame], predict: Predict) -> None:
+        """Judge the first frames of a recording before any of them is answered."""
+
     def judge(self, predict: Predict, *, idle: bool) -> None:
         """Do what takes long, after the result was handed over; `idle`: no other frame waits."""
 
@@ -70,6 +78,10 @@ class Answerer:
             raise InputError(f"predictor must be a Predictor, got {shown(predictor)}")
         self._predictor, self._checks, self._memory = predictor, checks, memory
         self._answers = 0
+
+    def begin(self, frames: Iterable[Frame]) -> None:
+        """Check the first frames of a recording before any of them is answered."""
+        self._checks.begin(frames, self._predict)
 
     def answer(self, frame: Frame) -> tuple[Frame, FrameResult]:
         """Return a frame as it was predicted, and its answer.
@@ -96,6 +108,7 @@ class Answerer:
             prediction=prediction,
             predictor_reasons=predictor_reasons,
             health=health,
+            findings=self._checks.findings,
             consistency=consistency,
             image_stamp=image.stamp,
             depth_stamp=None if depth is None else depth.stamp,

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from runtime.base.stamp import NS_PER_MS, Stamp, stamp_ns
 from runtime.checks.consistency import Consistency
+from runtime.checks.finding import Finding
 from runtime.engine.prediction import Prediction
 from runtime.geometry.motion import DepthMotion
 
@@ -23,6 +24,7 @@ class FrameResult:
         prediction: the answer of the `Predictor`, whose `degraded` also holds the stream's reasons.
         predictor_reasons: `prediction.degraded` without the stream's reasons.
         health: faults of the sensors, see `FrameHealth.check`; () if there are none.
+        findings: what the frames before show about calibration, depth and poses.
         consistency: running figures of calibration and sync; None without the option `consistency`,
             or if the prediction is from the camera alone.
         image_stamp: stamp of the image as it was given; None if its recording has no stamps.
@@ -54,6 +56,7 @@ class FrameResult:
     prediction: Prediction
     predictor_reasons: tuple[str, ...]
     health: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     consistency: Consistency | None = None
     image_stamp: Stamp | None
     depth_stamp: Stamp | None = None

@@ -16,7 +16,7 @@ on which all threads wait, and which is notified at every change. Invariants:
 
 import contextlib
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -83,6 +83,7 @@ class PushStream:
             hundred when no frame waits, are compared with a prediction from the image alone. Later
             frames then have "implausible_depth" in `Prediction.degraded`. The check runs after the
             frame's result was handed over, and is not part of its latency.
+        accept: names of `FrameResult.findings` that are not reported and flag no frame.
         on_result: called with each `FrameResult` in the stream's thread, instead of iterating.
         on_error: called in the stream's thread with each InputError or InferenceError of a frame,
             and with an unexpected error, which ends the stream.
@@ -105,6 +106,7 @@ class PushStream:
         max_wait_ms: float = 50.0,
         consistency: float | None = None,
         check_depth: bool = True,
+        accept: Iterable[str] = (),
         on_result: Callable[[FrameResult], object] | None = None,
         on_error: Callable[[Exception], object] | None = None,
         on_state: Callable[[WatchdogState], object] | None = None,
@@ -119,7 +121,7 @@ class PushStream:
             limits = 1e-6, 1e9
             deadline_ms = check_number("deadline_ms", deadline_ms, *limits, "ms", error=InputError)
         # These are used in the stream's thread alone.
-        checks = StreamChecks(consistency=consistency, check_depth=check_depth)
+        checks = StreamChecks(consistency=consistency, check_depth=check_depth, accept=accept)
         self._on_result, self._on_error, self._on_state = on_result, on_error, on_state
         self._deadline_ms, self._sensor_clock = deadline_ms, sensor_clock
         self._clock = clock or MonotonicClock()

@@ -40,6 +40,7 @@ def replay(
     *,
     consistency: float | None = None,
     check_depth: bool = True,
+    accept: Iterable[str] = (),
     on_error: Callable[[SSDNetError], object] | None = None,
     counter: StreamCounter | None = None,
 ) -> Iterator[FrameResult]:
@@ -68,6 +69,7 @@ def replay(
         rig: the car's sensors, see `PushStream`.
         consistency: share of the returns that is held out, see `PushStream`.
         check_depth: whether returns are compared with a prediction from the image alone.
+        accept: names of findings that are not reported, see `PushStream`.
         on_error: called with the error of each invalid message and each failed frame, which are
             then left out; None: the first error is raised.
         counter: counts the messages, their outcomes and the answers.
@@ -82,7 +84,7 @@ def replay(
         InferenceError: from the iterator, if the provider fails and there is no `on_error`.
     """
     counter = StreamCounter() if counter is None else counter
-    checks = StreamChecks(consistency=consistency, check_depth=check_depth)
+    checks = StreamChecks(consistency=consistency, check_depth=check_depth, accept=accept)
     sensors = SensorInput(rig, counter=counter, lock=contextlib.nullcontext())
     answerer = Answerer(predictor, checks, memory=FrameMemory.of(rig.memory_s))
 

@@ -1,19 +1,21 @@
 """What is checked of the frames of a stream, live, replayed or in a run."""
 
 import contextlib
+from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from runtime.base.errors import SSDNetError
+from runtime.checks.catalog import check_accepted
 from runtime.checks.consistency import Consistency, ConsistencyCheck
+from runtime.checks.finding import Finding
 from runtime.checks.frame_health import FrameHealth
-from runtime.contract.degraded import IMPLAUSIBLE_DEPTH, IMPLAUSIBLE_POSES
+from runtime.checks.judge import FIRST_FRAMES, Judge, Judgement
+from runtime.checks.poses import PosedScan, PoseJudge
 from runtime.engine.prediction import Prediction
 from runtime.streams.answerer import Predict
 from runtime.streams.frame import Frame
-from runtime.streams.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
-from runtime.streams.health.pose_plausibility import PosePlausibility
+from runtime.streams.frame_view import view_of
 from runtime.streams.messages import Scan
 
 _CHECK_EVERY = 100  # frames with depth, after the first FIRST_FRAMES
@@ -22,22 +24,21 @@ _CHECK_EVERY = 100  # frames with depth, after the first FIRST_FRAMES
 class StreamChecks:
     """The checks of one stream, see `Checks`.
 
-    The returns of the first `FIRST_FRAMES` frames with depth are compared with a prediction from
-    the image alone, then those of one frame in `_CHECK_EVERY`, when the stream is idle. With
-    `consistency`, they are compared with the predictions of that check instead.
+    The first `FIRST_FRAMES` frames with depth are judged by a prediction from the image alone, then
+    one frame in `_CHECK_EVERY`, when the stream is idle. With `consistency`, the predictions of
+    that check are used instead.
 
     Args:
         consistency: share of the returns that is held out, see `ConsistencyCheck`; None: no check.
-        check_depth: whether returns are compared with a prediction from the image alone.
+        check_depth: whether returns are judged by predictions from the image alone.
         has_lidar: whether the car has a LiDAR, so that an image without depth is a fault; False =
             this is assumed from the first frame with depth on.
-        is_implausible: whether returns are known to be implausible until `judge` clears them.
-
-    Attributes:
-        pose_fault: why the poses cannot be right; None: nothing was found.
+        accept: names of findings that are not reported.
+        depth_scale: see `View`.
+        focal_px: see `View`.
 
     Raises:
-        InputError: if `consistency` is out of range.
+        InputError: if `consistency` is out of range, or a name is unknown.
     """
 
     def __init__(
@@ -46,16 +47,31 @@ class StreamChecks:
         consistency: float | None = None,
         check_depth: bool = True,
         has_lidar: bool = False,
-        is_implausible: bool = False,
+        accept: Iterable[str] = (),
+        depth_scale: float | None = None,
+        focal_px: float | None = None,
     ) -> None:
-        self._health, self._plausibility = FrameHealth(has_lidar=has_lidar), DepthPlausibility()
-        self._poses, self._check_depth = PosePlausibility(), check_depth
-        self._is_implausible = is_implausible
+        self._health = FrameHealth(has_lidar=has_lidar)
+        self._judge, self._poses, self._check_depth = Judge(), PoseJudge(), check_depth
+        self._depth_scale, self._focal_px = depth_scale, focal_px
+        self._accepted = check_accepted(accept)
         self._consistency = None if consistency is None else ConsistencyCheck(consistency)
-        self.pose_fault: str | None = None
+        self._judgement = Judgement()
+        self._pose_fault: Finding | None = None
         self._posed: Frame | None = None  # not compared with its poses yet
         self._last: Frame | None = None  # of the next check
         self._checks = self._since = 0  # checked frames; frames with depth since the last check
+
+    @property
+    def judgement(self) -> Judgement:
+        """What the last frames that were judged show."""
+        return self._judgement
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What was found so far and is not accepted."""
+        found = (*self._judgement.findings, self._pose_fault)
+        return tuple(each for each in found if each and each.name not in self._accepted)
 
     def predict(self, frame: Frame, predict: Predict) -> tuple[Prediction, Consistency | None]:
         """See `Checks.predict`."""
@@ -67,7 +83,7 @@ class StreamChecks:
         if self._consistency.scale_is_due:
             camera_only = predict(frame, np.zeros_like(sparse_depth))
             if self._check_depth:
-                self._judge(camera_only, sparse_depth)
+                self._add(frame, camera_only, predict)
         return prediction, self._consistency.score(
             prediction, camera_only, sparse_depth, held_out, stamp_ns=frame.image.time_ns
         )
@@ -76,14 +92,15 @@ class StreamChecks:
         self, frame: Frame, prediction: Prediction
     ) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """See `Checks.answered`."""
-        reasons, own = frame.degraded, frame.own_depth
+        own, reasons = frame.own_depth, frame.degraded
         if frame.depth is not None:
             self._since += 1
-            self._last = None if prediction.depth is None or not self._check_depth else frame
-            reasons = (IMPLAUSIBLE_DEPTH, *reasons) if self._is_implausible else reasons
+            self._last = frame if prediction.depth is not None and self._check_depth else None
+            found = self._judgement.findings
+            reasons = (*self._reasons(found), *reasons)
         if own is not None and frame.poses is not None:
             self._posed = frame
-            reasons += () if self.pose_fault is None else (IMPLAUSIBLE_POSES,)
+            reasons += self._reasons((self._pose_fault,))
         scan = own.points if isinstance(own, Scan) else None if own is None else own.sparse_depth
         return reasons, self._health.check(
             frame.rgb,
@@ -93,11 +110,17 @@ class StreamChecks:
             range_m=prediction.range_m,
         )
 
+    def begin(self, frames: Iterable[Frame], predict: Predict) -> None:
+        """Judge the first frames of a recording before the first of them is answered."""
+        for frame in frames:
+            self._last = frame if self._check_depth else None
+            self.judge(predict, idle=True)
+
     def judge(self, predict: Predict, *, idle: bool) -> None:
         """See `Checks.judge`."""
         posed, self._posed = self._posed, None
-        if posed is not None and self.pose_fault is None and self._poses.add(posed):
-            self.pose_fault = self._poses.finding()
+        if posed is not None and self._pose_fault is None:
+            self._add_poses(posed)
         last, self._last = self._last, None
         if last is None or self._consistency is not None:
             return
@@ -105,8 +128,27 @@ class StreamChecks:
             return
         self._checks, self._since = self._checks + 1, 0
         with contextlib.suppress(SSDNetError):  # the next frame's own prediction reports it
-            self._judge(predict(last, np.zeros_like(last.sparse_depth)), last.sparse_depth)
+            self._add(last, predict(last, np.zeros_like(last.sparse_depth)), predict)
 
-    def _judge(self, camera_only: Prediction, sparse_depth: NDArray[np.float32]) -> None:
-        self._plausibility.add(camera_only, sparse_depth)
-        self._is_implausible = self._plausibility.finding() is not None
+    def _reasons(self, found: Iterable[Finding | None]) -> tuple[str, ...]:
+        reported = (each for each in found if each is not None and each in self.findings)
+        return tuple(dict.fromkeys(each.reason for each in reported if each.reason))
+
+    def _add(self, frame: Frame, camera_only: Prediction, predict: Predict) -> None:
+        view = view_of(
+            frame,
+            camera_only,
+            predict=predict,
+            depth_scale=self._depth_scale,
+            focal_px=self._focal_px,
+        )
+        if view is not None:
+            self._judge.add(view)
+            self._judgement = self._judge.judgement()
+
+    def _add_poses(self, frame: Frame) -> None:
+        scan, poses = frame.scan, frame.poses
+        if scan is not None and scan.times is not None and poses is not None:
+            posed = PosedScan(scan.points, scan.times, frame.image.time_ns)
+            if self._poses.add(posed, poses):
+                self._pose_fault = self._poses.finding()

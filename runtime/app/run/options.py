@@ -7,7 +7,7 @@ import dataclasses
 import itertools
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from runtime.app.run.reasons import REASONS
 from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
+from runtime.checks.catalog import FINDINGS
 from runtime.command.options import Provider
 from runtime.contract.contract import MAX_FOCAL_PX, MAX_PIXELS, MIN_FOCAL_PX
 from runtime.contract.heads import HEADS, Head
@@ -99,6 +100,7 @@ class RunOptions:
         folder: folder of the results: --out, else the first of ssdnet-run, ssdnet-run-2 and so on
             that was free when these options were made.
         failing: the reasons that --fail-on names.
+        accepted: the findings that --accept names.
         kinds: the files per frame that --save names.
         network_size: the size in --size, as `Predictor` takes it.
         part: the frames that --shard names.
@@ -234,6 +236,11 @@ class RunOptions:
         f"{', '.join(REASONS)}. May be repeated. [default: none]",
         metavar="REASON,...",
     )
+    accept: list[str] | None = _outputs(
+        "Do not report this finding, nor flag frames for it; ssdnet-doctor --readings lists the "
+        "names. May be repeated. [default: none]",
+        metavar="NAME,...",
+    )
     model: str | None = _model(
         f"Name of a bundled model ({', '.join(list_bundled_models())}), or path of an ONNX file "
         f"made by ssdnet-export (ends in .onnx or contains a /). [default: {DEFAULT_MODEL}]",
@@ -277,6 +284,7 @@ class RunOptions:
     # These fields follow from the options:
     folder: Path = dataclasses.field(init=False)
     failing: tuple[str, ...] = dataclasses.field(init=False)
+    accepted: tuple[str, ...] = dataclasses.field(init=False)
     kinds: tuple[str, ...] = dataclasses.field(init=False)
     network_size: NetworkSize = dataclasses.field(init=False)
     part: slice = dataclasses.field(init=False)
@@ -314,7 +322,8 @@ class RunOptions:
         source_path = self._find_source()
         for name, value in (
             ("kinds", self._read_kinds()),
-            ("failing", self._read_reasons()),
+            ("failing", _read_names("fail-on", self.fail_on, REASONS)),
+            ("accepted", _read_names("accept", self.accept, FINDINGS)),
             ("network_size", network_size),
             ("part", self._read_shard()),
             ("source_path", source_path),
@@ -336,15 +345,6 @@ class RunOptions:
                 f"--save is none, or some of all, {', '.join(SUFFIXES)}, got {shown(texts)}"
             )
         return *(kind for kind in SUFFIXES if kind in requested), *others
-
-    def _read_reasons(self) -> tuple[str, ...]:
-        reasons = [each.strip() for each in ",".join(self.fail_on or []).split(",") if each.strip()]
-        unknown = [each for each in reasons if each not in REASONS]
-        if unknown:
-            raise UsageError(
-                f"--fail-on takes some of {', '.join(REASONS)}, got {shown(unknown[0])}"
-            )
-        return tuple(dict.fromkeys(reasons))
 
     def with_folder(self) -> "RunOptions":
         """The options with --out; if it was not given, a folder is made that no run shares."""
@@ -437,3 +437,11 @@ def _usage_errors() -> Iterator[None]:
         yield
     except InputError as error:
         raise UsageError(str(error)) from error
+
+
+def _read_names(option: str, given: list[str] | None, known: Collection[str]) -> tuple[str, ...]:
+    """Names of an option that may be repeated. Raises UsageError for an unknown one."""
+    names = [each.strip() for each in ",".join(given or []).split(",") if each.strip()]
+    if unknown := [each for each in names if each not in known]:
+        raise UsageError(f"--{option} takes some of {', '.join(known)}, got {shown(unknown[0])}")
+    return tuple(dict.fromkeys(names))

@@ -4,8 +4,7 @@ import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from runtime.alignment.quick_check import QuickCheck, QuickFinding
-from runtime.app.run.depth_check import DepthFault, find_depth_fault, find_lens_fault
+from runtime.app.run.depth_check import depth_scale_of, find_header_faults, read_first_frames
 from runtime.app.run.engine_facts import engine_facts, running_providers
 from runtime.app.run.frame_record import FrameRecord
 from runtime.app.run.options import CLOUD, KINDS, SUFFIXES, RunOptions, saved_heads
@@ -21,6 +20,9 @@ from runtime.app.run.pipeline import (
 )
 from runtime.app.run.run_report import RUN_FILES, RunReport, group_reasons, size_text, write_report
 from runtime.base.errors import InputError, SSDNetError
+from runtime.checks.catalog import NO_MATCH
+from runtime.checks.finding import Finding
+from runtime.checks.judge import NO_RETURNS
 from runtime.command.process import stop_requested
 from runtime.contract.canonical_focal import CameraScale
 from runtime.engine.predictor import Predictor
@@ -114,8 +116,10 @@ class _CameraStream:
         frame_size: (height, width) of the first frame; None if no frame can be predicted.
         focal_px: focal length of the camera; None if unknown.
         scale: scale of the depth; None if no frame can be predicted.
-        fault: why the depth cannot be right; None: nothing was found.
-        fit: how well the returns of the first frames fit the image; None if unknown.
+        answerer: answers the frames; its checks have judged the first ones.
+        checks: the checks of the stream.
+        memory: earlier returns that are recalled; None: none are.
+        faults: what calibration and stamps show.
     """
 
     source: Source
@@ -126,8 +130,10 @@ class _CameraStream:
     frame_size: tuple[int, int] | None
     focal_px: float | None
     scale: CameraScale | None
-    fault: DepthFault | None
-    fit: QuickFinding | None
+    answerer: Answerer
+    checks: StreamChecks
+    memory: FrameMemory | None
+    faults: tuple[Finding, ...]
 
     @property
     def about(self) -> str:
@@ -146,29 +152,27 @@ class _CameraStream:
             if scale.focal_length_px is None and self.focal_px is not None:
                 used += ", not used by this model"
             lines.append(f"focal length {used}; depth up to {scale.range_m:.4g} m")
-        lines += [] if self.fit is None else [self.fit.text]
-        depth_fault = None if self.fault is None else self.fault.text
-        faults = (find_lens_fault(self.source.calibration, size), depth_fault)
-        return "\n".join([*lines, *(f"warning: {each}" for each in faults if each)])
+        if self.checks.judgement.frames:
+            lines.append(f"calibration: {self.checks.judgement.text}")
+        return "\n".join([*lines, *(each.line for each in self.findings)])
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What was found so far."""
+        return self.faults + self.checks.findings
 
     def answer(
         self, options: RunOptions, camera: str, on_start: OnStart, stop: Callable[[], bool]
     ) -> RunReport:
         """Answer the frames of a camera, and write what was requested."""
-        predictor, fault = self.predictor, self.fault
+        predictor = self.predictor
         names = [each.name for each in self.frames]
         context = RunContext(options, predictor, self.kinds, names, self.source.sensor_frames)
         with open_outputs(context) as outputs:
-            checks = StreamChecks(
-                check_depth=False,
-                has_lidar=self.source.has_lidar(self.frames),
-                is_implausible=fault is not None and fault.is_implausible,
-            )
-            memory = FrameMemory.of(0.0 if options.shard else options.memory)
             about = f"{camera}: {self.about}" if camera else self.about
             with self.source.collecting():
                 stream_run = StreamRun(
-                    Answerer(predictor, checks, memory=memory),
+                    self.answerer,
                     self.read,
                     options,
                     outputs=outputs,
@@ -176,22 +180,13 @@ class _CameraStream:
                     stop=stop,
                 )
                 result = stream_run.run(self.frames)
-            answers = [each.prediction for each in result.records if each.prediction]
-            if fault and not fault.is_implausible and any(each.depth_returns for each in answers):
-                fault = None  # the LiDAR has only started later
-            depth_fault = None if fault is None else fault.text
-            context.report = self._report(context, result, depth_fault, checks.pose_fault, memory)
+            context.report = self._report(context, result)
         return context.report
 
-    def _report(
-        self,
-        run: RunContext,
-        result: StreamResult,
-        depth: str | None,
-        poses: str | None,
-        memory: FrameMemory | None,
-    ) -> RunReport:
-        """Report a run, with why its depth and its poses cannot be right."""
+    def _report(self, run: RunContext, result: StreamResult) -> RunReport:
+        answers = [each.prediction for each in result.records if each.prediction]
+        # The LiDAR may have started later.
+        cleared = (NO_MATCH, NO_RETURNS) if any(each.depth_returns for each in answers) else ()
         options, source, scale = run.options, self.source, self.scale
         inputs = {
             "source": f"{options.source_path.kind}:{options.source_path.path}",
@@ -206,7 +201,7 @@ class _CameraStream:
             "assumptions": [note for note in source.notes if note.startswith("warning: ")],
             "rectified_by_this_run": options.rectify,
             "shard": options.shard,
-            "memory_emptied": dict(memory.cleared) if memory else {},
+            "memory_emptied": dict(self.memory.cleared) if self.memory else {},
             "warmup": options.warmup,
         }
         timeline = Timeline.of(result.records, source.stamps_ns)
@@ -218,9 +213,8 @@ class _CameraStream:
             inputs,
             self.kinds,
             result,
-            implausible_depth=depth,
-            implausible_poses=poses,
-            calibration_fits={} if self.fit is None else {"": self.fit},
+            findings=tuple(each for each in self.findings if each.name not in cleared),
+            judgements={"": self.checks.judgement},
             outages=outages,
             timeline=timeline,
             beyond_png=run.beyond_png,
@@ -237,12 +231,36 @@ def _prepare(options: RunOptions, source: Source, predictor: Predictor) -> _Came
     kinds = _answered_kinds(options, predictor, focal_px)
     size = _warm_up(predictor, frames, read, runs=options.warmup)
     scale = predictor.camera_scale(size, focal_length_px=focal_px) if size else None
-    # The check uses the first frames of the whole list, so that all shards have the same finding.
-    fit = QuickCheck()
-    fault = find_depth_fault(predictor, listed, source, read, fit)
-    fit_finding = None if fault else fit.finding()
+    has_scale = predictor.contract.canonical_focal_px is not None
+    checks = StreamChecks(
+        check_depth="depth" in predictor.heads,
+        has_lidar=source.has_lidar(frames),
+        accept=options.accepted,
+        depth_scale=depth_scale_of(source, listed),
+        focal_px=focal_px if has_scale else None,
+    )
+    memory = FrameMemory.of(0.0 if options.shard else options.memory)
+    answerer = Answerer(predictor, checks, memory=memory)
+    # The first frames of the whole list are judged, so that all shards have the same findings.
+    answerer.begin(read_first_frames(listed, read))
+    faults = tuple(
+        each
+        for each in find_header_faults(source, listed, size)
+        if each.name not in options.accepted
+    )
     return _CameraStream(
-        source, frames, read, predictor, kinds, size, focal_px, scale, fault, fit_finding
+        source,
+        frames,
+        read,
+        predictor,
+        kinds,
+        size,
+        focal_px,
+        scale,
+        answerer,
+        checks,
+        memory,
+        faults,
     )
 
 

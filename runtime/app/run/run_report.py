@@ -11,12 +11,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from runtime.alignment.quick_check import QuickFinding
 from runtime.app.run.frame_record import OK, STAGES, FrameRecord
 from runtime.app.run.options import OVERLAY, RunOptions
 from runtime.app.run.outages import Outage, Timeline
 from runtime.app.run.pipeline import StreamResult
-from runtime.app.run.reasons import LATE
+from runtime.app.run.reasons import CALIBRATION, LATE
+from runtime.checks.finding import Finding, Severity
+from runtime.checks.judge import Judgement
 from runtime.contract.degraded import IMPLAUSIBLE_DEPTH, IMPLAUSIBLE_POSES
 from runtime.drawing.encode import METRES_PNG_MAX_M, METRES_PNG_SCALE
 from runtime.engine.prediction import Cleaned, Prediction
@@ -40,12 +41,11 @@ class RunReport:
         inputs: what was read: the options of the source, and what it found; ready for JSON.
         saved: kinds of files that were written for each frame.
         stream: results of the frames.
-        implausible_depth: why the returns cannot be right; None: nothing was found.
-        calibration_fits: how well the returns of the first frames fit the image, by camera; the
-            only camera of a run has the name "". A camera of which it is unknown is left out.
+        findings: what was found about calibration, depth and poses, and was not accepted.
+        judgements: which readings of the recording were tested, by camera; the only camera of a
+            run has the name "".
         outages: when a sensor was out.
         timeline: times of the frames; None if they are unknown, or belong to several cameras.
-        implausible_poses: why the poses cannot be right; None: nothing was found.
         beyond_png: for each kind of file, the number of pixels that its PNGs cannot hold.
     """
 
@@ -54,11 +54,10 @@ class RunReport:
     inputs: Mapping[str, Any]
     saved: tuple[str, ...]
     stream: StreamResult
-    implausible_depth: str | None = None
-    calibration_fits: Mapping[str, QuickFinding] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+    judgements: Mapping[str, Judgement] = field(default_factory=dict)
     outages: tuple[Outage, ...] = ()
     timeline: Timeline | None = None
-    implausible_poses: str | None = None
     beyond_png: Mapping[str, int] = field(default_factory=dict)
 
     @classmethod
@@ -83,25 +82,20 @@ class RunReport:
             wall_s=sum(report.stream.wall_s for report in reports.values()),
             interrupted=interrupted or any(each.stream.interrupted for each in reports.values()),
         )
-        depth_faults = [
-            f"{camera}: {report.implausible_depth}"
-            for camera, report in reports.items()
-            if report.implausible_depth is not None
-        ]
         return replace(
             first,
             options=options,
             inputs={"cameras": {camera: report.inputs for camera, report in reports.items()}},
             stream=stream,
-            implausible_depth="; ".join(depth_faults) or None,
-            implausible_poses=next(  # the vehicle has them, whichever camera's frames showed it
-                (each.implausible_poses for each in reports.values() if each.implausible_poses),
-                None,
-            ),
-            calibration_fits={
-                camera: fit
+            findings=tuple(
+                replace(finding, says=f"{camera}: {finding.says}")
                 for camera, report in reports.items()
-                for fit in report.calibration_fits.values()
+                for finding in report.findings
+            ),
+            judgements={
+                camera: judgement
+                for camera, report in reports.items()
+                for judgement in report.judgements.values()
             },
             outages=tuple(
                 replace(outage, camera=camera)
@@ -144,7 +138,7 @@ class RunReport:
 
     @property
     def health(self) -> Counter[str]:
-        """Number of frames with each finding of `runtime.streams.health`."""
+        """Number of frames with each fault of a sensor."""
         return Counter(reason for record in self.records for reason in record.health)
 
     @property
@@ -178,13 +172,25 @@ class RunReport:
         """Number of frames, or of outages, with each of `REASONS`."""
         counts = self.degraded + self.health + self.by_status
         counts[LATE] = sum(record.deadline_met is False for record in self.records)
-        if self.implausible_poses is not None:
-            counts[IMPLAUSIBLE_POSES] = max(counts[IMPLAUSIBLE_POSES], 1)
-        if self.implausible_depth is not None:
-            counts[IMPLAUSIBLE_DEPTH] = max(counts[IMPLAUSIBLE_DEPTH], 1)
+        for reason, text in self.implausible.items():
+            counts[reason] = max(counts[reason], int(text is not None))
+        counts[CALIBRATION] = len(self._warnings)
         silent = Counter(each.reason for each in self.outages if each.scans is None)
         del counts[OK]
         return +(counts + silent)
+
+    @property
+    def implausible(self) -> dict[str, str | None]:
+        """Why depth and poses cannot be right, by their reason; None: nothing was found."""
+        faults = [each for each in self.findings if each.severity is Severity.FAULT]
+        poses = [each.text for each in faults if each.reason == IMPLAUSIBLE_POSES]
+        depth = [each.text for each in faults if each.reason != IMPLAUSIBLE_POSES]
+        texts = {IMPLAUSIBLE_DEPTH: depth, IMPLAUSIBLE_POSES: poses}
+        return {reason: "; ".join(each) or None for reason, each in texts.items()}
+
+    @property
+    def _warnings(self) -> list[Finding]:
+        return [each for each in self.findings if each.severity is Severity.WARNING]
 
     @property
     def failed_on(self) -> dict[str, int]:
@@ -257,8 +263,7 @@ class RunReport:
         missed = self.statistics.missed
         if (missed is not None and missed.count) or self.p99_fault is not None:
             return DEADLINE_MISSED
-        fault = self.implausible_depth or self.implausible_poses
-        doubtful = fault is not None and self.records
+        doubtful = any(self.implausible.values()) and self.records
         return FRAMES_SKIPPED if self.stream.interrupted or self.not_ok or doubtful else 0
 
     def document(self) -> dict[str, Any]:
@@ -282,9 +287,10 @@ class RunReport:
                 "health": self.health,
                 "depth": self.depth_sources,
                 "memory": self.memory,
-                "implausible_depth": self.implausible_depth,
-                "implausible_poses": self.implausible_poses,
-                "calibration_fit": self._described_fits(),
+                **self.implausible,
+                "findings": [each.to_dict() for each in self.findings],
+                "accepted": self.options.accepted,
+                "readings": self._readings(),
                 "by_network_size": self.by_network_size,
                 "not_ok": [
                     {
@@ -313,10 +319,10 @@ class RunReport:
             "frames_per_second": self.frames_per_second,
         }
 
-    def _described_fits(self) -> dict[str, Any] | None:
-        """Figures of `calibration_fits`: by camera if the cameras of a run have names."""
-        fits = {camera: found._asdict() for camera, found in self.calibration_fits.items()}
-        return fits.get("", fits) or None
+    def _readings(self) -> dict[str, Any] | None:
+        """The judgements: by camera if the cameras of a run have names."""
+        judged = {name: each.to_dict() for name, each in self.judgements.items() if each.frames}
+        return judged.get("", judged) or None
 
 
 def size_text(size: tuple[int, int] | None) -> str:
@@ -386,8 +392,8 @@ def describe_run(report: RunReport) -> str:
     lines += [f"  health: {reason}: {count}" for reason, count in report.health.items()]
     lines += [f"memory: {report.memory}"] if report.memory else []
     lines += [f"warning: {each.text}" for each in report.outages]
-    if report.implausible_poses is not None:
-        lines.append(f"warning: {report.implausible_poses}")
+    if (poses := report.implausible[IMPLAUSIBLE_POSES]) is not None:
+        lines.append(f"warning: {poses}")
     lines += [f"failed on {reason}: {count}" for reason, count in report.failed_on.items()]
     lines += [
         f"  warning: {count:,} pixels of {kind} are beyond {METRES_PNG_MAX_M:.2f} m, saved as "

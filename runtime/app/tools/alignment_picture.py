@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.alignment.view import find_jumps
+from runtime.checks.view import find_jumps
 from runtime.drawing.color_scale import DEPTH_COLORS, ColorScale
 from runtime.drawing.picture_text import write_text
 from runtime.geometry.calibration import Calibration

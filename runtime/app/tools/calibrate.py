@@ -7,7 +7,6 @@ from typing import Annotated, Any
 import typer
 
 from runtime.alignment.calibrate import CalibrationResult, Verdict, calibrate
-from runtime.alignment.view import compensated_points
 from runtime.app.run.cli import GroupedCommand, with_run_options
 from runtime.app.run.options import RunOptions, UsageError
 from runtime.app.tools.alignment_picture import draw_alignment
@@ -19,6 +18,7 @@ from runtime.drawing.encode import encode_jpeg, encode_png
 from runtime.engine.predictor import Predictor
 from runtime.files.atomic_write import atomic_write
 from runtime.recordings.source import Source
+from runtime.streams.frame_view import compensated_points
 
 _NOT_VISIBLE, _WRONG = 3, 4  # exit codes
 _EXIT_CODES = {Verdict.RIGHT: 0, Verdict.NOT_VISIBLE: _NOT_VISIBLE}
@@ -32,7 +32,7 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 @app.command(
     cls=GroupedCommand,
     epilog="Exit codes: 0 the calibration is right within the printed limits; 1 error; 2 usage; "
-    "3 the frames do not show it; 4 it is off, or images have the scans of other frames; 130 "
+    "3 the frames do not show it; 4 it is off, or something else than its rotation is wrong; 130 "
     "stopped by Ctrl-C, SIGTERM or SIGHUP.",
 )
 @functools.partial(with_run_options, names=_READ)
@@ -49,7 +49,7 @@ def main(
         typer.Option(
             metavar="FILE.toml",
             help="Write the calibration to use to a file for --calibration. Nothing is written if "
-            "the frames do not show it.",
+            "the frames do not show it, or if something else than its rotation is wrong.",
         ),
     ] = None,
     picture: Annotated[
@@ -124,7 +124,7 @@ def _transform(result: CalibrationResult, source: Source) -> tuple[str, ...]:
     if (refined := result.refined) is None:
         return ()
     camera, lidar, position = source.lidar_place
-    if result.mistake is not None or position is None:
+    if position is None:
         position = refined.extrinsics[:3, 3]
     return (format_static_transform(refined.extrinsics[:3, :3], position, (camera, lidar)),)
 

@@ -5,6 +5,7 @@ Packages are imported one by one, so a broken one does not hide the others.
 
 import importlib
 import importlib.util
+import json
 import shlex
 import sys
 from collections.abc import Iterator
@@ -39,10 +40,23 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 @app.command(epilog="Exit codes: 0 the engine works; 1 a fault was found; 2 usage.")
 def doctor(
     provider: Annotated[Provider, typer.Option(help="Provider of the self-test.")] = Provider.cpu,
+    readings: Annotated[
+        bool,
+        typer.Option(
+            "--readings",
+            help="Print what a recording can be found to be, by the names that --accept takes, as "
+            "JSON, and end.",
+        ),
+    ] = False,
     _version: Version = False,
 ) -> None:
     """Report versions and providers, and run each bundled model."""
     with reported_errors("cpu"):
+        if readings:
+            from runtime.checks.catalog import FINDINGS  # loads NumPy
+
+            print_result(json.dumps(FINDINGS, indent=2))
+            raise typer.Exit
         faults = 0
         for check in examine(provider.value):
             faults += check.status == "fault"

@@ -8,7 +8,7 @@ import pytest
 
 from painted_street import EXTRINSICS
 from runtime import Predictor
-from runtime.alignment.fit_scores import rotation
+from runtime.checks.fit import rotation
 from runtime.geometry.calibration import Calibration
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 from runtime.streams.frame import Frame

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from painted_street import EXTRINSICS, street, street_frame
+from painted_street import EXTRINSICS, paint, scan_of, street, street_frame
 from runtime import InputError, Predictor, Rig, calibrate, open_source
 from runtime.alignment.calibrate import Verdict, count_scenes, judge, uncertainty_of
-from runtime.alignment.fit_scores import rotation
-from runtime.alignment.search import Optimum
+from runtime.checks.fit import rotation
+from runtime.checks.search import Optimum
 
 TURN = np.array([2.5, -1.5, 0])
 
@@ -24,7 +24,7 @@ def turned_extrinsics():
 def judged(extrinsics=EXTRINSICS, **options):
     """Judge four painted streets with these extrinsics."""
     views = [street(seed, extrinsics, **options) for seed in range(4)]
-    return judge(views, views[0].calibration, street_frame(0))
+    return judge(views, street_frame(0, extrinsics).calibration, street_frame(0))
 
 
 def test_the_right_calibration_is_right():
@@ -55,25 +55,55 @@ def test_only_one_axis_may_be_off():
     assert judged(extrinsics).verdict is Verdict.OFF
 
 
-@pytest.mark.filterwarnings("ignore:assumed the LiDAR is")
-def test_a_usual_mistake_is_undone_before_the_rotation_is_judged():
-    """A position in centimetres, with which some returns still meet the image."""
-    far = EXTRINSICS.copy()
-    far[:3, 3] = 12, 5, 3
-    right = far.copy()
-    right[:3, 3] /= 100
-    result = judged(far, right=right)
+@pytest.mark.parametrize(("extrinsics", "scans", "verdict", "said"), [
+    (np.linalg.inv(EXTRINSICS), None, Verdict.OTHER_READING, "take its inverse"),
+    (EXTRINSICS, "0.3 s after", Verdict.OTHER_SCANS, "scans of 0.3 s after fit"),
+    (EXTRINSICS, "none", Verdict.NOT_VISIBLE, "not visible: the returns fit the image nowhere"),
+])  # fmt: skip
+def test_another_reading_is_named_and_writes_no_calibration(extrinsics, scans, verdict, said):
+    views = []
+    for seed in range(4):
+        points = scan_of(paint(seed + 20)) if scans else None
+        beside = {scans: scan_of(paint(seed))} if scans == "0.3 s after" else {}
+        views.append(street(seed, extrinsics, points=points, beside=beside))
+    result = judge(views, street_frame(0, extrinsics).calibration, street_frame(0))
+    assert result.verdict is verdict, result.reason
+    assert said in result.reason
+    assert result.finding is not None
+    assert result.refined is None
+    assert result.off_degrees is None
+
+
+def test_the_scans_of_other_frames_beside_a_wrong_rotation_are_no_fault_of_the_pairing():
+    beside = [{"the frame before": scan_of(paint(seed))} for seed in range(4)]
+    views = [street(seed, turned_extrinsics(), beside=beside[seed - 1]) for seed in range(4)]
+    result = judge(views, street_frame(0, turned_extrinsics()).calibration, street_frame(0))
     assert result.verdict is Verdict.OFF, result.reason
-    assert result.reason.startswith(result.mistake)
-    assert "in centimetres" in result.mistake
-    assert np.allclose(result.refined.extrinsics, right)
+
+
+def test_a_focal_length_of_other_images_is_no_rotation():
+    wide = []
+    for seed in range(4):
+        view = street(seed)
+        matrix = view.intrinsics.copy()
+        matrix[[0, 1], [0, 1]] *= 1.25
+        wide.append(replace(view, intrinsics=matrix))
+    result = judge(wide, street_frame(0).calibration, street_frame(0))
+    assert result.verdict is Verdict.OTHER_READING, result.reason
+    assert result.finding.name == "focal_length"
+
+
+def test_a_verdict_says_what_was_tested():
+    reason = judged().reason
+    assert "position as given, not tested" in reason
+    assert re.search("fit worse: .*focal_length", reason)
 
 
 def test_alternatives_are_those_of_the_distance():
     """An error of position turns a jump at z by the angle d / z."""
     result = judged()
     range_m = result.range_m
-    depths = np.concatenate([street(seed).jumps[:, 2] for seed in range(4)])
+    depths = np.concatenate([street(seed).structure[1][:, 2] for seed in range(4)])
     assert range_m == pytest.approx(np.reciprocal(np.reciprocal(depths).mean()), rel=0.01)
     sideways, height = replace(result, off_degrees=np.array([1.0, 2.0, 0])).alternatives
     assert f"a position {np.tan(np.radians(1)) * range_m:.2f} m off sideways" in sideways
@@ -102,7 +132,7 @@ def test_frames_of_one_scene_count_once():
 
 def test_without_enough_frames_nothing_is_said():
     views = [street(seed) for seed in range(2)]
-    result = judge(views, views[0].calibration, street_frame(0))
+    result = judge(views, street_frame(0).calibration, street_frame(0))
     assert result.verdict is Verdict.NOT_VISIBLE
     assert result.reason.startswith("not visible: 2 frames have structure")
 

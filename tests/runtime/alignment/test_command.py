@@ -10,10 +10,11 @@ from typer.testing import CliRunner
 
 from painted_street import street_frame
 from runtime.alignment.calibrate import CalibrationResult, Verdict
-from runtime.alignment.fit_scores import FitScores, rotation
 from runtime.app.tools import calibrate as tool
 from runtime.app.tools.calibrate import app
 from runtime.app.tools.calibration_file import format_static_transform, format_toml
+from runtime.checks.fit import FitScores, rotation
+from runtime.checks.judge import Judgement
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.poses import quaternion_of
 from runtime.recordings.source import Source
@@ -45,8 +46,8 @@ def run(tmp_path, monkeypatch):
         frame, angles = street_frame(200), np.array([2.0, 0, 0])
         refined = frame.calibration if verdict in (Verdict.RIGHT, Verdict.OFF) else None
         result = CalibrationResult(
-            verdict, "the reason", frame.calibration, refined, angles, angles, None,
-            FitScores(0, 0), FitScores(0, 0), 10.0, ("0",), 1.0, frame,
+            verdict, "the reason", frame.calibration, refined, angles, angles, None, Judgement(),
+            FitScores(), FitScores(), 10.0, ("0",), 1.0, frame,
         )  # fmt: skip
         source = MagicMock(notes=(), lidar_place=("cam", "velo", np.array([1.0, 2, 3])))
         source.__enter__.return_value = source

@@ -1,5 +1,6 @@
 """Which frames of a recording are compared."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,10 +9,10 @@ import pytest
 from painted_street import scan_of, street_frame
 from runtime import InputError
 from runtime.alignment.selection import choose_frames
-from runtime.alignment.view import compensated_points
 from runtime.geometry.poses import PoseTrack
 from runtime.recordings.listing import ListedFrame
 from runtime.streams.frame import Frame
+from runtime.streams.frame_view import compensated_points
 from runtime.streams.messages import Depth, Image, Scan
 
 
@@ -33,11 +34,24 @@ def test_frames_with_structure_are_spread_over_the_recording():
     frames[9] = None
     chosen = list(choose_frames(source_of(frames), 5))
     assert [frame.image.stamp_ns // 10**8 for frame, _ in chosen] == [1, 3, 5, 7, 8]
-    for frame, (before, after) in chosen[:4]:
+    for frame, beside in chosen[:4]:
         at = frame.image.stamp_ns // 10**8
-        assert before is frames[at - 1].depth.points
-        assert after is frames[at + 1].depth.points
-    assert chosen[4][1] == (frames[7].depth.points, None)
+        assert np.array_equal(beside["the frame before"], frames[at - 1].depth.points)
+        assert np.array_equal(beside["the frame after"], frames[at + 1].depth.points)
+    assert [*chosen[4][1]] == ["the frame before"]
+
+
+def test_scans_within_half_a_second_are_beside_a_frame_with_stamps():
+    source = source_of([street_frame(number) for number in range(14)])
+    listed = source.list_frames()
+    source.list_frames = lambda: [
+        replace(each, image_stamp_ns=10**9 + number * 10**8) for number, each in enumerate(listed)
+    ]
+    *_, (frame, beside) = choose_frames(source, 2)
+    times = [f"0.{each} s before" for each in (5, 4, 3, 2, 1)]
+    after = (13 * 10**8 - frame.image.stamp_ns) // 10**8
+    times += [f"0.{each} s after" for each in range(1, min(after, 5) + 1)]
+    assert [*beside] == times
 
 
 def test_a_depth_map_is_no_scan():

@@ -190,10 +190,11 @@ def _facts(report: RunReport, started: datetime) -> dict[str, Any]:
         **{name.replace("_", " "): value for name, value in report.inputs.items()},
         "network ran at": ", ".join(f"{size} ({count})" for size, count in sizes),
         "depth": ", ".join(f"{kind} ({count})" for kind, count in report.depth_sources.items()),
-        "implausible depth": report.implausible_depth,
-        "fit of the returns": "; ".join(
-            f"{camera}: {found.text}" if camera else found.text
-            for camera, found in report.calibration_fits.items()
+        "findings": "; ".join(each.line for each in report.findings),
+        "readings": "; ".join(
+            f"{camera}: {judged.text}" if camera else judged.text
+            for camera, judged in report.judgements.items()
+            if judged.frames
         ),
         "output": report.out,
         "saved": ", ".join(report.saved) or "nothing",

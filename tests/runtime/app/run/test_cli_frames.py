@@ -32,7 +32,11 @@ def red_metres(tmp_path, make_stream, model_file, contract):
     for name in ("f0.png", "f1.png"):
         cv2.imwrite(str(folders[0] / name), np.stack([red, red // 2, red], axis=-1))
         cv2.imwrite(str(folders[1] / name), np.rint(red / 16 * 1000).astype(np.uint16))
-    return folders, model_file(edit=see_red, contract=replace(contract, canonical_focal_px=100.0))
+    return folders, model_file(
+        edit=see_red,
+        contract=replace(contract, canonical_focal_px=100.0),
+        heads=("semantic", "depth"),
+    )
 
 
 @pytest.mark.parametrize(
@@ -48,11 +52,12 @@ def test_depth_that_contradicts_the_image_is_reported(tmp_path, red_metres, scal
     source = ["--source", f"folders:{rgb},depth_scale={scale}", "--depth", depth]
     given = [*source, "--model", model, "--out", tmp_path / "out", "--record", recording]
     result = CliRunner().invoke(app, [str(word) for word in given])
-    warned = re.findall(r"^warning: (.*)$", result.stderr, re.MULTILINE)
+    warned = re.findall(r"^warning: (.*) \(fit as given.*$", result.stderr, re.MULTILINE)
     assert warned == ([warning] if warning else [])
     assert result.exit_code == (3 if warning else 0), result.output
     frames = json.loads((tmp_path / "out/report.json").read_text())["frames"]
-    assert frames["implausible_depth"] == warning
+    assert [each["says"] for each in frames["findings"]] == warned
+    assert (frames["implausible_depth"] is None) == (warning is None)
     assert frames["degraded"] == ({"implausible_depth": 2} if warning else {})
     rows = rows_of(tmp_path / "out")
     assert {row["degraded"] for row in rows} == {"implausible_depth" if warning else ""}

@@ -7,12 +7,14 @@ from dataclasses import replace
 import pytest
 
 from outcomes import outcome
-from runtime.alignment.quick_check import Fit, QuickFinding
 from runtime.app.run.frame_record import INVALID, OK, SKIPPED
 from runtime.app.run.options import RunOptions, UsageError
 from runtime.app.run.outages import Outage
 from runtime.app.run.pipeline import StreamResult
 from runtime.app.run.run_report import RunReport, describe_run, frames_csv
+from runtime.checks.finding import Finding, Severity
+from runtime.checks.judge import Judgement
+from runtime.contract.degraded import IMPLAUSIBLE_POSES
 from runtime.streams.statistics import MissedDeadlines
 
 
@@ -130,12 +132,14 @@ def test_the_report_of_a_rig_adds_up_those_of_its_cameras(report_of):
         replace(report_of(*records_of(OK, OK), wall_s=wall_s), beyond_png={"depth": 1234})
         for wall_s in (0.5, 1.5)
     )
-    fit = QuickFinding(Fit.BETTER_TURNED, 3, 0.5, {}, "the returns fit the images")
-    second = replace(second, implausible_poses="mirrored", calibration_fits={"": fit})
+    mirrored = Finding("w_first", "mirrored", Severity.FAULT, {}, IMPLAUSIBLE_POSES)
+    judgement = Judgement(tested=("turned",), frames=3)
+    second = replace(second, findings=(mirrored,), judgements={"": judgement})
     rig = RunReport.of_rig({"a": first, "b": second}, first.options, interrupted=False)
     both = rig.document()
-    assert both["frames"]["implausible_poses"] == "mirrored"  # only the second camera showed it
-    assert "warning: mirrored" in describe_run(rig)
-    assert both["frames"]["calibration_fit"] == {"b": fit._asdict()}
+    assert both["frames"]["implausible_poses"] == "b: mirrored"  # only the second camera showed it
+    assert "warning: b: mirrored" in describe_run(rig)
+    assert both["frames"]["findings"][0]["says"] == "b: mirrored"
+    assert both["frames"]["readings"]["b"]["tested"] == ("turned",)
     assert both["depth_png"]["beyond"] == {"depth": 2468}
     assert (both["wall_s"], both["frames_per_second"]) == (2.0, 2.0)

@@ -1,15 +1,15 @@
-"""Returns on the answers to an image, and the two figures of how well they fit."""
+"""Returns on the answers to an image, and the figures of how well they fit."""
 
 import numpy as np
 import pytest
 
 from painted_street import EXTRINSICS, scan_of, street, street_answer, street_frame
-from runtime.alignment.fit_scores import FitScores, fit_scores, pixels_of, rotation
-from runtime.alignment.search import find_rotation
-from runtime.alignment.view import view_of
+from runtime.checks.fit import FitScores, fit_of, rotation, turned
+from runtime.checks.search import find_rotation, held_out_gain
 from runtime.contract.degraded import IMAGE_CONSTANT
 from runtime.geometry.calibration import Calibration
 from runtime.streams.frame import Frame
+from runtime.streams.frame_view import view_of
 from runtime.streams.messages import Image
 
 
@@ -34,31 +34,31 @@ def test_returns_meet_the_pixels_of_the_projection(lens):
     answer = street_answer(0)
     answer.depth = answer.boundary = np.ones(size, np.float32)
     view = view_of(Frame(image, street_frame(0).depth, calibration=calibration), answer)
-    assert view.boundary.shape == (376, 500)
+    assert view.answer.boundary.shape == (376, 500)
     returns = np.array([[x, y, 10.0] for x in (-9.92, 0.12, 9.96) for y in (-5, 0.1, 5)])
     points = ((returns - EXTRINSICS[:3, 3]) @ EXTRINSICS[:3, :3]).astype(np.float32)
     row, column = np.nonzero(calibration.project(points, size))
-    found = pixels_of(view, (returns - EXTRINSICS[:3, 3]).astype(np.float32), np.eye(3))
+    found = view.pixels((returns - EXTRINSICS[:3, 3]).astype(np.float32))
     assert set(zip(*found[:2], strict=True)) == set(zip(row // 2, column // 2, strict=True))
     assert len(row) == len(returns)
 
 
-def test_the_figures_of_the_right_calibration_are_largest():
+def test_the_score_of_the_right_calibration_is_largest():
     view = street(0)
-    edge, correlation = fit_scores(view)
-    assert correlation == pytest.approx(1, abs=0.01)
-    row, column, _ = pixels_of(view, view.jumps, np.eye(3))
-    blurred = view.blurred_boundary(2 / 375)
-    assert edge < blurred[row, column].mean() - 0.05, "the mean over all returns is subtracted"
+    fit = fit_of(view)
+    assert fit.depth_correlation == pytest.approx(1, abs=0.01)
+    row, column, _ = view.pixels(view.structure[1])
+    blurred = view.answer.blurred(2 / 375)
+    assert fit.edge < blurred[row, column].mean() - 0.05, "the mean over all returns is subtracted"
     for angles in np.vstack([np.diag([1.5, 3, 5]), -np.diag([1.5, 3, 5])]):
-        assert sum(fit_scores(view, angles)) < edge + correlation
+        assert fit_of(view, angles).score < fit.score
+        assert fit_of(turned(view, angles)) == pytest.approx(fit_of(view, angles), abs=0.01)
 
 
-@pytest.mark.parametrize(
-    ("edge", "correlation", "fit"), [(0.1, 0.6, True), (0.01, 0.9, False), (0.1, 0.4, False)]
-)
-def test_both_figures_must_fit(edge, correlation, fit):
-    assert FitScores(edge, correlation).fit is fit
+def test_a_wrong_unit_lowers_the_score_and_a_usual_ratio_does_not():
+    right = FitScores(0.1, 0.9, 0.8, 0.0, 500)
+    assert right._replace(log_ratio=np.log(1.7)).score == right.score
+    assert right._replace(log_ratio=np.log(0.1)).score < right.score - 0.5
 
 
 def test_a_turn_of_several_degrees_is_measured():
@@ -66,9 +66,12 @@ def test_a_turn_of_several_degrees_is_measured():
     turn = np.array([4, -1, 3])
     extrinsics = EXTRINSICS.copy()
     extrinsics[:3, :3] = rotation(turn) @ EXTRINSICS[:3, :3]
-    found = find_rotation([street(seed, extrinsics) for seed in range(3)])
+    views = [street(seed, extrinsics) for seed in range(3)]
+    found = find_rotation(views)
     assert (np.abs(found.angles - right.angles + turn) < (0.15, 0.3, 0.6)).all()
     assert (found.error > 0.01).all(), "the frames differ"
+    gain, error = held_out_gain(views)
+    assert gain > 3 * error
 
 
 def test_what_cannot_be_judged_is_no_view_or_has_no_structure():
@@ -77,7 +80,7 @@ def test_what_cannot_be_judged_is_no_view_or_has_no_structure():
     few = scan_of(np.ones((120, 360), np.float32) * 5)[:400]
     assert not street(0, points=few).has_structure
     empty_road = street(0, boxes=0)
-    assert len(empty_road.returns) > 500
+    assert len(empty_road.structure[0]) > 500
     assert not empty_road.has_structure
 
 
@@ -85,4 +88,4 @@ def test_returns_beside_the_image_are_kept():
     """The image ends at 36.9 degrees; trials turn returns at 40 degrees into it."""
     beside = np.float32([[np.tan(np.radians(40)) * 10, 0, 10], [-20, 0, 10]]) - EXTRINSICS[:3, 3]
     points = (beside @ EXTRINSICS[:3, :3]).astype(np.float32)
-    assert len(street(0, points=points).returns) == 1
+    assert len(street(0, points=points).structure[0]) == 1

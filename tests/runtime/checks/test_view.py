@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from runtime.alignment.view import find_jumps
+from runtime.checks.view import find_jumps
 
 
 def scan(ranges):

@@ -8,18 +8,21 @@ far worse than scans that are not moved. A constant shift in time, such as that 
 and the middle of a scan, changes neither test, and is not found.
 """
 
+import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
+from runtime.checks.finding import Finding, Severity
+from runtime.checks.judge import choose
+from runtime.contract.degraded import IMPLAUSIBLE_POSES
 from runtime.geometry.motion import compensate_points
 from runtime.geometry.poses import NoPoseError, PoseTrack, rotations
 from runtime.geometry.returns import is_return
-from runtime.streams.frame import Frame
-from runtime.streams.messages import Scan
 
 _POINTS = 6000  # points of a scan that are compared
 _CELL_RAD = np.radians(0.5)  # two returns within a cell have the same direction
@@ -28,15 +31,34 @@ _APART_M, _APART_NS = 2.0, 500_000_000  # motion or time between two scans that 
 _KNOWN, _ENOUGH = 3, 12  # comparisons before a verdict, and before no more are made
 # Ratios of medians of |log range ratio|. In drive 0009 of KITTI, with scans 3 m apart, the median
 # is 0.010 with the right poses, 0.018 to 0.048 without moving, and 0.056 to 0.074 with the inverse.
-_BETTER, _FAR_WORSE, _SAME = 0.7, 3.0, 1.1
+# A simulated drive over flat ground has 0.001 without moving, so far apart has a floor.
+_BETTER, _FAR_WORSE, _SAME = math.log(1 / 0.7), 3.0, math.log(1.1)
+_FAR_APART = 0.03
 _MOST_POSES = 2000  # poses of a live stream that are kept
 _STEPS, _LEAST_TRAVEL_M = 30, 2.0
 _TURNED_RAD, _ALIKE = np.radians(3.0), 1 / 3  # spread of the direction of travel
 
-Reading = Callable[[PoseTrack], PoseTrack]
+_STILL, OTHER_POSES = "still", "other_poses"
+_IN_UNIT = "read with lengths in {}: check their format"
 
 
-def _scaled(factor: float) -> Reading:
+class PosedScan(NamedTuple):
+    """A scan for the comparison: points, their times, and the time of its image."""
+
+    points: NDArray[np.float32]
+    times: NDArray[np.int64] | int
+    image_ns: int
+
+
+@dataclass(frozen=True)
+class PoseReading:
+    """What poses may mean instead: in words, and as a function of them."""
+
+    says: str
+    apply: Callable[[PoseTrack], PoseTrack]
+
+
+def _scaled(factor: float) -> Callable[[PoseTrack], PoseTrack]:
     return lambda track: replace(track, positions=track.positions * factor)
 
 
@@ -50,88 +72,84 @@ def _inverse(track: PoseTrack) -> PoseTrack:
     return replace(track, quaternions=track.quaternions * (1, -1, -1, -1), positions=positions)
 
 
-# Other readings of poses, in words, and the functions that read poses so.
-READINGS: dict[str, Reading] = {
-    "as their inverse": _inverse,
-    "with w as the first number of the quaternions": _w_first,
-    "with lengths in kilometres": _scaled(1000),
-    "with lengths in centimetres": _scaled(0.01),
-    "with lengths in millimetres": _scaled(0.001),
+# The table of other readings of poses.
+POSES = {
+    "inverse_poses": PoseReading("read as their inverse: check their format", _inverse),
+    "w_first": PoseReading(
+        "read with w as the first number of the quaternions: check their format", _w_first
+    ),
+    "poses_in_kilometres": PoseReading(_IN_UNIT.format("kilometres"), _scaled(1000)),
+    "poses_in_centimetres": PoseReading(_IN_UNIT.format("centimetres"), _scaled(0.01)),
+    "poses_in_millimetres": PoseReading(_IN_UNIT.format("millimetres"), _scaled(0.001)),
 }
 
 
-class PosePlausibility:
+class PoseJudge:
     """Compares successive scans of a stream, moved by its poses and not moved."""
 
     def __init__(self) -> None:
-        self._before: Frame | None = None
-        # Logarithms of the errors of each reading; "" stands for the poses as they are.
+        self._before: PosedScan | None = None
+        # Log errors of each pair of scans: as the poses are (""), not moved, and by reading.
         self._errors: list[dict[str, float]] = []
         self._track: PoseTrack | None = None  # poses of all frames so far
 
-    def add(self, frame: Frame) -> bool:
-        """Add a frame, and return whether `finding` may have changed.
+    def add(self, scan: PosedScan, poses: PoseTrack) -> bool:
+        """Add a scan, and return whether `finding` may have changed.
 
-        A frame without poses or a scan of its own is ignored, and so is each frame after enough
-        frames were compared.
+        Scans are ignored after enough of them were compared.
         """
-        scan = frame.own_depth
-        if len(self._errors) >= _ENOUGH or frame.poses is None:
-            return False
-        if not isinstance(scan, Scan) or scan.times is None:
+        if len(self._errors) >= _ENOUGH:
             return False
         last = self._track
-        if last is None or last.stamps_ns is not frame.poses.stamps_ns:  # else a whole recording
-            self._track = frame.poses if last is None else _joined(last, frame.poses)
-        if self._before is None:
-            self._before = frame
-            return True
-        assert self._track is not None
-        track = replace(self._track, mount=frame.poses.mount)
-        if (errors := _compare(self._before, frame, track)) is not None:
-            self._errors.append(errors)
-            self._before = frame
+        if last is None or last.stamps_ns is not poses.stamps_ns:  # else a whole recording
+            self._track = poses if last is None else _joined(last, poses)
+        if self._before is not None and self._track is not None:
+            track = replace(self._track, mount=poses.mount)
+            if (errors := _compare(self._before, scan, track)) is None:
+                return True
+            self._errors.append({name: float(np.log(each)) for name, each in errors.items()})
+        self._before = scan
         return True
 
-    def finding(self) -> str | None:
+    def finding(self) -> Finding | None:
         """Return why the poses cannot be right, and the likely cause; None: nothing was found."""
         return self._by_scans() or self._by_track()
 
-    def _by_scans(self) -> str | None:
+    def _by_scans(self) -> Finding | None:
         if len(self._errors) < _KNOWN:
             return None
-        error = {
-            name: float(np.median([e[name] for e in self._errors])) for name in self._errors[0]
-        }
-        moved, still = error.pop(""), error.pop("still")
-        # On a straight road some readings give the same result; the first of them counts.
-        best = next(name for name in error if error[name] <= _SAME * min(error.values()))
-        figures = f"{moved:.1%} of the range apart, not moved {still:.1%}"
-        if error[best] < _BETTER * min(moved, still):
-            return (
-                f"successive scans, moved by the poses, are {figures}, and {error[best]:.1%} "
-                f"where the poses are read {best}: check their format"
+        errors = {name: np.array([e[name] for e in self._errors]) for name in self._errors[0]}
+        medians = {name: float(np.exp(np.median(each))) for name, each in errors.items()}
+        moved, still = medians[""], medians[_STILL]
+        figures = {"range apart as given": moved, "not moved": still}
+        given = np.minimum(errors.pop(""), errors.pop(_STILL))
+        gains = {(name, ""): given - each for name, each in errors.items()}
+        if (choice := choose(gains, dict.fromkeys(errors, _BETTER), _SAME)) is not None:
+            (name, _), *_ = choice.readings
+            says = f"successive scans, moved by the poses, fit where they are {POSES[name].says}"
+            return _fault(name, says, {**figures, "so": medians[name]})
+        if moved > max(_FAR_WORSE * still, _FAR_APART):
+            says = (
+                "successive scans, moved by the poses, are far apart: the poses may be of another "
             )
-        if moved > _FAR_WORSE * still:
-            return (
-                f"successive scans, moved by the poses, are {figures}: the poses may be of another "
-                "drive, clock or frame"
-            )
+            return _fault(OTHER_POSES, says + "drive, clock or frame", figures)
         return None
 
-    def _by_track(self) -> str | None:
+    def _by_track(self) -> Finding | None:
         if self._track is None or (spread := _spread(self._track)) is None or spread < _TURNED_RAD:
             return None
-        spreads = {name: _spread(READINGS[name](self._track)) for name in [*READINGS][:2]}
+        spreads = {name: _spread(POSES[name].apply(self._track)) for name in [*POSES][:2]}
         known = {name: each for name, each in spreads.items() if each is not None}
         best = min(known, key=lambda name: known[name], default=None)
         if best is None or known[best] > min(_ALIKE * spread, _TURNED_RAD):
             return None
-        return (
-            f"by the poses the car drives along an axis of its own that turns by "
-            f"{np.degrees(spread):.0f} degrees, and by {np.degrees(known[best]):.1f} where the "
-            f"poses are read {best}: check their format"
-        )
+        says = "by the poses the car drives along an axis of its own that turns; it does not where "
+        degrees = {"degrees": float(np.degrees(spread)), "so": float(np.degrees(known[best]))}
+        return _fault(best, f"{says}they are {POSES[best].says}", degrees)
+
+
+def _fault(name: str, says: str, evidence: dict[str, float]) -> Finding:
+    return Finding(name, says, Severity.FAULT, evidence, IMPLAUSIBLE_POSES)
 
 
 def _joined(first: PoseTrack, second: PoseTrack) -> PoseTrack:
@@ -147,37 +165,36 @@ def _joined(first: PoseTrack, second: PoseTrack) -> PoseTrack:
     return replace(second, stamps_ns=stamps[order], **arrays)
 
 
-def _compare(before: Frame, frame: Frame, track: PoseTrack) -> dict[str, float] | None:
+def _compare(first: PosedScan, second: PosedScan, track: PoseTrack) -> dict[str, float] | None:
     """Return the error of each reading; None if the scans are too near or cannot be compared.
 
     Poses of another unit seem to jump all the time, so jumps are ignored; a few do not change a
     median.
     """
     track = replace(track, jumped=np.zeros_like(track.jumped))
-    from_ns, to = before.image.time_ns, frame.image.time_ns
-    scans = [_sampled(each.scan) for each in (before, frame) if each.scan is not None]
+    to, scans = second.image_ns, [_sampled(each) for each in (first, second)]
     try:
-        pair = track.at(np.array([from_ns, to], np.int64))
-        if np.linalg.norm(pair[1, :3, 3] - pair[0, :3, 3]) < _APART_M and to - from_ns < _APART_NS:
+        pair = track.at(np.array([first.image_ns, to], np.int64))
+        apart_m = np.linalg.norm(pair[1, :3, 3] - pair[0, :3, 3])
+        if apart_m < _APART_M and to - first.image_ns < _APART_NS:
             return None
         errors = {"": _error(*(compensate_points(*scan, track, to) for scan in scans))}
-        errors["still"] = _error(scans[0][0], scans[1][0])
+        errors[_STILL] = _error(scans[0][0], scans[1][0])
     except (NoPoseError, InputError):
         return None
-    if errors["still"] is None:
+    if errors[_STILL] is None:
         return None
-    for name, reading in READINGS.items():
+    for name, reading in POSES.items():
         try:
-            errors[name] = _error(*(compensate_points(*scan, reading(track), to) for scan in scans))
+            moved = (compensate_points(*scan, reading.apply(track), to) for scan in scans)
+            errors[name] = _error(*moved)
         except InputError:
             errors[name] = None
-    return {name: 1.0 if each is None else each for name, each in errors.items()}
+    return {name: 1.0 if each is None else max(each, 1e-6) for name, each in errors.items()}
 
 
-def _sampled(scan: Scan) -> tuple[NDArray[np.float32], NDArray[np.int64] | int]:
-    step = len(scan.points) // _POINTS + 1
-    times = scan.times
-    assert times is not None
+def _sampled(scan: PosedScan) -> tuple[NDArray[np.float32], NDArray[np.int64] | int]:
+    step, times = len(scan.points) // _POINTS + 1, scan.times
     return scan.points[::step, :3], times if isinstance(times, int) else times[::step]
 
 

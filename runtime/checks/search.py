@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.alignment.fit_scores import total_scores
-from runtime.alignment.view import View
+from runtime.checks.fit import Angles, fit_of
+from runtime.checks.view import View
 
 # Blur of the boundaries in image heights, step of yaw and pitch [degrees], largest number of
 # moves.
@@ -47,6 +47,11 @@ class Optimum(NamedTuple):
     error: _Floats
 
 
+def scores_of(views: Sequence[View], angles: Angles = (0, 0, 0), **blur: float) -> _Floats:
+    """The scores of the views, float64 (frames,), with returns turned by these angles."""
+    return np.array([fit_of(view, angles, **blur).score for view in views])
+
+
 def find_coarse(views: Sequence[View]) -> _Floats:
     """Return the angles (3,) of the best rotation near the given one, to about half a degree."""
     return _climb(views, np.zeros(3), _COARSE)
@@ -63,6 +68,20 @@ def find_rotation(views: Sequence[View], start: _Floats | None = None) -> Optimu
     blur, step, _ = _FINE[-1]
     sums, sides = _around(views, angles, blur, step), _sides(step)
     return Optimum(angles + _best_of(_FIT @ sums.mean(axis=0)) * sides, _bootstrap(sums) * sides)
+
+
+def held_out_gain(views: Sequence[View]) -> tuple[float, float]:
+    """Return how much better frames fit with the rotation that the other half of them finds.
+
+    The result is the mean gain of their scores over the given rotation, and its standard error.
+    """
+    half = (len(views) + 1) // 2
+    gains = [
+        scores_of(there, _climb(here, find_coarse(here), _FINE)) - scores_of(there)
+        for here, there in ((views[:half], views[half:]), (views[half:], views[:half]))
+    ]
+    both = np.concatenate(gains)
+    return float(both.mean()), float(both.std(ddof=1) / np.sqrt(len(both)))
 
 
 def _climb(
@@ -86,7 +105,7 @@ def _sides(step: float) -> _Floats:
 def _around(views: Sequence[View], angles: _Floats, blur: float, step: float) -> _Floats:
     """The sums of each view, (frames, places of the cube)."""
     places = angles + _CUBE * _sides(step)
-    return np.column_stack([total_scores(views, place, blur=blur) for place in places])
+    return np.column_stack([scores_of(views, place, blur=blur) for place in places])
 
 
 def _best_of(terms: _Floats) -> _Floats:

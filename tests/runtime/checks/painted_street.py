@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 
-from runtime.alignment.view import view_of
 from runtime.geometry.calibration import Calibration
 from runtime.streams.frame import Frame
-from runtime.streams.messages import Image, Scan
+from runtime.streams.frame_view import view_of
+from runtime.streams.messages import Depth, Image, Scan
 
 # From a LiDAR (x ahead, z up), 0.3 m beside the camera, to the camera.
 EXTRINSICS = np.array([[0, -1, 0, 0.3], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
@@ -53,6 +53,17 @@ def street_answer(seed, *, boxes=9, degraded=()):
     return SimpleNamespace(depth=depth, boundary=boundary, valid=True, degraded=degraded)
 
 
-def street(seed, given=EXTRINSICS, *, neighbours=(None, None), **frame):
+def street(seed, given=EXTRINSICS, *, beside=None, **frame):
     """The view of a street."""
-    return view_of(street_frame(seed, given, **frame), street_answer(seed), neighbours)
+    return view_of(street_frame(seed, given, **frame), street_answer(seed), beside=beside)
+
+
+def street_map(seed, change=lambda depth: depth):
+    """The view of a street with a depth map that is changed before it is read."""
+    depth = change(paint(seed))
+    sparse = np.zeros_like(depth)
+    sparse[1::3] = depth[1::3]
+    matrix = street_frame(seed).calibration.intrinsics
+    calibration = Calibration(matrix, np.eye(4), SIZE)
+    frame = Frame(street_frame(seed).image, Depth(sparse), calibration=calibration)
+    return view_of(frame, street_answer(seed), depth_scale=256)

@@ -1,1 +1,0 @@
-"""Checks of the sensor data, to detect faults before an answer is used."""
