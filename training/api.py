@@ -100,6 +100,8 @@ def finetune(
     depth_scale: float | None = None,
     focal_length_px: float | None = None,
     intrinsics: tuple[float, float, float, float] | None = None,
+    points: str | Path | None = None,
+    calibration: str | Path | None = None,
     init: str | Path = "ssdnet-lite",
     changes: Sequence[str] = (),
     device: str = "cpu",
@@ -117,7 +119,8 @@ def finetune(
 
     Args:
         images: PNG or JPEG images, at least 10. A tenth, at least six, is for validation: blocks of
-            neighbours from three places.
+            neighbours from three places. Or a recording of `ssdnet-run`, such as a bag, whose
+            frames with labels are used.
         out: folder of the run.
         labels: 8-bit PNGs of class ids (0, 1, ...; 255 = none).
         classes: text file with the name of one class per line, in order of the ids; a line may
@@ -131,6 +134,8 @@ def finetune(
             middle. Distances are then scaled if the camera differs from that of the weights, see
             `runtime.contract.canonical_focal`. None: not known.
         intrinsics: fx, fy, cx, cy [px], in place of the focal length.
+        points: scans in place of depth maps, which are projected with the calibration.
+        calibration: calibration of camera and LiDAR.
         init: weights to start from.
         changes: changes of the recipe, see `train`.
         device: "cpu", "cuda" or "cuda:N".
@@ -159,6 +164,8 @@ def finetune(
         depth_scale=depth_scale,
         focal_length_px=focal_length_px,
         intrinsics=intrinsics,
+        points=_path(points),
+        calibration=_path(calibration),
     )
     run = TrainingRun(
         [own.root], Path(out), init=begin, device=device, stop_after=stop_after, stop=stop

@@ -25,7 +25,9 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
 @app.command(epilog=EXIT_CODES)
 def finetune(
-    images: Annotated[Path, typer.Argument(help="Folder of PNG or JPEG images.")],
+    images: Annotated[
+        Path, typer.Argument(help="Folder of PNG or JPEG images, or a recording of ssdnet-run.")
+    ],
     *,
     labels: Annotated[
         Path | None,
@@ -74,6 +76,8 @@ def finetune(
             help="Intrinsics of the images in pixels, instead of --focal-length.",
         ),
     ] = None,
+    points: Annotated[Path | None, typer.Option(help="Scans, see ssdnet-run.")] = None,
+    calibration: Annotated[Path | None, typer.Option(help="Calibration, see ssdnet-run.")] = None,
     out: Out,
     init: Begin = "ssdnet-lite",
     change: Changes = None,
@@ -109,6 +113,8 @@ def finetune(
             depth_scale=depth_scale,
             focal_length_px=focal_length,
             intrinsics=intrinsics,
+            points=points,
+            calibration=calibration,
             out=out,
             init=init,
             changes=change or (),

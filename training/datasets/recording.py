@@ -111,6 +111,7 @@ class RecordedFrames(FrameList):
         self._frames = list(frames)
         self._lines, self._has_lidar, self._lacking = lines, has_lidar, lacking
         self._weights = {} if semantic_weight is None else {"semantic": semantic_weight}
+        self.names = [frame.listed.name for frame in self._frames]
         listed = [frame.listed.image for frame in self._frames]
         self.images = [image for image in listed if isinstance(image, Path)]
         # See `Source.is_stream`.

@@ -8,6 +8,7 @@ import sys
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -23,13 +24,16 @@ from runtime.contract.contract import ClassInfo
 from runtime.contract.network_size import LARGEST_RATIO, network_size
 from runtime.files.atomic_write import atomic_write
 from runtime.files.read_input import MAX_FILE_BYTES, open_input, read_text, read_toml
-from runtime.recordings.images import image_size, read_rgb
+from runtime.recordings.images import image_size, list_files, read_rgb
+from runtime.recordings.registry import SOURCES
 from training.base.palette import Palette
 from training.base.tables import quoted, to_toml
 from training.datasets.class_list import read_class_list
 from training.datasets.class_names import relatives
 from training.datasets.folders import FoldersRecipe
 from training.datasets.listed_labels import read_labels
+from training.datasets.recording import RecordingRecipe, beside
+from training.fine_tuning.adaptation_frames import describe_recording, is_named
 from training.run.recipe import change
 from training.run.run_folder import folder_errors
 from training.scores.differences import LEAST_DRAWN
@@ -76,22 +80,45 @@ class OwnFolders:
     depth_scale: float | None = None
     focal_length_px: float | None = None
     intrinsics: tuple[float, float, float, float] | None = None
+    points: Path | None = None
+    calibration: Path | None = None
 
     def __post_init__(self) -> None:
         """Check that there is something to learn, and that the options go together."""
+        stated = (self.depth_scale, self.focal_length_px, self.intrinsics)
+        if self.recording and any(item is not None for item in stated):
+            raise InputError(
+                "--depth-scale, --focal-length and --intrinsics describe folders of depth maps: "
+                "state them in --calibration, or as keys of KIND:PATH,KEY=VALUE"
+            )
         if self.depth is None and self.depth_scale is not None:
             raise InputError("--depth-scale is the unit of --depth: give both, or neither")
         if self.focal_length_px is not None and self.intrinsics is not None:
             raise InputError("--focal-length and --intrinsics state the same: give one of them")
-        if self.labels is None and self.depth is None:
+        if self.labels is None and self.depth is None and self.recording is None:
             raise InputError("images alone teach nothing: give --labels with --classes, or --depth")
         if (self.labels is None) != (self.classes is None):
             raise InputError("labels are ids of classes: give --labels and --classes, or neither")
 
+    @cached_property
+    def recording(self) -> tuple[RecordingRecipe, Path] | None:
+        """A recording and the folder that holds it; None for folders of images and depth maps."""
+        path = self.images
+        others = [source for kind, source in SOURCES.items() if kind != "folders"]
+        if self.points or self.calibration or is_named(str(path)):
+            found = True
+        else:  # a folder of images may look like another kind, too
+            is_folder = path.is_dir() and SOURCES["folders"].accepts(path)
+            found = not is_folder and any(source.accepts(path) for source in others)
+        if not found:
+            return None
+        files = {name: getattr(self, name) for name in ("depth", "points", "calibration")}
+        return describe_recording(str(path), **files)
+
     @property
     def root(self) -> Path:
-        """The recipe's `--data`: the folder that holds the images' folder."""
-        return self.images.resolve().parent
+        """The recipe's `--data`: the folder that holds the images' folder, or the recording."""
+        return self.recording[1] if self.recording else self.images.resolve().parent
 
     def make_recipe(self, init: Weights, fold: int | None = None, folds: int = 0) -> str:
         """Return a recipe, as TOML, for a training that starts from `init`.
@@ -111,8 +138,9 @@ class OwnFolders:
         if folds == 1:
             raise InputError("--folds 1 leaves no frames to train on: give 2 or more, or none")
         classes, meaning = self._learned_classes()
-        keys = self._keys_of_folders() | meaning
-        frames = FoldersRecipe(**keys).open(self.images.resolve(), classes or "camvid")
+        keys = (self._keys_of_recording() or self._keys_of_folders()) | meaning
+        recipe = RecordingRecipe(**keys) if self.recording else FoldersRecipe(**keys)
+        frames = recipe.open(self.root / recipe.path, classes or "camvid")
         count = len(frames)
         if count < _LEAST_FRAMES:
             raise InputError(
@@ -122,11 +150,11 @@ class OwnFolders:
         if self.focal_length_px is not None:
             height, width = read_rgb(frames.images[0]).shape[:2]
             keys["intrinsics"] = (*[self.focal_length_px] * 2, (width - 1) / 2, (height - 1) / 2)
-        rows, fits_all = self._choose_rows(frames.images, init)
+        heights = [_read_height(path) for path in frames.images] or [frames[0].size[0]]
+        rows, fits_all = self._choose_rows(heights, init)
         if not fits_all:
             keys["size"] = rows
-        names = [path.stem for path in frames.images]
-        apart = _choose_apart(names, fold, folds)
+        apart = _choose_apart(frames.names, fold, folds)
         if not folds and count < _FEW_FRAMES:
             text = f"only {len(apart)} of {count} frames are kept apart, which say little: label "
             tqdm.write(
@@ -158,6 +186,25 @@ class OwnFolders:
             found[item.name] = tuple(dict.fromkeys(name for part in parts for name in part))
         return found
 
+    def _keys_of_recording(self) -> dict[str, Any]:
+        """Return the keys of the set, with its labelled frames; nothing for folders."""
+        if self.recording is None:
+            return {}
+        recording, root = self.recording
+        names = ("kind", "path", "source", "keys", "depth", "points", "calibration")
+        keys = {name: getattr(recording, name) for name in names if getattr(recording, name)}
+        if self.labels is not None:
+            path, labelled = root / recording.path, list_files(self.labels, (".png",))
+            listed = recording.open_source(path).list_frames()
+            keys["labels"] = os.path.relpath(self.labels.absolute(), beside(path))
+            keys["frames"] = tuple(each.sequence for each in listed if each.name in labelled)
+            if not keys["frames"]:
+                raise InputError(
+                    f"{self.labels}: no file is named like one of the {len(listed)} frames, such "
+                    f"as {listed[0].name}.png"
+                )
+        return keys
+
     def _keys_of_folders(self) -> dict[str, Any]:
         """Return the keys of the set: its folders, and what was stated."""
         # The set is the images' folder: a run's files beside it are not files of the data.
@@ -173,9 +220,8 @@ class OwnFolders:
         }
         return keys | {key: value for key, value in stated.items() if value is not None}
 
-    def _choose_rows(self, images: Sequence[Path], init: Weights) -> tuple[int, bool]:
+    def _choose_rows(self, heights: Sequence[int], init: Weights) -> tuple[int, bool]:
         """Return the rows [px] that the network is trained for, and whether all images fit them."""
-        heights = [_read_height(path) for path in images]
         rows, _ = network_size(
             None, (self._common_rows(heights),) * 2, trained_height=init.facts.trained_height
         )
@@ -203,7 +249,8 @@ def _describe(
     count: int,
 ) -> Iterator[str]:
     """Yield the lines of a recipe with the frames `apart` for validation."""
-    has_depth = "depth" in keys
+    has_depth = "depth" in keys or "kind" in keys
+    keys = {"kind": "folders"} | dict(keys)
     yield "[model]"
     if classes:
         yield "classes = ["
@@ -214,17 +261,17 @@ def _describe(
     yield f"trained_height = {rows}  # of the images [px]"
     yield "\n[data]"
     yield f"batch_size = {_BATCH}"
-    trained = [index for index in range(count) if index not in {*apart}]
+    trained = sorted({*range(count)} - {*apart})
     for table, chosen in (("data", trained), ("validation", apart)):
         if not chosen:
             continue
         if table == "validation" and has_depth:
             yield '\n[validation]\nlidar = "own"  # every second line is the input'
         yield f"\n[[{table}.source]]"
-        yield f'kind = "folders"\nname = "{"train" if table == "data" else "val"}"'
+        yield f'name = "{"train" if table == "data" else "val"}"'
         yield from (f"{key} = {quoted(value)}" for key, value in keys.items())
         yield f"parts = {_list_parts(chosen)}  # {len(chosen)} of {count} frames"
-        if has_depth and "intrinsics" not in keys:
+        if has_depth and keys["kind"] == "folders" and "intrinsics" not in keys:
             yield "# intrinsics = [721.5, 721.5, 609.6, 172.9]  # fx, fy, cx, cy of the camera [px]"
     steps = min(max(_PASSES * len(trained) // _BATCH, _MIN_STEPS), _MAX_STEPS)
     yield f"\n[schedule]\nsteps = {steps}  # of {_BATCH} frames"
@@ -232,8 +279,9 @@ def _describe(
 
 def _list_parts(indices: Sequence[int]) -> list[list[int]]:
     """Return the first and the last of each run of neighbours."""
-    starts = [index for index in indices if index - 1 not in {*indices}]
-    ends = [index for index in indices if index + 1 not in {*indices}]
+    held = {*indices}
+    starts = [index for index in indices if index - 1 not in held]
+    ends = [index for index in indices if index + 1 not in held]
     return [list(part) for part in zip(starts, ends, strict=True)]
 
 

@@ -245,3 +245,31 @@ def test_unit_and_camera_are_keys_of_the_recipe_that_a_dry_run_writes(mine, opti
     assert text.count(f"\n{expected}") == 2
     assert "# intrinsics" not in text or "scale" in expected
     assert not (mine / "run/model.pt").exists()
+
+
+def test_scans_give_the_depth_and_frames_without_labels_are_left_out(mine):
+    """The set is a recording, whose options are those of ssdnet-run."""
+    grid = np.mgrid[0:48:3, 0:64:3].reshape(2, -1).astype(np.float32)
+    points = np.stack([(grid[1] - 32) / 10, (grid[0] - 24) / 10, 0 * grid[0] + 5, 0 * grid[0]], 1)
+    (mine / "scans").mkdir()
+    for index in range(20):
+        points.astype(np.float32).tofile(mine / f"scans/{index:02}.bin")
+    eye = [[float(row == column) for column in range(4)] for row in range(4)]
+    camera = [[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]
+    (mine / "rig.toml").write_text(f"intrinsics = {camera}\nextrinsics = {eye}\n")
+    (mine / "labels/05.png").unlink()
+    given = {"points": "scans", "calibration": "rig.toml"}
+    result = train(mine, "--dry-run", "--set", "data.workers = 0", **given)
+    assert result.exit_code == 0, result.output
+    text = (mine / "run/recipe.toml").read_text()
+    assert 'kind = "recording"' in text
+    assert 'points = "../scans"' in text
+    assert "frames = [0, 1, 2, 3, 4, 6, 7," in text
+    assert "# 7 of 19 frames" in result.stderr
+    assert re.search(r"depth.* 5(\.0)? m|5\.0", result.stdout), result.stdout
+    refused = train(mine, "--dry-run", "--focal-length", "50", **given)
+    assert "state them in --calibration" in refused.stderr
+    for path in mine.glob("labels/*"):
+        path.rename(path.with_stem(f"label-{path.stem}"))
+    other = train(mine, "--dry-run", out="other", **given)
+    assert "no file is named like one of the 20 frames, such as 00.png" in other.stderr
