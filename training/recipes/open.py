@@ -50,7 +50,7 @@ _FAULTS = {"restyle": 0.5, "camera_fault": 0.25, "pair_camera_fault": 0.2}
 
 def _open(stage: Recipe, steps: int, widths: Sequence[int] = _PRUNED, **data: Any) -> Recipe:
     """Return a stage of lite with other data."""
-    config = {"canonical_focal_px": 721.5, "fused_start": True, "safe_start": True}
+    config = {"canonical_focal_px": 721.5, "fused_start": True}
     return derive(
         stage,
         terms=f"{pandaset_street.TERMS}; rendered scenes: this project's, Apache-2.0",
