@@ -6,7 +6,7 @@ given, in blocks of frames that did not choose it, is clear. Readings with about
 named together. Limits and measured values: docs/recordings.md.
 """
 
-from collections import defaultdict, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -28,7 +28,7 @@ NO_EVIDENCE, NOWHERE, NO_RETURNS = "no_evidence", "nowhere", "no_returns"
 # and 0.19 or more, on a motorway by night 0.11 and 0.00. In images with a sixteenth of the light,
 # with strong noise, or blurred, one of them is less.
 _LEAST_BOUNDARY, _LEAST_AGREEMENT = 0.1, 0.12
-_FITS = 0.75  # score from which far readings are not tried; right recordings have 0.6 to 1.5
+_FITS = 1.0  # score from which far readings are not tried; right recordings have 0.6 to 1.5
 _LEAST_RETURNS, _LEAST_RELIEF = 200, 0.01  # of a frame that is judged; of its log depth
 # Correlations of depth maps of different scenes are below these, as they are and without the mean
 # of each band of rows, in at least _KNOWN frames. Right returns have medians of at least 0.6 and
@@ -37,7 +37,6 @@ _ALIKE, _UNALIKE, _UNALIKE_IN_BANDS, _KNOWN = 0.5, 0.3, 0.2, 3
 _ERRORS = 2.0  # a gain is clear above so many of its standard errors
 _APART = 0.02  # readings whose gains differ by less are named together
 _MOST_NAMED = 3
-_LOST = -1.0  # gain of a reading in a frame where it was not tried, because the returns fit
 
 _Floats = NDArray[np.float64]
 
@@ -187,10 +186,7 @@ class Judge:
         )
         gains = {
             key: np.array(
-                [
-                    each.scores.get(key, each.fit.score + _LOST) - each.fit.score
-                    for each in self._seen
-                ]
+                [each.scores.get(key, each.fit.score) - each.fit.score for each in self._seen]
             )
             for key in dict.fromkeys(key for each in self._seen for key in each.scores)
         }
@@ -234,13 +230,17 @@ class Judge:
 def _evidence_fault(answers: Collection[Answer]) -> Finding | None:
     """Why nothing can be judged by these answers to images alone; None if it can."""
     boundary, agreement = np.median([each.evidence for each in answers], axis=0)
-    if boundary >= _LEAST_BOUNDARY and agreement >= _LEAST_AGREEMENT:
+    figures = {"strength of boundaries": float(boundary), "their fit to depth": float(agreement)}
+    doubts = Counter(doubt for each in answers for doubt in each.doubts)
+    figures |= {doubt: count / len(answers) for doubt, count in doubts.items()}
+    is_doubtful = 2 * sum(bool(each.doubts) for each in answers) > len(answers)
+    if boundary >= _LEAST_BOUNDARY and agreement >= _LEAST_AGREEMENT and not is_doubtful:
         return None
     return Finding(
         NO_EVIDENCE,
         "the images are too dark, blurred or noisy to judge returns and calibration by them",
         Severity.NOTE,
-        {"strength of boundaries": float(boundary), "their fit to depth": float(agreement)},
+        figures,
     )
 
 

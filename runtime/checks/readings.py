@@ -153,7 +153,7 @@ def _exchanged(view: View) -> Views:
 
 def _flipped(way: tuple[slice, ...], view: View) -> Views:
     answer = view.answer
-    yield "", replace(view, answer=Answer(answer.boundary[way], answer.log_depth[way]))
+    yield "", view.near(answer=Answer(answer.boundary[way], answer.log_depth[way]))
 
 
 def _changed_image(change: str, view: View) -> Views:
@@ -311,11 +311,13 @@ READINGS = (
         "mirrored",
         "the returns fit the mirrored image: the image or the depth is flipped left to right",
         partial(_flipped, np.s_[:, ::-1]),
+        is_far=False,
     ),
     Reading(
         "depth_upside_down",
         "the returns fit the image with its rows in reverse: turn over the rows of the depth maps",
         partial(_flipped, np.s_[::-1, :]),
+        is_far=False,
     ),
     Reading(
         "image_upside_down",

@@ -13,7 +13,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.contract.degraded import IMAGE_CONSTANT
+from runtime.contract.degraded import (
+    IMAGE_BLURRED,
+    IMAGE_CONSTANT,
+    IMAGE_DARK,
+    IMAGE_OVEREXPOSED,
+)
 from runtime.engine.prediction import Prediction
 from runtime.geometry.lens import Lens, cache_key, pixels_of_rays, ray_bounds, to_image_plane
 
@@ -28,6 +33,7 @@ _LINE_RAD, _ACROSS = 0.02, 8  # how near neighbours are along a scan line; acros
 _JUMP_M, _JUMP_SHARE = 0.5, 0.05  # a neighbour is farther by this, or by this share of the range
 _STEPS = (1, 2, 3)  # neighbours on a line that are compared
 
+_DOUBTS = IMAGE_BLURRED, IMAGE_DARK, IMAGE_OVEREXPOSED
 # Changes of an image to which `View.others` returns the answer.
 UPSIDE_DOWN, LEFT_HALF = "upside_down", "left_half"
 
@@ -42,10 +48,12 @@ class Answer:
     Attributes:
         boundary: float32 (H, W), probability.
         log_depth: float32 (H, W), logarithm of the depth in metres.
+        doubts: reasons of `Prediction.degraded` for which the image shows little.
     """
 
     boundary: NDArray[np.float32]
     log_depth: NDArray[np.float32]
+    doubts: tuple[str, ...] = ()
     _blurred: dict[float, NDArray[np.float32]] = field(default_factory=dict)
 
     @classmethod
@@ -59,7 +67,8 @@ class Answer:
         if IMAGE_CONSTANT in prediction.degraded:
             return None
         step = shrink_factor(depth.shape)
-        return cls(_shrunk(boundary, step), _shrunk(log_depth(depth), step))
+        doubts = tuple(each for each in _DOUBTS if each in prediction.degraded)
+        return cls(_shrunk(boundary, step), _shrunk(log_depth(depth), step), doubts)
 
     @cached_property
     def evidence(self) -> tuple[float, float]:

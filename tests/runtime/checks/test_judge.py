@@ -76,6 +76,10 @@ def test_nothing_is_judged_by_answers_without_evidence():
         return replace(view, answer=Answer(boundary, view.answer.log_depth))
 
     assert names([unrelated(view) for view in wrong]) == [NO_EVIDENCE]
+    dark = [replace(view, answer=replace(view.answer, doubts=("image_dark",))) for view in wrong]
+    (finding,) = judged(dark).findings
+    assert (finding.name, finding.evidence["image_dark"]) == (NO_EVIDENCE, 1)
+    assert names([*dark[:2], *wrong[2:]]) == ["unit"], "most frames count"
     depth_alone = [weakened(view, 0) for view in wrong]  # a model without boundaries
     assert names(depth_alone) == ["unit"]
 

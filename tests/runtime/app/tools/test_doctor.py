@@ -2,6 +2,7 @@
 
 import importlib
 import importlib.util
+import json
 import sys
 from importlib.metadata import version
 from types import SimpleNamespace
@@ -13,6 +14,7 @@ from typer.testing import CliRunner
 from runtime import Predictor, list_bundled_models
 from runtime.app.tools.doctor import app, examine, self_test
 from runtime.base.errors import ProviderError
+from runtime.checks.catalog import FINDINGS
 from runtime.command.machine import machine_facts
 
 
@@ -113,3 +115,9 @@ def test_a_self_test_that_cannot_run_is_a_fault(change_run):
     change_run(fail)
     assert self_test("ssdnet-nano", "cpu").status == "fault"
     assert "no bundled model" in self_test("unknown", "cpu").found
+
+
+def test_what_a_recording_can_be_found_to_be_is_listed_as_json():
+    result = CliRunner().invoke(app, ["--readings"])
+    assert result.exit_code == 0
+    assert json.loads(result.stdout) == FINDINGS
