@@ -53,6 +53,7 @@ class DriveFrame:
         rgb: uint8 (H, W, 3).
         points: the scan, float32 (N, 4).
         target: the depth that is scored, float32 (H, W) [m], 0 = none.
+        unfiltered: the same, also where the camera cannot see it.
         cars: bool (H, W).
         pose: pose of the LiDAR, (4, 4).
         calibration: calibration of both sensors.
@@ -61,6 +62,7 @@ class DriveFrame:
     rgb: NDArray[np.uint8]
     points: NDArray[np.float32]
     target: NDArray[np.float32]
+    unfiltered: NDArray[np.float32]
     cars: NDArray[np.bool_]
     pose: NDArray[np.float64]
     calibration: Calibration
@@ -76,18 +78,18 @@ def recorded_drive(data: Path) -> Iterator[DriveFrame]:
         rgb = read_rgb(path)
         size = rgb.shape[:2]
         whole, line = project_lines(points, calibration.intrinsics, calibration.extrinsics, size)
-        target = np.where(line % 2 == 1, whole, np.float32(0))
-        target = OcclusionFilter().apply(target, whole)
+        unfiltered = np.where(line % 2 == 1, whole, np.float32(0))
+        target = OcclusionFilter().apply(unfiltered, whole)
         classes = cv2.imread(
             str(drive / "pseudo_semantic" / f"{path.stem}.png"), cv2.IMREAD_UNCHANGED
         )
         cars = np.isin(classes, CARS)
-        yield DriveFrame(rgb, points, target, cars, poses[index], calibration)
+        yield DriveFrame(rgb, points, target, unfiltered, cars, poses[index], calibration)
 
 
-def rendered_drive(frames: int) -> Iterator[DriveFrame]:
+def rendered_drive(frames: int, seed: int = SEED) -> Iterator[DriveFrame]:
     """Yield frames of a rendered street with traffic; the target is dense."""
-    job = SceneJob(SEED, Variant.clone, frames, STEP_NS / 1e9, RENDERED_SIZE)
+    job = SceneJob(seed, Variant.clone, frames, STEP_NS / 1e9, RENDERED_SIZE)
     for frame in render_frames(job):
         world_from_camera = np.linalg.inv(frame.world_to_camera.astype(np.float64))
         to_camera = frame.scan.to_camera
@@ -96,7 +98,7 @@ def rendered_drive(frames: int) -> Iterator[DriveFrame]:
         target = np.where(frame.depth < 80, frame.depth, 0).astype(np.float32)
         pose = world_from_camera @ to_camera
         pose[3] = (0, 0, 0, 1)
-        yield DriveFrame(frame.rgb, frame.scan.points, target, cars, pose, calibration)
+        yield DriveFrame(frame.rgb, frame.scan.points, target, target, cars, pose, calibration)
 
 
 def moving_cars(frame: DriveFrame, before: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -160,15 +162,20 @@ def draw_returns(frames: list[DriveFrame]) -> NDArray[np.uint8]:
         ("scan before, as it is", before.points),
         ("moved by poses", compensate_points(before.points, 0, track, STEP_NS)),
     ):
-        panel = cv2.addWeighted(frame.rgb, 0.7, np.zeros_like(frame.rgb), 0.3, 0)
         depth = frame.calibration.project(points, frame.rgb.shape[:2])
-        near = 255 - np.clip(255 * np.log2(np.maximum(depth, 3) / 3) / 4.3, 0, 255).astype(np.uint8)
-        colors = cv2.cvtColor(cv2.applyColorMap(near, cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)
-        for row, column in np.argwhere(depth > 0):
-            cv2.circle(panel, (int(column), int(row)), 1, colors[row, column].tolist(), -1)
-        cv2.putText(panel, name, (12, 30), cv2.FONT_HERSHEY_SIMPLEX, 0.9, (255, 255, 255), 2)
-        panels.append(panel)
+        panels.append(draw_points(frame.rgb, depth, name))
     return np.concatenate(panels)
+
+
+def draw_points(rgb: NDArray[np.uint8], depth: NDArray[np.float32], name: str) -> NDArray[np.uint8]:
+    """Draw returns, float32 (H, W), on a darker picture with a title."""
+    panel = cv2.addWeighted(rgb, 0.7, np.zeros_like(rgb), 0.3, 0)
+    near = 255 - np.clip(255 * np.log2(np.maximum(depth, 3) / 3) / 4.3, 0, 255).astype(np.uint8)
+    colors = cv2.cvtColor(cv2.applyColorMap(near, cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)
+    for row, column in np.argwhere(depth > 0):
+        cv2.circle(panel, (int(column), int(row)), 1, colors[row, column].tolist(), -1)
+    cv2.putText(panel, name, (12, 30), cv2.FONT_HERSHEY_SIMPLEX, 0.9, (255, 255, 255), 2)
+    return np.asarray(panel, np.uint8)
 
 
 def main() -> None:

@@ -138,6 +138,8 @@ def status_fields(
             "frame": result.name,
             **{stage: f"{ms:.3f}" for stage, ms in vars(prediction.latency).items()},
             "depth_returns": str(prediction.depth_returns),
+            "memory_returns": str(result.memory_returns),
+            "memory_off": result.memory_off,
             "depth_cleaned": str(prediction.cleaned.total),
         }
     if state is not None:
