@@ -93,7 +93,7 @@ class ScanMemory {
     std::size_t pixel;
     float depth;
   };
-  static constexpr double kLeastWay = 0.3, kMostGaps = 4.0, kMostApart = 0.02, kMostRejected = 0.5, kWeight = 0.2;
+  static constexpr double kLeastWay = 0.3, kMostGaps = 4.0, kMostApart = 0.01, kMostRejected = 0.5, kWeight = 0.2;
   static constexpr std::size_t kScans = 10, kPoints = 20000, kLeastBeside = 20;
   static constexpr float kTolerance = 1.03f, kHidingShare = 0.9f;
   static constexpr int kCell = 4, kLineRows = 1, kHiding = 2;

@@ -37,7 +37,7 @@ _MOST_GAPS = 4.0  # a scan line bounds what is at most so many gaps between line
 _HIDING_PX, _HIDING_SHARE = 2, 0.9
 # What the figures of poses are, see `_Guard`.
 _LEAST_BESIDE, _WEIGHT = 20, 0.2
-_MOST_APART, _MOST_REJECTED = 0.02, 0.5
+_MOST_APART, _MOST_REJECTED = 0.01, 0.5
 _PAUSE_S = 5.0
 
 # Names of the classes of what may move.
