@@ -173,10 +173,11 @@ class ScanMemory {
     for (std::size_t i = 0; i < nearest.size(); ++i) nearest[i] = present_[i] > 0 ? present_[i] : INFINITY;
     for (const Seen& each : allowed) nearest[each.pixel] = std::min(nearest[each.pixel], each.depth);
     const auto width = static_cast<std::size_t>(camera.width);
+    const int hiding = std::min(std::max(static_cast<int>(std::nearbyint(gap_ / 2)), 2), 8);
     for (const Seen& each : allowed) {  // not behind what lies beside it
       const int row = static_cast<int>(each.pixel / width), column = static_cast<int>(each.pixel % width);
       float around = INFINITY;
-      for (int r = std::max(0, row - kHiding); r <= std::min(camera.height - 1, row + kHiding); ++r)
+      for (int r = std::max(0, row - hiding); r <= std::min(camera.height - 1, row + hiding); ++r)
         for (int c = std::max(0, column - kHiding); c <= std::min(camera.width - 1, column + kHiding); ++c)
           around = std::min(around, nearest[static_cast<std::size_t>(r) * width + static_cast<std::size_t>(c)]);
       if (!(around < kHidingShare * nearest[each.pixel])) returns_[each.pixel] = nearest[each.pixel];

@@ -34,7 +34,8 @@ _CELL = 4  # columns of a cell of the gate, which compares with this cell and on
 _LINE_ROWS = 1  # rows above and below a return that belong to its scan line
 _MOST_GAPS = 4.0  # a scan line bounds what is at most so many gaps between lines from it
 # A remembered return is dropped if one within so many pixels has less than this share of its depth.
-_HIDING_PX, _HIDING_SHARE = 2, 0.9
+_HIDING_COLUMNS, _HIDING_SHARE = 2, 0.9
+_HIDING_ROWS = (2, 8)  # half the rows between two lines, within these
 # What the figures of poses are, see `_Guard`.
 _LEAST_BESIDE, _WEIGHT = 20, 0.2
 _MOST_APART, _MOST_REJECTED = 0.01, 0.5
@@ -220,7 +221,8 @@ class ScanMemory:
         apart = np.abs(np.log(depth.take(beside) / own.take(beside)))
         free = np.flatnonzero(own <= 0)
         pixel, depth = pixel.take(free), depth.take(free)
-        bounded, between = bounds_of(present, pixel, depth)
+        lines = ScanLines.of(present)
+        bounded, between = lines.bounds(pixel, depth)
         allowed = np.flatnonzero(bounded & between)
         count = np.count_nonzero(bounded)
         rejected = 1 - len(allowed) / count if count else None
@@ -228,49 +230,19 @@ class ScanMemory:
             return Remembered(returns, rejected_share=rejected, off=self._guard.off)
         pixel, nearest = pixel.take(allowed), np.where(present > 0, present, np.float32(np.inf))
         _keep_least(nearest, pixel, depth.take(allowed))
-        side = 2 * _HIDING_PX + 1
-        around = cv2.erode(nearest, np.ones((side, side), np.uint8)).reshape(-1).take(pixel)
+        rows = int(np.clip(round(lines.gap / 2), *_HIDING_ROWS))
+        window = np.ones((2 * rows + 1, 2 * _HIDING_COLUMNS + 1), np.uint8)
+        around = cv2.erode(nearest, window).reshape(-1).take(pixel)
         depth = nearest.reshape(-1).take(pixel)
         returns.reshape(-1)[pixel] = np.where(around < _HIDING_SHARE * depth, 0, depth)
         return Remembered(returns, int(np.count_nonzero(returns > 0)), rejected)
 
 
-def bounds_of(
-    present: Depth, pixel: NDArray[np.int64], depth: Depth
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return where present returns bound a depth, and where it lies between them, bool (N,) each.
+class ScanLines(NamedTuple):
+    """The scan lines of a depth map at each row and cell of columns, arrays (H, cells).
 
     Rows that have returns in the three cells of columns around a pixel form scan lines; rows beside
-    each other are one line. The pixel's own line, the next one above and the next one below bound
-    its depth, if its own line or both others are there.
-
-    Args:
-        present: float32 (H, W), metres, 0 = no return.
-        pixel: row * W + column of each depth.
-        depth: float32 (N,), metres.
-    """
-    height, width = present.shape
-    lines = _Lines.of(present)
-    row, column = np.divmod(pixel, width)
-    cells = lines.nearest.shape[1]
-    cell = column // _CELL
-    at = row * cells + cell
-    above, below = (each.take(at).astype(np.int64) for each in (lines.above, lines.below))
-    most = _MOST_GAPS * lines.gap
-    has_above, has_below = (above >= 0) & (row - above <= most), (below < height)
-    has_below &= below - row <= most
-    least, greatest = lines.nearest.take(at), lines.farthest.take(at)
-    is_on_line = greatest > 0
-    for there, line in ((has_above, above), (has_below, below)):
-        bound = np.where(there, line * cells + cell, at)
-        least = np.minimum(least, lines.nearest.take(bound))
-        greatest = np.maximum(greatest, lines.farthest.take(bound))
-    is_between = (depth * _TOLERANCE > least) & (depth < greatest * _TOLERANCE)
-    return is_on_line | (has_above & has_below), np.asarray(is_between)
-
-
-class _Lines(NamedTuple):
-    """The scan lines at each row and cell of columns, arrays (H, cells).
+    each other are one line.
 
     Attributes:
         nearest: depth of the nearest return of the line at the cell; infinite = no line.
@@ -278,6 +250,7 @@ class _Lines(NamedTuple):
         above: a row of the next line above the cell's own line; -1 = none.
         below: a row of the next line below; H = none.
         gap: rows between two lines, the median of the picture.
+        width: columns of the picture.
     """
 
     nearest: Depth
@@ -285,9 +258,11 @@ class _Lines(NamedTuple):
     above: NDArray[np.int16]
     below: NDArray[np.int16]
     gap: float
+    width: int
 
     @classmethod
-    def of(cls, present: Depth) -> "_Lines":
+    def of(cls, present: Depth) -> "ScanLines":
+        """Find the lines of `present`, float32 (H, W), metres, 0 = no return."""
         height, width = present.shape
         cells = -(-width // _CELL)
         pixel = np.flatnonzero(present > 0)
@@ -309,7 +284,36 @@ class _Lines(NamedTuple):
         # Rows of a line have the next lines of the rows where it starts and ends.
         above = np.maximum.accumulate(np.where(has, np.int16(-1), above), axis=0)
         below = np.minimum.accumulate(np.where(has, np.int16(height), below)[::-1], axis=0)[::-1]
-        return cls(nearest, farthest, above, below, gap)
+        return cls(nearest, farthest, above, below, gap, width)
+
+    def bounds(
+        self, pixel: NDArray[np.int64], depth: Depth
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return where present returns bound a depth, and where it lies between them, bool (N,).
+
+        The pixel's own line, the next one above and the next one below bound its depth, if its own
+        line or both others are there.
+
+        Args:
+            pixel: row * W + column of each depth.
+            depth: float32 (N,), metres.
+        """
+        row, column = np.divmod(pixel, self.width)
+        height, cells = self.nearest.shape
+        cell = column // _CELL
+        at = row * cells + cell
+        above, below = (each.take(at).astype(np.int64) for each in (self.above, self.below))
+        most = _MOST_GAPS * self.gap
+        has_above = (above >= 0) & (row - above <= most)
+        has_below = (below < height) & (below - row <= most)
+        least, greatest = self.nearest.take(at), self.farthest.take(at)
+        is_on_line = greatest > 0
+        for there, line in ((has_above, above), (has_below, below)):
+            bound = np.where(there, line * cells + cell, at)
+            least = np.minimum(least, self.nearest.take(bound))
+            greatest = np.maximum(greatest, self.farthest.take(bound))
+        is_between = (depth * _TOLERANCE > least) & (depth < greatest * _TOLERANCE)
+        return is_on_line | (has_above & has_below), np.asarray(is_between)
 
 
 def _keep_least(array: Depth, at: NDArray[np.int64], values: Depth) -> None:

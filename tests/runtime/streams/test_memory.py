@@ -6,7 +6,7 @@ import pytest
 from drive_to_wall import CALIBRATION, PERIOD_NS, SIZE, pose, scan, true_depth
 from runtime.base.errors import InputError
 from runtime.geometry.calibration import Calibration
-from runtime.streams.memory import ScanMemory, bounds_of
+from runtime.streams.memory import ScanLines, ScanMemory
 
 
 def drive(memory, count, *, first=0, late_ns=0, speed_m=1.0, calibration=CALIBRATION, poses=pose):
@@ -19,7 +19,7 @@ def drive(memory, count, *, first=0, late_ns=0, speed_m=1.0, calibration=CALIBRA
 
 
 def slowly_allowed(present, row, column, depth):
-    """`bounds_of` for one pixel, written out."""
+    """`ScanLines.bounds` for one pixel, written out."""
     height, width = present.shape
     first = max(0, 4 * (column // 4) - 4)
     strips = [slice(max(0, 4 * cell - 4), 4 * cell + 8) for cell in range(-(-width // 4))]
@@ -63,7 +63,7 @@ def test_the_gate_is_that_of_the_slow_reference(kind):
     present = present.astype(np.float32)
     pixel = rng.integers(0, present.size, 200)
     depth = rng.uniform(3, 9, 200).astype(np.float32)
-    allowed = np.logical_and(*bounds_of(present, pixel, depth))
+    allowed = np.logical_and(*ScanLines.of(present).bounds(pixel, depth))
     expected = [
         slowly_allowed(present, *divmod(p, 50), d) for p, d in zip(pixel, depth, strict=True)
     ]
