@@ -1,11 +1,21 @@
-"""Options that several commands share."""
+"""Options that several commands share, and commands whose options are the fields of a class."""
 
+import dataclasses
+import inspect
+from collections.abc import Callable, Collection, Mapping
 from enum import StrEnum
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
+from typer.core import TyperCommand
 
 import runtime
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+_Command = Callable[..., None]
+_Options = TypeVar("_Options", bound="DataclassInstance")
 
 
 class Provider(StrEnum):
@@ -30,3 +40,87 @@ Version = Annotated[
     bool,
     typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version."),
 ]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Given:
+    """What a command takes for a field: its option, the type there, and how the value is read."""
+
+    info: Any
+    type: Any
+    read: Callable[[Any], Any]
+
+
+def option_group(title: str | None = None) -> Callable[..., Any]:
+    """Return a function that defines a field as an option, in this group of --help.
+
+    It takes the help, the names on the command line, and what `kind` (typer.Option or
+    typer.Argument) takes. `given` is the type on the command line, if it is not that of the field,
+    and `read` makes the field's value of it; such an option that is not given has the field's
+    default.
+    """
+
+    def option(
+        text: str,
+        *names: str,
+        default: Any = None,
+        kind: Callable[..., Any] = typer.Option,
+        given: Any = None,
+        read: Callable[[Any], Any] = lambda value: value,
+        **settings: Any,
+    ) -> Any:
+        info = kind(*names, help=text, rich_help_panel=title, **settings)
+        return dataclasses.field(default=default, metadata={_Given: _Given(info, given, read)})
+
+    return option
+
+
+def with_options(options: type, names: Collection[str] = ()) -> Callable[[_Command], _Command]:
+    """Give typer a parameter for each field of a class; the command takes them as **given.
+
+    `names` are the names of the fields; empty: all that are options.
+    """
+
+    def decorate(command: _Command) -> _Command:
+        shown = []
+        for field in dataclasses.fields(options):
+            given = field.metadata.get(_Given)
+            if given is None or (names and field.name not in names):
+                continue
+            default = None if given.type is not None else field.default
+            shown.append(
+                inspect.Parameter(
+                    field.name,
+                    inspect.Parameter.KEYWORD_ONLY,
+                    default=inspect.Parameter.empty if default is dataclasses.MISSING else default,
+                    annotation=Annotated[given.type or field.type, given.info],
+                )
+            )
+        shown += list(inspect.signature(command).parameters.values())[:-1]
+        command.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
+        command.__annotations__ = {each.name: each.annotation for each in shown}
+        return command
+
+    return decorate
+
+
+def read_options(options: type[_Options], given: Mapping[str, Any], **others: Any) -> _Options:
+    """Make an object of a class with options from what its command was given, and from others."""
+    for field in dataclasses.fields(options):
+        if (value := given.get(field.name)) is not None:
+            others[field.name] = field.metadata[_Given].read(value)
+    return options(**others)
+
+
+class GroupedCommand(TyperCommand):
+    """A command whose --help shows the options by their `rich_help_panel`, as plain text."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        groups: dict[str, list[tuple[str, str]]] = {}
+        for parameter in self.get_params(ctx):
+            if (row := parameter.get_help_record(ctx)) is not None:
+                title = getattr(parameter, "rich_help_panel", None) or "Other"
+                groups.setdefault(title, []).append(row)
+        for title, rows in groups.items():
+            with formatter.section(title):
+                formatter.write_dl(rows)

@@ -6,9 +6,7 @@ import typer
 
 # PASCAL VOC's, in the order of the ids, or those of a table in `models.CLASS_TABLES`.
 Palette = Literal["voc", "camvid", "cityscapes", "virtual_kitti"]
-PaletteOption = Annotated[
-    Palette | None,
-    typer.Option(
-        help="Colours of labels: PASCAL VOC's in the order of the ids, or those of a table by name."
-    ),
-]
+PALETTE_HELP = (
+    "Colours of labels: PASCAL VOC's in the order of the ids, or those of a table by name."
+)
+PaletteOption = Annotated[Palette | None, typer.Option(help=PALETTE_HELP)]

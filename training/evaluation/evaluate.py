@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from runtime.base.errors import InputError
 from runtime.contract.network_size import NetworkSize
@@ -11,8 +12,10 @@ from runtime.engine.bundled_models import find_model, list_bundled_models
 from training.datasets.source_recipe import SourceRecipe
 from training.evaluation.classical import METHODS
 from training.evaluation.open_model import open_method, open_predictions, open_scored_model
-from training.evaluation.options import EvaluationOptions, Fault
+from training.evaluation.options import EvaluationOptions
+from training.lidar.faults import LidarFault
 from training.lidar.split import LidarInput
+from training.loading.camera_faults import CameraFault
 from training.pages.worst_frames import WorstFrame, draw_worst
 from training.run.finished_run import EvaluatedRun, read_run
 from training.scores.differences import LEAST_SCORED, Difference, compare
@@ -22,6 +25,8 @@ from training.scores.score_report import Row, format_differences, format_table
 from training.scores.score_set import Result, score_sets
 from training.scores.scored_model import ScoredModel
 from training.scores.shared_classes import draft_join
+
+Fault = Literal["none"] | LidarFault | CameraFault
 
 
 @dataclass(frozen=True)
@@ -104,22 +109,7 @@ def evaluate(
         InputError: if an argument is invalid, if a LiDAR feeds the depth to score, if labels have
             no names where the models' classes differ, or if no set can give any of the LiDARs.
     """
-    return score_models(
-        EvaluationOptions(
-            models=models,
-            data=data,
-            lidars=lidars,
-            faults=faults,
-            predictions=predictions,
-            adapters=adapters,
-            join=join,
-            device=device,
-            threads=threads,
-            size=size,
-            limit=limit,
-            farthest_m=farthest_m,
-        )
-    )
+    return score_models(EvaluationOptions(**locals()))  # fields and arguments have the same names
 
 
 def score_models(options: EvaluationOptions) -> Evaluation:
@@ -154,13 +144,9 @@ def score_models(options: EvaluationOptions) -> Evaluation:
             limit=options.limit,
             farthest_m=options.farthest_m or farthest_m,
         )
-        results = score_sets(
-            models,
-            opened,
-            options.feeds(lidar),
-            save=options.depth_folder,
-            leave_out_fed=options.leave_out_fed,
-        )
+        inputs = dict.fromkeys(options.inputs or [LidarInput.parse(lidar)])
+        feeds = [(each, fault) for each in inputs for fault in dict.fromkeys(options.faults)]
+        results = score_sets(models, opened, feeds, save=options.depth_folder)
         worst = list(draw_worst(results, models, opened)) if options.page is not None else ()
         draft = _draft(options, sets, first, results, models)
         return Evaluation(results, compare(results), worst, draft)

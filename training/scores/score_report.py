@@ -1,13 +1,10 @@
 """The rows of an evaluation as a table and as JSON."""
 
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from runtime.files.atomic_write import atomic_write
 from training.scores.depth_regions import RETURN_DISTANCES
 from training.scores.metrics import FARTHEST_M, RANGES_M
 from training.scores.scoring import scored_classes
@@ -285,14 +282,13 @@ def _markdown(cells: Sequence[Sequence[str]], keys: int, width: int | None) -> l
     return lines
 
 
-def write_json(rows: Sequence[Row], path: Path, differences: "Sequence[Difference]" = ()) -> None:
-    """Write every figure of every row; a figure for which nothing was measured is null.
+def list_figures(
+    rows: Sequence[Row], differences: "Sequence[Difference]" = ()
+) -> list[dict[str, Any]]:
+    """Return every figure of every row for JSON; a figure for which nothing was measured is null.
 
     A row whose model was compared has "differences", with value, low, high and verdict of each
     figure, and "against", the model with which it was compared.
-
-    Raises:
-        OutputError: if the file cannot be written.
     """
     documents = []
     for row in rows:
@@ -305,7 +301,7 @@ def write_json(rows: Sequence[Row], path: Path, differences: "Sequence[Differenc
                     for figure, each in item.figures.items()
                 }
         documents.append(_without_nan(document))
-    atomic_write(path, json.dumps(documents, indent=2, allow_nan=False).encode())
+    return documents
 
 
 def _without_nan(value: Any) -> Any:

@@ -1,58 +1,17 @@
 """`ssdnet-run`: the command line of `runtime.app.run.run`."""
 
 import contextlib
-import dataclasses
-import inspect
-from collections.abc import Callable, Collection
-from typing import Annotated, Any
+from typing import Any
 
 import typer
-from typer.core import TyperCommand
 
-from runtime.app.run.options import OPTION, RunOptions, UsageError
+from runtime.app.run.options import RunOptions, UsageError
 from runtime.app.run.run import OnRecord, run
 from runtime.app.run.run_report import describe_run, list_results
-from runtime.command.options import Version
+from runtime.command.options import GroupedCommand, Version, with_options
 from runtime.command.process import print_result, progress_bar, reported_errors
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
-
-
-class GroupedCommand(TyperCommand):
-    """A command whose --help shows the options by their `rich_help_panel`, as plain text."""
-
-    def format_options(self, ctx: Any, formatter: Any) -> None:
-        groups: dict[str, list[tuple[str, str]]] = {}
-        for parameter in self.get_params(ctx):
-            if (row := parameter.get_help_record(ctx)) is not None:
-                title = getattr(parameter, "rich_help_panel", None) or "Other"
-                groups.setdefault(title, []).append(row)
-        for title, rows in groups.items():
-            with formatter.section(title):
-                formatter.write_dl(rows)
-
-
-def with_run_options(
-    command: Callable[..., None], names: Collection[str] | None = None
-) -> Callable[..., None]:
-    """Give typer a parameter for each field of `RunOptions`; the command takes them as **given.
-
-    `names` are the names of the fields; None takes all.
-    """
-    shown = [
-        inspect.Parameter(
-            field.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=field.default,
-            annotation=Annotated[field.type, field.metadata[OPTION]],
-        )
-        for field in dataclasses.fields(RunOptions)
-        if field.init and (names is None or field.name in names)
-    ]
-    shown += list(inspect.signature(command).parameters.values())[:-1]
-    command.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
-    command.__annotations__ = {each.name: each.annotation for each in shown}
-    return command
 
 
 @app.command(
@@ -63,7 +22,7 @@ def with_run_options(
     "--fail-on was found; 130 stopped by Ctrl-C, SIGTERM or SIGHUP before the first frame. If "
     "several apply, 5 comes before 4, and 4 before 3.",
 )
-@with_run_options
+@with_options(RunOptions)
 def main(
     *,
     _version: Version = False,

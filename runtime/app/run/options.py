@@ -20,7 +20,7 @@ from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 from runtime.checks.catalog import FINDINGS
-from runtime.command.options import Provider
+from runtime.command.options import Provider, option_group
 from runtime.contract.contract import MAX_FOCAL_PX, MAX_PIXELS, MIN_FOCAL_PX
 from runtime.contract.heads import HEADS, Head
 from runtime.contract.network_size import NetworkSize, parse_network_size
@@ -60,32 +60,15 @@ MAX_OVERLAY_WIDTH = 8192  # five such panels side by side fit into a JPEG
 FILE_SUFFIXES = {"video": ".mp4", "page": ".html", "mcap": ".mcap"}
 MCAP_VOXEL_M = 0.1  # side of the cubes of --mcap, unless --cloud-voxel is given
 DEFAULT_RATE_HZ = 10.0  # for frames without stamps: the rate of a LiDAR
-OPTION = "option"  # key of a field's metadata that holds the option of the command
 _RIG_OPTIONS = ("calibration", "max_skew_ms", "reuse_depth_ms")  # attributes of the `Rig`
 _OUT = Path("ssdnet-run")
 
 
-def _group(title: str) -> Callable[..., Any]:
-    """Return a function that defines a field as an option in this group of --help."""
-
-    def option(text: str, *names: str, default: Any = None, **settings: Any) -> Any:
-        info = typer.Option(*names, help=text, rich_help_panel=title, **settings)
-        return dataclasses.field(default=default, metadata={OPTION: info})
-
-    return option
-
-
 # In the order of the groups in --help.
-_input, _outputs, _model, _timing = map(_group, ("Input", "Outputs", "Model", "Timing"))
+_input, _outputs, _model, _timing = map(option_group, ("Input", "Outputs", "Model", "Timing"))
 
 
 _KEYS = "; ".join(f"{kind} ({', '.join(keys_of(kind))})" for kind in SOURCES)
-_PATH = typer.Argument(
-    metavar="PATH",
-    help=f"Recording to read: {'; '.join(kind.accepted for kind in SOURCES.values())}. The kind is "
-    "found from the files.",
-    rich_help_panel="Input",
-)
 
 
 class UsageError(InputError):
@@ -114,7 +97,12 @@ class RunOptions:
             missing.
     """
 
-    path: Path | None = dataclasses.field(default=None, metadata={OPTION: _PATH})
+    path: Path | None = _input(
+        f"Recording to read: {'; '.join(kind.accepted for kind in SOURCES.values())}. The kind is "
+        "found from the files.",
+        kind=typer.Argument,
+        metavar="PATH",
+    )
     rgb: Path | None = _input(
         f"Folder of the images (PNG or JPEG, at most {MAX_PIXELS // 10**6} megapixels)."
     )

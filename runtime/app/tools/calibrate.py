@@ -1,18 +1,16 @@
 """`ssdnet-calibrate`: whether a calibration is right, without a target; see `runtime.calibrate`."""
 
-import functools
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from runtime.alignment.calibrate import CalibrationResult, Verdict, calibrate
-from runtime.app.run.cli import GroupedCommand, with_run_options
 from runtime.app.run.options import RunOptions, UsageError
 from runtime.app.tools.alignment_picture import draw_alignment
 from runtime.app.tools.calibration_file import format_static_transform, format_toml
 from runtime.base.errors import InputError
-from runtime.command.options import Threads, Version
+from runtime.command.options import GroupedCommand, Threads, Version, with_options
 from runtime.command.process import print_result, progress_bar, reported_errors, stop_requested
 from runtime.drawing.encode import encode_jpeg, encode_png
 from runtime.engine.predictor import Predictor
@@ -35,7 +33,7 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
     "3 the frames do not show it; 4 it is off, or something else than its rotation is wrong; 130 "
     "stopped by Ctrl-C, SIGTERM or SIGHUP.",
 )
-@functools.partial(with_run_options, names=_READ)
+@with_options(RunOptions, _READ)
 def main(
     *,
     frames: Annotated[

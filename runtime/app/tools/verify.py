@@ -1,6 +1,5 @@
 """`ssdnet-verify`: predict the frames of a reference again, and compare the answers."""
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -10,12 +9,12 @@ from typing import Annotated, Any
 import typer
 
 from runtime.base.arguments import shown
+from runtime.command.json_file import STDOUT, require_json, write_json
 from runtime.command.options import Provider, Threads, Version
 from runtime.command.process import print_result, reported_errors
 from runtime.contract.agreement import figure_name
 from runtime.contract.heads import HEADS
 from runtime.engine.predictor import Predictor
-from runtime.files.atomic_write import atomic_write, require_writable
 from runtime.verification.reference import read_reference
 from runtime.verification.unpack import MANIFEST_FILE, unpack
 from runtime.verification.verify import VerifyReport, verify
@@ -101,10 +100,8 @@ def main(
     tolerances = _tolerances(tolerance or [])
     if unpack_dir is not None and model is not None:
         raise typer.BadParameter("--unpack writes the recorded answers: leave out --model")
-    prints = json_file == Path("-")
     with reported_errors("cpu"):
-        if json_file is not None and not prints:
-            require_writable(json_file, overwrite=overwrite)
+        require_json(json_file, overwrite=overwrite)
         reference = read_reference(reference_dir)
         with Predictor(
             reference.model if model is None else model,
@@ -126,10 +123,9 @@ def main(
                 max_slowdown=max_slowdown,
                 max_latency_ms=max_latency_ms,
             )
-        document = json.dumps(_to_json(report, predictor), indent=1, allow_nan=False)
-        if json_file is not None and not prints:
-            atomic_write(json_file, f"{document}\n".encode(), overwrite=overwrite)
-        print_result(document if prints else _table(report, predictor))
+        write_json(json_file, _to_json(report, predictor), overwrite=overwrite)
+        if json_file != STDOUT:
+            print_result(_table(report, predictor))
         raise typer.Exit(0 if report.passed else DIFFERS)
 
 

@@ -51,7 +51,7 @@ def scored(tmp_path):
     """Run the command, which must succeed; returns the rows and the output."""
 
     def score(*arguments):
-        result = run(*arguments, "--json", tmp_path / "rows.json")
+        result = run(*arguments, "--json", tmp_path / "rows.json", "--overwrite")
         assert result.exit_code == 0, result.output
         return json.loads((tmp_path / "rows.json").read_text()), result.output
 
@@ -124,6 +124,17 @@ def test_methods_are_scored_by_name_and_need_no_model(folder, scored):
     unknown = run("ip_basic", *data)
     assert unknown.exit_code == 1
     assert all(name in unknown.output for name in ("ssdnet-lite", *METHODS))
+
+
+def test_a_document_is_printed_alone_or_written_and_never_replaced_unasked(folder, tmp_path):
+    command = ["nearest", "--data", f"rendered:{folder}/scenes", "--limit", 1, "--json"]
+    (row,) = json.loads(run(*command, "-").stdout)
+    file = tmp_path / "rows.json"
+    assert run(*command, file).exit_code == 0
+    assert json.loads(file.read_text())[0]["figures"] == row["figures"]
+    file.write_text("mine")
+    assert run(*command, file).exit_code == 1
+    assert file.read_text() == "mine"
 
 
 def write_folders(root):

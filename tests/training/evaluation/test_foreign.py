@@ -110,7 +110,7 @@ def test_a_network_without_metadata_scores_as_natively(folder, tmp_path):
             assert inverse[key] == pytest.approx(native[key], rel=1e-5), key
     adapter(folder, "inverse", "depth")  # a wrong adapter shows
     command = [folder / "inverse.onnx", "--data", data, "--lidar", "64"]
-    assert run(*command, "--json", tmp_path / "rows.json").exit_code == 0
+    assert run(*command, "--json", tmp_path / "rows.json", "--overwrite").exit_code == 0
     (wrong,) = json.loads((tmp_path / "rows.json").read_text())
     assert wrong["figures"]["mae_m"] > 2 * rows[0]["figures"]["mae_m"]
 
@@ -203,13 +203,14 @@ def test_numbers_are_no_names_of_classes(tmp_path):
 def test_depth_of_an_exporter_opens_with_three_lines(tmp_path):
     data, path = red(tmp_path), tmp_path / "depth.onnx"
     by_hand(path, shape=(32, 64), output=TensorProto.FLOAT)
-    command = [path, "--data", data, "--lidar", "none", "--json", tmp_path / "rows.json"]
+    json_file = tmp_path / "rows.json"
+    command = [path, "--data", data, "--lidar", "none", "--json", json_file, "--overwrite"]
     for scale, mae_m in ((1, 0), (2, 0.75)):
         lines = ['normalize = "0..1"', 'depth = "output0"', f"depth_scale = {scale}"]
         path.with_suffix(".toml").write_text("\n".join(lines))
         result = run(*command)
         assert result.exit_code == 0, result.output
-        (row,) = json.loads((tmp_path / "rows.json").read_text())
+        (row,) = json.loads(json_file.read_text())
         assert row["figures"]["mae_m"] == pytest.approx(mae_m)
 
 

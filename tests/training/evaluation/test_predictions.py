@@ -31,7 +31,7 @@ def data(tmp_path):
 @pytest.fixture
 def rows(tmp_path):
     def score(*arguments):
-        result = run(*arguments, "--json", tmp_path / "rows.json")
+        result = run(*arguments, "--json", tmp_path / "rows.json", "--overwrite")
         assert result.exit_code == 0, result.output
         return json.loads((tmp_path / "rows.json").read_text()), result.output
 
