@@ -1,12 +1,12 @@
 """`ssdnet-export`: a checkpoint in, one verified ONNX file out."""
 
-from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from export.precision import ENOUGH_FRAMES, LEAST_FRAMES, MAX_DROP_MIOU, MAX_RISE_MAE, Precision
-from runtime.command.options import Version
+from export.options import ExportOptions
+from export.precision import ENOUGH_FRAMES, Precision
+from runtime.command.options import Version, read_options, with_options
 from runtime.command.process import reported_errors, stop_requested
 from runtime.contract.contract import MIN_SIDE, Contract
 
@@ -23,11 +23,9 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
 
 @app.command(epilog="Exit codes: 0 done; 1 error, nothing was written; 2 usage.")
+@with_options(ExportOptions)
 def export(
-    checkpoint: Annotated[
-        Path, typer.Argument(help="Checkpoint written by ssdnet-train, or the folder of its run.")
-    ],
-    model: Annotated[Path, typer.Argument(help="ONNX file to write.")],
+    *,
     height: Annotated[
         int | None,
         typer.Option(
@@ -39,88 +37,20 @@ def export(
     width: Annotated[
         int | None, typer.Option(min=MIN_SIDE, help="Width that goes with --height. [default: any]")
     ] = None,
-    dynamic: Annotated[
-        bool,
-        typer.Option(
-            "--dynamic",
-            help="Accept images of any size although --height and --width are given, the size at "
-            "which the file is verified.",
-        ),
-    ] = False,
-    opset: Annotated[int, typer.Option(min=18, help="ONNX operator set.")] = 18,
-    with_logits: Annotated[
-        bool, typer.Option("--with-logits", help="Add the class scores to the outputs.")
-    ] = False,
-    record_dir: Annotated[
-        Path | None,
-        typer.Option(
-            "--record",
-            metavar="DIR",
-            help="Folder for a reference of PyTorch's answers: ssdnet-verify then repeats the "
-            "comparison on the target, without PyTorch.",
-        ),
-    ] = None,
-    triton_dir: Annotated[
-        Path | None,
-        typer.Option(
-            "--triton", metavar="DIR", help="Put the file into this Triton model repository too."
-        ),
-    ] = None,
-    precision: Annotated[
-        Precision,
-        typer.Option(
-            help="Precision of the trunk: fp16 for GPUs, int8 for processors (needs "
-            "--calibrate and --validate)."
-        ),
-    ] = Precision.FP32,
-    calibrate: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="DATA",
-            help="Frames from which the value ranges of int8 are calibrated, with and without "
-            f"LiDAR, as KIND:FOLDER[,KEY=VALUE...] like in ssdnet-eval: {LEAST_FRAMES} or more, "
-            f"better {ENOUGH_FRAMES}. May be repeated.",
-        ),
-    ] = None,
-    validate: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="DATA",
-            help="Frames with labels or depth on which the accuracy in the metadata is measured, "
-            "as KIND:FOLDER[,KEY=VALUE...]; take none of --calibrate. int8 needs "
-            f"{LEAST_FRAMES} or more, better {ENOUGH_FRAMES}. A warning counts frames that served "
-            "for training. May be repeated.",
-        ),
-    ] = None,
-    max_drop_miou: Annotated[
-        float, typer.Option(min=0, help="Largest loss of mIoU by int8 on any data set, in points.")
-    ] = MAX_DROP_MIOU,
-    max_rise_mae: Annotated[
-        float,
-        typer.Option(min=0, help="Largest rise of the depth's MAE by int8 on any data set, in %."),
-    ] = MAX_RISE_MAE,
-    name: Annotated[
-        str | None,
-        typer.Option(
-            help="Name of the model in reports.",
-            show_default="that of the run's folder; for other files the network's",
-        ),
-    ] = None,
     threads: Annotated[
         int | None, typer.Option(min=1, help="CPU threads. [default: all cores]")
     ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace an older file, reference and Triton model.")
-    ] = False,
     _version: Version = False,
+    **given: Any,
 ) -> None:
     """Export a checkpoint to one self-contained ONNX file and verify it against PyTorch."""
+    model, calibrate, validate = (given[name] for name in ("onnx_path", "calibrate", "validate"))
     if model.suffix != ".onnx":
         right = model.with_name(model.name.removesuffix(".pt") + ".onnx")
         raise typer.BadParameter(f"an exported file ends in .onnx, got {model.name}: give {right}")
     if (height is None) != (width is None):
         raise typer.BadParameter("give both --height and --width, or neither")
-    if (precision is Precision.INT8) != bool(calibrate):
+    if (given["precision"] is Precision.INT8) != bool(calibrate):
         raise typer.BadParameter("--precision int8 and --calibrate go together")
     if calibrate and not validate:
         raise typer.BadParameter("--precision int8 needs --validate")
@@ -128,32 +58,16 @@ def export(
         import torch  # slow, and --help needs no PyTorch
 
         from export.exporter import run_export
-        from export.options import ExportOptions
 
         if threads is not None:
             torch.set_num_threads(threads)
-        options = ExportOptions(
-            checkpoint=checkpoint,
-            target=model,
-            size=None if height is None or width is None else (height, width),
-            dynamic=dynamic,
-            opset=opset,
-            with_logits=with_logits,
-            record_dir=record_dir,
-            triton_dir=triton_dir,
-            precision=precision,
-            calibrate=calibrate or (),
-            validate=validate or (),
-            max_drop_miou=max_drop_miou,
-            max_rise_mae=max_rise_mae,
-            name=name,
-            overwrite=overwrite,
-        )
+        size = None if height is None or width is None else (height, width)
+        options = read_options(ExportOptions, given, size=size)
         with stop_requested(interrupts=True):
             report = run_export(options, _print_stage)
     free = ", any size accepted" if report.dynamic else ""
     shape = f"{report.size[0]} x {report.size[1]}{free}"
-    typer.echo(f"{report.path}: {report.num_bytes / 1e6:.1f} MB, {shape}, opset {opset}")
+    typer.echo(f"{report.path}: {report.num_bytes / 1e6:.1f} MB, {shape}, opset {options.opset}")
     typer.echo(f"largest difference to PyTorch on {report.num_frames} frames:")
     for head, measured in report.parity.items():
         figures = ", ".join(f"{name} {value:.6g}" for name, value in measured.figures.items())

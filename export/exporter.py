@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from export.build import Draft, build_draft, read_checkpoint
 from export.half import to_half
-from export.options import ExportOptions
+from export.options import DEFAULT_OPSET, ExportOptions
 from export.parity import HeadParity, measure_parity, reference, require_parity
 from export.precision import MAX_DROP_MIOU, MAX_RISE_MAE, Precision
 from export.probe_frames import ProbeFrame, frames_of, recorded_frames
-from export.trace import DEFAULT_OPSET
 from export.triton import write_triton_model
 from models import Checkpoint
 from runtime import Contract
@@ -119,24 +118,9 @@ def export_checkpoint(
             PyTorch by more than rounding, or if the gate is missed.
         DatasetError: if data cannot be read.
     """
-    options = ExportOptions(
-        checkpoint=Path(checkpoint_path),
-        target=Path(onnx_path),
-        size=size,
-        dynamic=dynamic,
-        opset=opset,
-        with_logits=with_logits,
-        record_dir=None if record_dir is None else Path(record_dir),
-        triton_dir=None if triton_dir is None else Path(triton_dir),
-        precision=precision,
-        calibrate=calibrate,
-        validate=validate,
-        max_drop_miou=max_drop_miou,
-        max_rise_mae=max_rise_mae,
-        name=name,
-        overwrite=overwrite,
-    )
-    return run_export(options, report)
+    given = locals()  # fields and arguments have the same names
+    del given["report"]
+    return run_export(ExportOptions(**given), report)
 
 
 def run_export(options: ExportOptions, report: Report) -> ExportReport:
@@ -191,7 +175,7 @@ class _Export:
         """Return the report of a finished export."""
         draft, options = self._draft, self._options
         return ExportReport(
-            options.target,
+            options.onnx_path,
             options.native_size,
             options.any_size,
             draft.heads,
@@ -213,7 +197,7 @@ class _Export:
             from export.calibration_frames import require_frames  # needs the packages of training
 
             self._warnings = require_frames(options, checkpoint)
-        opened = atomic_file(options.target, overwrite=options.overwrite, durable=True)
+        opened = atomic_file(options.onnx_path, overwrite=options.overwrite, durable=True)
         self._file = Path(self._written.enter_context(opened).name)
         if options.record_dir is not None:
             settings = PredictorSettings(

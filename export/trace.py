@@ -12,10 +12,8 @@ from onnx import numpy_helper
 
 from export.deploy import DeployGraph
 from export.errors import ExportError
+from export.options import DEFAULT_OPSET
 
-# PyTorch's exporter writes this operator set without a conversion; ONNX Runtime reads it since
-# 1.14.
-DEFAULT_OPSET = 18
 INPUTS = ("rgb", "sparse_depth")
 # The free axes: N is always free, the others are in a dynamic graph.
 AXES = ("batch", "height", "width")

@@ -262,10 +262,12 @@ def test_probe_frames_hold_what_they_are_named_after():
 
 
 def test_a_precision_may_be_a_text(tmp_path):
-    options = ExportOptions(checkpoint=tmp_path, target=tmp_path / "m.onnx", precision="fp16")
+    options = ExportOptions(
+        checkpoint_path=tmp_path, onnx_path=tmp_path / "m.onnx", precision="fp16"
+    )
     assert options.precision is Precision.FP16
     with pytest.raises(InputError, match="'fp8' is unknown: give one of fp32, fp16, int8"):
-        ExportOptions(checkpoint=tmp_path, target=tmp_path / "m.onnx", precision="fp8")
+        ExportOptions(checkpoint_path=tmp_path, onnx_path=tmp_path / "m.onnx", precision="fp8")
 
 
 def test_what_an_export_takes_and_returns_is_importable_from_the_package():

@@ -15,7 +15,7 @@ from training.scores.scoring import Scores
 
 ROW = Accuracy("street", "own", 120, 0.7, 0.5, 0.6, 0.63, {"tree": 0.9})
 
-OPTIONS = ExportOptions(checkpoint=Path("m.pt"), target=Path("m.onnx"))
+OPTIONS = ExportOptions(checkpoint_path=Path("m.pt"), onnx_path=Path("m.onnx"))
 
 
 @pytest.mark.parametrize(

@@ -269,7 +269,7 @@ def test_convolutions_on_fine_grids_are_left_in_float_before_any_is_ranked(monke
         monkeypatch.setattr(int8, name, value)
     found = int8.quantize_within(
         model,
-        ExportOptions(checkpoint=Path("m.pt"), target=Path("m.onnx")),
+        ExportOptions(checkpoint_path=Path("m.pt"), onnx_path=Path("m.onnx")),
         classes=[],
         write=lambda model, path: None,
     )
