@@ -21,7 +21,7 @@ from training.evaluation.evaluate import evaluate as evaluate
 from training.fine_tuning import adaptation
 from training.fine_tuning.adaptation import Adapted
 from training.fine_tuning.adaptation_frames import describe_recording
-from training.fine_tuning.own_folders import RECIPE_TEXT, OwnFolders, keep_recipe
+from training.fine_tuning.own_folders import RECIPE_TEXT, OwnFolders, keep_recipe, with_changes
 from training.fine_tuning.verdict import FineTuned as FineTuned
 from training.fine_tuning.verdict import Pair, conclude, score_both
 from training.recipes.chosen_recipe import inherit_settings, read_stages
@@ -171,7 +171,7 @@ def finetune(
         [own.root], Path(out), init=begin, device=device, stop_after=stop_after, stop=stop
     )
     text = own.make_recipe(begin, folds=folds)
-    tqdm.write(text, file=sys.stderr)
+    tqdm.write(with_changes(text, changes), file=sys.stderr)
 
     def build(text: str) -> Recipe:
         return build_recipe(inherit_settings(tomllib.loads(text), changes, begin), RECIPE_TEXT)

@@ -333,6 +333,15 @@ def _read_height(path: Path) -> int:
 _CHANGE = "# --set "
 
 
+def with_changes(text: str, changes: Sequence[str]) -> str:
+    """Return a recipe as TOML with its changes, which it lists; then other comments are lost."""
+    if not changes:
+        return text
+    lines = [line for line in text.splitlines()[:1] if line.startswith("#")]
+    lines += [_CHANGE + item for item in changes]
+    return "\n".join((*lines, to_toml(change(tomllib.loads(text), changes)), ""))
+
+
 def keep_recipe(text: str, changes: Sequence[str], out: Path) -> None:
     """Write a recipe with its changes into a run's folder; InputError if the file was edited."""
     path = out / RECIPE_TEXT
@@ -348,9 +357,5 @@ def keep_recipe(text: str, changes: Sequence[str], out: Path) -> None:
                 )
             if (out / RECIPE).is_file():  # of the run that began by it
                 return
-        if changes:
-            lines = [line for line in text.splitlines()[:1] if line.startswith("#")]
-            lines += [_CHANGE + item for item in changes]
-            text = "\n".join((*lines, to_toml(change(tomllib.loads(text), changes))))
         out.mkdir(parents=True, exist_ok=True)
-        atomic_write(path, text.encode())
+        atomic_write(path, with_changes(text, changes).encode())

@@ -81,6 +81,7 @@ def test_a_recipe_is_made_for_the_folders_and_trained(mine):
     result = train(mine, *STEPS, depth="lidar")
     assert result.exit_code == 0, result.output
     text = (mine / "run/recipe.toml").read_text()
+    assert text in result.stderr
     assert 'only = ["semantic_"]' in text
     assert "# --set schedule.steps = 2\n" in text
     changed = changed_layers(mine)
