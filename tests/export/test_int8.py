@@ -1,6 +1,7 @@
 """`ssdnet-export --precision`: files that pass the gate on accuracy, and no others."""
 
 import copy
+import re
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -163,6 +164,7 @@ def test_an_int8_file_states_its_accuracy_before_and_after(quantised):
     assert before["frames"] == after["frames"] == 3
     assert before["miou"] == 1 > after["miou"] > 0.5
     assert 0 < before["mae_m"] != after["mae_m"] > 0
+    assert re.search(r"tracing \S+, [\d.]+ M parameters, at \d+ x \d+", quantised.output)
     change = f"MAE {1000 * before['mae_m']:.4g} -> {1000 * after['mae_m']:.4g} mm"
     assert change in quantised.output
 
