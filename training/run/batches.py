@@ -120,10 +120,10 @@ def _start_worker(_: int) -> None:
 
 
 def _without_tracebacks(batches: Iterator[Batch]) -> Generator[Batch, None, None]:
-    """Yield the batches; a worker's error about a damaged file comes without its traceback."""
+    """Yield the batches; a worker's error about a file or a reader comes without its traceback."""
     try:
         yield from batches
-    except DatasetError as error:
+    except (DatasetError, InputError) as error:
         traceback.clear_frames(error.__traceback__)
-        last = str(error).strip().splitlines()[-1]
-        raise DatasetError(last.removeprefix(f"{DatasetError.__module__}.DatasetError: ")) from None
+        kind, last = type(error), str(error).strip().splitlines()[-1]
+        raise kind(last.removeprefix(f"{kind.__module__}.{kind.__name__}: ")) from None

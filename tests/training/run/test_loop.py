@@ -24,7 +24,7 @@ from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.evaluate import evaluate
 from training.loading.augment_config import AugmentConfig
 from training.loading.data_recipe import DataRecipe
-from training.loading.open_dataset import open_dataset
+from training.loading.open_dataset import CheckedSource, open_dataset
 from training.losses import LossConfig
 from training.losses.terms import TERMS
 from training.run import loop, validation
@@ -185,28 +185,32 @@ def test_a_damaged_frame_is_named_without_a_traceback(data, tmp_path, monkeypatc
     assert str(raised.value).startswith(str(data / "camvid" / "train" / "3.png"))
 
 
-class Killed:
-    """A loss of power, for the worker that reads the third of these frames."""
+class InWorker:
+    """Frames of which a worker process reads none."""
 
-    def __init__(self, source):
-        self.source, self.images = source, source.images
+    def __init__(self, source, fail):
+        self.source, self.images, self.fail = source, source.images, fail
 
     def __len__(self):
         return len(self.source)
 
     def __getitem__(self, index):
         if multiprocessing.parent_process() is not None:
-            os.kill(os.getpid(), signal.SIGKILL)
+            self.fail()
         return self.source[index]
 
 
-def test_a_worker_that_is_killed_ends_the_run_in_a_line(data, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("fail", "text"), [
+    (lambda: os.kill(os.getpid(), signal.SIGKILL), r"has ended .*resumes by the same command"),
+    (lambda: 1 / 0, r"the reader of frame \d+ failed with ZeroDivisionError: .*test_loop.py, line"),
+])  # fmt: skip
+def test_what_fails_in_a_worker_ends_the_run_in_a_line(data, tmp_path, monkeypatch, fail, text):
     opened = open_dataset
     monkeypatch.setattr(
         "training.run.task.open_dataset",
-        lambda *given, **options: Killed(opened(*given, **options)),
+        lambda *given, **options: CheckedSource(InWorker(opened(*given, **options), fail)),
     )
-    with pytest.raises(InputError, match=r"has ended .*resumes by the same command") as raised:
+    with pytest.raises(InputError, match=text) as raised:
         train(recipe(data={"workers": 1}), data, tmp_path / "run")
     assert len(str(raised.value).splitlines()) == 1
 
