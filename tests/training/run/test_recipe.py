@@ -60,7 +60,7 @@ def test_changes_come_last_and_in_order(read):
     (
         'kind = "camvid"',
         'kind = "kitty"',
-        r"data.source\[0\] = .*'kitty'.*: unknown kind .*cityscapes",
+        r"data.source\[0\]: unknown kind .*'kitty': give one of .*cityscapes",
     ),
     ("scale = [1, 2]", "scale = [1]", r"missing key data.source\[0\].scale\[1\]"),
     ("scale = [1, 2]", "scale = [2, 1]", r"data.source\[0\].scale = \[2, 1\]: "),
