@@ -1,16 +1,17 @@
 """Earlier returns as further input: what a stream that remembers gains, by lines and poses.
 
-    python benchmarks/memory.py gain DIR [--models ssdnet-lite ...] [--every 5]
-    python benchmarks/memory.py poses DIR [--models ssdnet-lite ...] [--every 5]
+    python benchmarks/memory.py gain DIR [--models ssdnet-lite ...] [--limit 31]
+    python benchmarks/memory.py poses DIR [--models ssdnet-lite ...] [--limit 31]
     python benchmarks/memory.py cost
     python benchmarks/memory.py picture --out FILE.jpg
 
-DIR holds kitti_drive_0009. Every second, fourth or eighth of its 64 lines is fed; the poses are
-made from the fed lines alone by kiss-icp (extra odometry), and the odd lines are scored. Rendered
-drives (SEEDS) have traffic, exact poses and dense truth. Every so many frames are scored, all are
-remembered. MAE / RMSE, median of the absolute errors in mm: of the visible truth, of its edges
-(where the truth around differs by EDGE), of cars, trucks, buses and trains, and of the truth
-without the filter that removes what the camera cannot see.
+DIR holds kitti_drive_0009. Every second, fourth or eighth of its 64 lines is fed, and the odd lines
+are scored. Its poses were made from all lines; "own odometry" are poses made from the fed lines
+alone by kiss-icp (extra odometry). Rendered drives (SEEDS) have traffic, exact poses and dense
+truth. Every so many frames are scored, all are remembered. MAE / RMSE, median of the absolute
+errors in mm: of the visible truth, of its edges (where the truth around differs by EDGE), of cars,
+trucks, buses and trains, and of the truth without the filter that removes what the camera cannot
+see.
 
 `poses` spoils the poses of the drive with 32 lines. `cost` is the time of the thread for a frame of
 64 lines, beside that of the projection of its scan, interleaved.
@@ -20,7 +21,7 @@ import argparse
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import islice
+from itertools import islice, product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,7 +35,9 @@ from runtime.app.run.pipeline import dedicate_process
 from runtime.geometry.poses import PoseTrack
 from training.datasets.scan_lines import scan_line_of
 
-SEEDS, RENDERED_FRAMES, FIRST = (3, 7), 14, 4  # scored from frame FIRST on
+SEEDS, RENDERED_FRAMES = (3, 7), 14
+# Frames are scored from FIRST on, every so many.
+FIRST, EVERY, EVERY_RENDERED = 4, 4, 3
 STEP_NS, EDGE = 100_000_000, 1.3
 REGIONS = ("visible", "edges", "cars", "unfiltered")
 Poses = NDArray[np.float64]
@@ -134,38 +137,36 @@ def drive_poses(frames: Sequence[DriveFrame], lines: int) -> Poses:
     return np.stack([odometry.add(fed_points(frame, lines)) for frame in frames])
 
 
-def print_gain(data: Path, models: Sequence[str], every: int) -> None:
+def print_gain(data: Path, models: Sequence[str], limit: int) -> None:
     """Print the table by set, lines and model."""
     print(f"| frames | lines | model | way | {' | '.join(REGIONS)} |\n{'|---' * 8}|")
-    sets: list[tuple[str, list[DriveFrame], tuple[int, ...]]] = [
-        ("drive 0009", list(recorded_drive(data)), (32, 16, 8))
-    ]
+    drive = list(islice(recorded_drive(data), limit))
+    sets = {"drive 0009": (drive, (32, 16, 8)), "drive 0009, own odometry": (drive, (32, 16, 8))}
     for seed in SEEDS:
-        rendered = list(islice(rendered_drive(RENDERED_FRAMES, seed), RENDERED_FRAMES))
-        sets.append((f"rendered {seed}", rendered, (64, 32, 16, 8)))
-    for title, frames, all_lines in sets:
-        for lines in all_lines:
-            exact = np.stack([frame.pose for frame in frames])
-            poses = drive_poses(frames, lines) if title == "drive 0009" else exact
-            for model in models:
-                with Predictor(model, threads=1, size="frame") as predictor:
-                    sums, _, more = score(frames, poses, lines, predictor, every)
-                for way in ("alone", "memory"):
-                    name = f"memory, {1 + more:.1f} x the returns" if way == "memory" else way
-                    print(
-                        f"| {title} | {lines} | {model} | {name} | {sums.cells(way)} |", flush=True
-                    )
+        rendered = list(rendered_drive(RENDERED_FRAMES, seed))
+        sets[f"rendered, seed {seed}"] = (rendered, (64, 32, 16))
+    for title, (frames, all_lines) in sets.items():
+        for lines, model in product(all_lines, models):
+            poses = np.stack([frame.pose for frame in frames])
+            if title.endswith("odometry"):
+                poses = drive_poses(frames, lines)
+            every = EVERY if frames is drive else EVERY_RENDERED
+            with Predictor(model, threads=1, size="frame") as predictor:
+                sums, _, more = score(frames, poses, lines, predictor, every)
+            for way, name in (("alone", "alone"), ("memory", f"{1 + more:.1f} x the returns")):
+                cells = title, lines, model, name, sums.cells(way)
+                print(f"| {' | '.join(map(str, cells))} |", flush=True)
 
 
-def print_poses(data: Path, models: Sequence[str], every: int) -> None:
+def print_poses(data: Path, models: Sequence[str], limit: int) -> None:
     """Print the table by error of the poses."""
-    frames = list(recorded_drive(data))
+    frames = list(islice(recorded_drive(data), limit))
     right = drive_poses(frames, 32)
     print(f"| poses | model | off in frames | {' | '.join(REGIONS)} |\n{'|---' * 7}|")
     for model in models:
         with Predictor(model, threads=1, size="frame") as predictor:
             for title, spoil in SPOILED.items():
-                sums, off, _ = score(frames, spoil(right), 32, predictor, every)
+                sums, off, _ = score(frames, spoil(right), 32, predictor, EVERY)
                 if title == "right":
                     print(f"| alone | {model} | | {sums.cells('alone')} |")
                 print(f"| {title} | {model} | {off} | {sums.cells('memory')} |", flush=True)
@@ -228,7 +229,7 @@ def main() -> None:
     parser.add_argument("part", choices=["gain", "poses", "cost", "picture"])
     parser.add_argument("data", type=Path, nargs="?", help="of gain and poses")
     parser.add_argument("--models", nargs="+", default=["ssdnet-lite", "ssdnet-nano"])
-    parser.add_argument("--every", type=int, default=5)
+    parser.add_argument("--limit", type=int, default=31, help="frames of the drive")
     parser.add_argument("--rounds", type=int, default=50, help="of cost")
     parser.add_argument("--out", type=Path, help="of the picture")
     arguments = parser.parse_args()
@@ -241,7 +242,7 @@ def main() -> None:
             raise OSError(f"cannot write {arguments.out}")
     else:
         report = print_gain if arguments.part == "gain" else print_poses
-        report(arguments.data, arguments.models, arguments.every)
+        report(arguments.data, arguments.models, arguments.limit)
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ class Rig:
             own; 0: depth is never reused. None: 150, except in folders of files without times,
             where depth is never reused.
         memory_s: how many seconds a stream with poses remembers returns, see `ScanMemory`; 0: each
-            frame is answered alone. None: 2. Sources of recordings ignore it.
+            frame is answered alone. Sources of recordings ignore it.
 
     Raises:
         InputError: if a value is out of range or has another type.
@@ -48,7 +48,7 @@ class Rig:
     scan_stamp: ScanStamp | None = None
     max_skew_ms: float = DEFAULT_MAX_SKEW_MS
     reuse_depth_ms: float | None = None
-    memory_s: float | None = None
+    memory_s: float = 0.0
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -66,10 +66,8 @@ class Rig:
         for name in ("max_skew_ms", "reuse_depth_ms"):
             if (value := getattr(self, name)) is not None or name == "max_skew_ms":
                 check_number(name, value, 0, 1e6, "milliseconds", error=InputError)
-        if self.memory_s is not None:
-            check_number(
-                "memory_s", self.memory_s, 0, LONGEST_MEMORY_S, "seconds", error=InputError
-            )
+        most_s = LONGEST_MEMORY_S
+        check_number("memory_s", self.memory_s, 0, most_s, "seconds", error=InputError)
 
     @property
     def max_depth_age_ms(self) -> float:

@@ -7,7 +7,7 @@ from runtime.contract.degraded import DEPTH_UNCOMPENSATED
 from runtime.engine.prediction import Prediction
 from runtime.geometry.poses import NoPoseError
 from runtime.streams.frame import Frame
-from runtime.streams.memory import DEFAULT_MEMORY_S, ScanMemory
+from runtime.streams.memory import ScanMemory
 
 
 class FrameMemory:
@@ -25,9 +25,8 @@ class FrameMemory:
 
     @classmethod
     def of(cls, memory_s: float | None) -> "FrameMemory | None":
-        """Return the memory of `Rig.memory_s`; None for 0."""
-        seconds = DEFAULT_MEMORY_S if memory_s is None else memory_s
-        return cls(seconds) if seconds else None
+        """Return the memory of `Rig.memory_s`; None without one."""
+        return cls(memory_s) if memory_s else None
 
     @property
     def cleared(self) -> dict[str, int]:

@@ -142,7 +142,7 @@ class RunOptions:
     )
     memory: float | None = _input(
         "Feed the returns of so many seconds before, too, moved by the poses, where the present "
-        f"ones do not contradict them; 0 turns it off. [default: {DEFAULT_MEMORY_S:g} with poses]",
+        f"ones do not contradict them, such as {DEFAULT_MEMORY_S:g}. [default: each frame alone]",
         metavar="SECONDS",
         min=0,
         max=LONGEST_MEMORY_S,
@@ -160,8 +160,7 @@ class RunOptions:
     )
     shard: str | None = _input(
         "Run part I of N of the recording, from 1/N to N/N: every N-th frame, of the first --limit "
-        "frames if that is given. All parts together give the results of one run with "
-        "--memory 0.",
+        "frames if that is given. All parts together give the results of one run.",
         metavar="I/N",
     )
     out: Path | None = _outputs(

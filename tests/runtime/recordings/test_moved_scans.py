@@ -74,7 +74,7 @@ def test_a_run_moves_the_scans_of_images_at_twice_their_rate(folders, run, make_
     keys = f"timestamps={folders / 'times.txt'},pose_frame=lidar"
     given = ["--source", f"folders:{folders / 'image'},{keys}", "--points", folders / "points"]
     given += ["--calibration", folders / "calibration.toml", "--poses", folders / "poses.txt"]
-    answers = run(*given, "--memory", 0)
+    answers = run(*given)
     assert answers.exit_code == 0, answers.text
     assert answers.column("degraded") == ["", "depth_reused"] * N
     for number in range(2 * N):

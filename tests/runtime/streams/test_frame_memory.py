@@ -9,7 +9,7 @@ from runtime.geometry.rig import Rig
 from runtime.streams.push_stream import PushStream
 from runtime.streams.replay import replay
 
-RIG = Rig(calibration=CALIBRATION, pose_frame="camera")
+RIG = Rig(calibration=CALIBRATION, pose_frame="camera", memory_s=2.0)
 
 
 class Recorder:
@@ -79,7 +79,7 @@ def test_a_live_stream_feeds_the_same(answers, checked_predictor):
 
 
 def test_without_poses_nothing_changes(answers):
-    fed, found = answers(rig(None, pose_frame=None), poses=None)
+    fed, found = answers(rig(2.0, pose_frame=None), poses=None)
     for number, depth in enumerate(fed):
         np.testing.assert_array_equal(depth, scan(number))
     assert all(each.memory_rejected is None for each in found)
