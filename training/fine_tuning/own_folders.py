@@ -291,7 +291,7 @@ def _choose_apart(names: Sequence[str], fold: int | None, folds: int) -> list[in
         return [] if fold is None else cut(names, folds)[fold]
     wanted = max(_LEAST_APART, len(names) // _VALIDATION)
     blocks = cut(names, max(_PLACES, len(names) * _PLACES // wanted))
-    places = [blocks[(2 * place + 1) * len(blocks) // (2 * _PLACES)] for place in range(_PLACES)]
+    places = [blocks[(place + 1) * len(blocks) // _PLACES - 1] for place in range(_PLACES)]
     return [index for block in places for index in block]
 
 
