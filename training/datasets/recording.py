@@ -13,6 +13,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import InputError
+from runtime.geometry.odometry import ODOMETRY
 from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource
 from runtime.recordings.images import KITTI_DEPTH_SCALE, list_files
@@ -168,7 +169,7 @@ class RecordingRecipe(LabelledRecipe):
         depth: folder of depth maps of a folder of images.
         points: folder of scans of a folder of images.
         calibration: calibration of camera and LiDAR.
-        poses: poses of the vehicle.
+        poses: poses of the vehicle, or "odometry", see `FolderOptions`.
         frames: numbers in the source's list of the frames that are used; None: all that have
             returns or truth.
         truth: folder of 16-bit PNGs, named like the frames, with denser depth than the returns. It
@@ -194,7 +195,8 @@ class RecordingRecipe(LabelledRecipe):
     @property
     def folders(self) -> tuple[str, ...]:
         """See `SourceRecipe.folders`; what lies beside the recording, whether this is a file."""
-        names = (self.depth, self.points, self.calibration, self.poses, self.truth, self.labels)
+        poses = None if self.poses == ODOMETRY else self.poses
+        names = (self.depth, self.points, self.calibration, poses, self.truth, self.labels)
         places = (self.path, os.path.dirname(self.path))
         near = [os.path.join(place, name) for name in names if name for place in places]
         inside = os.path.join(os.path.normpath(self.path), "")
@@ -209,7 +211,11 @@ class RecordingRecipe(LabelledRecipe):
         """
         files = {name: getattr(self, name) for name in ("depth", "points", "poses", "calibration")}
         given: dict[str, Any] = {**self.keys}
-        given |= {name: beside(path) / file for name, file in files.items() if file}
+        given |= {
+            name: file if file == ODOMETRY else beside(path) / file
+            for name, file in files.items()
+            if file
+        }
         of_rig = {each.name for each in fields(Rig)} & given.keys()
         rig = Rig(**{name: given.pop(name) for name in of_rig})
         return open_source(self.source or detect_source(path).kind, path, rig, **given)

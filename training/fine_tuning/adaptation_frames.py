@@ -15,6 +15,7 @@ from runtime.base.errors import InputError
 from runtime.contract.network_size import network_size
 from runtime.contract.resize import move_returns
 from runtime.files.atomic_write import atomic_write
+from runtime.geometry.odometry import ODOMETRY
 from runtime.recordings.listing import ListedFrame
 from runtime.recordings.registry import SOURCES, parse_source
 from runtime.recordings.source import Source
@@ -80,7 +81,9 @@ def describe_recording(recording: str, **files: str | Path | None) -> tuple[Reco
         keys = {n: v if isinstance(v, int | float) else str(v) for n, v in given.items()}
     path = path.absolute()
     below: dict[str, Any] = {
-        name: os.path.relpath(Path(file).absolute(), beside(path))
+        name: ODOMETRY
+        if str(file) == ODOMETRY
+        else os.path.relpath(Path(file).absolute(), beside(path))
         for name, file in files.items()
         if file is not None
     }

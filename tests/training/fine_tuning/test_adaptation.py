@@ -307,3 +307,16 @@ def test_the_command_prints_the_scores_and_what_to_run_next(rig, weights, tmp_pa
     )
     recipe = json.loads((tmp_path / "a run" / "training" / "recipe.json").read_text())["recipe"]
     assert recipe["data"]["source"][0]["calibration"] == "../camera.toml"
+
+
+def test_poses_by_odometry_are_no_file(rig, monkeypatch):
+    recording, root = describe_recording(
+        str(rig / "images"), points=rig / "lidar", poses="odometry"
+    )
+    asked = []
+    monkeypatch.setattr(
+        "training.datasets.recording.open_source", lambda *_, **given: asked.append(given)
+    )
+    recording.open_source(root / recording.path)
+    assert asked == [{"points": rig / "images" / ".." / "lidar", "poses": "odometry"}]
+    assert not any("odometry" in folder for folder in recording.folders)
