@@ -203,8 +203,9 @@ class Judge:
         if weak is not None and choice is None:
             return Judgement(tuple(findings), (), tuple(rows), fit, len(views))
         change: dict[str, float] = defaultdict(float)
-        for (name, _), each in gains.items():
-            change[name] = max(change[name], abs(float(np.median(each))))
+        for key in gains:
+            tried = [each.scores[key] - each.fit.score for each in self._seen if key in each.scores]
+            change[key[0]] = max(change[key[0]], abs(float(np.median(tried))))
         tested = tuple(name for name in change if change[name] >= self._floors[name])
         not_tested = tuple(name for name in change if name not in (*tested, "unit"))
         return Judgement(tuple(findings), tested, not_tested, fit, len(views))

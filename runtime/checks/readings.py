@@ -29,6 +29,7 @@ _TO_CAMERA = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0
 # have at most 0.04.
 _OFF_CENTRE = 0.08
 _FAR_M = 3.0  # a position beyond this may have another unit
+_ALIKE_COSINE = math.cos(math.radians(20))
 _MOST_POINTS = 30_000  # of a scan all around, where nearly all returns move
 _LENS_SCALES, _USUAL_K1 = (0.0, 0.5, 1.3), (-0.3, -0.15, 0.15)
 _FOCAL_SCALES = (0.6, 0.7, 0.8, 0.9, 1.1, 1.25, 1.4, 1.6)
@@ -74,23 +75,22 @@ def _of_matrix(change: Callable[[_Matrix], _Matrices]) -> Callable[[View], Views
         if not view.is_map:
             points = view.points[:: len(view.points) // _MOST_POINTS + 1]
             for member, extrinsics in change(view.extrinsics):
-                yield member, replace(view, points=points, extrinsics=extrinsics)
+                if not _is_alike(extrinsics, view.extrinsics):
+                    yield member, replace(view, points=points, extrinsics=extrinsics)
 
     return views
 
 
-def _inverse(given: _Matrix) -> _Matrices:
-    yield "", np.asarray(np.linalg.inv(given), np.float64)
+def _is_alike(first: _Matrix, second: _Matrix) -> bool:
+    """Whether two extrinsics differ by so little that a search for the rotation compares them."""
+    cosine = (np.trace(first[:3, :3] @ second[:3, :3].T) - 1) / 2
+    return bool(cosine > _ALIKE_COSINE and np.abs(first[:3, 3] - second[:3, 3]).max() < 1)
 
 
 def _transposed(given: _Matrix) -> _Matrices:
     mixed = given.copy()
     mixed[:3, :3] = given[:3, :3].T
     yield "", mixed
-
-
-def _in_camera(_: _Matrix) -> _Matrices:
-    yield "", np.eye(4)
 
 
 def _swapped(given: _Matrix) -> _Matrices:
@@ -264,7 +264,7 @@ READINGS = (
     Reading(
         "inverse_extrinsics",
         "the matrix seems to be camera to LiDAR: take its inverse",
-        _of_matrix(_inverse),
+        _of_matrix(lambda given: iter([("", np.asarray(np.linalg.inv(given), np.float64))])),
     ),
     Reading(
         "transposed_rotation",
@@ -275,7 +275,7 @@ READINGS = (
         "points_in_camera",
         'the points seem to be in the camera\'s frame already: give points_in = "camera" instead '
         f"of extrinsics, {_TOML}",
-        _of_matrix(_in_camera),
+        _of_matrix(lambda _: iter([("", np.eye(4))])),
     ),
     Reading(
         "swapped_axes",

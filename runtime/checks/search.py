@@ -48,8 +48,9 @@ class Optimum(NamedTuple):
 
 
 def scores_of(views: Sequence[View], angles: Angles = (0, 0, 0), **blur: float) -> _Floats:
-    """The scores of the views, float64 (frames,), with returns turned by these angles."""
-    return np.array([fit_of(view, angles, **blur).score for view in views])
+    """The boundary figure plus the correlation of each view, turned by these angles, (frames,)."""
+    fits = [fit_of(view, angles, **blur) for view in views]
+    return np.array([fit.edge + fit.depth_correlation for fit in fits])
 
 
 def find_coarse(views: Sequence[View]) -> _Floats:
@@ -57,14 +58,9 @@ def find_coarse(views: Sequence[View]) -> _Floats:
     return _climb(views, np.zeros(3), _COARSE)
 
 
-def find_rotation(views: Sequence[View], start: _Floats | None = None) -> Optimum:
-    """Return the best rotation near the given one, and its standard error.
-
-    Args:
-        views: views of the frames, in order.
-        start: angles (3,) that `find_coarse` returned; None: they are found first.
-    """
-    angles = _climb(views, find_coarse(views) if start is None else start, _FINE)
+def find_rotation(views: Sequence[View]) -> Optimum:
+    """Return the best rotation near the given one, and its standard error."""
+    angles = _climb(views, find_coarse(views), _FINE)
     blur, step, _ = _FINE[-1]
     sums, sides = _around(views, angles, blur, step), _sides(step)
     return Optimum(angles + _best_of(_FIT @ sums.mean(axis=0)) * sides, _bootstrap(sums) * sides)
