@@ -127,3 +127,7 @@ def _without_tracebacks(batches: Iterator[Batch]) -> Generator[Batch, None, None
         traceback.clear_frames(error.__traceback__)
         kind, last = type(error), str(error).strip().splitlines()[-1]
         raise kind(last.removeprefix(f"{kind.__module__}.{kind.__name__}: ")) from None
+    except (OSError, EOFError) as error:  # a worker was killed while it sent a batch
+        traceback.clear_frames(error.__traceback__)
+        reason = str(error).strip().splitlines() or [type(error).__name__]
+        raise RuntimeError(f"DataLoader lost a worker: {reason[-1]}") from None

@@ -215,6 +215,16 @@ def test_what_fails_in_a_worker_ends_the_run_in_a_line(data, tmp_path, monkeypat
     assert len(str(raised.value).splitlines()) == 1
 
 
+def test_a_worker_that_is_killed_while_it_sends_is_named(data, tmp_path, monkeypatch):
+    def lost(_):
+        raise ConnectionResetError(104, "Connection reset by peer")
+        yield
+
+    monkeypatch.setattr("training.run.batches.DataLoader.__iter__", lost)
+    with pytest.raises(InputError, match=r"has ended .*lost a worker: .*reset by peer"):
+        train(recipe(data={"workers": 1}), data, tmp_path / "run")
+
+
 def test_batches_that_shared_memory_cannot_hold_are_read_without_workers(
     data, tmp_path, monkeypatch, capsys
 ):
