@@ -14,7 +14,7 @@ from runtime.command.options import GroupedCommand, Threads, Version, with_optio
 from runtime.command.process import print_result, progress_bar, reported_errors, stop_requested
 from runtime.drawing.encode import encode_jpeg, encode_png
 from runtime.engine.predictor import Predictor
-from runtime.files.atomic_write import atomic_write
+from runtime.files.atomic_write import atomic_write, require_writable
 from runtime.recordings.source import Source
 from runtime.streams.frame_view import compensated_points
 
@@ -57,6 +57,9 @@ def main(
             help="Draw the returns on an image, by the given and by the refined calibration.",
         ),
     ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the files of --out and --picture.")
+    ] = False,
     threads: Threads = None,
     _version: Version = False,
     **given: Any,
@@ -72,8 +75,10 @@ def main(
         except UsageError as error:
             raise typer.BadParameter(str(error)) from error
         for option, path, suffixes in (("out", out, (".toml",)), ("picture", picture, _PICTURES)):
-            if path is not None and path.suffix.lower() not in suffixes:
-                raise typer.BadParameter(f"--{option} writes {suffixes[0]} files, got {path}")
+            if path is not None:
+                if path.suffix.lower() not in suffixes:
+                    raise typer.BadParameter(f"--{option} writes {suffixes[0]} files, got {path}")
+                require_writable(path, overwrite=overwrite)
         with _open_source(options) as source, Predictor(threads=threads, warmup=0) as predictor:
             with progress_bar(frames, "frames") as advance:
                 result = calibrate(source, predictor, frames=frames, on_frame=advance)
@@ -81,9 +86,10 @@ def main(
         print_result("\n".join([*notes, *describe_result(result, transform)]))
         if out is not None and result.refined is not None:
             about = f"ssdnet-calibrate: {result.reason}"
-            atomic_write(out, format_toml(result.refined, about, *transform).encode())
+            content = format_toml(result.refined, about, *transform).encode()
+            atomic_write(out, content, overwrite=overwrite)
         if picture is not None:
-            _write_picture(result, picture)
+            atomic_write(picture, _draw_picture(result, picture), overwrite=overwrite)
         raise typer.Exit(_EXIT_CODES.get(result.verdict, _WRONG))
 
 
@@ -127,12 +133,11 @@ def _transform(result: CalibrationResult, source: Source) -> tuple[str, ...]:
     return (format_static_transform(refined.extrinsics[:3, :3], position, (camera, lidar)),)
 
 
-def _write_picture(result: CalibrationResult, path: Path) -> None:
+def _draw_picture(result: CalibrationResult, path: Path) -> bytes | memoryview:
     frame, calibrations = result.example, {"as given": result.given}
     if result.verdict is Verdict.OFF and result.refined is not None:
         calibrations["refined"] = result.refined
     points = compensated_points(frame)
     assert points is not None  # `calibrate` only takes frames with scans
     drawn = draw_alignment(frame.rgb, points, calibrations)
-    is_png = path.suffix.lower() == ".png"
-    atomic_write(path, encode_png(drawn) if is_png else encode_jpeg(drawn, quality=92))
+    return encode_png(drawn) if path.suffix.lower() == ".png" else encode_jpeg(drawn, quality=92)

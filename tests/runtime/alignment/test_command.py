@@ -90,9 +90,10 @@ def test_a_camera_is_checked_by_itself_and_rectified_on_request(run):
     assert result.exit_code == 1
     assert "2 cameras are named: check each by itself" in result.output
     assert run.source.close.call_count == 2
-    for options in ([], ["--rectify"]):
+    for options in ([], ["--rectify", "--overwrite"]):
         assert run(Verdict.RIGHT, *options).exit_code == 0
         assert run.source.rectify_images.called == bool(options)
+    assert "replace it with --overwrite" in run(Verdict.RIGHT).output, "nothing is replaced unasked"
 
 
 @pytest.mark.parametrize(("more", "words"), [
