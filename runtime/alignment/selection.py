@@ -31,8 +31,8 @@ def choose_frames(source: Source, count: int) -> Iterator[tuple[Frame, Mapping[s
     listed = [each for each in source.list_frames() if each.complete and each.depth is not None]
     if not listed:
         raise InputError(
-            "the recording has no scans: give --points with --calibration, or a bag or drive with "
-            "point clouds"
+            "the recording has no scans: give `points=` with `calibration=`, or a bag or drive "
+            "with point clouds"
         )
     parts = np.array_split(np.arange(len(listed)), min(count, len(listed)))
     for part in parts:
@@ -74,7 +74,7 @@ def _read(source: Source, listed: Sequence[ListedFrame], place: int) -> tuple[Fr
     if (points := compensated_points(frame)) is None or frame.calibration is None:
         raise InputError(
             "the recording has depth maps, or no calibration: a calibration is checked with raw "
-            "scans, --points with --calibration, or a bag or drive with point clouds"
+            "scans, `points=` with `calibration=`, or a bag or drive with point clouds"
         )
     calibration = frame.calibration
     in_camera = points[:, :3] @ calibration.extrinsics[:3, :3].T + calibration.extrinsics[:3, 3]

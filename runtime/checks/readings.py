@@ -173,8 +173,12 @@ def _ratio(views: Sequence[View]) -> str:
     if view.depth_scale is not None:
         wanted = view.depth_scale * ratio
         usual = min(_DEPTH_SCALES, key=lambda each: abs(math.log(each / wanted)))
-        right = f"={usual}" if 0.5 < usual / wanted < 2 else f" of about {rounded(wanted)}"
-        what = f"try depth_scale{right} in --source"
+        right = (
+            f"`depth_scale={usual}`"
+            if 0.5 < usual / wanted < 2
+            else f"`depth_scale=` of about {rounded(wanted)}"
+        )
+        what = f"try {right}"
     if view.focal_px is not None and 1 / _FOCAL_RATIO < ratio < _FOCAL_RATIO:
         fits = rounded(view.focal_px * ratio)
         what += f", or check the focal length of {view.focal_px:g} px: about {fits} would fit"
@@ -249,7 +253,7 @@ def _other_time(view: View) -> Views:
 
 _BETTER = "the returns fit the images better "
 _SMALL: dict[str, Any] = {"floor": 0.06, "is_far": False, "severity": Severity.WARNING}
-_TOML = "in a TOML file for --calibration"
+_TOML = "in a TOML file for `calibration=`"
 
 READINGS = (
     Reading(

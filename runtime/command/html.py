@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from runtime.command.wording import with_flags
+
 
 def render_template(package: str, template: str, values: Mapping[str, Any]) -> str:
     """Fill in a template; values are escaped, and a missing value is an error.
@@ -24,7 +26,7 @@ def render_template(package: str, template: str, values: Mapping[str, Any]) -> s
         keep_trailing_newline=True,
     )
     templates.filters |= {"number": format, "ms": _milliseconds}
-    return templates.get_template(template).render(values)
+    return with_flags(templates.get_template(template).render(values))
 
 
 def _milliseconds(value: float | None) -> str:

@@ -16,6 +16,7 @@ from types import FrameType
 from typing import Any
 
 from runtime.base.errors import OutputError, SSDNetError, import_remedy
+from runtime.command.wording import with_flags
 
 ERROR, INTERRUPTED = 1, 130  # exit codes
 # Ctrl-C, a request to end, and the closing of a terminal or SSH session.
@@ -194,6 +195,6 @@ def print_result(text: str) -> None:
 
 
 def _plain(text: str) -> str:
-    """Text from files and names as valid Unicode without control characters."""
-    valid = text.encode(errors="backslashreplace").decode()
+    """Text from files and names as valid Unicode without control characters, options as flags."""
+    valid = with_flags(text).encode(errors="backslashreplace").decode()
     return "".join(c if c.isprintable() or c in "\n\t" else f"\\x{ord(c):02x}" for c in valid)

@@ -168,7 +168,9 @@ def _require_replaceable(path: Path, *, overwrite: bool = True) -> None:
     if not (stat.S_ISREG(mode) or stat.S_ISLNK(mode) or stat.S_ISDIR(mode)):
         raise OutputError(f"{path} exists and is no regular file: choose another name")
     if not overwrite:
-        raise OutputError(f"{path} exists: choose another name, or replace it with --overwrite")
+        raise OutputError(
+            f"{path} exists: choose another name, or replace it with `overwrite=True`"
+        )
 
 
 def _publish(made: Path, path: Path, *, overwrite: bool) -> None:

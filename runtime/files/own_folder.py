@@ -72,7 +72,8 @@ def locked_folder(path: Path) -> Iterator[None]:
                 fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
                 raise OutputError(
-                    f"another run is writing into {path}: wait for its end, or choose another --out"
+                    f"another run is writing into {path}: wait for its end, or choose another "
+                    "`out=`"
                 ) from error
         yield
     finally:
@@ -97,8 +98,8 @@ def make_own_folder(path: Path, files: Sequence[Path], *, overwrite: bool = Fals
         used = any(path.iterdir())
         if used and not overwrite:
             raise OutputError(
-                f"the output folder {path} is not empty: choose another --out, or replace an "
-                "earlier run with --overwrite"
+                f"the output folder {path} is not empty: choose another `out=`, or replace an "
+                "earlier run with `overwrite=True`"
             )
         earlier = _read_list(path) if used else []
         _require_own(path, files, set(earlier))
@@ -131,13 +132,13 @@ def _require_own(path: Path, files: Iterable[Path], earlier: set[Path]) -> None:
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise OutputError(
                 f"{folder} is a link or a file where a folder is written: remove it, or choose "
-                "another --out"
+                "another `out=`"
             )
     for file in files:
         if os.path.lexists(path / file) and not (file in earlier and _is_file(path / file)):
             raise OutputError(
                 f"{path / file} does not belong to the earlier result, but would be replaced: move "
-                "it away, or choose another --out"
+                "it away, or choose another `out=`"
             )
 
 
@@ -149,7 +150,9 @@ def _list_replaced(path: Path, *, overwrite: bool) -> list[Path]:
     if not os.path.lexists(path):
         return []
     if not overwrite:
-        raise OutputError(f"{path} exists: choose another name, or replace it with --overwrite")
+        raise OutputError(
+            f"{path} exists: choose another name, or replace it with `overwrite=True`"
+        )
     if path.is_symlink() or not path.is_dir():
         raise OutputError(f"{path} is a link or a file: choose another name")
     entries = sorted(path.rglob("*"), reverse=True)
@@ -168,7 +171,7 @@ def _list_replaced(path: Path, *, overwrite: bool) -> list[Path]:
 def _cannot_make(path: Path, error: OSError) -> str:
     return (
         f"cannot make the output folder {path} ({error.strerror}: {error.filename}): choose "
-        "another --out"
+        "another `out=`"
     )
 
 

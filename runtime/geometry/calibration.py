@@ -145,7 +145,7 @@ class Calibration:
                 f"the calibration fits images of {size} (height, width), although KITTI's images "
                 f"with these intrinsics have {known}",
                 "subtract what is cut at the left and above from cx and cy, or scale the "
-                "intrinsics, and state size in a TOML file for --calibration",
+                "intrinsics, and state size in a TOML file for `calibration=`",
             )
         if self.size not in (None, size):
             swapped = self.size == size[::-1]

@@ -100,7 +100,7 @@ class Lens:
         if name == EQUIDISTANT or np.any(coefficients):
             return cls.of(name, coefficients)
         if model and name not in (PLUMB_BOB, RATIONAL_POLYNOMIAL, "none", "pinhole"):
-            assume(f"a pinhole: all coefficients of {shown(model)} are 0", "give --calibration")
+            assume(f"a pinhole: all coefficients of {shown(model)} are 0", "give `calibration=`")
         return None
 
     def distort(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:

@@ -69,9 +69,9 @@ def _check_clock(after_s: NDArray[np.float64]) -> None:
         )
 
 
-def assume_middle(remedy: str) -> None:
+def assume_middle() -> None:
     """Warn that the stamp of a scan whose points have no times is assumed to mark its middle."""
-    assume("the stamps of scans mark their middle", f"scan_stamp= {remedy}".rstrip())
+    assume("the stamps of scans mark their middle", "`scan_stamp=` states which")
 
 
 def check_scan_stamp(value: Any) -> ScanStamp:

@@ -53,5 +53,5 @@ def region_of_images(
     is_of_images = off_uncropped < (off if contradict else min(_CENTRED, off / 2))
     if offset.any() and (contradict or is_of_images):
         of = "of the region of interest" if is_of_images else "of the whole sensor"
-        assume(f"K and P of the CameraInfo are {of}", "give --calibration")
+        assume(f"K and P of the CameraInfo are {of}", "give `calibration=`")
     return intrinsics if is_of_images else crop @ intrinsics, stated

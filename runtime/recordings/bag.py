@@ -107,7 +107,7 @@ class BagSource(Source):
             return super().open_cameras(path, rig, image_topic=image_topic, **options)
         if "info_topic" in options or rig.calibration is not None:
             raise InputError(
-                "info_topic= and --calibration describe one camera, but image_topic= names "
+                "`info_topic=` and `calibration=` describe one camera, but `image_topic=` names "
                 f"{len(topics)}: leave them out, or run each camera by itself"
             )
         names = {topic.strip("/").replace("/", "-"): topic for topic in topics}
@@ -143,7 +143,7 @@ class BagSource(Source):
         if topic is None:
             if odometry:
                 names = ", ".join(odometry)
-                self._log.add(f"no poses: choose one of {names} by pose_topic= in --source")
+                self._log.add(f"no poses: choose one of {names} by `pose_topic=`")
             return None
         try:
             lidar = self._sensors.frame(self._depth_topic or "")

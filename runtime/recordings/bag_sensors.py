@@ -117,7 +117,7 @@ class BagSensors:
                 raise
             raise InputError(
                 f"{depth} is of the frame {self.frame(depth)}, not of {self.frame(image)} as the "
-                "images: choose a topic of aligned depth, or state registered=true in --source if "
+                "images: choose a topic of aligned depth, or state `registered=True` if "
                 f"it lies on their pixels; it cannot be projected: {error}"
             ) from error
 
@@ -129,7 +129,7 @@ class BagSensors:
         is_image = topic == self._image_topic
         info = self.info_topic if is_image else next(iter(self._topics.infos_beside(topic)), None)
         if info is None:
-            remedy = "give info_topic= in --source, or --calibration"
+            remedy = "give `info_topic=` or `calibration=`"
             raise InputError(f"{self._bag.path} has no CameraInfo beside {topic}: {remedy}")
         stated = self._rectified if is_image else None
         return read_camera_calibration(self._bag, self.tree, topic, info, source, stated)
@@ -160,7 +160,7 @@ class BagSensors:
             is_straight = ours.lens_model is not None and its.lens_model is None
             is_proved &= bool(is_near) and not is_straight
         if not is_proved:
-            remedy = "state it with registered=true or false in --source"
+            remedy = "state it with `registered=True` or False"
             assume(f"{depth} lies on the pixels of the images", remedy)
         return False
 
@@ -220,6 +220,6 @@ class BagSensors:
             self._bag.path.parent,
         )
         if os.path.isfile(folder / "metadata.yaml"):
-            first = f"give the whole bag {folder}, whose first file has it, or --calibration"
+            first = f"give the whole bag {folder}, whose first file has it, or `calibration=`"
             return TransformTree(messages, first)
         return TransformTree(messages)

@@ -113,18 +113,15 @@ class FolderSource(Source):
         if is_odometry and rig.pose_frame is not None:
             raise InputError("poses by odometry are those of the LiDAR: leave pose_frame out")
         if not is_odometry and (poses is None) != (rig.pose_frame is None):
-            raise InputError(
-                "poses and their frame go together: give --poses and pose_frame= in --source (in "
-                "Python poses= and Rig(pose_frame=))"
-            )
+            raise InputError("poses and their frame go together: give `poses=` and `pose_frame=`")
         if poses is not None and points is None:
-            raise InputError(f"the poses in {poses} move scans: give --points")
+            raise InputError(f"the poses in {poses} move scans: give `points=`")
         if is_odometry:
             Odometry()  # raises if its package is missing
         if points is not None and given.depth is not None:
             raise InputError(f"give depth maps ({given.depth}) or scans ({points}), not both")
         if points is not None and calibration is None:
-            raise InputError(f"the scans in {points} cannot be projected: give --calibration")
+            raise InputError(f"the scans in {points} cannot be projected: give `calibration=`")
         self._rgb, self._depth, self._has_scans = rgb, given.depth or points, points is not None
         self._is_one, self._what = _is_image(rgb), "scan" if self._has_scans else "depth map"
         self.depth_scale = None if self._has_scans else given.depth_scale
@@ -167,7 +164,7 @@ class FolderSource(Source):
                 other_calibration = _first_readable(paths, partial(read, camera=other))
                 is_same = np.allclose(other_calibration.extrinsics, self.calibration.extrinsics)
             if not is_same:
-                assume(f"camera 2 of KITTI for {self._rgb}", "camera= in --source")
+                assume(f"camera 2 of KITTI for {self._rgb}", "`camera=` says which")
 
     @staticmethod
     def accepts(path: Path) -> bool:
@@ -210,7 +207,7 @@ class FolderSource(Source):
         """List the frames with their times; an image without depth takes older depth."""
         if self._given.timestamps is None:
             stamps_ns = [number * _APART_NS for number in range(len(images))]
-            self._log.add("guessed: the images are 100 ms apart; timestamps= in --source says when")
+            self._log.add("guessed: the images are 100 ms apart; `timestamps=` says when")
         else:
             stamps_ns = read_timestamps(self._given.timestamps)
             if len(stamps_ns) != len(images):

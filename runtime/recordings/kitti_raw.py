@@ -59,13 +59,13 @@ class KittiRawSource(FolderSource):
             if not os.path.isdir(folder):
                 raise InputError(
                     f"{drive} is not a drive of KITTI raw data: {folder} is missing; give a folder "
-                    "like 2011_09_26/2011_09_26_drive_0001_sync, or another camera= in --source"
+                    "like 2011_09_26/2011_09_26_drive_0001_sync, or another `camera=`"
                 )
         calibration = rig.calibration or find_raw_calibration(drive)
         if calibration is None:
             raise InputError(
                 f"neither {drive} nor {Path(os.path.realpath(drive)).parent} has KITTI's "
-                f"{RAW_CAMERAS} and {RAW_SCANNER} of that day: copy them, or give --calibration"
+                f"{RAW_CAMERAS} and {RAW_SCANNER} of that day: copy them, or give `calibration=`"
             )
         self._kitti_rectified = not os.path.realpath(drive).endswith("_extract")
         super().__init__(

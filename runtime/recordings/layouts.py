@@ -54,7 +54,7 @@ class KittiObjectSource(FolderSource):
         if not os.path.isdir(images):
             raise InputError(
                 f"{path} is not in KITTI's object layout: {images} is missing; give a folder like "
-                "training, or another camera= in --source"
+                "training, or another `camera=`"
             )
         scans, rig = path / "velodyne", replace(rig, calibration=rig.calibration or path / "calib")
         if options.get("points") is None:
@@ -62,7 +62,7 @@ class KittiObjectSource(FolderSource):
         super().__init__(images, rig, camera=camera, **options)
         if self._depth is None:
             self._log.add(
-                "no velodyne folder, so only the camera is used; --points names the scans"
+                "no velodyne folder, so only the camera is used; `points=` names the scans"
             )
 
     @staticmethod
@@ -109,7 +109,7 @@ class OneFolderSource(FolderSource):
         super().__init__(rgb, rig, **options)
         for folder in unread:
             self._log.add(
-                f"guessed: {folder.name}/ is not read; --rgb, --depth and --points name folders"
+                f"guessed: {folder.name}/ is not read; `rgb=`, `depth=` and `points=` name folders"
             )
 
     @staticmethod
@@ -147,7 +147,7 @@ def _find_folders(path: Path) -> list[Path] | None:
     if len(images) + len(others) > 2 and images and others:
         names = ", ".join(folder.name for folder in images + others)
         raise InputError(
-            f"{path} holds {names}: choose two folders by --rgb and --depth or --points"
+            f"{path} holds {names}: choose two folders by `rgb=` and `depth=` or `points=`"
         )
     unread = [*(scans if maps else []), *(each for each in unlike if each not in images)]
     return [images[0], others[0], *unread] if images and others else None

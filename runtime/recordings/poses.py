@@ -115,9 +115,7 @@ def read_poses(
     first = next(iter(_lines(path)), "")
     if len(first.split()) == _TUM:
         if not of_clock:
-            raise InputError(
-                f"{path} has times, the frames have none: give timestamps= in --source"
-            )
+            raise InputError(f"{path} has times, the frames have none: give `timestamps=`")
         return read_tum_poses(path)
     poses = read_kitti_poses(path)
     if len(poses) != len(stamps_ns):

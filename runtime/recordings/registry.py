@@ -101,7 +101,7 @@ def detect_source(path: Path) -> SourcePath:
             return SourcePath(kind, path, {})
     fault = "is none of these" if os.path.exists(path) else "does not exist; give one of these"
     accepted = "; ".join(source.accepted for source in SOURCES.values())
-    raise InputError(f"{path} {fault}: {accepted}; or name the kind with --source KIND:PATH")
+    raise InputError(f"{path} {fault}: {accepted}; or name the kind with `kind=`")
 
 
 def parse_source(text: str) -> SourcePath:
@@ -215,6 +215,4 @@ def _checked(kind: str, rig: Rig, options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _as_options(names: Iterable[str]) -> str:
-    return ", ".join(
-        f"{name}=" if name in SOURCE_KEYS else f"--{name.replace('_', '-')}" for name in names
-    )
+    return ", ".join(f"`{name}=`" for name in names)

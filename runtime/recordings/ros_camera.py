@@ -33,7 +33,7 @@ _SHIFT_M, _TURN = 1e-3, 2e-3
 # /tf_static does not contain the turn to the rectified axes.
 _SHIFT_SHARE, _PAIR_TURN = 0.1, 0.1
 SAME_PX = 1.0  # largest difference between equal focal lengths or principal points
-GIVE = "give --calibration"
+GIVE = "give `calibration=`"
 
 
 def read_camera_calibration(
@@ -129,7 +129,7 @@ def is_rectified(fields: Mapping[str, Any], topic: str) -> bool:
     lens = Lens.of_ros(fields["distortion_model"], fields["d"])
     if lens is None and np.allclose(camera, projection, rtol=1e-3):
         return True
-    state = "state it with rectified=true or false in --source"
+    state = "state it with `rectified=True` or False"
     sides = np.array([fields["width"] or np.inf, fields["height"] or np.inf])
     off, straight_off = (abs(each[:2, 2] / sides - 0.5).max() for each in (camera, projection))
     if off > _OFF_CENTRE and straight_off < off / 2:  # as in bags written by kitti2bag

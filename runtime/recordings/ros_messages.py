@@ -56,7 +56,7 @@ def decode_image(message: Any) -> NDArray[np.uint8]:
     if encoding not in _PICTURES:
         hint = "expected one of " + ", ".join(_PICTURES)
         if encoding in DEPTHS:
-            hint = "if that is a depth map, name it by depth_topic= in --source"
+            hint = "if that is a depth map, name it by `depth_topic=`"
         raise InputError(f"an Image has the encoding {shown(encoding)}: {hint}")
     channels, conversion = _PICTURES[encoding]
     pixels = np.ascontiguousarray(_pixels(message, np.dtype("u1"), channels))
@@ -82,7 +82,7 @@ def decode_compressed_image(message: Any) -> NDArray[np.uint8]:
     if is_depth or "compressedDepth" in str(message.format):
         raise InputError(
             f"a CompressedImage has the format {name}, a depth map: republish it as raw, for "
-            "depth_topic= in --source"
+            "`depth_topic=`"
         )
     content = bytes(memoryview(message.data))
     rgb = decode_rgb(content, name=f"a CompressedImage ({name})")

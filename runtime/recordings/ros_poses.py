@@ -25,7 +25,7 @@ _HALVES = {6: "u4", 5: "i4"}  # seconds and nanoseconds
 _SHORTEST_SCAN_NS, _LONGEST_SCAN_NS = 1e6, 1e9
 _LEAST_EPOCH_NS = 1e17  # nanoseconds since 1970, in 1973
 _UNITS_NS = (10**9, 10**6, 10**3, 1)
-_REMEDY = "pose_topic=none in --source leaves scans as they are"
+_REMEDY = "`pose_topic=none` leaves scans as they are"
 # A pose that moves less than this share of the way that its twists state is not filled.
 _LEAST_SHARE, _LEAST_WAY_M = 0.01, 1.0
 # Fixed frames of REP 105, and the names that SLAM programs use for them.
@@ -159,7 +159,7 @@ def odometry_poses(messages: Iterable[Any]) -> tuple[str, list[tuple[int, NDArra
     if stated_m > _LEAST_WAY_M and np.ptp(places, axis=0).max() < _LEAST_SHARE * stated_m:
         raise InputError(
             f"its pose does not move, although its twist states {stated_m:.0f} m: give the poses "
-            "of another topic by pose_topic= in --source"
+            "of another topic by `pose_topic=`"
         )
     return frames.pop(), poses
 
@@ -214,7 +214,7 @@ class TransformTree:
         remedy: what to do if frames are not connected.
     """
 
-    def __init__(self, messages: Iterable[Any], remedy: str = "give --calibration") -> None:
+    def __init__(self, messages: Iterable[Any], remedy: str = "give `calibration=`") -> None:
         self._remedy = remedy
         self._parents: dict[str, list[tuple[str, Any]]] = {}
         for message in messages:

@@ -72,18 +72,19 @@ class RosTopics:
         single = [topic for topic in single if topic not in others] or single
         image = self.choose("image_topic", image_topic, images, single)
         if image is None:
-            raise self._undecided("images", single, "image_topic=TOPIC, or TOPIC+TOPIC for several")
+            ways = "`image_topic=TOPIC`, or TOPIC+TOPIC for several"
+            raise self._undecided("images", single, ways)
         if depth_topic == NO_TOPIC:
             return image, None
         depths, named = self.of_kind(POINT_CLOUD) + by_role[Role.DEPTH], by_role[Role.MAYBE_DEPTH]
         depth = self.choose("depth_topic", depth_topic, depths + named, depths)
         if depth is None and (depths or not named):
-            ways = f"depth_topic=TOPIC, or depth_topic={NO_TOPIC} for the camera alone"
+            ways = f"`depth_topic=TOPIC`, or `depth_topic={NO_TOPIC}` for the camera alone"
             raise self._undecided("point clouds or depth images", depths, ways)
         if depth is None:
             assume(
                 f"the camera alone, since {', '.join(named)} may be no depth, by name or encoding",
-                f"name it by depth_topic= in --source, or state depth_topic={NO_TOPIC}",
+                f"name it by `depth_topic=`, or state `depth_topic={NO_TOPIC}`",
             )
         return image, depth
 
@@ -118,6 +119,6 @@ class RosTopics:
         bag, path = self._bag, self._bag.path
         kinds = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(bag.types.items()))
         return InputError(
-            f"{path} has {len(topics) or 'no'} topics of {what}, give --source bag:{path},{ways}. "
+            f"{path} has {len(topics) or 'no'} topics of {what}, give {ways}. "
             f"It has the topics {'; '.join([kinds or '(none)', *left_out_note(bag.left_out)])}"
         )

@@ -113,7 +113,7 @@ def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
             raise ValueError("it holds all x, then all y, ...: write one point after the other")
         return scans[columns].astype(np.float32)
     fault = "do not follow scan lines as" if columns in scans else "are not whole"
-    remedy = f": give point_columns={other} in --source" if other else ""
+    remedy = f": give `point_columns={other}`" if other else ""
     raise ValueError(
         f"its {len(content)} bytes {fault} points of {columns} float32: it is truncated, of "
         f"another format, or has other columns{remedy}"

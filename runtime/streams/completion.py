@@ -55,7 +55,7 @@ class Completion:
             if self.rectifies:
                 if isinstance(depth, Depth):
                     raise InputError(
-                        "a depth map lies on the pixels of the distorted image: no --rectify"
+                        "a depth map lies on the pixels of the distorted image: no `rectify=True`"
                     )
                 image = replace(image, rgb=calibration.rectify(image.rgb))
                 calibration = calibration.rectified
@@ -65,5 +65,5 @@ class Completion:
             depth = replace(depth, times=depth.stamp_ns + self.to_middle_ns)
             is_moved = poses is not None and depth.stamp_ns != image.stamp_ns
             if is_moved and self.rig.scan_stamp is None:
-                assume_middle("in --source")
+                assume_middle()
         return Frame(image, depth, reused, calibration, poses, name)

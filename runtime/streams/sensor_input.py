@@ -132,7 +132,7 @@ class SensorInput:
             return message
         if self._is_middle_assumed and self._mount is not None:
             self._is_middle_assumed = False
-            assume_middle("of the Rig states it")
+            assume_middle()
         return replace(message, times=message.time_ns + round(self._middle_after * period_ns))
 
     def reaches(self, pair: Pair[Message]) -> bool:

@@ -227,8 +227,8 @@ def read_reference(folder: Path) -> Reference:
         text = read_text(path)
     except InputError as error:
         raise InputError(
-            f"{error}: give a folder made by ssdnet-run --record or ssdnet-export "
-            "--record; a run of several cameras has one folder for each"
+            f"{error}: give a folder made by ssdnet-run --record or "
+            "ssdnet-export --record; a run of several cameras has one folder for each"
         ) from error
     try:
         return _parse(folder, json.loads(text))

@@ -123,7 +123,7 @@ def verify(
     """
     if unknown := sorted(tolerances.keys() - reference.limits.keys()):
         raise InputError(
-            f"--tolerance names {', '.join(unknown)}, the reference holds "
+            f"`tolerances=` names {', '.join(unknown)}, the reference holds "
             f"{', '.join(reference.limits)}"
         )
     limits, lookup = dict(reference.limits), None
@@ -152,7 +152,7 @@ def verify(
         slowdown = median_ms / max(statistics.median(recorded_ms), 1e-9)
     if max_slowdown < math.inf and slowdown is None:
         raise InputError(
-            "--max-slowdown needs times, and this reference has none: record with ssdnet-run"
+            "`max_slowdown=` needs times, and this reference has none: record with ssdnet-run"
         )
     rows = tuple(
         _worst_figure(head, name, limit, of_heads[head])
@@ -208,7 +208,7 @@ def _class_lookup(
             if one
         ]
         raise InputError(
-            f"--model has other classes than the reference ({'; '.join(parts)}): compare models "
+            f"`model=` has other classes than the reference ({'; '.join(parts)}): compare models "
             "of the same classes, or score each against labels with ssdnet-eval"
         )
     lookup = np.full(256, NO_CLASS, np.uint8)

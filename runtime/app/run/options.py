@@ -21,6 +21,7 @@ from runtime.base.errors import InputError
 from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 from runtime.checks.catalog import FINDINGS
 from runtime.command.options import Provider, option_group
+from runtime.command.wording import with_flags
 from runtime.contract.contract import MAX_FOCAL_PX, MAX_PIXELS, MIN_FOCAL_PX
 from runtime.contract.heads import HEADS, Head
 from runtime.contract.network_size import NetworkSize, parse_network_size
@@ -423,7 +424,7 @@ def _usage_errors() -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise UsageError(str(error)) from error
+        raise UsageError(with_flags(str(error))) from error
 
 
 def _read_names(option: str, given: list[str] | None, known: Collection[str]) -> tuple[str, ...]:

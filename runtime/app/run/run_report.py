@@ -18,6 +18,7 @@ from runtime.app.run.pipeline import StreamResult
 from runtime.app.run.reasons import CALIBRATION, LATE
 from runtime.checks.finding import Finding, Severity
 from runtime.checks.judge import Judgement
+from runtime.command.wording import with_flags
 from runtime.contract.degraded import IMPLAUSIBLE_DEPTH, IMPLAUSIBLE_POSES
 from runtime.drawing.encode import METRES_PNG_MAX_M, METRES_PNG_SCALE
 from runtime.engine.prediction import Cleaned, Prediction
@@ -344,10 +345,10 @@ def _share_text(share: float | None) -> str:
 def write_report(report: RunReport) -> None:
     """Write frames.csv and report.json into the run's folder. Raises OutputError."""
     # File names need not be valid text.
-    table = frames_csv(report).encode(errors="surrogateescape")
+    table = with_flags(frames_csv(report)).encode(errors="surrogateescape")
     atomic_write(report.out / FRAMES_FILE, table)
     # The report is written last, so a folder with report.json is complete.
-    document = json.dumps(report.document(), indent=2, allow_nan=False)
+    document = with_flags(json.dumps(report.document(), indent=2, allow_nan=False))
     atomic_write(report.out / REPORT_FILE, (document + "\n").encode())
 
 

@@ -151,6 +151,6 @@ def test_models_without_boundaries_and_frames_without_scans_are_refused(
             calibrate(source, predictor, frames=2)
     with (
         open_source("folders", images) as source,
-        pytest.raises(InputError, match="the recording has no scans: give --points"),
+        pytest.raises(InputError, match="the recording has no scans: give `points="),
     ):
         calibrate(source, predictor)

@@ -156,7 +156,7 @@ def late(seed):
     ("depth_upside_down", lambda seed: street_map(seed, lambda depth: depth[::-1]), "rows"),
     ("image_upside_down", upside_down, "turn them by 180 degrees"),
     ("unit", lambda seed: street_map(seed, lambda depth: depth * np.float32(3.9)),
-     "3.9 times as far as the depth predicted from the image: try depth_scale=1000"),
+     "3.9 times as far as the depth predicted from the image: try `depth_scale=1000`"),
     ("unit", lambda seed: street(seed, points=scan_of(paint(seed)) * 10), "check their unit"),
     ("inverse_depth", lambda seed: street_map(seed, lambda depth: 1 / depth), "disparity"),
     ("other_lens", with_camera(lens=Lens.of("plumb_bob", (-0.3, 0, 0, 0))), "0 times the coeff"),

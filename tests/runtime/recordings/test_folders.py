@@ -167,7 +167,7 @@ def test_scans_need_extrinsics_and_paths_may_be_text(folders, scans, tmp_path):
     numbers.write_text("60 0 32 0 60 24 0 0 1")
     with pytest.raises(InputError, match="intrinsics alone"):
         open_source("folders", folders[0], Rig(calibration=numbers), points=scans[0])
-    with pytest.raises(InputError, match="--calibration"):
+    with pytest.raises(InputError, match="calibration="):
         open_source("folders", folders[0], points=scans[0])
     assert open_source("folders", folders[0], Rig(calibration=numbers)).calibration is not None
 
@@ -231,7 +231,7 @@ def test_the_camera_of_kitti_is_that_of_the_real_folder(
     with open_source("folders", path, rig, camera=key, **options) as source:
         shift = kitti[camera] if camera is not None else EXTRINSICS[0, 3]
         assert source.calibration.extrinsics[0, 3] == pytest.approx(shift)
-        warning = f"warning: assumed camera 2 of KITTI for {path}: camera= in --source"
+        warning = f"warning: assumed camera 2 of KITTI for {path}: `camera=`"
         assert [note.startswith(warning) for note in source.notes] == [True] * warns
     # Depth maps lie on the pixels of their image, whichever camera it is of.
     with open_source("folders", path, rig) as source:

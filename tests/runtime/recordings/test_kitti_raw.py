@@ -139,7 +139,7 @@ IMAGES, SCANS = "image_02", "velodyne_points"
     (f"{IMAGES}/timestamps.txt", "2011-09-26 13:02:25.-1234567\n" * 6, "line 1 of "),
     (f"{SCANS}/timestamps.txt", stamps([87, 187]), "0000000005.bin"),
     ("../calib_velo_to_cam.txt", None, "calib_velo_to_cam.txt"),
-    ("../calib_cam_to_cam.txt", None, "--calibration"),
+    ("../calib_cam_to_cam.txt", None, "calibration="),
     (f"{IMAGES}/data", None, "camera="),
     (f"{IMAGES}/data/left.png", "", "left.png"),
     (f"{IMAGES}/data/00.png", "", "same number"),

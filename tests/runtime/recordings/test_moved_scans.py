@@ -129,8 +129,8 @@ def test_each_return_is_moved_by_the_column_of_its_time(folders, make_scan):
 
 
 @pytest.mark.parametrize(("change", "message"), [
-    ({"pose_frame": None}, "--poses and pose_frame= in --source"),
-    ({"poses": None}, "--poses and pose_frame= in --source"),
+    ({"pose_frame": None}, "`poses=` and `pose_frame=`"),
+    ({"poses": None}, "`poses=` and `pose_frame=`"),
     ({"timestamps": "short.txt"}, "short.txt has 2 lines, there are 12 images"),
     ({"timestamps": "back.txt"}, "line 2 of .*back.txt is '1.0', expected a later time"),
     ({"timestamps": "words.txt"}, "line 1 of .*words.txt is 'noon', expected seconds"),
@@ -138,7 +138,7 @@ def test_each_return_is_moved_by_the_column_of_its_time(folders, make_scan):
     ({"poses": "tum.txt", "timestamps": None}, "give timestamps="),
     ({"poses": "scaled.txt"}, "pose must be rigid"),
     ({"pose_frame": PoseFrame.BODY, "calibration": "plain.toml"}, "body_from"),
-    ({"points": None}, "give --points"),
+    ({"points": None}, "give `points=`"),
     ({"scan_stamp": 3}, "scan_stamp"),
 ])  # fmt: skip
 def test_what_does_not_fit_is_an_error_that_says_which(folders, change, message):
@@ -157,7 +157,7 @@ def test_a_depth_map_is_reused_as_it_is_and_flagged(folders, write_depth, make_f
         write_depth(folders / f"depth/{number}.png", make_frame(*SIZE, seed=number)[1])
     source = FolderSource(folders / "image", Rig(reuse_depth_ms=150), depth=folders / "depth")
     frames = source.list_frames()
-    assert "guessed: the images are 100 ms apart; timestamps= in --source says when" in source.notes
+    assert "guessed: the images are 100 ms apart; `timestamps=` says when" in source.notes
     own, reused = (source.read(frame) for frame in frames[:2])
     assert (own.degraded, reused.depth_motion) == ((), "none")
     assert reused.degraded == ("depth_reused", "depth_uncompensated")
@@ -268,7 +268,7 @@ def test_one_of_several_topics_of_odometry_is_chosen(moving):
     bag.odometry("/gps/odom", (0.0, 0.0, 0.0), START_NS)
     path = bag.write()
     with BagSource(path) as source:
-        assert any("/gps/odom, /odom by pose_topic=" in note for note in source.notes)
+        assert any("/gps/odom, /odom by `pose_topic=" in note for note in source.notes)
         assert source.inputs["pose_topic"] is None
     with BagSource(path, pose_topic="/odom") as source:
         assert source.inputs["pose_topic"] == "/odom"

@@ -102,7 +102,7 @@ def test_an_unknown_kind_is_an_input_error_with_the_kinds(tmp_path):
 def test_what_describes_the_car_belongs_to_its_rig_and_must_be_of_use(tmp_path):
     with pytest.raises(InputError, match=r"give Rig\(calibration="):
         open_source("folders", tmp_path, calibration="car.toml")
-    with pytest.raises(InputError, match=r"kitti-object takes .* not --max-skew-ms"):
+    with pytest.raises(InputError, match=r"kitti-object takes .* not `max_skew_ms=`"):
         open_source("kitti-object", tmp_path, Rig(max_skew_ms=20))
 
 

@@ -103,9 +103,9 @@ RIGHT = {
 }  # fmt: skip
 ASSUMED = {
     "kitti2bag": (
-        camera(RAW, {"intrinsics": OFF, "rectified": K, "d": CURVED}), "rectified=true",
+        camera(RAW, {"intrinsics": OFF, "rectified": K, "d": CURVED}), "rectified=True",
     ),
-    "no word in the name": (camera("/cam/image", {"rectified": OFF}), "rectified=true"),
+    "no word in the name": (camera("/cam/image", {"rectified": OFF}), "rectified=True"),
     "R": (camera(RECT, {"r": TURN}), "R"),
     "another lens": (camera(RAW, {"distortion_model": "omni", "d": (0, 0)}), "omni"),
     "zoom": (camera(RAW, {}, {"intrinsics": scaled(2, 2)}), "first CameraInfo"),
@@ -274,5 +274,5 @@ def test_depth_of_another_frame_is_moved_by_its_camera_and_tf(depth_bag, options
 
 @pytest.mark.parametrize("changes", [{"info": False}, {"tree": False}])
 def test_depth_that_cannot_be_moved_is_refused(depth_bag, changes):
-    with pytest.raises(InputError, match="registered=true"):
+    with pytest.raises(InputError, match="registered=True"):
         BagSource(depth_bag(**changes))

@@ -144,7 +144,7 @@ def test_a_scan_of_a_frame_that_is_not_known_is_refused_alone(record, make_scan,
 
 def test_scans_without_a_frame_need_a_calibration(record, make_scan, tmp_path):
     path = two_lidars(record, make_scan, ["", ""]).write()
-    with pytest.raises(InputError, match="name no frame: give --calibration"):
+    with pytest.raises(InputError, match="name no frame: give `calibration="):
         BagSource(path)
     (tmp_path / "car.toml").write_text(CAR)
     with BagSource(path, Rig(calibration=tmp_path / "car.toml")) as source:
