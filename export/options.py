@@ -10,7 +10,7 @@ import typer
 
 from export.precision import ENOUGH_FRAMES, LEAST_FRAMES, MAX_DROP_MIOU, MAX_RISE_MAE, Precision
 from runtime.base.errors import InputError, OutputError
-from runtime.command.options import option_group
+from runtime.command.options import UsageError, option_group
 from runtime.contract.contract import check_name, check_size
 
 # (height, width) at which a model of any size is verified: half the size of Cityscapes, as in the
@@ -112,9 +112,11 @@ class ExportOptions:
             ) from None
         is_int8 = self.precision is Precision.INT8
         if is_int8 and not (self.calibrate and self.validate):
-            raise InputError("int8 needs data: give calibrate, and validate with ground truth")
+            raise UsageError(
+                "int8 needs data: give `calibrate=`, and `validate=` with ground truth"
+            )
         if self.calibrate and not is_int8:
-            raise InputError("calibrate is for int8: give precision int8, or leave it out")
+            raise UsageError("`calibrate=` is for int8: give precision int8, or leave it out")
         try:
             check_size(self.native_size)
             if self.model_name is not None:

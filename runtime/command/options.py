@@ -4,18 +4,21 @@ import dataclasses
 import inspect
 from collections.abc import Callable, Collection, Mapping
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import typer
 from typer.core import TyperCommand
 
 import runtime
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
+from runtime.base.errors import InputError
+from runtime.command.wording import with_flags
 
 _Command = Callable[..., None]
-_Options = TypeVar("_Options", bound="DataclassInstance")
+_Options = TypeVar("_Options")
+
+
+class UsageError(InputError):
+    """Options that are wrong by themselves, whatever the files contain."""
 
 
 class Provider(StrEnum):
@@ -105,11 +108,17 @@ def with_options(options: type, names: Collection[str] = ()) -> Callable[[_Comma
 
 
 def read_options(options: type[_Options], given: Mapping[str, Any], **others: Any) -> _Options:
-    """Make an object of a class with options from what its command was given, and from others."""
-    for field in dataclasses.fields(options):
+    """Make an object of a class with options from what its command was given, and from others.
+
+    Raises typer.BadParameter for a UsageError.
+    """
+    for field in dataclasses.fields(options):  # type: ignore[arg-type]
         if (value := given.get(field.name)) is not None:
             others[field.name] = field.metadata[_Given].read(value)
-    return options(**others)
+    try:
+        return options(**others)
+    except UsageError as error:
+        raise typer.BadParameter(with_flags(str(error))) from error
 
 
 class GroupedCommand(TyperCommand):

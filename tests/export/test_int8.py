@@ -332,7 +332,7 @@ def test_a_file_names_the_sets_as_given_but_no_folder_of_the_machine(given, stor
 def test_int8_needs_data(lite_checkpoint, tmp_path):
     with pytest.raises(InputError, match="int8 needs data"):
         export_checkpoint(lite_checkpoint, tmp_path / "a.onnx", precision=Precision.INT8)
-    with pytest.raises(InputError, match="calibrate is for int8"):
+    with pytest.raises(InputError, match="`calibrate=` is for int8"):
         export_checkpoint(lite_checkpoint, tmp_path / "a.onnx", calibrate=["folders:x"])
     assert not (tmp_path / "a.onnx").exists()
     words = [str(lite_checkpoint), str(tmp_path / "a.onnx")]

@@ -34,8 +34,6 @@ def evaluate(
 
     Prints a table, and for each model whether it differs from the first beyond chance.
     """
-    if not given["models"] and not given["predictions"]:
-        raise typer.BadParameter("name a model, the folder of a run, or --predictions DIR")
     with reported_errors("cpu,train"):
         options = read_options(EvaluationOptions, given)
         with stop_requested(interrupts=True):

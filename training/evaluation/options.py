@@ -11,7 +11,7 @@ import typer
 
 from runtime.base.errors import InputError
 from runtime.command.json_file import require_json
-from runtime.command.options import option_group
+from runtime.command.options import UsageError, option_group
 from runtime.contract.network_size import NetworkSize, parse_network_size
 from runtime.files.atomic_write import require_writable
 from runtime.files.read_input import read_toml
@@ -170,6 +170,8 @@ class EvaluationOptions:
 
     def __post_init__(self) -> None:
         """Check each option by itself."""
+        if not self.models and not self.predictions:
+            raise UsageError("name a model, the folder of a run, a method or --predictions DIR")
         # Heavy imports are here, so that --help answers at once.
         from training.base.processes import parse_device
         from training.datasets.any_source import parse_data
@@ -179,8 +181,6 @@ class EvaluationOptions:
         from training.loading.camera_faults import CAMERA_FAULTS
         from training.scores.depth_folder import DepthFolder
 
-        if not self.models and not self.predictions:
-            raise InputError("nothing to score: name a model, a method or --predictions DIR")
         parse_device(self.device)  # also for methods, which have no device
         known = *get_args(LidarFault), *CAMERA_FAULTS
         if unknown := [fault for fault in self.faults if fault not in ("none", *known)]:

@@ -5,10 +5,10 @@ from typing import Any
 
 import typer
 
-from runtime.app.run.options import RunOptions, UsageError
+from runtime.app.run.options import RunOptions
 from runtime.app.run.run import OnRecord, run
 from runtime.app.run.run_report import describe_run, list_results
-from runtime.command.options import GroupedCommand, Version, with_options
+from runtime.command.options import GroupedCommand, Version, read_options, with_options
 from runtime.command.process import print_result, progress_bar, reported_errors
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -33,10 +33,7 @@ def main(
     Images and depth maps or scans in folders are paired by their stems, in natural order.
     """
     with reported_errors("cpu"), contextlib.ExitStack() as progress:
-        try:
-            options = RunOptions(**given)
-        except UsageError as error:
-            raise typer.BadParameter(str(error)) from error
+        options = read_options(RunOptions, given)
 
         def start(about: str, frames: int) -> OnRecord:
             progress.close()  # closes the bar of the camera before

@@ -20,8 +20,7 @@ from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 from runtime.checks.catalog import FINDINGS
-from runtime.command.options import Provider, option_group
-from runtime.command.wording import with_flags
+from runtime.command.options import Provider, UsageError, option_group
 from runtime.contract.contract import MAX_FOCAL_PX, MAX_PIXELS, MIN_FOCAL_PX
 from runtime.contract.heads import HEADS, Head
 from runtime.contract.network_size import NetworkSize, parse_network_size
@@ -70,10 +69,6 @@ _input, _outputs, _model, _timing = map(option_group, ("Input", "Outputs", "Mode
 
 
 _KEYS = "; ".join(f"{kind} ({', '.join(keys_of(kind))})" for kind in SOURCES)
-
-
-class UsageError(InputError):
-    """Options that are wrong by themselves, whatever the files contain."""
 
 
 @dataclass(frozen=True)
@@ -424,7 +419,7 @@ def _usage_errors() -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise UsageError(with_flags(str(error))) from error
+        raise UsageError(str(error)) from error
 
 
 def _read_names(option: str, given: list[str] | None, known: Collection[str]) -> tuple[str, ...]:

@@ -6,11 +6,11 @@ from typing import Annotated, Any
 import typer
 
 from runtime.alignment.calibrate import CalibrationResult, Verdict, calibrate
-from runtime.app.run.options import RunOptions, UsageError
+from runtime.app.run.options import RunOptions
 from runtime.app.tools.alignment_picture import draw_alignment
 from runtime.app.tools.calibration_file import format_static_transform, format_toml
 from runtime.base.errors import InputError
-from runtime.command.options import GroupedCommand, Threads, Version, with_options
+from runtime.command.options import GroupedCommand, Threads, Version, read_options, with_options
 from runtime.command.process import print_result, progress_bar, reported_errors, stop_requested
 from runtime.drawing.encode import encode_jpeg, encode_png
 from runtime.engine.predictor import Predictor
@@ -70,10 +70,7 @@ def main(
     the returns. The position of the LiDAR and the intrinsics are taken as they are.
     """
     with reported_errors("cpu"), stop_requested(interrupts=True):
-        try:
-            options = RunOptions(**given)
-        except UsageError as error:
-            raise typer.BadParameter(str(error)) from error
+        options = read_options(RunOptions, given)
         for option, path, suffixes in (("out", out, (".toml",)), ("picture", picture, _PICTURES)):
             if path is not None:
                 if path.suffix.lower() not in suffixes:

@@ -178,13 +178,13 @@ def _table(report: VerifyReport, predictor: Predictor) -> str:
         line += f"{'n/a':>12}" if row.worst is None else f"{row.worst:>12.6g}"
         line += f"{row.limit:>12.6g}{row.frames_beyond:>15}  {row.frame or ''}"
         lines.append(line.rstrip())
-    if report.slowdown is not None:
-        lines.append(
-            f"{'time':18}{'x recorded':14}{report.slowdown:>12.3f}{report.max_slowdown:>12g}"
-        )
-    if report.median_ms is not None and report.max_latency_ms < math.inf:
-        times = f"{report.median_ms:>12.3f}{report.max_latency_ms:>12g}"
-        lines.append(f"{'time':18}{'median ms':14}{times}")
+    times = [("x recorded", report.slowdown, report.max_slowdown, " times the recorded time", "")]
+    if report.max_latency_ms < math.inf:
+        median = report.median_ms, report.max_latency_ms
+        times.append(("median ms", *median, " ms at the median", " ms"))
+    for name, value, limit, *_ in times:
+        if value is not None:
+            lines.append(f"{'time':18}{name:14}{value:>12.3f}{limit:>12g}")
     for fault in report.faults:
         lines.append(f"  {fault.text} ({fault.frames} frames, the first is {fault.first_frame})")
     lines.append("")
@@ -196,16 +196,10 @@ def _table(report: VerifyReport, predictor: Predictor) -> str:
         lines.append("the same answers")
     else:
         lines.append("the recorded answers, within the limits")
-    if (report.slowdown or 0) > report.max_slowdown:
-        lines.append(
-            f"predictions take {report.slowdown:.3f} times the recorded time, expected at most "
-            f"{report.max_slowdown:g}"
-        )
-    if (report.median_ms or 0) > report.max_latency_ms:
-        lines.append(
-            f"predictions take {report.median_ms:.3f} ms at the median, expected at most "
-            f"{report.max_latency_ms:g} ms"
-        )
+    for _, value, limit, of, unit in times:
+        if value is not None and value > limit:
+            took = f"predictions take {value:.3f}{of}"
+            lines.append(f"{took}, expected at most {limit:g}{unit}")
     return "\n".join(lines)
 
 

@@ -135,7 +135,7 @@ def test_each_return_is_moved_by_the_column_of_its_time(folders, make_scan):
     ({"timestamps": "back.txt"}, "line 2 of .*back.txt is '1.0', expected a later time"),
     ({"timestamps": "words.txt"}, "line 1 of .*words.txt is 'noon', expected seconds"),
     ({"poses": "short_poses.txt"}, "has 1 poses, there are 12 images"),
-    ({"poses": "tum.txt", "timestamps": None}, "give timestamps="),
+    ({"poses": "tum.txt", "timestamps": None}, "give `timestamps="),
     ({"poses": "scaled.txt"}, "pose must be rigid"),
     ({"pose_frame": PoseFrame.BODY, "calibration": "plain.toml"}, "body_from"),
     ({"points": None}, "give `points=`"),

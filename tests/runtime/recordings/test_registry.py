@@ -70,7 +70,7 @@ def test_python_may_give_keys_as_the_text_of_the_command(tmp_path, write_rgb, ma
 
 
 def test_options_of_another_kind_are_wrong_usage_of_the_command(tmp_path):
-    with pytest.raises(UsageError, match="not --depth"):
+    with pytest.raises(UsageError, match="not `depth=`"):
         RunOptions(source=f"kitti-raw:{tmp_path}", depth=tmp_path)
     with pytest.raises(UsageError, match=KINDS):
         RunOptions(source="nothing:here")
