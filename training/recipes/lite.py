@@ -194,6 +194,7 @@ CLASSES = derive(
 # accumulated scans and the returns that are not fed: the one has cars as closed models.
 DEPTH = derive(
     JOINT,
+    model={"config": {"canonical_focal_px": 721.5, "judges_picture": True}},
     data={
         "batch_size": 4,
         "seed": 201,
