@@ -48,8 +48,8 @@ class FineTuned(RunResult):
     """The result of `finetune`; `lines` are the scores, and what was kept.
 
     Attributes:
-        paid: whether the trained network is better on the frames kept apart, or cannot be compared;
-            otherwise `path` holds the network before, if that has all classes.
+        paid: whether the trained network is not worse on the frames kept apart; otherwise `path`
+            holds the network before, if that has all classes.
     """
 
     paid: bool = True
@@ -86,8 +86,8 @@ def score_both(
     return Pair(before[0], after[0]) if "miou" in before[0].row.figures else None
 
 
-def judge(pairs: Sequence[Pair], init: Weights) -> tuple[float, list[str]]:
-    """Return by how much the trained network is better in mIoU, and the scores in words.
+def judge(pairs: Sequence[Pair], init: Weights) -> tuple[str, list[str]]:
+    """Return the verdict on the mIoU of the trained network, and the scores in words.
 
     The frames of several pairs, which are of different trainings, count as one set.
     """
@@ -97,17 +97,18 @@ def judge(pairs: Sequence[Pair], init: Weights) -> tuple[float, list[str]]:
         100 * class_iou(np.sum([frame.confusion for frame in result.frames], axis=0))
         for result in (before, after)
     ]
-    value, low, high = found.figures["miou"]
+    _, low, high = found.figures["miou"]
+    verdict = found.verdict("miou")
     was, now = (float(np.nanmean(each)) for each in iou)
     lines = [
         f"mIoU of {len(before.classes)} classes on {before.row.frames} frames kept apart: "
         f"{init.path.stem}, joined: {was:.1f}; yours: {now:.1f} "
-        f"({100 * low:+.1f} to {100 * high:+.1f}): {found.verdict('miou')}"
+        f"({100 * low:+.1f} to {100 * high:+.1f}): {verdict}"
     ]
     losses = zip(before.classes, iou[1] - iou[0], strict=True)
     if worse := [f"{name} {change:+.1f}" for name, change in losses if change < -_LOSS]:
         lines.append(f"classes that became worse: {', '.join(worse)}")
-    return value, lines
+    return verdict, lines
 
 
 def _pool(results: Sequence[Result]) -> Result:
@@ -141,21 +142,22 @@ def conclude(
         pairs = [] if pair is None else [pair]
     if not pairs:
         return FineTuned(found.path)
-    change, lines = judge(pairs, init)
+    verdict, lines = judge(pairs, init)
+    is_worse = verdict == "worse"
     names = [info.name for info in init.network.config.classes]
     is_known = all(set(of) & set(names) for of in recipe.model.relatives)
-    if change < 0:
+    if verdict != "better":
         lines.append(
             "try more pictures, of other places; --folds 5, which scores on all of them; or "
             "another optimizer.learning_rate"
         )
-        if is_known:
-            lines.append(f"kept: the model before; the trained one is {path}")
-            with folder_errors(run.out):
-                save_checkpoint(path, trained.model, training=trained.training)
-                start = build_network(recipe.model, init, resumed=True)
-                facts = {**trained.training, "step": 0}
-                save_checkpoint(run.out / FINAL, start.eval(), training=facts)
+    if is_worse and is_known:
+        lines.append(f"kept: the model before; the trained one is {path}")
+        with folder_errors(run.out):
+            save_checkpoint(path, trained.model, training=trained.training)
+            start = build_network(recipe.model, init, resumed=True)
+            facts = {**trained.training, "step": 0}
+            save_checkpoint(run.out / FINAL, start.eval(), training=facts)
     elif path.is_file():
         save_checkpoint(run.out / FINAL, trained.model, training=trained.training)
-    return FineTuned(found.path, lines=[*lines, str(found.path)], paid=change >= 0)
+    return FineTuned(found.path, lines=[*lines, str(found.path)], paid=not is_worse)
