@@ -91,7 +91,8 @@ class SSDNetNode(Node):
         self.predictor = Predictor()  # the focal length is the calibration's
         self.stream = PushStream(
             self.predictor,
-            Rig(calibration=CALIBRATION, pose_frame="body"),  # no pose_frame without an odometry
+            # No pose_frame without an odometry; with one, memory_s=2.0 feeds earlier returns, too.
+            Rig(calibration=CALIBRATION, pose_frame="body"),
             deadline_ms=80,
             on_result=self.publish,
             on_error=lambda error: self.get_logger().error(str(error)),

@@ -89,6 +89,21 @@ def test_a_run_moves_the_scans_of_images_at_twice_their_rate(folders, run, make_
     assert answers.report["stages"]["skew"]["n"] == N, "of own scans alone"
 
 
+def test_a_run_that_remembers_counts_earlier_returns_apart(folders, run):
+    keys = f"timestamps={folders / 'times.txt'},pose_frame=lidar"
+    given = ["--source", f"folders:{folders / 'image'},{keys}", "--points", folders / "points"]
+    given += ["--calibration", folders / "calibration.toml", "--poses", folders / "poses.txt"]
+    answers = run(*given, "--memory", 2)
+    assert answers.exit_code == 0, answers.text
+    earlier, own = (list(map(int, answers.column(f"{of}_returns"))) for of in ("memory", "depth"))
+    assert earlier[0] == 0
+    assert sum(earlier) > 0
+    for number in range(2 * N):
+        assert np.count_nonzero(answers.fed_depth(str(number))) == earlier[number] + own[number]
+    assert "earlier returns a frame" in answers.text
+    assert "earlier returns a frame" in answers.report["frames"]["memory"]
+
+
 @pytest.mark.parametrize(("stamp", "after_s"), [("start", 0.05), ("middle", 0), ("end", -0.05)])
 def test_a_scan_is_of_its_middle(folders, make_scan, stamp, after_s):
     """Scans take 100 ms, as long as it is between two of them."""

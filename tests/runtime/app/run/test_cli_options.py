@@ -67,6 +67,7 @@ def test_the_model_is_the_one_that_was_asked_for(tmp_path, run):
     ("--demo --video out.avi", "--video writes .mp4 files, got out.avi"),
     ("--demo --shard 0/4", "--shard is I/N with 1 <= I <= N, such as 2/4, got '0/4'"),
     ("--demo --shard 5/4", "--shard is I/N"),
+    ("--demo --shard 1/4 --memory 2", "--memory needs the frames in order"),
     ("--demo --shard 1/\N{SUPERSCRIPT TWO}", "--shard is I/N"),
     ("--demo --record a/b --out a", "a/b needs a folder apart from other results"),
     ("--demo --record a --out a/b", "a needs a folder apart"),
