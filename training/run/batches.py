@@ -1,8 +1,10 @@
 """The batches of a training, decoded and augmented by worker processes."""
 
+import contextlib
 import math
 import os
 import shutil
+import signal
 import sys
 import traceback
 from collections.abc import Generator, Iterator, Sequence
@@ -128,6 +130,9 @@ def _without_tracebacks(batches: Iterator[Batch]) -> Generator[Batch, None, None
         kind, last = type(error), str(error).strip().splitlines()[-1]
         raise kind(last.removeprefix(f"{kind.__module__}.{kind.__name__}: ")) from None
     except (OSError, EOFError) as error:  # a worker was killed while it sent a batch
+        with contextlib.suppress(ValueError):  # not the main thread, which alone has a handler
+            # PyTorch's handler would raise a second time, while the loader ends its workers.
+            signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         traceback.clear_frames(error.__traceback__)
         reason = str(error).strip().splitlines() or [type(error).__name__]
         raise RuntimeError(f"DataLoader lost a worker: {reason[-1]}") from None
