@@ -61,7 +61,7 @@ def test_the_model_is_the_one_that_was_asked_for(tmp_path, run):
     ("somewhere --rgb somewhere", "give one of PATH, --demo, --rgb"),
     ("--demo --save depth,none", "--save is none, or some of all, semantic, depth"),
     ("--demo --overlay-width 1", "'--overlay-width': "),
-    ("--demo --size large", "--size 'large': neither a keyword nor a number of pixels; expected"),
+    ("--demo --size large", "size 'large': neither a keyword nor a number of pixels; expected"),
     ("--source folders:somewhere,depth_scale=0", "depth_scale must be units per metre, 0.001 to"),
     ("--demo --provider gpu", "'gpu' is not one of 'cpu', 'cuda'"),
     ("--demo --video out.avi", "--video writes .mp4 files, got out.avi"),
