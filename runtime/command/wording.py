@@ -8,7 +8,7 @@ _OF_SOURCE = " in --source"
 # The flags of keywords; those that `SOURCE_KEYS` lists are keys of --source.
 _SAME = (
     *("calibrate", "calibration", "depth", "max_skew_ms", "max_slowdown", "model", "out"),
-    *("overwrite", "points", "poses", "rectify", "reuse_depth_ms", "rgb", "validate"),
+    *("overwrite", "points", "poses", "rectify", "reuse_depth_ms", "rgb", "size", "validate"),
 )
 _FLAGS = {name: f"--{name.replace('_', '-')}" for name in _SAME} | {
     "kind": "--source KIND:PATH",

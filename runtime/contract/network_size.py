@@ -55,7 +55,7 @@ def parse_network_size(text: str) -> NetworkSize:
         return _in_range(numbers[0] if len(numbers) == 1 else numbers)
     except ValueError as error:
         raise InputError(
-            f"size {shown(text)}: {error}; expected auto (about the trained height), frame (the "
+            f"`size=` {shown(text)}: {error}; expected auto (about the trained height), frame (the "
             "frame's own), a number of rows such as 400, or HEIGHTxWIDTH such as 400x640"
         ) from error
 

@@ -56,5 +56,5 @@ def test_words_of_the_command_line():
     assert parse_network_size("400x640") == (400, 640)
     for text in ("", "x", "400x", "x640", "-400", "4e2", "400x640x3", "31", "1" * 5000, "four"):
         # In the words that can be typed.
-        with pytest.raises(InputError, match=f"size {text[:9]!r:.9}"):
+        with pytest.raises(InputError, match=f"`size=` {text[:9]!r:.9}"):
             parse_network_size(text)
