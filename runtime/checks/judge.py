@@ -124,7 +124,8 @@ class Judgement:
         """What was tested, in a line."""
         if not self.tested:
             return "no other reading of the recording can be tested"
-        rest = f"; not told apart from it: {', '.join(self.not_tested)}" if self.not_tested else ""
+        alike = ", ".join(self.not_tested)
+        rest = f"; not told apart from the recording as given: {alike}" if alike else ""
         return f"{len(self.tested)} other readings of the recording were tested{rest}"
 
     def to_dict(self) -> dict[str, Any]:

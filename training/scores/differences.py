@@ -57,7 +57,8 @@ class Difference:
     def verdict(self, figure: str) -> str:
         """Return "better", "worse", "not distinguishable on N frames", or why there is none."""
         if figure == "miou" and self.row.scored_labels < LEAST_SCORED:
-            return f"no verdict: {self.row.scored_labels:.0%} of the labels are scored"
+            scored = f"{self.row.scored_labels:.0%} of the labels are scored"
+            return f"no verdict: {scored}, at least {LEAST_SCORED:.0%} are needed"
         if self.row.frames < LEAST_DRAWN:
             return f"too few frames: {self.row.frames}, at least {LEAST_DRAWN} are needed"
         _, low, high = self.figures[figure]

@@ -82,7 +82,7 @@ OTHER = "mean_error_"
 _TRUTH = {"semantic": ("miou", "labels"), "depth": ("mae_m", "depth")}
 # For each such truth: the part of it that is not scored.
 _UNSCORED = {
-    "labels": "the labelled images has no class and is not scored",
+    "labels": "the labelled pixels have no class and are not scored",
     "depth": "the depth is beyond {:g} m (--farthest) and not scored: check its unit (depth_scale)",
 }
 

@@ -183,7 +183,10 @@ def _describe_classes(
     """Yield what is random, and which classes of the initial weights are left out."""
     new = [info.name for info, rows in zip(config.classes, origins, strict=True) if not rows]
     if new:
-        yield f"classes that none of its classes is like begin at random: {', '.join(new)}"
+        yield (
+            f"classes that none of its classes is like begin at random: {', '.join(new)}; name "
+            f"those that they join, as {new[0]} = road in --classes, or of = [...] in a recipe"
+        )
     used = {row for rows in origins for row in rows}
     own = find_origins([(info.name,) for info in source.classes], source)
     left = [i.name for i, rows in zip(source.classes, own, strict=True) if used.isdisjoint(rows)]

@@ -242,7 +242,7 @@ def test_truth_that_is_missing_or_not_scored_is_counted(scored, tmp_path):
     _, output = scored("ssdnet-nano", "--data", f"{data},labels=labels,depth=depth")
     assert "| 2011-09-26 |" in output
     assert "2011-09-26: 25 % of the depth is beyond 100 m" in output
-    assert "50 % of the labelled images has no class" in output
+    assert "50 % of the labelled pixels have no class" in output
     assert "as ground truth" not in output
     (row,), output = scored("ssdnet-nano", "--data", data)
     assert row["figures"] == {}

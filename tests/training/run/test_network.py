@@ -39,7 +39,7 @@ def test_classes_begin_with_the_rows_of_their_relatives(tmp_path, capsys):
         assert rows[3:5] == pytest.approx([8, 8], abs=0.2)
         assert rows[2] == 0  # as it is initialised
     text = capsys.readouterr().err
-    assert "begin at random: lane\n" in text
+    assert "begin at random: lane; name those that they join, as lane = road" in text
     assert "left out: building, pole, tree, sign, fence, pedestrian, bicyclist\n" in text
     # A further training, of classes that now have two rows.
     save_checkpoint(tmp_path / "walk.pt", built)
