@@ -28,6 +28,7 @@ _TO_CAMERA = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0
 # Offset of the principal point, as a share of the image's side. KITTI, PandaSet and View-of-Delft
 # have at most 0.04.
 _OFF_CENTRE = 0.08
+_HALF_CENTRE = 0.35  # of a calibration of half an image: the principal point is left of this
 _FAR_M = 3.0  # a position beyond this may have another unit
 _ALIKE_COSINE = math.cos(math.radians(20))
 _MOST_POINTS = 30_000  # of a scan all around, where nearly all returns move
@@ -157,6 +158,8 @@ def _flipped(way: tuple[slice, ...], view: View) -> Views:
 
 
 def _changed_image(change: str, view: View) -> Views:
+    if change == LEFT_HALF and view.intrinsics[0, 2] > _HALF_CENTRE * view.size[1]:
+        return  # the calibration is that of the whole image
     if (answer := view.others(change)) is not None:
         share = answer.log_depth.shape[1] / view.answer.log_depth.shape[1]
         yield "", replace(view, answer=answer, size=(view.size[0], round(share * view.size[1])))

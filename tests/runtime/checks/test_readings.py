@@ -189,6 +189,18 @@ def test_what_is_right_is_no_other_reading(make):
     assert {"turned", "focal_length" if make is street else "depth_camera"} <= {*judgement.tested}
 
 
+def test_a_calibration_of_the_whole_image_is_of_no_stereo_pair():
+    def blind(seed):
+        """The model sees noise in the whole image, and the street in its left half."""
+        view, pair = street(seed), stereo_pair(seed)
+        matrix = view.intrinsics.copy()
+        matrix[0, 2] = WIDTH
+        return replace(pair, intrinsics=matrix)
+
+    finding = found(blind)
+    assert finding is None or finding.name != "stereo_pair"
+
+
 def test_small_readings_are_warnings_and_others_faults():
     severities = {each.name: each.severity for each in READINGS}
     assert found(turned((1.5, 0, 0))).severity is Severity.WARNING
