@@ -50,12 +50,12 @@ _FAULTS = {"restyle": 0.5, "camera_fault": 0.25, "pair_camera_fault": 0.2}
 
 def _open(stage: Recipe, steps: int, widths: Sequence[int] = _PRUNED, **data: Any) -> Recipe:
     """Return a stage of lite with other data."""
-    config = {"canonical_focal_px": 721.5, "fused_start": True}
+    config = {**stage.model.config, "fused_start": True, "encoder_widths": [*widths]}
     return derive(
         stage,
         terms=f"{pandaset_street.TERMS}; rendered scenes: this project's, Apache-2.0",
         own_data_only=True,
-        model={"config": {**config, "encoder_widths": [*widths]}},
+        model={"config": config},
         data={"source": _SETS, "augment": _COLORS, **data},
         loss={"weights": {"road": 0.0}},
         schedule={"steps": steps},
