@@ -143,9 +143,10 @@ def test_ssdnet_run_saves_and_records_it(folder, tmp_path):
     assert limits.keys() == {"drivable"}
 
 
-def test_it_is_trained_and_scored(folder, tmp_path):
+def test_it_is_trained_and_scored(folder, tmp_path, capsys):
     run = tmp_path / "run"
     checkpoint = load_checkpoint(train(PACKAGE / "recipe.toml", data=folder, out=run).path)
+    assert "step 5: streets/mean_error_drivable 0." in capsys.readouterr().err
     recipe, trained = checkpoint.facts.recipe, checkpoint.model
     assert recipe["loss"]["weights"]["drivable"] == 2.0
     assert recipe["data"]["source"][0]["count"] == 4

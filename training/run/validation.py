@@ -24,6 +24,7 @@ from training.run.state import Step
 from training.run.task import Task
 from training.scores.differences import compare
 from training.scores.evaluated_set import EvaluatedSet
+from training.scores.score_report import OTHER
 from training.scores.score_set import Feed, Result, score_set
 from training.scores.scored_model import open_network
 from training.scores.scoring import scored_classes
@@ -157,7 +158,7 @@ def validate(
     shown = {
         f"{name}/{key}": figures[key]
         for name, figures in scores.items()
-        for key in SHOWN
+        for key in (*SHOWN, *(each for each in figures if each.startswith(OTHER)))
         if key in figures
     }
     board.add_scalars({f"validation/{name}": score for name, score in shown.items()}, step)
