@@ -57,8 +57,7 @@ class Difference:
     def verdict(self, figure: str) -> str:
         """Return "better", "worse", "not distinguishable on N frames", or why there is none."""
         if figure == "miou" and self.row.scored_labels < LEAST_SCORED:
-            scored = f"{self.row.scored_labels:.0%} of the labels are scored"
-            return f"no verdict: {scored}, at least {LEAST_SCORED:.0%} are needed"
+            return f"no verdict: {self.row.scored_labels:.0%} of the labels are scored"
         if self.row.frames < LEAST_DRAWN:
             return f"too few frames: {self.row.frames}, at least {LEAST_DRAWN} are needed"
         _, low, high = self.figures[figure]
