@@ -99,7 +99,7 @@ def test_a_recipe_of_data_and_steps_gets_the_loss_of_the_shipped_recipe(name, tm
     (stage,) = read_stages(str(path), init=read_weights(find_weights(name)))
     recipe = stage.recipe
     assert recipe.model.name == name
-    assert recipe.model.config == {"canonical_focal_px": 721.5}
+    assert recipe.model.config == {"canonical_focal_px": 721.5, "judges_picture": True}
     assert recipe.loss.depth_form == "metric"
     assert min(recipe.loss.weight(name) for name in ("depth", "semantic")) > 0
     assert recipe.optimizer.learning_rate == 5e-4  # a quarter
