@@ -104,7 +104,7 @@ def test_ctrl_c_ends_the_rig_with_a_report_of_what_was_done(source, run, monkeyp
 
     def interrupted(self, rgb, sparse_depth=None, **options):
         # Warming up and the check before the stream ask the camera alone.
-        if sparse_depth is not None and next(counted) == N - 1:
+        if sparse_depth is not None and sparse_depth.any() and next(counted) == N - 1:
             signal.raise_signal(signal.SIGINT)  # in the last frame of the first camera
         return predict(self, rgb, sparse_depth, **options)
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from runtime import InputError
+from runtime.command.wording import with_flags
 from runtime.recordings.bag import BagSource
 from small_rig import INTRINSICS, MS, SIZE, START_NS, add_tree, projected
 
@@ -173,8 +174,8 @@ def test_what_it_leaves_open_is_assumed_and_said(read, make_scan, run, case):
     assert named in note
     if case == "kitti2bag":
         answers = run("--source", f"bag:{path}")
-        assert note in answers.text.replace("\n", " ")
-        assert answers.report["inputs"]["assumptions"] == notes
+        assert with_flags(note) in answers.text.replace("\n", " ")
+        assert answers.report["inputs"]["assumptions"] == [with_flags(note)]
         answers = run("--source", f"bag:{path},rectified=true", out="stated")
         assert "warning: assumed" not in answers.text
         assert answers.report["inputs"]["assumptions"] == []

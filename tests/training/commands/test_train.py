@@ -47,19 +47,19 @@ def test_a_resumed_run_names_its_step_and_not_its_first_weights(run, tmp_path, d
     monkeypatch.setattr(torch, "set_num_threads", threads.append)
     run("--stop-after", "1", "--threads", "3", out="first")
     assert threads == [3]
-    # Without its classes something has random weights.
-    classes = "model = {name = 'ssdnet-lite', classes = [{name = 'sky', color = [0, 0, 0]}]}"
+    # Its class begins at random, since the initial weights have another name for theirs.
+    classes = "model = {name = 'ssdnet-lite', classes = [{name = 'palisade', color = [0, 0, 0]}]}"
     for path in (data / "camvid/trainannot").iterdir():
         cv2.imwrite(str(path), np.zeros((64, 80), np.uint8))
     options = ("--init", str(tmp_path / "first/last.pt"), "--set", classes)
     source = "{kind = 'folders', path = 'camvid', rgb = 'train', labels = 'trainannot'}"
     options += ("--set", f"data.source = [{source}]", "--set", "data.workers = 500")
     first = run(*options, "--stop-after", "2")
-    assert "with random weights: semantic_coarse_head, semantic_head" in first.stderr
+    assert "classes that none of its classes is like begin at random: palisade" in first.stderr
     assert "resumed at" not in first.stderr
     second = run(*options, "--stop-after", "3")
     assert "resumed at step 2 of 10" in second.stderr
-    assert "random weights" not in second.stderr
+    assert "at random" not in second.stderr
     document = json.loads((tmp_path / "run/recipe.json").read_text())
     assert document["recipe"]["data"]["workers"] == 500  # no more were started than cores
 

@@ -68,7 +68,7 @@ def test_keys_and_ranges_are_those_of_the_engine_and_of_other_sets(root):
     found = open_drive(root, "drive/images", depth="../depth", first=1, last=2, **keys)
     assert [found[index].depth.max() for index in range(len(found))] == [4.0, 6.0]
     for keys, text in (
-        ({"keys": {"scale": 2}}, "not --scale"),
+        ({"keys": {"scale": 2}}, "not `scale=`"),
         ({"depth": "none"}, "cannot list the folder"),
         ({"first": 9}, "4 images, none of them in 9"),
     ):

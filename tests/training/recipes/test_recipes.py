@@ -65,9 +65,12 @@ def data(tmp_path_factory):
         ("nuscenes_boston", ("image", "pseudo_semantic")),
         *((f"pandaset_street/{camera}", ("image", "label")) for camera in CAMERAS),
     ):
-        write(root / path / folders[0] / "a.png", np.full((*label.shape, 3), 90, np.uint8))
-        write(root / path / folders[1] / "a.png", np.where(label == 11, 255, label))
-        write(root / path / "lidar" / "a.png", np.full(label.shape, 2560, np.uint16))
+        # About as large as those whose intrinsics the recipes state.
+        down, right, ignored = (9, 17, 11) if path == "kitti_labelled" else (11, 11, 255)
+        ids = np.where(label == 11, ignored, label).repeat(down, axis=0).repeat(right, axis=1)
+        write(root / path / folders[0] / "a.png", np.full((*ids.shape, 3), 90, np.uint8))
+        write(root / path / folders[1] / "a.png", ids)
+        write(root / path / "lidar" / "a.png", np.full(ids.shape, 2560, np.uint16))
     for path in (
         "train",
         "rendered/train",

@@ -16,6 +16,7 @@ from runtime.app.tools.doctor import app, examine, self_test
 from runtime.base.errors import ProviderError
 from runtime.checks.catalog import FINDINGS
 from runtime.command.machine import machine_facts
+from runtime.command.wording import with_flags
 
 
 @pytest.fixture
@@ -120,4 +121,6 @@ def test_a_self_test_that_cannot_run_is_a_fault(change_run):
 def test_what_a_recording_can_be_found_to_be_is_listed_as_json():
     result = CliRunner().invoke(app, ["--readings"])
     assert result.exit_code == 0
-    assert json.loads(result.stdout) == FINDINGS
+    listed = json.loads(result.stdout)
+    assert listed == {name: with_flags(says) for name, says in FINDINGS.items()}
+    assert "--calibration" in listed["cut_images"]

@@ -97,7 +97,7 @@ def test_a_frame_that_fails_half_way_leaves_none_of_its_files(tmp_path, write, a
 def test_overwrite_replaces_our_own_run_and_nothing_else(tmp_path, write):
     out = tmp_path / "out"
     write(out, "old", "two\nlines", "g\udcff1")
-    with pytest.raises(OutputError, match=r"not empty.*--overwrite"):
+    with pytest.raises(OutputError, match=r"not empty.*overwrite"):
         make_run_folder(out)
     with atomic_file(out / "depth" / "old.png") as file:
         leftover = str(Path(file.name).relative_to(out))
