@@ -74,7 +74,8 @@ class ScanMemory {
     scans_.clear();
     last_ns_.reset();
     off.clear();
-    apart_ = rejected_ = -1;
+    apart_.clear();
+    rejected_.clear();
     is_marked_ = false;
   }
 
@@ -93,15 +94,22 @@ class ScanMemory {
     std::size_t pixel;
     float depth;
   };
-  static constexpr double kLeastWay = 0.3, kMostGaps = 4.0, kMostApart = 0.01, kMostRejected = 0.5, kWeight = 0.2;
-  static constexpr std::size_t kScans = 10, kPoints = 20000, kLeastBeside = 20;
+  static constexpr double kLeastWay = 0.3, kMostGaps = 4.0, kMostApart = 0.01, kMostRejected = 0.5;
+  static constexpr std::size_t kScans = 10, kPoints = 20000, kLeastBeside = 20, kLeastFrames = 3, kFrames = 5;
   static constexpr float kTolerance = 1.03f, kHidingShare = 0.9f;
   static constexpr int kCell = 4, kLineRows = 1, kHiding = 2;
   static constexpr std::int64_t kPause = 5000000000;
 
   static double way(const Pose& a, const Pose& b) { return std::hypot(a[3] - b[3], a[7] - b[7], a[11] - b[11]); }
 
-  static double running(double mean, double value) { return mean < 0 ? value : mean + kWeight * (value - mean); }
+  // The figures of the last frames, and their median; 0 of too few.
+  static void append(std::deque<float>& figures, double value) {
+    figures.push_back(static_cast<float>(value));
+    if (figures.size() > kFrames) figures.pop_front();
+  }
+  static double middle(const std::deque<float>& figures) {
+    return figures.size() < kLeastFrames ? 0.0 : median(std::vector<float>(figures.begin(), figures.end()));
+  }
 
   static double median(std::vector<float> values) {
     const std::size_t half = values.size() / 2;
@@ -186,12 +194,15 @@ class ScanMemory {
 
   // Whether the figures allow the memory to be used, see `_Guard` in Python.
   bool judge(const std::vector<float>& apart, std::int64_t stamp_ns) {
-    if (!off.empty()) apart_ = rejected_ = -1;  // tried again, from this frame's figures alone
+    if (!off.empty()) {  // tried again, from the figures from here on
+      apart_.clear();
+      rejected_.clear();
+    }
     off.clear();
-    if (apart.size() >= kLeastBeside) apart_ = running(apart_, median(apart));
-    if (rejected_share >= 0) rejected_ = running(rejected_, rejected_share);
-    if (apart_ > kMostApart) off = "earlier returns are off the present ones";
-    else if (rejected_ > kMostRejected) off = "the present scan contradicts the earlier returns";
+    if (apart.size() >= kLeastBeside) append(apart_, median(apart));
+    if (rejected_share >= 0) append(rejected_, rejected_share);
+    if (middle(apart_) > kMostApart) off = "earlier returns are off the present ones";
+    else if (middle(rejected_) > kMostRejected) off = "the present scan contradicts the earlier returns";
     off_until_ns_ = stamp_ns + kPause;
     return off.empty();
   }
@@ -263,7 +274,8 @@ class ScanMemory {
   std::int64_t longest_ns_, off_until_ns_ = 0;
   std::deque<Scan> scans_;
   std::optional<std::int64_t> last_ns_;
-  double apart_ = -1, rejected_ = -1, gap_ = 1;
+  double gap_ = 1;
+  std::deque<float> apart_, rejected_;
   bool is_marked_ = false;
   std::vector<float> present_, returns_, nearest_, farthest_;
   std::vector<int> above_, below_;

@@ -6,6 +6,7 @@ where the present scan measures nothing.
 """
 
 from collections import deque
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import cv2
@@ -37,7 +38,7 @@ _MOST_GAPS = 4.0  # a scan line bounds what is at most so many gaps between line
 _HIDING_COLUMNS, _HIDING_SHARE = 2, 0.9
 _HIDING_ROWS = (2, 8)  # half the rows between two lines, within these
 # What the figures of poses are, see `_Guard`.
-_LEAST_BESIDE, _WEIGHT = 20, 0.2
+_LEAST_BESIDE, _LEAST_FRAMES, _FRAMES = 20, 3, 5
 _MOST_APART, _MOST_REJECTED = 0.01, 0.5
 _PAUSE_S = 5.0
 
@@ -327,40 +328,44 @@ def _keep_least(array: Depth, at: NDArray[np.int64], values: Depth) -> None:
 class _Guard:
     """Switches a memory off while its returns do not fit the present ones, as with wrong poses.
 
-    The figures are running means over frames: the median of |log ratio| of remembered and present
-    returns on the same pixel, and the share of remembered returns that is rejected.
+    The figures are medians over the last frames, since a single pose may be wrong, as the first of
+    an odometry: the median of |log ratio| of remembered and present returns on the same pixel, and
+    the share of remembered returns that is rejected.
     """
 
     def __init__(self) -> None:
         self.off = ""
         self._off_until_ns = 0
-        self._apart: float | None = None
-        self._rejected: float | None = None
+        self._apart: deque[float] = deque(maxlen=_FRAMES)
+        self._rejected: deque[float] = deque(maxlen=_FRAMES)
 
     def pauses(self, stamp_ns: int) -> bool:
         return bool(self.off) and stamp_ns < self._off_until_ns
 
     def add(self, apart: Depth, rejected: float | None, stamp_ns: int) -> bool:
         """Add the figures of a frame; return whether the memory may be used for it."""
-        if self.off:  # tried again, from this frame's figures alone
-            self.off, self._apart, self._rejected = "", None, None
+        if self.off:  # tried again, from the figures from here on
+            self.off = ""
+            self._apart.clear()
+            self._rejected.clear()
         if len(apart) >= _LEAST_BESIDE:
-            self._apart = _running(self._apart, float(np.median(apart)))
+            self._apart.append(float(np.median(apart)))
         if rejected is not None:
-            self._rejected = _running(self._rejected, rejected)
-        apart_mean, rejected_mean = self._apart or 0.0, self._rejected or 0.0
-        if apart_mean > _MOST_APART:
-            self.off = f"earlier returns are {100 * apart_mean:.1f} % off the present ones"
-        elif rejected_mean > _MOST_REJECTED:
+            self._rejected.append(rejected)
+        middle_apart, middle_rejected = map(_middle, (self._apart, self._rejected))
+        if middle_apart > _MOST_APART:
+            self.off = f"earlier returns are {100 * middle_apart:.1f} % off the present ones"
+        elif middle_rejected > _MOST_REJECTED:
             self.off = (
-                f"the present scan contradicts {100 * rejected_mean:.0f} % of earlier returns"
+                f"the present scan contradicts {100 * middle_rejected:.0f} % of earlier returns"
             )
         self._off_until_ns = stamp_ns + round(_PAUSE_S * 1e9)
         return not self.off
 
 
-def _running(mean: float | None, value: float) -> float:
-    return value if mean is None else mean + _WEIGHT * (value - mean)
+def _middle(figures: Sequence[float]) -> float:
+    """The median; 0 of too few figures."""
+    return float(np.median(figures)) if len(figures) >= _LEAST_FRAMES else 0.0
 
 
 def _unproject(present: Depth, calibration: Calibration) -> tuple[Depth, NDArray[np.int64]]:
