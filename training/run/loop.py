@@ -180,7 +180,8 @@ class _Loop:
     def _take_steps(self, batches: Iterator[Batch], board: Board, bar: tqdm) -> None:
         recipe, state, limit = self._recipe, self.state, self._run.stop_after
         last = self.steps if limit is None else min(self.steps, limit)
-        if self._processes.is_first and state.step < last:
+        if state.step < last:
+            # In every process, since batch statistics are sums over all of them.
             views = 2 if self._task.data.augment.pair_shift else 1
             crops, size = views * self._task.data.batch_size, self._task.data.augment.size
             minutes = (last - state.step) * state.estimate_step_s(crops, size) / 60
