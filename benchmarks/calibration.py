@@ -50,18 +50,10 @@ from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_s
 from runtime.recordings.source import Source
 from runtime.streams.frame import Frame
 from runtime.streams.frame_view import view_of
+from training.recipes.pandaset_street import CAMERAS
 
 WRONG_DEGREES, SIZES = 2.0, (5, 20)
 NIGHT = "aimotive_night"
-# fx, fy, cx, cy of PandaSet's cameras at 1920 columns; the images of the street have 800.
-STREET = {
-    "front": (1970.0, 1970.0, 970.0, 483.3),
-    "front_left": (929.8, 930.1, 972.2, 508.0),
-    "front_right": (930.0, 930.0, 965.1, 463.4),
-    "left": (930.5, 930.1, 991.7, 541.6),
-    "right": (922.5, 922.4, 945.1, 517.6),
-    "back": (933.5, 934.7, 896.5, 507.4),
-}
 KITTI = ("kitti_streets", "kitti_drive_0009", "kitti_stream")
 Change = Callable[[View], View | None]
 STUDENT = (12.71, 4.30, 3.18, 2.78, 2.57)  # 95 %, of 1 to 5 vehicles
@@ -141,7 +133,7 @@ def open_rigs(data: Path, scratch: Path) -> Iterator[tuple[str, Source]]:
     if (root := data / NIGHT).is_dir():
         rig = Rig(calibration=root / "calibration.toml")
         yield NIGHT, open_source("folders", root / "image", rig, points=root / "scan")
-    for camera, (fx, fy, cx, cy) in STREET.items():
+    for camera, (fx, fy, cx, cy) in CAMERAS.items():
         if (root := data / "pandaset_street" / camera).is_dir():
             rows = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
             matrix = (np.diag([800 / 1920, 800 / 1920, 1]) @ rows).tolist()
