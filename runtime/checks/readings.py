@@ -223,24 +223,20 @@ def _other_focal(view: View, *, of_map: bool) -> Views:
         yield f"{told:.2g}", view.near(intrinsics=_camera(view, focal=scale))
 
 
-def _beside(view: View) -> Views:
-    for metres in _BASELINES_M:
+def _moved(view: View, axis: int, distances_m: Sequence[float], words: tuple[str, str]) -> Views:
+    """The LiDAR moved along an axis of the camera, in words for + and -."""
+    for metres in distances_m:
         moved = view.extrinsics.copy()
-        moved[0, 3] += metres
-        yield (
-            f"{abs(metres):g} m to the {'left' if metres > 0 else 'right'}",
-            view.near(extrinsics=moved),
-        )
+        moved[axis, 3] += metres
+        yield f"{abs(metres):g} m {words[metres < 0]}", view.near(extrinsics=moved)
+
+
+def _beside(view: View) -> Views:
+    yield from _moved(view, 0, _BASELINES_M, ("to the left", "to the right"))
 
 
 def _ahead(view: View) -> Views:
-    for metres in _AHEAD_M:
-        moved = view.extrinsics.copy()
-        moved[2, 3] += metres
-        yield (
-            f"{abs(metres):g} m {'farther' if metres > 0 else 'nearer'}",
-            view.near(extrinsics=moved),
-        )
+    yield from _moved(view, 2, _AHEAD_M, ("farther", "nearer"))
 
 
 def _turned_a_little(view: View) -> Views:
