@@ -1,9 +1,9 @@
 """ssdnet-lite from PandaSet's street and rendered scenes alone, whose terms permit commercial use.
 
-Four stages of lite, shorter: crops, pairs, a narrower trunk, the depth. The first needs --init:
-EfficientNet-Lite0 with a fused start that has learned its features (benchmarks/fused_start.py). No
-other weights or data enter, neither as a start, as a teacher, nor by a choice: what is chosen is
-chosen on `rendered/open_val` and on the street's camera `right`.
+Three stages of lite, shorter: crops, pairs with a narrower trunk, the depth. The first needs
+--init: EfficientNet-Lite0 with a fused start that has learned its features
+(benchmarks/fused_start.py). No other weights or data enter, neither as a start, as a teacher, nor
+by a choice: what is chosen is chosen on `rendered/open_val` and on the street's camera `right`.
 """
 
 from collections.abc import Sequence
@@ -63,17 +63,15 @@ def _open(stage: Recipe, steps: int, widths: Sequence[int] = _PRUNED, **data: An
     )
 
 
-CROPS = _open(lite.CROPS, 2000, _WIDE, seed=81)
-PAIRS = _open(lite.PAIRS, 1500, _WIDE, seed=82)
-NARROW = _open(lite.JOINT, 2500, seed=83)
+CROPS = _open(lite.CROPS, 1400, _WIDE, seed=81)
+NARROW = _open(lite.JOINT, 1000, seed=83)
 DEPTH = derive(
-    _open(lite.DEPTH, 1200, seed=84, source=_DEPTH_SETS, augment=_FAULTS),
+    _open(lite.DEPTH, 500, seed=84, source=_DEPTH_SETS, augment=_FAULTS),
     optimizer={"fixed_statistics": True},
 )
 
 STAGES = (
-    Stage("1-crops", CROPS),
-    Stage("2-pairs", PAIRS, then=lambda run: prune_trunk(run.after, _PRUNED, run.pictures)),
-    Stage("3-narrow", NARROW),
-    Stage("4-depth", DEPTH),
+    Stage("1-crops", CROPS, then=lambda run: prune_trunk(run.after, _PRUNED, run.pictures)),
+    Stage("2-narrow", NARROW),
+    Stage("3-depth", DEPTH),
 )
