@@ -63,10 +63,10 @@ def _open(stage: Recipe, steps: int, widths: Sequence[int] = _PRUNED, **data: An
     )
 
 
-CROPS = _open(lite.CROPS, 1400, _WIDE, seed=81)
-NARROW = _open(lite.JOINT, 1000, seed=83)
+CROPS = _open(lite.CROPS, 2000, _WIDE, seed=81)
+NARROW = _open(lite.JOINT, 1900, seed=83)
 DEPTH = derive(
-    _open(lite.DEPTH, 500, seed=84, source=_DEPTH_SETS, augment=_FAULTS),
+    _open(lite.DEPTH, 900, seed=84, source=_DEPTH_SETS, augment=_FAULTS),
     optimizer={"fixed_statistics": True},
 )
 
