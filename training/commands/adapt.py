@@ -1,6 +1,5 @@
 """`ssdnet-adapt`: the depth of a network adapted to a camera and a LiDAR, without labels."""
 
-import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +14,7 @@ from training.commands.options import (
     Out,
     Threads,
     end_run,
+    print_next_commands,
     training_command,
 )
 
@@ -62,18 +62,4 @@ def adapt(
         )
         end_run(found, stop)
         if found.paid:
-            for command in _next_commands(recording, files, found.path):
-                typer.echo(shlex.join(command))
-
-
-def _next_commands(
-    recording: str, files: dict[str, Path | None], checkpoint: Path
-) -> tuple[list[str], list[str]]:
-    """Return the commands that export the adapted model and run it on the recording."""
-    from training.fine_tuning.adaptation_frames import is_named
-
-    model = str(checkpoint.with_suffix(".onnx"))
-    source = ["--source", recording] if is_named(recording) else [recording]
-    for name, file in files.items():
-        source += [] if file is None else [f"--{name}", str(file)]
-    return ["ssdnet-export", str(checkpoint), model], ["ssdnet-run", *source, "--model", model]
+            print_next_commands(recording, files, found.path)

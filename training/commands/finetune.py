@@ -1,5 +1,6 @@
 """`ssdnet-finetune`: the installed weights, or others, trained on your own folders."""
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -17,6 +18,8 @@ from training.commands.options import (
     StopAfter,
     Threads,
     end_run,
+    list_options,
+    print_next_commands,
     training_command,
 )
 
@@ -125,3 +128,18 @@ def finetune(
             dry_run=dry_run,
         )
         end_run(found, stop)
+        if dry_run or found.stopped:
+            return
+        if labels is not None or depth is not None:
+            test: dict[str, object] = {
+                "images": "TEST/images",
+                "labels": labels and "TEST/labels",
+                "classes": classes,
+                "palette": palette,
+                "depth": depth and "TEST/depth",
+                "depth-scale": depth_scale,
+            }
+            typer.echo(shlex.join(["ssdnet-eval", init, str(out), *list_options(test)]))
+        given: dict[str, object] = {"depth": depth, "points": points, "calibration": calibration}
+        given["focal-length"] = focal_length
+        print_next_commands(str(images), given, found.path)

@@ -1,6 +1,7 @@
 """Options that the training commands share, and how these commands end."""
 
-from collections.abc import Iterator
+import shlex
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -78,3 +79,20 @@ def end_run(found: "RunResult", stop: Stop) -> None:
     else:
         typer.echo("stopped before the first step; the same command starts again", err=True)
     raise typer.Exit(INTERRUPTED)
+
+
+def print_next_commands(recording: str, given: Mapping[str, object], checkpoint: Path) -> None:
+    """Print the commands that export a model and run it on the recording of its training."""
+    from training.fine_tuning.adaptation_frames import is_named
+
+    model = str(checkpoint.with_suffix(".onnx"))
+    source = ["--source", recording] if is_named(recording) else [recording]
+    typer.echo(shlex.join(["ssdnet-export", str(checkpoint), model]))
+    typer.echo(shlex.join(["ssdnet-run", *source, *list_options(given), "--model", model]))
+
+
+def list_options(given: Mapping[str, object]) -> Iterator[str]:
+    """Yield the options of a command that have a value."""
+    for name, value in given.items():
+        if value is not None:
+            yield from (f"--{name}", str(value))

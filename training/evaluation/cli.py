@@ -58,8 +58,7 @@ def _score(options: EvaluationOptions, *, all_columns: bool) -> None:
         text = format_table(found.rows, all_columns=all_columns, width=width)
         print_result(text + format_differences(found.differences, width=width))
         if found.draft:
-            alone = dict.fromkeys(row.left_out for row in found.rows if row.left_out)
-            _print_draft(found.draft, list(alone), options)
+            _print_draft(found.draft, options)
     document = list_figures(found.rows, found.differences)
     write_json(options.json, document, overwrite=options.overwrite)
     if options.page is not None:
@@ -72,15 +71,15 @@ def _score(options: EvaluationOptions, *, all_columns: bool) -> None:
         )
 
 
-def _print_draft(
-    groups: Mapping[str, Sequence[str]], alone: Sequence[str], options: EvaluationOptions
-) -> None:
+def _print_draft(groups: Mapping[str, Sequence[str]], options: EvaluationOptions) -> None:
     """Print a draft of --join, which is written beside a page, and the command that goes on."""
     from training.base.tables import to_toml
 
     page = options.page
     path = Path("join.toml") if page is None else page.with_suffix(".join.toml")
-    text = "\n".join((to_toml(groups), *(f"# {line}" for line in alone), ""))
+    alone = ", ".join(name for name, members in groups.items() if len(members) == 1)
+    hint = f"# Add by hand what these mean in the models, or leave them: {alone}\n" if alone else ""
+    text = f"{to_toml(groups)}\n{hint}"
     if page is not None:
         atomic_write(path, text.encode())
     done = "written to" if page is not None else "to be saved as"

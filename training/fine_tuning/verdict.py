@@ -143,6 +143,8 @@ def conclude(
     if not pairs:
         return FineTuned(found.path)
     verdict, lines = judge(pairs, init)
+    if not recipe.validation.source:
+        lines.append("the last training, on all frames, has no score of its own")
     is_worse = verdict == "worse"
     names = [info.name for info in init.network.config.classes]
     is_known = all(set(of) & set(names) for of in recipe.model.relatives)

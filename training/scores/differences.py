@@ -6,15 +6,16 @@ drives are known, whole places or drives are drawn: neighbouring frames are alik
 single frames would make the interval too narrow.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from training.scores.metrics import class_iou
-from training.scores.score_report import Row
+from training.scores.score_report import OTHER, Row
 from training.scores.score_set import FrameScore, Result
 
 # Number of draws, and their seed.
@@ -27,6 +28,9 @@ LEAST_DRAWN = 6
 LEAST_SCORED = 0.8
 # Number of draws that are computed at once.
 _CHUNK = 100
+_Array = NDArray[np.float64]
+# The sums of each frame, what gives figures of summed frames, and the names of these figures.
+_Kind = tuple[Callable[[Sequence[FrameScore]], _Array], Callable[[_Array], _Array], tuple[str, ...]]
 
 
 class Interval(NamedTuple):
@@ -45,8 +49,8 @@ class Difference:
         row: the score of the model that is judged.
         against: the model with which it is compared.
         groups: number of places or drives that were drawn; 0 if single frames were drawn.
-        figures: for "miou", "mae_m" and "rmse_m", the value of the model minus that of the other,
-            if both have it.
+        figures: for "miou", "mae_m", "rmse_m" and the mean error of each other head, the value of
+            the model minus that of the other, if both have it.
     """
 
     row: Row
@@ -100,7 +104,13 @@ def _differences(first: Result, second: Result) -> Iterator[tuple[str, Interval]
     weights = np.random.default_rng(_SEED).multinomial(
         len(set(names)), np.full(len(set(names)), 1 / len(set(names))), size=_DRAWS
     )
-    for sums, figures in ((_confusions, _mean_iou), (_depths, _errors)):
+    heads = sorted({head for found in frames for frame in found for head in frame.others})
+    kinds: list[_Kind] = [
+        (_confusions, _mean_iou, ("miou",)),
+        (_depths, _errors, ("mae_m", "rmse_m")),
+        *((partial(_others, head), _errors, (f"{OTHER}{head}",)) for head in heads),
+    ]
+    for sums, figures, keys in kinds:
         totals = [_by_group(sums(found), group) for found in frames]
         if not all(total.any() for total in totals):
             continue
@@ -115,7 +125,6 @@ def _differences(first: Result, second: Result) -> Iterator[tuple[str, Interval]
             for total in totals
         ]
         bounds = np.nanpercentile(drawn[1] - drawn[0], (2.5, 97.5), axis=0)
-        keys = ("miou",) if sums is _confusions else ("mae_m", "rmse_m")
         for at, key in enumerate(keys):
             value = (whole[1] - whole[0])[0, at]
             yield key, Interval(float(value), *bounds[:, at].tolist())
@@ -134,6 +143,10 @@ def _confusions(frames: Sequence[FrameScore]) -> NDArray[np.float64]:
 
 def _depths(frames: Sequence[FrameScore]) -> NDArray[np.float64]:
     return np.stack([frame.depth for frame in frames])
+
+
+def _others(head: str, frames: Sequence[FrameScore]) -> NDArray[np.float64]:
+    return np.stack([frame.others.get(head, np.zeros(3)) for frame in frames])
 
 
 def _mean_iou(confusion: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,7 +1,7 @@
 """The rows of an evaluation as a table and as JSON."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -156,9 +156,7 @@ def format_table(
         width: characters of the longest line, unless a single figure needs more; None: any.
     """
     scored = [row for row in rows if row.figures]
-    others = dict.fromkeys(key for row in scored for key in row.shown if key.startswith(OTHER))
-    every = *COLUMNS, *(Column(key, key.replace("_", " "), 1.0, 4, main=True) for key in others)
-    known = [column for column in every if any(column.key in row.shown for row in scored)]
+    known = _columns([key for row in scored for key in row.shown])
     columns = [column for column in known if all_columns or column.main]
     notes = table_notes(rows)
     if len(columns) < len(known):
@@ -187,7 +185,7 @@ def difference_rows(
     """Yield each difference with input, figure, change and interval in words, and its verdict."""
     for item in differences:
         lidar = item.row.lidar + f", {item.row.fault}" * (item.row.fault != "none")
-        for column in (column for column in COLUMNS if column.key in item.figures):
+        for column in _columns(item.figures):
             values = [column.factor * each for each in item.figures[column.key]]
             change, low, high = (f"{value:+.{column.digits}f}" for value in values)
             yield item, [lidar, column.title, change, f"{low} to {high}"], item.verdict(column.key)
@@ -198,10 +196,11 @@ def table_notes(rows: Sequence[Row]) -> list[str]:
     notes = []
     for row in rows:
         notes += [row.left_out] if row.left_out else []
+        classes_alone = "miou" in row.figures and "mae_m" not in row.figures
         if over := scored_classes(row.figures):
             notes.append(f"{row.model} on {row.data}: mIoU{over}, the others are not labelled")
         for head, (figure, truth) in _TRUTH.items():
-            explained = head == "semantic" and row.left_out
+            explained = row.left_out if head == "semantic" else classes_alone
             if share := row.unscored.get(truth):
                 notes.append(
                     f"{row.data}: {100 * share:.3g} % of {_UNSCORED[truth].format(row.farthest_m)}"
@@ -211,7 +210,7 @@ def table_notes(rows: Sequence[Row]) -> list[str]:
                     f"{row.data}: none of the {row.frames} frames has {truth} as ground truth; "
                     f"use a set with it, for example folders:DIR,{truth}=FOLDER"
                 )
-        if row.without_focal:
+        if row.without_focal and not classes_alone:
             notes.append(
                 f"{row.model} on {row.data}: focal length of {row.without_focal} frames not known, "
                 "on which its distances depend: give intrinsics=[fx,fy,cx,cy] in --data"
@@ -219,6 +218,13 @@ def table_notes(rows: Sequence[Row]) -> list[str]:
         if not row.figures:
             notes.append(f"{row.model} on {row.data}, LiDAR {row.lidar}: nothing to score")
     return list(dict.fromkeys(notes))
+
+
+def _columns(keys: Collection[str]) -> list[Column]:
+    """Return the columns of figures; heads without one have theirs behind the others."""
+    others = dict.fromkeys(key for key in keys if key.startswith(OTHER))
+    every = *COLUMNS, *(Column(key, key.replace("_", " "), 1.0, 4, main=True) for key in others)
+    return [column for column in every if column.key in keys]
 
 
 def _by_model(rows: Sequence[Row], columns: Sequence[Column], width: int | None) -> list[str]:

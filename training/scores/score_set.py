@@ -37,6 +37,7 @@ class FrameScore:
         group: its place or drive; "" if unknown.
         confusion: int64 (C, C + 1), see `SemanticScores`.
         depth: float64 (3,), scored pixels, sum of |error| [m] and of its square.
+        others: the same for each head without other figures.
     """
 
     index: int
@@ -44,6 +45,7 @@ class FrameScore:
     group: str
     confusion: NDArray[np.int64]
     depth: NDArray[np.float64]
+    others: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
 
     def error(self, head: str) -> float | None:
         """Return the share of wrong pixels, or the MAE [m]; None if nothing is scored."""
@@ -95,7 +97,9 @@ class _Tally:
         scores = Scores(self.classes, self.farthest_m)
         scores.update(answer, frame)
         name, place = frame.sample.name, frame.sample.place
-        part = FrameScore(index, name, group, scores.semantic.confusion.copy(), scores.depth.sums)
+        confusion = scores.semantic.confusion.copy()
+        others = {head: sums.sums for head, sums in scores.others.items()}
+        part = FrameScore(index, name, group, confusion, scores.depth.sums, others)
         self.merge(_Tally(self.classes, self.farthest_m, {place: scores}, [part]))
 
     def total(self) -> Scores:

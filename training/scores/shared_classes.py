@@ -130,16 +130,20 @@ def draft_join(
 ) -> dict[str, list[str]]:
     """Return joint classes, by the meanings of names, in which more labels of a set are scored.
 
+    A class that means none of a model's is alone in its line, to which a user adds others.
+
     Args:
         own: classes of the labels.
         tables: class tables of the models.
         united: for classes that unite others, the names of these.
     """
     groups: list[tuple[str, set[str]]] = []
+    alone = []
     models = [[info.name for info in list_classes(table)] for table in tables]
     for name in [info.name for info in list_classes(own)]:
         wanted = united.get(name) or (name,)
         found = {other for known in models for each in wanted for other in relatives(each, known)}
+        alone += [] if found or not models else [name]
         # Classes of the set that mean the same class of a model count as one.
         same = [group for group in groups if group[1] & found]
         members = {name}.union(found, *(group[1] for group in same))
@@ -149,7 +153,7 @@ def draft_join(
     return {
         title: sorted(members)
         for title, members in groups
-        if len({name.lower() for name in members}) > 1
+        if title in alone or len({name.lower() for name in members}) > 1
     }
 
 

@@ -22,7 +22,7 @@ def frames(tmp_path):
             write(tmp_path / f"{folder}/{index}.png", picture)
         write(tmp_path / f"theirs/{index}.png", ids)
         write(tmp_path / f"wrong/{index}.png", np.roll(ids, 1, 0))
-    (tmp_path / "classes.txt").write_text("drivable = road\nautomobile\nsky\n")
+    (tmp_path / "classes.txt").write_text("drivable = road\nautomobile\nsky\ngizmo\n")
     (tmp_path / "colors.txt").write_text("drivable 128 64 128\nautomobile 0 0 142\nsky 70 130 180")
     return tmp_path
 
@@ -41,8 +41,11 @@ def test_no_verdict_before_classes_are_joined_by_their_meaning(frames):
     assert first.exit_code == 0, first.output
     assert "no verdict: 3% of the labels are scored" in first.output
     assert f"--join {page.with_suffix('.join.toml')} --overwrite" in first.output
-    draft = tomllib.loads(page.with_suffix(".join.toml").read_text())
-    assert draft == {"drivable": ["drivable", "road"], "automobile": ["automobile", "car"]}
+    text = page.with_suffix(".join.toml").read_text()
+    groups = {"drivable": ["drivable", "road"], "automobile": ["automobile", "car"]}
+    assert tomllib.loads(text) == {**groups, "gizmo": ["gizmo"]}
+    assert "# Add by hand what these mean in the models, or leave them: gizmo\n" in text
+    assert first.output.count("left out of the mean") == 1
     options = ("--join", page.with_suffix(".join.toml"), "--json", frames / "rows.json")
     second = run(frames, *options)
     assert "| worse |" in " ".join(second.output.split())

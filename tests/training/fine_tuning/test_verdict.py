@@ -53,7 +53,14 @@ def test_a_model_that_became_worse_is_not_kept(mine):
         expected = r"2 classes on 6 frames kept apart: first, joined: 100\.0; yours: .*: worse\n"
         assert re.search(expected, result.stdout)
         assert "kept: the model before; the trained one is" in result.stdout
-        assert result.stdout.endswith(f"{mine / 'run/model.pt'}\n")
+        *_, path, score, export, run = result.stdout.splitlines()
+        assert path == f"{mine}/run/model.pt"
+        assert score == (
+            f"ssdnet-eval {mine}/first.pt {mine}/run --images TEST/images --labels TEST/labels "
+            f"--classes {mine}/classes.txt"
+        )
+        assert export == f"ssdnet-export {path} {mine}/run/model.onnx"
+        assert run == f"ssdnet-run {mine}/images --model {mine}/run/model.onnx"
     kept, trained = (load_checkpoint(mine / "run" / name) for name in ("model.pt", "trained.pt"))
     assert kept.model.config.class_rows == (10, 1)
     assert (kept.facts.step, trained.facts.step) == (0, 2)
@@ -68,6 +75,7 @@ def test_folds_score_every_frame_and_the_last_training_has_all(mine):
     assert result.exit_code == 0, result.output
     assert "mIoU of 1 classes on 12 frames kept apart: first, joined: " in result.stdout
     assert "kept: the model before" not in result.stdout
+    assert "the last training, on all frames, has no score of its own\n" in result.stdout
     facts = load_checkpoint(mine / "run/model.pt").facts
     assert facts.recipe["data"]["source"][0]["parts"] == ((0, 11),)
     assert facts.recipe["validation"]["source"] == ()

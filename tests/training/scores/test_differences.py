@@ -11,15 +11,19 @@ from training.scores.score_set import FrameScore, Result, means_over_images
 
 
 def result(model, errors_m, *, hits=None, groups=None):
-    """A model with an error of a pixel at 10 m and right pixels, of ten, for each frame."""
+    """A model with an error of a pixel at 10 m and right pixels, of ten, for each frame.
+
+    Its head "own" has the same error.
+    """
     frames = []
     for index, error in enumerate(errors_m):
         depth = DepthScores()
         depth.update(DepthErrors(np.array([[10.0 + error]]), np.array([[10.0]])))
         hit = 0 if hits is None else hits[index]
         confusion = np.array([[hit, 10 - hit, 0], [0, 5, 0]]) * (hits is not None)
+        own = {"own": depth.sums}
         group = "" if groups is None else groups[index]
-        frames.append(FrameScore(index, f"frame {index}", group, confusion, depth.sums))
+        frames.append(FrameScore(index, f"frame {index}", group, confusion, depth.sums, own))
     row = Row(model, "torch", "set", "own", "none", len(frames), {})
     return Result(row, (LidarInput(), "none"), None, frames, ("road", "car"))
 
@@ -37,13 +41,15 @@ def test_differences_are_of_the_sums_of_all_frames_and_their_signs_are_judged():
     assert good.figures["miou"].value == pytest.approx((8 / 10 + 5 / 7) / 2 - 1 / 2)
     rmse = np.sqrt(np.square(base - 0.1).mean()) - np.sqrt(np.square(base).mean())
     assert good.figures["rmse_m"].value == pytest.approx(rmse)
-    assert [good.verdict(key) for key in ("miou", "mae_m", "rmse_m")] == ["better"] * 3
+    assert good.figures["mean_error_own"] == good.figures["mae_m"]
+    assert [good.verdict(key) for key in good.figures] == ["better"] * 4
     assert same.verdict("mae_m") == "not distinguishable on 40 frames"
     (worse,) = compare([better, first])
-    assert [worse.verdict(key) for key in ("miou", "mae_m", "rmse_m")] == ["worse"] * 3
+    assert [worse.verdict(key) for key in worse.figures] == ["worse"] * 4
     text = format_differences([good, same])
     assert "than a" in text
     assert "| -100.0 " in text
+    assert "| mean error own | -0.1000 " in text
     assert "not distinguishable on 40 frames" in text
 
 
@@ -98,4 +104,4 @@ def test_too_few_frames_get_no_verdict_and_heads_that_one_lacks_are_left_out():
     (one,) = compare([result("a", [1.0]), result("b", [0.5])])
     assert one.verdict("mae_m") == "too few frames: 1, at least 6 are needed"
     (both,) = compare([result("a", [1, 2], hits=[5, 5]), result("b", [1, 1])])
-    assert set(both.figures) == {"mae_m", "rmse_m"}
+    assert set(both.figures) == {"mae_m", "rmse_m", "mean_error_own"}
