@@ -22,12 +22,7 @@ from runtime.recordings.bag_sensors import ODOMETRY, TRANSFORMS, BagOptions, Bag
 from runtime.recordings.listing import ListedFrame
 from runtime.recordings.ros_answers import SensorFrames
 from runtime.recordings.ros_bag import RosBag
-from runtime.recordings.ros_camera import (
-    GIVE,
-    SAME_PX,
-    place_sensors,
-    projection_of,
-)
+from runtime.recordings.ros_camera import GIVE, SAME_PX, place_sensors, projection_of
 from runtime.recordings.ros_messages import (
     decode_compressed_image,
     decode_depth_image,
@@ -40,7 +35,7 @@ from runtime.recordings.ros_poses import (
     point_times_s,
     transform_poses,
 )
-from runtime.recordings.ros_topics import COMPRESSED_IMAGE, NO_TOPIC, RosTopics
+from runtime.recordings.ros_topics import COMPRESSED_IMAGE, NO_TOPIC, choose_topic, find_topics
 from runtime.recordings.source import Source, pose_track
 from runtime.streams.frame import Frame
 from runtime.streams.messages import MATCHED, Outcome, Place, Scan, Sensor
@@ -78,11 +73,10 @@ class BagSource(Source):
         self.folders = (path if os.path.isdir(path) else Path(os.path.realpath(path)).parent,)
         self.recordings = (path,)
         try:
-            topics = self._bag_topics = RosTopics(self._bag)
             with self.collecting():
-                both = topics.find(given.image_topic, given.depth_topic)
+                both = find_topics(self._bag, given.image_topic, given.depth_topic)
                 self._image_topic, self._depth_topic = both
-                self._sensors = BagSensors(self._bag, topics, *both, given, rig)
+                self._sensors = BagSensors(self._bag, *both, given, rig)
                 self.calibration = self._sensors.read_calibration()
                 self._pose_topic = self._find_poses()
             self._sensors.read_frames()
@@ -94,12 +88,7 @@ class BagSource(Source):
 
     @classmethod
     def open_cameras(
-        cls,
-        path: Path,
-        rig: Rig = DEFAULT_RIG,
-        *,
-        image_topic: str | None = None,
-        **options: Any,
+        cls, path: Path, rig: Rig = DEFAULT_RIG, *, image_topic: str | None = None, **options: Any
     ) -> dict[str, Source]:
         """Open a source for each of the topics that are joined by "+", all over one open bag."""
         topics = (image_topic or "").split("+")
@@ -133,34 +122,34 @@ class BagSource(Source):
 
         Raises InputError if the requested topic cannot be used.
         """
-        odometry = self._bag_topics.of_kind(ODOMETRY)
-        moving = [t for t in self._bag_topics.of_kind(*TRANSFORMS) if not t.endswith("tf_static")]
-        if self._given.pose_topic == NO_TOPIC or not self._sensors.has_clouds:
+        bag, requested = self._bag, self._given.pose_topic
+        odometry = bag.of_kind(ODOMETRY)
+        moving = [t for t in bag.of_kind(*TRANSFORMS) if not t.endswith("tf_static")]
+        if requested == NO_TOPIC or not self._sensors.has_clouds:
             return None
-        topic = self._bag_topics.choose(
-            "pose_topic", self._given.pose_topic, odometry + moving, odometry or moving[:1]
-        )
+        fitting, guesses = odometry + moving, odometry or moving[:1]
+        topic = choose_topic(bag, "pose_topic", requested, fitting, guesses)
         if topic is None:
             if odometry:
                 names = ", ".join(odometry)
-                self._log.add(f"no poses: choose one of {names} by `pose_topic=`")
+                self._note(f"no poses: choose one of {names} by `pose_topic=`")
             return None
         try:
             lidar = self._sensors.frame(self._depth_topic or "")
             if topic in odometry:
-                body, stamped = odometry_poses(self._bag.decoded(topic, odometry_pose))
+                body, stamped = odometry_poses(bag.decoded(topic, odometry_pose))
             else:
                 carriers = list(self._sensors.tree.ancestors(lidar))
-                body, stamped = transform_poses(self._bag.decoded(topic), carriers)
+                body, stamped = transform_poses(bag.decoded(topic), carriers)
             if self.calibration is not None and self.calibration.body_from_lidar is None:
                 mount = self._sensors.tree.between(lidar, body)
                 self.calibration = replace(self.calibration, body_from_lidar=mount)
             self._completion.poses = pose_track(stamped)
             return topic
         except InputError as error:
-            if self._given.pose_topic is not None:
+            if requested is not None:
                 raise
-            self._log.add(f"the poses of {topic} are not used: {error}")
+            self._note(f"the poses of {topic} are not used: {error}")
             return None
 
     @staticmethod
@@ -171,7 +160,7 @@ class BagSource(Source):
 
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`."""
-        self._log.left_out.clear()
+        self.left_out.clear()
         cameras: list[list[float]] = []
         offsets: dict[Sensor, list[int]] = {sensor: [] for sensor in MATCHED}
         unstamped: Counter[str] = Counter()
@@ -186,7 +175,7 @@ class BagSource(Source):
                 sensor = Sensor.IMAGE if message.topic == self._image_topic else Sensor.DEPTH
                 stamp_ns = self._bag.stamp_ns(message)
                 if stamp_ns is None:
-                    self._log.left_out[f"{sensor}: {Outcome.BAD_STAMP}"] += 1
+                    self.left_out[f"{sensor}: {Outcome.BAD_STAMP}"] += 1
                     continue
                 if stamp_ns:
                     offsets[sensor].append(stamp_ns - message.recorded_ns)
@@ -194,13 +183,8 @@ class BagSource(Source):
                     unstamped[message.topic] += 1
                 yield Place(sensor, place, stamp_ns or message.recorded_ns)
 
-        frames = self._match(
-            stamped(),
-            max_skew_ms=self._rig.max_skew_ms,
-            limit=limit,
-            camera_only=self._depth_topic is None,
-        )
-        self._log.left_out.update(self._bag.left_out)
+        frames = self._match(stamped(), limit=limit, camera_only=self._depth_topic is None)
+        self.left_out.update(self._bag.left_out)
         # The first stamp of a simulator is 0.
         if self._depth_topic is not None and (topics := [t for t, n in unstamped.items() if n > 1]):
             with self.collecting():
@@ -271,7 +255,7 @@ class BagSource(Source):
         """See `Source.inputs`."""
         facts = {"bag": str(self._bag.path), **self._given._asdict(), **self._topics}
         facts |= {**self._rig_facts, "reuse_depth_ms": self._rig.max_depth_age_ms}
-        return facts | {"left_out": dict(self._log.left_out)}
+        return facts | {"left_out": dict(self.left_out)}
 
     @property
     def lidar_place(self) -> tuple[str, str, NDArray[np.float64] | None]:

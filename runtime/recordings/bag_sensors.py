@@ -17,7 +17,7 @@ from runtime.geometry.rig import Rig
 from runtime.recordings.ros_bag import RosBag
 from runtime.recordings.ros_camera import CAMERA_INFO, GIVE, SAME_PX, read_camera_calibration
 from runtime.recordings.ros_poses import TransformTree, frame_name, is_world_frame
-from runtime.recordings.ros_topics import POINT_CLOUD, RosTopics
+from runtime.recordings.ros_topics import POINT_CLOUD, choose_topic, infos_beside
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
@@ -56,7 +56,6 @@ class BagSensors:
 
     Args:
         bag: the bag.
-        topics: its topics.
         image: topic of the images.
         depth: topic of the depth; None: the camera alone.
         given: the options of the source.
@@ -70,20 +69,14 @@ class BagSensors:
     """
 
     def __init__(
-        self,
-        bag: RosBag,
-        topics: RosTopics,
-        image: str,
-        depth: str | None,
-        given: BagOptions,
-        rig: Rig,
+        self, bag: RosBag, image: str, depth: str | None, given: BagOptions, rig: Rig
     ) -> None:
-        self._bag, self._topics, self._rig = bag, topics, rig
+        self._bag, self._rig = bag, rig
         self._image_topic, self._depth_topic = image, depth
         self._rectified, self._registered = given.rectified, given.registered
-        self.has_clouds = depth in topics.of_kind(POINT_CLOUD)
-        infos, beside = topics.of_kind(CAMERA_INFO), topics.infos_beside(image)
-        self.info_topic = topics.choose("info_topic", given.info_topic, infos, beside[:1])
+        self.has_clouds = depth in bag.of_kind(POINT_CLOUD)
+        infos, beside = bag.of_kind(CAMERA_INFO), infos_beside(bag, image)
+        self.info_topic = choose_topic(bag, "info_topic", given.info_topic, infos, beside[:1])
         self.depth_camera: Calibration | None = None
         self.tree = self._read_tree()
         self._first_frames: dict[str, str] = {}  # of each topic
@@ -127,7 +120,7 @@ class BagSensors:
         `source` is the frame of the points to be projected; "" stands for the frame of the images.
         """
         is_image = topic == self._image_topic
-        info = self.info_topic if is_image else next(iter(self._topics.infos_beside(topic)), None)
+        info = self.info_topic if is_image else next(iter(infos_beside(self._bag, topic)), None)
         if info is None:
             remedy = "give `info_topic=` or `calibration=`"
             raise InputError(f"{self._bag.path} has no CameraInfo beside {topic}: {remedy}")
@@ -205,16 +198,14 @@ class BagSensors:
     def _fixed_frames(self) -> set[str]:
         """The frames in which an Odometry message describes the motion of the car."""
         frames = set()
-        for topic in self._topics.of_kind(ODOMETRY):
+        for topic in self._bag.of_kind(ODOMETRY):
             with contextlib.suppress(InputError):
                 frames.add(self.frame(topic))
         return frames
 
     def _read_tree(self) -> TransformTree:
         """The transforms of /tf_static."""
-        topics = (
-            topic for topic in self._topics.of_kind(*TRANSFORMS) if topic.endswith("tf_static")
-        )
+        topics = (t for t in self._bag.of_kind(*TRANSFORMS) if t.endswith("tf_static"))
         messages, folder = (
             chain.from_iterable(map(self._bag.decoded, topics)),
             self._bag.path.parent,

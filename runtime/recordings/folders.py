@@ -4,6 +4,7 @@ import contextlib
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -29,10 +30,9 @@ from runtime.recordings.images import (
     read_sparse_depth,
 )
 from runtime.recordings.listing import ListedFrame, limit_frames
-from runtime.recordings.poses import read_poses
+from runtime.recordings.poses import read_poses, read_timestamps
 from runtime.recordings.scan import SCAN_SUFFIXES, read_scan
 from runtime.recordings.source import Source, pose_track
-from runtime.recordings.timestamps import read_timestamps
 from runtime.streams.frame import Frame
 from runtime.streams.messages import Outcome, Place, Scan, Sensor
 
@@ -108,7 +108,8 @@ class FolderSource(Source):
 
     def __init__(self, rgb: Path, rig: Rig = DEFAULT_RIG, **options: Any) -> None:
         given = self._given = FolderOptions(**options)
-        self._rig, poses, points, calibration = rig, given.poses, given.points, rig.calibration
+        self._rig = replace(rig, max_skew_ms=0)  # files of one name have one stamp
+        poses, points, calibration = given.poses, given.points, rig.calibration
         is_odometry = self._is_odometry = poses == Path(ODOMETRY)
         if is_odometry and rig.pose_frame is not None:
             raise InputError("poses by odometry are those of the LiDAR: leave pose_frame out")
@@ -178,7 +179,7 @@ class FolderSource(Source):
             InputError: if a folder is missing or has no images, if a stem occurs twice in a folder,
                 or if no two files make a pair.
         """
-        self._log.left_out.clear()
+        self.left_out.clear()
         only = normal_form(self._rgb.stem)
         images = {only: self._rgb} if self._is_one else self._list_images()
         depths: dict[str, Path] = {}
@@ -189,7 +190,7 @@ class FolderSource(Source):
                 depths = self._pair(images, self._list_depths(self._depth))
         without_image = set() if self._is_one else depths.keys() - images.keys()
         if self.camera_alone and without_image:
-            self._log.left_out[f"{Sensor.DEPTH}: {Outcome.NO_IMAGE}"] = len(without_image)
+            self.left_out[f"{Sensor.DEPTH}: {Outcome.NO_IMAGE}"] = len(without_image)
             without_image = set()
         names = in_natural_order(images.keys() | without_image)
         if self._is_timed:
@@ -207,7 +208,7 @@ class FolderSource(Source):
         """List the frames with their times; an image without depth takes older depth."""
         if self._given.timestamps is None:
             stamps_ns = [number * _APART_NS for number in range(len(images))]
-            self._log.add("guessed: the images are 100 ms apart; `timestamps=` says when")
+            self._note("guessed: the images are 100 ms apart; `timestamps=` says when")
         else:
             stamps_ns = read_timestamps(self._given.timestamps)
             if len(stamps_ns) != len(images):
@@ -225,8 +226,7 @@ class FolderSource(Source):
             if name in depths:
                 places.append(Place(Sensor.DEPTH, depths[name], stamp_ns))
             places.append(Place(Sensor.IMAGE, image, stamp_ns))
-        camera_only = self._depth is None
-        frames = self._match(places, max_skew_ms=0, limit=limit, camera_only=camera_only)
+        frames = self._match(places, limit=limit, camera_only=self._depth is None)
         if self._is_odometry:
             self._completion.poses = self._find_poses(frames)
         return frames
@@ -262,7 +262,7 @@ class FolderSource(Source):
                 "stem, or the same numbers in it, as image_7 and depth_7"
             )
         first = min(both)
-        self._log.add(
+        self._note(
             f"guessed: pairs by the numbers in their names, as {images[stems[first]].name} with "
             f"{numbered[first].name}"
         )
@@ -330,7 +330,7 @@ class FolderSource(Source):
             name: value if value is None or isinstance(value, int | float) else str(value)
             for name, value in options.items()
         }
-        return inputs | ({"left_out": dict(self._log.left_out)} if self.camera_alone else {})
+        return inputs | ({"left_out": dict(self.left_out)} if self.camera_alone else {})
 
 
 def _first_readable(paths: Sequence[Path], read: Callable[[Path], Calibration]) -> Calibration:

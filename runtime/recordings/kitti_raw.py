@@ -94,16 +94,14 @@ class KittiRawSource(FolderSource):
         """See `Source.list_frames`."""
         if not self._stamped:
             return super().list_frames(limit=limit)
-        self._log.left_out.clear()
-        return self._match(
-            self._stamped, max_skew_ms=self._rig.max_skew_ms, limit=limit, camera_only=False
-        )
+        self.left_out.clear()
+        return self._match(self._stamped, limit=limit, camera_only=False)
 
     def _read_oxts(self, folder: Path, mount: Path) -> None:
         """Read the poses of the car if there are any. Raises InputError if they are damaged."""
         missing = [each for each in (folder / "data", folder / _STAMPS, mount) if not each.exists()]
         if missing:
-            self._log.add(f"no poses: {missing[0]} is missing")
+            self._note(f"no poses: {missing[0]} is missing")
             return
         numbers, lidar_from_body = NumbersFile(mount), np.eye(4)
         lidar_from_body[:3] = np.hstack([numbers.matrix("R", 3, 3), numbers.matrix("T", 3, 1)])

@@ -61,9 +61,7 @@ class KittiObjectSource(FolderSource):
             options["points"] = scans if os.path.isdir(scans) else None
         super().__init__(images, rig, camera=camera, **options)
         if self._depth is None:
-            self._log.add(
-                "no velodyne folder, so only the camera is used; `points=` names the scans"
-            )
+            self._note("no velodyne folder, so only the camera is used; `points=` names the scans")
 
     @staticmethod
     def accepts(path: Path) -> bool:
@@ -108,7 +106,7 @@ class OneFolderSource(FolderSource):
                 rig = replace(rig, calibration=_find_calibration(path, of_scans=scans))
         super().__init__(rgb, rig, **options)
         for folder in unread:
-            self._log.add(
+            self._note(
                 f"guessed: {folder.name}/ is not read; `rgb=`, `depth=` and `points=` name folders"
             )
 

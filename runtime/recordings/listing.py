@@ -1,7 +1,7 @@
 """The frames of a recording before they are read, matched by the stamps of its messages."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -9,6 +9,7 @@ from typing import Any
 
 from runtime.base.natural_order import normal_form
 from runtime.base.stamp import JUMP_BACK_NS
+from runtime.geometry.rig import Rig
 from runtime.streams.matching import Pair, RecordingMatcher
 from runtime.streams.messages import MATCHED, Place, Sensor
 
@@ -58,25 +59,16 @@ class Listing:
 
 
 def list_places(
-    places: Iterable[Place],
-    *,
-    max_skew_ms: float,
-    reuse_depth_ms: float,
-    limit: int | None,
-    camera_only: bool,
+    places: Iterable[Place], rig: Rig, *, limit: int | None, camera_only: bool
 ) -> Listing:
     """List the frames of messages, whatever the order in which their topics were written.
 
     Args:
         places: the messages in the order of the recording. Those of a long recording are read as
             far as `limit` needs them.
-        max_skew_ms: largest difference between the stamps of a pair.
-        reuse_depth_ms: largest age of depth that is reused, see `Rig`.
+        rig: says which stamps belong together, and how old depth may be that is reused.
         limit: the list ends after this number of complete frames; None: all frames are listed.
         camera_only: whether the recording has no depth, so that an image alone is complete.
-
-    Raises:
-        InputError: in the cases of `RecordingMatcher`.
     """
     read: list[Place] = []
     unread = iter(places)
@@ -85,10 +77,7 @@ def list_places(
         before = len(read)
         read += islice(unread, part)
         listing = Listing()
-        matching = RecordingMatcher[Place](
-            max_skew_ms=max_skew_ms, reuse_depth_ms=reuse_depth_ms, capacity=_WAITING
-        )
-        pairs = _matched(matching, read, listing)
+        pairs = _matched(RecordingMatcher(rig, _WAITING), read, listing)
         listing.frames = limit_frames(_listed(pairs, camera_only), limit)
         if part is None or len(read) < before + part or _is_settled(listing, read, camera_only):
             return listing
@@ -146,6 +135,12 @@ def _listed(pairs: Iterable[Pair[Place]], camera_only: bool) -> Iterator[ListedF
         else:
             stamps_ns = image.stamp_ns, depth.stamp_ns
             yield ListedFrame(*identity, depth.at, *stamps_ns, not reused, reused)
+
+
+def left_out_note(left_out: Mapping[str, int]) -> tuple[str, ...]:
+    """One line with the counts of what is in no frame, or no line if there is nothing."""
+    counts = ", ".join(f"{reason} {count}" for reason, count in sorted(left_out.items()))
+    return (f"left out: {counts}",) if counts else ()
 
 
 def limit_frames(frames: Iterable[ListedFrame], limit: int | None) -> tuple[ListedFrame, ...]:

@@ -1,4 +1,4 @@
-"""Files of poses: KITTI's, TUM's, and KITTI raw's oxts.
+"""Files of time stamps, and of poses: KITTI's, TUM's, and KITTI raw's oxts.
 
 Formats: A. Geiger et al., KITTI odometry development kit and "Vision meets Robotics", 2013;
 J. Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems", 2012.
@@ -13,12 +13,31 @@ from numpy.typing import NDArray
 
 from runtime.base.arguments import shown
 from runtime.base.errors import InputError
-from runtime.base.stamp import parse_seconds
+from runtime.base.stamp import parse_date, parse_seconds
 from runtime.files.read_input import read_text
 from runtime.geometry.rigid import finite_matrix, nearest_rigid
 
 _KITTI, _TUM, _OXTS = 12, 8, 30
 _EARTH_RADIUS_M = 6378137.0
+
+
+def read_timestamps(path: Path) -> list[int]:
+    """Read a file with rising times, one per line: seconds, or dates as in KITTI's raw data.
+
+    Returns:
+        The times in nanoseconds.
+
+    Raises:
+        InputError: if the file cannot be read, if a line is not a time, or if a time is not later
+            than the one before.
+    """
+    stamps_ns: list[int] = []
+    for number, line in enumerate(read_text(path).rstrip().splitlines(), 1):
+        where = f"line {number} of {path}"
+        stamps_ns.append((parse_date if ":" in line else parse_seconds)(line, where))
+        if number > 1 and stamps_ns[-1] <= stamps_ns[-2]:
+            raise InputError(f"{where} is {line!r:.60}, expected a later time than the line before")
+    return stamps_ns
 
 
 def read_kitti_poses(path: Path) -> NDArray[np.float64]:

@@ -16,13 +16,8 @@ from runtime.streams.stream_counter import WatchdogLevel, WatchdogState
 
 # Datatypes of sensor_msgs/PointField for NumPy's types.
 _DATATYPES = {"|u1": 2, "<u4": 6, "<f4": 7}
-# Levels of diagnostic_msgs/DiagnosticStatus for the states of a stream.
-_LEVELS = {
-    WatchdogLevel.OK: 0,
-    WatchdogLevel.WARN: 1,
-    WatchdogLevel.ERROR: 2,
-    WatchdogLevel.NOT_YET: 3,
-}
+# The states of a stream by the levels of diagnostic_msgs/DiagnosticStatus, 0 to 3.
+_LEVELS = [WatchdogLevel.OK, WatchdogLevel.WARN, WatchdogLevel.ERROR, WatchdogLevel.NOT_YET]
 
 
 class FixedTransform(NamedTuple):
@@ -143,7 +138,7 @@ def status_fields(
             "depth_cleaned": str(prediction.cleaned.total),
         }
     if state is not None:
-        level = max(level, state.level, key=lambda each: _LEVELS[each])
+        level = max(level, state.level, key=_LEVELS.index)
         reasons += [reason for reason in state.reasons if reason not in reasons]
         values["state"] = str(state.level)
-    return {"level": _LEVELS[level], "message": ", ".join(reasons) or "ok", "values": values}
+    return {"level": _LEVELS.index(level), "message": ", ".join(reasons) or "ok", "values": values}

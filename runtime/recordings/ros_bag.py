@@ -69,6 +69,10 @@ class RosBag:
             for name in there - named:
                 self.left_out[f"{name} (metadata.yaml does not name it)"] = 1
 
+    def of_kind(self, *kinds: str) -> list[str]:
+        """The topics of these message types, sorted."""
+        return sorted(topic for topic, kind in self.types.items() if kind in kinds)
+
     def messages(self, topics: Collection[str]) -> Iterator[RecordedMessage]:
         """Yield the messages of the topics in the order in which they were recorded."""
         self.guard.check()

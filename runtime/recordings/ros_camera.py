@@ -144,7 +144,7 @@ def _has_own_frame(bag: RosBag, tree: TransformTree, frame: str, shift: Any) -> 
     """Whether `frame` belongs to the second camera; by ROS's convention it is the first one's."""
     if any(_is_at(tree, each, frame, shift) for each in tree.frames if each != frame):
         return True
-    for topic in (topic for topic, kind in bag.types.items() if kind == CAMERA_INFO):
+    for topic in bag.of_kind(CAMERA_INFO):
         for info in bag.decoded(topic):
             p = _fields(info)["p"]
             if frame_name(info.header.frame_id) == frame and p[0] and not any(p[3::4]):

@@ -2,6 +2,7 @@
 
 import re
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -16,13 +17,13 @@ from numpy.typing import NDArray
 from runtime.base.errors import InputError
 from runtime.base.natural_order import contain_decimals
 from runtime.checks.sensor_times import period_ns_of
+from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.motion import FIRST_SCAN_NS
 from runtime.geometry.poses import PoseTrack
 from runtime.geometry.returns import check_farthest
 from runtime.geometry.rig import DEFAULT_RIG, Rig
-from runtime.recordings.listing import ListedFrame, list_places
-from runtime.recordings.notes import Notes
+from runtime.recordings.listing import ListedFrame, left_out_note, list_places
 from runtime.recordings.ros_answers import SensorFrames
 from runtime.streams.completion import Completion
 from runtime.streams.frame import Frame
@@ -127,7 +128,7 @@ class Source(ABC):
 
     def collecting(self) -> AbstractContextManager[None]:
         """Collect the assumptions that this thread makes inside a block in `notes`."""
-        return self._log.collecting()
+        return collect_assumptions(self._lines)
 
     def measured(
         self,
@@ -176,7 +177,7 @@ class Source(ABC):
     @property
     def notes(self) -> tuple[str, ...]:
         """Lines for the terminal: guesses and, after listing, the skipped messages."""
-        return self._log.texts
+        return (*self._lines, *left_out_note(self.left_out))
 
     @property
     def sensor_frames(self) -> SensorFrames:
@@ -194,32 +195,31 @@ class Source(ABC):
         facts["calibration"] = "a Calibration" if is_array else calibration and str(calibration)
         return facts
 
-    @property
-    def left_out(self) -> Mapping[str, int]:
+    @cached_property
+    def left_out(self) -> Counter[str]:
         """Counts of what is in no frame, such as "image: duplicate"; known after listing."""
-        return self._log.left_out
+        return Counter()
 
     @cached_property
-    def _log(self) -> Notes:
-        return Notes()
+    def _lines(self) -> list[str]:
+        return []
 
     @cached_property
     def _completion(self) -> Completion:
         return Completion(self._rig)
 
+    def _note(self, line: str) -> None:
+        """Add a line to `notes`, once, since the frames may be listed more than once."""
+        if line not in self._lines:
+            self._lines.append(line)
+
     def _match(
-        self, places: Iterable[Place], *, max_skew_ms: float, limit: int | None, camera_only: bool
+        self, places: Iterable[Place], *, limit: int | None, camera_only: bool
     ) -> tuple[ListedFrame, ...]:
         """List the frames of messages, see `list_places`."""
-        listing = list_places(
-            places,
-            max_skew_ms=max_skew_ms,
-            reuse_depth_ms=self._rig.max_depth_age_ms,
-            limit=limit,
-            camera_only=camera_only,
-        )
+        listing = list_places(places, self._rig, limit=limit, camera_only=camera_only)
         self.stamps_ns, frames = listing.stamps_ns, listing.frames
-        self._log.left_out.update(listing.left_out)
+        self.left_out.update(listing.left_out)
         scans_ns = [f.depth_stamp_ns for f in frames if f.depth_stamp_ns is not None]
         self._completion.period_ns = period_ns_of(scans_ns, FIRST_SCAN_NS)
         return frames

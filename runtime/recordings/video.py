@@ -95,7 +95,7 @@ class VideoSource(FolderSource):
         if self._count == 0:
             raise InputError(f"{self._rgb} has no frame: it is empty, truncated or damaged")
         if self._most is None and 0 < stated != self._count:
-            self._log.add(f"warning: {self._rgb} states {stated:.0f} frames, it has {self._count}")
+            self._note(f"warning: {self._rgb} states {stated:.0f} frames, it has {self._count}")
         return {_name(number): number for number in range(self._count)}
 
     def _list_depths(self, folder: Path) -> dict[str, Path]:

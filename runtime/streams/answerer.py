@@ -1,6 +1,6 @@
 """The answer to a frame: one way for live streams, replays and runs."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -9,13 +9,12 @@ from numpy.typing import NDArray
 
 from runtime.base.arguments import shown
 from runtime.base.errors import InputError
-from runtime.checks.consistency import Consistency
-from runtime.checks.finding import Finding
 from runtime.engine.prediction import Prediction
 from runtime.geometry.calibration import Calibration
 from runtime.streams.frame import Frame
 from runtime.streams.frame_memory import FrameMemory
 from runtime.streams.frame_result import FrameResult
+from runtime.streams.stream_checks import StreamChecks
 
 
 class FramePredictor(Protocol):
@@ -33,32 +32,6 @@ class FramePredictor(Protocol):
     ) -> Prediction: ...
 
 
-# Answers a frame with the given returns (H, W) instead of its own; all 0: from the image alone.
-Predict = Callable[[Frame, NDArray[np.float32]], Prediction]
-
-
-class Checks(Protocol):
-    """What judges a stream, in the thread that predicts, at the same moments in every stream."""
-
-    def predict(self, frame: Frame, predict: Predict) -> tuple[Prediction, Consistency | None]:
-        """Answer a frame; some returns may be held out to score the answer by them."""
-
-    def answered(
-        self, frame: Frame, prediction: Prediction
-    ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return the stream's reasons for `Prediction.degraded`, and `FrameResult.health`."""
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """What was found so far."""
-
-    def begin(self, frames: Iterable[Frame], predict: Predict) -> None:
-        """Judge the first frames of a recording before any of them is answered."""
-
-    def judge(self, predict: Predict, *, idle: bool) -> None:
-        """Do what takes long, after the result was handed over; `idle`: no other frame waits."""
-
-
 class Answerer:
     """Predicts and checks one frame of a stream after another. Not thread-safe.
 
@@ -72,7 +45,7 @@ class Answerer:
     """
 
     def __init__(
-        self, predictor: FramePredictor, checks: Checks, *, memory: FrameMemory | None = None
+        self, predictor: FramePredictor, checks: StreamChecks, *, memory: FrameMemory | None = None
     ) -> None:
         if not callable(getattr(predictor, "predict", None)):
             raise InputError(f"predictor must be a Predictor, got {shown(predictor)}")
@@ -122,7 +95,7 @@ class Answerer:
         )
 
     def check_last(self, *, idle: bool) -> None:
-        """Check what takes long, see `Checks.judge`; to be called after each result."""
+        """Check what takes long, see `StreamChecks.judge`; to be called after each result."""
         self._checks.judge(self._predict, idle=idle)
 
     def _predict(self, frame: Frame, sparse_depth: NDArray[np.float32]) -> Prediction:

@@ -1,6 +1,6 @@
 """The view of a frame, by which the checks judge."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -14,12 +14,14 @@ from runtime.geometry.lens import cache_key, rays, to_image_plane
 from runtime.geometry.motion import compensate_points
 from runtime.geometry.poses import NoPoseError
 from runtime.geometry.returns import is_measured
-from runtime.streams.answerer import Predict
 from runtime.streams.frame import Frame
 from runtime.streams.messages import Image
 
 _MOST_OF_MAP = 50_000  # returns of a denser depth map are subsampled
 _FARTHEST_M = 1e6  # in any unit
+
+# Answers a frame with the given returns (H, W) instead of its own; all 0: from the image alone.
+Predict = Callable[[Frame, NDArray[np.float32]], Prediction]
 
 
 def view_of(

@@ -15,32 +15,24 @@ from bisect import insort
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from operator import attrgetter
 from statistics import median_low
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from runtime.base.arguments import check_number
 from runtime.base.errors import InputError
 from runtime.base.stamp import JUMP_BACK_NS, NS_PER_MS
-from runtime.streams.messages import MATCHED, Outcome, Sensor
+from runtime.geometry.rig import Rig
+from runtime.streams.messages import MATCHED, Message, Outcome, Place, Sensor
 
 _REMEMBERED_STAMPS = 64  # latest of a sensor, to detect duplicates
 _REMEMBERED_INTERVALS = 16
 _KNOWN_INTERVALS = 5  # from which the period is known
+_stamp_of = attrgetter("time_ns")
 _MAX_WAIT_NS = 50 * NS_PER_MS  # of a recording: how far a sensor's messages may be out of order
 
 
-class Stamped(Protocol):
-    """The part of a message that its matching uses."""
-
-    @property
-    def sensor(self) -> Sensor: ...
-    @property
-    def time_ns(self) -> int: ...
-    @property
-    def arrived_ns(self) -> int: ...
-
-
-M = TypeVar("M", bound=Stamped)
+M = TypeVar("M", bound=Message | Place)
 
 
 class Discarded(NamedTuple, Generic[M]):
@@ -83,14 +75,6 @@ class Decided(Generic[M]):
     pairs: list[Pair[M]] = field(default_factory=list)
     discarded: list[Discarded[M]] = field(default_factory=list)
     jumped_back: bool = False
-
-
-@dataclass(eq=False)
-class _Kept(Generic[M]):
-    """A depth map that may be reused, and its outcome when dropped; None: already counted."""
-
-    depth: M
-    outcome: Outcome | None
 
 
 class Intervals:
@@ -139,7 +123,7 @@ class _Waiting(Generic[M]):
         self.intervals = Intervals()
 
     def add(self, message: M) -> None:
-        insort(self.messages, message, key=lambda item: item.time_ns)
+        insort(self.messages, message, key=_stamp_of)
         self.remembered.append(message.time_ns)
         self.intervals.add(message.time_ns)
 
@@ -148,21 +132,17 @@ class Matcher(ABC, Generic[M]):
     """Holds messages that wait for a partner.
 
     Args:
-        max_skew_ms: largest difference between the stamps of a pair.
-        reuse_depth_ms: largest age of a depth map that is reused for an image without depth of its
-            own; 0 = no depth is reused.
+        rig: says which stamps belong together, and how old depth may be that is reused.
         capacity: largest number of waiting messages of a sensor.
-
-    Raises:
-        InputError: if the skew or the age is out of range.
     """
 
-    def __init__(self, *, max_skew_ms: float, reuse_depth_ms: float, capacity: int) -> None:
-        self._max_skew_ns = _checked_ns("max_skew_ms", max_skew_ms)
-        self._reuse_ns = _checked_ns("reuse_depth_ms", reuse_depth_ms)
+    def __init__(self, rig: Rig, capacity: int) -> None:
+        self._max_skew_ns = round(rig.max_skew_ms * NS_PER_MS)
+        self._reuse_ns = round(rig.max_depth_age_ms * NS_PER_MS)
         self._capacity = capacity
         self._sensors = {sensor: _Waiting[M]() for sensor in MATCHED}
-        self._kept: list[_Kept[M]] = []  # by stamp
+        # Depth maps that may be reused, and their outcome when dropped; None: already counted.
+        self._kept: dict[M, Outcome | None] = {}
         self._decided_ns: int | None = None  # the newest image that was decided
 
     def flush(self) -> Decided[M]:
@@ -251,7 +231,7 @@ class Matcher(ABC, Generic[M]):
         for depth in list(self._depths):
             self._depths.remove(depth)
             decided.discarded.append(Discarded(depth, outcome))
-        self._drop(decided, list(self._kept))
+        self._drop(decided, self._kept)
 
     def _partner(self, image: M) -> M | None:
         """The nearest depth map that has no nearer image; ties keep the older."""
@@ -286,49 +266,54 @@ class Matcher(ABC, Generic[M]):
         """The newest depth map before an image, if it is not too old."""
         if not self._reuse_ns:
             return None
-        depths = (*(kept.depth for kept in self._kept), *self._depths)
+        depths = (*self._kept, *self._depths)
         recent = (depth for depth in depths if 0 <= image.time_ns - depth.time_ns <= self._reuse_ns)
-        return max(recent, key=lambda depth: depth.time_ns, default=None)
+        return max(recent, key=_stamp_of, default=None)
 
     def _keep(self, decided: Decided[M], depth: M, outcome: Outcome | None) -> None:
         """Keep a depth map that leaves the matching; its outcome follows when it is dropped."""
         self._depths.remove(depth)
-        insort(self._kept, _Kept(depth, outcome), key=lambda kept: kept.depth.time_ns)
-        if not self._reuse_ns:
-            self._drop(decided, list(self._kept))
-        self._drop(decided, self._kept[: -self._capacity])
+        self._kept[depth] = outcome
+        by_stamp = sorted(self._kept, key=_stamp_of)
+        self._drop(decided, by_stamp[: -self._capacity] if self._reuse_ns else by_stamp)
 
     def _mark_reused(self, decided: Decided[M], depth: M) -> None:
         if depth in self._depths:  # later images are farther away in time
             self._keep(decided, depth, Outcome.REUSED)
-        for kept in self._kept:
-            if kept.depth is depth and kept.outcome is not None:
-                kept.outcome = Outcome.REUSED
+        if self._kept.get(depth) is not None:
+            self._kept[depth] = Outcome.REUSED
 
     def _forget_depths(self, decided: Decided[M], image_ns: int) -> None:
         """Drop depth maps before the image, except the newest: no later image can reuse them."""
-        before = [kept for kept in self._kept if kept.depth.time_ns <= image_ns]
-        if before and image_ns - before[-1].depth.time_ns < self._reuse_ns:
+        before = sorted((d for d in self._kept if d.time_ns <= image_ns), key=_stamp_of)
+        if before and image_ns - before[-1].time_ns < self._reuse_ns:
             before.pop()
         self._drop(decided, before)
 
-    def _drop(self, decided: Decided[M], kept_depths: list[_Kept[M]]) -> None:
-        for kept in kept_depths:
-            self._kept.remove(kept)
-            if kept.outcome is not None:
-                decided.discarded.append(Discarded(kept.depth, kept.outcome))
+    def _drop(self, decided: Decided[M], depths: Iterable[M]) -> None:
+        for depth in list(depths):
+            if (outcome := self._kept.pop(depth)) is not None:
+                decided.discarded.append(Discarded(depth, outcome))
 
 
 class LiveMatcher(Matcher[M]):
-    """Matches messages as they arrive; deciding an image discards all older images."""
+    """Matches messages as they arrive; deciding an image discards all older images.
+
+    Args:
+        rig: see `Matcher`.
+        capacity: see `Matcher`.
+        max_wait_ms: how long a message waits for its partner.
+
+    Raises:
+        InputError: if `max_wait_ms` is out of range.
+    """
 
     _is_regular = True
 
-    def __init__(
-        self, *, max_skew_ms: float, max_wait_ms: float, reuse_depth_ms: float, capacity: int
-    ) -> None:
-        super().__init__(max_skew_ms=max_skew_ms, reuse_depth_ms=reuse_depth_ms, capacity=capacity)
-        self._max_wait_ns = _checked_ns("max_wait_ms", max_wait_ms)
+    def __init__(self, rig: Rig, capacity: int, max_wait_ms: float) -> None:
+        super().__init__(rig, capacity)
+        check_number("max_wait_ms", max_wait_ms, 0, 1e6, "milliseconds", error=InputError)
+        self._max_wait_ns = round(max_wait_ms * NS_PER_MS)
         self._now_ns = 0
 
     def add(self, message: M) -> Decided[M]:
@@ -435,14 +420,11 @@ class RecordingMatcher(Matcher[M]):
         if not self._images:
             return None
         oldest = self._images[0]
-        depth = self._partner(oldest)
-        # With a partner it waits for images that might be nearer to this depth map.
-        over = (
-            self._is_over(oldest, Sensor.DEPTH)
-            if depth is None
-            else self._is_certain(oldest, depth)
-        )
-        return oldest if over else None
+        if (depth := self._partner(oldest)) is None:
+            is_over = self._is_over(oldest, Sensor.DEPTH)
+        else:  # wait for images that might be nearer to this depth map
+            is_over = self._is_certain(oldest, depth)
+        return oldest if is_over else None
 
     def _is_over(self, message: M, other: Sensor) -> bool:
         newest_ns = self._sensors[other].intervals.newest_ns
@@ -454,10 +436,5 @@ class RecordingMatcher(Matcher[M]):
             self._decide_image(decided, self._images[0])
 
 
-def _checked_ns(name: str, value_ms: float) -> int:
-    value_ms = check_number(name, value_ms, 0, 1e6, "milliseconds", error=InputError)
-    return round(value_ms * NS_PER_MS)
-
-
-def _distance(one: Stamped, other: Stamped) -> int:
+def _distance(one: Message | Place, other: Message | Place) -> int:
     return abs(one.time_ns - other.time_ns)

@@ -130,12 +130,7 @@ class PushStream:
         self._counter, self._jitter = StreamCounter(deadline_ms, watchdog), Jitter()
         self._sensors = SensorInput(rig, counter=self._counter, lock=self._changed)
         self._answerer = Answerer(predictor, checks, memory=FrameMemory.of(rig.memory_s))
-        self._matcher = LiveMatcher[Message](
-            max_skew_ms=rig.max_skew_ms,
-            max_wait_ms=max_wait_ms,
-            reuse_depth_ms=rig.max_depth_age_ms,
-            capacity=_WAITING,
-        )
+        self._matcher = LiveMatcher[Message](rig, _WAITING, max_wait_ms)
         self._reported_state = self._counter.state(0)
         self._ready: Pair[Message] | None = None  # waits for its prediction
         self._unread: tuple[Pair[Message], FrameResult] | None = None  # waits to be fetched
@@ -308,10 +303,7 @@ class PushStream:
         """Answer the next frame, if there is one, and report the state; False = the end."""
         with self._changed:
             now_ns = self._clock.now_ns()
-            if self._closed:
-                self._queue(self._matcher.flush())
-            else:
-                self._queue(self._matcher.advance(now_ns))
+            self._queue(self._matcher.flush() if self._closed else self._matcher.advance(now_ns))
             pair, self._ready = self._ready, None
             if pair is None and self._closed:
                 self._end()

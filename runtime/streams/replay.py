@@ -105,10 +105,6 @@ def replay(
             if (taken := sensors.take(checked)) is not None:
                 yield taken
 
-    matching = RecordingMatcher[Message](
-        max_skew_ms=rig.max_skew_ms, reuse_depth_ms=rig.max_depth_age_ms, capacity=_WAITING
-    )
-
     def answered(pair: Pair[Message]) -> Iterator[FrameResult]:
         """Yield the answer to a pair, or nothing after an error."""
         try:
@@ -124,7 +120,7 @@ def replay(
     def answers() -> Iterator[FrameResult]:
         """Answer the pairs as soon as poses reach them."""
         waiting: deque[Pair[Message]] = deque()
-        for decided in matching.match(accepted()):
+        for decided in RecordingMatcher[Message](rig, _WAITING).match(accepted()):
             counter.record_discarded(decided.discarded, jumped_back=decided.jumped_back)
             waiting.extend(decided.pairs)
             while waiting and (len(waiting) > _WAITING or sensors.reaches(waiting[0])):

@@ -13,12 +13,7 @@ from runtime.base.stamp import Stamp, stamp_ns
 from runtime.checks.sensor_times import LiveClocks
 from runtime.engine.preprocess import check_rgb, check_sparse_depth
 from runtime.geometry.assumptions import assume
-from runtime.geometry.motion import (
-    FIRST_SCAN_NS,
-    assume_middle,
-    lidar_mount,
-    point_times,
-)
+from runtime.geometry.motion import FIRST_SCAN_NS, assume_middle, lidar_mount, point_times
 from runtime.geometry.poses import PoseBuffer, PoseTrack
 from runtime.geometry.returns import check_points
 from runtime.geometry.rig import Rig

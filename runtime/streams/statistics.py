@@ -162,15 +162,9 @@ class StreamStatistics:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entries "stages" and "deadline" of a report.json, ready for `json.dumps`."""
-        return {
-            "stages": {
-                name: None if figures is None else asdict(figures)
-                for name, figures in self.stages.items()
-            },
-            "deadline": None
-            if self.missed is None
-            else {"deadline_ms": self.deadline_ms, **asdict(self.missed)},
-        }
+        stages = {name: figures and asdict(figures) for name, figures in self.stages.items()}
+        missed = self.missed and {"deadline_ms": self.deadline_ms, **asdict(self.missed)}
+        return {"stages": stages, "deadline": missed}
 
     def table(self) -> str:
         """Return a text table with a line for each figure; "n/a" if there are too few frames."""

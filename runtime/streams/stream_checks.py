@@ -13,16 +13,15 @@ from runtime.checks.frame_health import FrameHealth
 from runtime.checks.judge import FIRST_FRAMES, Judge, Judgement
 from runtime.checks.poses import PosedScan, PoseJudge
 from runtime.engine.prediction import Prediction
-from runtime.streams.answerer import Predict
 from runtime.streams.frame import Frame
-from runtime.streams.frame_view import view_of
+from runtime.streams.frame_view import Predict, view_of
 from runtime.streams.messages import Scan
 
 _CHECK_EVERY = 100  # frames with depth, after the first FIRST_FRAMES
 
 
 class StreamChecks:
-    """The checks of one stream, see `Checks`.
+    """Judges a stream, in the thread that predicts, at the same moments in every stream.
 
     The first `FIRST_FRAMES` frames with depth are judged by a prediction from the image alone, then
     one frame in `_CHECK_EVERY`, when the stream is idle. With `consistency`, the predictions of
@@ -36,6 +35,9 @@ class StreamChecks:
         accept: names of findings that are not reported.
         depth_scale: see `View`.
         focal_px: see `View`.
+
+    Attributes:
+        judgement: what the last frames that were judged show.
 
     Raises:
         InputError: if `consistency` is out of range, or a name is unknown.
@@ -56,25 +58,20 @@ class StreamChecks:
         self._depth_scale, self._focal_px = depth_scale, focal_px
         self._accepted = check_accepted(accept)
         self._consistency = None if consistency is None else ConsistencyCheck(consistency)
-        self._judgement = Judgement()
+        self.judgement = Judgement()
         self._pose_fault: Finding | None = None
         self._posed: Frame | None = None  # not compared with its poses yet
         self._last: Frame | None = None  # of the next check
         self._checks = self._since = 0  # checked frames; frames with depth since the last check
 
     @property
-    def judgement(self) -> Judgement:
-        """What the last frames that were judged show."""
-        return self._judgement
-
-    @property
     def findings(self) -> tuple[Finding, ...]:
         """What was found so far and is not accepted."""
-        found = (*self._judgement.findings, self._pose_fault)
+        found = (*self.judgement.findings, self._pose_fault)
         return tuple(each for each in found if each and each.name not in self._accepted)
 
     def predict(self, frame: Frame, predict: Predict) -> tuple[Prediction, Consistency | None]:
-        """See `Checks.predict`."""
+        """Answer a frame; some returns may be held out to score the answer by them."""
         sparse_depth = frame.sparse_depth
         if self._consistency is None or frame.own_depth is None:
             return predict(frame, sparse_depth), None
@@ -91,12 +88,12 @@ class StreamChecks:
     def answered(
         self, frame: Frame, prediction: Prediction
     ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """See `Checks.answered`."""
+        """Return the stream's reasons for `Prediction.degraded`, and `FrameResult.health`."""
         own, reasons = frame.own_depth, frame.degraded
         if frame.depth is not None:
             self._since += 1
             self._last = frame if prediction.depth is not None and self._check_depth else None
-            found = self._judgement.findings
+            found = self.judgement.findings
             reasons = (*self._reasons(found), *reasons)
         if own is not None and frame.poses is not None:
             self._posed = frame
@@ -111,13 +108,13 @@ class StreamChecks:
         )
 
     def begin(self, frames: Iterable[Frame], predict: Predict) -> None:
-        """Judge the first frames of a recording before the first of them is answered."""
+        """Judge the first frames of a recording before any of them is answered."""
         for frame in frames:
             self._last = frame if self._check_depth else None
             self.judge(predict, idle=True)
 
     def judge(self, predict: Predict, *, idle: bool) -> None:
-        """See `Checks.judge`."""
+        """Do what takes long, after the result was handed over; `idle`: no other frame waits."""
         posed, self._posed = self._posed, None
         if posed is not None and self._pose_fault is None:
             self._add_poses(posed)
@@ -144,7 +141,7 @@ class StreamChecks:
         )
         if view is not None:
             self._judge.add(view)
-            self._judgement = self._judge.judgement()
+            self.judgement = self._judge.judgement()
 
     def _add_poses(self, frame: Frame) -> None:
         scan, poses = frame.scan, frame.poses

@@ -42,10 +42,7 @@ class ThreadedStream(Protocol):
 
 
 def start_thread(
-    stream: ThreadedStream,
-    changed: threading.Condition,
-    clock: MonotonicClock,
-    guard: ProcessGuard,
+    stream: ThreadedStream, changed: threading.Condition, clock: MonotonicClock, guard: ProcessGuard
 ) -> threading.Thread:
     """Start the thread of a stream, which references the stream only while it works.
 

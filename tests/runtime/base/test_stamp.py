@@ -3,7 +3,7 @@ import pytest
 
 from runtime.base.errors import InputError
 from runtime.base.stamp import stamp_ns
-from runtime.recordings.timestamps import read_timestamps
+from runtime.recordings.poses import read_timestamps
 
 
 @pytest.mark.parametrize(("stamp", "nanoseconds"), [

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from runtime.geometry.rig import Rig
 from runtime.streams.matching import LiveMatcher, RecordingMatcher
 from runtime.streams.messages import Depth, Image, Outcome, Sensor
 
@@ -20,11 +21,8 @@ class Played:
     """
 
     def __init__(self, *, live, max_skew=20, max_wait=50, capacity=CAPACITY, reuse=0):
-        options = {"max_skew_ms": max_skew, "capacity": capacity, "reuse_depth_ms": reuse}
-        if live:
-            self.matching = LiveMatcher(max_wait_ms=max_wait, **options)
-        else:
-            self.matching = RecordingMatcher(**options)
+        options = Rig(max_skew_ms=max_skew, reuse_depth_ms=reuse), capacity
+        self.matching = LiveMatcher(*options, max_wait) if live else RecordingMatcher(*options)
         self.live, self.now, self.jumps_back = live, 0, 0
         self.pushed, self.pairs, self.discarded = [], [], []
 
@@ -138,9 +136,6 @@ def test_live_memory_is_bounded_by_dropping_the_oldest():
         (IMAGE, 1000, Outcome.OVERFLOW),
         (DEPTH, 1500, Outcome.OVERFLOW),
     ]
-
-
-# --- the options of a recording ------------------------------------------------------------------
 
 
 # --- images without depth of their own -----------------------------------------------------------
