@@ -12,7 +12,7 @@ from runtime.alignment.selection import choose_frames
 from runtime.base.arguments import check_integer
 from runtime.base.errors import InputError
 from runtime.checks.finding import Finding
-from runtime.checks.fit import AXES, FitScores, fit_of, rotation, turned
+from runtime.checks.fit import AXES, FitScores, fit_of, median_fit, rotation, turned
 from runtime.checks.judge import NO_EVIDENCE, NOWHERE, Judge, Judgement
 from runtime.checks.readings import READINGS, Reading
 from runtime.checks.search import Optimum, find_rotation, held_out_gain
@@ -59,7 +59,7 @@ class Verdict(StrEnum):
     NOT_VISIBLE = "not_visible"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class CalibrationResult:
     """What `calibrate` found, given the position of the calibration.
 
@@ -85,12 +85,12 @@ class CalibrationResult:
         example: one of the frames, to be drawn.
     """
 
-    verdict: Verdict
+    verdict: Verdict = Verdict.NOT_VISIBLE
     reason: str
     given: Calibration
-    refined: Calibration | None
-    off_degrees: _Floats | None
-    within_degrees: _Floats | None
+    refined: Calibration | None = None
+    off_degrees: _Floats | None = None
+    within_degrees: _Floats | None = None
     finding: Finding | None
     judgement: Judgement
     before: FitScores
@@ -179,22 +179,18 @@ def judge(views: list[View], given: Calibration, example: Frame) -> CalibrationR
     """
     first, best, second = _judged(views, _BEFORE), None, Judgement()
     seen = [each for each in views if each.has_structure]
-    finding = next(iter(first.findings), None)
-    if finding is None and len(seen) >= _LEAST_FRAMES:
+    if not first.findings and len(seen) >= _LEAST_FRAMES:
         best = find_rotation(seen)
         second = _judged([turned(each, best.angles) for each in seen], _AFTER)
-        finding = next(iter(second.findings), None)
+    finding = next(iter(first.findings or second.findings), None)
+    angles = np.zeros(3) if best is None else best.angles
     result = CalibrationResult(
-        Verdict.NOT_VISIBLE,
-        "" if finding is None else finding.text,
-        given,
-        refined=None,
-        off_degrees=None,
-        within_degrees=None,
+        reason="" if finding is None else finding.text,
+        given=given,
         finding=finding,
         judgement=second,
-        before=_median(seen),
-        after=_median(seen, best),
+        before=median_fit([fit_of(each) for each in seen]),
+        after=median_fit([fit_of(each, angles) for each in seen]),
         range_m=_shift_range(seen),
         frames=tuple(view.name for view in seen),
         scenes=count_scenes(seen),
@@ -220,52 +216,36 @@ def _with_rotation(
     result: CalibrationResult, views: Sequence[View], best: Optimum | None
 ) -> CalibrationResult:
     """Add the verdict on the rotation."""
-    text, off, within = _measured(result, best)
-    if best is None or off is None or within is None:
-        return replace(result, reason=text)
-    rest = "position as given, not tested"
-    for names, word in (
-        (result.judgement.tested, "fit worse"),
-        (result.judgement.not_tested, "not told apart"),
-    ):
-        if names:
-            rest += f"; {word}: {', '.join(names)}"
+    if best is None:
+        few = f"{len(views)} frames have structure, at least {_LEAST_FRAMES} are needed"
+        return replace(result, reason=f"not visible: {few}")
+    fits = result.after
+    if fits.depth_correlation < _LEAST_CORRELATION or fits.edge < _LEAST_EDGE:
+        return replace(result, reason=_TAKE_MORE.format("the returns fit the images nowhere near"))
+    within = np.hypot(*uncertainty_of(best, len(views), result.scenes))
+    is_seen = within <= SEEN_DEGREES
+    if not is_seen[:2].all():
+        unsure = "yaw +- {:.1f}, pitch +- {:.1f}".format(*within)
+        return replace(result, reason=_TAKE_MORE.format(unsure))
+    off, within = -best.angles, np.where(is_seen, within, np.inf)
     result = replace(result, off_degrees=off, within_degrees=within)
+    measured = _listed(off, within, "{value:+.2f} +- {limit:.2f}")
+    words = {"fit worse": result.judgement.tested, "not told apart": result.judgement.not_tested}
+    rest = "position as given, not tested"
+    rest += "".join(f"; {word}: {', '.join(names)}" for word, names in words.items() if names)
     if (np.abs(off) <= within).all():
-        return replace(
-            result, verdict=Verdict.RIGHT, reason=f"{text}; {rest}", refined=result.given
-        )
+        limits = _listed(off, np.abs(off) + within, "{limit:.2f}")
+        reason = f"right within {limits} (measured: {measured}); {rest}"
+        return replace(result, verdict=Verdict.RIGHT, reason=reason, refined=result.given)
     gain, error = held_out_gain(views)
     by = f"frames that were not used to find it fit by {gain:+.3f} +- {error:.3f} better"
     if gain <= error:
-        return replace(result, reason=f"{text}, but {by}: take more frames")
+        return replace(result, reason=f"off by {measured}, but {by}: take more frames")
     extrinsics = result.given.extrinsics.copy()
     extrinsics[:3, :3] = rotation(np.where(np.isinf(within), 0, -off)) @ extrinsics[:3, :3]
     refined = replace(result.given, extrinsics=extrinsics)
-    return replace(result, verdict=Verdict.OFF, reason=f"{text}; {by}; {rest}", refined=refined)
-
-
-def _measured(
-    result: CalibrationResult, best: Optimum | None
-) -> tuple[str, _Floats | None, _Floats | None]:
-    """Return what the frames show in words, and the angles and their limits; None if not seen."""
-    count = len(result.frames)
-    if best is None:
-        few = f"{count} frames have structure, at least {_LEAST_FRAMES} are needed"
-        return f"not visible: {few}", None, None
-    fits = result.after
-    if fits.depth_correlation < _LEAST_CORRELATION or fits.edge < _LEAST_EDGE:
-        return _TAKE_MORE.format("the returns fit the images nowhere near"), None, None
-    within = np.hypot(*uncertainty_of(best, count, result.scenes))
-    is_seen = within <= SEEN_DEGREES
-    if not is_seen[:2].all():
-        return _TAKE_MORE.format("yaw +- {:.1f}, pitch +- {:.1f}".format(*within)), None, None
-    off, within = -best.angles, np.where(is_seen, within, np.inf)
-    measured = _listed(off, within, "{value:+.2f} +- {limit:.2f}")
-    if (np.abs(off) > within).any():
-        return f"off by {measured}", off, within
-    limits = _listed(off, np.abs(off) + within, "{limit:.2f}")
-    return f"right within {limits} (measured: {measured})", off, within
+    reason = f"off by {measured}; {by}; {rest}"
+    return replace(result, verdict=Verdict.OFF, reason=reason, refined=refined)
 
 
 def _listed(off: _Floats, limits: _Floats, how: str) -> str:
@@ -303,15 +283,6 @@ def count_scenes(views: Sequence[View]) -> float:
     rows = np.array([(each - each.mean(axis=1, keepdims=True)).ravel() for each in small])
     rows /= np.linalg.norm(rows, axis=1, keepdims=True) + 1e-6
     return float(len(views) ** 2 / np.maximum(rows @ rows.T, 0).sum())
-
-
-def _median(views: Sequence[View], best: Optimum | None = None) -> FitScores:
-    """The figures, medians over the views, as given or turned to the best rotation."""
-    if not views:
-        return FitScores()
-    angles = (0, 0, 0) if best is None else best.angles
-    figures = np.median([fit_of(view, angles) for view in views], axis=0)
-    return FitScores(*(float(each) for each in figures))
 
 
 def _shift_range(views: Sequence[View]) -> float:

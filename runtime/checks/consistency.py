@@ -20,7 +20,8 @@ from runtime.engine.prediction import Prediction
 from runtime.geometry.returns import is_measured
 
 _SHARE = "consistency, the share of the returns that is held out,"
-_WEIGHT = 0.1  # weight of a new frame in the running means
+# Weight of a new frame in the running means of hold-out error, edge agreement and scale error.
+_WEIGHTS = np.array([0.1, 0.1, 0.5])
 _SCALE_EVERY = 10  # frames from one scale error, which needs a second prediction, to the next
 _SQUARES = 8  # squares per image height; whole squares are held out
 _NEIGHBOUR_PX = 8  # largest distance of two returns of a row or column that are compared
@@ -67,8 +68,10 @@ class ConsistencyCheck:
     def __init__(self, share: float) -> None:
         self._share = check_number(_SHARE, share, 1e-6, 0.5, error=InputError)
         self._random = np.random.default_rng(0)
-        self._holdout, self._edges, self._scale = _Figure(), _Figure(), _Figure(weight=0.5)
+        # Running means, and means of the first minute, of the three figures; NaN without any.
+        self._means, self._first_means = np.full(3, np.nan), np.full(3, np.nan)
         self._frames = 0
+        self._first_frames = np.zeros(3)  # of each figure in the first minute
         self._first_ns: int | None = None
 
     @property
@@ -107,48 +110,27 @@ class ConsistencyCheck:
         """
         self._frames += 1
         returns = is_measured(sparse_depth)
-        holdout_error = edge_agreement = scale_error = None
+        figures = np.full(3, np.nan)
         if prediction.depth is not None and held_out.any():
-            ratio = _log_ratio(prediction.depth, sparse_depth, held_out)
-            holdout_error = float(np.abs(ratio).mean())
+            figures[0] = np.abs(_log_ratio(prediction.depth, sparse_depth, held_out)).mean()
         if prediction.boundary is not None:
             measured = np.where(returns, sparse_depth, np.float32(0))
-            edge_agreement = _edge_agreement(prediction.boundary, measured)
+            figures[1] = _edge_agreement(prediction.boundary, measured)
         if camera_only is not None and camera_only.depth is not None and returns.any():
-            scale_error = float(np.median(_log_ratio(camera_only.depth, sparse_depth, returns)))
+            figures[2] = np.median(_log_ratio(camera_only.depth, sparse_depth, returns))
         if self._first_ns is None:
             self._first_ns = stamp_ns
-        first = stamp_ns - self._first_ns < _FIRST_NS
-        figures = self._holdout, self._edges, self._scale
-        values = holdout_error, edge_agreement, scale_error
-        for figure, value in zip(figures, values, strict=True):
-            figure.add(value, first=first)
-        return Consistency(
-            *(figure.mean for figure in figures),
-            *(None if first else figure.change for figure in figures),
-        )
-
-
-class _Figure:
-    """A running mean, and the mean of the first minute."""
-
-    def __init__(self, *, weight: float = _WEIGHT) -> None:
-        self.mean: float | None = None
-        self._weight, self._first, self._frames = weight, 0.0, 0
-
-    @property
-    def change(self) -> float | None:
-        """Running mean minus the mean of the first minute; None if that minute has no figure."""
-        return self.mean - self._first if self.mean is not None and self._frames else None
-
-    def add(self, value: float | None, *, first: bool) -> None:
-        """Add the figure of a frame; None if the frame has none."""
-        if value is None:
-            return
-        self.mean = value if self.mean is None else self.mean + self._weight * (value - self.mean)
-        if first:
-            self._frames += 1
-            self._first += (value - self._first) / self._frames
+        is_first, seen = stamp_ns - self._first_ns < _FIRST_NS, ~np.isnan(figures)
+        self._means = np.where(np.isnan(self._means), figures, self._means)
+        self._means[seen] += (_WEIGHTS * (figures - self._means))[seen]
+        if is_first:
+            self._first_frames += seen
+            self._first_means = np.where(np.isnan(self._first_means), figures, self._first_means)
+            steps = (figures - self._first_means)[seen] / self._first_frames[seen]
+            self._first_means[seen] += steps
+        changes = np.full(3, np.nan) if is_first else self._means - self._first_means
+        both = np.concatenate([self._means, changes]).tolist()
+        return Consistency(*(None if np.isnan(each) else each for each in both))
 
 
 def _log_ratio(
@@ -157,9 +139,7 @@ def _log_ratio(
     return log_depth(depth[at]) - log_depth(sparse_depth[at])
 
 
-def _edge_agreement(
-    boundary: NDArray[np.float32], sparse_depth: NDArray[np.float32]
-) -> float | None:
+def _edge_agreement(boundary: NDArray[np.float32], sparse_depth: NDArray[np.float32]) -> float:
     """Mean boundary probability at returns with a depth jump beside them, minus the others'."""
     around = cv2.dilate(boundary, np.ones((3, 3), np.uint8))
     at_jumps, elsewhere = [], []
@@ -173,6 +153,4 @@ def _edge_agreement(
         at_jumps.append(between[jump])
         elsewhere.append(between[beside & ~jump])
     jumps, others = np.concatenate(at_jumps), np.concatenate(elsewhere)
-    if not jumps.size or not others.size:
-        return None
-    return float(jumps.mean() - others.mean())
+    return float(jumps.mean() - others.mean()) if jumps.size and others.size else np.nan

@@ -42,6 +42,11 @@ class FitScores(NamedTuple):
         return _EDGE_WEIGHT * self.edge + (self.depth_correlation + self.in_bands) / 2 - off
 
 
+def median_fit(fits: Sequence[FitScores]) -> FitScores:
+    """The median of each figure; all 0 of none."""
+    return FitScores(*np.median(fits, axis=0).tolist()) if fits else FitScores()
+
+
 def rotation(angles: Angles) -> NDArray[np.float64]:
     """Return the matrix (3, 3) of yaw, pitch and roll [degrees] in the axes of the camera.
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from runtime.contract.contract import MAX_RETURN_M, farthest_return
 from runtime.contract.degraded import DEGRADED, IMAGE_OVEREXPOSED
-from runtime.engine.image_quality import ImageQuality
+from runtime.engine.image_quality import find_measured_doubts
 
 # Each fault with its meaning.
 SENSOR_FAULTS: dict[str, str] = {
@@ -32,7 +32,7 @@ SENSOR_FAULTS: dict[str, str] = {
 }
 
 _MOST_FIELDS = 32  # a wider array is a depth map, not points
-_GLANCE = 16  # every 16th row and column are compared first
+_GLANCE = 16  # every 16th row is compared first
 _STEP = 4  # every 4th row and column are checked for brightness
 _DARK, _DARK_SHARE = 12, 0.99  # brightest channel, of 255
 
@@ -64,7 +64,7 @@ class FrameHealth:
         self._has_lidar = has_lidar
         self._before: NDArray[np.uint8] | None = None
         # Returns in each column of cells, in each row of cells, and in all cells.
-        self._columns, self._rows, self._total = _Usual(), _Usual(), _Usual()
+        self._usual = _Usual(), _Usual(), _Usual()
         self._learned = 0  # frames in the means
         self._scan: NDArray[np.float32] | None = None  # the last scan
         self._scans = 0  # number of scans that equal it
@@ -93,58 +93,40 @@ class FrameHealth:
             Some of `SENSOR_FAULTS`; () if nothing is wrong.
         """
         is_return = (sparse_depth > 0) & (sparse_depth <= farthest_return(range_m))
-        before = self._before
         faults = self._image_faults(rgb)
         self._has_lidar |= scan is not None
         if scan is not None:
             if not is_return.any():
                 faults.append(LIDAR_EMPTY)
                 self._scan = None
-            elif self._repeats(scan, rgb, before):
+            elif self._repeats(scan, rgb):
                 faults.append(LIDAR_FROZEN)
         elif self._has_lidar and not reused:
             faults.append(LIDAR_MISSING)
+        self._before = rgb
         return (*faults, *self._lidar_faults(is_return))
 
-    def _repeats(
-        self,
-        scan: NDArray[np.float32],
-        rgb: NDArray[np.uint8],
-        before: NDArray[np.uint8] | None,
-    ) -> bool:
+    def _repeats(self, scan: NDArray[np.float32], rgb: NDArray[np.uint8]) -> bool:
         """Whether the LiDAR sends the same scan again and again while the image changes."""
         last, self._scan = self._scan, scan
-        is_same = last is not None and last.shape == scan.shape and scan.size > 0
         # Further columns of the points, such as times, may differ.
         width = 3 if scan.ndim == 2 and scan.shape[1] < _MOST_FIELDS else None
-        if not (
-            is_same
-            and last is not None
-            and np.array_equal(last[::_GLANCE, :width], scan[::_GLANCE, :width])
-            and np.array_equal(last[:, :width], scan[:, :width])
-        ):
+        if not scan.size or not _is_same(last, scan, width):
             self._scans, self._first_image = 1, None
             return False
         self._scans += 1
-        if self._first_image is None and before is not None:
-            self._first_image = _thumb(before)
+        if self._first_image is None and self._before is not None:
+            self._first_image = _thumb(self._before)
         if self._scans < _FROZEN_SCANS or self._first_image is None:
             return False
         return float(cv2.absdiff(_thumb(rgb), self._first_image).mean()) >= _CHANGED
 
     def _image_faults(self, rgb: NDArray[np.uint8]) -> list[str]:
-        before, self._before = self._before, rgb
-        faults = []
-        if (
-            before is not None
-            and np.array_equal(before[::_GLANCE, ::_GLANCE], rgb[::_GLANCE, ::_GLANCE])
-            and np.array_equal(before, rgb)
-        ):
-            faults.append(IMAGE_FROZEN)
+        faults = [IMAGE_FROZEN] if _is_same(self._before, rgb) else []
         red, green, blue = np.moveaxis(rgb[::_STEP, ::_STEP], 2, 0)
         if np.mean(np.maximum(np.maximum(red, green), blue) <= _DARK) >= _DARK_SHARE:
             faults.append(IMAGE_BLACK)
-        if IMAGE_OVEREXPOSED in ImageQuality.measure(rgb).doubts:
+        if IMAGE_OVEREXPOSED in find_measured_doubts(rgb):
             faults.append(IMAGE_OVEREXPOSED)
         return faults
 
@@ -152,21 +134,20 @@ class FrameHealth:
         mask = is_return.view(np.uint8)
         columns = _cells(cv2.reduce(mask, 0, cv2.REDUCE_SUM, dtype=cv2.CV_32S), _COLUMNS)
         rows = _cells(cv2.reduce(mask, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S), _ROWS)
-        total = columns.sum(keepdims=True)
-        if not total.any():
+        counts = columns, rows, columns.sum(keepdims=True)
+        if not columns.any():
             return []
         if self._learned >= _LEARNED_FROM:
-            row_lost = self._rows.lost(rows, _CELL_LOST)
-            if self._columns.lost(columns, _CELL_LOST) and not row_lost:
+            shares = _CELL_LOST, _CELL_LOST, _TOTAL_LOST
+            lost = map(_Usual.lost, self._usual, counts, shares)
+            is_column_lost, is_row_lost, is_total_lost = lost
+            if is_column_lost and not is_row_lost:
                 return [LIDAR_SECTOR_LOST]
-            if row_lost or self._total.lost(total, _TOTAL_LOST):
+            if is_row_lost or is_total_lost:
                 return [LIDAR_LINES_LOST]
         self._learned += 1
-        weight = max(_MEMORY, 1 / self._learned)
-        for usual, counts in (
-            (self._columns, columns), (self._rows, rows), (self._total, total)
-        ):  # fmt: skip
-            usual.learn(counts, weight)
+        for usual, each in zip(self._usual, counts, strict=True):
+            usual.learn(each, max(_MEMORY, 1 / self._learned))
         return []
 
 
@@ -190,6 +171,16 @@ class _Usual:
         checked = (mean >= _LEAST_RETURNS) & (mean >= _LEAST_SHARE * mean.sum())
         below = mean - now > _DEVIATIONS * np.sqrt(self._square)
         return bool((checked & below & (now < share * mean)).any())
+
+
+def _is_same(last: NDArray[Any] | None, now: NDArray[Any], width: int | None = None) -> bool:
+    """Whether a message has the numbers of the one before it, in the first columns."""
+    return (
+        last is not None
+        and last.shape == now.shape
+        and np.array_equal(last[::_GLANCE, :width], now[::_GLANCE, :width])
+        and np.array_equal(last[:, :width], now[:, :width])
+    )
 
 
 def _thumb(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.checks.finding import Finding, Severity
-from runtime.checks.fit import FitScores, fit_of
+from runtime.checks.fit import FitScores, fit_of, median_fit
 from runtime.checks.readings import READINGS, Reading
 from runtime.checks.view import Answer, View
 from runtime.contract.degraded import IMPLAUSIBLE_DEPTH
@@ -136,11 +136,11 @@ class Judgement:
 
 
 class _Seen(NamedTuple):
-    """A judged frame: its view, its fit as given, and the scores of readings and members."""
+    """A judged frame: its view, its fit as given, and the gains of readings and members."""
 
     view: View
     fit: FitScores
-    scores: dict[tuple[str, str], float]
+    gains: dict[tuple[str, str], float]
 
 
 class Judge:
@@ -165,7 +165,7 @@ class Judge:
     def add(self, view: View) -> None:
         """Add a frame; it is ignored with few returns in the image, but not without any."""
         fit = fit_of(view)
-        scores: dict[tuple[str, str], float] = {}
+        gains: dict[tuple[str, str], float] = {}
         is_flat = float(np.ptp(view.answer.log_depth)) < _LEAST_RELIEF
         if fit.returns and (is_flat or fit.returns < _LEAST_RETURNS):
             return
@@ -173,23 +173,19 @@ class Judge:
             if not reading.is_far or fit.score < _FITS:
                 for member, each in reading.views(view):
                     if (other := fit_of(each)).returns >= _LEAST_RETURNS:
-                        key = reading.name, member
-                        scores[key] = max(other.score, scores.get(key, other.score))
-        self._seen.append(_Seen(view, fit, scores))
+                        key, gain = (reading.name, member), other.score - fit.score
+                        gains[key] = max(gain, gains.get(key, gain))
+        self._seen.append(_Seen(view, fit, gains))
 
     def judgement(self) -> Judgement:
         """What the frames so far show."""
         if not self._seen:
             return Judgement()
         views, rows = [each.view for each in self._seen], self._readings
-        fit = FitScores(
-            *(float(each) for each in np.median([each.fit for each in self._seen], axis=0))
-        )
+        fit = median_fit([each.fit for each in self._seen])
         gains = {
-            key: np.array(
-                [each.scores.get(key, each.fit.score) - each.fit.score for each in self._seen]
-            )
-            for key in dict.fromkeys(key for each in self._seen for key in each.scores)
+            key: np.array([each.gains.get(key, 0.0) for each in self._seen])
+            for key in dict.fromkeys(key for each in self._seen for key in each.gains)
         }
         weak = _evidence_fault([view.answer for view in views])
         if weak is not None:  # only a change of the images may win
@@ -205,7 +201,7 @@ class Judge:
             return Judgement(tuple(findings), (), tuple(rows), fit, len(views))
         change: dict[str, float] = defaultdict(float)
         for key in gains:
-            tried = [each.scores[key] - each.fit.score for each in self._seen if key in each.scores]
+            tried = [each.gains[key] for each in self._seen if key in each.gains]
             change[key[0]] = max(change[key[0]], abs(float(np.median(tried))))
         tested = tuple(name for name in change if change[name] >= self._floors[name])
         not_tested = tuple(name for name in change if name not in (*tested, "unit"))

@@ -6,7 +6,7 @@ for the frame. The usual rows stand before the exotic ones: of equal effects the
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -21,7 +21,7 @@ from runtime.geometry.lens import PLUMB_BOB, Lens
 
 _Matrix = NDArray[np.float64]
 Views = Iterator[tuple[str, View]]  # by member; "" is the only one
-_Matrices = Iterator[tuple[str, _Matrix]]
+_Matrices = Iterable[tuple[str, _Matrix]]
 
 # From the axes of a LiDAR or vehicle (x ahead, y left, z up) to those of a camera.
 _TO_CAMERA = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
@@ -102,13 +102,11 @@ def _swapped(given: _Matrix) -> _Matrices:
 
 
 def _turned(given: _Matrix) -> _Matrices:
-    for axis, name in enumerate("xyz"):
-        first, second = (each for each in range(3) if each != axis)
+    for name, first, second in (("x", 1, 2), ("y", 0, 2), ("z", 0, 1)):
+        quarter = np.eye(4)
+        quarter[first], quarter[second] = -np.eye(4)[second], np.eye(4)[first]
         for count in (2, 1, 3):
-            sine, cosine = (0, 1, 0, -1)[count], (1, 0, -1, 0)[count]
-            turn = np.eye(4)
-            turn[first, first] = turn[second, second] = cosine
-            turn[first, second], turn[second, first] = -sine, sine
+            turn = np.linalg.matrix_power(quarter, count)
             yield f"{90 * count} degrees about its {name} axis", given @ turn
 
 
@@ -176,12 +174,9 @@ def _ratio(views: Sequence[View]) -> str:
     if view.depth_scale is not None:
         wanted = view.depth_scale * ratio
         usual = min(_DEPTH_SCALES, key=lambda each: abs(math.log(each / wanted)))
-        right = (
-            f"`depth_scale={usual}`"
-            if 0.5 < usual / wanted < 2
-            else f"`depth_scale=` of about {rounded(wanted)}"
-        )
-        what = f"try {right}"
+        what = f"try `depth_scale=` of about {rounded(wanted)}"
+        if 0.5 < usual / wanted < 2:
+            what = f"try `depth_scale={usual}`"
     if view.focal_px is not None and 1 / _FOCAL_RATIO < ratio < _FOCAL_RATIO:
         fits = rounded(view.focal_px * ratio)
         what += f", or check the focal length of {view.focal_px:g} px: about {fits} would fit"
@@ -200,11 +195,8 @@ def _inverse_depth(view: View) -> Views:
 
 def _along_ray(view: View) -> Views:
     if view.is_map:
-        z = view.points[:, 2:]
-        yield (
-            "",
-            replace(view, points=view.points * z / np.linalg.norm(view.points, axis=1)[:, None]),
-        )
+        z, ranges = view.points[:, 2:], np.linalg.norm(view.points, axis=1)[:, None]
+        yield "", replace(view, points=view.points * z / ranges)
 
 
 def _other_lens(view: View) -> Views:
@@ -231,21 +223,11 @@ def _moved(view: View, axis: int, distances_m: Sequence[float], words: tuple[str
         yield f"{abs(metres):g} m {words[metres < 0]}", view.near(extrinsics=moved)
 
 
-def _beside(view: View) -> Views:
-    yield from _moved(view, 0, _BASELINES_M, ("to the left", "to the right"))
-
-
-def _ahead(view: View) -> Views:
-    yield from _moved(view, 2, _AHEAD_M, ("farther", "nearer"))
-
-
 def _turned_a_little(view: View) -> Views:
     for axis, name in enumerate(("yaw", "pitch")):
         for degrees in (-3, -2, -1, 1, 2, 3):
-            yield (
-                f"{degrees:+g} degree{'s' * (abs(degrees) > 1)} of {name}",
-                turned(view, degrees * np.eye(3)[axis]),
-            )
+            unit = "degrees" if abs(degrees) > 1 else "degree"
+            yield f"{degrees:+g} {unit} of {name}", turned(view, degrees * np.eye(3)[axis])
 
 
 def _other_time(view: View) -> Views:
@@ -270,7 +252,7 @@ READINGS = (
     Reading(
         "inverse_extrinsics",
         "the matrix seems to be camera to LiDAR: take its inverse",
-        _of_matrix(lambda given: iter([("", np.asarray(np.linalg.inv(given), np.float64))])),
+        _of_matrix(lambda given: [("", np.asarray(np.linalg.inv(given), np.float64))]),
     ),
     Reading(
         "transposed_rotation",
@@ -281,7 +263,7 @@ READINGS = (
         "points_in_camera",
         'the points seem to be in the camera\'s frame already: give points_in = "camera" instead '
         f"of extrinsics, {_TOML}",
-        _of_matrix(lambda _: iter([("", np.eye(4))])),
+        _of_matrix(lambda _: [("", np.eye(4))]),
     ),
     Reading(
         "swapped_axes",
@@ -369,7 +351,7 @@ READINGS = (
         "other_camera",
         "the images seem to be those of another camera, such as the other one of a stereo pair: "
         "the returns fit better {}",
-        _beside,
+        partial(_moved, axis=0, distances_m=_BASELINES_M, words=("to the left", "to the right")),
         **_SMALL,
     ),
     Reading(
@@ -377,7 +359,7 @@ READINGS = (
         _BETTER
         + "{}: scans or images are delayed, or the position of the LiDAR is wrong along the "
         "view; at a constant speed both look the same",
-        _ahead,
+        partial(_moved, axis=2, distances_m=_AHEAD_M, words=("farther", "nearer")),
         **_SMALL,
     ),
 )

@@ -4,8 +4,6 @@ The limits were chosen on 1068 day-time pictures of eleven recordings, none of w
 on a motorway by night, which is dark, and on pictures that were blurred, darkened and brightened.
 """
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -28,48 +26,29 @@ _BRIGHT, _SATURATED = 150, 250  # of 255
 _SHARP, _BRIGHT_SHARE, _SATURATED_SHARE = 0.27, 0.02, 0.5
 
 
-@dataclass(frozen=True)
-class ImageQuality:
-    """Measures of an image.
-
-    Attributes:
-        sharpness: the steepest step between neighbours in a row over the highest step within eight
-            pixels, over all rows that are measured; 1 = sharp, 1/8 = a ramp. 1 without any step.
-        bright_share: share of the pixels with a channel of 150 or more.
-        saturated_share: share of the pixels with all channels at 250 or more.
-    """
-
-    sharpness: float
-    bright_share: float
-    saturated_share: float
-
-    @classmethod
-    def measure(cls, rgb: NDArray[np.uint8]) -> "ImageQuality":
-        """Measure an image, uint8 (H, W, 3), RGB."""
-        rows = np.ascontiguousarray(rgb[:: max(1, rgb.shape[0] // _ROWS)])
-        middle = np.ascontiguousarray(rows[..., 1])
-        steps, edges = (_highest_steps(middle, apart) for apart in (1, _EDGE_PX))
-        red, green, blue = np.moveaxis(rows[:, ::_COLUMN_STEP], 2, 0)
-        return cls(
-            steps / edges if edges else 1.0,
-            float(np.mean(np.maximum(np.maximum(red, green), blue) >= _BRIGHT)),
-            float(np.mean(np.minimum(np.minimum(red, green), blue) >= _SATURATED)),
-        )
-
-    @property
-    def doubts(self) -> tuple[str, ...]:
-        """The reasons of `Prediction.degraded` that follow."""
-        found = {
-            IMAGE_BLURRED: self.sharpness < _SHARP,
-            IMAGE_DARK: self.bright_share < _BRIGHT_SHARE,
-            IMAGE_OVEREXPOSED: self.saturated_share >= _SATURATED_SHARE,
-        }
-        return tuple(reason for reason, holds in found.items() if holds)
-
-
 def find_doubts(rgb: NDArray[np.uint8]) -> tuple[str, ...]:
     """Return the reasons of `Prediction.degraded` that an image, uint8 (H, W, 3), gives."""
-    return (IMAGE_CONSTANT,) if is_constant(rgb) else ImageQuality.measure(rgb).doubts
+    return (IMAGE_CONSTANT,) if is_constant(rgb) else find_measured_doubts(rgb)
+
+
+def find_measured_doubts(rgb: NDArray[np.uint8]) -> tuple[str, ...]:
+    """Return the reasons that follow from the measures of an image, also of a constant one.
+
+    The sharpness is the steepest step between neighbours in a row over the highest step within
+    eight pixels, over all rows that are measured: 1 is sharp, and 1/8 is a ramp.
+    """
+    rows = np.ascontiguousarray(rgb[:: max(1, rgb.shape[0] // _ROWS)])
+    middle = np.ascontiguousarray(rows[..., 1])
+    steps, edges = (_highest_steps(middle, apart) for apart in (1, _EDGE_PX))
+    red, green, blue = np.moveaxis(rows[:, ::_COLUMN_STEP], 2, 0)
+    bright = np.maximum(np.maximum(red, green), blue) >= _BRIGHT
+    saturated = np.minimum(np.minimum(red, green), blue) >= _SATURATED
+    found = {
+        IMAGE_BLURRED: edges > 0 and steps / edges < _SHARP,
+        IMAGE_DARK: bright.mean() < _BRIGHT_SHARE,
+        IMAGE_OVEREXPOSED: saturated.mean() >= _SATURATED_SHARE,
+    }
+    return tuple(reason for reason, holds in found.items() if holds)
 
 
 def is_constant(rgb: NDArray[np.uint8]) -> bool:

@@ -46,8 +46,10 @@ def run(tmp_path, monkeypatch):
         frame, angles = street_frame(200), np.array([2.0, 0, 0])
         refined = frame.calibration if verdict in (Verdict.RIGHT, Verdict.OFF) else None
         result = CalibrationResult(
-            verdict, "the reason", frame.calibration, refined, angles, angles, None, Judgement(),
-            FitScores(), FitScores(), 10.0, ("0",), 1.0, frame,
+            verdict=verdict, reason="the reason", given=frame.calibration, refined=refined,
+            off_degrees=angles, within_degrees=angles, finding=None, judgement=Judgement(),
+            before=FitScores(), after=FitScores(), range_m=10.0, frames=("0",), scenes=1.0,
+            example=frame,
         )  # fmt: skip
         source = MagicMock(notes=(), lidar_place=("cam", "velo", np.array([1.0, 2, 3])))
         source.__enter__.return_value = source

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from runtime.engine.image_quality import ImageQuality, find_doubts, is_constant
+from runtime.engine.image_quality import find_doubts, is_constant
 
 
 @pytest.fixture(scope="module")
@@ -38,11 +38,14 @@ def test_faulty_pictures_are_named(street, spoil, doubts):
     assert find_doubts(np.ascontiguousarray(spoil(street))) == doubts
 
 
-def test_measures_are_those_of_pictures_counted_by_hand():
-    rgb = np.zeros((32, 64, 3), np.uint8)
-    rgb[:, 32:] = (200, 0, 0)
-    rgb[:, 48:] = 255
-    found = ImageQuality.measure(rgb)
-    assert (found.sharpness, found.bright_share, found.saturated_share) == (1.0, 0.5, 0.25)
-    ramp = np.repeat(np.arange(64, dtype=np.uint8)[None, :, None], 32, axis=0).repeat(3, axis=2)
-    assert ImageQuality.measure(ramp).sharpness == pytest.approx(1 / 8)
+@pytest.mark.parametrize(("width", "bright", "level", "doubts"), [
+    (1, 32, (200, 200, 200), ()), (3, 32, (200, 200, 200), ()), (1, 32, (150, 0, 0), ()),
+    (1, 32, (255, 255, 249), ()), (1, 24, (255, 255, 255), ()),
+    (4, 32, (200, 200, 200), ("image_blurred",)), (1, 32, (149, 149, 149), ("image_dark",)),
+    (1, 32, (255, 255, 255), ("image_overexposed",)),
+])  # fmt: skip
+def test_an_edge_is_measured_as_counted_by_hand(width, bright, level, doubts):
+    """Black, and bright columns at the right, with an edge of this width between them."""
+    share = np.clip((np.arange(64) - (63 - bright)) / width, 0, 1)[:, None]
+    rgb = np.tile((share * level).astype(np.uint8), (32, 1, 1))
+    assert find_doubts(rgb) == doubts
