@@ -12,7 +12,7 @@ from runtime.contract.contract import NO_CLASS, Contract
 from runtime.contract.heads import HEADS, Head, Unit
 from runtime.contract.resize import RESIZE
 from runtime.engine.anchoring import move_to_returns
-from runtime.engine.prediction import Latency, Prediction
+from runtime.engine.prediction import Latency, Prediction, ms_since
 from runtime.engine.preprocess import NetworkInput
 from runtime.engine.session import describe_error
 
@@ -62,7 +62,7 @@ def to_prediction(
     outputs: Mapping[str, NDArray[Any]],
     frame: NetworkInput,
     contract: Contract,
-    times_ms: tuple[float, float],
+    inference_ms: float,
     *,
     stamp: Any,
 ) -> Prediction:
@@ -72,13 +72,13 @@ def to_prediction(
         outputs: head -> array, for this frame.
         frame: the input of the network.
         contract: the contract of the model.
-        times_ms: times of preprocessing and of the session.
+        inference_ms: time of the session.
         stamp: stamp of the frame.
     """
     started = time.perf_counter()
     faults = output_faults(outputs, contract)
     heads = at_frame_size(outputs, frame)
-    latency_ms = *times_ms, (time.perf_counter() - started) * 1e3
+    latency_ms = frame.preprocess_ms, inference_ms, ms_since(started)
     return Prediction(
         heads=heads,
         frame_size=frame.frame_size,

@@ -1,5 +1,6 @@
 """The result of `Predictor.predict`."""
 
+import time
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, field, replace
 from os import PathLike
@@ -24,6 +25,11 @@ class Latency:
     inference_ms: float  # the session
     postprocess_ms: float  # checking and resizing the outputs
     total_ms: float
+
+
+def ms_since(started: float) -> float:
+    """Return the milliseconds since a time of `time.perf_counter`."""
+    return (time.perf_counter() - started) * 1e3
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from runtime.engine.bundled_models import find_model
 from runtime.engine.cores import available_cores
 from runtime.engine.inference import run_batch, to_prediction
 from runtime.engine.model import open_model
-from runtime.engine.prediction import Prediction
+from runtime.engine.prediction import Prediction, ms_since
 from runtime.engine.preprocess import NetworkInput, preprocess
 from runtime.engine.session import node_counts
 from runtime.geometry.assumptions import collect_assumptions
@@ -114,7 +114,7 @@ class Predictor:
         self.providers = tuple(session.get_providers())
         self.node_counts = node_counts(session)
         self._session: Any = session
-        self.load_ms = _ms_since(started)
+        self.load_ms = ms_since(started)
         if provider == "cpu" and self.contract.precision == "fp16":
             warnings.warn(
                 f"{path.name} is in half precision, which is for GPUs: on the processor the same "
@@ -158,14 +158,9 @@ class Predictor:
             InferenceError: if the session fails, its outputs have another shape, or the predictor
                 is closed.
         """
-        started = time.perf_counter()
         frame = self._preprocess(rgb, sparse_depth, focal_length_px)
-        preprocess_ms = _ms_since(started)
-        ran = time.perf_counter()
-        (outputs,) = run_batch(self._require_open(), self.heads, [frame], self.contract)
-        return to_prediction(
-            outputs, frame, self.contract, (preprocess_ms, _ms_since(ran)), stamp=stamp
-        )
+        (prediction,) = self._run([frame], [stamp])
+        return prediction
 
     def predict_batch(
         self,
@@ -202,36 +197,25 @@ class Predictor:
             raise InputError(f"frames must be (rgb, sparse_depth) of each: {error}") from error
         focals = _one_each("focal_lengths_px", focal_lengths_px, len(frames))
         stamps = _one_each("stamps", stamps, len(frames))
-        inputs: list[NetworkInput] = []
-        preprocess_ms = []
+        batches: dict[object, list[tuple[int, NetworkInput]]] = {}
         for index, (frame, focal) in enumerate(zip(frames, focals, strict=True)):
-            frame_started = time.perf_counter()
             named = f"frame {index} of {len(frames)}"
             try:
                 rgb, sparse_depth = frame
             except (TypeError, ValueError) as error:
                 raise InputError(f"{named} must be (rgb, sparse_depth): {error}") from error
             try:
-                inputs.append(self._preprocess(rgb, sparse_depth, focal))
+                ready = self._preprocess(rgb, sparse_depth, focal)
             except InputError as error:
                 raise InputError(f"{named}: {error}") from error
-            preprocess_ms.append(_ms_since(frame_started))
-        batches: dict[object, list[int]] = {}
-        for index, ready in enumerate(inputs):
-            batch_key = ready.network_size if self.model.free_batch else index
-            batches.setdefault(batch_key, []).append(index)
+            key = ready.network_size if self.model.free_batch else index
+            batches.setdefault(key, []).append((index, ready))
         answers: dict[int, Prediction] = {}
         for members in batches.values():
-            batch_started = time.perf_counter()
-            batch = [inputs[index] for index in members]
-            outputs = run_batch(self._require_open(), self.heads, batch, self.contract)
-            inference_ms = _ms_since(batch_started)
-            for index, each in zip(members, outputs, strict=True):
-                times_ms = preprocess_ms[index], inference_ms
-                answers[index] = to_prediction(
-                    each, inputs[index], self.contract, times_ms, stamp=stamps[index]
-                )
-        total_ms = _ms_since(started)
+            places, inputs = zip(*members, strict=True)
+            predictions = self._run(inputs, [stamps[place] for place in places])
+            answers.update(zip(places, predictions, strict=True))
+        total_ms = ms_since(started)
         return [
             replace(answer, latency=replace(answer.latency, total_ms=total_ms))
             for _, answer in sorted(answers.items())
@@ -353,6 +337,16 @@ class Predictor:
             )
         return prediction
 
+    def _run(self, frames: Sequence[NetworkInput], stamps: Sequence[Any]) -> list[Prediction]:
+        """Run frames of one network size as one batch."""
+        started = time.perf_counter()
+        outputs = run_batch(self._require_open(), self.heads, frames, self.contract)
+        inference_ms = ms_since(started)
+        return [
+            to_prediction(each, frame, self.contract, inference_ms, stamp=stamp)
+            for each, frame, stamp in zip(outputs, frames, stamps, strict=True)
+        ]
+
     def _preprocess(self, rgb: Any, sparse_depth: Any, focal_length_px: Any) -> NetworkInput:
         return preprocess(
             rgb,
@@ -386,7 +380,3 @@ def _check_focal_length(focal_px: Any) -> float | None:
         raise InputError(
             f"{error}: give fx of the camera's matrix, in pixels of the frames, or leave it out"
         ) from error
-
-
-def _ms_since(started: float) -> float:
-    return (time.perf_counter() - started) * 1e3

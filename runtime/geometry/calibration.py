@@ -21,7 +21,7 @@ from runtime.geometry.kitti_calibration import (
     kitti_image_size,
 )
 from runtime.geometry.lens import PLUMB_BOB, Lens, cache_key, rectifying_maps
-from runtime.geometry.projection import check_intrinsics, project_points
+from runtime.geometry.projection import project_points, split_projection
 from runtime.geometry.region import region_of_images
 from runtime.geometry.rigid import finite_matrix, nearest_rigid
 from runtime.geometry.units import check_mount_distance
@@ -272,10 +272,7 @@ class Calibration:
         projection = finite_matrix("P of the CameraInfo", fields.get("p", [0] * 12), 3, 4)
         shift = np.eye(4)
         if projection.any() and (rectified or not np.any(fields.get("k", 0))):
-            intrinsics = projection[:, :3]
-            check_intrinsics(intrinsics, "P of the CameraInfo, without its last column,")
-            # P = K [I | t], where t is the baseline to the first camera of a stereo pair.
-            shift[:3, 3] = np.linalg.solve(intrinsics, projection[:, 3])
+            intrinsics, shift = split_projection(projection, "P of the CameraInfo")
         elif "k" in fields:
             intrinsics = finite_matrix("K of the CameraInfo", fields["k"], 3, 3)
             if rectified and np.any(distortion):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from runtime.base.errors import InputError
 from runtime.files.read_input import read_text
-from runtime.geometry.projection import check_intrinsics
+from runtime.geometry.projection import split_projection
 from runtime.geometry.rigid import finite_matrix
 
 # Names by which a file of object or odometry data is recognised; it has at least one of them.
@@ -86,10 +86,8 @@ def compose_matrices(
     The arguments are P_rect (3, 4), R_rect (3, 3) and the LiDAR's R and T (3, 4). Raises InputError
     if the projection is not that of a rectified camera.
     """
-    intrinsics = projection[:, :3]
-    check_intrinsics(intrinsics, "P of KITTI's calibration, without its last column,")
-    beside, rectified = np.eye(4), np.eye(4)
-    # P = K [I | t], where t is the offset from the camera to which the LiDAR is calibrated.
-    beside[:3, 3] = np.linalg.solve(intrinsics, projection[:, 3])
+    # The LiDAR is calibrated to the first camera.
+    intrinsics, beside = split_projection(projection, "P of KITTI's calibration")
+    rectified = np.eye(4)
     rectified[:3, :3] = rectify
     return intrinsics, beside @ rectified @ np.vstack([to_camera, np.eye(4)[3]])

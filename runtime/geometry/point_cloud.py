@@ -1,6 +1,7 @@
 """Conversion of a predicted depth map to a point cloud without points between objects."""
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -42,11 +43,12 @@ class PointCloud:
         Args:
             chosen: their indices, or bool (N,).
         """
-        arrays: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self)}
-        taken: dict[str, Any] = {
-            name: None if array is None else array[chosen] for name, array in arrays.items()
-        }
-        return PointCloud(**taken)
+        return PointCloud(**_taken(vars(self), chosen))
+
+
+def _taken(arrays: Mapping[str, NDArray[Any] | None], chosen: Any) -> dict[str, Any]:
+    """The same elements of each array that is given."""
+    return {name: None if each is None else each[chosen] for name, each in arrays.items()}
 
 
 def depth_to_cloud(
@@ -85,14 +87,10 @@ def depth_to_cloud(
     check_intrinsics(intrinsics)
     if rgb is not None and rgb.dtype != np.uint8:
         raise InputError(f"rgb must be uint8, got {rgb.dtype}")
-    arrays: dict[str, tuple[NDArray[Any] | None, tuple[int, ...]]] = {
-        "rgb": (rgb, (3,)),
-        "semantic": (semantic, ()),
-        "boundary": (boundary, ()),
-        "uncertainty": (uncertainty, ()),
-    }
-    for name, (array, channels) in arrays.items():
-        if array is not None and array.shape != (expected := (*depth.shape, *channels)):
+    kept_arrays = {"rgb": rgb, "semantic": semantic, "uncertainty": uncertainty}
+    for name, array in {**kept_arrays, "boundary": boundary}.items():
+        expected = (*depth.shape, 3) if name == "rgb" else depth.shape
+        if array is not None and array.shape != expected:
             raise InputError(f"{name} must have the shape {expected}, got {array.shape}")
     if max_uncertainty is not None:
         max_uncertainty = check_number("max_uncertainty", max_uncertainty, 0, 1e6, error=InputError)
@@ -118,11 +116,9 @@ def depth_to_cloud(
         x, y = table[row, column].T
     return PointCloud(
         points=np.stack([x * z, y * z, z], axis=1),
-        rgb=None if rgb is None else rgb[row, column],
-        semantic=None if semantic is None else semantic[row, column],
-        uncertainty=None if uncertainty is None else uncertainty[row, column],
         rows=row.astype(np.int32),
         columns=column.astype(np.int32),
+        **_taken(kept_arrays, (row, column)),
     )
 
 

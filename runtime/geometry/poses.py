@@ -202,11 +202,7 @@ class PoseBuffer:
 
     def whole(self) -> PoseTrack:
         """All poses, with the extrapolation at both ends."""
-        if not self._poses:
-            return self.between(0, 0)
-        return self.between(
-            self._poses[0].stamp_ns - _REACH_NS, self._poses[-1].stamp_ns + _REACH_NS
-        )
+        return self.between(-_MOST_NS, _MOST_NS)
 
     def between(self, first_ns: int, last_ns: int) -> PoseTrack:
         """Copy the poses for the times from `first_ns` to `last_ns`, and one on each side."""

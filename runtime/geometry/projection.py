@@ -181,6 +181,20 @@ def check_intrinsics(matrix: Any, name: str = "intrinsics") -> None:
         )
 
 
+def split_projection(
+    projection: NDArray[np.float64], name: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return K (3, 3) and [I | t], (4, 4), of a projection P = K [I | t], (3, 4).
+
+    t is the offset of a camera, in its own frame, from the first one of its pair. Raises InputError
+    if K is not the matrix of a camera.
+    """
+    intrinsics, shift = projection[:, :3], np.eye(4)
+    check_intrinsics(intrinsics, f"{name}, without its last column,")
+    shift[:3, 3] = np.linalg.solve(intrinsics, projection[:, 3])
+    return intrinsics, shift
+
+
 def _check_size(size: Any) -> tuple[int, int]:
     if not isinstance(size, tuple) or len(size) != 2:
         raise InputError(f"size must be (height, width), got {shown(size)}")
