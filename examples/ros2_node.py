@@ -1,6 +1,6 @@
 """A ROS 2 node: classes and depth of one camera and one LiDAR. Copy it; the engine needs no ROS.
 
-    python examples/ros2_node.py [--ros-args --params-file qos.yaml]
+    python examples/ros2_node.py [--ros-args --params-file qos.yaml -p memory_s:=2.0]
 
 `PushStream` predicts in a thread of its own, so the callbacks never wait for inference. It
 publishes, with the stamp and the frame id of the image:
@@ -10,12 +10,18 @@ publishes, with the stamp and the frame id of the image:
   of VOXEL_M; `~/camera_info`: sensor_msgs/CameraInfo. Both as `ssdnet-run --mcap` writes them.
 - `/diagnostics`: the health of each answer, and the state of the stream also while none comes.
 
-`image` and `points` are best effort, the last 5; `odometry` is best effort, the last 200 (a second
-at 200 Hz); what is published is reliable, the last 5. Parameters override the quality of service,
-by the topic's full name:
+The poses come from `odometry`, or, if the parameter fixed_frame is given (odom), from the transform
+of /tf between it and body_frame (base_link). memory_s is how many seconds of earlier returns are
+fed, too (0: none).
+
+`image` and `points` are best effort, the last 5; `odometry` and `/tf` are best effort, the last 200
+(a second at 200 Hz); what is published is reliable, the last 5. Parameters override the quality of
+service, by the topic's full name:
 
     /ssdnet:
       ros__parameters:
+        memory_s: 2.0
+        fixed_frame: odom
         qos_overrides:
           /odometry:
             subscription: {reliability: reliable, depth: 400}
@@ -37,6 +43,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 from sensor_msgs_py import point_cloud2
 from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
 
 from runtime import (
     Calibration,
@@ -56,7 +63,7 @@ from runtime import (
 # Calibration(lens=, distortion=).
 INTRINSICS = np.array([[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1]])
 EXTRINSICS = np.array([[0, -1, 0, 0], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1.0]])
-# LiDAR to the frame whose odometry is subscribed to, its child_frame_id (base_link).
+# LiDAR to the frame whose poses are subscribed to, its child_frame_id (base_link).
 BODY_FROM_LIDAR = np.array([[1.0, 0, 0, 0.8], [0, 1, 0, 0], [0, 0, 1, 1.4], [0, 0, 0, 1]])
 CALIBRATION = Calibration(INTRINSICS, EXTRINSICS, body_from_lidar=BODY_FROM_LIDAR)
 VOXEL_M = 0.1
@@ -88,20 +95,26 @@ class SSDNetNode(Node):
                 ("/diagnostics", DiagnosticArray),
             )
         }
+
+        def parameter(name: str, default: Any) -> Any:
+            return self.declare_parameter(name, default).value
+
+        self.moves = parameter("fixed_frame", ""), parameter("body_frame", "base_link")
         self.predictor = Predictor()  # the focal length is the calibration's
         self.stream = PushStream(
             self.predictor,
-            # No pose_frame without an odometry; with one, memory_s=2.0 feeds earlier returns, too.
-            Rig(calibration=CALIBRATION, pose_frame="body"),
+            # Without poses leave pose_frame out.
+            Rig(calibration=CALIBRATION, pose_frame="body", memory_s=parameter("memory_s", 0.0)),
             deadline_ms=80,
             on_result=self.publish,
             on_error=lambda error: self.get_logger().error(str(error)),
             on_state=lambda state: self.report(self.header(self.get_clock().now().to_msg())),
         )
+        poses = (TFMessage, "/tf", self.on_transforms, 200)
         for kind, topic, callback, queue in (
             (Image, "image", self.on_image, 5),
             (PointCloud2, "points", self.on_points, 5),
-            (Odometry, "odometry", self.on_odometry, 200),
+            poses if self.moves[0] else (Odometry, "odometry", self.on_odometry, 200),
         ):
             self.create_subscription(kind, topic, callback, best_effort(queue), **settable)
 
@@ -116,7 +129,12 @@ class SSDNetNode(Node):
         times = point_times_s(message, nanoseconds(message), points)  # None without such a field
         self.push(self.stream.push_points, points, message, times)
 
-    def on_odometry(self, message: Odometry) -> None:
+    def on_transforms(self, message: TFMessage) -> None:
+        for stamped in message.transforms:
+            if (stamped.header.frame_id, stamped.child_frame_id) == self.moves:
+                self.on_odometry(stamped)
+
+    def on_odometry(self, message: Any) -> None:
         try:
             pose = odometry_pose(message)
         except SSDNetError as error:

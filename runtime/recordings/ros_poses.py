@@ -33,11 +33,16 @@ _FIXED = ("odom", "map", "earth", "world", "camera_init")
 
 
 def odometry_pose(message: Any) -> NDArray[np.float64]:
-    """Return the pose in a nav_msgs/Odometry: float64 (4, 4), from its child frame to its frame.
+    """Return the pose in a nav_msgs/Odometry or geometry_msgs/TransformStamped, float64 (4, 4).
+
+    It is from the message's child frame to its frame.
 
     Raises:
         InputError: if the quaternion does not have unit length, or if a number is not finite.
     """
+    if hasattr(message, "transform"):
+        name = f"the transform from {message.header.frame_id} to {message.child_frame_id}"
+        return _pose(message.transform.translation, message.transform.rotation, name)
     return _pose(message.pose.pose.position, message.pose.pose.orientation, "an Odometry")
 
 
@@ -189,7 +194,7 @@ def transform_poses(
                 )
             parents[child] = parent
             if child in carriers:
-                pose = _transform_pose(stamped)
+                pose = odometry_pose(stamped)
                 moving.setdefault(child, []).append((_stamp_ns(stamped.header), pose))
     carrier = next((frame for frame in carriers if frame in moving), None)
     if carrier is None:
@@ -250,7 +255,7 @@ class TransformTree:
         for child, stated in self._parents.items():
             for parent, stamped in reversed(stated):
                 with contextlib.suppress(InputError):
-                    yield FixedTransform.of(parent, child, _transform_pose(stamped))
+                    yield FixedTransform.of(parent, child, odometry_pose(stamped))
                     break
 
     def ancestors(self, frame: str) -> dict[str, NDArray[np.float64]]:
@@ -261,10 +266,10 @@ class TransformTree:
             *others, (parent, stamped) = self._parents[frame]
             if parent in matrices:
                 raise InputError(f"/tf_static has a cycle at the frame {shown(parent)}")
-            pose = _transform_pose(stamped)
+            pose = odometry_pose(stamped)
             for each, other in others:
                 with contextlib.suppress(InputError):  # the transform is invalid
-                    if each != parent or not np.allclose(_transform_pose(other), pose, atol=1e-3):
+                    if each != parent or not np.allclose(odometry_pose(other), pose, atol=1e-3):
                         assume(f"the last of several transforms of {frame}", "/tf_static has more")
             matrices[parent] = pose @ matrices[frame]
             frame = parent
@@ -279,12 +284,6 @@ def is_world_frame(frame: str) -> bool:
 def frame_name(frame: Any) -> str:
     """The name of a frame without the leading slash that some ROS 1 drivers add."""
     return str(frame).removeprefix("/")
-
-
-def _transform_pose(stamped: Any) -> NDArray[np.float64]:
-    """The pose of `child_frame_id` in the frame of the header of a TransformStamped."""
-    name = f"the transform from {stamped.header.frame_id} to {stamped.child_frame_id}"
-    return _pose(stamped.transform.translation, stamped.transform.rotation, name)
 
 
 def _stamp_ns(header: Any) -> int:

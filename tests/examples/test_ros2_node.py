@@ -4,6 +4,7 @@ import runpy
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -27,9 +28,14 @@ class Made(SimpleNamespace):
 class Node:
     """The part of rclpy's node that the example uses."""
 
+    parameters: ClassVar[dict] = {}
+
     def __init__(self, name):
         self.name, self.sent, self.callbacks, self.logged = name, {}, {}, []
         self.statuses = []
+
+    def declare_parameter(self, name, default):
+        return SimpleNamespace(value=self.parameters.get(name, default))
 
     def create_publisher(self, kind, topic, qos, *, qos_overriding_options):
         assert qos_overriding_options == "with default policies"
@@ -71,8 +77,9 @@ class CvBridge:
 def spun(monkeypatch):
     """Run the main of the example; spin with some messages, and return the node."""
 
-    def run(messages):
+    def run(messages, **parameters):
         nodes = []
+        monkeypatch.setattr(Node, "parameters", parameters)
 
         def spin(node):
             nodes.append(node)
@@ -98,6 +105,8 @@ def spun(monkeypatch):
             "sensor_msgs.msg": dict.fromkeys(
                 ("Image", "CameraInfo", "PointCloud2", "PointField"), Made
             ),
+            "tf2_msgs": {},
+            "tf2_msgs.msg": {"TFMessage": object},
             "std_msgs": {},
             "std_msgs.msg": {"Header": Made},
             "diagnostic_msgs": {},
@@ -120,16 +129,30 @@ def spun(monkeypatch):
     return run
 
 
-def test_an_image_and_a_scan_are_answered(spun):
+@pytest.mark.parametrize("parameters", [{}, {"fixed_frame": "odom", "memory_s": 2.0}])
+def test_an_image_and_a_scan_are_answered(spun, parameters):
     frame = bundled_frames()[0]
     random = np.random.default_rng(0)
     points = random.uniform([4, -8, -1.5], [40, 8, 1], (5000, 3))  # x ahead, y left, z up
-    inner = SimpleNamespace(
-        position=SimpleNamespace(x=1, y=2, z=3), orientation=SimpleNamespace(x=0, y=0, z=0, w=1)
-    )
-    odometry = stamped(pose=SimpleNamespace(pose=inner))
+    place, turn = SimpleNamespace(x=1, y=2, z=3), SimpleNamespace(x=0, y=0, z=0, w=1)
+    poses = {
+        "odometry": stamped(
+            pose=SimpleNamespace(pose=SimpleNamespace(position=place, orientation=turn))
+        ),
+        "/tf": SimpleNamespace(
+            transforms=[
+                stamped(
+                    frame_id=fixed,
+                    child_frame_id=child,
+                    transform=SimpleNamespace(translation=place, rotation=turn),
+                )
+                for fixed, child in (("map", "odom"), ("odom", "base_link"))
+            ]
+        ),
+    }
+    topic = "/tf" if parameters else "odometry"
     messages = [
-        ("odometry", odometry),
+        (topic, poses[topic]),
         ("image", stamped(image=frame.rgb, frame_id="front_optical")),
         ("points", stamped(points=points, fields=())),
     ]
@@ -137,7 +160,7 @@ def test_an_image_and_a_scan_are_answered(spun):
         pytest.warns(AssumptionWarning, match="the stamps of scans mark their middle"),
         pytest.warns(AssumptionWarning, match="the calibration fits images of"),
     ):
-        node = spun(messages)
+        node = spun(messages, **parameters)
     depth, semantic = node.sent["~/depth"], node.sent["~/semantic"]
     assert (depth.encoding, semantic.encoding) == ("32FC1", "mono8")
     assert depth.values.shape == semantic.values.shape == (256, 832)
@@ -155,3 +178,4 @@ def test_an_image_and_a_scan_are_answered(spun):
     assert node.destroyed
     assert node.stream.counts.depths.answered == node.stream.counts.poses.answered == 1
     assert not [text for text in node.logged if "must" in text], node.logged
+    assert node.stream.counts.poses.pushed == 1
