@@ -8,7 +8,7 @@ from pydantic.dataclasses import dataclass
 from models import CLASS_TABLES
 from runtime.recordings.folders import FolderSource
 from training.base.limits import STRICT
-from training.datasets.class_mapping import ClassTable, LabelReader
+from training.datasets.class_mapping import ClassTable, LabelReader, file_ids
 from training.datasets.files import dataset_errors, require_files, require_folder
 from training.datasets.recording import RecordedFrames, Truth, pair
 from training.datasets.source_recipe import SourceRecipe
@@ -42,7 +42,7 @@ class CamVidRecipe(SourceRecipe):
         source = FolderSource(require_folder(folder / self.split, "CamVid's images"))
         listed, annotations = source.list_frames(), folder / f"{self.split}annot"
         files = require_files(annotations, "CamVid's labels", [frame.name for frame in listed])
-        labels = LabelReader.of("camvid", classes, LABELS)
+        labels = LabelReader(file_ids("camvid", classes, LABELS))
         return RecordedFrames(
             pair(source, listed, "camvid", {"semantic": Truth(files, labels.read)})
         )

@@ -12,7 +12,7 @@ from models import CLASS_TABLES
 from runtime.base.errors import DatasetError
 from runtime.files.read_input import read_text
 from training.base.limits import STRICT
-from training.datasets.class_mapping import ClassTable, LabelReader
+from training.datasets.class_mapping import ClassTable, LabelReader, file_ids
 from training.datasets.files import (
     dataset_errors,
     read_gray,
@@ -73,7 +73,7 @@ class Cityscapes(FrameList):
         images = require_folder(
             root / "leftImg8bit" / recipe.split, "Cityscapes' images, one folder per city"
         )
-        self._labels = LabelReader.of("cityscapes", classes, _LABELS)
+        self._labels = LabelReader(file_ids("cityscapes", classes, _LABELS))
         self._name = f"cityscapes/{recipe.split}"
         with_depth = (root / "disparity").is_dir()
         self._frames: list[dict[str, Path]] = []

@@ -1,13 +1,15 @@
 """Mapping from the labels of a data set to the class table of another one.
 
-A network has one class table, and the labels of every data set in a mixture become its ids. A pair
-of data set and table that is missing here has no mapping. For example, CamVid's car includes trucks
-and buses, which are separate classes of Cityscapes.
+A network has one class table, and the labels of every data set in a mixture become its ids: those
+of the classes that mean the same, see `class_names`. A pair of data set and table that is missing
+here has no mapping. For example, CamVid's car includes trucks and buses, which are separate classes
+of Cityscapes.
 """
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +18,7 @@ from models import CLASS_TABLES
 from models.training_facts import TrainingFacts
 from runtime.base.errors import DatasetError
 from runtime.contract.contract import NO_CLASS, ClassInfo
+from training.datasets.class_names import relatives
 from training.datasets.files import read_gray
 
 # A name in `models.CLASS_TABLES`, or a table.
@@ -27,77 +30,25 @@ TableName = Literal["camvid", "cityscapes", "virtual_kitti"]
 # The name that stands for pixels without a class; no class is called so.
 IGNORED = "ignore"
 
-_Names = Mapping[str, str | None]
-
-
-def _joined(classes: Mapping[str | None, Sequence[str]]) -> _Names:
-    """Turn a mapping from classes to their labels into one from labels to classes."""
-    return {label: name for name, labels in classes.items() for label in labels}
-
-
-# For each (data set, table): the class of each label of the data set, None if it is ignored.
-_MAPPINGS: Mapping[tuple[str, str], _Names] = {
-    ("camvid", "camvid"): {info.name: info.name for info in CLASS_TABLES["camvid"]},
-    ("cityscapes", "cityscapes"): {info.name: info.name for info in CLASS_TABLES["cityscapes"]},
-    # As in the SegNet mapping, walls join building and terrain joins tree (CamVid's
-    # VegetationMisc); riders and two-wheelers become bicyclist.
-    ("cityscapes", "camvid"): _joined(
-        {
-            "road": ["road"],
-            "pavement": ["sidewalk"],
-            "building": ["building", "wall"],
-            "fence": ["fence"],
-            "pole": ["pole"],
-            "sign": ["traffic light", "traffic sign"],
-            "tree": ["vegetation", "terrain"],
-            "sky": ["sky"],
-            "pedestrian": ["person"],
-            "bicyclist": ["rider", "motorcycle", "bicycle"],
-            "car": ["car", "truck", "bus", "train"],
-        }
-    ),
-    ("virtual_kitti", "virtual_kitti"): {
-        # The names are those in Virtual KITTI's files; the ignored classes occur only in rendered
-        # scenes.
-        **{info.name.title().replace(" ", ""): info.name for info in CLASS_TABLES["virtual_kitti"]},
-        **dict.fromkeys(("Pavement", "Fence", "Pedestrian", "Cyclist", "Undefined")),
-    },
-    ("virtual_kitti", "camvid"): _joined(
-        {
-            "sky": ["Sky"],
-            "building": ["Building"],
-            "pole": ["Pole"],
-            "road": ["Road"],
-            "pavement": ["Pavement"],
-            "tree": ["Tree", "Vegetation", "Terrain"],
-            "sign": ["TrafficSign", "TrafficLight"],
-            "fence": ["Fence", "GuardRail"],
-            "car": ["Car", "Van", "Truck"],
-            "pedestrian": ["Pedestrian"],
-            "bicyclist": ["Cyclist"],
-            None: ["Misc", "Undefined"],
-        }
-    ),
-    # Cityscapes labels the rider and the bicycle separately; here they are one class.
-    ("virtual_kitti", "cityscapes"): _joined(
-        {
-            "sky": ["Sky"],
-            "building": ["Building"],
-            "pole": ["Pole"],
-            "road": ["Road"],
-            "sidewalk": ["Pavement"],
-            "vegetation": ["Tree", "Vegetation"],
-            "terrain": ["Terrain"],
-            "traffic sign": ["TrafficSign"],
-            "traffic light": ["TrafficLight"],
-            "fence": ["Fence"],
-            "car": ["Car", "Van"],
-            "truck": ["Truck"],
-            "person": ["Pedestrian"],
-            None: ["GuardRail", "Cyclist", "Misc", "Undefined"],
-        }
+# The labels of each data set, as its files name them.
+_LABELS: Mapping[str, tuple[str, ...]] = {
+    "camvid": tuple(info.name for info in CLASS_TABLES["camvid"]),
+    "cityscapes": tuple(info.name for info in CLASS_TABLES["cityscapes"]),
+    "virtual_kitti": (
+        *(info.name.title().replace(" ", "") for info in CLASS_TABLES["virtual_kitti"]),
+        # Except the last one, which is no class, these occur only in rendered scenes.
+        *("Pavement", "Fence", "Pedestrian", "Cyclist", "Undefined"),
     ),
 }
+# The tables to which the labels of each data set are mapped, by the relatives of their names.
+_TABLES: Mapping[ClassTable, tuple[str, ...]] = {
+    "camvid": ("camvid",),
+    "cityscapes": ("camvid", "cityscapes"),
+    "virtual_kitti": ("camvid", "cityscapes", "virtual_kitti"),
+}
+# For each table, the labels that are ignored in spite of a relative. Cityscapes' fences are no
+# guard rails, and it labels the rider and the bicycle separately.
+_IGNORED = {"cityscapes": ("GuardRail", "Cyclist")}
 
 
 def named_table(classes: str | Iterable[str]) -> ClassTable:
@@ -133,7 +84,7 @@ def trained_classes(classes: tuple[ClassInfo, ...], facts: TrainingFacts) -> Cla
 
 def is_mapped(labels: ClassTable, table: ClassTable) -> bool:
     """Whether the labels of a data set are mapped to a class table."""
-    return (labels, table) in _MAPPINGS
+    return table in _TABLES.get(labels, ())
 
 
 def class_ids(labels: str, table: ClassTable) -> dict[str, int]:
@@ -150,28 +101,26 @@ def class_ids(labels: str, table: ClassTable) -> dict[str, int]:
         DatasetError: if the labels are not mapped to the table.
     """
     if not isinstance(table, str) or not is_mapped(labels, table):
-        known = sorted(t for s, t in _MAPPINGS if s == labels)
         name = repr(table) if isinstance(table, str) else "a table of its own"
         raise DatasetError(
             f"the labels of {labels} are not mapped to the classes of {name}: set the recipe's "
-            f"model.classes to one of {', '.join(known)}, or leave the set out"
+            f"model.classes to one of {', '.join(_TABLES[labels])}, or leave the set out"
         )
-    ids = {info.name: index for index, info in enumerate(CLASS_TABLES[table])}
-    mapping = _MAPPINGS[labels, table]
-    return {label: NO_CLASS if name is None else ids[name] for label, name in mapping.items()}
+    names, ids = [info.name for info in CLASS_TABLES[table]], dict[str, int]()
+    for label in _LABELS[labels]:
+        found = relatives(re.sub("(?<=[a-z])(?=[A-Z])", " ", label), names)
+        is_ignored = not found or label in _IGNORED.get(table, ())
+        ids[label] = NO_CLASS if is_ignored else names.index(found[0])
+    return ids
 
 
-def id_lookup(labels: str, table: ClassTable, order: Sequence[str | None]) -> NDArray[np.uint8]:
-    """Return a look-up table (256,) from a file's ids to those of the class table.
+def file_ids(labels: str, table: ClassTable, order: Sequence[str | None]) -> dict[int, int]:
+    """Return the id in a class table for every id in the files of a data set; 255 = ignored.
 
-    `order` holds the labels in the order of the file's ids, from 0.
+    `order` holds the labels in the order of the files' ids, from 0; None: no class.
     """
-    ids = class_ids(labels, table)
-    lookup = np.full(256, NO_CLASS, dtype=np.uint8)
-    for index, label in enumerate(order):
-        if label is not None:
-            lookup[index] = ids[label]
-    return lookup
+    ids = {None: NO_CLASS, **class_ids(labels, table)}
+    return {index: ids[label] for index, label in enumerate(order)}
 
 
 class LabelReader:
@@ -192,11 +141,6 @@ class LabelReader:
         self._lookup = np.full(256, NO_CLASS, np.uint8)
         self._lookup[list(ids)] = list(ids.values())
         self._known = np.isin(np.arange(256), list(ids))
-
-    @classmethod
-    def of(cls, labels: str, classes: ClassTable, order: Sequence[str | None]) -> Self:
-        """Return the reader of a data set's files; `order` as in `id_lookup`."""
-        return cls(dict(enumerate(id_lookup(labels, classes, order)[: len(order)].tolist())))
 
     def read(self, path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
         """Read the class ids of an image of (height, width): uint8 (H, W).

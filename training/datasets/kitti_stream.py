@@ -9,7 +9,7 @@ from runtime.geometry.rig import Rig
 from runtime.recordings.folders import FolderSource
 from training.base.limits import STRICT, Share
 from training.datasets.cityscapes import TRAIN_LABELS
-from training.datasets.class_mapping import ClassTable, LabelReader
+from training.datasets.class_mapping import ClassTable, LabelReader, file_ids
 from training.datasets.files import dataset_errors, require_files, require_folder
 from training.datasets.recording import RecordedFrames, Truth, pair
 from training.datasets.source_recipe import RangeRecipe
@@ -43,7 +43,7 @@ class KittiStreamRecipe(RangeRecipe):
         """
         # Other ids than trainIds are ignored.
         order = (*TRAIN_LABELS, *[None] * (256 - len(TRAIN_LABELS)))
-        labels = LabelReader.of("cityscapes", classes, order)
+        labels = LabelReader(file_ids("cityscapes", classes, order))
         is_object = (folder / "calib").is_dir()
         images = folder / ("image_2" if is_object else "image_02")
         scans = require_folder(folder / "velodyne_fov", "the stream's .bin LiDAR returns")

@@ -19,7 +19,7 @@ from runtime.recordings.images import list_files
 from training.base.limits import STRICT
 from training.datasets.camvid import LABELS
 from training.datasets.cityscapes import disparity_to_depth
-from training.datasets.class_mapping import ClassTable, LabelReader
+from training.datasets.class_mapping import ClassTable, LabelReader, file_ids
 from training.datasets.files import dataset_errors, read_gray, require_files, require_folder
 from training.datasets.recording import RecordedFrames, Truth, pair
 from training.datasets.source_recipe import RangeRecipe
@@ -83,7 +83,8 @@ class KittiStreetsRecipe(RangeRecipe):
         if (folder / "semantic").is_dir():
             labels = list_files(folder / "semantic")
             with suppress(DatasetError):  # with another table, depth and road remain
-                truth["semantic"] = Truth(labels, LabelReader.of("camvid", classes, LABELS).read)
+                ids = file_ids("camvid", classes, LABELS)
+                truth["semantic"] = Truth(labels, LabelReader(ids).read)
         frames = []
         for frame in pair(source, taken, "kitti_streets", truth):
             place = _place(int(frame.listed.name))

@@ -17,7 +17,7 @@ from training.datasets.class_mapping import (
     IGNORED,
     ClassTable,
     LabelReader,
-    id_lookup,
+    file_ids,
     list_classes,
     named_table,
 )
@@ -120,11 +120,10 @@ class LabelledRecipe(RangeRecipe):
         """Return the id in the class table for each id in the files, `NO_CLASS` for none."""
         if self.label_ids:
             return {self.ignore: NO_CLASS, **self._find("label_ids", self.label_ids, names)}
-        order = list(range(len(names)))
+        ids = {index: index for index in range(len(names))}
         if self.label_classes is not None:
-            lookup = id_lookup(self.label_classes, classes, TRAIN_LABELS)
-            order = lookup[: len(TRAIN_LABELS)].tolist()
-        return {**dict(enumerate(order)), self.ignore: NO_CLASS}
+            ids = file_ids(self.label_classes, classes, TRAIN_LABELS)
+        return {**ids, self.ignore: NO_CLASS}
 
 
 def _advise(names: Sequence[str] | None, ids: Mapping[int, int], unknown: Sequence[int]) -> str:

@@ -9,7 +9,7 @@ pytest.importorskip("embreex", reason="the renderer needs the train extra")
 from layouts import open_set
 from runtime.base.errors import DatasetError
 from runtime.geometry.projection import project_points
-from training.datasets.class_mapping import id_lookup
+from training.datasets.class_mapping import file_ids
 from training.scenes.scene_job import SceneClass, SceneJob, Variant, render_frames, run_job
 
 JOB = SceneJob(3, Variant.fog, frames=1, step_s=1.0, size=(48, 96))
@@ -34,8 +34,8 @@ def test_a_frame_is_read_as_it_was_rendered(scene):
     folder, frame = scene
     written = open_set("rendered", folder)[0]
     assert written.name == "Scene03/fog/00000"
-    lookup = id_lookup("virtual_kitti", "camvid", [item.category for item in SceneClass])
-    np.testing.assert_array_equal(lookup[frame.label], written.semantic)
+    ids = file_ids("virtual_kitti", "camvid", [item.category for item in SceneClass])
+    np.testing.assert_array_equal(np.array([*ids.values()])[frame.label], written.semantic)
     np.testing.assert_array_equal(frame.depth > 0, written.depth > 0)
     np.testing.assert_allclose(frame.depth, written.depth, atol=0.00501)  # whole centimetres
     np.testing.assert_allclose(frame.intrinsics, written.intrinsics, rtol=1e-5)
