@@ -119,8 +119,8 @@ def file_ids(labels: str, table: ClassTable, order: Sequence[str | None]) -> dic
 
     `order` holds the labels in the order of the files' ids, from 0; None: no class.
     """
-    ids = {None: NO_CLASS, **class_ids(labels, table)}
-    return {index: ids[label] for index, label in enumerate(order)}
+    ids = class_ids(labels, table)
+    return {index: NO_CLASS if label is None else ids[label] for index, label in enumerate(order)}
 
 
 class LabelReader:

@@ -202,6 +202,21 @@ class SampleSource(Protocol):
     def __getitem__(self, index: int) -> Sample: ...
 
 
+class ChangedSource:
+    """Base of the data sets that give the frames of another one, `source`.
+
+    Attributes:
+        images: see `FrameList.images`; a set of another kind may have none.
+    """
+
+    def __init__(self, source: SampleSource) -> None:
+        self._source = source
+        self.images: Sequence[Path] = getattr(source, "images", ())
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+
 class FrameList:
     """The length of a data set that lists its frames.
 

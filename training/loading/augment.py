@@ -10,7 +10,7 @@ from training.lidar.faults import add_false_returns
 from training.loading.augment_config import AugmentConfig
 from training.loading.camera_faults import spoil_at_random
 from training.loading.colors import change_colors
-from training.loading.depth_values import canonical_depth
+from training.loading.depth_values import DepthTarget, canonical_depth
 from training.loading.geometric import cut, flip, scale_and_crop
 from training.loading.lidar_input import draw_lidar
 
@@ -19,9 +19,7 @@ def augment(
     sample: Sample,
     config: AugmentConfig,
     rng: Generator,
-    *,
-    canonical_focal_px: float | None,
-    max_depth_m: float,
+    target: DepthTarget,
     rare: Sequence[int],
 ) -> Sample:
     """Return a randomly changed sample; a pure function of its arguments.
@@ -30,8 +28,7 @@ def augment(
         sample: a frame of a data set.
         config: ranges and probabilities.
         rng: source of all random numbers.
-        canonical_focal_px: makes the depth canonical, see `canonical_depth`; None: metres.
-        max_depth_m: the network's range, for canonical depth.
+        target: unit of the depth, see `canonical_depth`.
         rare: ids of the rare classes, see `config.rare_crops`.
 
     Returns:
@@ -39,13 +36,13 @@ def augment(
     """
     # With canonical depth, images without intrinsics count as taken by the canonical camera. Its
     # focal length is fixed, so a magnified image is an image taken closer to the scene.
-    is_closer = canonical_focal_px is not None and sample.intrinsics is None
+    is_closer = target.canonical_focal_px is not None and sample.intrinsics is None
     sample = scale_and_crop(sample, config, rng, is_closer=is_closer, rare=rare)
     if rng.random() < config.flip:
         sample = flip(sample)
     sample = draw_lidar(sample, config, rng)
-    if canonical_focal_px is not None:
-        sample = canonical_depth(sample, canonical_focal_px, max_depth_m)
+    if target.canonical_focal_px is not None:
+        sample = canonical_depth(sample, target.canonical_focal_px, target.max_depth_m)
     sample = sample.with_image(change_colors(sample.rgb, config, rng))
     return _disturb_camera(sample, config.camera_fault, config, rng)
 

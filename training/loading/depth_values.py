@@ -1,12 +1,13 @@
 """Changes of a sample's depth: its unit, the size of the world, and the sky."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.random import Generator
 
-from runtime.contract.contract import farthest_return
+from runtime.contract.contract import MAX_RETURN_M, farthest_return
 from training.datasets.sample import Sample
 from training.lidar.split import masked
 from training.loading.augment_config import AugmentConfig
@@ -17,6 +18,21 @@ _DENSE_SHARE = 0.3
 # Sky pixels this close to another class have no depth target. The second margin is for labels that
 # a network made.
 SKY_MARGIN_PX, PSEUDO_SKY_MARGIN_PX = 2, 10
+
+
+@dataclass(frozen=True)
+class DepthTarget:
+    """The unit of the depth target, see `models.NetworkConfig`, and the depth of the sky.
+
+    Attributes:
+        sky: class whose unmeasured pixels get the depth `sky_depth_m`; None: no class.
+        max_depth_m: range of the network.
+    """
+
+    canonical_focal_px: float | None = None
+    sky: int | None = None
+    sky_depth_m: float = 100.0
+    max_depth_m: float = MAX_RETURN_M
 
 
 def scale_world(

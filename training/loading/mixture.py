@@ -7,16 +7,15 @@ import numpy as np
 from numpy.random import Generator
 from torch.utils.data import Dataset
 
-from runtime.contract.contract import MAX_RETURN_M
-from training.datasets.sample import Sample, SampleSource
+from training.datasets.sample import ChangedSource, Sample, SampleSource
 from training.loading.augment import augment, take_views, with_margin
 from training.loading.augment_config import AugmentConfig
 from training.loading.batch import Drawn
 from training.loading.colors import move_histograms
-from training.loading.depth_values import far_sky, scale_world
+from training.loading.depth_values import DepthTarget, far_sky, scale_world
 
 
-class CachedSource:
+class CachedSource(ChangedSource):
     """A data set that keeps decoded frames in memory, up to `limit_bytes`.
 
     No frame is replaced by another: passes over a shuffled set would drop each frame just before it
@@ -24,12 +23,9 @@ class CachedSource:
     """
 
     def __init__(self, source: SampleSource, *, limit_bytes: int) -> None:
-        self._source = source
+        super().__init__(source)
         self._free = limit_bytes
         self._kept: dict[int, Sample] = {}
-
-    def __len__(self) -> int:
-        return len(self._source)
 
     def __getitem__(self, index: int) -> Sample:
         if index in self._kept:
@@ -56,21 +52,6 @@ class MixturePart:
     augment: AugmentConfig
 
 
-@dataclass(frozen=True)
-class DepthTarget:
-    """The unit of the depth target, see `models.NetworkConfig`, and the depth of the sky.
-
-    Attributes:
-        sky: class whose unmeasured pixels get the depth `sky_depth_m`; None: no class.
-        max_depth_m: range of the network.
-    """
-
-    canonical_focal_px: float | None = None
-    sky: int | None = None
-    sky_depth_m: float = 100.0
-    max_depth_m: float = MAX_RETURN_M
-
-
 class Mixture(Dataset[Drawn]):
     """`length` augmented samples; the i-th is a pure function of the parts, seed, length and i.
 
@@ -90,11 +71,8 @@ class Mixture(Dataset[Drawn]):
         pair_step: int,
         rare: Sequence[int],
     ) -> None:
-        self._parts = list(parts)
-        self._seed = seed
-        self._depth = depth
-        self._pair_step = pair_step
-        self._rare = tuple(rare)
+        self._parts, self._seed, self._rare = parts, seed, rare
+        self._depth, self._pair_step = depth, pair_step
         weights = np.array([part.weight for part in parts], dtype=np.float64)
         rng = np.random.default_rng([seed, 0])
         self._part = rng.choice(len(parts), size=length, p=weights / weights.sum())
@@ -116,14 +94,7 @@ class Mixture(Dataset[Drawn]):
         sample = part.source[int(self._frame[index])]
         if part.augment.restyle and rng.random() < part.augment.restyle:
             sample = self._restyle(sample, rng)
-        sample = augment(
-            sample,
-            with_margin(part.augment),
-            rng,
-            canonical_focal_px=target.canonical_focal_px,
-            max_depth_m=target.max_depth_m,
-            rare=self._rare,
-        )
+        sample = augment(sample, with_margin(part.augment), rng, target, self._rare)
         views: tuple[Sample, ...] = (sample,)
         offset = (0, 0)
         if part.augment.pair_shift:

@@ -22,7 +22,7 @@ from runtime.files.read_input import open_input
 from training.base.own_code import named_errors
 from training.base.stop_signal import Stop, StopRequested, never
 from training.datasets.class_mapping import ClassTable
-from training.datasets.sample import Sample, SampleSource, labelled, target_kind
+from training.datasets.sample import ChangedSource, Sample, SampleSource, labelled, target_kind
 from training.datasets.source_recipe import SourceRecipe
 from training.loading.geometric import resize
 
@@ -36,29 +36,21 @@ _FAR_SHARE = 0.1
 _SHORTEST = 0.1
 
 
-class CheckedSource:
+class CheckedSource(ChangedSource):
     """A data set whose targets have their type and size, and its cameras fit their images.
 
     The frames are resized to the recipe's size with `training.loading.geometric.resize`, if it has
     one. A DatasetError about a frame names the reader and the frame.
     """
 
-    def __init__(self, source: SampleSource, recipe: SourceRecipe | None = None) -> None:
-        self._source = source
-        self._size, self._title, self._states_camera = None, "", False
-        if recipe is not None:
-            self._size, self._title = recipe.size, recipe.title
-            self._states_camera = recipe.states_camera
-        # See `FrameList.images`; a set of another kind may have none.
-        self.images: Sequence[Path] = getattr(source, "images", ())
-
-    def __len__(self) -> int:
-        return len(self._source)
+    def __init__(self, source: SampleSource, recipe: SourceRecipe) -> None:
+        super().__init__(source)
+        self._recipe = recipe
 
     def __getitem__(self, index: int) -> Sample:
-        with named_errors(f"{self._title}: the reader of frame {index}"):
+        with named_errors(f"{self._recipe.title}: the reader of frame {index}"):
             sample = self._source[index]
-        if self._states_camera:
+        if self._recipe.states_camera:
             _require_camera(sample)
         for target in sample.known:
             values, kind = sample.target(target), target_kind(target)
@@ -68,7 +60,7 @@ class CheckedSource:
                     f"{values.dtype} {values.shape}; expected {kind.dtype} {sample.size}, "
                     f"{kind.unlabelled:g} = unknown; a set without this target must omit it"
                 )
-        size = network_size(self._size or "frame", sample.size, trained_height=None)
+        size = network_size(self._recipe.size or "frame", sample.size, trained_height=None)
         return resize(sample, size)
 
 
@@ -91,15 +83,12 @@ def _require_camera(sample: Sample) -> None:
         )
 
 
-class Watched:
+class Watched(ChangedSource):
     """A data set that raises StopRequested instead of a frame once `stop` is True."""
 
     def __init__(self, source: SampleSource, stop: Stop) -> None:
-        self._source, self._stop = source, stop
-        self.images: Sequence[Path] = getattr(source, "images", ())  # frames are grouped by them
-
-    def __len__(self) -> int:
-        return len(self._source)
+        super().__init__(source)
+        self._stop = stop
 
     def __getitem__(self, index: int) -> Sample:
         if self._stop():

@@ -28,7 +28,7 @@ from training.datasets.sample import SampleSource
 from training.lidar.split import LidarInput
 from training.loading.augment_config import PAIR_STEP_PX, with_crop
 from training.loading.data_recipe import DataRecipe
-from training.loading.mixture import DepthTarget
+from training.loading.depth_values import DepthTarget
 from training.loading.open_dataset import (
     FREQUENCY_SAMPLES,
     Survey,

@@ -17,6 +17,7 @@ from training.loading.colors import change_colors
 from training.loading.depth_values import (
     PSEUDO_SKY_MARGIN_PX,
     SKY_MARGIN_PX,
+    DepthTarget,
     canonical_depth,
     far_sky,
 )
@@ -27,10 +28,8 @@ K = np.array([[50.0, 0, 31.5], [0, 50.0, 23.5], [0, 0, 1]])
 
 
 def changed(sample, config, seed, canonical_focal_px=None, rare=()):
-    rng = np.random.default_rng(seed)
-    return augment(
-        sample, config, rng, canonical_focal_px=canonical_focal_px, max_depth_m=250.0, rare=rare
-    )
+    target = DepthTarget(canonical_focal_px)
+    return augment(sample, config, np.random.default_rng(seed), target, rare)
 
 
 def plane(height=48, width=64):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from runtime.base.errors import DatasetError
+from training.datasets.camvid import CamVidRecipe
 from training.datasets.sample import Sample, make_frame
 from training.loading.mixture import CachedSource
 from training.loading.open_dataset import CheckedSource
@@ -57,7 +58,8 @@ def test_what_no_longer_fits_is_decoded_anew_and_drops_nothing():
     (np.zeros((10, 10), np.int64), r"int64 \(10, 10\)"),
 ])  # fmt: skip
 def test_a_reader_without_proper_labels_is_named_with_its_frame(labels, found):
-    source = CheckedSource([Counted()[0].with_targets(semantic=labels)], None)
+    wrong = Counted()[0].with_targets(semantic=labels)
+    source = CheckedSource([wrong], CamVidRecipe(path="camvid"))
     text = rf"0: the reader list returned semantic = {found}; expected uint8 \(10, 10\)"
     with pytest.raises(DatasetError, match=text):
         source[0]

@@ -11,7 +11,8 @@ from training.datasets.sample import Sample, make_frame
 from training.loading.augment_config import PAIR_STEP_PX, AugmentConfig
 from training.loading.batch import Batch, Drawn
 from training.loading.colors import move_histograms
-from training.loading.mixture import DepthTarget, Mixture, MixturePart
+from training.loading.depth_values import DepthTarget
+from training.loading.mixture import Mixture, MixturePart
 from training.losses.consistency import semantic_consistency_loss
 
 

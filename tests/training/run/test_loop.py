@@ -208,7 +208,7 @@ def test_what_fails_in_a_worker_ends_the_run_in_a_line(data, tmp_path, monkeypat
     opened = open_dataset
     monkeypatch.setattr(
         "training.run.task.open_dataset",
-        lambda *given, **options: CheckedSource(InWorker(opened(*given, **options), fail)),
+        lambda item, **options: CheckedSource(InWorker(opened(item, **options), fail), item),
     )
     with pytest.raises(InputError, match=text) as raised:
         train(recipe(data={"workers": 1}), data, tmp_path / "run")
