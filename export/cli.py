@@ -6,7 +6,7 @@ import typer
 
 from export.options import ExportOptions
 from export.precision import ENOUGH_FRAMES
-from runtime.command.options import Version, read_options, with_options
+from runtime.command.options import read_options, with_options
 from runtime.command.process import reported_errors, stop_requested
 from runtime.contract.contract import MIN_SIDE, Contract
 
@@ -40,7 +40,6 @@ def export(
     threads: Annotated[
         int | None, typer.Option(min=1, help="CPU threads. [default: all cores]")
     ] = None,
-    _version: Version = False,
     **given: Any,
 ) -> None:
     """Export a checkpoint to one self-contained ONNX file and verify it against PyTorch."""

@@ -38,11 +38,11 @@ def _print_version(wanted: bool) -> None:
 Threads = Annotated[
     int | None, typer.Option(min=1, help="Threads of inference. [default: physical cores]")
 ]
-# The option --version of every command.
-Version = Annotated[
-    bool,
-    typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version."),
-]
+# The option --version of every command; `with_options` adds it.
+_VERSION = typer.Option(
+    "--version", callback=_print_version, is_eager=True, help="Print the version."
+)
+Version = Annotated[bool, _VERSION]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +79,7 @@ def option_group(title: str | None = None) -> Callable[..., Any]:
 
 
 def with_options(options: type, names: Collection[str] = ()) -> Callable[[_Command], _Command]:
-    """Give typer a parameter for each field of a class; the command takes them as **given.
+    """Give typer --version and a parameter for each field of a class, which come as **given.
 
     `names` are the names of the fields; empty: all that are options.
     """
@@ -90,16 +90,10 @@ def with_options(options: type, names: Collection[str] = ()) -> Callable[[_Comma
             given = field.metadata.get(_Given)
             if given is None or (names and field.name not in names):
                 continue
-            default = None if given.type is not None else field.default
-            shown.append(
-                inspect.Parameter(
-                    field.name,
-                    inspect.Parameter.KEYWORD_ONLY,
-                    default=inspect.Parameter.empty if default is dataclasses.MISSING else default,
-                    annotation=Annotated[given.type or field.type, given.info],
-                )
-            )
-        shown += list(inspect.signature(command).parameters.values())[:-1]
+            default = field.default if given.type is None else None
+            shown.append(_keyword(field.name, given.type or field.type, given.info, default))
+        *others, _ = inspect.signature(command).parameters.values()
+        shown += [*others, _keyword("_version", bool, _VERSION, False)]
         command.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
         command.__annotations__ = {each.name: each.annotation for each in shown}
         return command
@@ -107,15 +101,23 @@ def with_options(options: type, names: Collection[str] = ()) -> Callable[[_Comma
     return decorate
 
 
+def _keyword(name: str, of_type: Any, info: Any, default: Any) -> inspect.Parameter:
+    """A parameter of a command; a default that is MISSING makes it required."""
+    default = inspect.Parameter.empty if default is dataclasses.MISSING else default
+    annotation = Annotated[of_type, info]
+    kind = inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter(name, kind, default=default, annotation=annotation)
+
+
 def read_options(options: type[_Options], given: Mapping[str, Any], **others: Any) -> _Options:
     """Make an object of a class with options from what its command was given, and from others.
 
     Raises typer.BadParameter for a UsageError.
     """
-    for field in dataclasses.fields(options):  # type: ignore[arg-type]
-        if (value := given.get(field.name)) is not None:
-            others[field.name] = field.metadata[_Given].read(value)
     try:
+        for field in dataclasses.fields(options):  # type: ignore[arg-type]
+            if (value := given.get(field.name)) is not None:
+                others[field.name] = field.metadata[_Given].read(value)
         return options(**others)
     except UsageError as error:
         raise typer.BadParameter(with_flags(str(error))) from error

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from runtime.command.json_file import STDOUT, write_json
-from runtime.command.options import Version, read_options, with_options
+from runtime.command.options import read_options, with_options
 from runtime.command.process import print_result, reported_errors, stop_requested
 from runtime.files.atomic_write import atomic_write
 from training.evaluation.options import EvaluationOptions
@@ -27,7 +27,6 @@ def evaluate(
     all_columns: Annotated[
         bool, typer.Option("--all", help="Print all figures instead of the main ones.")
     ] = False,
-    _version: Version = False,
     **given: Any,
 ) -> None:
     """Score models on data sets.

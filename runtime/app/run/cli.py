@@ -6,9 +6,10 @@ from typing import Any
 import typer
 
 from runtime.app.run.options import RunOptions
-from runtime.app.run.run import OnRecord, run
+from runtime.app.run.pipeline import OnRecord
+from runtime.app.run.run import run
 from runtime.app.run.run_report import describe_run, list_results
-from runtime.command.options import GroupedCommand, Version, read_options, with_options
+from runtime.command.options import GroupedCommand, read_options, with_options
 from runtime.command.process import print_result, progress_bar, reported_errors
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -23,11 +24,7 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
     "several apply, 5 comes before 4, and 4 before 3.",
 )
 @with_options(RunOptions)
-def main(
-    *,
-    _version: Version = False,
-    **given: Any,
-) -> None:
+def main(**given: Any) -> None:
     """Predict classes, depth and boundaries of every frame of a stream, and report the latency.
 
     Images and depth maps or scans in folders are paired by their stems, in natural order.

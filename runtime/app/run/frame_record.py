@@ -3,9 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from runtime.base.stamp import stamp_ns
 from runtime.engine.prediction import Prediction
-from runtime.geometry.motion import DepthMotion
 from runtime.streams.frame_result import FIGURES, FrameResult
 
 OK, SKIPPED, INVALID = "ok", "skipped", "invalid"
@@ -13,17 +14,10 @@ OK, SKIPPED, INVALID = "ok", "skipped", "invalid"
 # The stages of a run, in the order of its table. "latency" is none of them, because it equals "age"
 # or "predict".
 STAGES = (
-    "read",
-    "preprocess",
-    "inference",
-    "postprocess",
-    "predict",
-    "write",
-    "age",
-    "jitter",
-    "skew",
-    "depth_age",
+    *("read", "preprocess", "inference", "postprocess", "predict", "write"),
+    *("age", "jitter", "skew", "depth_age"),
 )
+_NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -33,11 +27,9 @@ class FrameRecord:
     Attributes:
         name: name of the frame in its recording.
         reason: why the status is not "ok".
-        prediction: the prediction without arrays (`heads` is empty); None if the frame could not be
-            read or predicted.
-        image_stamp_ns, depth_stamp_ns: stamps of the image and of its depth; None if unknown.
-        health, depth_reused, depth_motion, memory_returns, memory_rejected, memory_off: see
-            `FrameResult`.
+        image_stamp_ns: stamp of the image; None if unknown.
+        result: the answer without arrays (`prediction.heads` is empty); None if the frame could not
+            be read or predicted.
         times_ms: figure -> value, for the figures that the frame has: those of `FIGURES`; "read",
             the time of reading and decoding; and "write", the time of writing to all outputs. "age"
             and "jitter" exist in a constant stream only, and start when a frame is due.
@@ -46,15 +38,8 @@ class FrameRecord:
 
     name: str
     reason: str = ""
-    prediction: Prediction | None = None
     image_stamp_ns: int | None = None
-    depth_stamp_ns: int | None = None
-    health: tuple[str, ...] = ()
-    depth_reused: bool = False
-    depth_motion: DepthMotion | None = None
-    memory_returns: int = 0
-    memory_rejected: float | None = None
-    memory_off: str = ""
+    result: FrameResult | None = None
     times_ms: Mapping[str, float] = field(default_factory=dict)
     deadline_met: bool | None = None
 
@@ -83,15 +68,8 @@ class FrameRecord:
         return cls(
             name=result.name,
             reason="" if prediction.valid else ", ".join(result.predictor_reasons),
-            prediction=replace(prediction, heads={}),
             image_stamp_ns=None if result.image_stamp is None else stamp_ns(result.image_stamp),
-            depth_stamp_ns=None if result.depth_stamp is None else stamp_ns(result.depth_stamp),
-            health=result.health,
-            depth_reused=result.depth_reused,
-            depth_motion=result.depth_motion,
-            memory_returns=result.memory_returns,
-            memory_rejected=result.memory_rejected,
-            memory_off=result.memory_off,
+            result=replace(result, rgb=_NO_IMAGE, prediction=replace(prediction, heads={})),
             times_ms={name: time_ms for name, time_ms in times_ms.items() if time_ms is not None},
             deadline_met=None if deadline_ms is None else latency_ms <= deadline_ms,
         )
@@ -99,6 +77,11 @@ class FrameRecord:
     def written(self, write_ms: float) -> "FrameRecord":
         """Return the record with the time of writing to all outputs."""
         return replace(self, times_ms={**self.times_ms, "write": write_ms})
+
+    @property
+    def prediction(self) -> Prediction | None:
+        """The prediction without arrays; None if the frame could not be read or predicted."""
+        return self.result.prediction if self.result else None
 
     @property
     def status(self) -> str:
@@ -110,4 +93,22 @@ class FrameRecord:
     @property
     def degraded(self) -> tuple[str, ...]:
         """The reasons of `Prediction.degraded`; () without a prediction."""
-        return () if self.prediction is None else self.prediction.degraded
+        return self.prediction.degraded if self.prediction else ()
+
+    @property
+    def health(self) -> tuple[str, ...]:
+        """The faults of the sensors; () without an answer."""
+        return self.result.health if self.result else ()
+
+    @property
+    def depth_stamp_ns(self) -> int | None:
+        """The stamp of the depth; None if unknown."""
+        stamp = self.result.depth_stamp if self.result else None
+        return None if stamp is None else stamp_ns(stamp)
+
+    @property
+    def depth_source(self) -> str:
+        """Return "own" for depth of the image itself, "reused" for older, "" without depth."""
+        if self.result is None or self.result.depth_motion is None:
+            return ""
+        return "reused" if self.result.depth_reused else "own"

@@ -9,7 +9,6 @@ import os
 import re
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +84,6 @@ class RunOptions:
         part: the frames that --shard names.
         source_path: the source with its kind and keys.
         open_cameras: opens a source for each camera, see `Source.open_cameras`.
-        open_predictor: opens the model, which is not warmed up.
 
     Raises:
         UsageError: if an option is out of range, or options contradict each other.
@@ -273,7 +271,6 @@ class RunOptions:
     part: slice = dataclasses.field(init=False)
     source_path: SourcePath = dataclasses.field(init=False)
     open_cameras: Callable[[], dict[str, Source]] = dataclasses.field(init=False)
-    open_predictor: Callable[[], Predictor] = dataclasses.field(init=False)
 
     def __post_init__(self) -> None:
         """Check every option, and parse those that are text."""
@@ -311,7 +308,6 @@ class RunOptions:
             ("part", self._read_shard()),
             ("source_path", source_path),
             ("open_cameras", self._choose_cameras(source_path)),
-            ("open_predictor", self._choose_model(network_size)),
         ):
             object.__setattr__(self, name, value)
 
@@ -362,13 +358,13 @@ class RunOptions:
             rig = dataclasses.replace(source.rig, **known)
             return choose_cameras(source.kind, source.path, rig, **source_options, **source.keys)
 
-    def _choose_model(self, size: NetworkSize) -> Callable[[], Predictor]:
-        return partial(
-            Predictor,
+    def open_predictor(self) -> Predictor:
+        """Open the model, which is not warmed up."""
+        return Predictor(
             self.model,
             sha256=self.sha256,
             provider=str(self.provider),
-            size=size,
+            size=self.network_size,
             focal_length_px=self.focal_length_px,
             threads=self.threads,
             warmup=0,

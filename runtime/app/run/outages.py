@@ -143,7 +143,7 @@ def _in_row(
     records: Sequence[FrameRecord], timeline: Timeline | None, reason: str
 ) -> Iterator[Outage]:
     """Parts in which successive frames have this reason in `FrameRecord.health`."""
-    numbered = [(at, each) for at, each in enumerate(records) if not each.depth_reused]
+    numbered = [(at, each) for at, each in enumerate(records) if each.depth_source != "reused"]
     place = 0
     for is_found, group in groupby(numbered, lambda each: reason in each[1].health):
         rows = list(group)

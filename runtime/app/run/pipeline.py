@@ -50,6 +50,9 @@ def dedicate_process() -> None:
         mallopt(_M_TRIM_THRESHOLD, _KEPT_FREE_BYTES)
 
 
+OnRecord = Callable[[FrameRecord], None]  # is called with the record of each frame
+
+
 @dataclass(frozen=True)
 class StreamResult:
     """The outcome of a stream.
@@ -144,14 +147,12 @@ class StreamRun:
         answerer: Answerer,
         read: ReadFrame,
         options: RunOptions,
-        *,
-        outputs: Outputs | None = None,
-        on_record: Callable[[FrameRecord], None] = lambda record: None,
-        stop: Callable[[], bool] = lambda: False,
+        outputs: Outputs,
+        on_record: OnRecord,
+        stop: Callable[[], bool],
     ) -> None:
         self._answerer, self._read, self._on_record, self._stop = answerer, read, on_record, stop
-        self._outputs = outputs or Outputs()
-        self._rate_hz, self._deadline_ms = options.rate, options.deadline_ms
+        self._outputs, self._options = outputs, options
         self._jitter = Jitter()
         self._reads: deque[_Reading] = deque()
         self._writes: deque[tuple[FrameRecord, Future[float] | None]] = deque()
@@ -167,8 +168,11 @@ class StreamRun:
         Raises:
             Exception: what an output raises ends the stream.
         """
-        started = time.perf_counter()
-        waiting = self._with_due_times(frames, started)
+        started, rate_hz = time.perf_counter(), self._options.rate
+        waiting = (
+            (listed, None if rate_hz is None else started + number / rate_hz)
+            for number, listed in enumerate(frames)
+        )
         try:
             for _ in range(_READ_AHEAD):
                 self._read_next(waiting)
@@ -183,12 +187,6 @@ class StreamRun:
             self._writer.shutdown(cancel_futures=True)
         wall_s = time.perf_counter() - started
         return StreamResult(tuple(self._records), wall_s, bool(self._reads))
-
-    def _with_due_times(
-        self, frames: Iterable[ListedFrame], started: float
-    ) -> Iterator[tuple[ListedFrame, float | None]]:
-        for index, listed in enumerate(frames):
-            yield listed, None if self._rate_hz is None else started + index / self._rate_hz
 
     def _read_next(self, waiting: Iterator[tuple[ListedFrame, float | None]]) -> None:
         """Start reading the next frame, if there is one."""
@@ -224,7 +222,7 @@ class StreamRun:
             read_ms=read_ms,
             age_ms=age_ms,
             jitter_ms=jitter_ms,
-            deadline_ms=self._deadline_ms,
+            deadline_ms=self._options.deadline_ms,
         )
         for recorder in self._outputs.recorders:
             recorder.write(frame, result)

@@ -2,16 +2,15 @@
 
 import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from runtime.app.run.depth_check import depth_scale_of, find_header_faults, read_first_frames
 from runtime.app.run.engine_facts import engine_facts, running_providers
-from runtime.app.run.frame_record import FrameRecord
 from runtime.app.run.options import CLOUD, KINDS, SUFFIXES, RunOptions, saved_heads
 from runtime.app.run.outages import Timeline, find_outages
 from runtime.app.run.outputs.registry import open_outputs, require_outputs
 from runtime.app.run.outputs.run_context import RunContext
 from runtime.app.run.pipeline import (
+    OnRecord,
     ReadFrame,
     StreamResult,
     StreamRun,
@@ -24,7 +23,6 @@ from runtime.checks.catalog import NO_MATCH
 from runtime.checks.finding import Finding
 from runtime.checks.judge import NO_RETURNS
 from runtime.command.process import stop_requested
-from runtime.contract.canonical_focal import CameraScale
 from runtime.engine.predictor import Predictor
 from runtime.engine.preprocess import check_sparse_depth
 from runtime.files.own_folder import locked_folder, make_own_folder
@@ -36,7 +34,6 @@ from runtime.streams.stream_checks import StreamChecks
 
 _MOST_UNREADABLE = 20  # a stream is refused if none of these frames can be predicted
 
-OnRecord = Callable[[FrameRecord], None]
 # Called before the first frame with a text about the run and the number of frames. Returns a
 # function that is called with the result of each frame.
 OnStart = Callable[[str, int], OnRecord]
@@ -83,7 +80,7 @@ def run(
                 break
             try:
                 with source.collecting():
-                    stream = _prepare(options, source, predictor)
+                    stream = _CameraStream(options, source, predictor)
                 if not reports:
                     options = options.with_folder()
                     stack.enter_context(locked_folder(options.folder))
@@ -103,83 +100,75 @@ def run(
         return report
 
 
-@dataclass(frozen=True)
 class _CameraStream:
-    """The stream of a camera before its first frame is answered.
+    """The stream of a camera: listed, warmed up, its first frames judged; nothing is written yet.
 
-    Attributes:
-        source: source of the frames.
-        frames: the frames to answer.
-        read: reads a frame; it has already read the first ones.
-        predictor: the predictor, warmed up at the size of the frames.
-        kinds: kinds of files to write for each frame.
-        frame_size: (height, width) of the first frame; None if no frame can be predicted.
-        focal_px: focal length of the camera; None if unknown.
-        scale: scale of the depth; None if no frame can be predicted.
-        answerer: answers the frames; its checks have judged the first ones.
-        checks: the checks of the stream.
-        memory: earlier returns that are recalled; None: none are.
-        faults: what calibration and stamps show.
+    Raises:
+        InputError: if the stream or an option is refused, see `_answered_kinds` and `_warm_up`.
     """
 
-    source: Source
-    frames: Sequence[ListedFrame]
-    read: ReadFrame
-    predictor: Predictor
-    kinds: tuple[str, ...]
-    frame_size: tuple[int, int] | None
-    focal_px: float | None
-    scale: CameraScale | None
-    answerer: Answerer
-    checks: StreamChecks
-    memory: FrameMemory | None
-    faults: tuple[Finding, ...]
+    def __init__(self, options: RunOptions, source: Source, predictor: Predictor) -> None:
+        if options.rectify:
+            source.rectify_images()
+        listed = source.list_frames(limit=options.limit)
+        self._source, self._predictor = source, predictor
+        self._frames, self._read = listed[options.part], frame_reader(source)
+        self._focal_px = focal_px = known_focal_length_px(predictor, source.calibration)
+        self._kinds = _answered_kinds(options, predictor, focal_px)
+        self._size = size = _warm_up(predictor, self._frames, self._read, runs=options.warmup)
+        self._scale = predictor.camera_scale(size, focal_length_px=focal_px) if size else None
+        has_scale = predictor.contract.canonical_focal_px is not None
+        self._checks = StreamChecks(
+            check_depth="depth" in predictor.heads,
+            has_lidar=source.has_lidar(self._frames),
+            accept=options.accepted,
+            depth_scale=depth_scale_of(source, listed),
+            focal_px=focal_px if has_scale else None,
+        )
+        self._memory = FrameMemory.of(0.0 if options.shard else options.memory)
+        self._answerer = Answerer(predictor, self._checks, memory=self._memory)
+        # The first frames of the whole list are judged, so that all shards have the same findings.
+        self._answerer.begin(read_first_frames(listed, self._read))
+        faults = find_header_faults(source, listed, size)
+        self._faults = [each for each in faults if each.name not in options.accepted]
 
-    @property
-    def about(self) -> str:
+    def _about(self) -> str:
         """The lines that are printed before the first frame: notes, model, sizes, range, faults."""
-        predictor, scale, size = self.predictor, self.scale, self.frame_size
+        predictor, scale, size = self._predictor, self._scale, self._size
         running = ", ".join(running_providers(predictor.providers, predictor.node_counts))
         network = predictor.network_size(size) if size else None
         lines = [
-            *self.source.notes,
+            *self._source.notes,
             f"{predictor.contract.model_name} sha256:{predictor.model.sha256[:12]} | {running} | "
             f"threads {predictor.threads} | frames {size_text(size)}, "
             f"network at {size_text(network)}",
         ]
         if scale is not None:
-            used = f"{self.focal_px:g} px" if self.focal_px else "not known: give --focal-length"
-            if scale.focal_length_px is None and self.focal_px is not None:
+            used = f"{self._focal_px:g} px" if self._focal_px else "not known: give --focal-length"
+            if scale.focal_length_px is None and self._focal_px is not None:
                 used += ", not used by this model"
             lines.append(f"focal length {used}; depth up to {scale.range_m:.4g} m")
-        if self.checks.judgement.frames:
-            lines.append(f"calibration: {self.checks.judgement.text}")
-        return "\n".join([*lines, *(each.line for each in self.findings)])
+        if self._checks.judgement.frames:
+            lines.append(f"calibration: {self._checks.judgement.text}")
+        return "\n".join([*lines, *(each.line for each in self._findings)])
 
     @property
-    def findings(self) -> tuple[Finding, ...]:
+    def _findings(self) -> list[Finding]:
         """What was found so far."""
-        return self.faults + self.checks.findings
+        return [*self._faults, *self._checks.findings]
 
     def answer(
         self, options: RunOptions, camera: str, on_start: OnStart, stop: Callable[[], bool]
     ) -> RunReport:
         """Answer the frames of a camera, and write what was requested."""
-        predictor = self.predictor
-        names = [each.name for each in self.frames]
-        context = RunContext(options, predictor, self.kinds, names, self.source.sensor_frames)
+        names, sensors = [each.name for each in self._frames], self._source.sensor_frames
+        context = RunContext(options, self._predictor, self._kinds, names, sensors)
+        about = f"{camera}: {self._about()}" if camera else self._about()
         with open_outputs(context) as outputs:
-            about = f"{camera}: {self.about}" if camera else self.about
-            with self.source.collecting():
-                stream_run = StreamRun(
-                    self.answerer,
-                    self.read,
-                    options,
-                    outputs=outputs,
-                    on_record=on_start(about, len(self.frames)),
-                    stop=stop,
-                )
-                result = stream_run.run(self.frames)
+            with self._source.collecting():
+                on_record = on_start(about, len(names))
+                stream = StreamRun(self._answerer, self._read, options, outputs, on_record, stop)
+                result = stream.run(self._frames)
             context.report = self._report(context, result)
         return context.report
 
@@ -187,11 +176,11 @@ class _CameraStream:
         answers = [each.prediction for each in result.records if each.prediction]
         # The LiDAR may have started later.
         cleared = (NO_MATCH, NO_RETURNS) if any(each.depth_returns for each in answers) else ()
-        options, source, scale = run.options, self.source, self.scale
+        options, source, scale = run.options, self._source, self._scale
         inputs = {
             "source": f"{options.source_path.kind}:{options.source_path.path}",
             **source.inputs,
-            "focal_length_px": self.focal_px,
+            "focal_length_px": self._focal_px,
             "used_focal_length_px": scale and scale.focal_length_px,
             "depth_range_m": scale and round(scale.range_m, 2),
             "lens": source.calibration and source.calibration.lens,
@@ -201,67 +190,24 @@ class _CameraStream:
             "assumptions": [note for note in source.notes if note.startswith("warning: ")],
             "rectified_by_this_run": options.rectify,
             "shard": options.shard,
-            "memory_emptied": dict(self.memory.cleared) if self.memory else {},
+            "memory_emptied": dict(self._memory.cleared) if self._memory else {},
             "warmup": options.warmup,
         }
         timeline = Timeline.of(result.records, source.stamps_ns)
         whole = options.limit is None and not result.interrupted
         outages = find_outages(result.records, source.stamps_ns, timeline, whole=whole)
         return RunReport(
-            engine_facts(self.predictor),
+            engine_facts(self._predictor),
             options,
             inputs,
-            self.kinds,
+            self._kinds,
             result,
-            findings=tuple(each for each in self.findings if each.name not in cleared),
-            judgements={"": self.checks.judgement},
+            findings=tuple(each for each in self._findings if each.name not in cleared),
+            judgements={"": self._checks.judgement},
             outages=outages,
             timeline=timeline,
             beyond_png=run.beyond_png,
         )
-
-
-def _prepare(options: RunOptions, source: Source, predictor: Predictor) -> _CameraStream:
-    """List the frames, read the first ones, and warm up; nothing is written."""
-    if options.rectify:
-        source.rectify_images()
-    listed = source.list_frames(limit=options.limit)
-    frames, read = listed[options.part], frame_reader(source)
-    focal_px = known_focal_length_px(predictor, source.calibration)
-    kinds = _answered_kinds(options, predictor, focal_px)
-    size = _warm_up(predictor, frames, read, runs=options.warmup)
-    scale = predictor.camera_scale(size, focal_length_px=focal_px) if size else None
-    has_scale = predictor.contract.canonical_focal_px is not None
-    checks = StreamChecks(
-        check_depth="depth" in predictor.heads,
-        has_lidar=source.has_lidar(frames),
-        accept=options.accepted,
-        depth_scale=depth_scale_of(source, listed),
-        focal_px=focal_px if has_scale else None,
-    )
-    memory = FrameMemory.of(0.0 if options.shard else options.memory)
-    answerer = Answerer(predictor, checks, memory=memory)
-    # The first frames of the whole list are judged, so that all shards have the same findings.
-    answerer.begin(read_first_frames(listed, read))
-    faults = tuple(
-        each
-        for each in find_header_faults(source, listed, size)
-        if each.name not in options.accepted
-    )
-    return _CameraStream(
-        source,
-        frames,
-        read,
-        predictor,
-        kinds,
-        size,
-        focal_px,
-        scale,
-        answerer,
-        checks,
-        memory,
-        faults,
-    )
 
 
 def _answered_kinds(

@@ -146,17 +146,18 @@ class RunReport:
     def depth_sources(self) -> Counter[str]:
         """Number of frames with depth, by its origin (own or reused) and how returns were moved."""
         return Counter(
-            f"{_depth_source(record)}, motion {record.depth_motion}"
+            f"{record.depth_source}, motion {record.result.depth_motion}"
             for record in self.records
-            if record.depth_motion is not None
+            if record.result and record.depth_source
         )
 
     @property
     def memory(self) -> str:
         """What earlier returns added, in words; "" if nothing was added and nothing is wrong."""
-        fed = [record.memory_returns for record in self.records if record.memory_returns]
+        results = [record.result for record in self.records if record.result]
+        fed = [each.memory_returns for each in results if each.memory_returns]
         mean = sum(fed) / max(1, len(fed))
-        off = Counter(record.memory_off for record in self.records if record.memory_off)
+        off = Counter(each.memory_off for each in results if each.memory_off)
         emptied = self.inputs.get("memory_emptied", {})
         parts = [f"{mean:,.0f} earlier returns a frame in {len(fed)} frames"] if fed else []
         parts += [f"off in {count} frames, because {reason}" for reason, count in off.items()]
@@ -204,14 +205,15 @@ class RunReport:
         """The frames without a usable answer."""
         return [record for record in self.records if record.status != OK]
 
+    def times_ms(self, figure: str) -> list[float]:
+        """The values of a figure, of the frames that have it."""
+        return [each.times_ms[figure] for each in self.records if figure in each.times_ms]
+
     @cached_property
     def statistics(self) -> StreamStatistics:
         """Statistics over the frames that passed each stage, without stages that none passed."""
-        stages = {}
-        for stage in STAGES:
-            times_ms = [each.times_ms[stage] for each in self.records if stage in each.times_ms]
-            if times_ms:
-                stages[stage] = latency_statistics(times_ms)
+        times_ms = {stage: self.times_ms(stage) for stage in STAGES}
+        stages = {stage: latency_statistics(each) for stage, each in times_ms.items() if each}
         misses = MissCounter()
         for record in self.records:
             if record.deadline_met is not None:
@@ -220,13 +222,12 @@ class RunReport:
         missed = None if deadline_ms is None else misses.misses()
         return StreamStatistics(stages, deadline_ms, missed)
 
-    @property
+    @cached_property
     def p99_fault(self) -> str | None:
         """How --deadline-p99-ms was missed; None: it was met, or not given."""
         if (limit_ms := self.options.deadline_p99_ms) is None:
             return None
-        times_ms = [r.times_ms["latency"] for r in self.records if "latency" in r.times_ms]
-        latency = latency_statistics(times_ms) if times_ms else None
+        latency = latency_statistics(times_ms := self.times_ms("latency"))
         if latency is None or latency.p99_ms is None:
             return f"the 99th percentile is not known from {len(times_ms)} answers: 100 are needed"
         if latency.p99_ms <= limit_ms:
@@ -238,7 +239,7 @@ class RunReport:
         """How far --rate is more than this machine answers; None: it keeps up."""
         if self.options.rate is None or len(self.predictions) < 2:
             return None
-        ages_ms = [each.times_ms["age"] for each in self.records if "age" in each.times_ms]
+        ages_ms = self.times_ms("age")
         queued_ms = ages_ms[-1] - ages_ms[0] if ages_ms else 0.0
         if queued_ms <= _QUEUED * 1e3 / self.options.rate:
             return None
@@ -331,17 +332,6 @@ def size_text(size: tuple[int, int] | None) -> str:
     return "any size" if size is None else f"{size[0]} x {size[1]}"
 
 
-def _depth_source(record: FrameRecord) -> str:
-    """Return "own" for depth of the image itself, "reused" for older depth, "" without depth."""
-    if record.depth_motion is None:
-        return ""
-    return "reused" if record.depth_reused else "own"
-
-
-def _share_text(share: float | None) -> str:
-    return "" if share is None else f"{share:.4f}"
-
-
 def write_report(report: RunReport) -> None:
     """Write frames.csv and report.json into the run's folder. Raises OutputError."""
     # File names need not be valid text.
@@ -365,21 +355,27 @@ def frames_csv(report: RunReport) -> str:
         + ["memory_returns", "memory_rejected", "memory_off"]
     )
     for index, record in enumerate(report.records):
-        times_ms = (record.times_ms.get(stage) for stage in STAGES)
-        met, answer = record.deadline_met, record.prediction
+        met, answer, result = record.deadline_met, record.prediction, record.result
+        memory: list[Any] = [0, "", ""]
+        if result is not None:
+            rejected = _cell(result.memory_rejected, ".4f")
+            memory = [result.memory_returns, rejected, result.memory_off]
         writer.writerow(
             [index, record.name, record.status, record.reason]
             + list(answer.frame_size if answer else ("", ""))
-            + ["" if time_ms is None else f"{time_ms:.3f}" for time_ms in times_ms]
+            + [_cell(record.times_ms.get(stage), ".3f") for stage in STAGES]
             + ["" if met is None else int(not met), ";".join(record.degraded)]
             + list(asdict(answer.cleaned if answer else Cleaned()).values())
             + [answer.depth_returns if answer else 0]
             + list(answer.network_size if answer else ("", ""))
             + [record.image_stamp_ns, record.depth_stamp_ns, ";".join(record.health)]
-            + [_depth_source(record), record.depth_motion, record.memory_returns]
-            + [_share_text(record.memory_rejected), record.memory_off]
+            + [record.depth_source, result.depth_motion if result else "", *memory]
         )
     return text.getvalue()
+
+
+def _cell(value: float | None, form: str) -> str:
+    return "" if value is None else format(value, form)
 
 
 def describe_run(report: RunReport) -> str:

@@ -5,6 +5,8 @@ turns, so that a disturbance affects all alike. Waiting threads do not spin
 (`runtime.engine.session`), because they would take the cores of the model whose turn it is.
 """
 
+# ruff: noqa: RUF009 - what is called in `BenchOptions` returns a field
+
 import contextlib
 import math
 import multiprocessing
@@ -12,17 +14,23 @@ import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field
 from itertools import product
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import typer
 
 from runtime.app.tools.bench_worker import OpenedModel, open_for_timing, time_model
 from runtime.base.arguments import shown
-from runtime.command.machine import MachineFacts, machine_facts
-from runtime.command.options import Provider, Version
+from runtime.command.machine import machine_facts
+from runtime.command.options import (
+    Provider,
+    UsageError,
+    option_group,
+    read_options,
+    with_options,
+)
 from runtime.command.process import (
     ERROR,
     INTERRUPTED,
@@ -33,9 +41,54 @@ from runtime.command.process import (
 )
 from runtime.engine.cores import available_cores
 from runtime.engine.session import import_onnxruntime
-from runtime.streams.statistics import LatencyStatistics, latency_statistics
+from runtime.streams.statistics import latency_statistics
 
 _WARM_UP = 2  # runs of each model
+_option = option_group()
+
+
+def _sizes(texts: Sequence[str]) -> list[tuple[int, int]]:
+    """The sizes as (height, width)."""
+    found = [re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", each, re.A | re.I) for each in texts]
+    sizes = [(int(sides[1]), int(sides[2])) for sides in found if sides]
+    if len(sizes) < len(texts):
+        wrong = texts[found.index(None)]
+        raise UsageError(f"--size is HEIGHTxWIDTH, as 375x1242, got {shown(wrong)}")
+    return sizes
+
+
+@dataclass(frozen=True)
+class BenchOptions:
+    """The options of `ssdnet-bench`. Ratios refer to the first model that ran."""
+
+    models: list[str] = _option(
+        "Names of bundled models, or paths of ONNX files.",
+        default=MISSING,
+        kind=typer.Argument,
+        metavar="MODEL",
+    )
+    size: Sequence[tuple[int, int]] = _option(
+        "Image size, for models with a free size; may be repeated. [default: 375x1242]",
+        default=((375, 1242),),
+        given=list[str] | None,
+        read=_sizes,
+        metavar="HxW",
+    )
+    threads: Sequence[int] = _option(
+        "Threads of inference; may be repeated. [default: physical cores]",
+        default=(),
+        given=list[int] | None,
+        min=1,
+    )
+    batch: Sequence[int] = _option(
+        "Batch size, for models with a free batch size; may be repeated. [default: 1]",
+        default=(1,),
+        given=list[int] | None,
+        min=1,
+    )
+    rounds: int = _option("Measured runs of each model; p99 needs 100.", default=100, min=1)
+    provider: Provider = _option("Execution provider of the models.", default=Provider.cpu)
+
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -44,64 +97,30 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
     epilog="Exit codes: 0 done; 1 a model could not run, its row says why; 2 usage; "
     "130 interrupted, after printing the results so far.",
 )
-def main(
-    models: Annotated[
-        list[str],
-        typer.Argument(metavar="MODEL", help="Names of bundled models, or paths of ONNX files."),
-    ],
-    size: Annotated[
-        list[str],
-        typer.Option(
-            metavar="HxW", help="Image size, for models with a free size; may be repeated."
-        ),
-    ] = ["375x1242"],  # noqa: B006 - typer copies it
-    threads: Annotated[
-        list[int] | None,
-        typer.Option(
-            min=1, help="Threads of inference; may be repeated. [default: physical cores]"
-        ),
-    ] = None,
-    batch: Annotated[
-        list[int],
-        typer.Option(min=1, help="Batch size, for models with a free batch size; may be repeated."),
-    ] = [1],  # noqa: B006
-    rounds: Annotated[
-        int, typer.Option(min=1, help="Measured runs of each model; p99 needs 100.")
-    ] = 100,
-    provider: Annotated[
-        Provider, typer.Option(help="Execution provider of the models.")
-    ] = Provider.cpu,
-    _version: Version = False,
-) -> None:
+@with_options(BenchOptions)
+def main(**given: Any) -> None:
     """Measure latency, memory and load time of models side by side."""
-    cases = tuple(map(_size, size)), tuple(threads or [available_cores()]), tuple(batch)
     with reported_errors("cpu"):
-        with stop_requested(interrupts=True):
-            report = bench(BenchOptions(tuple(models), *cases, rounds, provider.value))
-        print_result(to_markdown(report))
-        if report.interrupted:
+        options = read_options(BenchOptions, given)
+        machine, groups, interrupted = machine_facts(), list[list[BenchRow]](), False
+        onnxruntime = import_onnxruntime().__version__
+        try:
+            with stop_requested(interrupts=True):
+                threads = options.threads or [available_cores()]
+                for case in product(options.size, threads, options.batch):
+                    groups.append([BenchRow(model, *case) for model in options.models])
+                    _measure(groups[-1], options)
+        except KeyboardInterrupt:
+            interrupted = True
+        about = (
+            f"{machine.processor}, {machine.logical_cores} logical cores, load {machine.load:.2f} "
+            f"at the start, onnxruntime {onnxruntime} on {options.provider}, Python "
+            f"{machine.python}; {options.rounds} runs in turn{', interrupted' * interrupted}"
+        )
+        print_result("\n\n".join([about, *map(_table, groups)]))
+        if interrupted:
             raise typer.Exit(INTERRUPTED)
-        failed = any(row.error for group in report.groups for row in group)
-        raise typer.Exit(ERROR if failed else 0)
-
-
-def _size(text: str) -> tuple[int, int]:
-    sides = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text, re.ASCII | re.IGNORECASE)
-    if sides is None:
-        raise typer.BadParameter(f"--size is HEIGHTxWIDTH, as 375x1242, got {shown(text)}")
-    return int(sides[1]), int(sides[2])
-
-
-@dataclass(frozen=True)
-class BenchOptions:
-    """What is measured."""
-
-    models: tuple[str, ...]  # bundled names and ONNX files; ratios refer to the first that ran
-    sizes: tuple[tuple[int, int], ...]  # (height, width), for models with a free size
-    threads: tuple[int, ...]  # within an operator
-    batches: tuple[int, ...] = (1,)  # frames per run, for models with a free batch
-    rounds: int = 100  # measured runs of each model
-    provider: str = "cpu"
+        raise typer.Exit(ERROR if any(row.error for group in groups for row in group) else 0)
 
 
 @dataclass
@@ -116,39 +135,6 @@ class BenchRow:
     error: str | None = None
     times_ms: list[float] = field(default_factory=list)  # one for each run
 
-    @property
-    def latency(self) -> LatencyStatistics | None:
-        """Statistics of the runs; None if there were none."""
-        return latency_statistics(self.times_ms)
-
-
-@dataclass
-class BenchReport:
-    """The outcome, with a group of rows, which took turns, for each size, threads and batch."""
-
-    options: BenchOptions
-    machine: MachineFacts
-    onnxruntime: str
-    groups: list[list[BenchRow]] = field(default_factory=list)
-    interrupted: bool = False
-
-
-def bench(options: BenchOptions) -> BenchReport:
-    """Measure all models; KeyboardInterrupt ends the measurement and keeps what was measured.
-
-    Raises:
-        ProviderError: if ONNX Runtime is not installed.
-    """
-    report = BenchReport(options, machine_facts(), import_onnxruntime().__version__)
-    try:
-        for case in product(options.sizes, options.threads, options.batches):
-            group = [BenchRow(model, *case) for model in options.models]
-            report.groups.append(group)
-            _measure(group, options)
-    except KeyboardInterrupt:
-        report.interrupted = True
-    return report
-
 
 def _measure(group: Sequence[BenchRow], options: BenchOptions) -> None:
     """Open the models of a group, then run them in turn."""
@@ -159,7 +145,7 @@ def _measure(group: Sequence[BenchRow], options: BenchOptions) -> None:
                 1, multiprocessing.get_context("spawn"), initializer=leave_signals_to_parent
             )
             workers.append((row, stack.enter_context(executor)))
-            case = row.model, row.size, row.batch, row.threads, options.provider
+            case = row.model, row.size, row.batch, row.threads, options.provider.value
             row.opened = _answer(row, executor, open_for_timing, *case)
         for row, executor in workers:
             _answer(row, executor, time_model, _WARM_UP)
@@ -182,44 +168,28 @@ def _answer(row: BenchRow, executor: Executor, call: Callable[..., Any], *argume
     return None
 
 
-def to_markdown(report: BenchReport) -> str:
-    """One line on the machine, and a table for each size, number of threads and batch."""
-    options, machine = report.options, report.machine
-    parts = [
-        f"{machine.processor}, {machine.logical_cores} logical cores, load {machine.load:.2f} "
-        f"at the start, onnxruntime {report.onnxruntime} on {options.provider}, Python "
-        f"{machine.python}; {options.rounds} runs in turn{', interrupted' * report.interrupted}"
-    ]
-    for group in report.groups:
-        first = next((row for row in group if row.times_ms), group[0])
-        titles = ["model", "input", "median ms", "p99 ms", f"ratio to {first.model}", "quartiles"]
-        titles += ["peak MB", "load ms", "first ms", "note"]
-        rows = [titles, ["---"] * len(titles), *(_cells(row, first) for row in group)]
-        lines = [f"| {' | '.join(map(_cell, row))} |" for row in rows]
-        case = f"{first.size[0]} x {first.size[1]}, threads {first.threads}, batch {first.batch}"
-        parts.append(f"**{case}**\n\n" + "\n".join(lines))
-    return "\n\n".join(parts)
+def _table(group: Sequence[BenchRow]) -> str:
+    """The table of models that took turns, in Markdown."""
+    first = next((row for row in group if row.times_ms), group[0])
+    titles = ["model", "input", "median ms", "p99 ms", f"ratio to {first.model}", "quartiles"]
+    titles += ["peak MB", "load ms", "first ms", "note"]
+    rows = [titles, ["---"] * len(titles), *(_cells(row, first) for row in group)]
+    lines = [f"| {' | '.join(map(_cell, row))} |" for row in rows]
+    case = f"{first.size[0]} x {first.size[1]}, threads {first.threads}, batch {first.batch}"
+    return "\n".join([f"**{case}**\n", *lines])
 
 
 def _cells(row: BenchRow, first: BenchRow) -> list[str]:
-    opened, latency = row.opened, row.latency
+    opened, latency = row.opened, latency_statistics(row.times_ms)
     if opened is None or latency is None:
         return [row.model, *["-"] * 8, row.error or "not measured"]
     # Ctrl-C can end the measurement within a round.
     ratios = [mine / its for mine, its in zip(row.times_ms, first.times_ms, strict=False)]
     low, ratio, high = map(_number, np.quantile(ratios, (0.25, 0.5, 0.75)))
-    return [
-        row.model,
-        "x".join(map(str, next(iter(opened.shapes.values()), ()))),
-        _number(latency.median_ms),
-        _number(latency.p99_ms),
-        ratio,
-        f"{low} to {high}",
-        _number(opened.peak_memory_mb),
-        _number(opened.load_ms),
-        _number(opened.first_inference_ms),
-        ", ".join(opened.notes),
-    ]
+    shape = "x".join(map(str, next(iter(opened.shapes.values()), ())))
+    times = [_number(latency.median_ms), _number(latency.p99_ms), ratio, f"{low} to {high}"]
+    costs = opened.peak_memory_mb, opened.load_ms, opened.first_inference_ms
+    return [row.model, shape, *times, *map(_number, costs), ", ".join(opened.notes)]
 
 
 def _number(value: float | None) -> str:

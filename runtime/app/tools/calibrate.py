@@ -10,7 +10,7 @@ from runtime.app.run.options import RunOptions
 from runtime.app.tools.alignment_picture import draw_alignment
 from runtime.app.tools.calibration_file import format_static_transform, format_toml
 from runtime.base.errors import InputError
-from runtime.command.options import GroupedCommand, Threads, Version, read_options, with_options
+from runtime.command.options import GroupedCommand, Threads, read_options, with_options
 from runtime.command.process import print_result, progress_bar, reported_errors, stop_requested
 from runtime.drawing.encode import encode_jpeg, encode_png
 from runtime.engine.predictor import Predictor
@@ -61,7 +61,6 @@ def main(
         bool, typer.Option("--overwrite", help="Replace the files of --out and --picture.")
     ] = False,
     threads: Threads = None,
-    _version: Version = False,
     **given: Any,
 ) -> None:
     """Check the rotation between LiDAR and camera in a recording, and refine it.

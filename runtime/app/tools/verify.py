@@ -1,25 +1,117 @@
 """`ssdnet-verify`: predict the frames of a reference again, and compare the answers."""
 
+# ruff: noqa: RUF009 - what is called in `VerifyOptions` returns a field
+
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import MISSING, asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from types import MappingProxyType
+from typing import Any
 
 import typer
 
 from runtime.base.arguments import shown
 from runtime.command.json_file import STDOUT, require_json, write_json
-from runtime.command.options import Provider, Threads, Version
+from runtime.command.options import (
+    Provider,
+    UsageError,
+    option_group,
+    read_options,
+    with_options,
+)
 from runtime.command.process import print_result, reported_errors
 from runtime.contract.agreement import figure_name
 from runtime.contract.heads import HEADS
 from runtime.engine.predictor import Predictor
 from runtime.verification.reference import read_reference
 from runtime.verification.unpack import MANIFEST_FILE, unpack
-from runtime.verification.verify import VerifyReport, verify
+from runtime.verification.verify import Figures, VerifyReport, verify
 
 DIFFERS = 4  # exit code
+_option = option_group()
+
+
+def _tolerances(texts: Sequence[str]) -> dict[str, dict[str, float]]:
+    """The limits by head and figure; "" stands for the first figure. Raises UsageError."""
+    limits: dict[str, dict[str, float]] = {}
+    for text in texts:
+        name, _, number = text.partition("=")
+        head, _, short = name.partition(".")
+        try:
+            limit = float(number)
+        except ValueError:
+            limit = -1
+        if not 0 <= limit < math.inf:
+            raise UsageError(
+                "--tolerance is HEAD=LIMIT or HEAD.FIGURE=LIMIT, as depth=0.01 or depth.mean=0.2, "
+                f"got {shown(text)}"
+            )
+        try:
+            figure = figure_name(head, short) if short and head in HEADS else ""
+        except ValueError as error:
+            raise UsageError(f"--tolerance {text}: {error}") from error
+        limits.setdefault(head, {})[figure] = limit
+    return limits
+
+
+@dataclass(frozen=True)
+class VerifyOptions:
+    """The options of `ssdnet-verify`."""
+
+    reference_dir: Path = _option(
+        "Reference made by ssdnet-run --record or ssdnet-export --record.",
+        default=MISSING,
+        kind=typer.Argument,
+        metavar="DIR",
+    )
+    model: str | None = _option(
+        "Model to compare with the recorded answers. [default: the recorded model]",
+        metavar="NAME|PATH",
+    )
+    provider: Provider = _option("Execution provider of the model.", default=Provider.cpu)
+    threads: int | None = _option("Threads of inference. [default: physical cores]", min=1)
+    tolerance: Figures = _option(
+        "Limit of a head, instead of its recorded ones; may be repeated. semantic.equal is the "
+        "least share of equal pixels. The other heads have .mean, .max and percentiles (.p99) of "
+        "the difference, in metres for depths, and relative to the scores for semantic_logits. "
+        "Without a figure, LIMIT is that of semantic.equal, of boundary.mean, or else of .max.",
+        default=MappingProxyType({}),
+        given=list[str] | None,
+        read=_tolerances,
+        metavar="HEAD[.FIGURE]=LIMIT",
+    )
+    max_slowdown: float = _option(
+        "Largest ratio of the median prediction time to the recorded one.",
+        default=math.inf,
+        min=1e-6,
+        show_default="times are not compared",
+    )
+    max_latency_ms: float = _option(
+        "Largest median prediction time.", default=math.inf, min=1e-6, show_default="no limit"
+    )
+    json_file: Path | None = _option(
+        "Write the comparison as one JSON document; - prints it instead of the table.",
+        "--json",
+        metavar="FILE",
+    )
+    unpack_dir: Path | None = _option(
+        "Write frames and answers as .npy files with a manifest for other languages, and compare "
+        "nothing.",
+        "--unpack",
+        metavar="DIR",
+    )
+    overwrite: bool = _option(
+        "Replace an earlier folder of --unpack, and the file of --json.",
+        "--overwrite",
+        default=False,
+    )
+
+    def __post_init__(self) -> None:
+        """Raise UsageError if options contradict each other."""
+        if self.unpack_dir is not None and self.model is not None:
+            raise UsageError("--unpack writes the recorded answers: leave out --model")
+
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -30,126 +122,37 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
     "than its limit, --max-slowdown or --max-latency-ms was exceeded, or the reference holds no "
     "frames.",
 )
-def main(
-    reference_dir: Annotated[
-        Path,
-        typer.Argument(
-            metavar="DIR", help="Reference made by ssdnet-run --record or ssdnet-export --record."
-        ),
-    ],
-    model: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|PATH",
-            help="Model to compare with the recorded answers. [default: the recorded model]",
-        ),
-    ] = None,
-    provider: Annotated[
-        Provider, typer.Option(help="Execution provider of the model.")
-    ] = Provider.cpu,
-    threads: Threads = None,
-    tolerance: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="HEAD[.FIGURE]=LIMIT",
-            help="Limit of a head, instead of its recorded ones; may be repeated. "
-            "semantic.equal is the least share of equal pixels. The other heads have .mean, .max "
-            "and percentiles (.p99) of the difference, in metres for depths, and relative to the "
-            "scores for semantic_logits. Without a figure, LIMIT is that of semantic.equal, of "
-            "boundary.mean, or else of .max.",
-        ),
-    ] = None,
-    max_slowdown: Annotated[
-        float,
-        typer.Option(
-            min=1e-6,
-            show_default="times are not compared",
-            help="Largest ratio of the median prediction time to the recorded one.",
-        ),
-    ] = math.inf,
-    max_latency_ms: Annotated[
-        float,
-        typer.Option(min=1e-6, show_default="no limit", help="Largest median prediction time."),
-    ] = math.inf,
-    json_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--json",
-            metavar="FILE",
-            help="Write the comparison as one JSON document; - prints it instead of the table.",
-        ),
-    ] = None,
-    unpack_dir: Annotated[
-        Path | None,
-        typer.Option(
-            "--unpack",
-            metavar="DIR",
-            help="Write frames and answers as .npy files with a manifest for other languages, and "
-            "compare nothing.",
-        ),
-    ] = None,
-    overwrite: Annotated[
-        bool,
-        typer.Option(
-            "--overwrite", help="Replace an earlier folder of --unpack, and the file of --json."
-        ),
-    ] = False,
-    _version: Version = False,
-) -> None:
+@with_options(VerifyOptions)
+def main(**given: Any) -> None:
     """Predict the frames of a reference again, and compare the answers with the recorded ones."""
-    tolerances = _tolerances(tolerance or [])
-    if unpack_dir is not None and model is not None:
-        raise typer.BadParameter("--unpack writes the recorded answers: leave out --model")
     with reported_errors("cpu"):
-        require_json(json_file, overwrite=overwrite)
-        reference = read_reference(reference_dir)
+        options = read_options(VerifyOptions, given)
+        require_json(options.json_file, overwrite=options.overwrite)
+        reference = read_reference(options.reference_dir)
         with Predictor(
-            reference.model if model is None else model,
-            sha256=reference.model_sha256 if model is None else None,
-            provider=provider.value,
+            reference.model if options.model is None else options.model,
+            sha256=reference.model_sha256 if options.model is None else None,
+            provider=options.provider.value,
             size=reference.settings.size,
             focal_length_px=reference.settings.focal_length_px,
-            threads=threads,
+            threads=options.threads,
             warmup=0,
         ) as predictor:
-            if unpack_dir is not None:
-                unpack(reference, predictor, unpack_dir, overwrite=overwrite)
-                print_result(f"{len(reference.frames)} frames: {unpack_dir / MANIFEST_FILE}")
+            if (folder := options.unpack_dir) is not None:
+                unpack(reference, predictor, folder, overwrite=options.overwrite)
+                print_result(f"{len(reference.frames)} frames: {folder / MANIFEST_FILE}")
                 return
             report = verify(
                 predictor,
                 reference,
-                tolerances=tolerances,
-                max_slowdown=max_slowdown,
-                max_latency_ms=max_latency_ms,
+                tolerances=options.tolerance,
+                max_slowdown=options.max_slowdown,
+                max_latency_ms=options.max_latency_ms,
             )
-        write_json(json_file, _to_json(report, predictor), overwrite=overwrite)
-        if json_file != STDOUT:
+        write_json(options.json_file, _to_json(report, predictor), overwrite=options.overwrite)
+        if options.json_file != STDOUT:
             print_result(_table(report, predictor))
         raise typer.Exit(0 if report.passed else DIFFERS)
-
-
-def _tolerances(texts: Sequence[str]) -> dict[str, dict[str, float]]:
-    """The limits by head and figure; "" stands for the first figure."""
-    limits: dict[str, dict[str, float]] = {}
-    for text in texts:
-        name, _, number = text.partition("=")
-        head, _, short = name.partition(".")
-        try:
-            limit = float(number)
-        except ValueError:
-            limit = -1
-        if not 0 <= limit < math.inf:
-            raise typer.BadParameter(
-                "--tolerance is HEAD=LIMIT or HEAD.FIGURE=LIMIT, as depth=0.01 or depth.mean=0.2, "
-                f"got {shown(text)}"
-            )
-        try:
-            figure = figure_name(head, short) if short and head in HEADS else ""
-        except ValueError as error:
-            raise typer.BadParameter(f"--tolerance {text}: {error}") from error
-        limits.setdefault(head, {})[figure] = limit
-    return limits
 
 
 def _origin(report: VerifyReport) -> str:

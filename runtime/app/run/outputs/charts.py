@@ -4,8 +4,8 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
+from statistics import fmean, median_high
 from typing import Any
 
 from runtime.app.run.frame_record import INVALID, OK, SKIPPED, FrameRecord
@@ -24,12 +24,8 @@ Bar = tuple[float, float, float, float]
 
 def frame_marks(record: FrameRecord) -> set[str]:
     """What is wrong with a frame: its status, "late", `Prediction.degraded`, and health."""
-    marks = {*record.health, *record.degraded}
-    if record.status != OK:
-        marks.add(record.status)
-    if record.deadline_met is False:
-        marks.add(LATE)
-    return marks
+    marks = {*record.health, *record.degraded, record.status} - {OK}
+    return marks | {LATE} if record.deadline_met is False else marks
 
 
 @dataclass(frozen=True)
@@ -56,92 +52,56 @@ class Axis:
         """
         if times_s is None or len(times_s) < 2:
             return cls(range(frames), 1.0, max(float(frames), 1.0), "frame")
-        steps = sorted(after - before for before, after in pairwise(times_s))
-        period = steps[len(steps) // 2]
+        period = median_high(after - before for before, after in pairwise(times_s))
         return cls(times_s, period, max(times_s[-1] + period, end_s), "s")
 
-    def share(self, place: float) -> float:
-        """Position of a place between the start (0) and the end (1)."""
-        return place / self.end
+    def percent(self, place: float) -> float:
+        """Position of a place between the start (0) and the end (100)."""
+        return 100 * place / self.end
 
-    def reach(self, at: int) -> float:
-        """Place at which a frame ends: that of the next one, or a period later if a gap follows."""
-        after = self.places[at + 1] if at + 1 < len(self.places) else self.end
-        return after if not self.is_gap(at) else self.places[at] + self.period
+    def after(self, at: int) -> float:
+        """Place of the frame after this one, or the end."""
+        return self.places[at + 1] if at + 1 < len(self.places) else self.end
 
     def is_gap(self, at: int) -> bool:
         """Whether frames are missing after this one."""
-        after = self.places[at + 1] if at + 1 < len(self.places) else self.end
-        return after - self.places[at] > _GAP * self.period
+        return self.after(at) - self.places[at] > _GAP * self.period
 
     def ticks(self) -> list[tuple[float, float]]:
         """(Percent, place) of each tick."""
         least = self.end / _MOST_TICKS
         step = _distance(least if self.unit == "s" else max(least, 1))
         last = math.floor(self.end / step + 1e-9)
-        return [(100 * self.share(n * step), n * step) for n in range(last + 1)]
-
-    def title(self, first: int, last: int, name: str) -> str:
-        """Frames in words, for a tooltip; `name` is the name of the first frame."""
-        if self.unit == "s":
-            till = "" if first == last else f" to {self.places[last]:.2f}"
-            return f"{self.places[first]:.2f}{till} s"
-        return name if first == last else f"frames {first} to {last}"
+        return [(self.percent(n * step), n * step) for n in range(last + 1)]
 
 
-@dataclass(frozen=True)
 class Span:
-    """Successive frames that share a place in the charts; `first` is the number of the first."""
+    """Successive frames that share a place in the charts.
 
-    first: int
-    records: Sequence[FrameRecord]
-    axis: Axis
+    Attributes:
+        title: the frames in words, for a tooltip.
+        start, middle, end: where the span is on the axis, in percent.
+        is_before_gap: whether frames are missing after it.
+        slowest_ms: largest latency of the answered frames; None if there are none.
+        mean_returns: mean number of returns used; None if no frame was answered.
+        marks: number of frames with each mark.
+        frames: number of frames.
+    """
 
-    @property
-    def last(self) -> int:
-        """Number of the last frame."""
-        return self.first + len(self.records) - 1
-
-    @property
-    def start(self) -> float:
-        """Place at which the span starts on the axis."""
-        return self.axis.places[self.first]
-
-    @property
-    def end(self) -> float:
-        """Place at which the span ends on the axis."""
-        return self.axis.reach(self.last)
-
-    @property
-    def middle(self) -> float:
-        """Middle of the span's frames on the axis."""
-        return (self.start + self.axis.places[self.last]) / 2
-
-    @property
-    def title(self) -> str:
-        """The frames in words, for a tooltip."""
-        return self.axis.title(self.first, self.last, self.records[0].name)
-
-    @cached_property
-    def times_ms(self) -> list[float]:
-        """Latencies of the answered frames."""
-        return [record.times_ms["latency"] for record in self.records if record.prediction]
-
-    @property
-    def slowest_ms(self) -> float:
-        """Largest latency of the answered frames; there must be at least one."""
-        return max(self.times_ms)
-
-    @cached_property
-    def marks(self) -> Counter[str]:
-        """Number of frames with each mark."""
-        return Counter(mark for record in self.records for mark in frame_marks(record))
-
-    @cached_property
-    def mean_returns(self) -> float | None:
-        """Mean number of returns used; None if no frame was answered."""
-        returns = [each.prediction.depth_returns for each in self.records if each.prediction]
-        return sum(returns) / len(returns) if returns else None
+    def __init__(self, records: Sequence[FrameRecord], first: int, axis: Axis) -> None:
+        last = first + len(records) - 1
+        start, until = axis.places[first], axis.places[last]
+        self.frames, self.is_before_gap = len(records), axis.is_gap(last)
+        self.start, self.middle = axis.percent(start), axis.percent((start + until) / 2)
+        self.end = axis.percent(until + axis.period if self.is_before_gap else axis.after(last))
+        self.title = records[0].name if first == last else f"frames {first} to {last}"
+        if axis.unit == "s":
+            self.title = f"{start:.2f} s" if first == last else f"{start:.2f} to {until:.2f} s"
+        answers = [each.prediction for each in records if each.prediction]
+        times_ms = [each.times_ms["latency"] for each in records if each.prediction]
+        self.slowest_ms = max(times_ms, default=None)
+        self.mean_returns = fmean(each.depth_returns for each in answers) if answers else None
+        self.marks = Counter(mark for record in records for mark in frame_marks(record))
 
 
 def group_frames(records: Sequence[FrameRecord], axis: Axis) -> list[Span]:
@@ -153,71 +113,58 @@ def group_frames(records: Sequence[FrameRecord], axis: Axis) -> list[Span]:
     spans, first = [], 0
     for at in range(len(records)):
         if at + 1 - first == frames or at + 1 == len(records) or axis.is_gap(at):
-            spans.append(Span(first, records[first : at + 1], axis))
+            spans.append(Span(records[first : at + 1], first, axis))
             first = at + 1
     return spans
 
 
-def latency_chart(spans: Sequence[Span], *, deadline_ms: float | None) -> dict[str, Any]:
+def latency_chart(
+    spans: Sequence[Span], axis: Axis, *, deadline_ms: float | None
+) -> dict[str, Any]:
     """Draw the latency of the slowest frame of each span, the deadline, and unanswered frames.
 
     Returns the values for chart.html, or {} if no frame was answered.
     """
-    answered = [span for span in spans if span.times_ms]
-    if not answered:
+    slowest_ms = [span.slowest_ms for span in spans if span.slowest_ms is not None]
+    if not slowest_ms:
         return {}
     limits = [] if deadline_ms is None else [deadline_ms]
-    highest = max([*limits, *(span.slowest_ms for span in answered)])
-    step, axis = _distance(highest / 5), spans[0].axis
+    highest = max(*limits, *slowest_ms, 0.0)
+    step = _distance(highest / 5)
     top = step * max(math.ceil(highest / step), 1)
 
-    def x(place: float) -> float:
-        return 100 * axis.share(place) if len(spans) > 1 else 50.0
+    def x(span: Span) -> float:
+        return span.middle if len(spans) > 1 else 50.0
 
     def y(value_ms: float) -> float:
         return 100 * (1 - value_ms / top)
 
-    points = []
-    for span in answered:
-        late = span.marks[LATE]
-        if late or len(spans) <= _MOST_POINTS:
-            text = f"{span.title}: {span.slowest_ms:.1f} ms"
-            if len(span.records) > 1:
-                text += f" at most, {late} late"
-            points.append((LATE if late else "point", x(span.middle), y(span.slowest_ms), text))
+    points, lines = [], [list[str]()]
+    for span in spans:
+        if span.slowest_ms is not None:
+            at, late = (x(span), y(span.slowest_ms)), span.marks[LATE]
+            lines[-1].append(f"{at[0]:.2f},{at[1]:.2f}")
+            if late or len(spans) <= _MOST_POINTS:
+                text = f"{span.title}: {span.slowest_ms:.1f} ms"
+                if span.frames > 1:
+                    text += f" at most, {late} late"
+                points.append((LATE if late else "point", *at, text))
+        if span.slowest_ms is None or span.is_before_gap:
+            lines.append([])
     return {
         "ticks": [(y(step * tick), step * tick) for tick in range(round(top / step) + 1)],
         "along": axis.ticks(),
         "unit": axis.unit,
-        "joined": any(len(span.records) > 1 for span in spans),
-        "lines": [
-            " ".join(f"{x(span.middle):.2f},{y(span.slowest_ms):.2f}" for span in run)
-            for run in _lines(spans)
-        ],
+        "joined": any(span.frames > 1 for span in spans),
+        "lines": [" ".join(line) for line in lines if line],
         "deadline": [y(limit) for limit in limits],
         "unanswered": [
-            (x(span.middle), f"{span.title}: {' '.join(kinds)}")
+            (x(span), f"{span.title}: {' '.join(kinds)}")
             for span in spans
             if (kinds := [mark for mark in UNANSWERED if span.marks[mark]])
         ],
         "points": points,
     }
-
-
-def _lines(spans: Sequence[Span]) -> list[list[Span]]:
-    """Lists of answered spans that follow each other without a gap."""
-    lines: list[list[Span]] = [[]]
-    for span in spans:
-        if span.times_ms:
-            lines[-1].append(span)
-        if not span.times_ms or span.axis.is_gap(span.last):
-            lines.append([])
-    return [line for line in lines if line]
-
-
-def outage_strip(axis: Axis, places: Sequence[tuple[float, float]]) -> list[Bar]:
-    """A bar for each of these parts of the axis."""
-    return [_bar(axis.share(first), axis.share(last)) for first, last in places]
 
 
 def _distance(least: float) -> float:
@@ -228,23 +175,17 @@ def _distance(least: float) -> float:
 
 def mark_strip(spans: Sequence[Span], mark: str) -> list[Bar]:
     """The bars of the spans in which a mark occurs, darker if more frames have it."""
-    return [
-        _bar(span.axis.share(span.start), span.axis.share(span.end), opacity=0.6 + 0.4 * share)
-        for span in spans
-        if (share := span.marks[mark] / len(span.records))
-    ]
+    shares = ((span, span.marks[mark] / span.frames) for span in spans)
+    return [bar(each.start, each.end, opacity=0.6 + 0.4 * part) for each, part in shares if part]
 
 
 def returns_strip(spans: Sequence[Span]) -> list[Bar]:
     """A bar for each span, whose height is its mean number of LiDAR returns."""
-    most = max(span.mean_returns or 0 for span in spans) or 1
-    return [
-        _bar(span.axis.share(span.start), span.axis.share(span.end), height=returns / most)
-        for span in spans
-        if (returns := span.mean_returns) is not None
-    ]
+    means = [(span, span.mean_returns) for span in spans if span.mean_returns is not None]
+    most = max((mean for _, mean in means), default=0) or 1
+    return [bar(span.start, span.end, height=100 * mean / most) for span, mean in means]
 
 
-def _bar(start: float, end: float, *, height: float = 1.0, opacity: float = 1.0) -> Bar:
-    """A bar between two places of a strip; all numbers are shares."""
-    return 100 * start, max(100 * (end - start), _LEAST_BAR), 100 * height, opacity
+def bar(start: float, end: float, *, height: float = 100.0, opacity: float = 1.0) -> Bar:
+    """A bar between two places of a strip, in percent."""
+    return start, max(end - start, _LEAST_BAR), height, opacity

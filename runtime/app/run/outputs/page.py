@@ -98,20 +98,21 @@ class RunPage:
         ends_s = [each.end_s for each in report.outages if each.end_s is not None]
         axis = charts.Axis.of(len(records), times_s, max(ends_s, default=0.0))
         spans = charts.group_frames(records, axis)
-        marks = Counter(mark for record in records for mark in charts.frame_marks(record))
+        marks = [charts.frame_marks(record) for record in records]
+        counts = Counter(mark for each in marks for mark in each)
         is_stream, provider = report.options.rate is not None, report.engine["provider"]
         responses = statistics.stages.get("age" if is_stream else "predict")
         values = {
             "report": report,
             "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
             "contract": self._contract,
-            "marks": marks,
-            "flagged": sum(bool(charts.frame_marks(record)) for record in records),
+            "marks": counts,
+            "flagged": sum(map(bool, marks)),
             "response": "age" if is_stream else "prediction",
             "responses": responses,
             "highest": responses and _highest_percentile(responses),
-            "chart": charts.latency_chart(spans, deadline_ms=statistics.deadline_ms),
-            "lanes": [*_outage_lanes(report.outages, axis), *_lanes(marks, spans)],
+            "chart": charts.latency_chart(spans, axis, deadline_ms=statistics.deadline_ms),
+            "lanes": [*_outage_lanes(report.outages, axis), *_lanes(counts, spans)],
             "axis": axis,
             "times_s": {} if times_s is None else dict(zip(names, times_s, strict=True)),
             "most_problems": _MOST_PROBLEMS,
@@ -145,40 +146,36 @@ def _highest_percentile(times: LatencyStatistics) -> tuple[str, float]:
     return next((name, value) for name, value in values.items() if value is not None)
 
 
-def _outage_lanes(outages: Sequence[Outage], axis: charts.Axis) -> list[tuple[Any, ...]]:
+def _outage_lanes(outages: Sequence[Outage], axis: charts.Axis) -> Iterator[tuple[Any, ...]]:
     """A lane, see `_lanes`, for each reason for which a sensor was out."""
-    lanes = []
     for reason in dict.fromkeys(each.reason for each in outages):
         same_reason = [each for each in outages if each.reason == reason]
         listed = "; ".join(each.text for each in same_reason[:_MOST_OUTAGES])
         if len(same_reason) > _MOST_OUTAGES:
             listed += f" and {len(same_reason) - _MOST_OUTAGES} more"
-        places = [
-            (each.start_s, max(each.end_s, each.start_s + axis.period))
-            for each in same_reason
-            if each.start_s is not None and each.end_s is not None
+        times_s = [(each.start_s, each.end_s) for each in same_reason]
+        strip = [
+            charts.bar(axis.percent(start), axis.percent(max(end, start + axis.period)))
+            for start, end in times_s
+            if start is not None and end is not None
         ]
-        strip = charts.outage_strip(axis, places)
-        lanes.append(("bad", listed, "", REASONS[reason], strip))
-    return lanes
+        yield "bad", listed, "", REASONS[reason], strip
 
 
-def _lanes(marks: Counter[str], spans: Sequence[charts.Span]) -> list[tuple[Any, ...]]:
+def _lanes(marks: Counter[str], spans: Sequence[charts.Span]) -> Iterator[tuple[Any, ...]]:
     """Class, name, count, meaning and bars of each lane of "Health over time".
 
     The worst marks come first, then the most frequent ones.
     """
-    lanes: list[tuple[Any, ...]] = []
-    frames = sum(len(span.records) for span in spans)
+    frames = sum(span.frames for span in spans)
     for mark in sorted(marks, key=lambda mark: (mark not in _WORST_MARKS, -marks[mark], mark)):
         kind, count = "bad" if mark in _WORST_MARKS else "warn", f"{marks[mark]:,} of {frames:,}"
-        lanes.append((kind, mark, count, REASONS.get(mark, ""), charts.mark_strip(spans, mark)))
+        yield kind, mark, count, REASONS.get(mark, ""), charts.mark_strip(spans, mark)
     means = [span.mean_returns for span in spans if span.mean_returns is not None]
     if means:
         count = f"{min(means):,.0f} to {max(means):,.0f}"
         meaning = "in a frame, before it is resized"
-        lanes.append(("tall", "LiDAR returns", count, meaning, charts.returns_strip(spans)))
-    return lanes
+        yield "tall", "LiDAR returns", count, meaning, charts.returns_strip(spans)
 
 
 def _facts(report: RunReport, started: datetime) -> dict[str, Any]:

@@ -25,17 +25,17 @@ def predictor(model_file):
         yield predictor
 
 
-TIMING = {"rate", "deadline_ms"}
-
-
-def run(predictor, folders, **options):
+def run(
+    predictor, folders, *, read=None, write=None,
+    on_record=lambda record: None, stop=lambda: False, **options,
+):  # fmt: skip
     source = FolderSource(folders[0], depth=folders[1])
-    if write := options.pop("write", None):
-        options["outputs"] = Outputs([SimpleNamespace(write=write)])
-    read = frame_reader(SimpleNamespace(read=options.pop("read", source.read)))
+    reader = frame_reader(SimpleNamespace(read=read or source.read))
     answerer = Answerer(predictor, StreamChecks(check_depth=False))
-    given = RunOptions(demo=True, **{name: options.pop(name) for name in TIMING & options.keys()})
-    return StreamRun(answerer, read, given, **options).run(source.list_frames())
+    outputs = Outputs([SimpleNamespace(write=write)] if write else [])
+    given = RunOptions(demo=True, **options)
+    stream = StreamRun(answerer, reader, given, outputs, on_record, stop)
+    return stream.run(source.list_frames())
 
 
 def test_every_frame_is_predicted_and_written_in_order(predictor, make_stream, make_frame):

@@ -104,8 +104,9 @@ def spans_of(outcomes):
     return charts.group_frames(outcomes, charts.Axis.of(len(outcomes), None))
 
 
-def chart(outcomes, deadline_ms=None):
-    drawn = charts.latency_chart(spans_of(outcomes), deadline_ms=deadline_ms)
+def chart(outcomes, deadline_ms):
+    axis = charts.Axis.of(len(outcomes), None)
+    drawn = charts.latency_chart(spans_of(outcomes), axis, deadline_ms=deadline_ms)
     values = {"chart": drawn, "response": "prediction"}
     return ElementTree.fromstring(render_template("runtime.command", "chart.html", values))
 
