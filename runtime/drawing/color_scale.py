@@ -48,6 +48,24 @@ class ColorScale:
             np.putmask(index, hidden, _NO_VALUE)
         return cv2.applyColorMap(index, self._colors)  # type: ignore[return-value]
 
+    def draw_dots(
+        self,
+        picture: NDArray[np.uint8],
+        places: tuple[NDArray[np.integer], NDArray[np.integer]],
+        values: NDArray[np.float32],
+        side: int,
+    ) -> None:
+        """Draw values as square dots at their (x, y), low values in front."""
+        order = np.argsort(-values)
+        colors = self.paint(values[order, np.newaxis])[:, 0]
+        # All pixels of a dot in turn, so that a lower dot covers a higher one wholly.
+        dot = np.indices((side, side)).reshape(2, -1) - side // 2
+        columns, rows = (
+            (place[order, np.newaxis] + offset).clip(0, most - 1).ravel()
+            for place, offset, most in zip(places, dot[::-1], picture.shape[1::-1], strict=True)
+        )
+        picture[rows, columns] = np.repeat(colors, side * side, axis=0)
+
     @cached_property
     def _colors(self) -> NDArray[np.uint8]:
         """The colours from `low` to `high`, then NO_VALUE_COLOR: uint8 (256, 1, 3), BGR."""

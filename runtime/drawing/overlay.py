@@ -2,9 +2,8 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -36,17 +35,13 @@ class Drawable(Protocol):
         """The predictions by the names of their heads, at the picture's size."""
 
 
-@dataclass(frozen=True)
-class _Grid:
+class _Grid(NamedTuple):
     """A grid of panels with its legend: the picture's size, and where the legend stands."""
 
-    columns: int
     height: int
     width: int
-    in_cell: bool = False
-
-    def fits(self) -> bool:
-        return self.height <= _SCREEN[0] and self.width <= _SCREEN[1]
+    columns: int
+    in_cell: bool
 
     def distance_to_screen(self) -> float:
         """How far the shape is from that of a screen."""
@@ -109,7 +104,7 @@ class Overlay:
         while True:
             size = height // step, width // step
             grids = [self._grid(count, columns, size, heads) for columns in range(1, count + 1)]
-            fitting = [grid for grid in grids if grid.fits()]
+            fitting = [each for each in grids if np.less_equal(each[:2], _SCREEN).all()]
             if fitting or widest is not None or 2 * step > min(height, width):
                 break
             step += 1
@@ -126,16 +121,15 @@ class Overlay:
             _place(picture, legend, cell, size)
         return picture
 
-    def _grid(
-        self, count: int, columns: int, size: tuple[int, int], heads: Iterable[str]
-    ) -> "_Grid":
+    def _grid(self, count: int, columns: int, size: tuple[int, int], heads: Iterable[str]) -> _Grid:
         rows = -(-count // columns)
         height, width = rows * size[0], columns * size[1]
-        in_cell = count < rows * columns and size[1] >= _LEGEND_WIDTH
-        if in_cell and len(self.draw_legend(size[1], heads)) <= size[0]:
-            return _Grid(columns, height, width, in_cell=True)
+        has_cell = count < rows * columns and size[1] >= _LEGEND_WIDTH
+        if has_cell and len(self.draw_legend(size[1], heads)) <= size[0]:
+            return _Grid(height, width, columns, in_cell=True)
         beside = len(self.draw_legend(_LEGEND_WIDTH, heads))
-        return _Grid(columns, max(height, beside), width + _LEGEND_WIDTH * (beside > 0))
+        width += _LEGEND_WIDTH * (beside > 0)
+        return _Grid(max(height, beside), width, columns, in_cell=False)
 
     def panels(
         self,
@@ -194,16 +188,9 @@ class Overlay:
     ) -> NDArray[Any]:
         """Draw each return as a dot in the colour of its depth; the nearest are in front."""
         rows, columns = np.nonzero(returns > 0)
-        order = np.argsort(-returns[rows, columns])
-        rows, columns = rows[order], columns[order]
-        colors = self._depth_scale.paint(returns[rows, columns][:, np.newaxis])[:, 0]
         painted = image.copy()
-        side = max(1, round(min(image.shape[:2]) / _DOT_SHARE))
-        # All pixels of a dot in turn, so that a nearer dot covers a farther one wholly.
-        rows = rows[:, None] // step + np.repeat(np.arange(side), side) - side // 2
-        columns = columns[:, None] // step + np.tile(np.arange(side), side) - side // 2
-        rows, columns = rows.clip(0, len(image) - 1), columns.clip(0, image.shape[1] - 1)
-        painted[rows.ravel(), columns.ravel()] = np.repeat(colors, side * side, axis=0)
+        places, side = (columns // step, rows // step), round(min(image.shape[:2]) / _DOT_SHARE)
+        self._depth_scale.draw_dots(painted, places, returns[rows, columns], max(1, side))
         return painted
 
     def _paint_classes(self, ids: NDArray[np.uint8], image: NDArray[Any] | None) -> NDArray[Any]:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import MISSING, asdict, dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import typer
@@ -71,12 +70,11 @@ class VerifyOptions:
     )
     provider: Provider = _option("Execution provider of the model.", default=Provider.cpu)
     threads: int | None = _option("Threads of inference. [default: physical cores]", min=1)
-    tolerance: Figures = _option(
+    tolerance: Figures | None = _option(
         "Limit of a head, instead of its recorded ones; may be repeated. semantic.equal is the "
         "least share of equal pixels. The other heads have .mean, .max and percentiles (.p99) of "
         "the difference, in metres for depths, and relative to the scores for semantic_logits. "
         "Without a figure, LIMIT is that of semantic.equal, of boundary.mean, or else of .max.",
-        default=MappingProxyType({}),
         given=list[str] | None,
         read=_tolerances,
         metavar="HEAD[.FIGURE]=LIMIT",
@@ -145,7 +143,7 @@ def main(**given: Any) -> None:
             report = verify(
                 predictor,
                 reference,
-                tolerances=options.tolerance,
+                tolerances=options.tolerance or {},
                 max_slowdown=options.max_slowdown,
                 max_latency_ms=options.max_latency_ms,
             )
