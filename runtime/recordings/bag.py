@@ -185,20 +185,20 @@ class BagSource(Source):
 
         frames = self._match(stamped(), limit=limit, camera_only=self._depth_topic is None)
         self.left_out.update(self._bag.left_out)
+        clocks = offsets[Sensor.IMAGE], offsets[Sensor.DEPTH], self._completion.period_ns
+        ahead_s = clocks_apart_s(*clocks, is_scan=self._sensors.has_clouds)
         # The first stamp of a simulator is 0.
-        if self._depth_topic is not None and (topics := [t for t, n in unstamped.items() if n > 1]):
-            with self.collecting():
+        topics = [topic for topic, count in unstamped.items() if count > 1]
+        is_own = cameras and self._rig.calibration is None
+        with self.collecting():
+            if topics and self._depth_topic is not None:
                 assume(
                     f"the times at which messages of {', '.join(topics)} were recorded, since "
                     "their headers have no stamps",
                     "let the driver stamp them, since depth is moved by the delay of recording",
                 )
-        clocks = offsets[Sensor.IMAGE], offsets[Sensor.DEPTH], self._completion.period_ns
-        ahead_s = clocks_apart_s(*clocks, is_scan=self._sensors.has_clouds)
-        with self.collecting():
             report_clocks(ahead_s, self._image_topic, self._depth_topic or "", by="recording")
-        if cameras and self._rig.calibration is None and np.ptp(cameras, axis=0).max() > SAME_PX:
-            with self.collecting():
+            if is_own and np.ptp(cameras, axis=0).max() > SAME_PX:
                 assume(f"the first CameraInfo of {self._sensors.info_topic}, others differ", GIVE)
         if not frames:
             raise InputError(
@@ -210,23 +210,19 @@ class BagSource(Source):
     def read(self, frame: ListedFrame) -> Frame:
         """See `Source.read`."""
         self._bag.guard.check()
-        with self.collecting():
-            return self._read(frame)
-
-    def _read(self, frame: ListedFrame) -> Frame:
         messages = self._messages.take(frame)
         image = self._bag.decode(messages[frame.image])
         is_compressed = self._bag.types[self._image_topic] == COMPRESSED_IMAGE
-        if self.calibration is not None:
-            self._sensors.require_camera(image)
-        rgb = decode_compressed_image(image) if is_compressed else decode_image(image)
-        depth: NDArray[np.float32] | Scan | None = None
-        calibration = self.calibration
-        if frame.depth is not None:
-            message = self._bag.decode(messages[frame.depth])
-            calibration = self._sensors.calibration_of(message, calibration)
-            depth = self._decode_depth(frame, message)
-        return self.measured(frame, rgb, depth, calibration)
+        depth, calibration = None, self.calibration
+        with self.collecting():
+            if calibration is not None:
+                self._sensors.require_camera(image)
+            rgb = decode_compressed_image(image) if is_compressed else decode_image(image)
+            if frame.depth is not None:
+                message = self._bag.decode(messages[frame.depth])
+                calibration = self._sensors.calibration_of(message, calibration)
+                depth = self._decode_depth(frame, message)
+            return self.measured(frame, rgb, depth, calibration)
 
     def _decode_depth(self, frame: ListedFrame, message: Any) -> NDArray[np.float32] | Scan:
         """The depth of a frame: a scan if it is a cloud or from another camera, else a map."""

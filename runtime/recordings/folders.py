@@ -32,7 +32,7 @@ from runtime.recordings.images import (
 from runtime.recordings.listing import ListedFrame, limit_frames
 from runtime.recordings.poses import read_poses, read_timestamps
 from runtime.recordings.scan import SCAN_SUFFIXES, read_scan
-from runtime.recordings.source import Source, pose_track
+from runtime.recordings.source import Names, Source, pose_track
 from runtime.streams.frame import Frame
 from runtime.streams.messages import Outcome, Place, Scan, Sensor
 
@@ -93,13 +93,8 @@ class FolderSource(Source):
     """
 
     accepted = "a folder of images, or one image"
-    options: ClassVar[tuple[str, ...]] = FolderOptions._fields
-    rig_options: ClassVar[tuple[str, ...]] = (
-        "calibration",
-        "pose_frame",
-        "scan_stamp",
-        "reuse_depth_ms",
-    )
+    options: ClassVar[Names] = FolderOptions._fields
+    rig_options: ClassVar[Names] = ("calibration", "pose_frame", "scan_stamp", "reuse_depth_ms")
     # If true, an image without depth is a frame of the camera alone, and depth without an image is
     # ignored. If false, both are frames that cannot be read.
     camera_alone = False
@@ -137,11 +132,10 @@ class FolderSource(Source):
         elif calibration is not None:
             with self.collecting():
                 self._open_calibration(Path(calibration), given.camera)
-        if rig.pose_frame is not None and self.calibration is not None:
-            self._completion.pose_frame = PoseFrame(rig.pose_frame)
-            lidar_mount(self._completion.pose_frame, self.calibration)  # raises if it is unknown
-        if is_odometry:
-            self._completion.pose_frame = PoseFrame.LIDAR
+        pose_frame = PoseFrame.LIDAR if is_odometry else rig.pose_frame
+        if pose_frame is not None and self.calibration is not None:
+            lidar_mount(pose_frame, self.calibration)  # raises if it is unknown
+            self._completion.pose_frame = pose_frame
 
     def _open_calibration(self, path: Path, camera: int | None) -> None:
         """Read the calibration; of a folder with a file per frame, the first readable one."""
@@ -286,25 +280,22 @@ class FolderSource(Source):
 
     def read(self, frame: ListedFrame) -> Frame:
         """See `Source.read`. Raises InputError also if one of the two files is missing."""
-        with self.collecting():
-            return self._read(frame)
-
-    def _read(self, frame: ListedFrame) -> Frame:
         if frame.image is None:
             raise InputError(f"{frame.name} has a {self._what}, but no image")
         if frame.depth is None and self._depth is not None and not self.camera_alone:
             raise InputError(f"{frame.name} has an image, but no {self._what}")
-        rgb, calibration = self._read_image(frame.image), self.calibration
-        if self._calibration_files:
-            if frame.name not in self._calibration_files:
-                raise InputError(f"{frame.name} has no calibration in {self._rig.calibration}")
-            calibration = self._read_calibration(self._calibration_files[frame.name])
         depth: NDArray[np.float32] | Scan | None = None
-        if frame.depth is not None and self._has_scans:
-            depth = self._read_scan(frame)
-        elif frame.depth is not None:
-            depth = read_sparse_depth(frame.depth, depth_scale=self._given.depth_scale)
-        return self.measured(frame, rgb, depth, calibration)
+        with self.collecting():
+            rgb, calibration = self._read_image(frame.image), self.calibration
+            if self._calibration_files:
+                if frame.name not in self._calibration_files:
+                    raise InputError(f"{frame.name} has no calibration in {self._rig.calibration}")
+                calibration = self._read_calibration(self._calibration_files[frame.name])
+            if frame.depth is not None and self._has_scans:
+                depth = self._read_scan(frame)
+            elif frame.depth is not None:
+                depth = read_sparse_depth(frame.depth, depth_scale=self._given.depth_scale)
+            return self.measured(frame, rgb, depth, calibration)
 
     def _read_scan(self, frame: ListedFrame) -> Scan:
         points, after_s = read_scan(frame.depth, columns=self._given.point_columns), None

@@ -29,6 +29,8 @@ from runtime.streams.completion import Completion
 from runtime.streams.frame import Frame
 from runtime.streams.messages import Depth, Image, Place, Scan, Sensor
 
+Names = tuple[str, ...]
+
 
 class Source(ABC):
     """A stream of frames that can be listed and read again, by one thread at a time.
@@ -48,8 +50,8 @@ class Source(ABC):
     """
 
     accepted: ClassVar[str]
-    options: ClassVar[tuple[str, ...]] = ()
-    rig_options: ClassVar[tuple[str, ...]] = ()
+    options: ClassVar[Names] = ()
+    rig_options: ClassVar[Names] = ()
     is_stream: ClassVar[bool] = False
     calibration: Calibration | None = None
     depth_scale: float | None = None

@@ -25,7 +25,7 @@ class Completion:
 
     rig: Rig = DEFAULT_RIG
     poses: PoseTrack | None = None
-    pose_frame: PoseFrame = PoseFrame.BODY
+    pose_frame: PoseFrame | str = PoseFrame.BODY
     period_ns: float = FIRST_SCAN_NS
     rectifies: bool = False
 
