@@ -1,6 +1,8 @@
 """A camera of 48 x 64 pixels, a LiDAR beside it, and a scan projected a return after the other."""
 
+import cv2
 import numpy as np
+import pytest
 
 MS = 1_000_000
 START_NS = 1_700_000_000_000_000_000
@@ -15,6 +17,17 @@ def add_tree(bag):
     bag.static_transform("base", "lidar", (0, 0, 0, 1), (0, 0, 0.3))
     bag.static_transform("base", "camera_body", (0, 0, 0, 1), (0.5, 0, 0))
     bag.static_transform("camera_body", "camera", OPTICAL, (0, 0, 0))
+
+
+def write_video(path, codec, colours):
+    """A video of frames of 48 x 64 pixels of one colour (BGR) each, at 20 Hz."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 20, SIZE[::-1])
+    if not writer.isOpened():
+        pytest.skip(f"this OpenCV writes no {codec}")
+    for colour in colours:
+        writer.write(np.full((*SIZE, 3), colour, np.uint8))
+    writer.release()
+    return path
 
 
 def projected(scan, *, left_m=0.0, ahead_m=0.0, focal_px=60.0):

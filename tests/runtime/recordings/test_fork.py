@@ -2,11 +2,11 @@
 
 import os
 
-import cv2
 import numpy as np
 import pytest
 
 from runtime import InputError, open_source
+from small_rig import write_video
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 
@@ -44,10 +44,6 @@ def test_a_bag(record, kind):
 
 
 def test_a_video(tmp_path):
-    path = tmp_path / "drive.mp4"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 10, (64, 48))
-    for index in range(4):
-        writer.write(np.full((48, 64, 3), 50 * index + 20, np.uint8))
-    writer.release()
+    path = write_video(tmp_path / "drive.mp4", "mp4v", (20, 70, 120, 170))
     with open_source("video", path) as source:
         require_guarded(source)

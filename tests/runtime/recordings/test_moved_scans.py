@@ -70,12 +70,23 @@ def read(folders, **changes):
     return [source.read(listed) for listed in source.list_frames()]
 
 
-def test_a_run_moves_the_scans_of_images_at_twice_their_rate(folders, run, make_scan):
-    keys = f"timestamps={folders / 'times.txt'},pose_frame=lidar"
-    given = ["--source", f"folders:{folders / 'image'},{keys}", "--points", folders / "points"]
-    given += ["--calibration", folders / "calibration.toml", "--poses", folders / "poses.txt"]
-    answers = run(*given)
-    assert answers.exit_code == 0, answers.text
+@pytest.fixture
+def run_moved(folders, run):
+    """Run ssdnet-run with the folders and their poses."""
+
+    def run_folders(*arguments):
+        keys = f"timestamps={folders / 'times.txt'},pose_frame=lidar"
+        given = ["--source", f"folders:{folders / 'image'},{keys}", "--points", folders / "points"]
+        given += ["--calibration", folders / "calibration.toml", "--poses", folders / "poses.txt"]
+        answers = run(*given, *arguments)
+        assert answers.exit_code == 0, answers.text
+        return answers
+
+    return run_folders
+
+
+def test_a_run_moves_the_scans_of_images_at_twice_their_rate(run_moved, make_scan):
+    answers = run_moved()
     assert answers.column("degraded") == ["", "depth_reused"] * N
     for number in range(2 * N):
         expected = seen(make_scan(number - number % 2), 0.05 * SPEED * (number % 2))
@@ -89,12 +100,8 @@ def test_a_run_moves_the_scans_of_images_at_twice_their_rate(folders, run, make_
     assert answers.report["stages"]["skew"]["n"] == N, "of own scans alone"
 
 
-def test_a_run_that_remembers_counts_earlier_returns_apart(folders, run):
-    keys = f"timestamps={folders / 'times.txt'},pose_frame=lidar"
-    given = ["--source", f"folders:{folders / 'image'},{keys}", "--points", folders / "points"]
-    given += ["--calibration", folders / "calibration.toml", "--poses", folders / "poses.txt"]
-    answers = run(*given, "--memory", 2)
-    assert answers.exit_code == 0, answers.text
+def test_a_run_that_remembers_counts_earlier_returns_apart(run_moved):
+    answers = run_moved("--memory", 2)
     earlier, own = (list(map(int, answers.column(f"{of}_returns"))) for of in ("memory", "depth"))
     assert earlier[0] == 0
     assert sum(earlier) > 0

@@ -10,6 +10,7 @@ import pytest
 from runtime import InputError
 from runtime.recordings import video as video_module
 from runtime.recordings.video import VideoSource
+from small_rig import write_video
 
 N, RATE_HZ = 8, 20
 
@@ -17,22 +18,14 @@ N, RATE_HZ = 8, 20
 @pytest.fixture
 def video(tmp_path):
     """N frames at 20 Hz, frame i of the mean red 20 i + 20; losses of coding are a few units."""
-    path = tmp_path / "drive.mp4"
-    write_video(path, "mp4v")
-    return path
-
-
-def write_video(path, codec):
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), RATE_HZ, (64, 48))
-    if not writer.isOpened():
-        pytest.skip(f"this OpenCV writes no {codec}")
-    for index in range(N):
-        writer.write(np.full((48, 64, 3), (90, 60, red_of(index)), np.uint8))
-    writer.release()
+    return write_video(tmp_path / "drive.mp4", "mp4v", COLOURS)
 
 
 def red_of(index):
     return 20 * index + 20
+
+
+COLOURS = [(90, 60, red_of(index)) for index in range(N)]
 
 
 @pytest.fixture
@@ -104,15 +97,10 @@ def test_frames_whose_pixels_are_not_written_are_damaged(video, monkeypatch, unw
 
 
 def test_a_video_may_repeat_frames(tmp_path):
-    writer = cv2.VideoWriter(
-        str(tmp_path / "slow.avi"), cv2.VideoWriter_fourcc(*"MJPG"), RATE_HZ, (64, 48)
-    )
-    for index in (3, 3, 5, 5, 5):
-        writer.write(np.full((48, 64, 3), red_of(index), np.uint8))
-    writer.release()
-    with VideoSource(tmp_path / "slow.avi") as source:
+    greys = (80, 80, 120, 120, 120)
+    with VideoSource(write_video(tmp_path / "slow.avi", "MJPG", greys)) as source:
         means = [source.read(frame).rgb.mean() for frame in source.list_frames()]
-    np.testing.assert_allclose(means, [red_of(i) for i in (3, 3, 5, 5, 5)], atol=6)
+    np.testing.assert_allclose(means, greys, atol=6)
 
 
 def test_frames_and_depth_maps_without_a_partner_are_listed(video, depth_maps):
@@ -141,8 +129,7 @@ def test_a_truncated_video_is_an_input_error(video, tmp_path, share):
 
 @pytest.mark.parametrize("stated", [0, 1, N, 3 * N, 2**31])
 def test_frames_are_those_of_the_video_not_of_its_header(tmp_path, stated):
-    path = tmp_path / "drive.avi"
-    write_video(path, "MJPG")
+    path = write_video(tmp_path / "drive.avi", "MJPG", COLOURS)
     content = bytearray(path.read_bytes())
     for mark, place in ((b"strh", 40), (b"avih", 24)):
         struct.pack_into("<I", content, content.find(mark) + place, stated)
@@ -193,8 +180,7 @@ def write_mkv():
 
 
 def test_a_damaged_frame_does_not_shift_those_behind_it(tmp_path):
-    path = tmp_path / "drive.avi"
-    write_video(path, "MJPG")
+    path = write_video(tmp_path / "drive.avi", "MJPG", COLOURS)
     content = path.read_bytes()
     starts = [found.start() for found in re.finditer(b"\xff\xd8\xff", content)]
     path.write_bytes(content[: starts[2]] + bytes(200) + content[starts[2] + 200 :])
