@@ -40,6 +40,14 @@ class Answers:
         answer = cv2.imread(str(self._out / f"depth/{name}.png"), cv2.IMREAD_UNCHANGED) / 256
         return answer - 1.5
 
+    def require(self, expected):
+        """All frames are answered, each from the depth that is expected under its name."""
+        assert self.exit_code == 0, self.text
+        assert self.names == list(expected)
+        for name, depth in expected.items():
+            assert np.count_nonzero(depth) > 100
+            assert abs(self.fed_depth(name) - depth).max() < 0.01
+
     def column(self, name):
         return [row[name] for row in self.rows]
 

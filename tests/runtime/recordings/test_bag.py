@@ -24,12 +24,8 @@ def name_of(index):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bag_from_end_to_end(record, run, make_scan, kind):
     answers = run(record(kind, images=N, scans=N).write())
-    assert answers.exit_code == 0, answers.text
-    assert answers.names == [name_of(index) for index in range(N)]
+    answers.require({name_of(n): projected(make_scan(n), ahead_m=0.5) for n in range(N)})
     for index, row in enumerate(answers.rows):
-        expected = projected(make_scan(index), ahead_m=0.5)
-        assert np.count_nonzero(expected) > 100
-        assert abs(answers.fed_depth(name_of(index)) - expected).max() < 0.01
         assert int(row["image_stamp_ns"]) == START_NS + 100 * MS * index
         assert int(row["depth_stamp_ns"]) == START_NS + (100 * index + 7) * MS
     assert "topics: image_topic=/cam/image_rect, depth_topic=/lidar/points" in answers.text

@@ -199,15 +199,6 @@ def rig(played, *, until, image_period=50, depth_period=100, lost=(), depth_dela
     return waited
 
 
-def test_live_an_image_that_no_depth_is_due_for_does_not_wait():
-    played = Played(live=True, max_skew=50, reuse=150)
-    waited = rig(played, until=1500)
-    assert set(waited) == set(range(0, 1500, 50)), "every image is decided"
-    assert max(wait for image, wait in waited.items() if image >= 700) == 0
-    assert max(waited.values()) == 50, "until the periods are known"
-    assert all(depth is not None for _, depth in stamps(played.pairs))
-
-
 def test_live_a_lost_scan_is_waited_for_and_the_next_image_is_not():
     played = Played(live=True, max_skew=50, reuse=150)
     waited = rig(played, until=1500, lost=(1000,))
