@@ -144,7 +144,7 @@ class BagSource(Source):
             if self.calibration is not None and self.calibration.body_from_lidar is None:
                 mount = self._sensors.tree.between(lidar, body)
                 self.calibration = replace(self.calibration, body_from_lidar=mount)
-            self._completion.poses = pose_track(stamped)
+            self._poses = pose_track(stamped)
             return topic
         except InputError as error:
             if requested is not None:
@@ -185,7 +185,7 @@ class BagSource(Source):
 
         frames = self._match(stamped(), limit=limit, camera_only=self._depth_topic is None)
         self.left_out.update(self._bag.left_out)
-        clocks = offsets[Sensor.IMAGE], offsets[Sensor.DEPTH], self._completion.period_ns
+        clocks = offsets[Sensor.IMAGE], offsets[Sensor.DEPTH], self._period_ns
         ahead_s = clocks_apart_s(*clocks, is_scan=self._sensors.has_clouds)
         # The first stamp of a simulator is 0.
         topics = [topic for topic, count in unstamped.items() if count > 1]
@@ -228,7 +228,7 @@ class BagSource(Source):
         """The depth of a frame: a scan if it is a cloud or from another camera, else a map."""
         if self._sensors.has_clouds:
             points, after_s = decode_points(message), None
-            if self._completion.poses is not None and frame.depth_stamp_ns is not None:
+            if self._poses is not None and frame.depth_stamp_ns is not None:
                 after_s = point_times_s(message, frame.depth_stamp_ns, points)
             return Scan.of(points, after_s, frame.depth_stamp_ns)
         depth = decode_depth_image(message)

@@ -135,7 +135,7 @@ class FolderSource(Source):
         pose_frame = PoseFrame.LIDAR if is_odometry else rig.pose_frame
         if pose_frame is not None and self.calibration is not None:
             lidar_mount(pose_frame, self.calibration)  # raises if it is unknown
-            self._completion.pose_frame = pose_frame
+            self._pose_frame = pose_frame
 
     def _open_calibration(self, path: Path, camera: int | None) -> None:
         """Read the calibration; of a folder with a file per frame, the first readable one."""
@@ -214,7 +214,7 @@ class FolderSource(Source):
             of_clock = self._given.timestamps is not None
             with self.collecting():
                 poses_ns, poses = read_poses(self._given.poses, stamps_ns, of_clock=of_clock)
-                self._completion.poses = PoseTrack.of(poses, poses_ns)
+                self._poses = PoseTrack.of(poses, poses_ns)
         places: list[Place] = []
         for (name, image), stamp_ns in zip(images.items(), stamps_ns, strict=True):
             if name in depths:
@@ -222,12 +222,12 @@ class FolderSource(Source):
             places.append(Place(Sensor.IMAGE, image, stamp_ns))
         frames = self._match(places, limit=limit, camera_only=self._depth is None)
         if self._is_odometry:
-            self._completion.poses = self._find_poses(frames)
+            self._poses = self._find_poses(frames)
         return frames
 
     def _find_poses(self, frames: Sequence[ListedFrame]) -> PoseTrack:
         """Read all scans of a list for the poses of the LiDAR in their middle."""
-        odometry, to_middle_ns, stamped = Odometry(), self._completion.to_middle_ns, []
+        odometry, to_middle_ns, stamped = Odometry(), self._to_middle_ns, []
         for frame in frames:
             if frame.depth is not None and frame.depth_stamp_ns is not None and not frame.reused:
                 with contextlib.suppress(InputError):  # reported when the frame is read

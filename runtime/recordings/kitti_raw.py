@@ -111,9 +111,7 @@ class KittiRawSource(FolderSource):
         stamped = _read_stamps(Sensor.POSE, folder, (".txt",))
         stamped.sort(key=lambda each: each.stamp_ns)
         poses = read_oxts_poses(Path(str(each.at)) for each in stamped)
-        self._completion.poses = pose_track(
-            zip((each.stamp_ns for each in stamped), poses, strict=True)
-        )
+        self._poses = pose_track(zip((each.stamp_ns for each in stamped), poses, strict=True))
         self._oxts = folder
         self.calibration = replace(self.calibration, body_from_lidar=body_from_lidar)
 

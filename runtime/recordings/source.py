@@ -19,13 +19,12 @@ from runtime.base.natural_order import contain_decimals
 from runtime.checks.sensor_times import period_ns_of
 from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.motion import FIRST_SCAN_NS
-from runtime.geometry.poses import PoseTrack
+from runtime.geometry.motion import FIRST_SCAN_NS, assume_middle, lidar_mount
+from runtime.geometry.poses import PoseFrame, PoseTrack
 from runtime.geometry.returns import check_farthest
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.listing import ListedFrame, left_out_note, list_places
 from runtime.recordings.ros_answers import SensorFrames
-from runtime.streams.completion import Completion
 from runtime.streams.frame import Frame
 from runtime.streams.messages import Depth, Image, Place, Scan, Sensor
 
@@ -59,6 +58,10 @@ class Source(ABC):
     folders: tuple[Path, ...] = ()
     recordings: tuple[Path, ...] = ()
     _rig = DEFAULT_RIG
+    _poses: PoseTrack | None = None  # of the car, whose frame is `_pose_frame`
+    _pose_frame: PoseFrame | str = PoseFrame.BODY
+    _period_ns: float = FIRST_SCAN_NS  # of the scans
+    _rectifies = False
 
     @abstractmethod
     def __init__(self, path: Path, rig: Rig = DEFAULT_RIG, **options: Any) -> None:
@@ -126,7 +129,7 @@ class Source(ABC):
         if self.calibration is None or self.calibration.lens_model is None:
             reason = "calibration" if self.calibration is None else "lens in their calibration"
             raise InputError(f"the images cannot be rectified: there is no {reason}")
-        self._completion.rectifies = True
+        self._rectifies = True
 
     def collecting(self) -> AbstractContextManager[None]:
         """Collect the assumptions that this thread makes inside a block in `notes`."""
@@ -141,6 +144,9 @@ class Source(ABC):
     ) -> Frame:
         """Return a frame with what its sensors measured, the depth projected into the image.
 
+        Images are rectified if requested, scans without times get that of their middle, and poses
+        move them.
+
         Args:
             frame: a frame of the list.
             rgb: uint8 (H, W, 3), RGB.
@@ -149,18 +155,32 @@ class Source(ABC):
             calibration: calibration of the camera, for a scan also of the LiDAR.
 
         Raises:
-            InputError: in the cases of `Completion.complete`.
+            InputError: if the calibration is for images of another size, which would silently
+                falsify clouds and the focal length; and for a depth map of a rectified image.
         """
         if isinstance(depth, np.ndarray):
             check_farthest(depth)
             depth = Depth(depth)
+        poses, image_ns, depth_ns = None, frame.image_stamp_ns, frame.depth_stamp_ns
         if depth is not None:
-            depth = replace(depth, stamp_ns=frame.depth_stamp_ns)
-        image = Image(rgb, stamp_ns=frame.image_stamp_ns)
+            depth = replace(depth, stamp_ns=depth_ns)
         with self.collecting():
-            return self._completion.complete(
-                image, depth, calibration, reused=frame.reused, name=frame.name
-            )
+            if calibration is not None:
+                calibration.require_size(rgb.shape[:2])
+                if self._rectifies and isinstance(depth, Depth):
+                    raise InputError(
+                        "a depth map lies on the pixels of the distorted image: no `rectify=True`"
+                    )
+                if self._rectifies:
+                    rgb, calibration = calibration.rectify(rgb), calibration.rectified
+                if self._poses is not None:
+                    poses = self._poses.mounted(lidar_mount(self._pose_frame, calibration))
+            if isinstance(depth, Scan) and depth.times is None and depth_ns is not None:
+                depth = replace(depth, times=depth_ns + self._to_middle_ns)
+                if poses is not None and depth_ns != image_ns and self._rig.scan_stamp is None:
+                    assume_middle()
+            image = Image(rgb, stamp_ns=image_ns)
+            return Frame(image, depth, frame.reused, calibration, poses, frame.name)
 
     @property
     @abstractmethod
@@ -206,9 +226,10 @@ class Source(ABC):
     def _lines(self) -> list[str]:
         return []
 
-    @cached_property
-    def _completion(self) -> Completion:
-        return Completion(self._rig)
+    @property
+    def _to_middle_ns(self) -> int:
+        """Time from the stamp of a scan to its middle."""
+        return round(self._rig.stamp_to_middle * self._period_ns)
 
     def _note(self, line: str) -> None:
         """Add a line to `notes`, once, since the frames may be listed more than once."""
@@ -223,7 +244,7 @@ class Source(ABC):
         self.stamps_ns, frames = listing.stamps_ns, listing.frames
         self.left_out.update(listing.left_out)
         scans_ns = [f.depth_stamp_ns for f in frames if f.depth_stamp_ns is not None]
-        self._completion.period_ns = period_ns_of(scans_ns, FIRST_SCAN_NS)
+        self._period_ns = period_ns_of(scans_ns, FIRST_SCAN_NS)
         return frames
 
     def has_lidar(self, frames: Iterable[ListedFrame]) -> bool:
