@@ -20,6 +20,8 @@ from training.datasets.sample import Sample, make_frame, target_kind
 from training.loading.augment_config import AugmentConfig
 from training.loading.depth_values import has_dense_depth, scale_depth
 
+# The value of unknown pixels, for each channel if there are several.
+Fill = float | Sequence[float]
 # RGB of padding: the mean colour by which networks normalise.
 _FILL_RGB = (124, 116, 104)
 
@@ -52,12 +54,12 @@ def scale_and_crop(
 
 def _change_maps(
     sample: Sample,
-    change: Callable[[NDArray[Any], object], NDArray[Any]],
+    change: Callable[[NDArray[Any], Fill], NDArray[Any]],
     intrinsics: NDArray[np.float64] | None,
 ) -> Sample:
     """Apply `change(map, fill)` to every map of a sample; fill: the value of unknown pixels."""
 
-    def change_known(array: NDArray[Any] | None, unknown: object) -> NDArray[Any] | None:
+    def change_known(array: NDArray[Any] | None, unknown: Fill) -> NDArray[Any] | None:
         return None if array is None else change(array, unknown)
 
     return replace(
@@ -148,17 +150,14 @@ def _random_offset(
 
 
 def _take_window(
-    array: NDArray[Any], top: int, left: int, window: tuple[int, int], fill: object
+    array: NDArray[Any], top: int, left: int, window: tuple[int, int], fill: Fill
 ) -> NDArray[Any]:
     height, width = window
     inner = array[max(top, 0) : top + height, max(left, 0) : left + width]
-    if inner.shape[:2] == window:
-        return np.ascontiguousarray(inner)
-    out = np.empty((height, width, *array.shape[2:]), dtype=array.dtype)
-    out[...] = fill
-    row, column = max(-top, 0), max(-left, 0)
-    out[row : row + inner.shape[0], column : column + inner.shape[1]] = inner
-    return out
+    above, before = max(-top, 0), max(-left, 0)
+    below, behind = height - above - inner.shape[0], width - before - inner.shape[1]
+    border = cv2.BORDER_CONSTANT
+    return cv2.copyMakeBorder(inner, above, below, before, behind, border, value=fill)
 
 
 def choose_crop(

