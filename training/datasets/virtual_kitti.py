@@ -27,13 +27,13 @@ from training.datasets.class_mapping import ClassTable, class_ids
 from training.datasets.color_reader import ColorReader
 from training.datasets.files import (
     dataset_errors,
+    list_names,
     read_depth,
     require_files,
     require_folder,
 )
 from training.datasets.recording import RecordedFrames, SetFrame, Truth, pair
 from training.datasets.source_recipe import Names, SourceRecipe
-from training.datasets.virtual_kitti_split import Selection, Split
 
 _RGB_1, _DEPTH_1, _CLASSES_1 = (f"vkitti_1.3.1_{kind}" for kind in ("rgb", "depthgt", "scenegt"))
 # Intrinsics of every frame of edition 1.3.1, from the set's description.
@@ -41,9 +41,26 @@ _INTRINSICS_1 = np.array([[725.0, 0.0, 620.5], [0.0, 725.0, 187.0], [0.0, 0.0, 1
 _UNITS_A_METRE = 100.0
 _INTRINSICS_ROW = "'frame cameraID fx fy cx cy'"
 
+Split = Literal["train", "val", "test", "all"]
+
+# The paper uses eight of the ten variants without naming them. These are the variants whose camera
+# angle is closest to the recorded camera.
+PAPER_VARIANTS = (
+    "15-deg-left",
+    "15-deg-right",
+    "clone",
+    "fog",
+    "morning",
+    "overcast",
+    "rain",
+    "sunset",
+)
+_TEST_SCENE = 1  # 447 frames per variant; 3,576 in all, as in the paper
+_VAL_SCENE, _VAL_FIRST = 20, 547  # the last 290 of its 837 frames; 2,320 in all, as in the paper
+
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class _SelectionRecipe(SourceRecipe):
+class _ScenesRecipe(SourceRecipe):
     """The keys that choose frames.
 
     Attributes:
@@ -55,9 +72,61 @@ class _SelectionRecipe(SourceRecipe):
     scenes: Names | None = None
     variants: Names | None = None
 
+    @property
+    def part(self) -> Split:
+        """The split whose frames are taken."""
+        return "all"
+
+    def takes_variant(self, scene: str, variant: str) -> bool:
+        """Whether any frame of a variant of a scene may be taken."""
+        if self.variants is not None:
+            known = variant in self.variants
+        else:
+            known = self.part == "all" or variant in PAPER_VARIANTS
+        return known and (self.scenes is None or scene in self.scenes)
+
+    def takes(self, scene: str, number: str) -> bool:
+        """Whether a frame belongs to the split, in a variant that belongs to it."""
+        if self.part == "all" or self.scenes is not None:
+            return True
+        scene_number = int("".join(filter(str.isdigit, scene)) or 0)
+        is_val = scene_number == _VAL_SCENE and int(number) >= _VAL_FIRST
+        if self.part == "val":
+            return is_val
+        return (scene_number == _TEST_SCENE) == (self.part == "test") and not is_val
+
+    def require_frames(self, found: Sequence[object], variants: Sequence[Path], root: Path) -> None:
+        """Raise DatasetError if no frame was found in the folders of the variants."""
+        if not found:
+            there = [f"{variant.parent.name}/{variant.name}" for variant in variants]
+            raise DatasetError(
+                f"{root}: no frames of the split {self.part!r} in "
+                f"{', '.join(self.scenes or ['its scenes'])} with "
+                f"{', '.join(self.variants or ['its variants'])}: choose among those there, "
+                f"{list_names(there)}"
+            )
+
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class VirtualKittiRecipe(_SelectionRecipe):
+class _SplitRecipe(_ScenesRecipe):
+    """The keys of Virtual KITTI.
+
+    Attributes:
+        split: "train", "val" and "test" have the paper's sizes (11,112 / 2,320 / 3,576). Scene01 is
+            the test set, the last 290 frames of Scene20 are the validation set, and all others,
+            including the start of Scene20, are the training set. "all" is every frame.
+    """
+
+    split: Split = "train"
+
+    @property
+    def part(self) -> Split:
+        """See `_ScenesRecipe.part`."""
+        return self.split
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class VirtualKittiRecipe(_SplitRecipe):
     """Options of Virtual KITTI 2 in a recipe.
 
     Attributes:
@@ -65,17 +134,15 @@ class VirtualKittiRecipe(_SelectionRecipe):
     """
 
     kind: Literal["virtual-kitti"] = "virtual-kitti"
-    split: Split = "train"
     cameras: Annotated[tuple[Literal[0, 1], ...], Field(min_length=1, max_length=2)] = (0,)
 
     def open(self, folder: Path, classes: ClassTable) -> RecordedFrames:
         """See `SourceRecipe.open`."""
-        selection = Selection(self.split, self.scenes, self.variants)
-        return RecordedFrames(_list_second_edition(folder, classes, selection, self.cameras))
+        return RecordedFrames(_list_second_edition(folder, classes, self, self.cameras))
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class RenderedRecipe(_SelectionRecipe):
+class RenderedRecipe(_ScenesRecipe):
     """Options of scenes that `ssdnet-render` wrote; the folder is the split.
 
     Attributes:
@@ -88,22 +155,19 @@ class RenderedRecipe(_SelectionRecipe):
 
     def open(self, folder: Path, classes: ClassTable) -> RecordedFrames:
         """See `SourceRecipe.open`."""
-        selection = Selection("all", self.scenes, self.variants)
-        frames = _list_second_edition(folder, classes, selection, scans=self.scans)
+        frames = _list_second_edition(folder, classes, self, scans=self.scans)
         return RecordedFrames(frames, "ordered")
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class VirtualKitti1Recipe(_SelectionRecipe):
+class VirtualKitti1Recipe(_SplitRecipe):
     """Options of Virtual KITTI 1.3.1, the edition of the paper's experiments."""
 
     kind: Literal["virtual-kitti-1"] = "virtual-kitti-1"
-    split: Split = "train"
 
     def open(self, folder: Path, classes: ClassTable) -> RecordedFrames:
         """See `SourceRecipe.open`."""
-        selection = Selection(self.split, self.scenes, self.variants)
-        return RecordedFrames(_list_first_edition(folder, classes, selection))
+        return RecordedFrames(_list_first_edition(folder, classes, self))
 
 
 _read_depth = partial(read_depth, depth_scale=_UNITS_A_METRE)
@@ -113,7 +177,7 @@ _read_depth = partial(read_depth, depth_scale=_UNITS_A_METRE)
 def _list_second_edition(
     root: Path,
     classes: ClassTable,
-    selection: Selection,
+    recipe: _ScenesRecipe,
     cameras: Sequence[int] = (0,),
     *,
     scans: bool = False,
@@ -129,28 +193,25 @@ def _list_second_edition(
         frame
         for variant in variants
         for camera in cameras
-        if selection.takes_variant(variant.parent.name, variant.name)
-        for frame in _list_camera(variant, camera, classes, selection, scans=scans)
+        if recipe.takes_variant(variant.parent.name, variant.name)
+        for frame in _list_camera(variant, camera, classes, recipe, scans=scans)
     ]
-    selection.require_frames(frames, variants, root)
+    recipe.require_frames(frames, variants, root)
     return frames
 
 
 def _list_camera(
-    variant: Path, camera: int, classes: ClassTable, selection: Selection, *, scans: bool
+    variant: Path, camera: int, classes: ClassTable, recipe: _ScenesRecipe, *, scans: bool
 ) -> Iterator[SetFrame]:
     scene, kinds = variant.parent.name, ("rgb", "depth", "classSegmentation", "lidar")
     rgb, depth, labels, lidar = (variant / "frames" / k / f"Camera_{camera}" for k in kinds)
     images = sorted(require_folder(rgb, "the images").glob("rgb_*.jpg"))
     pictures = {path.stem.removeprefix("rgb_"): path for path in images}
-    numbers = [n for n in pictures if n.isdecimal() and selection.takes(scene, n)]
+    numbers = [n for n in pictures if n.isdecimal() and recipe.takes(scene, n)]
     colors = _read_colors(variant / "colors.txt", classes)
     truth = {
         "depth": Truth(require_files(depth, "depth", numbers, "depth_{}.png"), _read_depth),
-        "semantic": Truth(
-            require_files(labels, "classes", numbers, "classgt_{}.png"),
-            colors.read,
-        ),
+        "semantic": Truth(require_files(labels, "classes", numbers, "classgt_{}.png"), colors.read),
     }
     returns, to_camera = dict[str, Path](), np.eye(4)
     if scans:
@@ -174,7 +235,7 @@ def _list_camera(
 
 
 @dataset_errors()
-def _list_first_edition(root: Path, classes: ClassTable, selection: Selection) -> list[SetFrame]:
+def _list_first_edition(root: Path, classes: ClassTable, recipe: _ScenesRecipe) -> list[SetFrame]:
     """List `root/vkitti_1.3.1_{rgb,depthgt,scenegt}/<scene>/<variant>/<number>.png`.
 
     Colours are in `vkitti_1.3.1_scenegt/<scene>_<variant>_scenegt_rgb_encoding.txt`; scenes are
@@ -187,13 +248,13 @@ def _list_first_edition(root: Path, classes: ClassTable, selection: Selection) -
     variants = sorted(path for path in (root / _RGB_1).glob("*/*") if path.is_dir())
     for variant in variants:
         scene = variant.parent.name
-        if not selection.takes_variant(scene, variant.name):
+        if not recipe.takes_variant(scene, variant.name):
             continue
         source, place = FolderSource(variant, rig), Path(scene, variant.name)
         listed = [
             frame
             for frame in source.list_frames()
-            if frame.name.isdecimal() and selection.takes(scene, frame.name)
+            if frame.name.isdecimal() and recipe.takes(scene, frame.name)
         ]
         names = [frame.name for frame in listed]
         depth, labels = (
@@ -202,12 +263,9 @@ def _list_first_edition(root: Path, classes: ClassTable, selection: Selection) -
         )
         file = f"{scene}_{variant.name}_scenegt_rgb_encoding.txt"
         colors = _read_colors(root / _CLASSES_1 / file, classes)
-        truth = {
-            "depth": Truth(depth, _read_depth),
-            "semantic": Truth(labels, colors.read),
-        }
+        truth = {"depth": Truth(depth, _read_depth), "semantic": Truth(labels, colors.read)}
         frames += pair(source, listed, str(place), truth)
-    selection.require_frames(frames, variants, root / _RGB_1)
+    recipe.require_frames(frames, variants, root / _RGB_1)
     return frames
 
 

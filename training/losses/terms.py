@@ -13,43 +13,8 @@ from models.answers import head_maps
 from runtime.base.entry_points import find_entry, list_entries
 from runtime.contract.contract import NO_CLASS
 from training.loading.batch import Batch, Pair
-from training.losses.boundary import (
-    NeighbourMaps,
-    balanced_cross_entropy,
-    boundary_at_scale,
-    boundary_target,
-    hard_disagreement,
-    semantic_boundary_loss,
-    semantic_depth_loss,
-    soft_disagreement,
-)
-from training.losses.consistency import (
-    depth_consistency_loss,
-    depth_seam_loss,
-    semantic_consistency_loss,
-)
-from training.losses.depth import (
-    DepthCriterion,
-    laplace_loss,
-    metric_depth_loss,
-    multi_scale_depth_loss,
-    normalise_depth,
-    paper_depth_loss,
-)
-from training.losses.distillation import (
-    distilled_boundary_loss,
-    distilled_depth_loss,
-    distilled_semantic_loss,
-)
+from training.losses import boundary, consistency, depth, distillation, semantic
 from training.losses.masked import cell_side, grid_of, on_grid
-from training.losses.semantic import (
-    class_shares,
-    labelled_mean,
-    lovasz_softmax_loss,
-    road_loss,
-    soft_iou_loss,
-    weighted_cross_entropy,
-)
 
 if TYPE_CHECKING:
     from training.losses.total import SSDNetLoss
@@ -108,20 +73,20 @@ class Compared:
     def shares(self) -> Tensor:
         """See `class_shares`, on the grid of the classes."""
         logits = self.heads["semantic"]
-        return class_shares(self.labels, logits.shape[1], grid_of(logits))
+        return semantic.class_shares(self.labels, logits.shape[1], grid_of(logits))
 
     @cached_property
-    def disagreement(self) -> NeighbourMaps:
+    def disagreement(self) -> boundary.NeighbourMaps:
         """Eq. 7, on the grid of the classes."""
         if self.config.disagreement == "soft":
-            return soft_disagreement(self.probabilities)
-        return hard_disagreement(self.log_probabilities.argmax(dim=1))
+            return boundary.soft_disagreement(self.probabilities)
+        return boundary.hard_disagreement(self.log_probabilities.argmax(dim=1))
 
     @cached_property
     def depth_target(self) -> tuple[Tensor, Tensor]:
         """See `normalise_depth`."""
-        depth = self.batch.targets["depth"].unsqueeze(1)
-        return normalise_depth(depth, self.loss.max_depth_m, self.loss.unmeasured_range_m)
+        metres = self.batch.targets["depth"].unsqueeze(1)
+        return depth.normalise_depth(metres, self.loss.max_depth_m, self.loss.unmeasured_range_m)
 
     @cached_property
     def taught(self) -> dict[str, Tensor]:
@@ -150,17 +115,17 @@ def _float_maps(output: NetworkOutput) -> dict[str, Tensor]:
 
 
 def _depth(c: Compared) -> Tensor:
-    criterion: DepthCriterion = paper_depth_loss
+    criterion: depth.DepthCriterion = depth.paper_depth_loss
     if c.config.depth_form == "metric":
         criterion = partial(
-            metric_depth_loss,
+            depth.metric_depth_loss,
             max_depth_m=c.loss.max_depth_m,
             l2=c.config.metric_l2,
             log=c.config.metric_log,
             unmeasured_share=c.loss.unmeasured_share,
         )
     scales = c.depths if c.config.depth_scales == "mean" else c.depths[:1]
-    return multi_scale_depth_loss(scales, *c.depth_target, criterion)
+    return depth.multi_scale_depth_loss(scales, *c.depth_target, criterion)
 
 
 def _depth_uncertainty(c: Compared) -> Tensor:
@@ -168,17 +133,17 @@ def _depth_uncertainty(c: Compared) -> Tensor:
     # Sky targets at the far end of the range are not measured.
     measured = valid & (target < c.loss.unmeasured_share)
     scale, max_depth_m = c.heads["depth_uncertainty"], c.loss.max_depth_m
-    return laplace_loss(scale, c.heads["depth"], target, measured, max_depth_m=max_depth_m)
+    return depth.laplace_loss(scale, c.heads["depth"], target, measured, max_depth_m=max_depth_m)
 
 
 def _semantic(c: Compared) -> Tensor:
     weights = c.loss.class_weights
     log_probabilities = c.labelled_log_probabilities
-    return weighted_cross_entropy(log_probabilities, c.shares, weights, c.label_weights)
+    return semantic.weighted_cross_entropy(log_probabilities, c.shares, weights, c.label_weights)
 
 
 def _semantic_iou(c: Compared) -> Tensor:
-    return soft_iou_loss(c.labelled_log_probabilities.exp(), c.shares, c.label_weights)
+    return semantic.soft_iou_loss(c.labelled_log_probabilities.exp(), c.shares, c.label_weights)
 
 
 def _lovasz(c: Compared) -> Tensor:
@@ -187,54 +152,54 @@ def _lovasz(c: Compared) -> Tensor:
     if side > 1:  # every pixel of a cell has its probabilities
         cells = cells.repeat_interleave(side, dim=2).repeat_interleave(side, dim=3)
     pictures = zip(cells[..., :height, :width], c.labels, strict=True)
-    losses = torch.stack([lovasz_softmax_loss(*picture) for picture in pictures])
+    losses = torch.stack([semantic.lovasz_softmax_loss(*picture) for picture in pictures])
     labelled = (c.labels != NO_CLASS).flatten(1).any(dim=1).sum()
-    return labelled_mean(losses, labelled, c.label_weights)
+    return semantic.labelled_mean(losses, labelled, c.label_weights)
 
 
 def _road(c: Compared) -> Tensor:
     assert c.loss.road is not None
-    return road_loss(c.heads["semantic"], c.batch.targets["road_mask"], c.loss.road)
+    return semantic.road_loss(c.heads["semantic"], c.batch.targets["road_mask"], c.loss.road)
 
 
 def _boundary(c: Compared) -> Tensor:
     logits = c.heads["boundary"]
-    target, valid = boundary_at_scale(*boundary_target(c.labels), grid_of(logits))
-    return balanced_cross_entropy(logits, target, valid, c.label_weights)
+    target, valid = boundary.boundary_at_scale(*boundary.boundary_target(c.labels), grid_of(logits))
+    return boundary.balanced_cross_entropy(logits, target, valid, c.label_weights)
 
 
 def _semantic_boundary(c: Compared) -> Tensor:
-    boundary = c.on_classes(torch.sigmoid(c.heads["boundary"]))
-    return semantic_boundary_loss(c.disagreement, boundary, side=c.side)
+    answer = c.on_classes(torch.sigmoid(c.heads["boundary"]))
+    return boundary.semantic_boundary_loss(c.disagreement, answer, side=c.side)
 
 
 def _semantic_depth(c: Compared) -> Tensor:
-    return semantic_depth_loss(c.disagreement, c.on_classes(c.heads["depth"]), side=c.side)
+    return boundary.semantic_depth_loss(c.disagreement, c.on_classes(c.heads["depth"]), side=c.side)
 
 
 def _semantic_consistency(c: Compared) -> Tensor:
-    return semantic_consistency_loss(*c.views("semantic"), side=c.side)
+    return consistency.semantic_consistency_loss(*c.views("semantic"), side=c.side)
 
 
 def _distilled_semantic(c: Compared) -> Tensor:
-    return distilled_semantic_loss(c.heads["semantic"], c.taught["semantic"])
+    return distillation.distilled_semantic_loss(c.heads["semantic"], c.taught["semantic"])
 
 
 def _distilled_boundary(c: Compared) -> Tensor:
-    return distilled_boundary_loss(c.heads["boundary"], c.taught["boundary"])
+    return distillation.distilled_boundary_loss(c.heads["boundary"], c.taught["boundary"])
 
 
 def _distilled_depth(c: Compared) -> Tensor:
     scale = c.taught.get("depth_uncertainty")
-    return distilled_depth_loss(c.heads["depth"], c.taught["depth"], scale)
+    return distillation.distilled_depth_loss(c.heads["depth"], c.taught["depth"], scale)
 
 
 def _depth_consistency(c: Compared) -> Tensor:
-    return depth_consistency_loss(*c.views("depth"))
+    return consistency.depth_consistency_loss(*c.views("depth"))
 
 
 def _depth_seam(c: Compared) -> Tensor:
-    return depth_seam_loss(*c.views("depth"))
+    return consistency.depth_seam_loss(*c.views("depth"))
 
 
 class Term(NamedTuple):

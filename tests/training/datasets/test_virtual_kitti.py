@@ -14,7 +14,7 @@ from layouts.virtual_kitti import (
 )
 from runtime.base.errors import DatasetError
 from training.datasets.class_mapping import class_ids
-from training.datasets.virtual_kitti_split import PAPER_VARIANTS, Selection
+from training.datasets.virtual_kitti import PAPER_VARIANTS, VirtualKittiRecipe
 
 # Frames of each scene, the same in all of its ten variants.
 LENGTHS = {1: 447, 2: 233, 6: 270, 18: 339, 20: 837}
@@ -78,14 +78,14 @@ def test_what_is_no_frame_is_left_alone(tmp_path):
 def test_the_papers_split_of_both_editions(scene_name):
     frames = {}
     for split in ("train", "val", "test"):
-        selection = Selection(split)
+        recipe = VirtualKittiRecipe(path="vkitti", split=split)
         frames[split] = {
             (scene, variant, number)
             for scene, length in LENGTHS.items()
             for variant in VARIANTS
-            if selection.takes_variant(scene_name.format(scene), variant)
+            if recipe.takes_variant(scene_name.format(scene), variant)
             for number in range(length)
-            if selection.takes(scene_name.format(scene), f"{number:05d}")
+            if recipe.takes(scene_name.format(scene), f"{number:05d}")
         }
     assert {split: len(taken) for split, taken in frames.items()} == {
         "train": 11112,
