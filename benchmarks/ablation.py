@@ -32,7 +32,7 @@ import torch
 
 from models.checkpoint import RECIPE
 from runtime.files.atomic_write import atomic_write
-from training.datasets.any_source import parse_data
+from training.datasets.registry import parse_data
 from training.evaluation.evaluate import evaluate
 from training.recipes.ablation import ROWS
 from training.recipes.chosen_recipe import read_stages

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from runtime.base.errors import InputError
-from training.datasets.any_source import parse_data
+from training.datasets.registry import parse_data
 from training.lidar.split import LidarInput
 from training.scores.differences import compare
 from training.scores.evaluated_set import open_sets

@@ -14,8 +14,8 @@ from models import Checkpoint
 from models.training_facts import TrainingFacts
 from runtime import InputError, Predictor
 from runtime.engine.preprocess import preprocess
-from training.datasets.any_source import parse_data
 from training.datasets.class_mapping import ClassTable, trained_classes
+from training.datasets.registry import parse_data
 from training.datasets.sample import SampleSource
 from training.lidar.split import LidarInput, frame_generator, split_lidar
 from training.loading.open_dataset import count_frames, count_shared

@@ -26,7 +26,7 @@ from runtime.verification.reference import read_reference
 from runtime.verification.verify import verify
 from training import evaluate, train
 from training.base.tables import build
-from training.datasets.any_source import AnySource, parse_data
+from training.datasets.registry import AnySource, parse_data
 from training.recipes.chosen_recipe import read_stages
 
 PACKAGE = Path(__file__).parents[1] / "examples/own_package"

@@ -174,7 +174,7 @@ class EvaluationOptions:
             raise UsageError("name a model, the folder of a run, a method or --predictions DIR")
         # Heavy imports are here, so that --help answers at once.
         from training.base.processes import parse_device
-        from training.datasets.any_source import parse_data
+        from training.datasets.registry import parse_data
         from training.evaluation.own_frames import OwnFrames
         from training.lidar.faults import LidarFault
         from training.lidar.split import LidarInput

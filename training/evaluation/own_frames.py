@@ -8,9 +8,8 @@ from typing import Any
 
 from runtime.base.errors import InputError
 from training.base.palette import Palette
-from training.datasets.class_list import read_class_list
+from training.datasets.class_list import read_class_list, read_labels
 from training.datasets.folders import FoldersRecipe
-from training.datasets.listed_labels import read_labels
 from training.run.finished_run import EvaluatedRun
 
 

@@ -28,10 +28,9 @@ from runtime.recordings.images import image_size, list_files, read_rgb
 from runtime.recordings.registry import SOURCES
 from training.base.palette import Palette
 from training.base.tables import quoted, to_toml
-from training.datasets.class_list import read_class_list
+from training.datasets.class_list import read_class_list, read_labels
 from training.datasets.class_names import relatives
 from training.datasets.folders import FoldersRecipe
-from training.datasets.listed_labels import read_labels
 from training.datasets.recording import RecordingRecipe, beside
 from training.fine_tuning.adaptation_frames import describe_recording, is_named
 from training.run.recipe import change

@@ -8,7 +8,7 @@ from pydantic.dataclasses import dataclass
 
 from runtime.contract.contract import MAX_CLASSES, MIN_SIDE
 from training.base.limits import STRICT, BatchSize, NotNegative, Seed, Workers
-from training.datasets.any_source import AnySource
+from training.datasets.registry import AnySource
 from training.loading.augment_config import AugmentConfig
 
 

@@ -7,7 +7,7 @@ from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import InputError
 from training.base.limits import STRICT, Positive, Steps
-from training.datasets.any_source import AnySource
+from training.datasets.registry import AnySource
 from training.lidar.split import LidarInput
 
 

@@ -5,10 +5,9 @@ import pytest
 
 from layouts.pictures import write
 from runtime.base.errors import DatasetError, InputError
-from training.datasets.class_list import read_class_list
+from training.datasets.class_list import read_class_list, read_labels
 from training.datasets.color_reader import ColorReader
 from training.datasets.folders import FoldersRecipe
-from training.datasets.listed_labels import read_labels
 
 ROAD, CAR = ("road", (128, 64, 128)), ("car", (0, 0, 142))
 

@@ -13,8 +13,8 @@ from layouts import open_set
 from layouts.pictures import write
 from runtime.base.errors import DatasetError, InputError
 from runtime.contract.contract import ClassInfo
-from training.datasets.any_source import parse_data
 from training.datasets.folders import FoldersRecipe
+from training.datasets.registry import parse_data
 from training.datasets.source_recipe import SourceRecipe
 from training.recipes.pandaset_street import camera
 

@@ -19,8 +19,7 @@ from layouts import (
 from layouts.pictures import cut_short, write
 from runtime.base.errors import DatasetError
 from training.base.tables import build
-from training.datasets.any_source import AnySource
-from training.datasets.registry import DATASETS
+from training.datasets.registry import DATASETS, AnySource
 from training.loading.open_dataset import open_dataset
 
 

@@ -6,7 +6,7 @@
 from pathlib import Path
 
 from training.base.tables import build
-from training.datasets.any_source import AnySource
+from training.datasets.registry import AnySource
 
 
 def open_set(kind, root, classes="camvid", **keys):

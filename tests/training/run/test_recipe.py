@@ -4,8 +4,8 @@ import pytest
 
 from runtime.base.errors import InputError
 from training.base.tables import build
-from training.datasets.any_source import AnySource, parse_data
 from training.datasets.cityscapes import CityscapesRecipe
+from training.datasets.registry import AnySource, parse_data
 from training.recipes.chosen_recipe import read_stages
 
 MINIMAL = """
