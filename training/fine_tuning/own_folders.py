@@ -7,7 +7,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from statistics import median
@@ -33,6 +33,7 @@ from training.datasets.class_names import relatives
 from training.datasets.folders import FoldersRecipe
 from training.datasets.recording import RecordingRecipe, beside
 from training.fine_tuning.adaptation_frames import describe_recording, is_named
+from training.fine_tuning.likeness import find_alike
 from training.run.recipe import change
 from training.run.run_folder import folder_errors
 from training.scores.differences import LEAST_DRAWN
@@ -59,6 +60,8 @@ _LEAST_FRAMES = 10
 _PLACES = 3
 # Fewer frames give scores that say little.
 _FEW_FRAMES = 60
+# Number of frames in which the meaning of classes is looked for.
+_LOOKED_AT = 10
 # A gap between the numbers of two frames, in median gaps, from which they are of two places.
 _PLACE_GAP = 5
 
@@ -139,7 +142,8 @@ class OwnFolders:
         classes, meaning = self._learned_classes()
         keys = (self._keys_of_recording() or self._keys_of_folders()) | meaning
         recipe = RecordingRecipe(**keys) if self.recording else FoldersRecipe(**keys)
-        frames = recipe.open(self.root / recipe.path, classes or "camvid")
+        folder, table = self.root / recipe.path, classes or "camvid"
+        frames = recipe.open(folder, table)
         count = len(frames)
         if count < _LEAST_FRAMES:
             raise InputError(
@@ -153,13 +157,22 @@ class OwnFolders:
         rows, fits_all = self._choose_rows(heights, init)
         if not fits_all:
             keys["size"] = rows
+            frames = replace(recipe, size=rows).open(folder, table)
         apart = _choose_apart(frames.names, fold, folds)
         if not folds and count < _FEW_FRAMES:
             text = f"only {len(apart)} of {count} frames are kept apart, which say little: label "
             tqdm.write(
                 text + "more, or give --folds 5, which scores on all of them", file=sys.stderr
             )
-        lines = [*_describe(self._relatives(init), classes, rows, keys, apart, count)]
+        trained = sorted({*range(count)} - {*apart})
+        origins = self._relatives(init)
+        looked_at = (frames[each] for each in trained[:: -(-len(trained) // _LOOKED_AT)])
+        alike = find_alike(looked_at, init, {info.name: origins[info.name] for info in classes})
+        for name, others in alike.items():
+            text = f"{name} begins with {', '.join(others)}, as {init.path.name} answers its pixels"
+            tqdm.write(f"{text}; a line {name} = ... of --classes names others", file=sys.stderr)
+        origins |= alike
+        lines = [*_describe(origins, classes, rows, keys, apart, trained)]
         if init.network.depth_layers:
             lines += ["", *(_CLASSES_ALONE if classes else _depth_alone(init.network))]
         return "\n".join((f"# --data is {quoted(str(self.root))}.", *lines, ""))
@@ -245,9 +258,10 @@ def _describe(
     rows: int,
     keys: Mapping[str, Any],
     apart: Sequence[int],
-    count: int,
+    trained: Sequence[int],
 ) -> Iterator[str]:
     """Yield the lines of a recipe with the frames `apart` for validation."""
+    count = len(apart) + len(trained)
     has_depth = "depth" in keys or "kind" in keys
     keys = {"kind": "folders"} | dict(keys)
     yield "[model]"
@@ -260,7 +274,6 @@ def _describe(
     yield f"trained_height = {rows}  # of the images [px]"
     yield "\n[data]"
     yield f"batch_size = {_BATCH}"
-    trained = sorted({*range(count)} - {*apart})
     for table, chosen in (("data", trained), ("validation", apart)):
         if not chosen:
             continue

@@ -70,10 +70,12 @@ def test_a_model_that_became_worse_is_not_kept(mine):
 
 
 def test_folds_score_every_frame_and_the_last_training_has_all(mine):
-    (mine / "classes.txt").write_text("often\nroad\n")  # the first is new
+    (mine / "classes.txt").write_text("other\noften\nnever\n")  # known from the labels alone
     result = finetune(mine, "--folds", "3")
     assert result.exit_code == 0, result.output
-    assert "mIoU of 1 classes on 12 frames kept apart: first, joined: " in result.stdout
+    assert "mIoU of 2 classes on 12 frames kept apart: first, joined: 100.0; " in result.stdout
+    assert "as first.pt answers its pixels; a line other = ... of --classes names" in result.stderr
+    assert "begin at random: never; " in result.stderr
     assert "kept: the model before" not in result.stdout
     assert "the last training, on all frames, has no score of its own\n" in result.stdout
     facts = load_checkpoint(mine / "run/model.pt").facts
