@@ -86,7 +86,7 @@ from runtime.streams.messages import (
     Sensor as Sensor,
 )
 from runtime.streams.memory import ScanMemory as ScanMemory, Remembered as Remembered
-from runtime.streams.push_stream import PushStream as PushStream
+from runtime.streams.push_stream import MonotonicClock as MonotonicClock, PushStream as PushStream
 from runtime.streams.replay import ReplayMessage as ReplayMessage, replay as replay
 from runtime.streams.statistics import (
     LatencyStatistics as LatencyStatistics,
@@ -101,6 +101,5 @@ from runtime.streams.stream_counter import (
     WatchdogLimits as WatchdogLimits,
     WatchdogState as WatchdogState,
 )
-from runtime.streams.stream_thread import MonotonicClock as MonotonicClock
 
 __version__: str

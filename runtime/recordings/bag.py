@@ -22,7 +22,7 @@ from runtime.recordings.bag_sensors import ODOMETRY, TRANSFORMS, BagOptions, Bag
 from runtime.recordings.listing import ListedFrame
 from runtime.recordings.ros_answers import SensorFrames
 from runtime.recordings.ros_bag import RosBag
-from runtime.recordings.ros_camera import GIVE, SAME_PX, place_sensors, projection_of
+from runtime.recordings.ros_camera import GIVE, SAME_PX, projection_of
 from runtime.recordings.ros_messages import (
     decode_compressed_image,
     decode_depth_image,
@@ -111,11 +111,7 @@ class BagSource(Source):
     @cached_property
     def sensor_frames(self) -> SensorFrames:
         """See `Source.sensor_frames`: the frames of the bag, with its /tf_static."""
-        lidar = self._sensors.frame(self._depth_topic or "") if self._sensors.has_clouds else ""
-        calibration = self.calibration if lidar else None
-        is_own = self._rig.calibration is None
-        camera = self._sensors.frame(self._image_topic)
-        return place_sensors(self._sensors.tree, camera, lidar, calibration, is_own)
+        return self._sensors.place(self.calibration)
 
     def _find_poses(self) -> str | None:
         """Read the poses of the car if there are clouds to be moved, and return their topic.

@@ -14,6 +14,7 @@ from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume, collect_assumptions
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.rig import Rig
+from runtime.recordings.ros_answers import FixedTransform, SensorFrames
 from runtime.recordings.ros_bag import RosBag
 from runtime.recordings.ros_camera import CAMERA_INFO, GIVE, SAME_PX, read_camera_calibration
 from runtime.recordings.ros_poses import TransformTree, frame_name, is_world_frame
@@ -132,6 +133,25 @@ class BagSensors:
         if topic not in self._first_frames:
             self._first_frames[topic] = frame_name(self._bag.first(topic).header.frame_id)
         return self._first_frames[topic]
+
+    def place(self, calibration: Calibration | None) -> SensorFrames:
+        """Return the frames of the sensors, with the transforms of /tf_static."""
+        camera = self.frame(self._image_topic) or "camera"
+        lidar = self.frame(self._depth_topic or "") if self.has_clouds else ""
+        transforms = tuple(self.tree.valid())
+        if calibration is None or not lidar:
+            return SensorFrames(camera, transforms, "/tf_static" if transforms else "")
+        if not transforms:
+            return SensorFrames.of(calibration, camera, lidar)
+        if self._rig.calibration is None:
+            # P of the second camera of a stereo pair holds the baseline to the first one's frame.
+            with collect_assumptions([]):  # already reported with the calibration
+                offset = self.tree.between(lidar, camera) @ np.linalg.inv(calibration.extrinsics)
+            if not np.allclose(offset, np.eye(4), atol=1e-6):
+                beside = f"{camera}_ssdnet"
+                transforms += (FixedTransform.of(camera, beside, offset),)
+                camera = beside
+        return SensorFrames(camera, transforms, "/tf_static")
 
     def read_frames(self) -> None:
         """Read the frames of both topics: later it would disturb the reader of an MCAP file."""

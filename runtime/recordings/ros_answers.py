@@ -57,12 +57,14 @@ class SensorFrames(NamedTuple):
     origin: str = ""
 
     @classmethod
-    def of(cls, calibration: Calibration | None) -> "SensorFrames":
-        """Return the frames of a recording that names none."""
+    def of(
+        cls, calibration: Calibration | None, camera: str = "camera", lidar: str = "lidar"
+    ) -> "SensorFrames":
+        """Return the frames of a recording whose LiDAR only a calibration places."""
         if calibration is None:
             return cls()
-        place = FixedTransform.of("camera", "lidar", calibration.extrinsics)
-        return cls("camera", (place,), "the calibration")
+        place = FixedTransform.of(camera, lidar, calibration.extrinsics)
+        return cls(camera, (place,), "the calibration")
 
 
 def cloud_fields(cloud: PointCloud) -> dict[str, Any]:

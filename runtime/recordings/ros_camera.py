@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 
 from runtime.base.errors import InputError
-from runtime.geometry.assumptions import assume, collect_assumptions
+from runtime.geometry.assumptions import assume
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import Lens
 from runtime.geometry.rigid import nearest_rotation
 from runtime.recordings.images import image_size
-from runtime.recordings.ros_answers import FixedTransform, SensorFrames
 from runtime.recordings.ros_bag import RosBag
 from runtime.recordings.ros_poses import TransformTree, frame_name
 
@@ -83,35 +82,6 @@ def read_camera_calibration(
     if np.abs(shift).max() > _SHIFT_M and _has_own_frame(bag, tree, frame, shift):
         return replace(calibration, extrinsics=extrinsics)
     return calibration
-
-
-def place_sensors(
-    tree: TransformTree, camera: str, lidar: str, calibration: Calibration | None, is_own: bool
-) -> SensorFrames:
-    """Return the frames of a bag's sensors.
-
-    Args:
-        tree: the transforms of /tf_static.
-        camera: frame of the images; "" if it is not stated.
-        lidar: frame of the clouds; "" if there are no clouds.
-        calibration: calibration of clouds and images; None if there is none.
-        is_own: whether the calibration was read from the bag.
-    """
-    camera, transforms = camera or "camera", tuple(tree.valid())
-    if calibration is None or not lidar:
-        return SensorFrames(camera, transforms, "/tf_static" if transforms else "")
-    if not transforms:
-        place = FixedTransform.of(camera, lidar, calibration.extrinsics)
-        return SensorFrames(camera, (place,), "the calibration")
-    if is_own:
-        # P of the second camera of a stereo pair holds the baseline to the first camera's frame.
-        with collect_assumptions([]):  # already reported with the calibration
-            offset = tree.between(lidar, camera) @ np.linalg.inv(calibration.extrinsics)
-        if not np.allclose(offset, np.eye(4), atol=1e-6):
-            beside = f"{camera}_ssdnet"
-            transforms += (FixedTransform.of(camera, beside, offset),)
-            camera = beside
-    return SensorFrames(camera, transforms, "/tf_static")
 
 
 def projection_of(info: Any) -> list[list[float]]:

@@ -1,6 +1,6 @@
 """A stream into which sensors push messages from any thread, and which returns results.
 
-The stream's own thread predicts (`stream_thread`). One lock guards all state: that of `_changed`,
+The stream's own thread predicts (`_start_thread`). One lock guards all state: that of `_changed`,
 on which all threads wait, and which is notified at every change. Invariants:
 
 1. An accepted message is in one place: in the matcher, in `_ready`, in the frame that is being
@@ -16,6 +16,8 @@ on which all threads wait, and which is notified at every change. Invariants:
 
 import contextlib
 import threading
+import time
+import weakref
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
@@ -43,9 +45,21 @@ from runtime.streams.stream_counter import (
     WatchdogLimits,
     WatchdogState,
 )
-from runtime.streams.stream_thread import MonotonicClock, start_thread
 
 _WAITING = 16  # messages of a sensor that wait for their partner
+_EXIT_S = 10.0  # time that the exit of the interpreter waits for a prediction
+
+
+class MonotonicClock:
+    """The clock of a stream, which tests replace: time that never goes back."""
+
+    def now_ns(self) -> int:
+        """Nanoseconds since an arbitrary start."""
+        return time.monotonic_ns()
+
+    def wait(self, changed: threading.Condition, timeout_ns: int | None) -> None:
+        """Wait until `changed`, whose lock is held, is notified; None: without a limit."""
+        changed.wait(None if timeout_ns is None else max(timeout_ns, 0) / 1e9)
 
 
 class PushStream:
@@ -137,7 +151,7 @@ class PushStream:
         self._closed = self._ended = self._failure_raised = False
         self._failure: BaseException | None = None
         self._guard = ProcessGuard("PushStream")
-        self._thread = start_thread(self, self._changed, self._clock, self._guard)
+        self._thread = _start_thread(self)
 
     # --- what sensors call ---------------------------------------------------------------------
 
@@ -402,6 +416,49 @@ class PushStream:
     def _end(self) -> None:
         self._closed = self._ended = True
         self._changed.notify_all()
+
+
+def _start_thread(stream: PushStream) -> threading.Thread:
+    """Start the thread of a stream, which references the stream only while it works.
+
+    A stream without other references is therefore collected, which ends the thread. The exit of the
+    interpreter also ends the thread, because it must not happen during a prediction.
+    """
+    reference = weakref.ref(stream)
+    changed, clock, guard = stream._changed, stream._clock, stream._guard
+
+    def run() -> None:
+        while True:
+            stream = reference()
+            try:
+                if stream is None or not stream._step():
+                    return
+                with changed:
+                    idle_ns = stream._idle_ns()
+                    stream = None  # collected here, or while this waits
+                    if idle_ns != 0 and reference() is not None:
+                        clock.wait(changed, idle_ns)
+            except BaseException as failure:
+                if stream := stream or reference():
+                    stream._fail(failure)
+                return
+
+    thread = threading.Thread(target=run, name="ssdnet-stream", daemon=True)
+    thread.start()
+
+    def end() -> None:
+        if guard.is_forked:
+            return
+        with changed:
+            stream = reference()
+            if stream is not None:  # at exit
+                stream._discard_all()
+            changed.notify_all()
+        if stream is not None:
+            thread.join(_EXIT_S)
+
+    weakref.finalize(stream, end)
+    return thread
 
 
 def _check_type(kind: Any, **values: object) -> None:

@@ -13,6 +13,7 @@ from runtime.checks.frame_health import FrameHealth
 from runtime.checks.judge import FIRST_FRAMES, Judge, Judgement
 from runtime.checks.poses import PosedScan, PoseJudge
 from runtime.engine.prediction import Prediction
+from runtime.geometry.poses import PoseTrack
 from runtime.streams.frame import Frame
 from runtime.streams.frame_view import Predict, view_of
 from runtime.streams.messages import Scan
@@ -60,7 +61,7 @@ class StreamChecks:
         self._consistency = None if consistency is None else ConsistencyCheck(consistency)
         self.judgement = Judgement()
         self._pose_fault: Finding | None = None
-        self._posed: Frame | None = None  # not compared with its poses yet
+        self._posed: tuple[PosedScan, PoseTrack] | None = None  # not compared yet
         self._last: Frame | None = None  # of the next check
         self._checks = self._since = 0  # checked frames; frames with depth since the last check
 
@@ -96,8 +97,9 @@ class StreamChecks:
             found = self.judgement.findings
             reasons = (*self._reasons(found), *reasons)
         if own is not None and frame.poses is not None:
-            self._posed = frame
             reasons += self._reasons((self._pose_fault,))
+            if isinstance(own, Scan) and own.times is not None:
+                self._posed = PosedScan(own.points, own.times, frame.image.time_ns), frame.poses
         scan = own.points if isinstance(own, Scan) else None if own is None else own.sparse_depth
         return reasons, self._health.check(
             frame.rgb,
@@ -116,8 +118,8 @@ class StreamChecks:
     def judge(self, predict: Predict, *, idle: bool) -> None:
         """Do what takes long, after the result was handed over; `idle`: no other frame waits."""
         posed, self._posed = self._posed, None
-        if posed is not None and self._pose_fault is None:
-            self._add_poses(posed)
+        if posed is not None and self._pose_fault is None and self._poses.add(*posed):
+            self._pose_fault = self._poses.finding()
         last, self._last = self._last, None
         if last is None or self._consistency is not None:
             return
@@ -142,10 +144,3 @@ class StreamChecks:
         if view is not None:
             self._judge.add(view)
             self.judgement = self._judge.judgement()
-
-    def _add_poses(self, frame: Frame) -> None:
-        scan, poses = frame.scan, frame.poses
-        if scan is not None and scan.times is not None and poses is not None:
-            posed = PosedScan(scan.points, scan.times, frame.image.time_ns)
-            if self._poses.add(posed, poses):
-                self._pose_fault = self._poses.finding()
