@@ -1,18 +1,19 @@
-"""Colours for a map of numbers, and the colour bar that explains them."""
+"""Colours for a map of numbers, the colour bar that explains them, and text on pictures."""
 
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.drawing.picture_text import text_width, write_text
-
 # Colour map of every depth in a picture, bright where it is near.
 DEPTH_COLORS = cv2.COLORMAP_MAGMA
 NO_VALUE_COLOR = (110, 110, 110)
+_FONT, _FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.42
+_WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
 _NO_VALUE = 255  # index of "no value" in the colour map
 _TICKS = tuple(step * 10.0**power for power in range(-3, 5) for step in (1, 2, 3, 5))
 
@@ -92,3 +93,17 @@ class ColorScale:
                 write_text(bar, text, (x + 3, height - 6))
                 free, title = x + text_width(text) + 8, ""
         return bar
+
+
+def write_text(picture: NDArray[Any], text: str, at: tuple[int, int]) -> None:
+    """Write text; `at` is (x, y) of the baseline's left end."""
+    x, y = at
+    # In some versions of OpenCV thicker letters are wider, so the edges have the same thickness.
+    for corner in ((x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)):
+        cv2.putText(picture, text, corner, _FONT, _FONT_SCALE, _BLACK, 1, cv2.LINE_AA)
+    cv2.putText(picture, text, at, _FONT, _FONT_SCALE, _WHITE, 1, cv2.LINE_AA)
+
+
+def text_width(text: str) -> int:
+    """Width in pixels of a text that `write_text` draws, without its edges."""
+    return int(cv2.getTextSize(text, _FONT, _FONT_SCALE, 1)[0][0])

@@ -11,8 +11,13 @@ from numpy.typing import NDArray
 
 from runtime.contract.contract import ClassInfo, find_sky
 from runtime.contract.heads import HEADS, Panel
-from runtime.drawing.color_scale import DEPTH_COLORS, NO_VALUE_COLOR, ColorScale
-from runtime.drawing.picture_text import text_width, write_text
+from runtime.drawing.color_scale import (
+    DEPTH_COLORS,
+    NO_VALUE_COLOR,
+    ColorScale,
+    text_width,
+    write_text,
+)
 
 # Larger frames are shrunk by a whole number until they fit. The side of a JPEG has at most 65500
 # pixels.

@@ -6,6 +6,7 @@ to the same target removes it.
 """
 
 import contextlib
+import errno
 import fcntl
 import os
 import shutil
@@ -79,7 +80,7 @@ def atomic_path(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
         if made.exists():
             _publish(made, path, overwrite=overwrite)
         elif overwrite:
-            _require_replaceable(path)
+            require_replaceable(path)
             path.unlink(missing_ok=True)
 
 
@@ -88,7 +89,7 @@ def require_writable(path: Path, *, overwrite: bool = True, make_parents: bool =
     with temporary_path(path, make_parents=make_parents):
         if path.is_dir() and not path.is_symlink():
             raise OutputError(f"{path} is a folder: name a file to write")
-        _require_replaceable(path, overwrite=overwrite)
+        require_replaceable(path, overwrite=overwrite)
 
 
 def remove_leftover(path: Path) -> None:
@@ -113,7 +114,7 @@ def temporary_path(path: Path, *, make_parents: bool = False) -> Iterator[Path]:
     if path.name in ("", ".."):  # the path is ".", ".." or "/"
         raise OutputError(f"{path} has no name that could be given to a result: name a new one")
     try:
-        _require_replaceable(path)
+        require_replaceable(path)
         if make_parents:
             path.parent.mkdir(parents=True, exist_ok=True)
         folder = _hidden_folder(path)
@@ -131,6 +132,19 @@ def temporary_path(path: Path, *, make_parents: bool = False) -> Iterator[Path]:
         ) from error
 
 
+def try_lock(handle: int) -> bool:
+    """Lock an open folder; return False if another process holds the lock.
+
+    A file system without locks, such as some network drives, keeps nobody out.
+    """
+    with contextlib.suppress(OSError):
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+    return True
+
+
 def _lock(folder: Path) -> int:
     """Create a folder and lock it. Raises BlockingIOError if another process holds the lock."""
     while True:
@@ -140,14 +154,9 @@ def _lock(folder: Path) -> int:
             handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
         except FileNotFoundError:  # another writer has just ended
             continue
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
+        if not try_lock(handle):
             os.close(handle)
-            reason = "another process is writing it at this moment"
-            raise BlockingIOError(error.errno, reason) from error
-        except OSError:  # a file system without locks
-            pass
+            raise BlockingIOError(errno.EAGAIN, "another process is writing it at this moment")
         with contextlib.suppress(FileNotFoundError):  # another writer removed it before the lock
             if os.path.samestat(os.fstat(handle), os.lstat(folder)):
                 if not any(folder.iterdir()):
@@ -156,7 +165,7 @@ def _lock(folder: Path) -> int:
         os.close(handle)
 
 
-def _require_replaceable(path: Path, *, overwrite: bool = True) -> None:
+def require_replaceable(path: Path, *, overwrite: bool = True) -> None:
     """Raise OutputError if a file exists there that may not be replaced.
 
     Devices, pipes and sockets, which root could otherwise replace, never may.
@@ -175,5 +184,5 @@ def _require_replaceable(path: Path, *, overwrite: bool = True) -> None:
 
 def _publish(made: Path, path: Path, *, overwrite: bool) -> None:
     """Rename `made` to `path`, whose hidden folder is locked; OutputError if `path` exists."""
-    _require_replaceable(path, overwrite=overwrite)
+    require_replaceable(path, overwrite=overwrite)
     os.replace(made, path)

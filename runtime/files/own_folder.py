@@ -3,16 +3,21 @@
 Only files on this list are ever removed or replaced. All other files belong to the user.
 """
 
-import contextlib
-import fcntl
 import json
 import os
+import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
 from runtime.base.errors import InputError, OutputError
-from runtime.files.atomic_write import atomic_write, remove_leftover, temporary_path
+from runtime.files.atomic_write import (
+    atomic_write,
+    remove_leftover,
+    require_replaceable,
+    temporary_path,
+    try_lock,
+)
 from runtime.files.read_input import read_text
 
 MARKER = ".ssdnet"
@@ -36,20 +41,19 @@ def atomic_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
             existing files are then unchanged.
     """
     with temporary_path(path, make_parents=True) as made:
-        _list_replaced(path, overwrite=overwrite)
+        _require_own_folder(path, overwrite=overwrite)
         made.mkdir()
         yield made
         _write_list(made, sorted(entry.relative_to(made) for entry in made.rglob("*")))
-        if os.path.lexists(path):
-            for entry in _list_replaced(path, overwrite=overwrite):
-                entry.rmdir() if entry.is_dir() else entry.unlink()
-            path.rmdir()
+        _require_own_folder(path, overwrite=overwrite)
+        if path.exists():  # the hidden folder is removed with all that it holds
+            path.rename(Path(tempfile.mkdtemp(dir=made.parent)) / path.name)
         made.rename(path)
 
 
 def require_folder_free(path: Path, *, overwrite: bool = False) -> None:
     """Raise the OutputError of `atomic_folder` if the folder cannot be created or replaced."""
-    _list_replaced(path, overwrite=overwrite)
+    _require_own_folder(path, overwrite=overwrite)
     with temporary_path(path, make_parents=True):
         pass
 
@@ -67,14 +71,10 @@ def locked_folder(path: Path) -> Iterator[None]:
     except OSError as error:
         raise OutputError(_cannot_make(path, error)) from error
     try:
-        with contextlib.suppress(OSError):  # some network drives have no locks
-            try:
-                fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                raise OutputError(
-                    f"another run is writing into {path}: wait for its end, or choose another "
-                    "`out=`"
-                ) from error
+        if not try_lock(folder):
+            raise OutputError(
+                f"another run is writing into {path}: wait for its end, or choose another `out=`"
+            )
         yield
     finally:
         os.close(folder)
@@ -142,30 +142,21 @@ def _require_own(path: Path, files: Iterable[Path], earlier: set[Path]) -> None:
             )
 
 
-def _list_replaced(path: Path, *, overwrite: bool) -> list[Path]:
-    """Return all entries of an earlier folder in the order of removal; the list comes last.
-
-    Raises OutputError if the folder may not be replaced.
-    """
+def _require_own_folder(path: Path, *, overwrite: bool) -> None:
+    """Raise OutputError if a folder exists there that may not be replaced."""
+    require_replaceable(path, overwrite=overwrite)
     if not os.path.lexists(path):
-        return []
-    if not overwrite:
-        raise OutputError(
-            f"{path} exists: choose another name, or replace it with `overwrite=True`"
-        )
+        return
     if path.is_symlink() or not path.is_dir():
         raise OutputError(f"{path} is a link or a file: choose another name")
-    entries = sorted(path.rglob("*"), reverse=True)
-    if not entries:
-        return []
-    written_by_us = {path / MARKER, *(path / name for name in _read_list(path))}
+    entries = list(path.rglob("*"))
+    written_by_us = {MARKER, *map(str, _read_list(path))} if entries else set()
     for entry in entries:
-        if entry.is_symlink() or entry not in written_by_us:
+        if entry.is_symlink() or str(entry.relative_to(path)) not in written_by_us:
             raise OutputError(
                 f"{entry} does not belong to the result that would be replaced: move it away, or "
                 "choose another folder"
             )
-    return sorted(entries, key=lambda entry: entry == path / MARKER)
 
 
 def _cannot_make(path: Path, error: OSError) -> str:

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from models import Network
-from runtime.drawing.color_scale import NO_VALUE_COLOR
+from runtime.drawing.color_scale import NO_VALUE_COLOR, write_text
 from runtime.drawing.overlay import Overlay
-from runtime.drawing.picture_text import write_text
 from training.datasets.sample import AUXILIARY, SampleSource, labelled
 from training.lidar.split import LidarInput
 from training.loading.batch import Batch

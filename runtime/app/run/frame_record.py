@@ -1,4 +1,4 @@
-"""What the report of a run keeps of a frame."""
+"""What the report of a run keeps of a frame, and all that can be wrong with it or a sensor."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -6,6 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from runtime.base.stamp import stamp_ns
+from runtime.checks.frame_health import SENSOR_FAULTS
+from runtime.contract.degraded import DEGRADED
 from runtime.engine.prediction import Prediction
 from runtime.streams.frame_result import FIGURES, FrameResult
 
@@ -17,6 +19,20 @@ STAGES = (
     *("read", "preprocess", "inference", "postprocess", "predict", "write"),
     *("age", "jitter", "skew", "depth_age"),
 )
+
+LATE, CALIBRATION = "late", "calibration"
+CAMERA_SILENT, LIDAR_SILENT = "camera_silent", "lidar_silent"
+# The meaning of each reason. --fail-on takes these reasons.
+REASONS = {
+    SKIPPED: "could not be read or predicted",
+    INVALID: "the answer cannot be used",
+    LATE: "later than the deadline",
+    CALIBRATION: "the returns fit the images better another way",
+    **DEGRADED,
+    **SENSOR_FAULTS,
+    CAMERA_SILENT: "no image for some time",
+    LIDAR_SILENT: "no scan or depth map for some time",
+}
 _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
 
 

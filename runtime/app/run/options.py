@@ -14,7 +14,7 @@ from typing import Any
 
 import typer
 
-from runtime.app.run.reasons import REASONS
+from runtime.app.run.frame_record import REASONS
 from runtime.base.arguments import shown
 from runtime.base.errors import InputError
 from runtime.base.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS

@@ -1,17 +1,16 @@
 """Times in the recording in which a sensor was out."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import groupby
 from typing import Any
 
 import numpy as np
 
-from runtime.app.run.frame_record import FrameRecord
-from runtime.app.run.reasons import CAMERA_SILENT, LIDAR_SILENT
+from runtime.app.run.frame_record import CAMERA_SILENT, LIDAR_SILENT, FrameRecord
 from runtime.checks.frame_health import LIDAR_EMPTY, LIDAR_FROZEN
 from runtime.checks.sensor_times import find_silences
-from runtime.streams.messages import MATCHED, Sensor
+from runtime.streams.messages import Sensor
 
 _LONGEST_NS = 3600 * 10**9  # a longer gap shows that the clock was set
 _SILENT = {Sensor.IMAGE: CAMERA_SILENT, Sensor.DEPTH: LIDAR_SILENT}
@@ -48,12 +47,10 @@ class Outage:
     def text(self) -> str:
         """The outage in words, such as "camera silent 8.1 to 10.0 s"."""
         text = f"{self.camera}: {_WORDS[self.reason]}" if self.camera else _WORDS[self.reason]
-        if self.start_s is not None and self.end_s is not None:
-            text += f" {self.start_s:.1f} to {self.end_s:.1f} s"
-        if self.scans is None:
-            return text
-        text += f", {self.scans} scans" if self.start_s is not None else f" {self.scans} scans"
-        return text if self.start_s is not None else f"{text}, from {self.first} on"
+        if self.start_s is None or self.end_s is None:
+            return f"{text} {self.scans} scans, from {self.first} on"
+        text += f" {self.start_s:.1f} to {self.end_s:.1f} s"
+        return text if self.scans is None else f"{text}, {self.scans} scans"
 
     def to_dict(self) -> dict[str, Any]:
         """The entry of report.json."""
@@ -113,29 +110,25 @@ def find_outages(
         timeline: times of the frames; None: silence is not looked for.
         whole: whether the frames reach to the end of the recording.
     """
-    outages: list[Outage] = [*_in_row(records, timeline, LIDAR_EMPTY)]
-    outages += _in_row(records, timeline, LIDAR_FROZEN)
+    outages = [*_in_row(records, timeline, LIDAR_EMPTY), *_in_row(records, timeline, LIDAR_FROZEN)]
     if timeline is not None:
-        of_frames: dict[Sensor, list[Any]] = {
+        start, last = timeline.start_ns, timeline.start_ns + round(timeline.times_s[-1] * 1e9)
+        known: dict[Sensor, Sequence[int | None]] = {
             Sensor.IMAGE: [each.image_stamp_ns for each in records],
             Sensor.DEPTH: [each.depth_stamp_ns for each in records],
         }
-        start, last = timeline.start_ns, timeline.start_ns + round(timeline.times_s[-1] * 1e9)
-        known = {
-            sensor: [
-                ns
-                for ns in stamps_ns.get(sensor) or of_frames[sensor]
-                if ns is not None and ns >= start
-            ]
-            for sensor in MATCHED
+        known |= {sensor: stamps_ns[sensor] for sensor in known if stamps_ns.get(sensor)}
+        within = {
+            sensor: [ns for ns in stamps if ns is not None and ns >= start]
+            for sensor, stamps in known.items()
         }
-        latest = max((ns for each in known.values() for ns in each), default=last)
+        latest = max((ns for stamps in within.values() for ns in stamps), default=last)
         end = latest if whole and latest - last < _LONGEST_NS else last
-        for sensor, stamps in known.items():
-            within = [ns for ns in stamps if ns <= end]
-            for first, until in find_silences(within, start, end):
-                seconds = (first - start) / 1e9, (until - start) / 1e9
-                outages.append(Outage(_SILENT[sensor], *seconds))
+        for sensor, stamps in within.items():
+            for first, until in find_silences([ns for ns in stamps if ns <= end], start, end):
+                outages.append(
+                    Outage(_SILENT[sensor], (first - start) / 1e9, (until - start) / 1e9)
+                )
     return tuple(sorted(outages, key=lambda each: each.start_s or 0.0))
 
 
@@ -146,12 +139,13 @@ def _in_row(
     numbered = [(at, each) for at, each in enumerate(records) if each.depth_source != "reused"]
     place = 0
     for is_found, group in groupby(numbered, lambda each: reason in each[1].health):
-        rows = list(group)
+        end = place + len(list(group))
         if is_found:
-            rows = numbered[max(place - _BEFORE[reason], 0) : place] + rows
-            times: tuple[float | None, float | None] = (None, None)
+            rows = numbered[max(place - _BEFORE[reason], 0) : end]
+            (first, record), (last, _) = rows[0], rows[-1]
+            outage = Outage(reason, scans=len(rows), first=record.name)
             if timeline is not None:
-                times = timeline.times_s[rows[0][0]], timeline.times_s[rows[-1][0]]
-            yield Outage(reason, *times, len(rows), rows[0][1].name)
-            rows = rows[min(place, _BEFORE[reason]) :]
-        place += len(rows)
+                start_s, end_s = timeline.times_s[first], timeline.times_s[last]
+                outage = replace(outage, start_s=start_s, end_s=end_s)
+            yield outage
+        place = end

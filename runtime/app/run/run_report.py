@@ -11,11 +11,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from runtime.app.run.frame_record import OK, STAGES, FrameRecord
+from runtime.app.run.frame_record import CALIBRATION, LATE, OK, STAGES, FrameRecord
 from runtime.app.run.options import OVERLAY, RunOptions
 from runtime.app.run.outages import Outage, Timeline
 from runtime.app.run.pipeline import StreamResult
-from runtime.app.run.reasons import CALIBRATION, LATE
 from runtime.checks.finding import Finding, Severity
 from runtime.checks.judge import Judgement
 from runtime.command.wording import with_flags

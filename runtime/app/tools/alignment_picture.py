@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.checks.view import find_jumps
-from runtime.drawing.color_scale import DEPTH_COLORS, ColorScale
-from runtime.drawing.picture_text import write_text
+from runtime.drawing.color_scale import DEPTH_COLORS, ColorScale, write_text
 from runtime.geometry.calibration import Calibration
 
 _WIDTH = 1280  # of the picture; larger images are shrunk to it

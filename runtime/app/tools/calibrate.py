@@ -3,18 +3,21 @@
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
+from numpy.typing import NDArray
 
 from runtime.alignment.calibrate import CalibrationResult, Verdict, calibrate
 from runtime.app.run.options import RunOptions
 from runtime.app.tools.alignment_picture import draw_alignment
-from runtime.app.tools.calibration_file import format_static_transform, format_toml
 from runtime.base.errors import InputError
 from runtime.command.options import GroupedCommand, Threads, read_options, with_options
 from runtime.command.process import print_result, progress_bar, reported_errors, stop_requested
 from runtime.drawing.encode import encode_jpeg, encode_png
 from runtime.engine.predictor import Predictor
 from runtime.files.atomic_write import atomic_write, require_writable
+from runtime.geometry.calibration import Calibration
+from runtime.geometry.poses import quaternion_of
 from runtime.recordings.source import Source
 from runtime.streams.frame_view import compensated_points
 
@@ -137,3 +140,38 @@ def _draw_picture(result: CalibrationResult, path: Path) -> bytes | memoryview:
     assert points is not None  # `calibrate` only takes frames with scans
     drawn = draw_alignment(frame.rgb, points, calibrations)
     return encode_png(drawn) if path.suffix.lower() == ".png" else encode_jpeg(drawn, quality=92)
+
+
+def format_toml(calibration: Calibration, *comments: str) -> str:
+    """Return the content of a file for --calibration, see `Calibration.from_toml`."""
+    lines = [f"# {line}" for comment in comments for line in comment.splitlines()]
+    for name in ("intrinsics", "extrinsics", "body_from_lidar"):
+        if (matrix := getattr(calibration, name)) is not None:
+            rows = ",\n".join(f"  {row}" for row in matrix.tolist())
+            lines.append(f"{name} = [\n{rows},\n]")
+    if calibration.size is not None:
+        lines.append(f"size = {list(calibration.size)}")
+    if calibration.lens is not None and calibration.distortion is not None:
+        lines.append(f'lens = "{calibration.lens}"')
+        lines.append(f"distortion = {[float(each) for each in calibration.distortion]}")
+    return "\n".join(lines) + "\n"
+
+
+def format_static_transform(
+    rotation: NDArray[np.float64], position: NDArray[np.float64], frames: tuple[str, str]
+) -> str:
+    """Return the command of ROS 2 that publishes the LiDAR's place in the camera's frame.
+
+    Args:
+        rotation: float64 (3, 3), from the LiDAR's axes to the camera's.
+        position: float64 (3,), position of the LiDAR in the camera's frame, metres.
+        frames: names of the frames of camera and LiDAR.
+    """
+    values = zip(("x", "y", "z"), position, strict=True)
+    turns = zip(("qw", "qx", "qy", "qz"), quaternion_of(rotation), strict=True)
+    numbers = " ".join(f"--{name} {value:.9g}" for name, value in (*values, *turns))
+    camera, lidar = frames
+    return (
+        f"ros2 run tf2_ros static_transform_publisher {numbers} --frame-id {camera} "
+        f"--child-frame-id {lidar}"
+    )

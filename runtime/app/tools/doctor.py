@@ -100,7 +100,10 @@ def examine(provider: str) -> Iterator[Check]:
             yield Check(what, "note", f"not installed ({module})", remedy)
     yield (onnxruntime := _package("onnxruntime", install))
     if onnxruntime.status == "ok":
-        yield from _self_tests(provider)
+        from runtime.engine.bundled_models import DEFAULT_MODEL, list_bundled_models  # loads NumPy
+
+        for model in list_bundled_models() or [DEFAULT_MODEL]:
+            yield self_test(model, provider)
 
 
 def _installed(distribution: str) -> str | None:
@@ -128,14 +131,6 @@ def _package(module: str, remedy: str) -> Check:
     return Check(module, "ok", versions)
 
 
-def _self_tests(provider: str) -> Iterator[Check]:
-    """Yield the self-test of each bundled model."""
-    from runtime.engine.bundled_models import DEFAULT_MODEL, list_bundled_models  # loads NumPy
-
-    for model in list_bundled_models() or [DEFAULT_MODEL]:
-        yield self_test(model, provider)
-
-
 def self_test(model: str, provider: str) -> Check:
     """Predict bundled frames with a bundled model, and check the answers."""
     name = f"{model} on {provider}"
@@ -146,24 +141,21 @@ def self_test(model: str, provider: str) -> Check:
         from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 
         times_ms, errors = [], []
-        with Predictor(
-            model, provider=provider, focal_length_px=BUNDLED_FOCAL_LENGTH_PX
-        ) as predictor:
+        focal_px = BUNDLED_FOCAL_LENGTH_PX
+        with Predictor(model, provider=provider, focal_length_px=focal_px) as predictor:
             for frame in bundled_frames()[:_FRAMES]:
                 prediction = predictor.predict(frame.rgb, frame.sparse_depth)
                 seen = frame.sparse_depth > 0
                 ratio = prediction.heads["depth"][seen] / frame.sparse_depth[seen]
                 errors.append(np.median(np.abs(ratio - 1)))
                 times_ms.append(prediction.latency.total_ms)
-    except SSDNetError as problem:  # its text says what to do
-        return Check(name, "fault", str(problem))
-    except Exception as problem:
-        return Check(name, "fault", f"not run: {type(problem).__name__}: {problem}")
-    worst = float(np.max(errors))
+    except SSDNetError as error:  # its text says what to do
+        return Check(name, "fault", str(error))
+    except Exception as error:
+        return Check(name, "fault", f"not run: {type(error).__name__}: {error}")
+    worst, median_ms = float(np.max(errors)), np.median(times_ms)
     if not worst <= _MOST_DEPTH_ERROR:
         fault = f"depth differs from the returns by {worst:.0%} at the median, it cannot be right"
         return Check(name, "fault", fault, _pip("install", "--force-reinstall", "--no-deps", "."))
-    found = (
-        f"{len(times_ms)} frames, {np.median(times_ms):.1f} ms each at the median; depth within "
-    )
+    found = f"{len(times_ms)} frames, {median_ms:.1f} ms each at the median; depth within "
     return Check(name, "ok", found + f"{worst:.1%} of the returns at the median")

@@ -28,6 +28,7 @@ from runtime.verification.unpack import MANIFEST_FILE, unpack
 from runtime.verification.verify import Figures, VerifyReport, verify
 
 DIFFERS = 4  # exit code
+_TIMES = ("median_ms", "max_latency_ms", "slowdown", "max_slowdown")  # of the document
 _option = option_group()
 
 
@@ -228,10 +229,7 @@ def _to_json(report: VerifyReport, predictor: Predictor) -> dict[str, Any]:
             {key: _finite(value) for key, value in asdict(row).items()} for row in report.figures
         ],
         "faults": [asdict(fault) for fault in report.faults],
-        "median_ms": report.median_ms,
-        "max_latency_ms": _finite(report.max_latency_ms),
-        "slowdown": _finite(report.slowdown),
-        "max_slowdown": _finite(report.max_slowdown),
+        **{name: _finite(getattr(report, name)) for name in _TIMES},
     }
 
 

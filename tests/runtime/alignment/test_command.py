@@ -11,8 +11,7 @@ from typer.testing import CliRunner
 from painted_street import street_frame
 from runtime.alignment.calibrate import CalibrationResult, Verdict
 from runtime.app.tools import calibrate as tool
-from runtime.app.tools.calibrate import app
-from runtime.app.tools.calibration_file import format_static_transform, format_toml
+from runtime.app.tools.calibrate import app, format_static_transform, format_toml
 from runtime.checks.fit import FitScores, rotation
 from runtime.checks.judge import Judgement
 from runtime.geometry.calibration import Calibration

@@ -8,8 +8,7 @@ from itertools import pairwise
 from statistics import fmean, median_high
 from typing import Any
 
-from runtime.app.run.frame_record import INVALID, OK, SKIPPED, FrameRecord
-from runtime.app.run.reasons import LATE
+from runtime.app.run.frame_record import INVALID, LATE, OK, SKIPPED, FrameRecord
 
 UNANSWERED = (SKIPPED, INVALID)  # frames without a usable answer
 _MOST_SPANS = 490  # in one chart

@@ -62,21 +62,18 @@ class McapWriter:
         camera = camera_of(frame, self._run.predictor.focal_length_px)
         if camera is not None:
             roi = self._make("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, False)
-            of_type, fields = "sensor_msgs/msg/CameraInfo", camera_fields(camera, frame.size)
-            self._add(_CAMERA_TOPIC, of_type, stamp_ns, header, **fields, roi=roi)
+            fields = {**camera_fields(camera, frame.size), "roi": roi}
+            self._add(_CAMERA_TOPIC, "sensor_msgs/msg/CameraInfo", stamp_ns, header, **fields)
         cloud = self._run.cloud(frame, prediction, voxel_m=MCAP_VOXEL_M)
         if cloud is not None:
             fields = cloud_fields(cloud)
-            points = [self._make("sensor_msgs/msg/PointField", **each) for each in fields["fields"]]
-            of_type = "sensor_msgs/msg/PointCloud2"
-            self._add(_POINTS_TOPIC, of_type, stamp_ns, header, **fields | {"fields": points})
-        status = status_fields(result)
-        pairs = [
-            self._make("diagnostic_msgs/msg/KeyValue", key, value)
-            for key, value in status.pop("values").items()
-        ]
-        of_type, model = "diagnostic_msgs/msg/DiagnosticStatus", self._contract.model_name
-        diagnostic = self._make(of_type, **status, name="ssdnet", hardware_id=model, values=pairs)
+            of_field = "sensor_msgs/msg/PointField"
+            fields["fields"] = [self._make(of_field, **each) for each in fields["fields"]]
+            self._add(_POINTS_TOPIC, "sensor_msgs/msg/PointCloud2", stamp_ns, header, **fields)
+        status, of_value = status_fields(result), "diagnostic_msgs/msg/KeyValue"
+        status["values"] = [self._make(of_value, *pair) for pair in status["values"].items()]
+        status |= {"name": "ssdnet", "hardware_id": self._contract.model_name}
+        diagnostic = self._make("diagnostic_msgs/msg/DiagnosticStatus", **status)
         of_type = "diagnostic_msgs/msg/DiagnosticArray"
         self._add(_DIAGNOSTICS_TOPIC, of_type, stamp_ns, header, status=[diagnostic])
 
@@ -130,27 +127,12 @@ class McapWriter:
 
 def _latched() -> Any:
     """The quality of service of /tf_static: later subscribers get the last message."""
-    from rosbags.interfaces import (
-        Qos,
-        QosDurability,
-        QosHistory,
-        QosLiveliness,
-        QosReliability,
-        QosTime,
-    )
+    from rosbags import interfaces
 
-    ever = QosTime(2**31 - 1, 2**32 - 1)
-    return Qos(
-        history=QosHistory.KEEP_LAST,
-        depth=1,
-        reliability=QosReliability.RELIABLE,
-        durability=QosDurability.TRANSIENT_LOCAL,
-        deadline=ever,
-        lifespan=ever,
-        liveliness=QosLiveliness.AUTOMATIC,
-        liveliness_lease_duration=ever,
-        avoid_ros_namespace_conventions=False,
-    )
+    kept = interfaces.QosHistory.KEEP_LAST, 1
+    sent = interfaces.QosReliability.RELIABLE, interfaces.QosDurability.TRANSIENT_LOCAL
+    ever = interfaces.QosTime(2**31 - 1, 2**32 - 1)
+    return interfaces.Qos(*kept, *sent, ever, ever, interfaces.QosLiveliness.AUTOMATIC, ever, False)
 
 
 @contextlib.contextmanager

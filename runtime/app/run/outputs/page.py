@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from runtime.app.run.engine_facts import running_providers
+from runtime.app.run.frame_record import LATE, REASONS
 from runtime.app.run.outages import Outage
 from runtime.app.run.outputs import charts
 from runtime.app.run.outputs.run_context import RunContext
-from runtime.app.run.reasons import LATE, REASONS
 from runtime.app.run.run_report import RunReport
 from runtime.command.html import render_template
 from runtime.command.machine import machine_facts
