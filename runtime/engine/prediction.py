@@ -155,7 +155,7 @@ class Prediction(HeadArrays):
         Raises:
             InputError: if the image does not have the frame's size, or `contract` is None.
         """
-        from runtime.drawing.draw_prediction import draw_prediction  # on demand
+        from runtime.engine.draw_prediction import draw_prediction  # on demand
 
         return draw_prediction(self, rgb)
 
@@ -180,7 +180,7 @@ class Prediction(HeadArrays):
             InputError: for another ending, and as for `draw` and `points`.
             OutputError: if the file cannot be written.
         """
-        from runtime.drawing.draw_prediction import save_prediction  # on demand
+        from runtime.engine.draw_prediction import save_prediction  # on demand
 
         save_prediction(self, path, rgb, intrinsics=intrinsics)
 

@@ -72,38 +72,29 @@ class RunReport:
             interrupted: whether cameras are missing.
         """
         first, *_ = reports.values()
-        stream = replace(
-            first.stream,
-            records=tuple(
-                replace(record, name=f"{camera}/{record.name}")
-                for camera, report in reports.items()
-                for record in report.records
-            ),
-            wall_s=sum(report.stream.wall_s for report in reports.values()),
-            interrupted=interrupted or any(each.stream.interrupted for each in reports.values()),
-        )
+        records, findings, outages = list[FrameRecord](), list[Finding](), list[Outage]()
+        judgements, beyond_png = dict[str, Judgement](), Counter[str]()
+        for camera, report in reports.items():
+            records += (replace(each, name=f"{camera}/{each.name}") for each in report.records)
+            findings += (replace(each, says=f"{camera}: {each.says}") for each in report.findings)
+            outages += (replace(each, camera=camera) for each in report.outages)
+            for judgement in report.judgements.values():
+                judgements[camera] = judgement
+            beyond_png.update(report.beyond_png)
+        streams = [report.stream for report in reports.values()]
+        is_interrupted = interrupted or any(each.interrupted for each in streams)
         return replace(
             first,
             options=options,
             inputs={"cameras": {camera: report.inputs for camera, report in reports.items()}},
-            stream=stream,
-            findings=tuple(
-                replace(finding, says=f"{camera}: {finding.says}")
-                for camera, report in reports.items()
-                for finding in report.findings
+            stream=StreamResult(
+                tuple(records), sum(each.wall_s for each in streams), is_interrupted
             ),
-            judgements={
-                camera: judgement
-                for camera, report in reports.items()
-                for judgement in report.judgements.values()
-            },
-            outages=tuple(
-                replace(outage, camera=camera)
-                for camera, report in reports.items()
-                for outage in report.outages
-            ),
+            findings=tuple(findings),
+            judgements=judgements,
+            outages=tuple(outages),
             timeline=None,
-            beyond_png=sum((Counter(each.beyond_png) for each in reports.values()), Counter()),
+            beyond_png=beyond_png,
         )
 
     @property

@@ -6,14 +6,19 @@ import cv2
 import numpy as np
 import pytest
 
+from runtime import Predictor
 from runtime.contract.heads import HEADS
 from runtime.drawing.overlay import Overlay
 
 
 @pytest.fixture
-def answered(answer):
-    """(rgb, prediction) of a frame."""
-    return answer(60, 80)
+def answered(model_file, make_frame):
+    """(rgb, prediction) of a frame of 60 x 80."""
+    rgb, depth = make_frame(60, 80)
+    rgb[..., 1] = rgb[..., 2] // 2  # boundary = green / blue stays within 0..1
+    heads = ("semantic", "depth", "boundary", "depth_uncertainty")
+    with Predictor(model_file(heads=heads), threads=1) as predictor:
+        return rgb, predictor.predict(rgb, depth)
 
 
 @pytest.fixture

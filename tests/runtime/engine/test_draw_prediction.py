@@ -8,16 +8,20 @@ import cv2
 import numpy as np
 import pytest
 
-from runtime import InputError, OutputError
+from runtime import InputError, OutputError, Predictor
 from runtime.drawing.overlay import Overlay
 
 K = np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]])
 
 
 @pytest.fixture
-def answered(answer):
+def answered(model_file, make_frame):
     """(rgb, prediction) of a frame of 48 x 64."""
-    return answer(48, 64)
+    rgb, depth = make_frame(48, 64)
+    rgb[..., 1] = rgb[..., 2] // 2  # boundary = green / blue stays within 0..1
+    heads = ("semantic", "depth", "boundary", "depth_uncertainty")
+    with Predictor(model_file(heads=heads), threads=1) as predictor:
+        return rgb, predictor.predict(rgb, depth)
 
 
 def change(prediction, *, without=(), **changes):

@@ -4,7 +4,7 @@ import io
 from functools import lru_cache
 from os import PathLike
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,41 +12,25 @@ from numpy.typing import NDArray
 
 from runtime.base.arguments import array_dtype
 from runtime.base.errors import InputError, OutputError
-from runtime.contract.contract import ClassInfo, Contract
+from runtime.contract.contract import ClassInfo
 from runtime.drawing.encode import encode_jpeg, encode_ply, encode_png
-from runtime.drawing.overlay import Drawable, Overlay
+from runtime.drawing.overlay import Overlay
+from runtime.engine.prediction import Prediction
 from runtime.files.atomic_write import atomic_write
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.point_cloud import PointCloud
 
 _PICTURES, _ARRAYS, _CLOUD = (".png", ".jpg", ".jpeg"), ".npz", ".ply"
 
 
-class Answer(Drawable, Protocol):
-    """The part of a `Prediction` that is drawn or saved."""
-
-    @property
-    def frame_size(self) -> tuple[int, int]: ...
-    @property
-    def valid(self) -> bool: ...
-    @property
-    def degraded(self) -> tuple[str, ...]: ...
-    @property
-    def contract(self) -> Contract | None: ...
-    def points(
-        self,
-        intrinsics: NDArray[np.floating[Any]] | Calibration,
-        rgb: NDArray[np.uint8] | None = None,
-    ) -> PointCloud: ...
-
-
-def draw_prediction(prediction: Answer, rgb: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
+def draw_prediction(
+    prediction: Prediction, rgb: NDArray[np.uint8] | None = None
+) -> NDArray[np.uint8]:
     """Return the picture of `Prediction.draw`, uint8 (H', W', 3), RGB. Raises InputError."""
     return cv2.cvtColor(_draw(prediction, rgb), cv2.COLOR_BGR2RGB)  # type: ignore[return-value]
 
 
 def save_prediction(
-    prediction: Answer,
+    prediction: Prediction,
     path: str | PathLike[str],
     rgb: NDArray[np.uint8] | None = None,
     *,
@@ -82,7 +66,7 @@ def save_prediction(
     atomic_write(path, content)
 
 
-def _draw(prediction: Answer, rgb: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
+def _draw(prediction: Prediction, rgb: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
     """Return the picture in BGR."""
     if (contract := prediction.contract) is None:
         raise InputError(
