@@ -133,9 +133,7 @@ class LabelReader:
     """
 
     def __init__(
-        self,
-        ids: Mapping[int, int],
-        advise: Callable[[Sequence[int]], str] | None = None,
+        self, ids: Mapping[int, int], advise: Callable[[Sequence[int]], str] | None = None
     ) -> None:
         self._ids, self._advise = ids, advise
         self._lookup = np.full(256, NO_CLASS, np.uint8)

@@ -4,7 +4,7 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -33,8 +33,6 @@ from training.datasets.recording import RecordedFrames, Truth, pair
 
 # Approximate number of photos whose EXIF orientation is examined.
 _ORIENTED = 20
-# Warnings that this process has already given, because it opens a folder several times.
-_reported: set[str] = set()
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -156,6 +154,10 @@ def _list_pngs(folder: Path) -> Mapping[str, Path]:
     return list_files(folder, (".png",)) if has_any else {}
 
 
+def _is_picture(path: Path) -> bool:
+    return path.suffix.lower() in RGB_SUFFIXES
+
+
 def _report_unread(
     recipe: FoldersRecipe,
     root: Path,
@@ -169,34 +171,24 @@ def _report_unread(
     """
     folder = root / recipe.rgb
     own = [(root / name).resolve() for name in recipe.named]
-    inner = [
-        path.name
-        for path in list_entries(folder)
-        if path.is_dir()
-        and path.resolve() not in own
-        and any(each.suffix.lower() in RGB_SUFFIXES for each in list_entries(path))
-    ]
-    others = Counter(
-        path.suffix.lower()
-        for path in list_entries(folder)
-        if path.suffix.lower() not in RGB_SUFFIXES and path.is_file()
-    )
-    texts = []
+    inner, others = [], Counter[str]()
+    for path in list_entries(folder):
+        if path.is_dir() and path.resolve() not in own:
+            inner += [path.name] if any(map(_is_picture, list_entries(path))) else []
+        elif path.is_file() and not _is_picture(path):
+            others[path.suffix.lower()] += 1
     if inner:
-        texts.append(f"{folder}: images in {list_names(inner)} are not read: move them up")
+        _warn(f"{folder}: images in {list_names(inner)} are not read: move them up")
     if others:
         kinds = ", ".join(
             f"{number} {kind or 'without a suffix'}" for kind, number in others.items()
         )
-        texts.append(
-            f"{folder}: files that are no PNG or JPEG are not read ({kinds}): convert images"
-        )
+        _warn(f"{folder}: files that are no PNG or JPEG are not read ({kinds}): convert images")
     for below, found in files.items():
         if names := found.keys() - {frame.name for frame in frames}:
-            first = in_natural_order(names)[0]
-            texts.append(
+            _warn(
                 f"{root / below}: {len(names)} files have no image of their name and are not used, "
-                f"such as {first}"
+                f"such as {in_natural_order(names)[0]}"
             )
     step = max(1, len(taken) // _ORIENTED)
     if recipe.labels or recipe.depth:
@@ -204,13 +196,15 @@ def _report_unread(
         examined = [*taken[::step], *labels[::step]]
         turned = find_orientations(examined)
         for path, orientation in list(turned.items())[:1]:
-            texts.append(
+            _warn(
                 f"{path}: has the EXIF orientation {orientation}, like {len(turned)} of "
                 f"{len(examined)} files, but pixels are used as they are stored, and labels and "
                 "depth must be stored like them: turn the pixels of photos that "
                 "were labelled upright, or remove the tag"
             )
-    for text in texts:
-        if text not in _reported:
-            _reported.add(text)
-            tqdm.write(f"warning: {text}", file=sys.stderr)
+
+
+@cache
+def _warn(text: str) -> None:
+    """Give a warning once, although a process opens a folder several times."""
+    tqdm.write(f"warning: {text}", file=sys.stderr)

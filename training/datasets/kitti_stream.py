@@ -45,14 +45,11 @@ class KittiStreamRecipe(RangeRecipe):
         order = (*TRAIN_LABELS, *[None] * (256 - len(TRAIN_LABELS)))
         labels = LabelReader(file_ids("cityscapes", classes, order))
         is_object = (folder / "calib").is_dir()
-        images = folder / ("image_2" if is_object else "image_02")
+        name = "image_2" if is_object else "image_02"
+        images = require_folder(folder / name, "the recording's images")
         scans = require_folder(folder / "velodyne_fov", "the stream's .bin LiDAR returns")
-        source = FolderSource(
-            require_folder(images, "the recording's images"),
-            Rig(calibration=folder / "calib" if is_object else folder),
-            points=scans,
-            camera=2,
-        )
+        rig = Rig(calibration=folder / "calib" if is_object else folder)
+        source = FolderSource(images, rig, points=scans, camera=2)
         source.camera_alone = is_object
         listed = self.take([f for f in source.list_frames() if f.image is not None], images)
         if not is_object:

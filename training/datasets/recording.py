@@ -68,19 +68,14 @@ def pair(
     source: Source, listed: Iterable[ListedFrame], name: str, truth: Mapping[str, Truth]
 ) -> list[SetFrame]:
     """Return frames of the set `name` with the files of their truth, by target."""
-    return [
-        SetFrame(
-            source,
-            frame,
-            f"{name}/{frame.name}",
-            {
-                target: partial(read, files[frame.name])
-                for target, (files, read) in truth.items()
-                if frame.name in files
-            },
-        )
-        for frame in listed
-    ]
+    frames = []
+    for frame in listed:
+        found = {target: each for target, each in truth.items() if frame.name in each.files}
+        readers = {
+            target: partial(read, files[frame.name]) for target, (files, read) in found.items()
+        }
+        frames.append(SetFrame(source, frame, f"{name}/{frame.name}", readers))
+    return frames
 
 
 class RecordedFrames(FrameList):

@@ -46,14 +46,8 @@ Split = Literal["train", "val", "test", "all"]
 # The paper uses eight of the ten variants without naming them. These are the variants whose camera
 # angle is closest to the recorded camera.
 PAPER_VARIANTS = (
-    "15-deg-left",
-    "15-deg-right",
-    "clone",
-    "fog",
-    "morning",
-    "overcast",
-    "rain",
-    "sunset",
+    *("15-deg-left", "15-deg-right"),
+    *("clone", "fog", "morning", "overcast", "rain", "sunset"),
 )
 _TEST_SCENE = 1  # 447 frames per variant; 3,576 in all, as in the paper
 _VAL_SCENE, _VAL_FIRST = 20, 547  # the last 290 of its 837 frames; 2,320 in all, as in the paper

@@ -16,11 +16,7 @@ from training.loading.lidar_input import draw_lidar
 
 
 def augment(
-    sample: Sample,
-    config: AugmentConfig,
-    rng: Generator,
-    target: DepthTarget,
-    rare: Sequence[int],
+    sample: Sample, config: AugmentConfig, rng: Generator, target: DepthTarget, rare: Sequence[int]
 ) -> Sample:
     """Return a randomly changed sample; a pure function of its arguments.
 

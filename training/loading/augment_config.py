@@ -9,15 +9,7 @@ from pydantic.dataclasses import dataclass
 
 from runtime.base.errors import InputError
 from runtime.contract.contract import MIN_SIDE
-from training.base.limits import (
-    STRICT,
-    CropSide,
-    Degrees,
-    FactorRange,
-    Share,
-    ShareRange,
-    Strength,
-)
+from training.base.limits import STRICT, CropSide, Degrees, FactorRange, Share, ShareRange, Strength
 
 # Default crop. Smaller data has a smaller crop, see `with_crop`.
 LARGEST_CROP = (320, 480)

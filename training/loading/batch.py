@@ -71,25 +71,17 @@ class Batch:
         samples = [
             view for part in zip(*(item.views for item in drawn), strict=True) for view in part
         ]
+        rgb = np.stack([view.rgb for view in samples]).transpose(0, 3, 1, 2)
         sparse_depth = torch.from_numpy(np.stack([view.returns for view in samples])[:, None])
+        labels, weights = dict[str, Tensor](), dict[str, Tensor]()
+        for name in targets:
+            labels[name] = torch.from_numpy(np.stack([view.target(name) for view in samples]))
+            weights[name] = torch.tensor([view.weights.get(name, 1.0) for view in samples])
+        names, lacking = [item.views[0].name for item in drawn], [view.lacking for view in samples]
         pair = None
         if len(samples) > len(drawn):
             pair = Pair(torch.tensor([item.offset for item in drawn]), *sparse_depth.chunk(2))
-        return cls(
-            rgb=torch.from_numpy(np.stack([view.rgb for view in samples]).transpose(0, 3, 1, 2)),
-            sparse_depth=sparse_depth,
-            targets={
-                name: torch.from_numpy(np.stack([view.target(name) for view in samples]))
-                for name in targets
-            },
-            weights={
-                name: torch.tensor([view.weights.get(name, 1.0) for view in samples])
-                for name in targets
-            },
-            names=[item.views[0].name for item in drawn],
-            lacking=[view.lacking for view in samples],
-            pair=pair,
-        )
+        return cls(torch.from_numpy(rgb), sparse_depth, labels, weights, names, pair, None, lacking)
 
     def pin_memory(self) -> Self:
         """Return the batch in page-locked memory. The DataLoader calls this for a GPU."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import cv2
@@ -62,20 +63,14 @@ def _change_maps(
     def change_known(array: NDArray[Any] | None, unknown: Fill) -> NDArray[Any] | None:
         return None if array is None else change(array, unknown)
 
-    return replace(
-        sample,
-        frame=make_frame(
-            change(sample.rgb, _FILL_RGB),
-            sample.name,
-            returns=change_known(sample.returns, 0),
-            intrinsics=intrinsics,
-        ),
-        scan_line=change_known(sample.scan_line, -1),
-        targets={
-            name: change(labels, target_kind(name).unlabelled)
-            for name, labels in sample.targets.items()
-        },
-    )
+    rgb, returns = change(sample.rgb, _FILL_RGB), change_known(sample.returns, 0)
+    targets = {
+        name: change(labels, target_kind(name).unlabelled)
+        for name, labels in sample.targets.items()
+    }
+    frame = make_frame(rgb, sample.name, returns=returns, intrinsics=intrinsics)
+    scan_line = change_known(sample.scan_line, -1)
+    return replace(sample, frame=frame, targets=targets, scan_line=scan_line)
 
 
 def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:
@@ -83,9 +78,8 @@ def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:
     intrinsics = sample.intrinsics
     if intrinsics is not None:
         intrinsics = intrinsics - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]], np.float64)
-    return _change_maps(
-        sample, lambda array, fill: _take_window(array, top, left, window, fill), intrinsics
-    )
+    take = partial(_take_window, top=top, left=left, window=window)
+    return _change_maps(sample, take, intrinsics)
 
 
 def resize(sample: Sample, size: tuple[int, int], *, is_dense: bool | None = None) -> Sample:
@@ -116,14 +110,10 @@ def resize(sample: Sample, size: tuple[int, int], *, is_dense: bool | None = Non
         returns, scan_line = move_scan_lines(returns, scan_line, size)
     elif returns is not None:
         returns = move_returns(returns, size)
-    return replace(
-        sample,
-        frame=make_frame(
-            resize_image(sample.rgb, size), sample.name, returns=returns, intrinsics=intrinsics
-        ),
-        targets={name: rules[name](labels, size) for name, labels in sample.targets.items()},
-        scan_line=scan_line,
-    )
+    rgb = resize_image(sample.rgb, size)
+    frame = make_frame(rgb, sample.name, returns=returns, intrinsics=intrinsics)
+    targets = {name: rules[name](labels, size) for name, labels in sample.targets.items()}
+    return replace(sample, frame=frame, targets=targets, scan_line=scan_line)
 
 
 def flip(sample: Sample) -> Sample:
@@ -150,7 +140,7 @@ def _random_offset(
 
 
 def _take_window(
-    array: NDArray[Any], top: int, left: int, window: tuple[int, int], fill: Fill
+    array: NDArray[Any], fill: Fill, top: int, left: int, window: tuple[int, int]
 ) -> NDArray[Any]:
     height, width = window
     inner = array[max(top, 0) : top + height, max(left, 0) : left + width]

@@ -120,11 +120,7 @@ class HeldSource:
 
 
 def open_dataset(
-    recipe: SourceRecipe,
-    roots: Sequence[Path],
-    *,
-    classes: ClassTable,
-    stop: Stop = never,
+    recipe: SourceRecipe, roots: Sequence[Path], *, classes: ClassTable, stop: Stop = never
 ) -> SampleSource:
     """Open a data set in the first of `roots` that has its folder.
 

@@ -11,11 +11,7 @@ from training.weights.release import add_offsets
 CROPS = derive(
     lite.CROPS,
     model={"name": "ssdnet-nano", "config": {"canonical_focal_px": 721.5}},
-    data={
-        "batch_size": 6,
-        "seed": 61,
-        "augment": {"lidar_missing": 0.12, "lidar_random": 0.15},
-    },
+    data={"batch_size": 6, "seed": 61, "augment": {"lidar_missing": 0.12, "lidar_random": 0.15}},
     loss={
         "weights": {
             "depth": 0.6,

@@ -23,10 +23,7 @@ def test_cityscapes_in_camvids_classes():
     ids = file_ids("cityscapes", "camvid", TRAIN_LABELS)
     # By trainId: road, sidewalk, building, wall, fence, pole, light, sign, vegetation, terrain,
     # sky, person, rider, car, truck, bus, train, motorcycle, bicycle.
-    assert list(ids.values()) == [
-        *(3, 4, 1, 1, 7, 2, 6, 6, 5, 5),
-        *(0, 9, 10, 8, 8, 8, 8, 10, 10),
-    ]
+    assert list(ids.values()) == [*(3, 4, 1, 1, 7, 2, 6, 6, 5, 5), *(0, 9, 10, 8, 8, 8, 8, 10, 10)]
 
 
 def test_rendered_scenes_in_every_table():
