@@ -107,8 +107,9 @@ class Judgement:
 
     Attributes:
         findings: what was found.
-        tested: names of the readings that fit clearly worse than the recording as given, or win.
-        not_tested: names of those that these frames do not tell apart from it.
+        tested: names of the readings that are found, or fit clearly worse than what fits best: what
+            is found, else the recording as given.
+        not_tested: names of those that these frames do not tell apart from what fits best.
         fit: the figures as given, medians.
         frames: number of frames that were judged.
     """
@@ -125,7 +126,8 @@ class Judgement:
         if not self.tested:
             return "no other reading of the recording can be tested"
         alike = ", ".join(self.not_tested)
-        rest = f"; not told apart from the recording as given: {alike}" if alike else ""
+        best = "what was found" if self.findings else "the recording as given"
+        rest = f"; not told apart from {best}: {alike}" if alike else ""
         return f"{len(self.tested)} other readings of the recording were tested{rest}"
 
     def to_dict(self) -> dict[str, Any]:
@@ -199,12 +201,18 @@ class Judge:
             findings = [weak] if weak else _nowhere(fit, len(views), len(gains))
         if weak is not None and choice is None:
             return Judgement(tuple(findings), (), tuple(rows), fit, len(views))
-        change: dict[str, float] = defaultdict(float)
+        tried: dict[str, list[float]] = defaultdict(list)  # the gain of each member, median
         for key in gains:
-            tried = [each.gains[key] for each in self._seen if key in each.gains]
-            change[key[0]] = max(change[key[0]], abs(float(np.median(tried))))
-        tested = tuple(name for name in change if change[name] >= self._floors[name])
-        not_tested = tuple(name for name in change if name not in (*tested, "unit"))
+            of_key = [each.gains[key] for each in self._seen if key in each.gains]
+            tried[key[0]].append(float(np.median(of_key)))
+        if choice is None:
+            apart = (name for name in tried if max(map(abs, tried[name])) >= self._floors[name])
+        else:
+            found = {name for name, _ in choice.readings}
+            limit = choice.gain - _APART
+            apart = (name for name in tried if name in found or max(tried[name]) < limit)
+        tested = tuple(apart)
+        not_tested = tuple(name for name in tried if name not in (*tested, "unit"))
         return Judgement(tuple(findings), tested, not_tested, fit, len(views))
 
     def _told(self, choice: Choice, views: Sequence[View], fit: FitScores) -> Finding:
