@@ -24,7 +24,7 @@ from runtime.geometry.lens import PLUMB_BOB, Lens, cache_key, rectifying_maps
 from runtime.geometry.projection import project_points, split_projection
 from runtime.geometry.region import region_of_images
 from runtime.geometry.rigid import finite_matrix, nearest_rigid
-from runtime.geometry.units import check_mount_distance
+from runtime.geometry.units import check_mount_distance, check_principal_point
 
 RAW_CAMERAS, RAW_SCANNER = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
 # Example of a file, which is filled in for another camera.
@@ -81,6 +81,8 @@ class Calibration:
         if self.lens is not None:
             Lens.of(self.lens, self.distortion)  # raises for wrong coefficients
         check_mount_distance(self.extrinsics, self.body_from_lidar)
+        if self.size is not None:
+            check_principal_point(self.intrinsics, self.size)
 
     @property
     def focal_length_px(self) -> float:
@@ -137,9 +139,12 @@ class Calibration:
     def require_size(self, size: tuple[int, ...]) -> None:
         """Raise InputError if `size` is known and differs from this (height, width).
 
-        If the size is unknown but the intrinsics are KITTI's, an `AssumptionWarning` is issued for
-        other sizes: images may be cut at the bottom and right without new intrinsics.
+        If the size is unknown, an `AssumptionWarning` is issued for images beside the principal
+        point, and for other images than KITTI's if the intrinsics are KITTI's: images may be cut at
+        the bottom and right without new intrinsics.
         """
+        if self.size is None:
+            check_principal_point(self.intrinsics, size)
         if self.size is None and (known := kitti_image_size(self.intrinsics)) not in (None, size):
             assume(
                 f"the calibration fits images of {size} (height, width), although KITTI's images "
@@ -171,9 +176,14 @@ class Calibration:
             InputError: if the calibration cannot be read.
         """
         path = Path(path)
-        if path.suffix.lower() == ".toml":
-            return cls.from_toml(path)
-        return cls.from_kitti(path, camera=camera, rectified=rectified, for_scans=for_scans)
+        try:
+            if path.suffix.lower() == ".toml":
+                return cls.from_toml(path)
+            return cls.from_kitti(path, camera=camera, rectified=rectified, for_scans=for_scans)
+        except InputError as error:
+            if str(path) in str(error):
+                raise
+            raise InputError(f"{path}: {error}") from error
 
     @classmethod
     def from_kitti(

@@ -22,10 +22,18 @@ def nearest_rotation(name: str, rotation: NDArray[np.float64]) -> NDArray[np.flo
     """
     with np.errstate(over="ignore", invalid="ignore"):
         error = np.abs(rotation.T @ rotation - np.eye(3)).max()
-    if not error <= _NEAR or np.linalg.det(rotation) < 0:
+        mirrors = error <= _NEAR and np.linalg.det(rotation) < 0
+    if not error <= _NEAR or mirrors:
+        fault = (
+            "mirrors, or a sign is lost: check the signs of its rows, whose third is the cross "
+            "product of the first and second, and that both frames are right-handed"
+            if mirrors
+            else "scales or shears, or a sign or number is wrong, or its quaternion is not of unit "
+            "length: its rows are at right angles and of length 1, and it is in metres by the "
+            "position alone"
+        )
         raise InputError(
-            f"{name} must be rigid, a rotation and a position, got {rotation.tolist()}: it scales, "
-            "shears or mirrors, or a sign is lost, or its quaternion is not of unit length"
+            f"{name} must be rigid, a rotation and a position, got {rotation.tolist()}: it {fault}"
         )
     if error <= _EXACT:
         return rotation

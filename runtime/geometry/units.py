@@ -29,6 +29,18 @@ def check_field_of_view(focal_px: float, width: int) -> None:
         )
 
 
+def check_principal_point(intrinsics: NDArray[np.floating[Any]], size: tuple[int, ...]) -> None:
+    """Warn if the principal point is outside images of this (height, width)."""
+    (column, row), (height, width) = intrinsics[:2, 2], size
+    if not (0 <= column <= width and 0 <= row <= height):
+        assume(
+            f"a principal point outside the images of {width} x {height} px, at cx {column:g} and "
+            f"cy {row:g}",
+            "check cx and cy: scale them with the images, or subtract the columns and rows that "
+            "were cut at the left and above; only images cut far from the middle have it there",
+        )
+
+
 def check_mount_distance(
     extrinsics: NDArray[np.floating[Any]], body: NDArray[np.floating[Any]] | None
 ) -> None:

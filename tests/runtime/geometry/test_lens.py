@@ -100,7 +100,7 @@ def test_moved_scans_and_predicted_clouds_take_the_lens():
     expected = depth_to_cloud(depth, FISHEYE, lens=calibration.lens_model)
     np.testing.assert_array_equal(prediction.points(calibration).points, expected.points)
     with pytest.raises(InputError, match="scale the intrinsics"):
-        prediction.points(Calibration(K, np.eye(4), (240, 320)))
+        prediction.points(Calibration(K, np.eye(4), (470, 640)))
 
 
 @pytest.mark.parametrize(("model", "coefficients", "end_deg"), [

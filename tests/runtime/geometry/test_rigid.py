@@ -54,6 +54,9 @@ READERS = {
 }
 
 
+FILES = {"toml": "car.toml", "kitti": "calib.txt"}
+
+
 @pytest.mark.parametrize("reader", READERS)
 @pytest.mark.parametrize(("rotation", "outcome"), [
     (TURN, "silent"), (TURN.round(4), "silent"), (TURN.astype(np.float32).astype(float), "silent"),
@@ -65,8 +68,11 @@ READERS = {
 def test_a_rotation_is_exact_or_nearly_one(tmp_path, reader, rotation, outcome):
     read = READERS[reader]
     if outcome == "refused":
-        with pytest.raises(InputError, match="must be rigid"):
+        with pytest.raises(InputError, match="must be rigid") as caught:
             read(tmp_path, rigid(rotation))
+        is_mirror = np.allclose(rotation, TURN * [[-1], [1], [1]])
+        assert ("right-handed" if is_mirror else "right angles") in str(caught.value)
+        assert reader not in FILES or f"{FILES[reader]}: extrinsics must" in str(caught.value)
         return
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

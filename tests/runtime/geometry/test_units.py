@@ -38,6 +38,17 @@ def test_every_way_to_a_predictor_says_it_but_not_its_warm_up(make_frame, recwar
                 ask()
 
 
+@pytest.mark.parametrize("centre", [(1241, 120), (320, 241), (-1, 120)])
+def test_a_principal_point_outside_the_images_is_said(centre):
+    """Whether the size is stated or that of an image; images that were cut may have it there."""
+    matrix = K.copy()
+    matrix[:2, 2] = centre
+    with pytest.warns(AssumptionWarning, match=f"at cx {centre[0]} and cy {centre[1]}: check"):
+        Calibration(matrix, np.eye(4), (240, 640))
+    with pytest.warns(AssumptionWarning, match="outside the images of 640 x 240 px"):
+        Calibration(matrix, np.eye(4)).project(np.zeros((0, 3), np.float32), (240, 640))
+
+
 def mounted(x, y, z):
     matrix = np.eye(4)
     matrix[:3, 3] = x, y, z
