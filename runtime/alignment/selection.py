@@ -65,8 +65,6 @@ def _beside(source: Source, listed: Sequence[ListedFrame], place: int) -> dict[s
 
 def _read(source: Source, listed: Sequence[ListedFrame], place: int) -> tuple[Frame, Points] | None:
     """Return the frame and its points near the image; None if it cannot be read."""
-    if not 0 <= place < len(listed):
-        return None
     try:
         frame = source.read(listed[place])
     except InputError:  # the frame is damaged; others can be used

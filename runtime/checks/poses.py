@@ -8,8 +8,9 @@ far worse than scans that are not moved. A constant shift in time, such as that 
 and the middle of a scan, changes neither test, and is not found.
 """
 
+import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -21,7 +22,7 @@ from runtime.checks.finding import Finding, Severity
 from runtime.checks.judge import choose
 from runtime.contract.degraded import IMPLAUSIBLE_POSES
 from runtime.geometry.motion import compensate_points
-from runtime.geometry.poses import NoPoseError, PoseTrack, rotations
+from runtime.geometry.poses import PoseTrack, rotations
 from runtime.geometry.returns import is_return
 
 _POINTS = 6000  # points of a scan that are compared
@@ -38,6 +39,7 @@ _MOST_POSES = 2000  # poses of a live stream that are kept
 _STEPS, _LEAST_TRAVEL_M = 30, 2.0
 _TURNED_RAD, _ALIKE = np.radians(3.0), 1 / 3  # spread of the direction of travel
 
+_Sample = tuple[NDArray[np.float32], NDArray[np.int64] | int]  # points and their times
 _STILL, OTHER_POSES = "still", "other_poses"
 _IN_UNIT = "read with lengths in {}: check their format"
 
@@ -154,15 +156,10 @@ def _fault(name: str, says: str, evidence: dict[str, float]) -> Finding:
 
 def _joined(first: PoseTrack, second: PoseTrack) -> PoseTrack:
     """Both tracks as one, without duplicates; at most `_MOST_POSES` poses are kept."""
-    new = ~np.isin(second.stamps_ns, first.stamps_ns)
-    stamps = np.concatenate([first.stamps_ns, second.stamps_ns[new]])
-    order = np.argsort(stamps, kind="stable")[-_MOST_POSES:]
-    names = ("quaternions", "positions", "jumped")
-    arrays = {
-        name: np.concatenate([getattr(first, name), getattr(second, name)[new]])[order]
-        for name in names
-    }
-    return replace(second, stamps_ns=stamps[order], **arrays)
+    names = ("stamps_ns", "quaternions", "positions", "jumped")
+    both = {n: np.concatenate([getattr(first, n), getattr(second, n)]) for n in names}
+    _, order = np.unique(both["stamps_ns"], return_index=True)
+    return replace(second, **{name: each[order[-_MOST_POSES:]] for name, each in both.items()})
 
 
 def _compare(first: PosedScan, second: PosedScan, track: PoseTrack) -> dict[str, float] | None:
@@ -178,22 +175,23 @@ def _compare(first: PosedScan, second: PosedScan, track: PoseTrack) -> dict[str,
         apart_m = np.linalg.norm(pair[1, :3, 3] - pair[0, :3, 3])
         if apart_m < _APART_M and to - first.image_ns < _APART_NS:
             return None
-        errors = {"": _error(*(compensate_points(*scan, track, to) for scan in scans))}
-        errors[_STILL] = _error(scans[0][0], scans[1][0])
-    except (NoPoseError, InputError):
+        errors = {"": _moved_error(scans, track, to), _STILL: _error(scans[0][0], scans[1][0])}
+    except InputError:  # also without a pose
         return None
     if errors[_STILL] is None:
         return None
     for name, reading in POSES.items():
-        try:
-            moved = (compensate_points(*scan, reading.apply(track), to) for scan in scans)
-            errors[name] = _error(*moved)
-        except InputError:
-            errors[name] = None
+        errors[name] = None
+        with contextlib.suppress(InputError):
+            errors[name] = _moved_error(scans, reading.apply(track), to)
     return {name: 1.0 if each is None else max(each, 1e-6) for name, each in errors.items()}
 
 
-def _sampled(scan: PosedScan) -> tuple[NDArray[np.float32], NDArray[np.int64] | int]:
+def _moved_error(scans: Iterable[_Sample], track: PoseTrack, to: int) -> float | None:
+    return _error(*(compensate_points(*scan, track, to) for scan in scans))
+
+
+def _sampled(scan: PosedScan) -> _Sample:
     step, times = len(scan.points) // _POINTS + 1, scan.times
     return scan.points[::step, :3], times if isinstance(times, int) else times[::step]
 
@@ -204,11 +202,13 @@ def _error(first: NDArray[np.float32], second: NDArray[np.float32]) -> float | N
         *(_directions(each[is_return(each)]) for each in (first, second)), strict=True
     )
     unique, place = np.unique(keys[1], return_index=True)
-    at = np.clip(np.searchsorted(unique, keys[0]), 0, len(unique) - 1) if len(unique) else []
-    shared = unique[at] == keys[0] if len(unique) else np.zeros(0, bool)
+    if not len(unique):
+        return None
+    at = np.searchsorted(unique, keys[0]).clip(max=len(unique) - 1)
+    shared = unique[at] == keys[0]
     if np.count_nonzero(shared) < _LEAST_SHARED:
         return None
-    ratio = ranges[0][shared] / ranges[1][place[np.asarray(at)[shared]]]
+    ratio = ranges[0][shared] / ranges[1][place[at[shared]]]
     return float(np.median(np.abs(np.log(ratio))))
 
 

@@ -11,8 +11,7 @@ from runtime.checks.view import View
 
 # Blur of the boundaries in image heights, step of yaw and pitch [degrees], largest number of
 # moves.
-_COARSE = ((8 / 375, 1.5, 4), (5 / 375, 0.75, 4))
-_FINE = ((3 / 375, 0.5, 3), (2 / 375, 0.3, 3))
+_LEVELS = ((8 / 375, 1.5, 4), (5 / 375, 0.75, 4), (3 / 375, 0.5, 3), (2 / 375, 0.3, 3))
 _ROLL_STEP = 2.5  # steps of roll are so many times as large, because it moves returns less
 _LONGEST_MOVE, _ARRIVED = 1.5, 0.3  # in steps
 # Places around the current one at which the sum is computed, in steps: the place itself, and the
@@ -53,15 +52,10 @@ def scores_of(views: Sequence[View], angles: Angles = (0, 0, 0), **blur: float) 
     return np.array([fit.edge + fit.depth_correlation for fit in fits])
 
 
-def find_coarse(views: Sequence[View]) -> _Floats:
-    """Return the angles (3,) of the best rotation near the given one, to about half a degree."""
-    return _climb(views, np.zeros(3), _COARSE)
-
-
 def find_rotation(views: Sequence[View]) -> Optimum:
     """Return the best rotation near the given one, and its standard error."""
-    angles = _climb(views, find_coarse(views), _FINE)
-    blur, step, _ = _FINE[-1]
+    angles = _climb(views)
+    blur, step, _ = _LEVELS[-1]
     sums, sides = _around(views, angles, blur, step), _sides(step)
     return Optimum(angles + _best_of(_FIT @ sums.mean(axis=0)) * sides, _bootstrap(sums) * sides)
 
@@ -73,18 +67,17 @@ def held_out_gain(views: Sequence[View]) -> tuple[float, float]:
     """
     half = (len(views) + 1) // 2
     gains = [
-        scores_of(there, _climb(here, find_coarse(here), _FINE)) - scores_of(there)
+        scores_of(there, _climb(here)) - scores_of(there)
         for here, there in ((views[:half], views[half:]), (views[half:], views[:half]))
     ]
     both = np.concatenate(gains)
     return float(both.mean()), float(both.std(ddof=1) / np.sqrt(len(both)))
 
 
-def _climb(
-    views: Sequence[View], angles: _Floats, levels: Sequence[tuple[float, float, int]]
-) -> _Floats:
+def _climb(views: Sequence[View]) -> _Floats:
     """Move repeatedly to the maximum of a parabola through the sums around the current place."""
-    for blur, step, moves in levels:
+    angles = np.zeros(3)
+    for blur, step, moves in _LEVELS:
         for _ in range(moves):
             move = _best_of(_FIT @ _around(views, angles, blur, step).mean(axis=0))
             length = max(float(np.abs(move).max()), 1e-9)

@@ -60,12 +60,10 @@ class Answer:
     def of(cls, prediction: Prediction) -> Self | None:
         """Make it of a prediction; None if it has no depth or is invalid."""
         boundary, depth = prediction.boundary, prediction.depth
-        if depth is None or not prediction.valid:
+        if depth is None or not prediction.valid or IMAGE_CONSTANT in prediction.degraded:
             return None
         if boundary is None:  # then depth alone is judged
             boundary = np.zeros_like(depth)
-        if IMAGE_CONSTANT in prediction.degraded:
-            return None
         step = shrink_factor(depth.shape)
         doubts = tuple(each for each in _DOUBTS if each in prediction.degraded)
         return cls(_shrunk(boundary, step), _shrunk(log_depth(depth), step), doubts)

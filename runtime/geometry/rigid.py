@@ -22,18 +22,13 @@ def nearest_rotation(name: str, rotation: NDArray[np.float64]) -> NDArray[np.flo
     """
     with np.errstate(over="ignore", invalid="ignore"):
         error = np.abs(rotation.T @ rotation - np.eye(3)).max()
-        mirrors = error <= _NEAR and np.linalg.det(rotation) < 0
-    if not error <= _NEAR or mirrors:
-        fault = (
-            "mirrors, or a sign is lost: check the signs of its rows, whose third is the cross "
-            "product of the first and second, and that both frames are right-handed"
-            if mirrors
-            else "scales or shears, or a sign or number is wrong, or its quaternion is not of unit "
-            "length: its rows are at right angles and of length 1, and it is in metres by the "
-            "position alone"
-        )
+        determinant = np.linalg.det(rotation)
+    if not error <= _NEAR or determinant < 0:
         raise InputError(
-            f"{name} must be rigid, a rotation and a position, got {rotation.tolist()}: it {fault}"
+            f"{name} must be rigid, a rotation and a position, got {rotation.tolist()}: it scales, "
+            f"shears or mirrors (its determinant is {determinant:.3g}), or a sign is lost, or its "
+            "quaternion is not of unit length; give rows at right angles and of length 1, of which "
+            "the third is the cross product of the first two"
         )
     if error <= _EXACT:
         return rotation
