@@ -7,7 +7,6 @@ from runtime.base.errors import InputError
 from runtime.geometry.assumptions import collect_assumptions
 from runtime.geometry.calibration import Calibration
 from runtime.geometry.lens import Lens
-from runtime.geometry.projection import project_points
 
 K = np.array([[700.0, 0, 320], [0, 710, 120], [0, 0, 1]])
 P2 = np.hstack([K, K @ [[0.06], [-0.01], [0.002]]])
@@ -130,7 +129,7 @@ def test_toml(tmp_path):
     matches(calibration, by_hand(rectify=np.eye(3), shift=(0, 0, 0)))
     assert calibration.size == SIZE
     with pytest.raises(InputError, match="640, 240"):
-        calibration.require_size(SIZE[::-1])
+        calibration.project(np.zeros((0, 3), np.float32), SIZE[::-1])
     common = f'intrinsics = {K.tolist()}\npoints_in = "camera"\n'
     path.write_text(f'{common}lens = "equidistant"\ndistortion = [0.1, 0, 0, 0]\n')
     calibration = Calibration.from_toml(path)
@@ -163,16 +162,6 @@ def test_what_is_no_calibration():
     for intrinsics, matrix in ((np.diag([-1.0, 1, 1]), np.eye(4)), (K, extrinsics().T.copy())):
         with pytest.raises(InputError, match=r"trinsics"):
             Calibration(intrinsics, matrix)
-
-
-def test_projection_is_project_points_and_minds_the_size():
-    points = np.random.default_rng(0).uniform([5, -4, -1], [40, 4, 1], (99, 3)).astype(np.float32)
-    calibration = Calibration(K, extrinsics(), SIZE)
-    expected = project_points(points, K, extrinsics(), SIZE)
-    np.testing.assert_array_equal(calibration.project(points, SIZE), expected)
-    assert np.count_nonzero(expected) > 50
-    with pytest.raises(InputError, match="scale the intrinsics"):
-        calibration.project(points, (120, 320))
 
 
 @pytest.mark.parametrize("text", ["image_width: 640\ncamera_matrix:\n", "", "1 0 0 0\n0 1 0 0"])
