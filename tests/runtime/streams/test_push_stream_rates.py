@@ -1,4 +1,4 @@
-"""Sensors at different rates on a moving car: reuse, poses, and what each answer says about it."""
+"""Which frames of a live stream are answered, and sensors at different rates on a moving car."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from moving_car import CALIBRATION, MS, POINTS, car, expected, measured, messages, wall_scan
 from runtime.base.errors import InputError
 from runtime.geometry.rig import Rig
-from stream_messages import image
+from stream_messages import add_up, image, push_pair
 
 
 def push(stream, sensor, time_ms, **options):
@@ -80,3 +80,41 @@ def test_poses_are_accounted_for(setup):
     assert poses.dropped == {"duplicate": 1, "late": 1, "closed": 1}
     assert poses.errors == {"bad_message": 4, "bad_stamp": 1}
     assert stream.counts.errors == {"bad_message": 1}, "the scan"
+
+
+# --- which frames -------------------------------------------------------------------------------
+
+
+def test_a_live_push_never_waits_and_the_newest_complete_frame_wins(setup):
+    made = setup()
+    made.predictor.gate.clear()
+    push_pair(made.stream, 0)
+    made.predictor.entered.acquire()
+    for number in range(1, 100):
+        push_pair(made.stream, number)
+    made.predictor.gate.set()
+    made.stream.close()
+    counts = add_up(made.stream.counts)
+    assert counts.images.answered + counts.images.dropped["unread"] == 2
+    assert counts.images.dropped["overtaken"] == 98
+    assert counts.dropped["overtaken"] == 2 * 98
+    (result,) = list(made.stream)
+    assert result.image_stamp == 9.9, "the newest answer, of the newest frame"
+
+
+def test_a_complete_frame_is_not_overtaken_by_one_without_depth(setup):
+    made = setup(max_wait_ms=50, rig=Rig(reuse_depth_ms=0))
+    made.predictor.gate.clear()
+    push_pair(made.stream, 0)
+    made.predictor.entered.acquire()
+    push_pair(made.stream, 1)
+    made.stream.push_image(image(2), 0.2)
+    made.clock.advance_ms(50)
+    made.stream.push_image(image(3), 0.3)  # decides that 0.2 stays alone
+    made.predictor.gate.set()
+    made.predictor.entered.acquire()
+    dropped = add_up(made.stream.counts).images.dropped
+    assert dropped["incomplete"] == 1
+    assert "overtaken" not in dropped
+    made.stream.close()
+    assert next(made.stream).image_stamp == 0.3
