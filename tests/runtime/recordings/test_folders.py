@@ -37,10 +37,8 @@ def test_folders_from_end_to_end(folders, run):
     assert answers.column("reason")[3] == "3 has a depth map, but no image"
     for name in ("0", "2", "4"):
         assert abs(answers.fed_depth(name) - depths[int(name)]).max() < 0.01
-    assert (
-        answers.report["inputs"]
-        == run("--rgb", rgb, "--depth", depth, out="other").report["inputs"]
-    )
+    by_flags = run("--rgb", rgb, "--depth", depth, out="other")
+    assert answers.report["inputs"] == by_flags.report["inputs"]
 
 
 def test_an_image_and_its_depth_map_are_one_frame(folders, tmp_path):
@@ -71,6 +69,7 @@ def test_a_limit_counts_complete_frames(folders):
 
 INTRINSICS = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
 EXTRINSICS = np.array([[0.0, -1, 0, 0], [0, 0, -1, -0.1], [1, 0, 0, 0.5], [0, 0, 0, 1]])
+MATRICES = f"intrinsics = {INTRINSICS.tolist()}\nextrinsics = {EXTRINSICS.tolist()}\n"
 
 
 def with_marks(scan):
@@ -91,8 +90,7 @@ def scans(folders, make_scan, tmp_path):
         np.save(folder / f"{number}.npy", with_marks(make_scan(number))[:, :3].astype(np.float64))
     shutil.copy(folders[0] / "0.png", folders[0] / "3.png")
     shutil.copy(folders[0] / "0.png", folders[0] / "5.png")
-    matrices = f"intrinsics = {INTRINSICS.tolist()}\nextrinsics = {EXTRINSICS.tolist()}\n"
-    (tmp_path / "calibration.toml").write_text(f"size = [48, 64]\n{matrices}")
+    (tmp_path / "calibration.toml").write_text(f"size = [48, 64]\n{MATRICES}")
     return folder, tmp_path / "calibration.toml"
 
 
@@ -200,9 +198,7 @@ def kitti(tmp_path, make_frame, make_scan, write_rgb):
     write("calib.txt", shifts)
     write("one_camera.txt", {2: 2.7})
     write("rectified_alike.txt", dict.fromkeys(range(4), 0.0))
-    (tmp_path / "own.toml").write_text(
-        f"intrinsics = {INTRINSICS.tolist()}\nextrinsics = {EXTRINSICS.tolist()}\n"
-    )
+    (tmp_path / "own.toml").write_text(MATRICES)
     return {camera: shift / 60 for camera, shift in shifts.items()}
 
 

@@ -77,11 +77,8 @@ def test_a_drive_from_end_to_end(drive, run, make_scan):
 
 def test_a_drive_that_is_not_rectified_has_the_lens(drive, make_scan):
     folder = drive.rename(drive.parent / "2011_09_26_drive_0001_extract")
-    angles, shift, distortion = (
-        np.array([0.01, 0.02, 0]),
-        [0.06, 0, 0.01],
-        [-0.3, 0.1, 1e-3, -2e-3, 0],
-    )
+    angles, shift = np.array([0.01, 0.02, 0]), [0.06, 0, 0.01]
+    distortion = [-0.3, 0.1, 1e-3, -2e-3, 0]
     numbers = {"S": SIZE[::-1], "K": [70, 0, 31, 0, 71, 23, 0, 0, 1], "D": distortion, "T": shift}
     numbers["R"] = cv2.Rodrigues(angles)[0].ravel()
     rows = [f"{name}_02: {' '.join(map(str, row))}\n" for name, row in numbers.items()]

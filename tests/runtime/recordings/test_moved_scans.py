@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from runtime import InputError, open_source
+from runtime.geometry.calibration import Calibration
 from runtime.geometry.poses import PoseFrame
 from runtime.geometry.rig import Rig
 from runtime.recordings.bag import BagSource
@@ -315,18 +316,12 @@ def test_a_folder_gets_its_poses_from_its_scans(tmp_path, make_frame, write_rgb,
         if number != 2:  # it takes the scan before, moved to its time
             points = np.array([[20.0 - 1.5 * number, 0, 0, 0]], np.float32)
             points.tofile(tmp_path / f"points/{number}.bin")
-    (tmp_path / "calibration.toml").write_text(
-        "intrinsics = [[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]\n"
-        "extrinsics = [[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]\n"
-    )
-    rig = Rig(calibration=tmp_path / "calibration.toml", scan_stamp="middle")
+    rig = Rig(calibration=Calibration(np.array(INTRINSICS), EXTRINSICS), scan_stamp="middle")
     files = {"points": tmp_path / "points", "poses": "odometry"}
     with open_source("folders", tmp_path / "image", rig, **files) as source:
         frames = [source.read(frame) for frame in source.list_frames()]
-    assert [frame.sparse_depth.max() for frame in frames] == pytest.approx(
-        [20, 18.5, 17.0, 15.5], abs=0.01
-    )
+    depths = [frame.sparse_depth.max() for frame in frames]
+    assert depths == pytest.approx([19.5, 18, 16.5, 15], abs=0.01)
     assert frames[2].depth_motion == "scan"
-    framed = Rig(calibration=tmp_path / "calibration.toml", pose_frame="body")
     with pytest.raises(InputError, match="leave pose_frame out"):
-        open_source("folders", tmp_path / "image", framed, **files)
+        open_source("folders", tmp_path / "image", replace(rig, pose_frame="body"), **files)

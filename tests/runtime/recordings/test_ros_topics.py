@@ -4,16 +4,15 @@ import numpy as np
 import pytest
 
 from runtime import InputError, Rig
+from runtime.geometry.calibration import Calibration
 from runtime.recordings.bag import BagSource
 from runtime.recordings.ros_topics import Role, role_of
 from small_rig import INTRINSICS, MS, SIZE, START_NS, add_tree, projected
 
 pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
 
-CAR = "".join(f"{name} = {matrix}\n" for name, matrix in [
-    ("intrinsics", INTRINSICS),
-    ("extrinsics", [[0, -1, 0, 0], [0, 0, -1, -0.3], [1, 0, 0, -0.5], [0, 0, 0, 1]]),
-])  # fmt: skip
+TO_CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, -0.3], [1, 0, 0, -0.5], [0, 0, 0, 1]])
+CAR = Rig(calibration=Calibration(np.array(INTRINSICS), TO_CAMERA))
 
 
 @pytest.mark.parametrize(("topic", "encoding", "role"), [
@@ -106,12 +105,11 @@ def require_right(source, make_scan):
         np.testing.assert_allclose(source.read(listed).sparse_depth, expected, atol=1e-3)
 
 
-def test_each_scan_is_projected_by_its_own_frame(record, make_scan, tmp_path):
+def test_each_scan_is_projected_by_its_own_frame(record, make_scan):
     path = two_lidars(record, make_scan, ["lidar", "left", "/lidar", "left"]).write()
     with BagSource(path) as source:
         require_right(source, make_scan)
-    (tmp_path / "car.toml").write_text(CAR)  # of the first frame
-    with BagSource(path, Rig(calibration=tmp_path / "car.toml")) as source:
+    with BagSource(path, CAR) as source:  # of the first frame
         require_right(source, make_scan)
 
 
@@ -142,12 +140,11 @@ def test_a_scan_of_a_frame_that_is_not_known_is_refused_alone(record, make_scan,
             source.read(second)
 
 
-def test_scans_without_a_frame_need_a_calibration(record, make_scan, tmp_path):
+def test_scans_without_a_frame_need_a_calibration(record, make_scan):
     path = two_lidars(record, make_scan, ["", ""]).write()
     with pytest.raises(InputError, match="name no frame: give `calibration="):
         BagSource(path)
-    (tmp_path / "car.toml").write_text(CAR)
-    with BagSource(path, Rig(calibration=tmp_path / "car.toml")) as source:
+    with BagSource(path, CAR) as source:
         assert not any("warning" in note for note in source.notes)
 
 
@@ -155,12 +152,11 @@ def test_scans_without_a_frame_need_a_calibration(record, make_scan, tmp_path):
     ("odom", False, True), ("robot/map", False, True), ("start", False, False),
     ("odom", True, True), ("base", True, False),
 ])  # fmt: skip
-def test_scans_of_a_fixed_frame_are_said(record, make_scan, tmp_path, frame, has_odometry, said):
+def test_scans_of_a_fixed_frame_are_said(record, make_scan, frame, has_odometry, said):
     bag = two_lidars(record, make_scan, [frame, frame], tree=False)
     for index in range(4 * has_odometry):
         bag.odometry("/odom", (index, 0, 0), START_NS + 100 * MS * index)
-    (tmp_path / "car.toml").write_text(CAR)
-    with BagSource(bag.write(), Rig(calibration=tmp_path / "car.toml")) as source:
+    with BagSource(bag.write(), CAR) as source:
         notes = [note for note in source.notes if "warning: assumed" in note]
     assert len(notes) == said
     assert all(f"although {frame} is fixed" in note for note in notes)
