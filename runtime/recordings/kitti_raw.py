@@ -105,14 +105,13 @@ class KittiRawSource(FolderSource):
             return
         numbers, lidar_from_body = NumbersFile(mount), np.eye(4)
         lidar_from_body[:3] = np.hstack([numbers.matrix("R", 3, 3), numbers.matrix("T", 3, 1)])
-        body_from_lidar = np.linalg.inv(nearest_rigid(str(mount), lidar_from_body)).astype(
-            np.float64
-        )
+        lidar_from_body = nearest_rigid(str(mount), lidar_from_body)
         stamped = _read_stamps(Sensor.POSE, folder, (".txt",))
         stamped.sort(key=lambda each: each.stamp_ns)
         poses = read_oxts_poses(Path(str(each.at)) for each in stamped)
         self._poses = pose_track(zip((each.stamp_ns for each in stamped), poses, strict=True))
         self._oxts = folder
+        body_from_lidar = np.asarray(np.linalg.inv(lidar_from_body), np.float64)
         self.calibration = replace(self.calibration, body_from_lidar=body_from_lidar)
 
     def _list_depths(self, folder: Path) -> dict[str, Path]:

@@ -124,17 +124,13 @@ def _listed(pairs: Iterable[Pair[Place]], camera_only: bool) -> Iterator[ListedF
     """Name frames by their files, or else by the stamps of their images."""
     names: Counter[str] = Counter()
     for sequence, (image, depth, reused) in enumerate(pairs):
-        stamp = str(image.stamp_ns)
-        name = normal_form(image.at.stem) if isinstance(image.at, Path) else stamp
+        name = normal_form(image.at.stem) if isinstance(image.at, Path) else str(image.stamp_ns)
         names[name] += 1
         if names[name] > 1:  # a recording of one that was played in a loop
             name = f"{name}-{names[name]}"
-        identity = sequence, name, image.at
-        if depth is None:
-            yield ListedFrame(*identity, None, image.stamp_ns, complete=camera_only)
-        else:
-            stamps_ns = image.stamp_ns, depth.stamp_ns
-            yield ListedFrame(*identity, depth.at, *stamps_ns, not reused, reused)
+        at, depth_ns = (None, None) if depth is None else (depth.at, depth.stamp_ns)
+        whole = camera_only if depth is None else not reused
+        yield ListedFrame(sequence, name, image.at, at, image.stamp_ns, depth_ns, whole, reused)
 
 
 def left_out_note(left_out: Mapping[str, int]) -> tuple[str, ...]:

@@ -296,7 +296,7 @@ class Matcher(ABC, Generic[M]):
                 decided.discarded.append(Discarded(depth, outcome))
 
 
-class LiveMatcher(Matcher[M]):
+class LiveMatcher(Matcher[Message]):
     """Matches messages as they arrive; deciding an image discards all older images.
 
     Args:
@@ -316,9 +316,9 @@ class LiveMatcher(Matcher[M]):
         self._max_wait_ns = round(max_wait_ms * NS_PER_MS)
         self._now_ns = 0
 
-    def add(self, message: M) -> Decided[M]:
+    def add(self, message: Message) -> Decided[Message]:
         """Take a message that has just arrived, and decide what is certain with it."""
-        decided = Decided[M]()
+        decided = Decided[Message]()
         self._now_ns = message.arrived_ns
         if self._admit(decided, message):
             self._decide(decided)
@@ -327,9 +327,9 @@ class LiveMatcher(Matcher[M]):
                 decided.discarded.append(Discarded(waiting.pop(0), Outcome.OVERFLOW))
         return decided
 
-    def advance(self, now_ns: int) -> Decided[M]:
+    def advance(self, now_ns: int) -> Decided[Message]:
         """Decide what has waited long enough."""
-        decided = Decided[M]()
+        decided = Decided[Message]()
         self._now_ns = now_ns
         self._decide(decided)
         return decided
@@ -341,7 +341,7 @@ class LiveMatcher(Matcher[M]):
         arrived_ns = min((message.arrived_ns for message in waiting), default=None)
         return None if arrived_ns is None else arrived_ns + self._max_wait_ns
 
-    def _next_decidable(self) -> M | None:
+    def _next_decidable(self) -> Message | None:
         """The newest of the images that can be decided."""
         for image in reversed(self._images):
             depth = self._partner(image)
@@ -355,7 +355,7 @@ class LiveMatcher(Matcher[M]):
             return None
         return oldest
 
-    def _is_due(self, image: M) -> bool:
+    def _is_due(self, image: Message) -> bool:
         """Whether a depth map may still arrive whose nearest image is this image."""
         depths = self._sensors[Sensor.DEPTH].intervals
         images = self._sensors[Sensor.IMAGE].intervals
@@ -375,10 +375,10 @@ class LiveMatcher(Matcher[M]):
             if n > 0
         )
 
-    def _is_over(self, message: M, other: Sensor) -> bool:
+    def _is_over(self, message: Message, other: Sensor) -> bool:
         return self._now_ns - message.arrived_ns >= self._max_wait_ns
 
-    def _decide_images(self, decided: Decided[M]) -> None:
+    def _decide_images(self, decided: Decided[Message]) -> None:
         complete = [image for image in self._images if self._partner(image) is not None]
         for images in (complete, self._images):
             for newest in images[-1:]:

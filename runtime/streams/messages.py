@@ -159,7 +159,6 @@ class Place:
     sensor: Sensor
     at: Path | int
     stamp_ns: int
-    arrived_ns: ClassVar[int] = 0
 
     @property
     def time_ns(self) -> int:

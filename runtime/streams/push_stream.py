@@ -144,7 +144,7 @@ class PushStream:
         self._counter, self._jitter = StreamCounter(deadline_ms, watchdog), Jitter()
         self._sensors = SensorInput(rig, counter=self._counter, lock=self._changed)
         self._answerer = Answerer(predictor, checks, memory=FrameMemory.of(rig.memory_s))
-        self._matcher = LiveMatcher[Message](rig, _WAITING, max_wait_ms)
+        self._matcher = LiveMatcher(rig, _WAITING, max_wait_ms)
         self._reported_state = self._counter.state(0)
         self._ready: Pair[Message] | None = None  # waits for its prediction
         self._unread: tuple[Pair[Message], FrameResult] | None = None  # waits to be fetched

@@ -147,9 +147,7 @@ def test_points_without_a_return_or_a_time_are_left_out_and_counted(replay, pose
     scan = ("points", points, 0, after) if times else ("points", points, 0)
     poses = [("pose", car(time_ms), time_ms * MS) for time_ms in range(0, 200, 10)]
     recording = [("image", image(1), 0), scan, *(poses if pose_frame else ())]
-    rig = Rig(
-        calibration=Calibration(INTRINSICS, ahead), pose_frame=pose_frame, scan_stamp="middle"
-    )
+    rig = replace(POSED, calibration=Calibration(INTRINSICS, ahead), pose_frame=pose_frame)
     (answer,), _ = replay(recording, rig)
     assert measured(answer) == pytest.approx(WALL_M + 1, abs=2e-3)
     assert answer.prediction.depth[16, 20] != 2, "1 m more than the mark"
@@ -162,9 +160,8 @@ def test_a_depth_map_cannot_be_moved(replay, pose_frame):
     recording = [("image", image(stamp), stamp * MS) for stamp in (0, 50, 110)]
     recording += [("depth", depth(stamp), stamp * MS) for stamp in (0, 100)]
     calibration = CALIBRATION if pose_frame else None
-    answers, _ = replay(
-        recording, Rig(calibration=calibration, pose_frame=pose_frame, scan_stamp="middle")
-    )
+    rig = replace(POSED, calibration=calibration, pose_frame=pose_frame)
+    answers, _ = replay(recording, rig)
     moved = ("depth_uncompensated",) if pose_frame else ()
     degraded = [answer.prediction.degraded for answer in answers]
     assert degraded == [(), ("depth_reused", "depth_uncompensated"), moved]
@@ -189,9 +186,7 @@ def test_poses_of_another_frame_of_the_car(replay, frame):
     mount = {"camera": TO_CAMERA, "body": body_from_lidar}[frame]
     recording = [("points", wall_scan(0), 0), ("image", image(), 40 * MS)]
     recording += [("pose", car(t) @ np.linalg.inv(mount), t * MS) for t in (0, 50)]
-    (answer,), _ = replay(
-        recording, Rig(calibration=calibration, pose_frame=frame, scan_stamp="middle")
-    )
+    (answer,), _ = replay(recording, replace(POSED, calibration=calibration, pose_frame=frame))
     assert measured(answer) == expected(40)
 
 
