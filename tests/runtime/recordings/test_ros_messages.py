@@ -49,22 +49,17 @@ def written_clouds(draw):
     point_step = end + draw(st.integers(0, 5))
     row_step = width * point_step + draw(st.integers(0, 9))
     data = bytearray([draw(st.integers(0, 255))]) * (row_step * height)
-    points = []
-    for row in range(height):
-        for column in range(width):
-            point = []
-            for axis in range(3):
-                value = draw(st.floats(width=32))
-                code = "f" if datatypes[axis] == FLOAT32 else "d"
-                place = row * row_step + column * point_step + offsets[axis]
-                struct.pack_into(order + code, data, place, value)
-                point.append(value)
-            points.append(point)
+    points = np.zeros((height * width, 3), np.float32)
+    for row, column, axis in np.ndindex(height, width, 3):
+        value, code = draw(st.floats(width=32)), "f" if datatypes[axis] == FLOAT32 else "d"
+        place = row * row_step + column * point_step + offsets[axis]
+        struct.pack_into(order + code, data, place, value)
+        points[row * width + column, axis] = value
     fields = [field("intensity", 0, 2)]
     fields += [field(name, offsets[i], datatypes[i]) for i, name in enumerate("xyz")]
     shape = {"height": height, "width": width, "point_step": point_step, "row_step": row_step}
     content = {"is_bigendian": order == ">", "data": np.frombuffer(bytes(data), np.uint8)}
-    return cloud(fields=fields, **shape, **content), np.array(points, np.float32)
+    return cloud(fields=fields, **shape, **content), points
 
 
 @settings(max_examples=40, deadline=None)

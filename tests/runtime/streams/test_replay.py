@@ -57,16 +57,10 @@ def drive(**options):
 def replay(checked_predictor):
     """Replay messages: (answers, counts). Every message is accounted for."""
 
-    def run(recording, rig=DEFAULT_RIG, *, predictor=None, check_depth=False, **options):
+    def run(recording, rig=DEFAULT_RIG, *, predictor=None, **options):
         counter = StreamCounter()
-        answers = answer_recording(
-            predictor or checked_predictor(),
-            recording,
-            rig,
-            check_depth=check_depth,
-            counter=counter,
-            **options,
-        )
+        options = {"check_depth": False, "counter": counter} | options
+        answers = answer_recording(predictor or checked_predictor(), recording, rig, **options)
         answers, counts = list(answers), add_up(counter.counts)
         assert (counts.pending, counts.images.answered) == (0, len(answers))
         return answers, counts
