@@ -7,6 +7,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from runtime.contract.contract import NO_CLASS
 from runtime.geometry.projection import project_points
 
 Depth = NDArray[np.float32]
@@ -18,6 +19,10 @@ NAN_SHARE = 0.3
 SHIFT = (0.01, 0.004)
 # Share of the width, in the middle, without measurements by the fault "dropout".
 DROPOUT_SHARE = 1 / 3
+# Largest rotation [degrees] about each axis and shift [m] along it of a misaligned LiDAR.
+MISALIGNMENT_DEG, MISALIGNMENT_M = 0.5, 0.05
+# Range of the share of the image's width that a missing sector has.
+SECTOR_SHARE = (0.05, 0.3)
 # Largest share of the image that an object may cover in `absorb`.
 THING_SHARE = 0.25
 
@@ -46,59 +51,43 @@ def add_fault(fed: Depth, fault: str, rng: Generator) -> Depth:
     return damaged
 
 
-def misalign(
-    fed: Depth,
-    intrinsics: NDArray[np.float64],
-    rng: Generator,
-    *,
-    rotation_deg: float,
-    shift_m: float,
-) -> Depth:
+def misalign(fed: Depth, intrinsics: NDArray[np.float64], rng: Generator) -> Depth:
     """Return the scan as it is projected with a wrong LiDAR extrinsics matrix.
 
-    Of two returns on one pixel the nearer is kept.
-
-    Args:
-        fed: float32 (H, W) [m], 0 = no return.
-        intrinsics: (3, 3).
-        rng: source of random numbers.
-        rotation_deg: the largest error about each axis.
-        shift_m: the largest error along each axis.
+    The error is up to `MISALIGNMENT_DEG` about and `MISALIGNMENT_M` along each axis. Of two returns
+    on one pixel the nearer is kept. `fed` is float32 (H, W) [m], 0 = no return; `intrinsics` is
+    (3, 3).
     """
     row, column = np.nonzero(fed)
     z = fed[row, column].astype(np.float64)
     pixels = np.stack([column, row, np.ones(len(z))])
     points = (np.linalg.inv(intrinsics) @ pixels * z).T.astype(np.float32)
     moved = np.eye(4)
-    angles = np.deg2rad(rng.uniform(-rotation_deg, rotation_deg, 3))
+    angles = np.deg2rad(rng.uniform(-MISALIGNMENT_DEG, MISALIGNMENT_DEG, 3))
     moved[:3, :3] = cv2.Rodrigues(angles)[0]
-    moved[:3, 3] = rng.uniform(-shift_m, shift_m, 3)
+    moved[:3, 3] = rng.uniform(-MISALIGNMENT_M, MISALIGNMENT_M, 3)
     return project_points(points, intrinsics, moved, (fed.shape[0], fed.shape[1]))
 
 
-def drop_sectors(fed: Depth, share: tuple[float, float], rng: Generator) -> Depth:
-    """Return a copy without the returns of one to three sectors: dirt, water, lost packets.
-
-    `share` is the (low, high) share of the image's width of each sector.
-    """
+def drop_sectors(fed: Depth, rng: Generator) -> Depth:
+    """Return a copy without the returns of one to three sectors: dirt, water, lost packets."""
     kept = fed.copy()
     width = fed.shape[1]
     for _ in range(int(rng.integers(1, 4))):
-        columns = round(rng.uniform(*share) * width)
+        columns = round(rng.uniform(*SECTOR_SHARE) * width)
         start = int(rng.integers(0, width - columns + 1))
         kept[:, start : start + columns] = 0
     return kept
 
 
-def absorb(fed: Depth, semantic: NDArray[np.uint8], rng: Generator, *, ignore: int) -> Depth:
+def absorb(fed: Depth, semantic: NDArray[np.uint8], rng: Generator) -> Depth:
     """Return a copy without the returns of one thing, or of its upper part: dark paint, glass.
 
     The thing is the region of one class around a random return. A region of more than `THING_SHARE`
-    of the image, such as the road, keeps its returns. In `semantic`, (H, W), `ignore` belongs to no
-    thing.
+    of the image, such as the road, keeps its returns, and so do pixels without a class.
     """
     kept = fed.copy()
-    rows, columns = np.nonzero((fed > 0) & (semantic != ignore))
+    rows, columns = np.nonzero((fed > 0) & (semantic != NO_CLASS))
     if len(rows):
         index = int(rng.integers(len(rows)))
         region = np.zeros((fed.shape[0] + 2, fed.shape[1] + 2), np.uint8)

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from runtime.contract.contract import NO_CLASS
 from training.datasets.sample import Sample
 from training.lidar.faults import absorb, drop_sectors, misalign
 from training.lidar.simulate import SENSOR_LINES
@@ -16,10 +15,6 @@ from training.loading.depth_values import has_dense_depth
 
 # Like `AugmentConfig.random_share`, but for recorded returns instead of pixels.
 _RECORDED_SHARE = (0.05, 0.8)
-# Largest rotation [degrees] about each axis and shift [m] along it of a misaligned LiDAR.
-MISALIGNMENT_DEG, MISALIGNMENT_M = 0.5, 0.05
-# Range of the share of the image's width that a missing sector has.
-SECTOR_SHARE = (0.05, 0.3)
 
 
 def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
@@ -41,11 +36,11 @@ def _disturb(
     intrinsics = sample.intrinsics
     is_misaligned = config.lidar_misaligned and rng.random() < config.lidar_misaligned
     if is_misaligned and intrinsics is not None and fed.any():
-        fed = misalign(fed, intrinsics, rng, rotation_deg=MISALIGNMENT_DEG, shift_m=MISALIGNMENT_M)
+        fed = misalign(fed, intrinsics, rng)
     if config.lidar_dropout and rng.random() < config.lidar_dropout:
-        fed = drop_sectors(fed, SECTOR_SHARE, rng)
+        fed = drop_sectors(fed, rng)
     if config.lidar_absorbed and rng.random() < config.lidar_absorbed:
-        fed = absorb(fed, sample.semantic, rng, ignore=NO_CLASS)
+        fed = absorb(fed, sample.semantic, rng)
     return fed
 
 

@@ -1,19 +1,13 @@
 """Losses of depth: Eq. 2-4, errors in metres, and the likelihood of the uncertainty."""
 
-from collections.abc import Callable
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from training.losses.masked import grid_of, masked_mean, split_into_blocks
+from training.losses.masked import masked_mean, split_into_blocks
 
 # Smaller normalised depths are clipped to this value before a ratio is taken.
 _NEAREST = 1e-3
-
-# Arguments: prediction, target and valid, all (N, 1, h, w), depth normalised to 0..1. Returns the
-# loss, ().
-DepthCriterion = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
 def normalise_depth(
@@ -87,21 +81,6 @@ def metric_depth_loss(
 def log_ratio(depth: Tensor, other: Tensor) -> Tensor:
     """Log ratio of two maps of normalised depth."""
     return (depth.clamp(min=_NEAREST) / other.clamp(min=_NEAREST)).log()
-
-
-def multi_scale_depth_loss(
-    predictions: tuple[Tensor, ...], target: Tensor, valid: Tensor, criterion: DepthCriterion
-) -> Tensor:
-    """Return the mean of a criterion over the scales of the prediction, each with its ground truth.
-
-    `predictions` are float (N, 1, h_i, w_i), normalised; for `target` and `valid`, (N, 1, H, W),
-    see `normalise_depth`. The paper gives no weights for the scales; here they are equal.
-    """
-    losses = [
-        criterion(prediction, *depth_at_scale(target, valid, grid_of(prediction)))
-        for prediction in predictions
-    ]
-    return torch.stack(losses).mean()
 
 
 C1 = 1e-4

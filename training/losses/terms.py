@@ -1,7 +1,7 @@
 """The terms of the loss: one table says what each requires, how it is computed and its weight."""
 
 from collections.abc import Callable
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
@@ -115,17 +115,21 @@ def _float_maps(output: NetworkOutput) -> dict[str, Tensor]:
 
 
 def _depth(c: Compared) -> Tensor:
-    criterion: depth.DepthCriterion = depth.paper_depth_loss
-    if c.config.depth_form == "metric":
-        criterion = partial(
-            depth.metric_depth_loss,
-            max_depth_m=c.loss.max_depth_m,
-            l2=c.config.metric_l2,
-            log=c.config.metric_log,
-            unmeasured_share=c.loss.unmeasured_share,
-        )
-    scales = c.depths if c.config.depth_scales == "mean" else c.depths[:1]
-    return depth.multi_scale_depth_loss(scales, *c.depth_target, criterion)
+    """Return the mean over the scales, each with its own truth; the paper gives no weights."""
+    options = {
+        "max_depth_m": c.loss.max_depth_m,
+        "l2": c.config.metric_l2,
+        "log": c.config.metric_log,
+        "unmeasured_share": c.loss.unmeasured_share,
+    }
+    losses = []
+    for prediction in c.depths if c.config.depth_scales == "mean" else c.depths[:1]:
+        target, valid = depth.depth_at_scale(*c.depth_target, grid_of(prediction))
+        if c.config.depth_form == "paper":
+            losses.append(depth.paper_depth_loss(prediction, target, valid))
+        else:
+            losses.append(depth.metric_depth_loss(prediction, target, valid, **options))
+    return torch.stack(losses).mean()
 
 
 def _depth_uncertainty(c: Compared) -> Tensor:

@@ -107,9 +107,9 @@ class Centreline:
         return np.asarray(np.interp(np.asarray(s), self.s, self.heading))
 
 
-def draw_centreline(rng: Generator, *, start: float, end: float, bend: float) -> Centreline:
+def draw_centreline(rng: Generator, bend: float) -> Centreline:
     """Draw a gently curving and rolling street; bend 0 is straight, 1 has radii of 150 m."""
-    s = np.arange(start, end + 1.0)
+    s = np.arange(START_M - 30, END_M + 121.0)
     curvature = np.zeros_like(s)
     for period in (140.0, 260.0):
         curvature += np.sin(2 * np.pi * s / period + rng.uniform(0, 6.3)) * rng.uniform(-1, 1)

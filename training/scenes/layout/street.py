@@ -8,7 +8,7 @@ from training.scenes.layout.frontage import make_backdrop, make_frontage
 from training.scenes.layout.furnishing import make_furniture, park_cars
 from training.scenes.layout.ground import make_ground
 from training.scenes.layout.markings import draw_stripes
-from training.scenes.layout.site import END_M, START_M, Centreline, Site, draw_centreline, draw_plan
+from training.scenes.layout.site import Centreline, Site, draw_centreline, draw_plan
 from training.scenes.layout.traffic import Actor, draw_people, draw_traffic
 from training.scenes.names import StreetKind
 from training.scenes.textures.paint import Stripe
@@ -38,7 +38,7 @@ def build_street(seed: int, *, kind: StreetKind | None = None) -> Street:
     kind = drawn if kind is None else kind
     side = -1.0 if seed % 5 == 0 else 1.0
     bend = float(rng.choice([0.0, 0.3, 1.0]) if kind != "highway" else rng.uniform(0, 1))
-    line = draw_centreline(rng, start=START_M - 30, end=END_M + 120, bend=bend)
+    line = draw_centreline(rng, bend)
     plan = draw_plan(rng, kind, side)
     site = Site(rng, plan, line)
     steps = (make_ground, make_frontage, make_furniture, park_cars, make_backdrop)

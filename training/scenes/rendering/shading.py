@@ -12,8 +12,8 @@ from training.scenes.textures.surface import SurfaceKind
 
 _GROUND = (SurfaceKind.ASPHALT, SurfaceKind.PAVING)
 _LIFT = 2e-3
-# Reach of the rays of contact shading.
-_CONTACT_M = 2.5
+# Number and reach of the rays of contact shading.
+_CONTACT_RAYS, _CONTACT_M = 3, 2.5
 
 
 def shade(
@@ -117,15 +117,13 @@ def _surroundings(
     return seen
 
 
-def contact_shading(
-    caster: RayCaster, points: Floats, normals: Floats, rng: Generator, *, rays: int = 3
-) -> Floats:
+def contact_shading(caster: RayCaster, points: Floats, normals: Floats, rng: Generator) -> Floats:
     """Return the share (n,) of short rays that escape over the hemisphere; dark under cars."""
     free = np.zeros(len(points), dtype=np.float32)
-    for _ in range(rays):
+    for _ in range(_CONTACT_RAYS):
         ball = rng.standard_normal((len(points), 3), dtype=np.float32)
         ball /= np.linalg.norm(ball, axis=1, keepdims=True)
         # A point on the unit sphere around the normal's tip is a cosine-weighted direction.
         direction = normals + 0.98 * ball
         free += ~caster.blocked(points, direction, _CONTACT_M)
-    return free / rays
+    return free / _CONTACT_RAYS

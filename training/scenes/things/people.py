@@ -114,7 +114,7 @@ def make_cyclist(dress: Dress, phase: float) -> Mesh:
         shoulder = np.add(neck, (-0.03, 0.19 * sign, -0.06))
         hand = np.add(bars, (0, 0.24 * sign, 0.02))
         elbow = (shoulder + hand) / 2 + (-0.05, 0.06 * sign, -0.06)
-        parts += _limb((hip, _joint(hip, ankle, 0.45, 0.46), ankle), _RIDING[:2], bottom)
+        parts += _limb((hip, _knee(hip, ankle), ankle), _RIDING[:2], bottom)
         parts.append(ellipsoid(np.add(pedal, (0.05, 0, 0.04)), (0.13, 0.05, 0.05), shoe))
         parts += _limb((shoulder, elbow, hand), _RIDING[2:], top)
         parts.append(ellipsoid(hand, (0.05, 0.04, 0.04), skin))
@@ -124,7 +124,7 @@ def make_cyclist(dress: Dress, phase: float) -> Mesh:
     return join(*parts, *_head((0.24, 0, 1.68), skin, cap))
 
 
-def _joint(a: Floats, b: Floats, upper: float, lower: float) -> Floats:
+def _knee(a: Floats, b: Floats, upper: float = 0.45, lower: float = 0.46) -> Floats:
     """Return the knee of a two-bone leg from a to b, which bends forward in the x-z plane."""
     line = b - a
     reach = min(float(np.linalg.norm(line)), upper + lower - 1e-3)

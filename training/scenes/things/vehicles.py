@@ -27,23 +27,22 @@ class CarShape:
     """Side profile of a car body.
 
     Attributes:
+        outline: fractions of the length, and heights [m].
         sizes: length, width, height of the belt line and radius of the wheels [m].
         rear_glass, windscreen: beginning and end, as fractions of the length from the tail.
         wheels, pillars: positions, as fractions of the length from the tail.
-        outline: fractions of the length, and heights [m].
     """
 
+    outline: tuple[tuple[float, ...], ...]
     sizes: tuple[float, ...]
     rear_glass: tuple[float, ...]
     windscreen: tuple[float, ...]
     wheels: tuple[float, ...]
     pillars: tuple[float, ...]
-    outline: tuple[tuple[float, ...], ...]
 
 
 def _shape(places: str, outline: str) -> CarShape:
-    sizes, rear_glass, windscreen, wheels, pillars = rows(places)
-    return CarShape(sizes, rear_glass, windscreen, wheels, pillars, rows(outline))
+    return CarShape(rows(outline), *rows(places))
 
 
 _HATCHBACK = _shape(
