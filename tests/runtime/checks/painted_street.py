@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 
+from runtime.checks.judge import Judge
 from runtime.geometry.calibration import Calibration
 from runtime.streams.frame import Frame
 from runtime.streams.frame_view import view_of
@@ -56,6 +57,14 @@ def street_answer(seed, *, boxes=9, degraded=()):
 def street(seed, given=EXTRINSICS, *, beside=None, **frame):
     """The view of a street."""
     return view_of(street_frame(seed, given, **frame), street_answer(seed), beside=beside)
+
+
+def judged(views, **options):
+    """What the frames show."""
+    judging = Judge(**options)
+    for view in views:
+        judging.add(view)
+    return judging.judgement()
 
 
 def street_map(seed, change=lambda depth: depth):

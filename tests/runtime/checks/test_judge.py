@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from painted_street import SIZE, paint, scan_of, street, street_map
+from painted_street import SIZE, judged, paint, scan_of, street, street_map
 from runtime import Predictor
 from runtime.checks.finding import Severity
 from runtime.checks.judge import FIRST_FRAMES, NO_EVIDENCE, NO_RETURNS, NOWHERE, Judge, choose
@@ -17,13 +17,6 @@ from runtime.streams.frame_view import view_of
 from runtime.streams.messages import Depth
 
 FLOORS = {"first": 0.1, "second": 0.1}
-
-
-def judged(views):
-    judging = Judge()
-    for view in views:
-        judging.add(view)
-    return judging.judgement()
 
 
 def names(views):

@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 import pytest
 
-from painted_street import EXTRINSICS, FOCAL, SIZE, paint, scan_of, street, street_map
+from painted_street import EXTRINSICS, FOCAL, SIZE, judged, paint, scan_of, street, street_map
 from runtime.checks.catalog import FINDINGS
 from runtime.checks.finding import Severity
 from runtime.checks.fit import rotation
-from runtime.checks.judge import NO_EVIDENCE, NO_RETURNS, NOWHERE, Judge
+from runtime.checks.judge import NO_EVIDENCE, NO_RETURNS, NOWHERE
 from runtime.checks.poses import OTHER_POSES, POSES
 from runtime.checks.readings import READINGS
 from runtime.checks.view import LEFT_HALF, UPSIDE_DOWN, Answer
@@ -23,13 +23,6 @@ RIGHT[:3, :3] = rotation((12, -8, 5)) @ EXTRINSICS[:3, :3]
 AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 QUARTER = np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
 HEIGHT, WIDTH = SIZE
-
-
-def judged(views, **options):
-    judging = Judge(**options)
-    for view in views:
-        judging.add(view)
-    return judging.judgement()
 
 
 def found(make):
