@@ -216,16 +216,13 @@ class Judge:
         return Judgement(tuple(findings), tested, not_tested, fit, len(views))
 
     def _told(self, choice: Choice, views: Sequence[View], fit: FitScores) -> Finding:
-        rows = [self._readings[name] for name, _ in choice.readings]
-        texts = [
-            row.told(member, views) for row, (_, member) in zip(rows, choice.readings, strict=True)
-        ]
-        says = texts[0]
-        if len(texts) > 1:
-            says = f"{len(texts)} readings fit: " + "; or ".join(texts[:_MOST_NAMED])
-        is_fault = all(row.severity is Severity.FAULT for row in rows)
+        rows = [(self._readings[name], member) for name, member in choice.readings]
+        says, *others = (row.told(member, views) for row, member in rows[:_MOST_NAMED])
+        if others:
+            says = f"{len(rows)} readings fit: " + "; or ".join([says, *others])
+        is_fault = all(row.severity is Severity.FAULT for row, _ in rows)
         return Finding(
-            rows[0].name,
+            rows[0][0].name,
             says,
             Severity.FAULT if is_fault else Severity.WARNING,
             {"fit as given": fit.score, "better by": choice.gain},

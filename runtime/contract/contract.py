@@ -221,26 +221,24 @@ def check_classes(classes: Sequence[ClassInfo]) -> tuple[ClassInfo, ...]:
     """Return a class table; ValueError for too many, a bad name or colour, or a repeated name."""
     if isinstance(classes, str) or not isinstance(classes, Sequence):
         raise ValueError(f"classes must be a sequence of ClassInfo, got {shown(classes)}")
-    for index, info in enumerate(classes):
-        if not isinstance(info, ClassInfo):
-            raise ValueError(
-                f"classes[{index}] must be a ClassInfo(name, (red, green, blue)), got {shown(info)}"
-            )
     if len(classes) > MAX_CLASSES:
         raise ValueError(f"classes must be at most {MAX_CLASSES}, got {len(classes)}")
+    names: dict[str, str] = {}  # "sky" and "road" are found in upper and lower case
     for index, info in enumerate(classes):
-        check_name(info.name, f"classes[{index}].name")
-        if len(info.color) != 3:
+        each = f"classes[{index}]"
+        if not isinstance(info, ClassInfo):
             raise ValueError(
-                f"classes[{index}].color must be red, green and blue, got {shown(info.color)}"
+                f"{each} must be a ClassInfo(name, (red, green, blue)), got {shown(info)}"
             )
+        key = check_name(info.name, f"{each}.name").casefold()
+        if len(info.color) != 3:
+            raise ValueError(f"{each}.color must be red, green and blue, got {shown(info.color)}")
         for place, part in enumerate(info.color):
-            check_integer(f"classes[{index}].color[{place}]", part, 0, 255)
-    names = [info.name.casefold() for info in classes]
-    for index, name in enumerate(names):
-        if name in names[:index]:  # "sky" and "road" are found in upper and lower case
-            twice = classes[names.index(name)].name, classes[index].name
+            check_integer(f"{each}.color[{place}]", part, 0, 255)
+        if key in names:
+            twice = names[key], info.name
             raise ValueError(f"classes must have names that differ beyond case, got {twice}")
+        names[key] = info.name
     return tuple(classes)
 
 

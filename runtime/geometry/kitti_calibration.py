@@ -31,10 +31,8 @@ _SAME_PX = 0.1
 def kitti_image_size(intrinsics: NDArray[np.floating[Any]]) -> tuple[int, int] | None:
     """The (height, width) of KITTI's images with these intrinsics; None for any other camera."""
     numbers = intrinsics[[0, 0, 1], [0, 2, 2]]
-    for known, size in _SIZES.items():
-        if np.abs(numbers - known).max() < _SAME_PX:
-            return size
-    return None
+    same = (size for known, size in _SIZES.items() if np.abs(numbers - known).max() < _SAME_PX)
+    return next(same, None)
 
 
 class NumbersFile:

@@ -160,10 +160,8 @@ class Lens:
             return 0, 0
         p1, p2 = self.coefficients[2:4]
         twice_xy = 2 * x * y
-        return (
-            p1 * twice_xy + p2 * (radius_2 + 2 * x * x),
-            p1 * (radius_2 + 2 * y * y) + p2 * twice_xy,
-        )
+        moved_x = p1 * twice_xy + p2 * (radius_2 + 2 * x * x)
+        return moved_x, p1 * (radius_2 + 2 * y * y) + p2 * twice_xy
 
 
 def to_image_plane(
@@ -173,11 +171,9 @@ def to_image_plane(
 
     In a rectified image this is the ray of the pixel.
     """
-    for_x, for_y, _ = np.linalg.inv(intrinsics.astype(np.float64))
-    return (
-        for_x[0] * column + for_x[1] * row + for_x[2],
-        for_y[0] * column + for_y[1] * row + for_y[2],
-    )
+    lines = np.linalg.inv(intrinsics.astype(np.float64))[:2]
+    x, y = (of_column * column + of_row * row + shift for of_column, of_row, shift in lines)
+    return x, y
 
 
 def cache_key(intrinsics: NDArray[np.floating[Any]]) -> Key:
