@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+import training
 from runtime.command.options import Version
 from training.commands.options import (
     EXIT_CODES,
@@ -37,7 +38,7 @@ def adapt(
     poses: Annotated[Path | None, typer.Option(help="Poses, see ssdnet-run.")] = None,
     out: Out,
     init: Begin = "ssdnet-lite",
-    change: Changes = None,
+    changes: Changes = None,
     device: Device = "cpu",
     threads: Threads = None,
     _version: Version = False,
@@ -47,19 +48,10 @@ def adapt(
     The returns of the recording train the depth; classes and boundaries stay as they are. Prints
     the scores before and after, and what to run next.
     """
-    files = {"depth": depth, "points": points, "calibration": calibration, "poses": poses}
-    with training_command(threads) as stop:
-        import training  # heavy, so that --help is quick
-
-        found = training.adapt(
-            recording,
-            **files,
-            out=out,
-            init=init,
-            changes=change or (),
-            device=device,
-            stop=stop,
-        )
-        end_run(found, stop)
+    with training_command(locals()) as options:
+        found = training.adapt(**options)
+        end_run(found, options["stop"])
         if found.paid:
-            print_next_commands(recording, files, found.path)
+            files = ("depth", "points", "calibration", "poses")
+            given = {name: options.get(name) for name in files}
+            print_next_commands(recording, given, found.path)

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+import training
 from runtime.command.options import Version
 from training.base.palette import PaletteOption
 from training.commands.options import (
@@ -66,10 +67,12 @@ def finetune(
         float | None,
         typer.Option(min=1e-6, help="Units of --depth per metre.", show_default="256"),
     ] = None,
-    focal_length: Annotated[
+    focal_length_px: Annotated[
         float | None,
         typer.Option(
-            min=1, help="Focal length of the images in pixels, with the optical axis in the middle."
+            "--focal-length",
+            min=1,
+            help="Focal length of the images in pixels, with the optical axis in the middle.",
         ),
     ] = None,
     intrinsics: Annotated[
@@ -83,7 +86,7 @@ def finetune(
     calibration: Annotated[Path | None, typer.Option(help="Calibration, see ssdnet-run.")] = None,
     out: Out,
     init: Begin = "ssdnet-lite",
-    change: Changes = None,
+    changes: Changes = None,
     device: Device = "cpu",
     threads: Threads = None,
     folds: Annotated[
@@ -103,31 +106,9 @@ def finetune(
     A recipe is made for the folders, shown on stderr, and written to recipe.toml below --out: edit
     it, and train by it with ssdnet-train, to change more.
     """
-    with training_command(threads) as stop:
-        import training  # heavy, so that --help is quick
-
-        found = training.finetune(
-            images,
-            labels=labels,
-            classes=classes,
-            ignore=ignore or (),
-            palette=palette,
-            depth=depth,
-            depth_scale=depth_scale,
-            focal_length_px=focal_length,
-            intrinsics=intrinsics,
-            points=points,
-            calibration=calibration,
-            out=out,
-            init=init,
-            changes=change or (),
-            device=device,
-            folds=folds,
-            stop_after=stop_after,
-            stop=stop,
-            dry_run=dry_run,
-        )
-        end_run(found, stop)
+    with training_command(locals()) as options:
+        found = training.finetune(**options)
+        end_run(found, options["stop"])
         if dry_run or found.stopped:
             return
         if labels is not None or depth is not None:
@@ -141,5 +122,5 @@ def finetune(
             }
             typer.echo(shlex.join(["ssdnet-eval", init, str(out), *list_options(test)]))
         given: dict[str, object] = {"depth": depth, "points": points, "calibration": calibration}
-        given["focal-length"] = focal_length
+        given["focal-length"] = focal_length_px
         print_next_commands(str(images), given, found.path)

@@ -4,7 +4,7 @@ import shlex
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -59,26 +59,33 @@ DryRun = Annotated[
 
 
 @contextmanager
-def training_command(threads: int | None) -> Iterator[Stop]:
-    """Report errors, set the threads of PyTorch, and yield what says whether a signal arrived."""
+def training_command(given: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Report errors, set the threads of PyTorch, and yield the arguments of the function to call.
+
+    These are the options that were given, and `stop`, which says whether a signal arrived.
+    """
     with reported_errors("train"), stop_signal() as stop:
         import torch
 
-        if threads is not None:
+        if (threads := given.pop("threads")) is not None:
             torch.set_num_threads(threads)
-        yield stop
+        options = {
+            name: value
+            for name, value in given.items()
+            if value is not None and not name.startswith("_")
+        }
+        yield {**options, "stop": stop}
 
 
 def end_run(found: "RunResult", stop: Stop) -> None:
     """Print what a run has made, and end the command if a signal stopped it."""
     typer.echo(str(found))
-    if not (found.stopped and stop()):
-        return
-    if found.path.is_file():
-        typer.echo(f"stopped; the same command resumes from {found.path}", err=True)
-    else:
-        typer.echo("stopped before the first step; the same command starts again", err=True)
-    raise typer.Exit(INTERRUPTED)
+    if found.stopped and stop():
+        text = "stopped before the first step; the same command starts again"
+        if found.path.is_file():
+            text = f"stopped; the same command resumes from {found.path}"
+        typer.echo(text, err=True)
+        raise typer.Exit(INTERRUPTED)
 
 
 def print_next_commands(recording: str, given: Mapping[str, object], checkpoint: Path) -> None:

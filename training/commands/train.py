@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+import training
 from runtime.command.options import Version
 from runtime.command.process import reported_errors
 from training.commands.options import (
@@ -86,7 +87,7 @@ def train(
             help="Weights whose answers are learned beside the labels: a name or path as in --init."
         ),
     ] = None,
-    change: Changes = None,
+    changes: Changes = None,
     device: Device = "cpu",
     threads: Threads = None,
     stop_after: StopAfter = None,
@@ -102,19 +103,5 @@ def train(
     Writes checkpoints, TensorBoard curves, scores and the resolved recipe. See ssdnet-finetune for
     folders of your own images and labels, and ssdnet-adapt for a recording without labels.
     """
-    with training_command(threads) as stop:
-        import training  # heavy, so that --help is quick
-
-        found = training.train(
-            recipe,
-            data=data,
-            out=out,
-            init=init,
-            teacher=teacher,
-            changes=change or (),
-            device=device,
-            stop_after=stop_after,
-            stop=stop,
-            dry_run=dry_run,
-        )
-        end_run(found, stop)
+    with training_command(locals()) as options:
+        end_run(training.train(**options), options["stop"])
